@@ -1,0 +1,9 @@
+"""Geometric inverse sensor models: one lidar scan to one evidential grid, by ray casting.
+
+The kernels are compiled by numba at their first call in a new environment and cached on disk after that.
+"""
+
+from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground
+from ogm.geometric.ism import HeightBandISM, RayISM
+
+__all__ = ["HeightBandISM", "RayISM", "flat_ground", "ground_height", "local_ground", "patchwork_ground"]

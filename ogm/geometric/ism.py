@@ -1,0 +1,474 @@
+"""The two geometric inverse sensor models: the paper's baseline and the model to use."""
+
+import logging
+import math
+import threading
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.geometric import raycast
+from ogm.geometric.ground import GroundEstimate, local_ground
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import check_pose
+
+__all__ = ["HeightBandISM", "RayISM"]
+
+_log = logging.getLogger(__name__)
+
+
+class _Scratch(threading.local):
+    """Work space that a thread keeps from scan to scan: fresh pages would cost as much as the ray casting."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, NDArray] = {}
+
+    def __call__(self, name: str, shape: tuple[int, ...], dtype: type) -> NDArray:
+        """Return an array with arbitrary content, valid until the next call with the same name."""
+        size = math.prod(shape)
+        array = self.arrays.get(name)
+        if array is None or array.size < size or array.dtype != dtype:
+            array = np.empty(size, dtype)
+            if array.nbytes <= KEPT_BYTES:
+                self.arrays[name] = array
+        return array[:size].reshape(shape)
+
+
+_scratch = _Scratch()
+
+
+def _rays(name: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Work space for rays: sector, slope, end."""
+    return (
+        _scratch(f"{name} sector", (count,), np.int32),
+        _scratch(f"{name} slope", (count,), np.float32),
+        _scratch(f"{name} end", (count,), np.float32),
+    )
+
+
+Frame = Literal["sensor", "vehicle"]
+KEPT_BYTES = 2**25  # [bytes] a larger work array (clouds of millions of points) is given back after the scan
+NO_BOX = (0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Mount:
+    """Where the sensor sits, and in which frame its points come."""
+
+    T_vehicle_sensor: NDArray[np.float64]
+    T_vehicle_points: NDArray[np.float32]  # (3, 4)
+    origin: NDArray[np.float32]  # (3,) the sensor in the vehicle frame [m]
+    foot: tuple[float, float, float]  # the ground under the sensor, in the vehicle frame [m]
+
+
+def _mount(
+    spec: GridSpec, sensor_height: float, T_vehicle_sensor: ArrayLike | None, points_in: Frame
+) -> _Mount:
+    T = np.eye(4) if T_vehicle_sensor is None else check_pose(T_vehicle_sensor, "T_vehicle_sensor")
+    if not 0 < sensor_height < 100:
+        raise ValueError(f"sensor_height must be above ground and below 100 m, got {sensor_height}")
+    if points_in not in ("sensor", "vehicle"):
+        raise ValueError(f'points_in must be "sensor" or "vehicle", got {points_in!r}')
+    x, y, z = T[:3, 3]
+    if not spec.contains(x, y):
+        raise ValueError(
+            f"the sensor at x={x:g}, y={y:g} m lies outside the grid {spec.extent}; "
+            "move or enlarge the grid so that it holds the sensor"
+        )
+    points_T = (T if points_in == "sensor" else np.eye(4))[:3].astype(np.float32)
+    return _Mount(T, points_T, T[:3, 3].astype(np.float32), (x, y, z - sensor_height))
+
+
+def _own_points(
+    points: NDArray[np.float32], mount: _Mount, own_box: tuple[float, float, float, float]
+) -> NDArray[np.float32]:
+    """Check the points once, take them to the vehicle frame, drop what is not finite or the vehicle itself."""
+    if not isinstance(points, np.ndarray) or points.dtype.kind != "f":
+        got = getattr(points, "dtype", type(points).__name__)
+        raise TypeError(f"points must be a float array of shape (N, 4) [x, y, z, intensity], got {got}")
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise ValueError(
+            f"points must have shape (N, 4) [x, y, z, intensity] (or at least 3 columns), got {points.shape}"
+        )
+    points = np.ascontiguousarray(points, np.float32)
+    rows = _scratch("xyz", (3, len(points)), np.float32)
+    kept, invalid, own = raycast.own_frame(
+        points, mount.T_vehicle_points, np.array(own_box, np.float32), rows
+    )
+    if invalid:
+        _log.warning("dropped %d of %d points that are NaN, inf or beyond 1000 km", invalid, len(points))
+    if own:
+        _log.debug("dropped %d of %d points as returns from the own vehicle", own, len(points))
+    return rows[:, :kept].T
+
+
+def _check_box(box: tuple[float, float, float, float]) -> None:
+    if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
+        raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {box}")
+
+
+def _within(name: str, value: float, low: float, high: float) -> None:
+    """Refuse a parameter outside the open interval (low, high)."""
+    if not low < value < high:
+        raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value}")
+
+
+@dataclass(frozen=True, eq=False)
+class HeightBandISM:
+    """The paper's geometric baseline: a height band on flat ground.
+
+    Cells with returns between `z_min` and `z_max` above ground are occupied, cells between the sensor and
+    these are free, the rest is unknown (van Kempen et al. 2021, Sec. V). Ground returns and returns above the
+    band are ignored, so that a ray without an obstacle clears nothing: that is the paper's text, and what
+    `RayISM` does better.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill, in the vehicle frame; must hold the sensor.
+    sensor_height : float
+        Of the sensor above ground [m].
+    T_vehicle_sensor : (4, 4) array, optional
+        Pose of the sensor in the frame of the grid; identity if the grid is centred on the sensor.
+    points_in : {"sensor", "vehicle"}
+        Frame of the points. Rays start at the sensor in either case.
+    z_min, z_max : float
+        The band [m above ground], 0.5 and 2.0 in the paper.
+    evidence : float
+        Dirichlet evidence e of an observed cell; its mass is e / (e + 2). The paper does not say; 10 gives
+        0.83. Its code has 1, which gives 1/3: see `as_released`.
+    min_range : float
+        Returns nearer than this are ignored [m, 3D].
+    own_box : (float, float, float, float)
+        Returns with x_min < x < x_max, y_min < y < y_max in the vehicle frame [m] are the own vehicle's and
+        ignored; none by default, as in the paper.
+    supersampling : int
+        The state is drawn on cells this many times smaller, and their evidence averaged.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the sensor lies outside the grid.
+    """
+
+    spec: GridSpec
+    sensor_height: float
+    T_vehicle_sensor: ArrayLike | None = None
+    points_in: Frame = "sensor"
+    z_min: float = 0.5
+    z_max: float = 2.0
+    evidence: float = 10.0
+    min_range: float = 0.0
+    own_box: tuple[float, float, float, float] = NO_BOX
+    supersampling: int = 1
+    _mount: _Mount = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(
+            self, "_mount", _mount(self.spec, self.sensor_height, self.T_vehicle_sensor, self.points_in)
+        )
+        if not self.z_min < self.z_max:
+            raise ValueError(f"z_min must lie below z_max, got {self.z_min} and {self.z_max}")
+        _within("evidence", self.evidence, 0, math.inf)
+        _within("min_range", self.min_range, -1e-9, math.inf)
+        _check_box(self.own_box)
+        self.spec.refined(self.supersampling)
+
+    @classmethod
+    def as_released(cls, spec: GridSpec) -> Self:
+        """Reproduce what the paper's released code does, for a sensor-centred grid of its *output* cells.
+
+        That is (EviLOG, ``naive_geometric_ISM``): a mount 1.61 m above flat ground, so that the band is -1.11
+        to 0.39 m in the sensor's frame; returns nearer than 3 m ignored; evidence 1, hence no mass above
+        1/3; drawn on cells of half the size and resized, hence quarter steps. For the paper's set-up give
+        ``GridSpec.centered(81.92, 56.32, 0.32)``.
+        """
+        return cls(spec, sensor_height=1.61, evidence=1.0, min_range=3.0, supersampling=2)
+
+    def __call__(self, points: NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan.
+
+        Parameters
+        ----------
+        points : (N, 4) float32
+            x, y, z [m], intensity [0, 1] (not used). NaN and inf rows are dropped and counted in the log.
+
+        Returns
+        -------
+        EvidentialGrid
+            Vacuous if no point is in the band.
+        """
+        xyz = _own_points(points, self._mount, self.own_box)
+        fine = self.spec.refined(self.supersampling)
+        state = _scratch("state", fine.shape, np.uint8)
+        state[:] = 0
+        ground = self._mount.foot[2]
+        raycast.height_band_states(
+            *xyz.T,
+            self._mount.origin,
+            ground + self.z_min,
+            ground + self.z_max,
+            self.min_range,
+            *fine.origin,
+            fine.resolution,
+            state,
+            _scratch("ends", (min(len(xyz), state.size), 2), np.int32),
+        )
+        mass = np.empty((*self.spec.shape, 2), np.float32)
+        raycast.state_mass(state, self.evidence, self.supersampling, mass)
+        return EvidentialGrid.trusted(self.spec, mass)
+
+
+@dataclass(frozen=True, eq=False)
+class RayISM:
+    """The geometric model to use: local ground, marking apart from clearing, counts turned into belief.
+
+    Each return is a ray. Obstacle returns (between `obstacle_height` and `clearance` above the *local* ground)
+    mark their cell. All rays, also those to the ground, to tree crowns and, if given, those that came back
+    empty, clear the cells they pass, the less the higher above ground they pass and not at all above
+    `clearance`. Where no ray passes low enough, the cell stays unknown.
+
+    Counts become belief: R returns give occupied ``1 - p_false**R``, T rays at the ground give free
+    ``1 - p_pass**T`` (count-based belief, as in Bosch's evidential occupancy, CVPR 2024), and rays that pass
+    higher give less, see `raycast.clear_sectors`.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill, in the vehicle frame; must hold the sensor.
+    sensor_height : float
+        Of the sensor above the ground under it [m].
+    T_vehicle_sensor : (4, 4) array, optional
+        Pose of the sensor in the frame of the grid; identity if the grid is centred on the sensor. A pitched
+        or rolled mount is levelled by it.
+    points_in : {"sensor", "vehicle"}
+        Frame of the points. Rays start at the sensor in either case.
+    ground : function
+        `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, foot) -> height``.
+    obstacle_height : float
+        Lowest return above ground that marks [m]; kerbs are 0.08 to 0.15 m high.
+    clearance : float
+        Height that a vehicle needs [m]; what hangs above does not mark. The paper's band ends at 2.0 m.
+    below_ground : float
+        Returns further below ground are mirror images and are ignored [m].
+    range_noise : float
+        Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
+    p_pass : float
+        Chance that a ray passes an occupied cell unnoticed; 0.8 in Bosch's belief model.
+    p_false : float
+        Chance that a return comes from an empty cell; 0.05 in Bosch's belief model.
+    marked_reliability : float
+        Shafer reliability of the rays that pass a cell in which others of the same scan were returned. 1
+        takes both for witnesses of one state (Bosch's belief model, walls seen at a grazing angle fade); 0
+        lets returns win outright. Rays pass beside or above what others hit, hence a low default.
+    max_mass : float
+        No mass of one scan exceeds this, so that a map can change its mind.
+    max_range : float
+        How far an obstacle would be seen, for beams that came back empty [m].
+    missing_weight : float
+        Say of such a beam against one that came back: black and wet surfaces swallow beams too.
+    azimuth_step : float
+        Width of the polar sectors that rays are counted in [rad]; not finer than the sensor's azimuth step,
+        or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
+    own_box : (float, float, float, float), optional
+        x_min, x_max, y_min, y_max of the own vehicle in the vehicle frame [m]: returns in it are dropped, its
+        cells stay unknown. By default 5.0 m x 2.2 m around the sensor.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the sensor lies outside the grid.
+    """
+
+    spec: GridSpec
+    sensor_height: float
+    T_vehicle_sensor: ArrayLike | None = None
+    points_in: Frame = "sensor"
+    ground: GroundEstimate = local_ground
+    obstacle_height: float = 0.1
+    clearance: float = 2.0
+    below_ground: float = 0.3
+    range_noise: float = 0.03
+    p_pass: float = 0.8
+    p_false: float = 0.05
+    marked_reliability: float = 0.2
+    max_mass: float = 0.98
+    max_range: float = 100.0
+    missing_weight: float = 0.2
+    azimuth_step: float = 2 * math.pi / 1024
+    own_box: tuple[float, float, float, float] | None = None
+    _mount: _Mount = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        mount = _mount(self.spec, self.sensor_height, self.T_vehicle_sensor, self.points_in)
+        object.__setattr__(self, "_mount", mount)
+        if self.own_box is None:
+            x, y, _ = mount.foot
+            object.__setattr__(self, "own_box", (x - 2.5, x + 2.5, y - 1.1, y + 1.1))
+        _check_box(self.own_box)  # type: ignore[arg-type]
+        if not 0 < self.obstacle_height < self.clearance < math.inf:
+            raise ValueError(
+                f"obstacle_height must lie above 0 and below clearance, got {self.obstacle_height}, {self.clearance}"
+            )
+        for name in ("p_pass", "p_false", "max_mass"):
+            _within(name, getattr(self, name), 0, 1)
+        for name in ("below_ground", "max_range"):
+            _within(name, getattr(self, name), 0, math.inf)
+        _within("range_noise", self.range_noise, -1e-9, 10)
+        _within("marked_reliability", self.marked_reliability, -1e-9, 1 + 1e-9)
+        _within("missing_weight", self.missing_weight, -1e-9, 1 + 1e-9)
+        _within("azimuth_step", self.azimuth_step, 2 * math.pi / 2**15, math.pi / 2)
+
+    def __call__(
+        self, points: NDArray[np.float32], missing: NDArray[np.float32] | None = None
+    ) -> EvidentialGrid:
+        """Map one scan.
+
+        Parameters
+        ----------
+        points : (N, 4) float32
+            x, y, z [m], intensity [0, 1] (not used). NaN and inf rows are dropped and counted in the log.
+        missing : (M, 3) float32, optional
+            Unit vectors of beams that came back empty, in the frame of the points (`Scan.missing`).
+
+        Returns
+        -------
+        EvidentialGrid
+            Vacuous for an empty scan.
+        """
+        mount, spec, step = self._mount, self.spec, self.spec.resolution
+        if missing is None:
+            missing = np.empty((0, 3), np.float32)
+        if missing.ndim != 2 or missing.shape[1] != 3:
+            raise ValueError(f"missing must hold directions, shape (M, 3), got {missing.shape}")
+        xyz = _own_points(points, mount, self.own_box)  # type: ignore[arg-type]
+
+        # The ground, and what a level ray would say above it
+        coarse = _ground_spec(spec)
+        height = self.ground(xyz, coarse, mount.foot)
+        polar = _polar_grid(spec, tuple(mount.origin.tolist()), self.own_box, self.azimuth_step)
+        level = _scratch("level", (polar.rows, polar.bins), np.float32)
+        raycast.level_say(
+            height, *coarse.origin, coarse.resolution, mount.origin, self.clearance, step, level
+        )
+
+        # Obstacles mark their cells, and every beam is a ray
+        hits = _scratch("hits", spec.shape, np.int32)
+        hits[:] = 0
+        sector, slope, end = _rays("returned", len(xyz))
+        raycast.mark_and_aim(
+            *xyz.T,
+            mount.origin,
+            height,
+            *coarse.origin,
+            coarse.resolution,
+            level,
+            self.obstacle_height,
+            self.clearance,
+            self.below_ground,
+            self.range_noise,
+            step,
+            polar.sectors,
+            *spec.origin,
+            spec.resolution,
+            hits,
+            sector,
+            slope,
+            end,
+        )
+        rays = _scratch("rays", (len(xyz), 2), np.float32)
+        starts = raycast.sort_rays(sector, slope, end, polar.sectors, rays)
+        directions = (missing @ mount.T_vehicle_points[:, :3].T).astype(np.float32)
+        sector, slope, end = _rays("missing", len(missing))
+        raycast.aim_missing(
+            directions, level, self.clearance, step, self.max_range, polar.sectors, sector, slope, end
+        )
+        empty_rays = np.empty((len(missing), 2), np.float32)
+        empty_starts = raycast.sort_rays(sector, slope, end, polar.sectors, empty_rays)
+
+        # Rays clear what they pass
+        free = _scratch("free", (polar.sectors, polar.bins), np.float32)
+        raycast.clear_sectors(
+            rays,
+            starts,
+            empty_rays,
+            empty_starts,
+            self.missing_weight,
+            level,
+            self.clearance,
+            step,
+            polar.sectors / math.pi,
+            self.p_pass,
+            free,
+        )
+
+        # Belief
+        mass = np.empty((*spec.shape, 2), np.float32)
+        raycast.ray_mass(
+            free,
+            hits,
+            polar.sector,
+            polar.span,
+            polar.ring,
+            _powers(math.sqrt(self.p_false)),
+            self.marked_reliability,
+            self.max_mass,
+            mass,
+        )
+        return EvidentialGrid.trusted(spec, mass)
+
+
+@dataclass(frozen=True, eq=False)
+class _PolarGrid:
+    """Sectors and rings around the sensor, and where each cell of a grid lies among them."""
+
+    sectors: int
+    bins: int
+    rows: int  # coarse sectors in which the ground is sampled
+    sector: NDArray[np.int16]
+    span: NDArray[np.int16]
+    ring: NDArray[np.int16]
+
+
+@lru_cache(maxsize=16)
+def _polar_grid(
+    spec: GridSpec,
+    origin: tuple[float, float, float],
+    box: tuple[float, float, float, float],
+    azimuth_step: float,
+) -> _PolarGrid:
+    """Lay the polar grid over a spec; computed once for each mount."""
+    sectors = 8 * math.ceil(2 * math.pi / azimuth_step / 8 - 1e-9)
+    x0, x1, y0, y1 = spec.extent
+    far = math.hypot(max(x1 - origin[0], origin[0] - x0), max(y1 - origin[1], origin[1] - y0))
+    bins = math.ceil(far / spec.resolution) + 1
+    sector, span, ring = (np.empty(spec.shape, np.int16) for _ in range(3))
+    raycast.polar_lookup(
+        *spec.origin,
+        spec.resolution,
+        np.array(origin, np.float32),
+        np.array(box, np.float32),
+        sectors,
+        spec.resolution,
+        bins,
+        sector,
+        span,
+        ring,
+    )
+    return _PolarGrid(sectors, bins, sectors // 8, sector, span, ring)
+
+
+@lru_cache(maxsize=16)
+def _ground_spec(spec: GridSpec, resolution: float = 1.0) -> GridSpec:
+    """Return cells of about 1 m over the area of a grid."""
+    nx, ny = (max(math.ceil(size / resolution), 2) for size in (spec.length, spec.width))
+    return GridSpec(resolution, (nx, ny), spec.origin)
+
+
+@lru_cache(maxsize=64)
+def _powers(base: float) -> NDArray[np.float32]:
+    """Tabulate ``base ** n`` until it does not matter in float32."""
+    return np.append(base ** np.arange(min(math.ceil(-17 / math.log(base)), 2**12)), 0).astype(np.float32)

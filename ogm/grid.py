@@ -1,0 +1,336 @@
+"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid`, and the door all sensor models share."""
+
+import os
+import zipfile
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.evidence import Opinion, mass_to_evidence, mass_to_probability
+from ogm.files import atomic_write
+
+__all__ = ["EvidentialGrid", "GridSpec", "InverseSensorModel"]
+
+_FORMAT = "ogm.EvidentialGrid/1"
+_TOLERANCE = 1e-5  # [mass] rounding that float32 sums of a few terms may leave
+_MAX_CELLS = 2**28  # a grid of 1 GiB of masses; a file that claims more is refused before it is unpacked
+
+
+@dataclass(frozen=True)
+class GridSpec:
+    """Where the cells of a grid lie: a resolution, a number of cells and a corner. Holds no arrays.
+
+    Axes follow REP 103: x forward, y left. Cell ``(ix, iy)`` covers
+    ``origin + resolution * [ix, ix + 1) x [iy, iy + 1)``.
+
+    Parameters
+    ----------
+    resolution : float
+        Side of a cell [m].
+    shape : (int, int)
+        Number of cells along x and along y.
+    origin : (float, float)
+        x, y of the *outer corner* of cell (0, 0) [m], as in ROS.
+
+    Raises
+    ------
+    ValueError
+        If the resolution is not positive and finite, a count is not a positive whole number, or the grid has
+        more than 2**28 cells.
+    """
+
+    resolution: float
+    shape: tuple[int, int]
+    origin: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        resolution, shape, origin = float(self.resolution), tuple(self.shape), tuple(self.origin)
+        if not (resolution > 0 and np.isfinite(resolution)):
+            raise ValueError(f"resolution must be positive and finite [m], got {self.resolution}")
+        if len(shape) != 2 or not all(n == int(n) and n > 0 for n in shape):
+            raise ValueError(f"shape must be two positive whole numbers (nx, ny), got {self.shape}")
+        if shape[0] * shape[1] > _MAX_CELLS:
+            raise ValueError(
+                f"shape {self.shape} has more than {_MAX_CELLS} cells; use coarser or fewer cells"
+            )
+        if len(origin) != 2 or not np.isfinite(origin).all():
+            raise ValueError(f"origin must be two finite numbers (x, y) [m], got {self.origin}")
+        object.__setattr__(self, "resolution", resolution)
+        object.__setattr__(self, "shape", (int(shape[0]), int(shape[1])))
+        object.__setattr__(self, "origin", (float(origin[0]), float(origin[1])))
+
+    @classmethod
+    def centered(
+        cls, length: float, width: float, resolution: float, center: tuple[float, float] = (0.0, 0.0)
+    ) -> Self:
+        """Make a grid of a given size around a point.
+
+        Parameters
+        ----------
+        length, width : float
+            Extent along x and along y [m]; each must be a whole number of cells.
+        resolution : float
+            Side of a cell [m].
+        center : (float, float)
+            x, y of the grid's middle [m].
+
+        Raises
+        ------
+        ValueError
+            If an extent is no whole number of cells; the message names the nearest extents that are.
+
+        Examples
+        --------
+        The paper's grid (van Kempen et al. 2021, Sec. V):
+
+        >>> GridSpec.centered(length=81.92, width=56.32, resolution=0.16).shape
+        (512, 352)
+        """
+        if not (resolution > 0 and np.isfinite(resolution)):
+            raise ValueError(f"resolution must be positive and finite [m], got {resolution}")
+        counts = []
+        for name, size in (("length", length), ("width", width)):
+            cells = size / resolution
+            if not (np.isfinite(cells) and cells > 0):
+                raise ValueError(f"{name} must be positive and finite [m], got {size}")
+            if abs(cells - round(cells)) > 1e-6 * max(1.0, cells):
+                low, high = np.floor(cells) * resolution, np.ceil(cells) * resolution
+                raise ValueError(
+                    f"{name} {size} m is {cells:.4g} cells of {resolution} m, not a whole number; "
+                    f"use {low:.6g} m or {high:.6g} m"
+                )
+            counts.append(round(cells))
+        nx, ny = counts
+        origin = (center[0] - nx * resolution / 2, center[1] - ny * resolution / 2)
+        return cls(resolution=resolution, shape=(nx, ny), origin=origin)
+
+    @property
+    def length(self) -> float:
+        """Extent along x [m]."""
+        return self.shape[0] * self.resolution
+
+    @property
+    def width(self) -> float:
+        """Extent along y [m]."""
+        return self.shape[1] * self.resolution
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """The outer edges x_min, x_max, y_min, y_max [m]."""
+        x, y = self.origin
+        return x, x + self.length, y, y + self.width
+
+    @property
+    def cell_centers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Coordinates of the cells' middles [m]: x as (nx, 1) and y as (1, ny), ready to broadcast."""
+        x = self.origin[0] + (np.arange(self.shape[0]) + 0.5) * self.resolution
+        y = self.origin[1] + (np.arange(self.shape[1]) + 0.5) * self.resolution
+        return x[:, None], y[None, :]
+
+    def index(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the cell that holds each point, by flooring; cells outside the grid are returned as they come.
+
+        Parameters
+        ----------
+        x, y : float or array
+            Coordinates [m].
+
+        Returns
+        -------
+        ix, iy : int64 arrays of the inputs' shapes
+            May lie outside ``shape``: ask `contains`.
+        """
+        ix = np.floor((np.asarray(x, np.float64) - self.origin[0]) / self.resolution).astype(np.int64)
+        iy = np.floor((np.asarray(y, np.float64) - self.origin[1]) / self.resolution).astype(np.int64)
+        return ix, iy
+
+    def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
+        """Tell for each point whether it lies in a cell of the grid (the far edges are outside)."""
+        ix = np.floor((np.asarray(x, np.float64) - self.origin[0]) / self.resolution)
+        iy = np.floor((np.asarray(y, np.float64) - self.origin[1]) / self.resolution)
+        return (ix >= 0) & (ix < self.shape[0]) & (iy >= 0) & (iy < self.shape[1])
+
+    def refined(self, factor: int) -> "GridSpec":
+        """Return the spec of the same area with `factor` times as many cells along each axis."""
+        if factor != int(factor) or factor < 1:
+            raise ValueError(f"factor must be a positive whole number, got {factor}")
+        nx, ny = self.shape
+        return GridSpec(self.resolution / factor, (nx * int(factor), ny * int(factor)), self.origin)
+
+
+@dataclass(frozen=True, eq=False)
+class EvidentialGrid:
+    """Belief masses of free and occupied for every cell of a grid.
+
+    Parameters
+    ----------
+    spec : GridSpec
+    mass : (nx, ny, 2) float array
+        Masses of free and occupied in [0, 1]; their sum is at most 1, and what is missing to 1 is the mass of
+        unknown. Kept as float32; an array that is float32 already is not copied.
+
+    Raises
+    ------
+    TypeError
+        If `mass` is not a float array.
+    ValueError
+        If the shape does not fit `spec`, or a mass is NaN, negative or part of a sum above 1 by more than
+        1e-5. Nothing is repaired: see `ogm.evidence.renormalize`.
+    """
+
+    spec: GridSpec
+    mass: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        mass = np.asarray(self.mass)
+        if mass.dtype.kind != "f":
+            raise TypeError(
+                f"mass must be a float array, got dtype {mass.dtype}; convert it with .astype('float32')"
+            )
+        if mass.ndim != 3 or mass.shape[-1] != 2:
+            raise ValueError(
+                f"mass must have 2 states (free, occupied) on its last axis and shape (nx, ny, 2), got {mass.shape}"
+            )
+        if mass.shape[:2] != self.spec.shape:
+            raise ValueError(f"mass is for {mass.shape[:2]} cells, but the spec has {self.spec.shape}")
+        free, occupied = mass[..., 0], mass[..., 1]
+        # Comparisons are written so that a NaN fails them.
+        if not (mass.min() >= -_TOLERANCE and (free + occupied).max() <= 1 + _TOLERANCE):
+            wrong = ~((free >= -_TOLERANCE) & (occupied >= -_TOLERANCE) & (free + occupied <= 1 + _TOLERANCE))
+            ix, iy = np.unravel_index(int(np.argmax(wrong)), wrong.shape)
+            raise ValueError(
+                f"masses must be >= 0 and sum to at most 1 (tolerance {_TOLERANCE:g}); {int(wrong.sum())} cells are "
+                f"not, first cell ({ix}, {iy}) with free={mass[ix, iy, 0]}, occupied={mass[ix, iy, 1]}; "
+                "ogm.evidence.renormalize scales masses back"
+            )
+        object.__setattr__(self, "mass", np.asarray(mass, dtype=np.float32))
+
+    @classmethod
+    def trusted(cls, spec: GridSpec, mass: NDArray[np.float32]) -> Self:
+        """Make a grid without looking at the masses: for kernels whose results are masses by construction.
+
+        Parameters as in the constructor; `mass` must be float32 of shape ``(*spec.shape, 2)`` and is not
+        copied.
+        """
+        grid = object.__new__(cls)
+        object.__setattr__(grid, "spec", spec)
+        object.__setattr__(grid, "mass", mass)
+        return grid
+
+    @classmethod
+    def vacuous(cls, spec: GridSpec) -> Self:
+        """Return the grid that knows nothing: unknown = 1 everywhere."""
+        return cls(spec, np.zeros((*spec.shape, 2), np.float32))
+
+    @property
+    def free(self) -> NDArray[np.float32]:
+        """Mass of free, (nx, ny) in [0, 1]."""
+        return self.mass[..., 0]
+
+    @property
+    def occupied(self) -> NDArray[np.float32]:
+        """Mass of occupied, (nx, ny) in [0, 1]."""
+        return self.mass[..., 1]
+
+    @cached_property
+    def unknown(self) -> NDArray[np.float32]:
+        """Mass of the whole frame, (nx, ny) in [0, 1]: 1 - free - occupied, rounding below 0 shown as 0."""
+        return np.maximum(1 - self.mass[..., 0] - self.mass[..., 1], np.float32(0))
+
+    @property
+    def probability(self) -> NDArray[np.float32]:
+        """Expected probability of occupied, (nx, ny) in [0, 1]: occupied + unknown / 2 (base rate 1/2)."""
+        return mass_to_probability(self.mass)
+
+    @property
+    def evidence(self) -> NDArray[np.float32]:
+        """Dirichlet evidence for free and occupied, (nx, ny, 2), >= 0 (prior weight 2); inf where unknown = 0."""
+        return mass_to_evidence(self.mass)
+
+    def at(self, x: float, y: float) -> Opinion:
+        """Return the opinion of the cell that holds a point.
+
+        Raises
+        ------
+        ValueError
+            If the point lies outside the grid.
+        """
+        if not self.spec.contains(x, y):
+            x0, x1, y0, y1 = self.spec.extent
+            raise ValueError(f"({x}, {y}) m lies outside the grid: x in [{x0}, {x1}), y in [{y0}, {y1}) m")
+        ix, iy = self.spec.index(x, y)
+        free, occupied = self.mass[ix, iy].tolist()
+        return Opinion(free=free, occupied=occupied)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
+
+        The archive holds ``mass`` (nx, ny, 2) float32, ``resolution`` and ``origin`` [m], and the texts
+        ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
+        """
+        if not str(path).endswith(".npz"):
+            raise ValueError(
+                f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture"
+            )
+        with atomic_write(path) as file:
+            np.savez_compressed(
+                file,
+                format=np.array(_FORMAT),
+                states=np.array(["free", "occupied"]),
+                axes=np.array("[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)"),
+                resolution=np.float64(self.spec.resolution),
+                origin=np.array(self.spec.origin, np.float64),
+                mass=self.mass,
+            )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a grid that `save` wrote. Nothing is unpickled.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If the file is damaged, of another kind or version, or holds masses that are none.
+        """
+        try:
+            with zipfile.ZipFile(path) as archive:
+                size = sum(item.file_size for item in archive.infolist())
+                if size > _MAX_CELLS * 8 + 2**20:
+                    raise ValueError(
+                        f"{path} claims {size} bytes of arrays, more than any grid has; refusing to unpack"
+                    )
+            with np.load(path, allow_pickle=False) as data:
+                if "format" not in data or str(data["format"]) != _FORMAT:
+                    found = str(data["format"]) if "format" in data else f"arrays {sorted(data.files)}"
+                    raise ValueError(f"{path} is not an {_FORMAT} file: found {found}")
+                spec = GridSpec(
+                    float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist())
+                )
+                return cls(spec, data["mass"])
+        except (zipfile.BadZipFile, EOFError, KeyError, OSError, TypeError, IndexError) as error:
+            if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
+                raise
+            raise ValueError(f"{path} is not a whole grid file (.npz): {error}") from error
+
+
+@runtime_checkable
+class InverseSensorModel(Protocol):
+    """What every sensor model is: points of one scan in, a measurement grid out.
+
+    Geometric and learned models go through this door, so that mappers, metrics and the command line treat
+    them alike.
+    """
+
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that the model fills."""
+        ...
+
+    def __call__(self, points: NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan, (N, 4) float32 with x, y, z [m] and intensity [0, 1], to its evidential grid."""
+        ...

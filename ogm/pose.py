@@ -1,0 +1,143 @@
+"""Rigid transforms: float64 4x4 arrays named ``T_to_from``.
+
+``T_map_sensor @ (x, y, z, 1)`` takes sensor coordinates to map coordinates, so a chain reads like its names:
+``T_map_vehicle @ T_vehicle_sensor = T_map_sensor``.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+__all__ = ["check_pose", "interpolate", "inverse", "pose", "transform_points"]
+
+_TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
+
+
+def pose(
+    x: float = 0.0, y: float = 0.0, z: float = 0.0, *, roll: float = 0.0, pitch: float = 0.0, yaw: float = 0.0
+) -> NDArray[np.float64]:
+    """Build a transform from a position and three angles.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Position of the "from" frame's origin in the "to" frame [m].
+    roll, pitch, yaw : float
+        Rotations about the fixed x, y and z axes, applied in this order [rad] (REP 103: yaw counts to the
+        left, positive pitch looks down).
+
+    Returns
+    -------
+    (4, 4) float64
+    """
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+    T[:3, 3] = x, y, z
+    return check_pose(T)
+
+
+def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
+    """Return `T` as a float64 array, or say why it is no rigid transform.
+
+    Parameters
+    ----------
+    T : (4, 4) array
+    name : str
+        What the error calls it.
+
+    Raises
+    ------
+    ValueError
+        If the shape is not (4, 4), a number is not finite, the last row is not (0, 0, 0, 1), or the upper
+        left 3x3 block is not a rotation (scaled, sheared or mirrored).
+    """
+    array = np.asarray(T, dtype=np.float64)
+    if array.shape != (4, 4):
+        raise ValueError(f"{name} must be a 4x4 transform, got shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} holds NaN or inf: {array.tolist()}")
+    if not np.allclose(array[3], [0, 0, 0, 1], atol=1e-9):
+        raise ValueError(f"the last row of {name} must be (0, 0, 0, 1), got {array[3].tolist()}")
+    R = array[:3, :3]
+    error = float(np.abs(R.T @ R - np.eye(3)).max())
+    if error > _TOLERANCE or np.linalg.det(R) < 0:
+        raise ValueError(
+            f"{name} must be rigid (a rotation and a shift): R'R departs from the identity by {error:.2g} and "
+            f"det R = {np.linalg.det(R):.3g}, allowed are {_TOLERANCE:g} and +1; remove scale, shear and mirror"
+        )
+    return array
+
+
+def inverse(T: ArrayLike) -> NDArray[np.float64]:
+    """Invert a rigid transform: ``inverse(T_map_sensor)`` is ``T_sensor_map``."""
+    array = check_pose(T)
+    result = np.eye(4)
+    result[:3, :3] = array[:3, :3].T
+    result[:3, 3] = -array[:3, :3].T @ array[:3, 3]
+    return result
+
+
+def transform_points(T: ArrayLike, points: NDArray) -> NDArray:
+    """Take points through a transform; what stands behind x, y, z (intensity, ...) is kept.
+
+    Parameters
+    ----------
+    T : (4, 4) array
+        ``T_to_from``.
+    points : (N, 3 or more) float array
+        x, y, z [m] in the "from" frame.
+
+    Returns
+    -------
+    array of the shape and dtype of `points`
+        x, y, z [m] in the "to" frame.
+    """
+    array = check_pose(T)
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise ValueError(f"points must have shape (N, 3 or more), got {points.shape}")
+    result = points.copy()
+    result[:, :3] = points[:, :3] @ array[:3, :3].T + array[:3, 3]
+    return result
+
+
+def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[np.float64]:
+    """Interpolate poses in time: positions on a straight line, rotations on the shortest arc (slerp).
+
+    Parameters
+    ----------
+    stamps : (K,) float
+        Times of the known poses [s], strictly increasing, K >= 2.
+    poses : (K, 4, 4) float
+    at : (M,) float or float
+        Times asked for [s], all inside ``[stamps[0], stamps[-1]]``.
+
+    Returns
+    -------
+    (M, 4, 4) or (4, 4) float64
+
+    Raises
+    ------
+    ValueError
+        If the stamps do not increase, the counts differ, or a time lies outside: poses are never
+        extrapolated.
+    """
+    t, times = np.asarray(stamps, np.float64), np.asarray(at, np.float64)
+    T = np.asarray(poses, np.float64)
+    if t.ndim != 1 or len(t) < 2 or T.shape != (len(t), 4, 4):
+        raise ValueError(
+            f"stamps (K,) and poses (K, 4, 4) must agree and K be at least 2, got {t.shape} and {T.shape}"
+        )
+    for k, one in enumerate(T):
+        check_pose(one, name=f"poses[{k}]")
+    if not (np.diff(t) > 0).all():
+        k = int(np.argmin(np.diff(t)))
+        raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")
+    if times.size and not (times.min() >= t[0] and times.max() <= t[-1]):
+        raise ValueError(
+            f"times must lie in [{t[0]}, {t[-1]}] s, got [{times.min()}, {times.max()}]; poses are not extrapolated"
+        )
+    result = np.broadcast_to(np.eye(4), (*times.shape, 4, 4)).copy()
+    result[..., :3, :3] = Slerp(t, Rotation.from_matrix(T[:, :3, :3]))(times).as_matrix()
+    for axis in range(3):
+        result[..., axis, 3] = np.interp(times, t, T[:, axis, 3])
+    return result

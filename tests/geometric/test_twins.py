@@ -1,0 +1,103 @@
+"""Every kernel against its slow twin."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm import GridSpec
+from ogm.geometric import HeightBandISM, RayISM, flat_ground, raycast, twins
+from ogm.geometric.ground import _lower_envelope
+
+SPEC = GridSpec.centered(16.0, 12.0, 0.5)
+HEIGHT = 1.7
+
+
+def cloud(seed: int, count: int = 300) -> np.ndarray:
+    """Points of a toy scene around a sensor: ground, obstacles, crowns, strays."""
+    rng = np.random.default_rng(seed)
+    azimuth, run = rng.uniform(0, 2 * math.pi, count), rng.uniform(1.0, 14, count)
+    z = rng.choice([0, 0, 0, 0.6, 1.5, 3.0, -2.0], count) + rng.normal(0, 0.02, count) - HEIGHT
+    return np.stack([run * np.cos(azimuth), run * np.sin(azimuth), z, rng.uniform(0, 1, count)], 1).astype(
+        np.float32
+    )
+
+
+@given(st.integers(-40, 40), st.integers(-40, 40))
+@settings(max_examples=200, deadline=None)
+def test_the_kernel_draws_bresenhams_line(di: int, dj: int) -> None:
+    state = np.zeros((96, 96), np.uint8)
+    raycast.draw_lines(state, np.array([[48 + di, 48 + dj]], np.int32), 48, 48)
+    drawn = set(zip(*np.nonzero(state), strict=True))
+    assert drawn == set(twins.line_cells((48, 48), (48 + di, 48 + dj))) - {(48 + di, 48 + dj)}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_height_band_equals_one_line_per_return(seed: int) -> None:
+    points = cloud(seed)
+    ism = HeightBandISM(SPEC, sensor_height=HEIGHT, evidence=3.0, min_range=1.0)
+    slow = twins.height_band_mass(points[:, :3], (0, 0, 0), 0.5 - HEIGHT, 2.0 - HEIGHT, 1.0, SPEC, 3.0)
+    np.testing.assert_array_equal(ism(points).mass, slow)
+    assert slow[..., 0].any()
+    assert slow[..., 1].any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("position", [(0.0, 0.0), (2.3, -1.1)])
+def test_ray_model_equals_the_loop_over_cells_and_rays(seed: int, position: tuple[float, float]) -> None:
+    points = cloud(seed)
+    rng = np.random.default_rng(seed + 100)
+    missing = rng.normal(0, [1, 1, 0.05], (40, 3))
+    missing = (missing / np.linalg.norm(missing, axis=1, keepdims=True)).astype(np.float32)
+    T = np.eye(4)
+    T[:2, 3] = position
+    ism = RayISM(SPEC, HEIGHT, T_vehicle_sensor=T, ground=flat_ground, azimuth_step=2 * math.pi / 64)
+    x, y = position
+    box = (x - 2.5, x + 2.5, y - 1.1, y + 1.1)
+    xyz = points[:, :3].astype(np.float64) + [x, y, 0]
+    own = (xyz[:, 0] > box[0]) & (xyz[:, 0] < box[1]) & (xyz[:, 1] > box[2]) & (xyz[:, 1] < box[3])
+    slow = twins.ray_grid_mass(
+        xyz[~own],
+        (x, y, 0.0),
+        -HEIGHT,
+        SPEC,
+        box,
+        64,
+        missing,
+        **{
+            name: getattr(ism, name)
+            for name in (
+                "obstacle_height clearance below_ground range_noise p_pass p_false marked_reliability max_mass "
+                "max_range missing_weight"
+            ).split()
+        },
+    )
+    fast = ism(points, missing).mass
+    # A ray within rounding of a sector's or a bin's edge may be filed on the other side: few cells, not none.
+    differ = np.abs(fast - slow).max(-1) > 2e-4
+    assert differ.mean() < 0.01
+    assert np.abs(fast - slow).mean() < 1e-3
+    assert 0.2 < (slow[..., 0] > 0.1).mean()
+    assert 0.02 < (slow[..., 1] > 0.5).mean()
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_lower_envelope_is_the_least_cone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height = rng.uniform(-1, 5, (9, 7)).astype(np.float32)
+    height[rng.random(height.shape) < 0.5] = np.inf
+    fast = height.copy()
+    _lower_envelope(fast, np.float32(0.25))
+    np.testing.assert_allclose(fast, twins.lower_envelope(height, 0.25), rtol=1e-5)
+
+
+@given(st.floats(-100, 100, width=32), st.floats(-100, 100, width=32))
+@settings(max_examples=300, deadline=None)
+def test_azimuth_polynomial(x: float, y: float) -> None:
+    if max(abs(x), abs(y)) < 1e-6:
+        return
+    got = float(raycast._azimuth(np.float32(x), np.float32(y)))
+    assert abs((got - math.atan2(y, x) + math.pi) % (2 * math.pi) - math.pi) < 2e-6
