@@ -23,7 +23,7 @@ DESCENT = 0.15  # average descent from the vehicle below which returns are taken
 LOW_TOLERANCE = 0.4  # [m] what a cell may lie below its surroundings beyond that descent
 SENSOR_HEIGHT = 1.8  # [m] where Patchwork++ is told the sensor is
 ENOUGH = 65536  # [points] of a larger cloud every second, third, ... return is looked at
-BAND = 0.2  # [m] returns this close above the lowest one of their cell are averaged into its ground height
+BAND = 0.25  # [m] thickness of the layer of returns that is averaged into a cell's ground height
 
 
 def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, foot: Foot) -> NDArray[np.float32]:
@@ -52,9 +52,11 @@ def local_ground(
     """Estimate the ground as the highest surface below the points that nowhere climbs faster than a road can.
 
     1. the lowest return of each cell; what lies too far below the ground around it is stray and dropped;
-    2. the lower envelope of these heights under the slope limit (a cone grown from every cell): walls, cars
-       and crowns stand above it, ramps and hills do not;
-    3. cells whose lowest return touches the envelope are ground; the mean of their low returns is the height;
+    2. the lower envelope of these heights, and of the foot, under the slope limit (a cone grown from every
+       cell): walls, cars and crowns stand above it, ramps and hills do not;
+    3. cells whose lowest return touches the envelope are ground; the mean of their lowest layer of returns is the
+       height, or of the layer above it, where that is thin and holds ten times the returns (the lowest are
+       stray);
     4. cells without ground take a smooth surface through the known ones (pull-push, Gortler et al. 1996).
 
     Parameters, returns : see `flat_ground`
@@ -185,13 +187,14 @@ def _local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, 
                 dx, dy, depth = x - foot_x, y - foot_y, bottom - z
                 if depth <= 0 or depth * depth <= steepest * (dx * dx + dy * dy):
                     flat[c] = z
-    lowest = flat.reshape((nx, ny))
+    lowest = flat.reshape((nx, ny))  # a view
     i0, j0 = int((foot_x - x0) * inverse), int((foot_y - y0) * inverse)
     _drop_strays(
         lowest, i0, j0, np.float32(foot[2]), np.float32(max_descent * resolution), np.float32(low_tolerance)
     )
 
-    # 2. lower envelope under the slope limit: only cells that touch it are ground
+    # 2. lower envelope under the slope limit, from these and from the foot: only cells that touch it are ground
+    lowest[i0, j0] = min(lowest[i0, j0], np.float32(foot[2]))
     envelope = lowest.copy()
     _lower_envelope(envelope, rise)
     for i in range(nx):
@@ -199,23 +202,28 @@ def _local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, 
             if lowest[i, j] > envelope[i, j]:
                 lowest[i, j] = np.inf
 
-    # 3. mean of their low returns
-    total, count = np.zeros(nx * ny, np.float32), np.zeros(nx * ny, np.float32)
+    # 3. mean of their lowest layer, or of the one above it
+    total, count = np.zeros((nx * ny, 3), np.float32), np.zeros((nx * ny, 3), np.float32)
+    layers = np.float32(1.0 / band)
     for n in range(px.shape[0]):
         if cell[n] >= 0:
             c = cell[n] & 0x7FFFFFFF
             above = pz[n] - flat[c]
-            if above >= 0 and above < band:
-                total[c] += above
-                count[c] += np.float32(1.0)
+            layer = above * layers
+            if layer >= 0 and layer < 3:
+                total[c, int(layer) & 3] += above
+                count[c, int(layer) & 3] += np.float32(1.0)
     weight = np.zeros((nx, ny), np.float32)
     for i in range(nx):
         for j in range(ny):
             c = i * ny + j
+            k = 1 if count[c, 1] >= 10 * count[c, 0] and count[c, 1] >= 10 * count[c, 2] else 0
             height[i, j] = 0
-            if count[c] > 0:
-                height[i, j] = lowest[i, j] + total[c] / count[c]
-                weight[i, j] = min(count[c], np.float32(8.0))
+            if count[c, k] > 0:
+                height[i, j] = lowest[i, j] + total[c, k] / count[c, k]
+                weight[i, j] = min(count[c, k], np.float32(8.0))
+            elif i == i0 and j == j0:
+                height[i, j], weight[i, j] = foot[2], np.float32(1.0)
 
     # 4. a smooth surface through them
     _fill(height, weight, np.float32(foot[2]))

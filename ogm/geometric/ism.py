@@ -344,6 +344,7 @@ class RayISM:
             missing = np.empty((0, 3), np.float32)
         if missing.ndim != 2 or missing.shape[1] != 3:
             raise ValueError(f"missing must hold directions, shape (M, 3), got {missing.shape}")
+        missing = missing[np.isfinite(missing).all(axis=1)]
         xyz = _own_points(points, mount, self.own_box)  # type: ignore[arg-type]
 
         # The ground, and what a level ray would say above it

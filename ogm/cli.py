@@ -1,0 +1,290 @@
+"""The command line: ``ogm demo``, ``ogm map``, ``ogm info``."""
+
+import functools
+import logging
+import sys
+import time
+from collections.abc import Callable
+from enum import StrEnum
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, ParamSpec, TypeVar
+
+import typer
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+import ogm
+
+if TYPE_CHECKING:
+    from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+
+# The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
+DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
+
+P, R = ParamSpec("P"), TypeVar("R")
+
+app = typer.Typer(
+    name="ogm",
+    help="Evidential occupancy grid maps from lidar: free, occupied, and, as a number of its own, unknown.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+out = Console(highlight=False)
+complaints = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+class Model(StrEnum):
+    """Sensor models by their names on the command line."""
+
+    ray = "ray"
+    height_band = "height-band"
+    released = "height-band-released"
+
+
+def tidy(command: Callable[P, R]) -> Callable[P, R]:
+    """Turn the errors a user can cause into one line and exit code 2."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return command(*args, **kwargs)
+        except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
+            complaints.print(f"ogm: {_one_line(error)}", markup=False)
+            raise typer.Exit(2) from None
+        except KeyboardInterrupt:
+            complaints.print("ogm: interrupted; files that were finished are whole, no other was written")
+            raise typer.Exit(130) from None
+
+    return run
+
+
+def _one_line(error: BaseException) -> str:
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    if isinstance(error, MemoryError):
+        return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _model(name: Model, spec: "GridSpec", height: float, position: tuple[float, float, float] | None) -> "InverseSensorModel":
+    from ogm.geometric import HeightBandISM, RayISM
+    from ogm.pose import pose
+
+    if name is Model.released:
+        from ogm.grid import GridSpec
+
+        if position is not None or spec.shape[0] % 2 or spec.shape[1] % 2:
+            raise ValueError("height-band-released wants points in the sensor's frame and an even number of cells")
+        return HeightBandISM.as_released(
+            GridSpec(2 * spec.resolution, (spec.shape[0] // 2, spec.shape[1] // 2), spec.origin)
+        )
+    T = None if position is None else pose(*position)
+    model = RayISM if name is Model.ray else HeightBandISM
+    return model(spec, height, T_vehicle_sensor=T, points_in="sensor" if position is None else "vehicle")
+
+
+def _grid(ism: "InverseSensorModel", points: object, missing: object) -> "EvidentialGrid":
+    from ogm.geometric import RayISM
+
+    if isinstance(ism, RayISM) and missing is not None:
+        return ism(points, missing)  # type: ignore[arg-type]
+    return ism(points)  # type: ignore[arg-type]
+
+
+def _table(title: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
+    for name in ("", "points", "free", "occupied", "unknown", "ms/scan"):
+        table.add_column(name, justify="left" if name == "" else "right")
+    return table
+
+
+def _row(table: Table, name: str, count: int, grid: "EvidentialGrid", seconds: float) -> None:
+    shares = (f"{100 * float(share.mean()):.1f} %" for share in (grid.free, grid.occupied, grid.unknown))
+    table.add_row(name, f"{count}", *shares, f"{1e3 * seconds:.1f}")
+
+
+def _timed(ism: "InverseSensorModel", points: object, missing: object) -> tuple["EvidentialGrid", float]:
+    """Map a scan and say how long it took."""
+    start = time.perf_counter()
+    grid = _grid(ism, points, missing)
+    return grid, time.perf_counter() - start
+
+
+@app.command(epilog="Example:  ogm demo --out /tmp")
+@tidy
+def demo(
+    out_folder: Annotated[Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")] = Path("."),
+) -> None:
+    """Map the shipped road scan (Velodyne VLS-128) and draw it: points, the paper's baseline, the ray model."""
+    from ogm import plot, read_scan
+    from ogm.grid import GridSpec
+
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        scan = read_scan(path, axes=DEMO_AXES)
+    spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+    table = _table(f"One scan on {spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m")
+    grids = {}
+    for name, title in ((Model.height_band, "height band (paper's baseline)"), (Model.ray, "RayISM")):
+        ism = _model(name, spec, DEMO_HEIGHT, None)
+        with out.status("compiling kernels (once per environment) ..."):
+            _grid(ism, scan.points, None)
+        grids[title], seconds = _timed(ism, scan.points, None)
+        _row(table, name, len(scan.points), grids[title], seconds)
+    cloud = plot.points(scan.points, spec, f"{len(scan.points)} points", -DEMO_HEIGHT)
+    picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
+    plot.save_picture(picture, cloud, *grids.values(), titles=["", *grids])
+    grids["RayISM"].save(archive)
+    out.print(table)
+    out.print(f"picture {picture}   grid {archive}", markup=False)
+
+
+@app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")
+@tidy
+def map_(
+    scans: Annotated[list[Path], typer.Argument(help="Scans: .pcd .bin .pcd.bin .ply .las .laz .npy .feather (.xz, .gz)")],
+    ism: Annotated[Model, typer.Option(help="Sensor model.")] = Model.ray,
+    axes: Annotated[
+        str, typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.")
+    ] = "flu",
+    sensor_height: Annotated[
+        float | None, typer.Option(help="Sensor above ground [m]; by default estimated from the scan.")
+    ] = None,
+    sensor_position: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(help="x y z of the sensor [m], for points that come in the vehicle's frame.", metavar="X Y Z"),
+    ] = None,
+    intensity_max: Annotated[
+        float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
+    ] = None,
+    out_path: Annotated[
+        Path | None, typer.Option("--out", help="Grid file (.npz), or a folder for many. [default: ./NAME.npz]")
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture (.png), or a folder for many. [default: ./NAME.png]")
+    ] = None,
+    length: Annotated[float, typer.Option(help="Extent of the grid along x [m].")] = 81.92,
+    width: Annotated[float, typer.Option(help="Extent of the grid along y [m].")] = 56.32,
+    resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
+) -> None:
+    """Map scans to evidential grids, one each, and draw them."""
+    from ogm import plot, read_scan
+    from ogm.grid import GridSpec
+
+    spec = GridSpec.centered(length=length, width=width, resolution=resolution)
+    names = [_stem(path) for path in scans]
+    if len(set(names)) < len(names):
+        raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
+    many = len(scans) > 1 or any(path is not None and path.is_dir() for path in (out_path, picture))
+    if out_path is None and picture is None:
+        out_path, picture, many = Path("."), Path("."), True
+    if many:
+        for folder in {out_path, picture} - {None}:
+            folder.mkdir(parents=True, exist_ok=True)  # type: ignore[union-attr]
+    table, failed = _table(f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m, {ism}"), []
+    warm = False
+    for path, name in track(
+        list(zip(scans, names, strict=True)), "mapping", console=complaints, disable=len(scans) == 1, transient=True
+    ):
+        try:
+            scan = read_scan(path, axes=_axes(axes), intensity_max=intensity_max)
+            model = _model(ism, spec, _height(scan.points, sensor_height, sensor_position), sensor_position)
+            if not warm:
+                _grid(model, scan.points, scan.missing)  # compiles, or loads what was compiled before
+                warm = True
+            grid, seconds = _timed(model, scan.points, scan.missing)
+            if out_path is not None:
+                grid.save(out_path / f"{name}.npz" if many else out_path)
+            if picture is not None:
+                cloud = plot.points(scan.points, grid.spec, path.name)
+                plot.save_picture(picture / f"{name}.png" if many else picture, cloud, grid, titles=["", str(ism)])
+            _row(table, name, len(scan.points), grid, seconds)
+        except (ValueError, TypeError, OSError) as error:
+            if len(scans) == 1:
+                raise
+            failed.append(f"{path}: {_one_line(error)}")
+    if table.row_count:
+        out.print(table)
+    for line in failed:
+        complaints.print(f"ogm: {line}", markup=False)
+    if failed:
+        raise typer.Exit(2)
+
+
+def _height(points: object, given: float | None, position: tuple[float, float, float] | None) -> float:
+    """Return the sensor's height above ground: as told, or from the scan's own ground returns."""
+    from ogm.io import estimate_sensor_height
+
+    if given is not None:
+        return given
+    below = estimate_sensor_height(points)  # type: ignore[arg-type]
+    if below is None:
+        raise ValueError("the scan shows too little ground to tell the sensor's height; give --sensor-height [m]")
+    height = below + (position[2] if position else 0.0)
+    complaints.print(f"sensor height {height:.2f} m, estimated from the scan (--sensor-height sets it)")
+    return height
+
+
+def _axes(text: str) -> str | tuple[str, ...]:
+    return tuple(text.split(",")) if "," in text else text
+
+
+def _stem(path: Path) -> str:
+    """Return a scan's name without the endings that say its format."""
+    name = path.name
+    for ending in (".xz", ".gz", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather"):
+        name = name.removesuffix(ending)
+    return name
+
+
+@app.command(epilog="Example:  ogm info scan.pcd")
+@tidy
+def info(
+    scan: Annotated[Path, typer.Argument(help="A scan, or a grid (.npz) that ogm wrote.")],
+    axes: Annotated[str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")] = "flu",
+    intensity_max: Annotated[
+        float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
+    ] = None,
+) -> None:
+    """Say what a file holds."""
+    from ogm import EvidentialGrid, read_scan
+    from ogm.io import describe
+
+    if scan.suffix == ".npz":
+        grid = EvidentialGrid.load(scan)
+        x0, x1, y0, y1 = grid.spec.extent
+        facts = {
+            "format": "evidential grid",
+            "cells": f"{grid.spec.shape[0]} x {grid.spec.shape[1]} of {grid.spec.resolution:g} m",
+            "x": f"{x0:g} ... {x1:g} m",
+            "y": f"{y0:g} ... {y1:g} m",
+        } | {name: f"{100 * getattr(grid, name).mean():.1f} %" for name in ("free", "occupied", "unknown")}
+    else:
+        facts = describe(read_scan(scan, axes=_axes(axes), intensity_max=intensity_max))
+    table = Table(box=None, show_header=False, pad_edge=False)
+    for name, value in facts.items():
+        table.add_row(name, value)
+    out.print(table, markup=False)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    if version:
+        out.print(f"ogm {ogm.__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line."""
+    logging.basicConfig(format="ogm: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    app()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,22 @@
+"""What tests of several rooms share."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def real() -> Callable[[str], Path]:
+    """Give the path of a real recording beside the project, or skip the test."""
+    default = Path(__file__).parents[1].parent / "shared" / "data" / "real"
+    folder = Path(os.environ.get("OGM_DATA", default))
+
+    def find(name: str) -> Path:
+        if not folder.is_dir():
+            pytest.skip(f"no real recordings at {folder} (set OGM_DATA to the folder that has them)")
+        (path,) = folder.glob(name)
+        return path
+
+    return find

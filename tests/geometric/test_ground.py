@@ -1,0 +1,115 @@
+"""Ground estimates: on made hills, and on real scans where they are at hand."""
+
+import numpy as np
+import pytest
+
+from ogm import GridSpec, read_points
+from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground
+
+SPEC = GridSpec.centered(60.0, 60.0, 1.0)
+FOOT = (0.0, 0.0, -1.8)
+
+
+def hill(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A road that climbs 8 % ahead, falls 10 % behind and is banked to the left."""
+    return -1.8 + 0.08 * np.maximum(x, 0) + 0.10 * np.minimum(x, 0) + 0.03 * y
+
+
+def scene(seed: int = 0, noise: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
+    """Points on the hill and on cars, walls and crowns above it; and which are ground."""
+    rng = np.random.default_rng(seed)
+    run, azimuth = 2.5 * 12 ** rng.random(40_000), rng.uniform(0, 2 * np.pi, 40_000)
+    x, y = run * np.cos(azimuth), run * np.sin(azimuth)
+    above = np.zeros(len(x))
+    car = (np.abs((x % 9) - 4) < 2) & (np.abs(np.abs(y) - 5) < 0.9)
+    above[car] = rng.uniform(0.4, 1.5, car.sum())
+    wall = np.abs(np.abs(y) - 20) < 0.3
+    above[wall] = rng.uniform(0, 6, wall.sum())
+    crown = np.hypot(x - 12, y - 12) < 3
+    above[crown] = rng.uniform(3, 6, crown.sum())
+    z = hill(x, y) + above + rng.normal(0, noise, len(x))
+    return np.stack([x, y, z], 1).astype(np.float32), above < 0.05
+
+
+def test_local_ground_follows_slopes_under_cars_walls_and_crowns() -> None:
+    xyz, is_ground = scene()
+    above = xyz[:, 2] - ground_height(local_ground(xyz, SPEC, FOOT), SPEC, xyz)
+    assert np.abs(above[is_ground]).mean() < 0.04
+    assert (above[is_ground] < 0.15).mean() > 0.99
+    assert (above[~is_ground & (xyz[:, 2] - hill(xyz[:, 0], xyz[:, 1]) > 0.3)] > 0.15).mean() > 0.99
+    flat = xyz[:, 2] - ground_height(flat_ground(xyz, SPEC, FOOT), SPEC, xyz)
+    assert (flat[is_ground] < 0.15).mean() < 0.7  # the plane fails here, which is why there is a local estimate
+
+
+@pytest.mark.parametrize("depth", [0.6, 3.0, 20.0])
+def test_mirror_images_below_ground_do_not_pull_it_down(depth: float) -> None:
+    xyz, is_ground = scene()
+    rng = np.random.default_rng(1)
+    stray = rng.uniform((8, -14, 0), (10, -12, 0), (60, 3))
+    stray[:, 2] = hill(stray[:, 0], stray[:, 1]) - depth - rng.uniform(0, 0.5, 60)
+    both = np.concatenate([xyz, stray.astype(np.float32)])
+    above = xyz[:, 2] - ground_height(local_ground(both, SPEC, FOOT), SPEC, xyz)
+    assert (np.abs(above[is_ground]) < 0.15).mean() > 0.985
+
+
+def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
+    rng = np.random.default_rng(2)
+    x, y = rng.uniform(-25, 25, (2, 60_000))
+    z = np.where(np.abs(y) > 4, 0.14, 0.0) - 1.8 + rng.normal(0, 0.01, len(x))
+    xyz = np.stack([x, y, z], 1).astype(np.float32)
+    above = z - ground_height(local_ground(xyz, SPEC, FOOT), SPEC, xyz)
+    assert np.abs(above[np.abs(y) < 3]).mean() < 0.03
+    assert np.abs(above[np.abs(y) > 6]).mean() < 0.03
+    assert np.abs(above).max() < 0.2  # the step itself is shared out over a metre: kerbs are not marked reliably
+
+
+def test_without_points_the_ground_is_the_plane_under_the_sensor() -> None:
+    for estimate in (flat_ground, local_ground):
+        height = estimate(np.empty((0, 3), np.float32), SPEC, FOOT)
+        assert height.shape == SPEC.shape
+        np.testing.assert_allclose(height, -1.8, atol=1e-6)
+
+
+def test_a_wall_next_to_the_sensor_is_not_ground() -> None:
+    wall = np.array([(4.0, y, z) for y in np.linspace(-3, 3, 50) for z in (0.0, 0.5)], np.float32)
+    above = wall[:, 2] - ground_height(local_ground(wall, SPEC, FOOT), SPEC, wall)
+    assert (above > 0.5).all()
+
+
+def test_ground_height_is_bilinear_and_holds_its_edge() -> None:
+    spec = GridSpec(1.0, (2, 2), (0.0, 0.0))
+    height = np.array([[0.0, 1.0], [2.0, 3.0]], np.float32)
+    at = np.array([(0.5, 0.5), (1.5, 1.5), (1.0, 1.0), (0.5, 1.0), (-9, -9), (9, 9)], np.float32)
+    np.testing.assert_allclose(ground_height(height, spec, at), [0, 3, 1.5, 0.5, 0, 3])
+
+
+def test_patchwork_adapter_agrees_with_the_plane_where_it_is_one() -> None:
+    pytest.importorskip("pypatchworkpp")
+    xyz, _ = scene()
+    xyz[:, 2] -= hill(xyz[:, 0], xyz[:, 1]).astype(np.float32) + np.float32(1.8)
+    height = patchwork_ground(xyz, SPEC, FOOT)
+    near = np.hypot(*np.broadcast_arrays(*SPEC.cell_centers)) < 15
+    assert np.abs(height[near] + 1.8).mean() < 0.1
+    shifted = patchwork_ground(xyz + np.float32([0, 0, 1.8]), SPEC, (0.0, 0.0, 0.0))
+    np.testing.assert_allclose(shifted, height + 1.8, atol=0.02)
+
+
+def test_ray_model_takes_any_ground() -> None:
+    spec = GridSpec.centered(40.0, 40.0, 0.5)
+    xyz, _ = scene()
+    points = np.pad(xyz, ((0, 0), (0, 1)))
+    local = RayISM(spec, 1.8)(points)
+    flat = RayISM(spec, 1.8, ground=flat_ground)(points)
+    ahead = (slice(spec.index(12, 0)[0], None), slice(*spec.index(0, [-3.0, 3.0])[1]))
+    assert (flat.occupied[ahead] > 0.5).mean() > 0.5  # 8 % of 12 m is a metre: the plane sees a wall
+    assert (local.occupied[ahead] > 0.5).mean() < 0.1
+
+
+def test_slope_of_a_real_road_is_not_an_obstacle(real) -> None:
+    """SUSTechPOINTS: the road rises around the car; its plane estimate would mark it."""
+    points = read_points(real("sustechpoints/lidar/000970.pcd.xz"), axes="sustech")
+    spec = GridSpec.centered(81.92, 56.32, 0.16)
+    local, flat = RayISM(spec, 1.8)(points), RayISM(spec, 1.8, ground=flat_ground)(points)
+    road = (slice(spec.index(15, 0)[0], spec.index(25, 0)[0]), slice(*spec.index(0, [-10.0, 10.0])[1]))
+    assert (flat.occupied[road] > 0.5).mean() > 2 * (local.occupied[road] > 0.5).mean()
+    assert (local.free[road] > 0.5).mean() > 0.5

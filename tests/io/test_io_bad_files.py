@@ -1,0 +1,482 @@
+"""What is no whole point cloud is told so: one ValueError that names the file."""
+
+import gzip
+import lzma
+import struct
+import subprocess
+import sys
+import tracemalloc
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ogm.io.source
+from ogm.io import Scan, read_scan
+
+SUFFIXES = [".bin", ".pcd.bin", ".pcd", ".ply", ".feather", ".las", ".laz", ".npy"]
+ALL = SUFFIXES + [suffix + packing for suffix in SUFFIXES for packing in (".xz", ".gz")]
+PNG = b"\x89PNG\r\n\x1a\n" + bytes(range(256)) * 4
+TEXT = b"x y z intensity\n" + b"1.25 -7.50 0.75 0.10\n" * 100
+
+PCD = """# .PCD v0.7 - Point Cloud Data file format
+VERSION 0.7
+FIELDS x y z
+SIZE 4 4 4
+TYPE F F F
+COUNT 1 1 1
+WIDTH 10
+HEIGHT 1
+VIEWPOINT 0 0 0 1 0 0 0
+POINTS 10
+DATA binary
+"""
+PLY = """ply
+format binary_little_endian 1.0
+element vertex 10
+property float x
+property float y
+property float z
+end_header
+"""
+
+
+def refused(path: Path, message: str = ".") -> str:
+    """Read the file, take its ValueError, and check that it names the file and asks for little memory."""
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=message) as caught:
+            read_scan(path, "nuscenes")
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+    assert path.name.removesuffix(".xz").removesuffix(".gz") in str(caught.value)
+    return str(caught.value)
+
+
+def read_or_refuse(path: Path) -> tuple[Scan | None, str]:
+    try:
+        return read_scan(path, "nuscenes"), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+def put(folder: Path, name: str, content: bytes) -> Path:
+    (folder / name).write_bytes(content)
+    return folder / name
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_a_file_that_is_not_there(suffix, tmp_path):
+    with pytest.raises(FileNotFoundError, match="there is no file .*cloud"):
+        read_scan(tmp_path / f"cloud{suffix}")
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_a_folder(suffix, tmp_path):
+    (tmp_path / f"cloud{suffix}").mkdir()
+    refused(tmp_path / f"cloud{suffix}", "is a folder")
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_zero_bytes(suffix, tmp_path):
+    refused(put(tmp_path, f"cloud{suffix}", b""), "0 bytes|cut short")
+
+
+@pytest.mark.parametrize("pack", [lzma.compress, gzip.compress])
+def test_zero_bytes_packed(pack, tmp_path):
+    suffix = ".xz" if pack is lzma.compress else ".gz"
+    refused(put(tmp_path, f"cloud.pcd{suffix}", pack(b"")), "0 bytes")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_picture(suffix, tmp_path):
+    refused(put(tmp_path, f"cloud{suffix}", PNG), "is a PNG picture")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_text(suffix, tmp_path):
+    refused(put(tmp_path, f"cloud{suffix}", TEXT))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_random_bytes(suffix, tmp_path):
+    refused(put(tmp_path, f"cloud{suffix}", np.random.default_rng(0).bytes(400)))
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.bin", b"# .PCD v0.7\n", "PCD cloud.*name it .pcd"),
+        ("a.pcd.bin", PCD.encode(), "PCD cloud.*name it .pcd"),
+        ("a.pcd", PLY.encode(), "PLY cloud.*name it .ply"),
+        ("a.pcd", gzip.compress(PCD.encode()), "packed by gzip"),
+        ("a.pcd", lzma.compress(PCD.encode()), "packed by xz"),
+        ("a.bin", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
+        ("a.npy", b"PK\x03\x04" + bytes(40), "zip archive"),
+    ],
+)
+def test_a_known_format_under_a_wrong_name(name, content, message, tmp_path):
+    refused(put(tmp_path, name, content), message)
+
+
+@pytest.mark.parametrize("name", ["cloud", "cloud.txt", "cloud.png", "cloud.xz", "cloud.txt.gz", "bin"])
+def test_an_unknown_name(name, tmp_path):
+    packed = {"xz": lzma.compress, "gz": gzip.compress}.get(name.rpartition(".")[2], bytes)
+    refused(put(tmp_path, name, packed(b"1234")), "wanted .pcd.bin, .bin")
+
+
+@pytest.mark.parametrize(
+    ("name", "number"), [("a.bin", 15), ("a.bin", 33), ("a.pcd.bin", 16), ("a.pcd.bin", 41)]
+)
+def test_a_size_that_is_no_number_of_points(name, number, tmp_path):
+    refused(put(tmp_path, name, b"\x01" * number), "no multiple of")
+
+
+def test_nuscenes_points_under_the_name_of_kitti(tmp_path):
+    rows = np.float32([[4, 5, 6, 100, 7]] * 4)
+    refused(put(tmp_path, "a.bin", rows.tobytes()), "intensities up to 100")
+
+
+def test_kitti_points_under_the_name_of_nuscenes(tmp_path):
+    rows = np.float32([[4.5, 5.25, -1.75, 0.3]] * 5)
+    refused(put(tmp_path, "a.pcd.bin", rows.tobytes()))
+
+
+# ---- PCD headers
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("POINTS 10", "POINTS 11"),
+        ("POINTS 10", "POINTS -10"),
+        ("POINTS 10", "POINTS ten"),
+        ("POINTS 10", "POINTS 10 10"),
+        ("POINTS 10", "POINTS 99999999999999999999"),
+        ("POINTS 10", "POINTS ²"),
+        ("WIDTH 10", "WIDTH 5"),
+        ("WIDTH 10", "WIDTH"),
+        ("HEIGHT 1", "HEIGHT 0"),
+        ("COUNT 1 1 1", "COUNT 1 1"),
+        ("COUNT 1 1 1", "COUNT 1 1 0"),
+        ("COUNT 1 1 1", "COUNT 1 1 -1"),
+        ("COUNT 1 1 1", "COUNT 1 1 999999999999"),
+        ("SIZE 4 4 4", "SIZE 4 4 3"),
+        ("SIZE 4 4 4", "SIZE 4 4"),
+        ("SIZE 4 4 4", "SIZE 4 4 999999999999"),
+        ("TYPE F F F", "TYPE F F X"),
+        ("TYPE F F F", "TYPE F F F F"),
+        ("FIELDS x y z", "FIELDS x y"),
+        ("FIELDS x y z", "FIELDS x y range"),
+        ("FIELDS x y z", "FIELDS _ _ _"),
+        ("FIELDS x y z", ""),
+        ("DATA binary", "DATA"),
+        ("DATA binary", "DATA binary_squeezed"),
+        ("DATA binary\n", "DATA binary"),
+        ("DATA binary\n", ""),
+    ],
+)
+def test_a_pcd_header_that_cannot_be(line, instead, tmp_path):
+    assert line in PCD
+    refused(put(tmp_path, "a.pcd", PCD.replace(line, instead).encode() + bytes(120)))
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+@pytest.mark.parametrize("points", [11, 10**6, 10**12, 10**17])
+def test_a_pcd_header_that_promises_more_than_there_is(encoding, points, tmp_path):
+    header = PCD.replace("10", str(points)).replace("DATA binary", f"DATA {encoding}")
+    body = {
+        "ascii": b"1 2 3\n" * 10,
+        "binary": bytes(120),
+        "binary_compressed": struct.pack("<II", 112, 2**32 - 1),
+    }
+    refused(put(tmp_path, "a.pcd", header.encode() + body[encoding]), "cut short|damaged")
+
+
+@pytest.mark.parametrize("gap", ["0 1 -9 1", "0 1 999999999999 1", "-99999 1 1 1"])
+def test_pcd_padding_that_cannot_be(gap, tmp_path):
+    header = PCD.replace("x y z", "x y z _ intensity _ ring").replace("4 4 4", "4 4 4 1 4 1 2")
+    header = header.replace("F F F", "F F F U F U U").replace("1 1 1", f"1 1 1 {gap}", 1)
+    refused(put(tmp_path, "a.pcd", header.encode() + bytes(400)))
+
+
+@pytest.mark.parametrize(
+    "lines", [b"1 2 3\n1 2\n", b"1 2 3\n1 2 x\n", b"1.00 2.00 3.00\n\n", b"1,2,3\n1,2,3\n", b"1 2 3\n\xff\n"]
+)
+def test_pcd_lines_that_cannot_be(lines, tmp_path):
+    header = PCD.replace("10", "2").replace("binary", "ascii")
+    refused(put(tmp_path, "a.pcd", header.encode() + lines))
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"\0" * 7, struct.pack("<II", 5, 120) + b"\xff" * 5, struct.pack("<II", 500, 120) + b"\0" * 50],
+)
+def test_pcd_points_that_do_not_unpack(body, tmp_path):
+    header = PCD.replace("DATA binary", "DATA binary_compressed")
+    refused(put(tmp_path, "a.pcd", header.encode() + body))
+
+
+@pytest.mark.parametrize("points", [59, 61])
+def test_pcd_points_that_unpack_to_another_number(points, cloud, tmp_path):
+    pypcd4 = pytest.importorskip("pypcd4")
+    compressed = pypcd4.Encoding.BINARY_COMPRESSED
+    pypcd4.PointCloud.from_xyzi_points(cloud).save(tmp_path / "a.pcd", encoding=compressed)
+    content = (tmp_path / "a.pcd").read_bytes()
+    for key in (b"WIDTH", b"POINTS"):
+        content = content.replace(key + b" 60", key + b" %d" % points)
+    refused(put(tmp_path, "b.pcd", content), "damaged")
+
+
+def test_pcd_points_that_would_fill_the_memory(tmp_path):
+    header = PCD.replace("10", "5000000").replace("DATA binary", "DATA binary_compressed")
+    body = struct.pack("<II", 100, 60_000_000) + bytes(100)
+    refused(put(tmp_path, "a.pcd", header.encode() + body), "unpack to 60000000")
+
+
+def test_a_pcd_field_of_no_values(tmp_path):
+    header = PCD.replace("x y z", "x y z intensity").replace("4 4 4", "4 4 4 4").replace("F F F", "F F F F")
+    refused(
+        put(tmp_path, "a.pcd", header.replace("1 1 1", "1 1 1 0").encode() + bytes(160)), "wanted 1 or more"
+    )
+
+
+# ---- PLY headers
+
+
+@pytest.mark.parametrize(
+    ("line", "instead"),
+    [
+        ("vertex 10", "vertex 11"),
+        ("vertex 10", "vertex 99999999999"),
+        ("vertex 10", "vertex 99999999999999999999"),
+        ("vertex 10", "vertex -1"),
+        ("vertex 10", "vertex"),
+        ("vertex", "point"),
+        ("float z", "float32 w"),
+        ("float z", "quad z"),
+        ("property float z", "property list uchar float z"),
+        ("property float z", "property list uchar"),
+        ("element vertex 10", "element face 10\nproperty list uchar int v\nelement vertex 10"),
+        ("element vertex 10", "element camera 99999999999\nproperty float f\nelement vertex 10"),
+        ("element vertex 10\n", ""),
+        ("binary_little_endian", "binary_middle_endian"),
+        ("format binary_little_endian 1.0\n", ""),
+        ("end_header\n", ""),
+        ("end_header\n", "end_header"),
+    ],
+)
+def test_a_ply_header_that_cannot_be(line, instead, tmp_path):
+    assert line in PLY
+    refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
+
+
+@pytest.mark.parametrize("number", [11, 99999999999])
+def test_a_ply_text_that_is_too_short(number, tmp_path):
+    header = PLY.replace("binary_little_endian", "ascii").replace("10", str(number))
+    refused(put(tmp_path, "a.ply", header.encode() + b"1 2 3\n" * 10), "cut short")
+    header = header.replace("element vertex", f"element camera {number}\nproperty float f\nelement vertex")
+    refused(put(tmp_path, "a.ply", header.encode() + b"1\n"), "cut short")
+
+
+# ---- numpy arrays
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros(4),
+        np.zeros((4, 2)),
+        np.zeros((4, 6)),
+        np.zeros((4, 4, 2)),
+        np.zeros((2, 2, 2, 3)),
+        np.array(1.0),
+        np.zeros((4, 3), complex),
+        np.zeros((4, 3), bool),
+        np.full((4, 3), "a"),
+        np.zeros(4, [("x", "f4")]),
+    ],
+)
+def test_an_array_that_is_no_cloud(array, tmp_path):
+    np.save(tmp_path / "a.npy", array)
+    refused(tmp_path / "a.npy", "wanted numbers of shape")
+
+
+def test_a_pickle_is_never_opened(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return sys.exit, ("the pickle was opened",)
+
+    np.save(tmp_path / "a.npy", np.array([[Trap()] * 3]), allow_pickle=True)
+    refused(tmp_path / "a.npy", "array of object")
+
+
+@pytest.mark.parametrize("rows", [11, 10**9, 10**15, 10**40, -5])
+def test_an_array_header_that_promises_more_than_there_is(rows, tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((10, 3), np.float32))
+    content = (tmp_path / "a.npy").read_bytes()
+    claim = content[:128].replace(b"(10, 3), }" + b" " * 45, f"({rows}, 3), }}".ljust(55).encode())
+    assert len(claim) == 128
+    assert claim != content[:128]
+    refused(put(tmp_path, "b.npy", claim + content[128:]))
+
+
+def test_an_archive_of_arrays(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npy", "w") as archive:
+        archive.writestr("points.npy", b"")
+    refused(tmp_path / "a.npy", "zip archive")
+
+
+# ---- LAS headers
+
+
+@pytest.mark.parametrize(
+    ("at", "size", "claim"),
+    [
+        (96, 4, 2**32 - 1),  # where the points begin
+        (100, 4, 2**32 - 1),  # records before them
+        (107, 4, 2**32 - 1),  # points
+        (107, 4, 61),
+        (105, 2, 2**16 - 1),  # bytes of a point
+    ],
+)
+def test_a_las_header_that_promises_more_than_there_is(at, size, claim, cloud, tmp_path):
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=3)
+    las.x = cloud[:, 0].astype(np.float64)
+    las.write(tmp_path / "a.las")
+    content = bytearray((tmp_path / "a.las").read_bytes())
+    content[at : at + size] = claim.to_bytes(size, "little")
+    refused(put(tmp_path, "b.las", bytes(content)))
+
+
+# ---- packed files
+
+
+@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+def test_a_small_file_cannot_fill_the_memory(suffix, pack, tmp_path, monkeypatch):
+    monkeypatch.setattr(ogm.io.source, "BYTE_LIMIT", 3_000_000)
+    path = put(tmp_path, f"a.bin{suffix}", pack(bytes(20_000_000)))
+    assert path.stat().st_size < 100_000
+    refused(path, "more than 3000000 bytes")
+
+
+@pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
+def test_packed_files_that_are_damaged(suffix, pack, cloud, tmp_path):
+    content = pack(cloud.tobytes())
+    for end in range(0, len(content), 9):
+        refused(put(tmp_path, f"a.bin{suffix}", content[:end]))
+    refused(put(tmp_path, f"a.bin{suffix}", cloud.tobytes()), "wrongly named")
+    damaged = bytearray(content)
+    damaged[len(content) // 2] ^= 0xFF
+    refused(put(tmp_path, f"a.bin{suffix}", bytes(damaged)))
+
+
+# ---- any byte missing or wrong
+
+
+NAMES = [
+    "a.bin", "a.pcd.bin", "a.npy", "image.npy", "ascii.pcd", "binary.pcd", "binary_compressed.pcd",
+    "text.ply", "binary.ply", "a.feather", "a.las",
+]  # fmt: skip
+
+
+@pytest.fixture
+def whole(request, cloud, tmp_path) -> Path:
+    """Write one small file of each format."""
+    path = tmp_path / request.param
+    match path.suffixes:
+        case [".bin"]:
+            path.write_bytes(cloud.tobytes())
+        case [".pcd", ".bin"]:
+            path.write_bytes(np.column_stack([cloud, np.arange(60)]).astype(np.float32).tobytes())
+        case [".npy"]:
+            np.save(path, cloud.reshape(6, 10, 4) if path.stem == "image" else cloud)
+        case [".pcd"]:
+            pypcd4 = pytest.importorskip("pypcd4")
+            pypcd4.PointCloud.from_xyzi_points(cloud).save(path, encoding=pypcd4.Encoding(path.stem))
+        case [".ply"]:
+            plyfile = pytest.importorskip("plyfile")
+            vertex = np.array(
+                [tuple(row) for row in cloud], dtype=[(name, "f4") for name in ("x", "y", "z", "i")]
+            )
+            plyfile.PlyData([plyfile.PlyElement.describe(vertex, "vertex")], text=path.stem == "text").write(
+                str(path)
+            )
+        case [".feather"]:
+            pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
+            feather.write_feather(
+                pyarrow.table(dict(zip(["x", "y", "z", "intensity"], cloud.T, strict=True))), path
+            )
+        case _:
+            laspy = pytest.importorskip("laspy")
+            las = laspy.create(point_format=3)
+            las.x, las.y, las.z = cloud[:, :3].T.astype(np.float64)
+            las.write(path)
+    assert len(read_scan(path, "nuscenes").points) == 60
+    return path
+
+
+@pytest.mark.parametrize("whole", [*NAMES, "a.laz"], indirect=True)
+def test_a_file_cut_short_anywhere_is_refused_or_shorter(whole):
+    content = whole.read_bytes()
+    for end in range(0, len(content), max(1, len(content) // 70)):
+        whole.write_bytes(content[:end])
+        scan, message = read_or_refuse(whole)
+        if scan is None:
+            assert whole.name in message
+        else:  # KITTI and nuScenes files do not say how long they are; a text may lack its last digits
+            assert len(scan.points) < 60 or (
+                whole.name in ("ascii.pcd", "text.ply") and end > len(content) - 20
+            )
+
+
+@pytest.mark.parametrize("whole", NAMES, indirect=True)  # lazrs takes the sizes in a LAZ file on trust
+def test_a_file_with_wrong_bytes_is_refused_or_read(whole):
+    content = whole.read_bytes()
+    rng = np.random.default_rng(12)
+    for _ in range(60):
+        damaged = np.frombuffer(content, np.uint8).copy()
+        at = rng.integers(0, min(len(content), 500), 3)
+        damaged[at] = rng.integers(0, 256, 3)
+        whole.write_bytes(damaged.tobytes())
+        scan, message = read_or_refuse(whole)
+        assert whole.name in message if scan is None else np.isfinite(scan.points).all()
+
+
+# ---- packages that are not there
+
+
+@pytest.mark.parametrize(
+    ("name", "module", "content"),
+    [
+        ("a.las", "laspy", b"LASF"),
+        ("a.feather", "pyarrow", b"ARROW1"),
+        (
+            "a.pcd",
+            "lzf",
+            PCD.replace("binary", "binary_compressed").encode() + struct.pack("<II", 8, 120) + bytes(8),
+        ),
+    ],
+)
+def test_a_missing_package_is_named_with_its_cure(name, module, content, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(ImportError, match=rf'{name}.*{module}.*pip install "ogm-toolkit\[io\]"'):
+        read_scan(put(tmp_path, name, content))
+
+
+def test_a_missing_decoder_of_laz_is_named_with_its_cure(cloud, tmp_path, monkeypatch):
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=3)
+    las.x = cloud[:, 0].astype(np.float64)
+    las.write(tmp_path / "a.laz")
+    monkeypatch.setitem(sys.modules, "lazrs", None)
+    with pytest.raises(ImportError, match=r'a.laz.*lazrs.*pip install "ogm-toolkit\[io\]"'):
+        read_scan(tmp_path / "a.laz")
+
+
+def test_reading_needs_no_package_but_numpy():
+    code = "import sys, ogm.io; print({'lzf', 'laspy', 'pyarrow', 'scipy', 'numba'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout == b"set()\n"

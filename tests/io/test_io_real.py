@@ -1,0 +1,291 @@
+"""Real recordings, each with its trap. They lie beside the project; without them, these tests are skipped."""
+
+import io
+import json
+import lzma
+
+import numpy as np
+import pytest
+
+from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan
+from ogm.io.raster import missing_beams
+
+NUSCENES = "nuscenes_n015/*.pcd.bin"
+AV2 = "argoverse2_adcf/sensors/lidar/315973157959879000.feather"
+
+# name, axes, points, rows dropped, height of the sensor [m] as its folder's notes give it
+SCANS = [
+    ("nebula_apache2/vls128/*.pcd", "flu", 208680, 0, 1.98),
+    ("nebula_apache2/vlp32/*.pcd", "flu", 26216, 0, None),
+    ("nebula_apache2/vlp16/*.pcd", "flu", 14831, 0, None),
+    ("autoware_apache2/test.pcd.xz", "flu", 48048, 17488, 1.79),
+    ("kitti_object/velodyne/000000.bin", "kitti", 115384, 0, 1.75),
+    ("kitti_object/velodyne/000001.bin", "kitti", 120268, 0, 1.75),
+    ("kitti_object/velodyne/000002.bin", "kitti", 126891, 0, 1.75),
+    ("kitti_odometry_00/000000.bin", "kitti", 124668, 0, 1.80),
+    ("kitti_odometry_00/000005.bin.xz", "kitti", 123924, 0, 1.80),
+    ("kitti_raw_0005/0000000060.pcd.xz", "kitti", 122942, 1, 1.78),
+    (AV2, "argoverse", 100660, 0, 0.33),
+    ("argoverse1/*.ply", "argoverse", 91083, 0, 0.33),
+    (NUSCENES, "nuscenes", 34688, 0, 1.82),
+    ("sustechpoints/lidar/000965.pcd.xz", "sustech", 66781, 0, 1.8),
+    ("sustechpoints/lidar/000970.pcd.xz", "sustech", 66899, 0, 1.8),
+    ("sustechpoints/lidar/000975.pcd.xz", "sustech", 67153, 0, 1.8),
+    ("labelled_range_images/nuscenes/25611.npy.xz", "nuscenes", 19304, 13464, 1.86),
+    ("labelled_range_images/semantic_kitti/0.npy.xz", "kitti", 50901, 14635, 1.78),
+]
+
+
+@pytest.mark.parametrize(("name", "axes", "number", "dropped", "height"), SCANS)
+def test_every_recording_is_read(name, axes, number, dropped, height, real):
+    scan = read_scan(real(name), axes)
+    assert scan.points.shape == (number, 4)
+    assert scan.points.dtype == np.float32
+    assert scan.dropped == dropped
+    assert np.isfinite(scan.points).all()
+    assert scan.points[:, 3].min() >= 0
+    assert scan.points[:, 3].max() <= 1
+    if height is not None:
+        assert estimate_sensor_height(scan.points) == pytest.approx(height, abs=0.05)
+    assert describe(scan)["points"] == str(number)
+
+
+def unpacked(path):
+    return np.load(io.BytesIO(lzma.decompress(path.read_bytes())))
+
+
+def inside(points, centre, size, way):
+    """Tell which points lie in a box whose length points along `way`."""
+    left = np.array([-way[1], way[0]])
+    offset = points[:, :3] - centre
+    along = np.column_stack([offset[:, :2] @ way, offset[:, :2] @ left, offset[:, 2]])
+    return (np.abs(along) <= np.asarray(size) / 2).all(axis=1)
+
+
+def turned(axes, centre, yaw):
+    """Bring a box from the file's axes to forward, left, up by hand: its centre, and the way it points."""
+    x, y, z = centre
+    c, s = np.cos(yaw), np.sin(yaw)
+    return {
+        "flu": ([x, y, z], [c, s]),
+        "nuscenes": ([y, -x, z], [s, -c]),
+        "sustech": ([-y, x, z], [-s, c]),
+    }[axes]
+
+
+# ---- axes
+
+
+def test_nuscenes_boxes_hold_their_points(real):
+    points = read_points(real(NUSCENES), "nuscenes")
+    boxes = json.loads(real("nuscenes_n015/*.json").read_text())["frame"]["instances"]
+    told = np.array([box["num_lidar_pts"] for box in boxes])
+    boxes = [(turned("nuscenes", box[:3], box[6]), box[3:6]) for box in (b["bbox_3d"] for b in boxes)]
+    found = np.array([inside(points, c, size, np.array(way)).sum() for (c, way), size in boxes])
+    assert np.corrcoef(found, told)[0, 1] > 0.999
+    assert found.sum() == pytest.approx(told.sum(), rel=0.02)
+    unturned = read_points(real(NUSCENES))
+    wrong = sum(inside(unturned, c, size, np.array(way)).sum() for (c, way), size in boxes)
+    assert wrong < 0.05 * told.sum()
+
+
+@pytest.mark.parametrize("frame", ["000965", "000970", "000975"])
+def test_sustech_boxes_hold_points(frame, real):
+    path = real(f"sustechpoints/lidar/{frame}.pcd.xz")
+    points = read_points(path, "sustech")
+    unturned = read_points(path)
+    boxes = [box["psr"] for box in json.loads(real(f"sustechpoints/label/{frame}.json").read_text())]
+    empty = []
+    for box in boxes:
+        centre, size = ([box[key][axis] for axis in "xyz"] for key in ("position", "scale"))
+        centre, way = turned("sustech", centre, box["rotation"]["z"])
+        assert inside(points, centre, np.add(size, 0.1), np.array(way)).sum() >= 10
+        empty.append(inside(unturned, centre, np.add(size, 0.1), np.array(way)).sum() < 10)
+    assert np.mean(empty) > 0.5
+
+
+def test_argoverse2_boxes_hold_exactly_their_points(real):
+    feather = pytest.importorskip("pyarrow.feather")
+    points = read_points(real(AV2), "argoverse")
+    boxes = feather.read_table(real("argoverse2_adcf/annotations.feather")).to_pylist()
+    boxes = [box for box in boxes if box["timestamp_ns"] == 315973157959879000]
+    assert len(boxes) == 47
+    for box in boxes:
+        yaw = 2 * np.arctan2(box["qz"], box["qw"])
+        centre, size = [
+            [box[f"{a}_m"] for a in names] for names in (("tx", "ty", "tz"), ("length", "width", "height"))
+        ]
+        found = inside(points, centre, size, np.array([np.cos(yaw), np.sin(yaw)])).sum()
+        assert found == box["num_interior_pts"]
+
+
+@pytest.mark.parametrize("frame", ["000000", "000001", "000002"])
+def test_kitti_boxes_hold_points(frame, real):
+    points = read_points(real(f"kitti_object/velodyne/{frame}.bin"), "kitti")
+    lines = real(f"kitti_object/calib/{frame}.txt").read_text().split("\n")
+    calib = {line.split(":")[0]: np.array(line.split(":")[1].split(), float) for line in lines if ":" in line}
+    rectify, extrinsic = np.eye(4), np.eye(4)
+    rectify[:3, :3] = calib["R0_rect"].reshape(3, 3)
+    extrinsic[:3] = calib["Tr_velo_to_cam"].reshape(3, 4)
+    for line in real(f"kitti_object/label_2/{frame}.txt").read_text().splitlines():
+        if not line.startswith("DontCare"):
+            height, width, length, x, y, z, yaw = map(float, line.split()[8:15])
+            centre = np.linalg.inv(rectify @ extrinsic) @ [x, y - height / 2, z, 1]
+            way = np.array([-np.sin(yaw), -np.cos(yaw)])
+            assert inside(points, centre[:3], [length, width, height], way).sum() >= 5
+
+
+@pytest.mark.parametrize(
+    ("name", "axes", "road"), [("nuscenes/25611", "nuscenes", 0), ("semantic_kitti/0", "kitti", 9)]
+)
+def test_the_labelled_road_lies_below(name, axes, road, real):
+    path = real(f"labelled_range_images/{name}.npy.xz")
+    image = unpacked(path)
+    points = read_points(path, axes)
+    near = (image[..., 5][image[..., 4] > 0] == road) & (np.hypot(points[:, 0], points[:, 1]) < 15)
+    assert np.median(points[near, 2]) == pytest.approx(-1.8, abs=0.06)
+
+
+# ---- what the reader keeps
+
+
+def test_the_own_vehicle_is_kept(real):
+    points = read_points(real(NUSCENES), "nuscenes")
+    assert np.mean(np.hypot(points[:, 0], points[:, 1]) < 2.5) == pytest.approx(0.25, abs=0.01)
+
+
+@pytest.mark.parametrize("frame", range(5))
+def test_returns_far_below_the_ground_are_kept(frame, real):
+    assert read_points(real(f"labelled_range_images/semantic_kitti/{frame}.npy.xz"))[:, 2].min() < -24
+
+
+def test_a_slope_is_kept(real):
+    x, y, z, _ = read_points(real("sustechpoints/lidar/000970.pcd.xz"), "sustech").T
+    ahead, behind = (
+        np.percentile(z[way & (abs(y) < 4)], 10) for way in ((x > 20) & (x < 40), (x < -20) & (x > -40))
+    )
+    assert ahead - behind > 2.0
+
+
+def test_points_in_the_frame_of_the_vehicle_stay_there(real):
+    feather = pytest.importorskip("pyarrow.feather")
+    scan = read_scan(real(AV2), "argoverse")
+    calibration = feather.read_table(
+        real("argoverse2_adcf/calibration*/egovehicle_SE3_sensor.feather")
+    ).to_pylist()
+    (upper,) = (sensor for sensor in calibration if sensor["sensor_name"] == "up_lidar")
+    place = np.array([upper["tx_m"], upper["ty_m"], upper["tz_m"]])
+    assert place[2] > 1.6
+
+    def spread(origin):  # of the elevation of each of the upper sensor's lasers [degree]
+        x, y, z = (scan.points[:, :3] - origin).T
+        elevation = np.degrees(np.arctan2(z, np.hypot(x, y)))
+        rings = (elevation[scan.ring == ring] for ring in range(32))
+        return np.median([np.percentile(np.abs(ring - np.median(ring)), 75) for ring in rings])
+
+    assert spread(place) < 0.01
+    assert spread(np.zeros(3)) > 1.0
+
+
+# ---- what the files hide
+
+
+def test_zero_padding_behind_the_points_is_no_points(real):
+    path = real("kitti_raw_0005/0000000060.pcd.xz")
+    data = lzma.decompress(path.read_bytes())
+    start = data.index(b"DATA binary\n") + 12
+    stored = np.frombuffer(data, "<f4", 122943 * 4, start).reshape(-1, 4)
+    padding = data[start + stored.nbytes :]
+    assert len(padding) > 3000
+    assert not any(padding)
+    scan = read_scan(path)
+    assert scan.dropped == np.count_nonzero(~stored[:, :3].any(axis=1)) == 1
+    np.testing.assert_array_equal(scan.points, stored[stored[:, :3].any(axis=1)])
+
+
+def test_wrong_padding_fields_are_seen_through(real):
+    path = real("sustechpoints/lidar/000965.pcd.xz")
+    data = lzma.decompress(path.read_bytes())
+    layout = {"names": ["xyz", "i", "t", "ring"], "formats": ["3<f4", "<f4", "<f8", "<u2"]}
+    layout |= {"offsets": [0, 16, 24, 32], "itemsize": 48}
+    stored = np.frombuffer(data, np.dtype(layout), 66781, data.index(b"DATA binary\n") + 12)
+    scan = read_scan(path)
+    assert scan.fields == ("x", "y", "z", "intensity", "timestamp", "ring")
+    np.testing.assert_array_equal(scan.points[:, :3], stored["xyz"])
+    np.testing.assert_allclose(scan.points[:, 3], stored["i"] / 255, rtol=1e-6)
+    np.testing.assert_array_equal(scan.ring, stored["ring"])
+    assert set(scan.ring) == set(range(40))
+    assert scan.stamp == stored["t"].min() == pytest.approx(1820.302, abs=1e-3)
+    assert 0 == scan.time.min() < scan.time.max() < 0.1
+
+
+def test_stamps_follow_each_other(real):
+    stamps = [
+        read_scan(real(f"sustechpoints/lidar/{frame}.pcd.xz")).stamp
+        for frame in ("000965", "000970", "000975")
+    ]
+    np.testing.assert_allclose(np.diff(stamps), 0.5, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp"),
+    [
+        (NUSCENES, 1532402927.647951),
+        (AV2, 315973157.959879),
+        ("argoverse1/*.ply", 315971347.819783),
+        ("nebula_apache2/vls128/*.pcd", 1585897255.376374),
+        ("kitti_raw_0005/0000000060.pcd.xz", None),
+    ],
+)
+def test_stamps_are_those_of_the_names(name, stamp, real):
+    assert read_scan(real(name), "nuscenes").stamp == (
+        None if stamp is None else pytest.approx(stamp, abs=1e-6)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "lasers"),
+    [(NUSCENES, 32), (AV2, 64), ("argoverse1/*.ply", 32), ("nebula_apache2/vlp16/*.pcd", 15)],
+)
+def test_lasers_are_counted(name, lasers, real):
+    assert len(set(read_scan(real(name), "nuscenes").ring)) == lasers
+
+
+def test_zeros_of_an_organised_cloud_are_beams_without_a_return(real):
+    scan = read_scan(real("autoware_apache2/test.pcd.xz"))
+    assert scan.shape == (64, 1024)
+    assert len(scan.missing) == scan.dropped == 64 * 1024 - len(scan.points)
+    np.testing.assert_allclose(np.linalg.norm(scan.missing, axis=1), 1, atol=1e-6)
+    elevation = np.degrees(np.arcsin(scan.missing[:, 2]))
+    assert -21 < elevation.min() < elevation.max() < 23
+    assert np.median(elevation) > 8  # nearly all look into the sky
+
+
+@pytest.mark.parametrize(
+    ("name", "axes", "within"),
+    [
+        ("autoware_apache2/test.pcd.xz", "flu", 0.4),
+        ("labelled_range_images/semantic_kitti/0.npy.xz", "kitti", 0.3),
+        ("labelled_range_images/nuscenes/25611.npy.xz", "nuscenes", 0.8),
+    ],
+)
+def test_hidden_returns_are_found_as_beams(name, axes, within, real):
+    path = real(name)
+    if path.name.endswith(".npy.xz"):
+        x, y, z = np.moveaxis(unpacked(path)[..., :3], -1, 0)
+    else:
+        text = lzma.decompress(path.read_bytes()).split(b"DATA ascii\n")[1]
+        x, y, z = np.moveaxis(np.loadtxt(text.decode().splitlines()).reshape(64, 1024, 4)[..., :3], -1, 0)
+    if AXES[axes][0] == "+y":
+        x, y = y, -x
+    way = np.stack([x, y, z], axis=-1)
+    returned = way.any(axis=-1)
+    hidden = returned & (np.random.default_rng(0).random(returned.shape) < 0.1)
+    rows = np.count_nonzero(returned & ~hidden, axis=1) >= 8
+    beams = missing_beams(x, y, z, returned & ~hidden)
+    beams = beams[hidden[rows][~(returned & ~hidden)[rows]]]
+    truth = way[rows][hidden[rows]]
+    truth /= np.linalg.norm(truth, axis=1, keepdims=True)
+    error = np.degrees(np.arccos(np.clip((beams * truth).sum(axis=1), -1, 1)))
+    assert len(error) > 1500
+    assert np.percentile(error, 90) < within

@@ -1,0 +1,308 @@
+"""Axes, intensities, times, dropped rows, and what is told of a scan."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from ogm.io import AXES, Scan, describe, estimate_sensor_height, read_points, read_scan
+
+
+@pytest.fixture
+def save(tmp_path):
+    def save(array, name="cloud.npy"):
+        np.save(tmp_path / name, array)
+        return tmp_path / name
+
+    return save
+
+
+def feather(path, **columns):
+    pyarrow, writer = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
+    writer.write_feather(pyarrow.table(columns), path)
+    return path
+
+
+ONES = np.ones(3, np.float32)
+
+# ---- axes
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_axes_never_mirror(axes, save):
+    unit = np.column_stack([np.eye(3), np.zeros(3)]).astype(np.float32)
+    rotated = read_points(save(unit), axes)[:, :3]
+    assert np.linalg.det(rotated) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("axes", "forward", "left"),
+    [("flu", "x", "y"), ("kitti", "x", "y"), ("nuscenes", "y", "-x"), ("sustech", "-y", "x")],
+)
+def test_named_axes_point_where_the_data_set_says(axes, forward, left, save):
+    ways = {"x": [1, 0, 0], "y": [0, 1, 0], "-x": [-1, 0, 0], "-y": [0, -1, 0]}
+    points = read_points(save(np.float32([ways[forward], ways[left], [0, 0, 1]])), axes)
+    np.testing.assert_array_equal(points[:, :3], np.eye(3))
+
+
+def test_axes_can_be_given_as_signs_or_as_a_matrix(cloud, save):
+    path = save(cloud)
+    named = read_points(path, "nuscenes")
+    np.testing.assert_array_equal(read_points(path, ("+y", "-x", "+z")), named)
+    np.testing.assert_array_equal(read_points(path, np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])), named)
+    np.testing.assert_array_equal(named[:, 0], cloud[:, 1])
+    np.testing.assert_array_equal(named[:, 3], cloud[:, 3])
+
+
+def test_any_rotation_will_do(cloud, save):
+    c, s = np.cos(0.3), np.sin(0.3)
+    rotation = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    expected = cloud[:, :3] @ rotation.T
+    np.testing.assert_allclose(read_points(save(cloud), rotation)[:, :3], expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("axes", "message"),
+    [
+        ("nuscene", "not known"),
+        (("x", "+y", "+z"), "not three of"),
+        (("+x", "+x", "+z"), "right angles"),
+        (("+x", "+y"), "right angles"),
+        (("+x", "-y", "+z"), "mirror"),
+        (np.eye(2), "right angles"),
+        (np.eye(3) * 2, "right angles"),
+        (np.diag([1.0, 1.0, -1.0]), "mirror"),
+    ],
+)
+def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
+    with pytest.raises(ValueError, match=message):
+        read_points(save(cloud), axes)
+
+
+def test_reading_nuscenes_with_its_axes_unturned_is_remarked(cloud, tmp_path, caplog):
+    path = tmp_path / "cloud.pcd.bin"
+    path.write_bytes(np.column_stack([cloud, np.zeros(60)]).astype(np.float32).tobytes())
+    read_points(path, "nuscenes")
+    assert not caplog.records
+    read_points(path)
+    assert 'axes="nuscenes"' in caplog.text
+
+
+# ---- origin and reach
+
+
+def test_origin_brings_map_coordinates_home(tmp_path):
+    columns = {"x": [500_000.123, 500_010.0], "y": [5_600_000.0, 5_600_001.457], "z": [210.0, 208.5]}
+    path = feather(tmp_path / "a.feather", **columns)
+    points = read_points(path, ("+y", "-x", "+z"), origin=(500_000.0, 5_600_000.0, 210.0))
+    np.testing.assert_allclose(points[:, :3], [[0, -0.123, 0], [1.457, -10, -1.5]], atol=1e-6)
+    with pytest.raises(ValueError, match=r"5\.6e\+06 m.*origin"):
+        read_points(path)
+
+
+@pytest.mark.parametrize("origin", [(0, 0), (0, 0, np.nan)])
+def test_an_origin_is_three_numbers(origin, cloud, save):
+    with pytest.raises(ValueError, match="origin must be"):
+        read_points(save(cloud), origin=origin)
+
+
+# ---- rows without a point
+
+
+def test_rows_without_a_point_are_dropped_counted_and_logged(cloud, save, caplog):
+    rows = np.column_stack([cloud, np.arange(60)]).astype(np.float32)
+    rows[3, :3] = 0
+    rows[4, :3] = -0.0
+    rows[5, 1] = np.nan
+    rows[6, 2] = -np.inf
+    rows[7, 3] = np.nan
+    rows[8, 4] = np.nan
+    with caplog.at_level(logging.INFO, logger="ogm"):
+        scan = read_scan(save(rows))
+    gone = [3, 4, 5, 6, 7, 8]
+    assert scan.dropped == 6
+    assert "6 of 60 rows" in caplog.text
+    np.testing.assert_array_equal(scan.points, np.delete(cloud, gone, axis=0))
+    np.testing.assert_array_equal(scan.ring, np.delete(np.arange(60), gone))
+
+
+def test_a_row_without_its_time_is_dropped(tmp_path):
+    scan = read_scan(
+        feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, time=np.float32([0, np.nan, 0.1]))
+    )
+    assert scan.dropped == 1
+    np.testing.assert_allclose(scan.time, [0, 0.1])
+
+
+def test_a_point_with_one_or_two_zeros_is_a_point(save):
+    rows = np.float32([[0, 0, -1.8], [5, 0, 0], [0, 3, 0]])
+    scan = read_scan(save(rows))
+    assert scan.dropped == 0
+    np.testing.assert_array_equal(scan.points[:, :3], rows)
+
+
+@pytest.mark.parametrize("rows", [np.full((5, 4), np.nan), np.zeros((5, 4)), np.empty((0, 4))])
+def test_a_file_without_points_gives_none(rows, save):
+    scan = read_scan(save(rows))
+    assert scan.points.shape == (0, 4)
+    assert scan.points.dtype == np.float32
+    assert scan.dropped == len(rows)
+    assert describe(scan)["points"] == "0"
+
+
+def test_one_point_is_a_cloud(save):
+    np.testing.assert_array_equal(read_points(save(np.float32([[1, 2, 3, 0.5]]))), [[1, 2, 3, 0.5]])
+
+
+def test_the_own_vehicle_and_the_underground_are_kept(save):
+    rows = np.float32([[0.5, 0, -0.3, 0], [1, 1, -28.0, 0], [-2, 0.5, -1, 0]])
+    np.testing.assert_array_equal(read_points(save(rows)), rows)
+
+
+# ---- intensity
+
+
+@pytest.mark.parametrize(
+    ("raw", "expected", "scale"),
+    [
+        (np.uint8([0, 51, 255]), [0, 0.2, 1], 255),
+        (np.uint16([0, 13107, 65535]), [0, 0.2, 1], 65535),
+        (np.float32([0, 0.2, 1]), [0, 0.2, 1], 1),
+        (np.float32([0, 51, 2]), [0, 0.2, 2 / 255], 255),
+        (np.int32([0, 51, 255]), [0, 0.2, 1], 255),
+    ],
+)
+def test_intensity_scale_follows_type_then_values(raw, expected, scale, tmp_path):
+    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=raw))
+    np.testing.assert_allclose(scan.points[:, 3], expected, rtol=1e-6)
+    assert scan.intensity_max == scale
+
+
+def test_intensity_max_is_taken_at_its_word(tmp_path, caplog):
+    path = feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=np.float32([0, 500, 3000]))
+    with pytest.raises(ValueError, match="intensities up to 3000, wanted at most 255: give as intensity_max"):
+        read_scan(path)
+    with caplog.at_level(logging.INFO, logger="ogm"):
+        scan = read_scan(path, intensity_max=1000.0)
+    np.testing.assert_allclose(scan.points[:, 3], [0, 0.5, 1])
+    assert "1 intensities above 1000" in caplog.text
+
+
+def test_intensity_of_a_known_format_is_checked(tmp_path):
+    (tmp_path / "a.bin").write_bytes(np.float32([[1, 2, 3, 77]]).tobytes())
+    with pytest.raises(ValueError, match="up to 77, wanted at most 1"):
+        read_points(tmp_path / "a.bin")
+    assert read_points(tmp_path / "a.bin", intensity_max=154)[0, 3] == 0.5
+
+
+def test_intensity_below_zero_is_refused(save):
+    with pytest.raises(ValueError, match="down to -0.5"):
+        read_points(save(np.float32([[1, 2, 3, -0.5]])))
+
+
+@pytest.mark.parametrize("high", [1.01, 255.5])
+def test_intensity_just_above_the_scale_is_refused(high, tmp_path):
+    path = tmp_path / ("a.bin" if high < 2 else "a.feather")
+    (tmp_path / "a.bin").write_bytes(np.float32([[1, 2, 3, high]]).tobytes())
+    feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=high * ONES)
+    with pytest.raises(ValueError, match="give as intensity_max"):
+        read_points(path)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, np.nan, np.inf])
+def test_intensity_max_must_be_a_positive_number(wrong, save):
+    with pytest.raises(ValueError, match="intensity_max must be above 0"):
+        read_points(save(np.ones((1, 3))), intensity_max=wrong)
+
+
+# ---- ring and time
+
+
+@pytest.mark.parametrize("ring", [-1.0, 0.5, 70_000.0])
+def test_a_ring_is_a_whole_number(ring, save):
+    with pytest.raises(ValueError, match="rings from"):
+        read_points(save(np.float32([[1, 2, 3, 0, ring]])))
+
+
+@pytest.mark.parametrize(
+    ("name", "times", "expected", "stamp"),
+    [
+        ("a", np.float32([0.0, 0.05, 0.1]), [0, 0.05, 0.1], None),
+        ("a", np.float64([-0.1, -0.05, 0.0]), [-0.1, -0.05, 0], None),
+        ("a", np.int32([0, 50_000_000, 100_000_000]), [0, 0.05, 0.1], None),
+        ("a", np.float64([1e9 + 0.1, 1e9, 1e9 + 0.05]), [0.1, 0, 0.05], 1e9),
+        ("a", np.uint64([10**18, 10**18 + 10**8, 10**18]), [0, 0.1, 0], 1e9),
+        ("315973157959879000", np.int32([0, 10**8, 0]), [0, 0.1, 0], 315973157.959879),
+        ("n015__LIDAR_TOP__1532402927647951", np.int32([0, 10**8, 0]), [0, 0.1, 0], 1532402927.647951),
+        ("0000000060", np.int32([0, 10**8, 0]), [0, 0.1, 0], None),
+        ("12345678901234567", np.int32([0, 10**8, 0]), [0, 0.1, 0], None),
+    ],
+)
+def test_times_count_from_the_stamp(name, times, expected, stamp, tmp_path):
+    scan = read_scan(feather(tmp_path / f"{name}.feather", x=ONES, y=ONES, z=ONES, timestamp=times))
+    assert scan.time.dtype == np.float64
+    np.testing.assert_allclose(scan.time, expected, atol=1e-6)
+    assert scan.stamp == (None if stamp is None else pytest.approx(stamp, abs=1e-6))
+
+
+def test_other_fields_are_named_but_not_needed(tmp_path):
+    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, label=["a", "b", "c"], rgb=ONES))
+    assert scan.fields == ("x", "y", "z", "rgb")
+    assert scan.ring is None
+    assert scan.time is None
+    assert scan.intensity_max is None
+
+
+# ---- Scan
+
+
+def test_a_scan_checks_its_shapes():
+    with pytest.raises(ValueError, match=r"\(N, 4\).*got shape \(5, 3\)"):
+        Scan(np.zeros((5, 3), np.float32))
+    with pytest.raises(ValueError, match=r"ring must be \(5,\).*got shape \(4,\)"):
+        Scan(np.zeros((5, 4), np.float32), ring=np.zeros(4, np.uint16))
+
+
+def test_describe_tells_what_is_there(cloud, save):
+    image = np.column_stack([cloud, np.zeros(60)]).reshape(6, 10, 5)
+    image[0, 0] = 0
+    facts = describe(read_scan(save(image, "1600000000000000.npy")))
+    assert facts["points"] == "59"
+    assert facts["raster"] == "6 x 10"
+    assert facts["dropped"] == "1 rows without a point"
+    assert facts["stamp"] == "1600000000.000000 s"
+    assert facts["x"].endswith(" m")
+    assert "rings" not in facts
+    assert "ground" not in facts
+
+
+# ---- height of the sensor
+
+
+def road(rng, height, slope=0.0, number=20_000):
+    xy = rng.uniform(-30, 30, (number, 2))
+    z = -height + slope * xy[:, 0] + rng.normal(0, 0.02, number)
+    return np.column_stack([xy, z, np.zeros(number)]).astype(np.float32)
+
+
+@pytest.mark.parametrize("height", [0.33, 1.0, 1.73, 2.5])
+@pytest.mark.parametrize("slope", [0.0, 0.04, -0.05])
+def test_height_is_that_of_the_road_below(height, slope):
+    rng = np.random.default_rng(5)
+    points = road(rng, height, slope)
+    walls = rng.uniform([4, -9, -height], [5, 9, 3], (8000, 3))  # many more points, but few square metres
+    hull = rng.normal([0, 0, -0.4], [0.8, 0.4, 0.1], (5000, 3))
+    underground = rng.uniform([-10, -10, -28], [10, 10, -5], (10, 3))
+    other = np.concatenate([walls, hull, underground])
+    points = np.concatenate([points, np.column_stack([other, np.zeros(len(other))])])
+    assert estimate_sensor_height(points) == pytest.approx(height, abs=0.05)
+
+
+def test_height_is_unknown_without_a_road():
+    rng = np.random.default_rng(6)
+    assert estimate_sensor_height(np.empty((0, 4), np.float32)) is None
+    assert estimate_sensor_height(road(rng, 1.7, number=50)) is None
+    assert estimate_sensor_height(rng.uniform(-10, 10, (500, 4))) is None
+    stairs = road(rng, 1.7)
+    stairs[stairs[:, 0] > -3, 2] = -np.floor(stairs[stairs[:, 0] > -3, 0])
+    assert estimate_sensor_height(stairs) is None

@@ -1,0 +1,134 @@
+"""The command line, as a person uses it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ogm import EvidentialGrid
+from ogm.cli import app
+
+
+def ogm(*words: object) -> "subprocess.CompletedProcess":
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.fixture
+def scan(tmp_path: Path) -> Path:
+    """A KITTI file with a plane and a wall."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-20, -20, 0, 0), (20, 20, 1, 1), (20_000, 4)).astype(np.float32)
+    points[:, 2] = -1.7
+    points[:300, :3] = np.stack([np.full(300, 8.0), rng.uniform(-3, 3, 300), rng.uniform(-1.5, 0.5, 300)], 1)
+    points.tofile(tmp_path / "wall.bin")
+    return tmp_path / "wall.bin"
+
+
+SMALL = ("--length", 32, "--width", 32, "--resolution", 0.5)
+
+
+def test_demo_writes_a_picture_and_a_table(tmp_path: Path) -> None:
+    result = ogm("demo", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "208680" in result.output
+    assert (tmp_path / "ogm-demo.png").stat().st_size > 50_000
+    grid = EvidentialGrid.load(tmp_path / "ogm-demo.npz")
+    assert grid.spec.shape == (512, 352)
+    assert grid.at(20, 5).free > 0.9  # the lane ahead
+    assert grid.at(10, 9.2).occupied > 0.5  # its left border
+
+
+@pytest.mark.parametrize("model", ["ray", "height-band", "height-band-released"])
+def test_map_writes_the_grid_and_its_picture(scan: Path, tmp_path: Path, model: str) -> None:
+    out, picture = tmp_path / "o.npz", tmp_path / "o.png"
+    result = ogm("map", scan, "--ism", model, "--out", out, "--picture", picture, *SMALL)
+    assert result.exit_code == 0, result.output
+    assert "sensor height 1.70 m, estimated" in result.output
+    assert EvidentialGrid.load(out).at(8.1, 0.1).occupied > 0.15
+    assert picture.exists()
+
+
+def test_map_many_goes_on_after_a_bad_file(scan: Path, tmp_path: Path) -> None:
+    again = scan.with_name("more.bin")
+    again.write_bytes(scan.read_bytes())
+    bad = scan.with_name("bad.bin")
+    bad.write_bytes(b"xyz")
+    result = ogm("map", scan, bad, again, "--out", tmp_path / "grids", "--sensor-height", 1.7, *SMALL)
+    assert result.exit_code == 2
+    assert "bad.bin" in result.output
+    assert sorted(path.name for path in (tmp_path / "grids").iterdir()) == ["more.npz", "wall.npz"]
+
+
+def test_points_in_the_vehicles_frame(scan: Path, tmp_path: Path) -> None:
+    points = np.fromfile(scan, np.float32).reshape(-1, 4) + np.float32([1.5, 0, 1.4, 0])
+    points.tofile(tmp_path / "vehicle.bin")
+    result = ogm(
+        "map", tmp_path / "vehicle.bin", "--sensor-position", 1.5, 0, 1.4, "--out", tmp_path / "v.npz", *SMALL
+    )
+    assert "sensor height 1.70 m" in result.output
+    assert EvidentialGrid.load(tmp_path / "v.npz").at(9.6, 0.1).occupied > 0.5
+
+
+def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
+    result = ogm("info", scan)
+    assert "20000" in result.output
+    assert "1.70 m below" in result.output
+    ogm("map", scan, "--out", tmp_path / "o.npz", *SMALL)
+    result = ogm("info", tmp_path / "o.npz")
+    assert "64 x 64 of 0.5 m" in result.output
+    assert "unknown" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("map", "none.pcd"), "none.pcd"),
+        (("info", "none.npz"), "none.npz"),
+        (("map", "{scan}", "--length", "10.0"), "use 9.92 m or 10.08 m"),
+        (("map", "{scan}", "--axes", "upside-down"), "upside-down"),
+        (("map", "{scan}", "--out", "{folder}/none/x.npz"), "no folder"),
+        (("map", "{scan}", "--out", "{folder}/x.txt"), "saved as .npz"),
+        (("map", "{scan}", "--sensor-height", "-1"), "sensor_height"),
+        (("map", "{scan}", "{scan}"), "share a name"),
+        (("map", "{empty}"), "empty.bin"),
+        (("map", "{nothing}"), "--sensor-height"),
+        (("demo", "--out", "{folder}/none"), "no folder"),
+    ],
+)
+def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, says: str) -> None:
+    empty, nothing = scan.with_name("empty.bin"), scan.with_name("nothing.bin")
+    empty.write_bytes(b"")
+    np.full((10, 4), 0.5, np.float32).tofile(nothing)
+    names = {"scan": scan, "folder": scan.parent, "empty": empty, "nothing": nothing}
+    result = ogm(*(word.format(**names) for word in words))
+    assert result.exit_code == 2, result.output
+    assert says in result.output
+    assert "Traceback" not in result.output
+    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
+
+
+def test_a_failure_leaves_the_old_output_whole(scan: Path, tmp_path: Path) -> None:
+    ogm("map", scan, "--out", tmp_path / "o.npz", *SMALL)
+    before = (tmp_path / "o.npz").read_bytes()
+    scan.write_bytes(scan.read_bytes()[:-3])
+    assert ogm("map", scan, "--out", tmp_path / "o.npz", *SMALL).exit_code == 2
+    assert (tmp_path / "o.npz").read_bytes() == before
+
+
+def test_every_command_has_help_with_an_example() -> None:
+    for command in ("demo", "map", "info"):
+        result = ogm(command, "--help")
+        assert result.exit_code == 0
+        assert f"Example:  ogm {command}" in result.output
+
+
+def test_the_installed_script_runs() -> None:
+    run = subprocess.run([sys.executable, "-m", "ogm.cli", "--version"], capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("ogm 0.")

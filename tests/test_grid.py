@@ -1,0 +1,190 @@
+"""GridSpec and EvidentialGrid: geometry, checks, files."""
+
+import os
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm.geometric import HeightBandISM, RayISM
+
+SPEC = GridSpec(resolution=0.5, shape=(6, 4), origin=(-1.0, -2.0))
+
+
+def random_grid(seed: int = 0, spec: GridSpec = SPEC) -> EvidentialGrid:
+    mass = np.random.default_rng(seed).dirichlet([1, 1, 1], spec.shape)[..., :2].astype(np.float32)
+    return EvidentialGrid(spec, mass)
+
+
+def test_centered_gives_the_papers_grid() -> None:
+    spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+    assert spec.shape == (512, 352)
+    np.testing.assert_allclose(spec.extent, (-40.96, 40.96, -28.16, 28.16), atol=1e-12)
+
+
+def test_centered_refuses_broken_lengths_and_names_whole_ones() -> None:
+    with pytest.raises(ValueError, match=r"length 10.0 m is 62.5 cells .* use 9.92 m or 10.08 m"):
+        GridSpec.centered(length=10.0, width=1.6, resolution=0.16)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "shape", "origin"),
+    [
+        (0.0, (2, 2), (0, 0)),
+        (-1.0, (2, 2), (0, 0)),
+        (float("nan"), (2, 2), (0, 0)),
+        (1.0, (0, 2), (0, 0)),
+        (1.0, (2.5, 2), (0, 0)),
+        (1.0, (2, 2, 2), (0, 0)),
+        (1.0, (2**15, 2**15), (0, 0)),
+        (1.0, (2, 2), (float("inf"), 0)),
+    ],
+)
+def test_impossible_specs_are_refused(resolution: float, shape: tuple, origin: tuple) -> None:
+    with pytest.raises(ValueError, match=r"resolution|shape|origin"):
+        GridSpec(resolution, shape, origin)
+
+
+def test_index_floors_and_never_truncates() -> None:
+    ix, iy = SPEC.index([-1.0, -0.51, -1.01, 1.99, 2.0], [-2.0, -1.51, -2.01, -0.01, 0.0])
+    assert ix.tolist() == [0, 0, -1, 5, 6]
+    assert iy.tolist() == [0, 0, -1, 3, 4]
+    assert SPEC.contains([-1.0, -1.01, 1.99, 2.0], [-2.0, -2.0, -0.01, 0.0]).tolist() == [True, False, True, False]
+
+
+@given(st.floats(0.05, 2), st.integers(1, 40), st.integers(1, 40), st.floats(-50, 50), st.floats(-50, 50))
+@settings(max_examples=100, deadline=None)
+def test_cell_centers_lie_in_their_cells(resolution: float, nx: int, ny: int, x: float, y: float) -> None:
+    spec = GridSpec(resolution, (nx, ny), (x, y))
+    cx, cy = spec.cell_centers
+    ix, iy = spec.index(*np.broadcast_arrays(cx, cy))
+    np.testing.assert_array_equal(ix, np.arange(nx)[:, None] * np.ones((1, ny), int))
+    np.testing.assert_array_equal(iy, np.arange(ny)[None, :] * np.ones((nx, 1), int))
+
+
+def test_spec_is_hashable_and_refines() -> None:
+    assert len({SPEC, GridSpec(0.5, (6, 4), (-1.0, -2.0)), SPEC.refined(2)}) == 2
+    assert SPEC.refined(2).extent == SPEC.extent
+
+
+def test_the_three_masses_sum_to_one() -> None:
+    grid = random_grid()
+    np.testing.assert_allclose(grid.free + grid.occupied + grid.unknown, 1, atol=1e-6)
+    np.testing.assert_allclose(grid.probability, grid.occupied + grid.unknown / 2, atol=1e-6)
+    np.testing.assert_allclose(grid.evidence, 2 * grid.mass / grid.unknown[..., None], rtol=1e-4)
+
+
+def test_at_returns_the_opinion_of_the_cell() -> None:
+    grid = random_grid()
+    opinion = grid.at(x=0.3, y=-0.6)
+    assert opinion.free == pytest.approx(float(grid.mass[2, 2, 0]))
+    assert opinion.occupied == pytest.approx(float(grid.mass[2, 2, 1]))
+    with pytest.raises(ValueError, match="outside the grid"):
+        grid.at(x=2.0, y=0.0)
+
+
+def test_vacuous_knows_nothing() -> None:
+    assert (EvidentialGrid.vacuous(SPEC).unknown == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("bad", "error", "says"),
+    [
+        (np.zeros((6, 4, 3), np.float32), ValueError, "2 states"),
+        (np.zeros((4, 6, 2), np.float32), ValueError, r"\(4, 6\) cells, but the spec has \(6, 4\)"),
+        (np.zeros((6, 4, 2), np.int32), TypeError, "astype"),
+        (np.full((6, 4, 2), 0.6, np.float32), ValueError, "24 cells are not"),
+        (np.full((6, 4, 2), -0.1), ValueError, "renormalize"),
+        (np.full((6, 4, 2), np.nan), ValueError, "nan"),
+    ],
+)
+def test_masses_that_are_none_are_refused(bad: np.ndarray, error: type, says: str) -> None:
+    with pytest.raises(error, match=says):
+        EvidentialGrid(SPEC, bad)
+
+
+def test_the_error_names_the_cell() -> None:
+    mass = np.zeros((6, 4, 2), np.float32)
+    mass[3, 1] = 0.9, 0.3
+    with pytest.raises(ValueError, match=r"first cell \(3, 1\) with free=0.8999.*, occupied=0.300"):
+        EvidentialGrid(SPEC, mass)
+
+
+def test_save_and_load_lose_nothing(tmp_path: Path) -> None:
+    grid = random_grid(spec=GridSpec(0.0625, (31, 17), (-1.03125, 2.2)))
+    grid.save(tmp_path / "a.npz")
+    again = EvidentialGrid.load(tmp_path / "a.npz")
+    assert again.spec == grid.spec
+    np.testing.assert_array_equal(again.mass, grid.mass)
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as data:
+        assert data["states"].tolist() == ["free", "occupied"]
+        assert set(data.files) == {"format", "states", "axes", "resolution", "origin", "mass"}
+
+
+def test_a_failed_save_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.npz"
+    random_grid(1).save(path)
+    before = path.read_bytes()
+
+    def breaks(file: object, **arrays: object) -> None:
+        file.write(b"half")  # type: ignore[attr-defined]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", breaks)
+    with pytest.raises(KeyboardInterrupt):
+        random_grid(2).save(path)
+    assert path.read_bytes() == before
+    assert os.listdir(tmp_path) == ["a.npz"]
+
+
+def test_unwritable_and_misnamed_outputs(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no folder"):
+        random_grid().save(tmp_path / "none" / "a.npz")
+    with pytest.raises(ValueError, match="saved as .npz"):
+        random_grid().save(tmp_path / "a.png")
+    (tmp_path / "b.npz").mkdir()
+    with pytest.raises(IsADirectoryError):
+        random_grid().save(tmp_path / "b.npz")
+
+
+def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    random_grid().save(path)
+    whole = path.read_bytes()
+    for size in (0, 1, 20, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(ValueError, match=r"a\.npz"):
+            EvidentialGrid.load(path)
+    np.savez(path, other=np.zeros(3))
+    with pytest.raises(ValueError, match="found arrays"):
+        EvidentialGrid.load(path)
+    np.savez(path, format=np.array("ogm.EvidentialGrid/9"))
+    with pytest.raises(ValueError, match=r"EvidentialGrid/9"):
+        EvidentialGrid.load(path)
+    np.savez(path, format=np.array([{}], dtype=object))
+    with pytest.raises(ValueError, match="pickle"):
+        EvidentialGrid.load(path)
+    with pytest.raises(FileNotFoundError):
+        EvidentialGrid.load(tmp_path / "none.npz")
+
+
+def test_a_file_that_claims_too_much_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("mass.npy", b"x")
+    data = bytearray(path.read_bytes())
+    at = data.rfind(b"PK\x01\x02") + 24  # the uncompressed size in the archive's directory
+    data[at : at + 4] = (2**32 - 2).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    with pytest.raises(ValueError, match="claims"):
+        EvidentialGrid.load(path)
+
+
+def test_geometric_models_fit_the_protocol() -> None:
+    spec = GridSpec.centered(8, 8, 0.5)
+    for ism in (HeightBandISM(spec, 1.7), RayISM(spec, 1.7)):
+        assert isinstance(ism, InverseSensorModel)

@@ -1,0 +1,85 @@
+"""The front door: what ``import ogm`` costs and loads, and that the house's walls stand."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ogm
+
+ROOT = Path(__file__).parents[1]
+HEAVY = {"torch", "open3d", "matplotlib", "numba", "scipy", "lightning", "filterpy", "zarr", "dask", "typer"}
+
+
+def run(code: str) -> str:
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+
+
+def test_import_ogm_loads_nothing_heavy() -> None:
+    loaded = set(run("import ogm, sys; print(*{m.split('.')[0] for m in sys.modules})").split())
+    assert not loaded & HEAVY
+
+
+def test_import_ogm_is_quick() -> None:
+    times = [float(run("import time; t = time.perf_counter(); import ogm; print(time.perf_counter() - t)")) for _ in range(3)]
+    assert min(times) < 0.2
+
+
+def test_no_wing_loads_torch_open3d_or_matplotlib() -> None:
+    code = "import sys, ogm.geometric, ogm.io, ogm.grid, ogm.evidence, ogm.pose; print(*sys.modules)"
+    assert not {"torch", "open3d", "matplotlib"} & set(run(code).split())
+
+
+def test_the_front_door_holds_what_it_names() -> None:
+    for name in ogm.__all__:
+        assert getattr(ogm, name).__name__ == name
+        assert name in dir(ogm)
+    with pytest.raises(AttributeError, match="no attribute 'OccupancyGrid'"):
+        _ = ogm.OccupancyGrid
+
+
+def test_import_contracts_hold() -> None:
+    done = subprocess.run(["lint-imports", "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+
+
+def test_every_public_name_is_documented() -> None:
+    import importlib
+
+    for room in ("evidence", "pose", "files", "grid", "io", "geometric", "plot"):
+        module = importlib.import_module(f"ogm.{room}")
+        for name in module.__all__:
+            value = getattr(module, name)
+            if callable(value):
+                assert value.__doc__, f"ogm.{room}.{name} has no docstring"
+
+
+def test_readme_blocks_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the README's Python blocks, one after the other, on the shipped scan."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    assert blocks
+    (tmp_path / "scan.pcd.xz").write_bytes((ROOT / "ogm/data/vls128_road.pcd.xz").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    namespace: dict = {}
+    for block in blocks:
+        exec(compile(block, "README.md", "exec"), namespace)
+    matplotlib.pyplot.close("all")
+
+
+def test_readme_figures_are_the_measured_ones() -> None:
+    """Every figure that the README quotes from a benchmark stands in its JSON."""
+    import json
+
+    text = (ROOT / "README.md").read_text()
+    speed = json.loads((ROOT / "benchmarks/results/speed.json").read_text())
+    for found in re.findall(r"<!--([\w.]+)-->([\d.]+)", text):
+        value = speed
+        for key in found[0].split("."):
+            value = value[key]
+        digits = len(found[1].partition(".")[2])
+        assert round(float(value), digits) == float(found[1]), found[0]

@@ -1,0 +1,69 @@
+"""Rigid transforms."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ogm.pose import check_pose, interpolate, inverse, pose, transform_points
+
+angles = st.floats(-1.5, 1.5)
+lengths = st.floats(-100, 100)
+
+
+@given(lengths, lengths, lengths, angles, angles, angles)
+def test_inverse_undoes(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> None:
+    T = pose(x, y, z, roll=roll, pitch=pitch, yaw=yaw)
+    np.testing.assert_allclose(inverse(T) @ T, np.eye(4), atol=1e-9)
+
+
+def test_yaw_turns_left_and_pitch_looks_down() -> None:
+    forward = np.array([[1.0, 0.0, 0.0, 0.5]])
+    np.testing.assert_allclose(transform_points(pose(yaw=math.pi / 2), forward), [[0, 1, 0, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(transform_points(pose(pitch=math.pi / 2), forward), [[0, 0, -1, 0.5]], atol=1e-12)
+
+
+def test_transform_keeps_dtype_and_intensity() -> None:
+    points = np.array([[1, 2, 3, 0.25]], np.float32)
+    moved = transform_points(pose(1, 1, 1), points)
+    assert moved.dtype == np.float32
+    np.testing.assert_allclose(moved, [[2, 3, 4, 0.25]])
+
+
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        (np.eye(3), "4x4"),
+        (np.full((4, 4), np.nan), "NaN"),
+        (np.diag([2.0, 2, 2, 1]), "rigid"),
+        (np.diag([-1.0, 1, 1, 1]), "mirror"),
+        (np.diag([1.0, 1, 1, 2]), "last row"),
+    ],
+)
+def test_what_is_not_rigid_is_refused(bad: np.ndarray, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        check_pose(bad)
+
+
+def test_interpolate_takes_the_straight_line_and_the_shortest_arc() -> None:
+    poses = [pose(0, 0, 0, yaw=math.radians(170)), pose(2, 4, 6, yaw=math.radians(-170))]
+    np.testing.assert_allclose(
+        interpolate([1.0, 2.0], poses, 1.5), pose(1, 2, 3, yaw=math.pi), atol=1e-12
+    )
+    assert interpolate([1.0, 2.0], poses, [1.0, 1.2, 2.0]).shape == (3, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "at", "says"),
+    [([0.0, 0.0], 0.0, "increase"), ([0.0, 1.0], 1.1, "extrapolated"), ([0.0], 0.0, "at least 2")],
+)
+def test_interpolate_refuses(stamps: list, at: float, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        interpolate(stamps, [np.eye(4)] * len(stamps), at)
+
+
+def test_transform_points_refuses_wrong_shapes() -> None:
+    with pytest.raises(ValueError, match="N, 3 or more"):
+        transform_points(np.eye(4), np.zeros((3, 2)))
