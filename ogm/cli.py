@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 # The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
 DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 app = typer.Typer(
     name="ogm",
@@ -71,7 +72,9 @@ def _one_line(error: BaseException) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def _model(name: Model, spec: "GridSpec", height: float, position: tuple[float, float, float] | None) -> "InverseSensorModel":
+def _model(
+    name: Model, spec: "GridSpec", height: float, position: tuple[float, float, float] | None
+) -> "InverseSensorModel":
     from ogm.geometric import HeightBandISM, RayISM
     from ogm.pose import pose
 
@@ -79,7 +82,9 @@ def _model(name: Model, spec: "GridSpec", height: float, position: tuple[float, 
         from ogm.grid import GridSpec
 
         if position is not None or spec.shape[0] % 2 or spec.shape[1] % 2:
-            raise ValueError("height-band-released wants points in the sensor's frame and an even number of cells")
+            raise ValueError(
+                "height-band-released wants points in the sensor's frame and an even number of cells"
+            )
         return HeightBandISM.as_released(
             GridSpec(2 * spec.resolution, (spec.shape[0] // 2, spec.shape[1] // 2), spec.origin)
         )
@@ -118,7 +123,9 @@ def _timed(ism: "InverseSensorModel", points: object, missing: object) -> tuple[
 @app.command(epilog="Example:  ogm demo --out /tmp")
 @tidy
 def demo(
-    out_folder: Annotated[Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")] = Path("."),
+    out_folder: Annotated[
+        Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")
+    ] = Path("."),
 ) -> None:
     """Map the shipped road scan (Velodyne VLS-128) and draw it: points, the paper's baseline, the ray model."""
     from ogm import plot, read_scan
@@ -146,23 +153,29 @@ def demo(
 @app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")
 @tidy
 def map_(
-    scans: Annotated[list[Path], typer.Argument(help="Scans: .pcd .bin .pcd.bin .ply .las .laz .npy .feather (.xz, .gz)")],
+    scans: Annotated[
+        list[Path], typer.Argument(help="Scans: .pcd .bin .pcd.bin .ply .las .laz .npy .feather (.xz, .gz)")
+    ],
     ism: Annotated[Model, typer.Option(help="Sensor model.")] = Model.ray,
     axes: Annotated[
-        str, typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.")
+        str,
+        typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z."),
     ] = "flu",
     sensor_height: Annotated[
         float | None, typer.Option(help="Sensor above ground [m]; by default estimated from the scan.")
     ] = None,
     sensor_position: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(help="x y z of the sensor [m], for points that come in the vehicle's frame.", metavar="X Y Z"),
+        typer.Option(
+            help="x y z of the sensor [m], for points that come in the vehicle's frame.", metavar="X Y Z"
+        ),
     ] = None,
     intensity_max: Annotated[
         float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
     ] = None,
     out_path: Annotated[
-        Path | None, typer.Option("--out", help="Grid file (.npz), or a folder for many. [default: ./NAME.npz]")
+        Path | None,
+        typer.Option("--out", help="Grid file (.npz), or a folder for many. [default: ./NAME.npz]"),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Picture (.png), or a folder for many. [default: ./NAME.png]")
@@ -188,7 +201,11 @@ def map_(
     table, failed = _table(f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m, {ism}"), []
     warm = False
     for path, name in track(
-        list(zip(scans, names, strict=True)), "mapping", console=complaints, disable=len(scans) == 1, transient=True
+        list(zip(scans, names, strict=True)),
+        "mapping",
+        console=complaints,
+        disable=len(scans) == 1,
+        transient=True,
     ):
         try:
             scan = read_scan(path, axes=_axes(axes), intensity_max=intensity_max)
@@ -201,7 +218,9 @@ def map_(
                 grid.save(out_path / f"{name}.npz" if many else out_path)
             if picture is not None:
                 cloud = plot.points(scan.points, grid.spec, path.name)
-                plot.save_picture(picture / f"{name}.png" if many else picture, cloud, grid, titles=["", str(ism)])
+                plot.save_picture(
+                    picture / f"{name}.png" if many else picture, cloud, grid, titles=["", str(ism)]
+                )
             _row(table, name, len(scan.points), grid, seconds)
         except (ValueError, TypeError, OSError) as error:
             if len(scans) == 1:
@@ -223,7 +242,9 @@ def _height(points: object, given: float | None, position: tuple[float, float, f
         return given
     below = estimate_sensor_height(points)  # type: ignore[arg-type]
     if below is None:
-        raise ValueError("the scan shows too little ground to tell the sensor's height; give --sensor-height [m]")
+        raise ValueError(
+            "the scan shows too little ground to tell the sensor's height; give --sensor-height [m]"
+        )
     height = below + (position[2] if position else 0.0)
     complaints.print(f"sensor height {height:.2f} m, estimated from the scan (--sensor-height sets it)")
     return height
@@ -245,7 +266,9 @@ def _stem(path: Path) -> str:
 @tidy
 def info(
     scan: Annotated[Path, typer.Argument(help="A scan, or a grid (.npz) that ogm wrote.")],
-    axes: Annotated[str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")] = "flu",
+    axes: Annotated[
+        str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")
+    ] = "flu",
     intensity_max: Annotated[
         float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
     ] = None,

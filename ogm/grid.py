@@ -124,7 +124,7 @@ class GridSpec:
         return x, x + self.length, y, y + self.width
 
     @property
-    def cell_centers(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def cell_centers(self) -> tuple[NDArray, NDArray]:
         """Coordinates of the cells' middles [m]: x as (nx, 1) and y as (1, ny), ready to broadcast."""
         x = self.origin[0] + (np.arange(self.shape[0]) + 0.5) * self.resolution
         y = self.origin[1] + (np.arange(self.shape[1]) + 0.5) * self.resolution

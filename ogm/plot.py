@@ -66,10 +66,12 @@ def unknown(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the mass of unknown: black 0, yellow 1 (matplotlib's "inferno")."""
     colours = _colour_map("inferno", grid.unknown * 0.92)
     legend = {f"unknown = {u:g}": tuple(_colour_map("inferno", np.array([u * 0.92]))[0]) for u in (0, 0.5, 1)}
-    return Panel(_upright(_bytes(colours)), grid.spec, title or "unknown", legend)  # type: ignore[arg-type]
+    return Panel(_upright(_bytes(colours)), grid.spec, title or "unknown", legend)
 
 
-def points(cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None) -> Panel:
+def points(
+    cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None
+) -> Panel:
     """Show points from above, coloured by height.
 
     Parameters
@@ -92,10 +94,12 @@ def points(cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z
     colours = _colour_map("turbo", 0.12 + 0.85 * (cloud[:, 2] - base - low) / (high - low))
     image[fine.index(cloud[:, 0], cloud[:, 1])] = colours
     legend = {
-        f"{height:g} m": tuple(_colour_map("turbo", np.array([0.12 + 0.85 * (height - low) / (high - low)]))[0])
+        f"{height:g} m": tuple(
+            _colour_map("turbo", np.array([0.12 + 0.85 * (height - low) / (high - low)]))[0]
+        )
         for height in (0, 1, 2, 3)
     }
-    return Panel(_upright(_bytes(image)), spec, title or "points by height", legend)  # type: ignore[arg-type]
+    return Panel(_upright(_bytes(image)), spec, title or "points by height", legend)
 
 
 def _colour_map(name: str, values: NDArray) -> NDArray[np.float64]:
@@ -169,7 +173,9 @@ def _panels(items: Sequence[EvidentialGrid | NDArray | Panel], titles: Sequence[
         elif isinstance(item, EvidentialGrid):
             panels.append(masses(item, title))
         elif spec is None:
-            raise ValueError("points need an area: show them beside a grid, or as ogm.plot.points(cloud, spec)")
+            raise ValueError(
+                "points need an area: show them beside a grid, or as ogm.plot.points(cloud, spec)"
+            )
         else:
             panels.append(points(item, spec, title))
     return panels
@@ -189,7 +195,9 @@ def _draw(figure: "Figure", panels: Sequence[Panel]) -> "Figure":
         x_min, x_max, y_min, y_max = panel.spec.extent
         axis.imshow(panel.image, extent=(y_max, y_min, x_min, x_max), interpolation="nearest", aspect="equal")
         if panel.spec.contains(0.0, 0.0):
-            axis.plot(0, 0, marker="^", markersize=7, color="white", markeredgecolor="black", markeredgewidth=0.8)
+            axis.plot(
+                0, 0, marker="^", markersize=7, color="white", markeredgecolor="black", markeredgewidth=0.8
+            )
         axis.set_title(panel.title, fontsize=11)
         axis.set_xlabel("y, left [m]")
         if k == 0:

@@ -1,7 +1,8 @@
 """Where the ground is: from one scan to a map of ground heights.
 
 A ground estimate is a function ``(xyz, spec, foot) -> height``: points in the vehicle frame, the coarse grid
-to fill and the spot of ground under the sensor go in, one height per cell comes out. `RayISM` takes any; `flat_ground`, `local_ground` and `patchwork_ground` are the ones at hand.
+to fill and the spot of ground under the sensor go in, one height per cell comes out. `RayISM` takes any;
+`flat_ground`, `local_ground` and `patchwork_ground` are the ones at hand.
 """
 
 import math
@@ -301,12 +302,12 @@ def _fill(height, weight, otherwise):
     """Give cells of weight 0 the height of a smooth surface through the others (pull-push), in place."""
     nx, ny = height.shape
     if nx <= 2 and ny <= 2:
-        total, mean = np.float32(0.0), np.float32(0.0)
+        known, mean = np.float32(0.0), np.float32(0.0)
         for i in range(nx):
             for j in range(ny):
-                total += weight[i, j]
+                known += weight[i, j]
                 mean += weight[i, j] * height[i, j]
-        mean = mean / total if total > 0 else otherwise
+        mean = mean / known if known > 0 else otherwise
         for i in range(nx):
             for j in range(ny):
                 if weight[i, j] == 0:

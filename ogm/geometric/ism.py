@@ -58,7 +58,6 @@ NO_BOX = (0.0, 0.0, 0.0, 0.0)
 class _Mount:
     """Where the sensor sits, and in which frame its points come."""
 
-    T_vehicle_sensor: NDArray[np.float64]
     T_vehicle_points: NDArray[np.float32]  # (3, 4)
     origin: NDArray[np.float32]  # (3,) the sensor in the vehicle frame [m]
     foot: tuple[float, float, float]  # the ground under the sensor, in the vehicle frame [m]
@@ -79,7 +78,7 @@ def _mount(
             "move or enlarge the grid so that it holds the sensor"
         )
     points_T = (T if points_in == "sensor" else np.eye(4))[:3].astype(np.float32)
-    return _Mount(T, points_T, T[:3, 3].astype(np.float32), (x, y, z - sensor_height))
+    return _Mount(points_T, T[:3, 3].astype(np.float32), (x, y, z - sensor_height))
 
 
 def _own_points(

@@ -65,10 +65,13 @@ def height_band_mass(
     nx, ny = spec.shape
     occupied, free = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)
     band = [p for p in xyz.tolist() if z_low < p[2] < z_high and math.dist(p, origin) > min_range]
-    to_cell = lambda x, y: (
-        math.floor((x - spec.origin[0]) / spec.resolution),
-        math.floor((y - spec.origin[1]) / spec.resolution),
-    )  # noqa: E501, E731
+
+    def to_cell(x: float, y: float) -> tuple[int, int]:
+        return (
+            math.floor((x - spec.origin[0]) / spec.resolution),
+            math.floor((y - spec.origin[1]) / spec.resolution),
+        )
+
     start = to_cell(origin[0], origin[1])
     ends = []
     for x, y, _ in band:

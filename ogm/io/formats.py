@@ -107,8 +107,6 @@ def parse_las(data: bytes, path: Path) -> Table:
         names = ["x", "y", "z", "intensity", *({"gps_time"} & set(header.point_format.dimension_names))]
         with np.errstate(over="ignore", invalid="ignore"):  # such points are dropped later
             columns = {name: np.asarray(record[name]) for name in names}
-        if len(record) != header.point_count:
-            raise ValueError(f"its header promises {header.point_count} points, it holds {len(record)}")
     except Exception as error:  # laspy and its decoders let through whatever a damaged file leads them to
         raise ValueError(
             f"{path} is no readable LAS cloud ({error}): it is damaged or wrongly named"

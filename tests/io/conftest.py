@@ -1,26 +1,7 @@
-"""Where the real recordings are, and small clouds in every format."""
-
-import os
-from collections.abc import Callable
-from pathlib import Path
+"""A small cloud for every format."""
 
 import numpy as np
 import pytest
-
-
-@pytest.fixture
-def real() -> Callable[[str], Path]:
-    """Give the path of a real recording beside the project, or skip the test."""
-    default = Path(__file__).parents[2].parent / "shared" / "data" / "real"
-    folder = Path(os.environ.get("OGM_DATA", default))
-
-    def find(name: str) -> Path:
-        if not folder.is_dir():
-            pytest.skip(f"no real recordings at {folder} (set OGM_DATA to the folder that has them)")
-        (path,) = folder.glob(name)
-        return path
-
-    return find
 
 
 @pytest.fixture

@@ -233,7 +233,7 @@ def test_pcd_points_that_unpack_to_another_number(points, cloud, tmp_path):
 def test_pcd_points_that_would_fill_the_memory(tmp_path):
     header = PCD.replace("10", "5000000").replace("DATA binary", "DATA binary_compressed")
     body = struct.pack("<II", 100, 60_000_000) + bytes(100)
-    refused(put(tmp_path, "a.pcd", header.encode() + body), "unpack to 60000000")
+    refused(put(tmp_path, "a.pcd", header.encode() + body), "shall unpack to 60000000")
 
 
 def test_a_pcd_field_of_no_values(tmp_path):
@@ -339,6 +339,7 @@ def test_an_archive_of_arrays(tmp_path):
         (100, 4, 2**32 - 1),  # records before them
         (107, 4, 2**32 - 1),  # points
         (107, 4, 61),
+        (107, 4, 1_000_000),
         (105, 2, 2**16 - 1),  # bytes of a point
     ],
 )
@@ -350,6 +351,19 @@ def test_a_las_header_that_promises_more_than_there_is(at, size, claim, cloud, t
     content = bytearray((tmp_path / "a.las").read_bytes())
     content[at : at + size] = claim.to_bytes(size, "little")
     refused(put(tmp_path, "b.las", bytes(content)))
+
+
+def test_a_laz_file_that_promises_more_chunks_than_there_are(cloud, tmp_path):
+    laspy = pytest.importorskip("laspy")
+    las = laspy.create(point_format=3)
+    las.x = cloud[:, 0].astype(np.float64)
+    las.write(tmp_path / "a.laz")
+    content = bytearray((tmp_path / "a.laz").read_bytes())
+    start = int.from_bytes(content[96:100], "little")
+    table = int.from_bytes(content[start : start + 8], "little")
+    assert int.from_bytes(content[table + 4 : table + 8], "little") == 1
+    content[table + 4 : table + 8] = b"\xff" * 4
+    refused(put(tmp_path, "b.laz", bytes(content)), "no whole LAS cloud")
 
 
 # ---- packed files
