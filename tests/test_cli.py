@@ -130,5 +130,7 @@ def test_every_command_has_help_with_an_example() -> None:
 
 
 def test_the_installed_script_runs() -> None:
-    run = subprocess.run([sys.executable, "-m", "ogm.cli", "--version"], capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-m", "ogm.cli", "--version"], capture_output=True, text=True, check=True
+    )
     assert run.stdout.startswith("ogm 0.")

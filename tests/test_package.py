@@ -23,7 +23,10 @@ def test_import_ogm_loads_nothing_heavy() -> None:
 
 
 def test_import_ogm_is_quick() -> None:
-    times = [float(run("import time; t = time.perf_counter(); import ogm; print(time.perf_counter() - t)")) for _ in range(3)]
+    times = [
+        float(run("import time; t = time.perf_counter(); import ogm; print(time.perf_counter() - t)"))
+        for _ in range(3)
+    ]
     assert min(times) < 0.2
 
 
@@ -41,7 +44,9 @@ def test_the_front_door_holds_what_it_names() -> None:
 
 
 def test_import_contracts_hold() -> None:
-    done = subprocess.run(["lint-imports", "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["lint-imports", "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout
 
 

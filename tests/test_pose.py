@@ -22,7 +22,9 @@ def test_inverse_undoes(x: float, y: float, z: float, roll: float, pitch: float,
 def test_yaw_turns_left_and_pitch_looks_down() -> None:
     forward = np.array([[1.0, 0.0, 0.0, 0.5]])
     np.testing.assert_allclose(transform_points(pose(yaw=math.pi / 2), forward), [[0, 1, 0, 0.5]], atol=1e-12)
-    np.testing.assert_allclose(transform_points(pose(pitch=math.pi / 2), forward), [[0, 0, -1, 0.5]], atol=1e-12)
+    np.testing.assert_allclose(
+        transform_points(pose(pitch=math.pi / 2), forward), [[0, 0, -1, 0.5]], atol=1e-12
+    )
 
 
 def test_transform_keeps_dtype_and_intensity() -> None:
@@ -49,9 +51,7 @@ def test_what_is_not_rigid_is_refused(bad: np.ndarray, says: str) -> None:
 
 def test_interpolate_takes_the_straight_line_and_the_shortest_arc() -> None:
     poses = [pose(0, 0, 0, yaw=math.radians(170)), pose(2, 4, 6, yaw=math.radians(-170))]
-    np.testing.assert_allclose(
-        interpolate([1.0, 2.0], poses, 1.5), pose(1, 2, 3, yaw=math.pi), atol=1e-12
-    )
+    np.testing.assert_allclose(interpolate([1.0, 2.0], poses, 1.5), pose(1, 2, 3, yaw=math.pi), atol=1e-12)
     assert interpolate([1.0, 2.0], poses, [1.0, 1.2, 2.0]).shape == (3, 4, 4)
 
 

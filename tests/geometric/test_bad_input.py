@@ -45,7 +45,9 @@ def test_any_floats_give_masses(ism, points: np.ndarray) -> None:
 
 
 @both
-@pytest.mark.parametrize("point", [(0, 0, 0), (0, 0, -1.7), (1e-20, 0, -1), (9.999999, 9.999999, -1), (-10, -10, -1)])
+@pytest.mark.parametrize(
+    "point", [(0, 0, 0), (0, 0, -1.7), (1e-20, 0, -1), (9.999999, 9.999999, -1), (-10, -10, -1)]
+)
 def test_one_point_anywhere(ism, point: tuple) -> None:
     grid = ism(np.array([[*point, 0.0]], np.float32))
     EvidentialGrid(grid.spec, grid.mass)
@@ -152,7 +154,9 @@ def test_models_can_run_in_several_threads() -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     rng = np.random.default_rng(1)
-    clouds = [rng.uniform((-9, -9, -1.7, 0), (9, 9, 1, 1), (n, 4)).astype(np.float32) for n in (2000, 50, 900, 4000)]
+    clouds = [
+        rng.uniform((-9, -9, -1.7, 0), (9, 9, 1, 1), (n, 4)).astype(np.float32) for n in (2000, 50, 900, 4000)
+    ]
     expected = [MODELS[1](cloud).mass for cloud in clouds]
     with ThreadPoolExecutor(4) as pool:
         for _ in range(5):

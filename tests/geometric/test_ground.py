@@ -38,7 +38,9 @@ def test_local_ground_follows_slopes_under_cars_walls_and_crowns() -> None:
     assert (above[is_ground] < 0.15).mean() > 0.99
     assert (above[~is_ground & (xyz[:, 2] - hill(xyz[:, 0], xyz[:, 1]) > 0.3)] > 0.15).mean() > 0.99
     flat = xyz[:, 2] - ground_height(flat_ground(xyz, SPEC, FOOT), SPEC, xyz)
-    assert (flat[is_ground] < 0.15).mean() < 0.7  # the plane fails here, which is why there is a local estimate
+    assert (
+        flat[is_ground] < 0.15
+    ).mean() < 0.7  # the plane fails here, which is why there is a local estimate
 
 
 @pytest.mark.parametrize("depth", [0.6, 3.0, 20.0])
@@ -60,7 +62,9 @@ def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
     above = z - ground_height(local_ground(xyz, SPEC, FOOT), SPEC, xyz)
     assert np.abs(above[np.abs(y) < 3]).mean() < 0.03
     assert np.abs(above[np.abs(y) > 6]).mean() < 0.03
-    assert np.abs(above).max() < 0.2  # the step itself is shared out over a metre: kerbs are not marked reliably
+    assert (
+        np.abs(above).max() < 0.2
+    )  # the step itself is shared out over a metre: kerbs are not marked reliably
 
 
 def test_without_points_the_ground_is_the_plane_under_the_sensor() -> None:

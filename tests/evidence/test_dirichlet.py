@@ -1,0 +1,138 @@
+"""Entropy and divergence of Dirichlet densities against 60 digits, quadrature, torch and published values."""
+
+from typing import Any
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+from ogm import evidence
+
+exponents = st.floats(-3, 7)
+laws = settings(max_examples=80, deadline=None)
+
+
+def exact_kl(alpha: Any, other: Any) -> Any:
+    with mpmath.workdps(60):
+        a, b = [mpmath.mpf(float(x)) for x in alpha], [mpmath.mpf(float(x)) for x in other]
+        log_beta_a = sum(map(mpmath.loggamma, a)) - mpmath.loggamma(sum(a))
+        log_beta_b = sum(map(mpmath.loggamma, b)) - mpmath.loggamma(sum(b))
+        total = sum((x - y) * mpmath.digamma(x) for x, y in zip(a, b, strict=True))
+        return log_beta_b - log_beta_a + total - (sum(a) - sum(b)) * mpmath.digamma(sum(a))
+
+
+def exact_entropy(alpha: Any) -> Any:
+    with mpmath.workdps(60):
+        a = [mpmath.mpf(float(x)) for x in alpha]
+        log_beta = sum(map(mpmath.loggamma, a)) - mpmath.loggamma(sum(a))
+        total = sum((x - 1) * mpmath.digamma(x) for x in a)
+        return log_beta + (sum(a) - len(a)) * mpmath.digamma(sum(a)) - total
+
+
+# Computed with 60 digits.
+VECTORS = [
+    ((1, 1), (2, 1), 0.30685281944),
+    ((2, 1), (1, 1), 0.19314718056),
+    ((2, 1), (1, 2), 1),
+    ((1, 1), (11, 1), 7.6021047272),
+    ((11, 1), (2, 1), 0.886566274057),
+    ((1.5, 1.5), (1, 1), 0.0484172947105),
+    ((101, 3), (100, 3), 1.45152709829e-4),
+    ((1001, 1), (1000, 1), 4.99334082534e-7),
+    ((1e4, 1e4), (1.01e4, 1e4), 0.248775851163),
+    ((0.1, 0.1), (1.1, 0.1), 4.44156786326),
+    ((1e5, 1), (1, 1), 10.512935465),
+]
+
+
+@pytest.mark.parametrize(("alpha", "other", "expected"), VECTORS)
+def test_kl_vectors(alpha: tuple, other: tuple, expected: float) -> None:
+    a, b = np.array(alpha, float), np.array(other, float)
+    assert evidence.dirichlet_kl(a, b) == pytest.approx(expected, rel=1e-11)
+    single = evidence.dirichlet_kl(a.astype(np.float32), b.astype(np.float32))
+    assert single.dtype == np.float32
+    assert single == pytest.approx(expected, rel=1e-4)
+    assert evidence.dirichlet_kl(torch.tensor(a), torch.tensor(b)).item() == pytest.approx(
+        expected, rel=1e-11
+    )
+
+
+@pytest.mark.parametrize("e", [0.5, 1.0, 10.0, 1e3])
+def test_kl_of_missed_false_and_opposite_cells(e: float) -> None:
+    """Closed forms: e - ln(1 + e), ln(1 + e) - e / (1 + e), and e times the harmonic number of e."""
+    nothing, something, opposite = np.ones(2), np.array([1 + e, 1]), np.array([1, 1 + e])
+    assert evidence.dirichlet_kl(nothing, something) == pytest.approx(e - np.log1p(e), rel=1e-12)
+    assert evidence.dirichlet_kl(something, nothing) == pytest.approx(np.log1p(e) - e / (1 + e), rel=1e-12)
+    harmonic = float(mpmath.harmonic(e))
+    assert evidence.dirichlet_kl(something, opposite) == pytest.approx(e * harmonic, rel=1e-12)
+
+
+@laws
+@given(st.lists(st.tuples(exponents, exponents), min_size=2, max_size=4))
+def test_kl_is_exact_for_all_sizes_of_alpha(logs: list) -> None:
+    alpha, other = 10 ** np.array(logs).T
+    exact = exact_kl(alpha, other)
+    assert abs(evidence.dirichlet_kl(alpha, other) - exact) <= 1e-11 * (1 + exact)
+
+
+@laws
+@given(st.lists(st.tuples(exponents, st.floats(-1, 1)), min_size=2, max_size=4), st.floats(-7, -0.5))
+def test_kl_is_exact_and_never_negative_for_near_densities(parts: list, log_step: float) -> None:
+    alpha = 10 ** np.array([part[0] for part in parts])
+    other = alpha * (1 + np.array([part[1] for part in parts]) * 10**log_step)
+    exact = exact_kl(alpha, other)
+    value = evidence.dirichlet_kl(alpha, other)
+    assert value >= 0
+    assert abs(value - exact) <= 1e-11 * (1 + exact)
+    if exact > 1e-14:
+        assert abs(value - exact) <= 1e-2 * exact
+
+
+def test_kl_is_never_negative_in_float32() -> None:
+    """The textbook formula in float32 is: -5e-4 at alpha = 1e3."""
+    rng = np.random.default_rng(0)
+    alpha = (10 ** rng.uniform(0, 6, (100_000, 2))).astype(np.float32)
+    other = (alpha * (1 + rng.uniform(-1e-3, 1e-3, alpha.shape))).astype(np.float32)
+    assert evidence.dirichlet_kl(alpha, other).min() >= 0
+    assert (evidence.dirichlet_kl(alpha, alpha) == 0).all()
+
+
+@laws
+@given(st.lists(exponents, min_size=2, max_size=4))
+def test_entropy_is_exact(logs: list) -> None:
+    alpha = 10 ** np.array(logs)
+    exact = exact_entropy(alpha)
+    assert abs(evidence.dirichlet_entropy(alpha) - exact) <= 1e-12 * (1 + abs(exact))
+    tensor = evidence.dirichlet_entropy(torch.tensor(alpha)).item()
+    assert abs(tensor - exact) <= 1e-12 * (1 + abs(exact))
+
+
+def test_entropy_and_kl_are_integrals() -> None:
+    """By quadrature of Beta densities."""
+    p, q = stats.beta(2.5, 1.7), stats.beta(1.2, 3.1)
+    a, b = np.array([2.5, 1.7]), np.array([1.2, 3.1])
+    kl = integrate.quad(lambda x: p.pdf(x) * (p.logpdf(x) - q.logpdf(x)), 0, 1)[0]
+    assert evidence.dirichlet_kl(a, b) == pytest.approx(kl, rel=1e-7)
+    assert evidence.dirichlet_entropy(a) == pytest.approx(p.entropy(), rel=1e-10)
+    assert evidence.dirichlet_entropy(np.ones(2)) == pytest.approx(0, abs=1e-15)
+
+
+def test_agrees_with_torch_distributions() -> None:
+    rng = np.random.default_rng(0)
+    a, b = torch.tensor(rng.uniform(0.5, 20, (2, 6, 3)))
+    p, q = torch.distributions.Dirichlet(a), torch.distributions.Dirichlet(b)
+    torch.testing.assert_close(evidence.dirichlet_kl(a, b), torch.distributions.kl_divergence(p, q))
+    torch.testing.assert_close(evidence.dirichlet_entropy(a), p.entropy())
+
+
+@pytest.mark.parametrize("shape", [(), (5,), (2, 3), (0,)])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_shapes_and_dtypes(shape: tuple, dtype: Any) -> None:
+    alpha = np.full((*shape, 3), 2, dtype)
+    for value in (evidence.dirichlet_kl(alpha, alpha + 1), evidence.dirichlet_entropy(alpha)):
+        assert value.shape == shape
+        assert value.dtype == dtype

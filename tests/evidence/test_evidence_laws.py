@@ -1,0 +1,373 @@
+"""Laws that hold for all masses, in float32 and float64 and for every batch shape."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from masses import CLOSED, RULES, arrays_of_masses, pair, rule, swapped, tolerance, triple
+
+from ogm import evidence
+
+laws = settings(max_examples=25, deadline=None)
+three = settings(max_examples=15, deadline=None)
+numbers = st.integers(0, 20).map(lambda n: n / 20)
+
+
+def same(actual: Any, expected: Any, times: float = 1) -> None:
+    assert actual.dtype == expected.dtype
+    assert actual.shape == expected.shape
+    np.testing.assert_allclose(actual, expected, atol=times * tolerance(np.asarray(expected)), rtol=0)
+
+
+def drawn(data: Any, name: str, count: int, *, least_unknown: int = 0) -> Any:
+    """Draw masses on which the rule is defined: the bold one needs conflict."""
+    if name == "bold":
+        return data.draw(arrays_of_masses(count, states=3, least_unknown=least_unknown, least_conflict=1))
+    return data.draw(arrays_of_masses(count, least_unknown=least_unknown))
+
+
+@pytest.mark.parametrize("name", RULES)
+@laws
+@given(data=st.data())
+def test_rules_give_masses(name: str, data: Any) -> None:
+    a, b = drawn(data, name, 2)
+    result = rule(name)(a, b)
+    assert result.dtype == a.dtype
+    assert result.shape[:-1] == a.shape[:-1]
+    evidence.check_mass(result)
+
+
+@pytest.mark.parametrize("name", RULES)
+@laws
+@given(data=st.data())
+def test_rules_are_commutative(name: str, data: Any) -> None:
+    a, b = drawn(data, name, 2)
+    same(rule(name)(a, b), rule(name)(b, a))
+
+
+@pytest.mark.parametrize("name", RULES)
+@laws
+@given(data=st.data())
+def test_rules_treat_free_and_occupied_alike(name: str, data: Any) -> None:
+    a, b = drawn(data, name, 2)
+    same(rule(name)(swapped(a), swapped(b)), swapped(rule(name)(a, b)))
+
+
+@pytest.mark.parametrize("name", [name for name, law in RULES.items() if law.associative])
+@three
+@given(data=st.data())
+def test_rules_are_associative(name: str, data: Any) -> None:
+    # Dempster's rule and cumulative fusion are not associative across cells without any unknown (their edge
+    # policy).
+    a, b, c = drawn(data, name, 3, least_unknown=1)
+    combine = rule(name)
+    left, right = combine(combine(a, b), c), combine(a, combine(b, c))
+    same(left, right, times=20)
+    same(combine(np.stack([a, b, c]), axis=0), left, times=20)
+
+
+@pytest.mark.parametrize("name", [name for name, law in RULES.items() if not law.associative])
+def test_rules_that_claim_no_associativity_have_none(name: str) -> None:
+    a, b, c = pair((0.5, 0.2, 0.3)), pair((0.1, 0.6, 0.3)), pair((0.1, 0.7, 0.2))
+    combine = rule(name)
+    assert abs(combine(combine(a, b), c) - combine(a, combine(b, c))).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", [name for name, law in RULES.items() if law.vacuous_is_neutral])
+@laws
+@given(mass=arrays_of_masses())
+def test_vacuous_is_neutral(name: str, mass: np.ndarray) -> None:
+    same(rule(name)(mass, np.zeros_like(mass))[..., :2], mass)
+
+
+@pytest.mark.parametrize("name", [name for name, law in RULES.items() if not law.vacuous_is_neutral])
+def test_rules_that_claim_no_neutral_vacuous_have_none(name: str) -> None:
+    mass, vacuous = np.array([0.5, 0.2, 0.1]), np.array([0, 0, 1e-3])
+    if name != "bold":
+        mass, vacuous = mass[:2], vacuous[:2]
+    assert abs(rule(name)(mass, vacuous)[..., :2] - mass[:2]).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", [name for name, law in RULES.items() if law.idempotent])
+@laws
+@given(data=st.data())
+def test_rules_are_idempotent(name: str, data: Any) -> None:
+    mass = drawn(data, name, 1, least_unknown=0 if name in CLOSED else 1)
+    same(rule(name)(mass, mass)[..., : mass.shape[-1]], mass)
+
+
+@pytest.mark.parametrize("name", [name for name, law in RULES.items() if not law.idempotent])
+def test_rules_that_claim_no_idempotence_have_none(name: str) -> None:
+    mass = pair((0.5, 0.2, 0.3))
+    assert abs(rule(name)(mass, mass)[..., :2] - mass).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", RULES)
+@laws
+@given(data=st.data())
+def test_a_stack_of_two_is_a_pair(name: str, data: Any) -> None:
+    a, b = drawn(data, name, 2)
+    axis = data.draw(st.integers(0, a.ndim - 1))
+    same(rule(name)(np.stack([a, b], axis=axis), axis=axis), rule(name)(a, b))
+    same(rule(name)(np.stack([a, b], axis=axis), axis=axis - a.ndim - 1), rule(name)(a, b))
+
+
+@pytest.mark.parametrize("name", CLOSED)
+@three
+@given(data=st.data())
+def test_the_order_in_a_stack_does_not_matter(name: str, data: Any) -> None:
+    masses = drawn(data, name, 4)
+    same(rule(name)(np.stack(masses), axis=0), rule(name)(np.stack(masses[::-1]), axis=0))
+
+
+@pytest.mark.parametrize("name", ["dempster", "cumulative", "averaging", "weighted", "yager", "murphy"])
+@laws
+@given(data=st.data())
+def test_a_stack_of_one_is_itself(name: str, data: Any) -> None:
+    mass = data.draw(arrays_of_masses())
+    same(rule(name)(mass[None], axis=0), mass)
+
+
+@laws
+@given(mass=arrays_of_masses(4))
+def test_pcr6_plus_and_weighted_ignore_vacuous_sources_in_any_stack(mass: Any) -> None:
+    with_vacuous = np.stack([*mass, np.zeros_like(mass[0])])
+    for fuse in (
+        evidence.pcr6_plus,
+        evidence.weighted,
+        evidence.yager,
+        evidence.dempster,
+        evidence.cumulative,
+    ):
+        same(fuse(with_vacuous, axis=0), fuse(np.stack(mass), axis=0))
+
+
+@laws
+@given(masses=arrays_of_masses(2, least_unknown=1))
+def test_dempster_adds_log_odds(masses: Any) -> None:
+    a, b = masses
+    expected = evidence.mass_to_log_odds(a) + evidence.mass_to_log_odds(b)
+    same(evidence.mass_to_log_odds(evidence.dempster(a, b)), expected, times=200)
+
+
+@laws
+@given(masses=arrays_of_masses(2, least_unknown=5))
+def test_unfusion_inverts_cumulative_fusion(masses: Any) -> None:
+    a, b = masses
+    same(evidence.cumulative_unfusion(evidence.cumulative(a, b), a), b, times=200)
+
+
+@laws
+@given(masses=arrays_of_masses(2, least_unknown=1))
+def test_cumulative_fusion_adds_evidence(masses: Any) -> None:
+    a, b = masses
+    total = evidence.mass_to_evidence(a) + evidence.mass_to_evidence(b)
+    same(evidence.cumulative(a, b), evidence.evidence_to_mass(total), times=5)
+
+
+@laws
+@given(masses=arrays_of_masses(2, least_unknown=1))
+def test_averaging_fusion_averages_evidence(masses: Any) -> None:
+    a, b = masses
+    mean = (evidence.mass_to_evidence(a) + evidence.mass_to_evidence(b)) / 2
+    same(evidence.averaging(a, b), evidence.evidence_to_mass(mean), times=5)
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_combining_never_adds_ignorance(masses: Any) -> None:
+    a, b = masses
+    least = np.minimum(evidence.unknown(a), evidence.unknown(b))
+    assert (evidence.unknown(evidence.cumulative(a, b)) <= least + tolerance(a)).all()
+    open_mass = evidence.conjunctive(a, b)
+    assert (1 - open_mass.sum(-1) <= least + tolerance(a)).all()
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_yager_is_the_conjunctive_rule_with_conflict_as_unknown(masses: Any) -> None:
+    a, b = masses
+    open_mass = evidence.conjunctive(a, b)
+    same(evidence.yager(a, b), open_mass[..., :2])
+    same(open_mass[..., 2], evidence.conflict(a, b))
+    same(evidence.close_world(open_mass), evidence.dempster(a, b), times=5)
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_conflict_splits_by_direction(masses: Any) -> None:
+    a, b = masses
+    both = evidence.conflict_direction(a, b)
+    same(both.sum(-1), evidence.conflict(a, b))
+    same(both, evidence.conflict_direction(b, a)[..., ::-1])
+    same(both, evidence.conflict_direction(swapped(a), swapped(b))[..., ::-1])
+
+
+@laws
+@given(mass=arrays_of_masses(), first=numbers, second=numbers)
+def test_discounts_compose(mass: np.ndarray, first: float, second: float) -> None:
+    for discount in (evidence.discount, evidence.discount_evidence):
+        same(discount(discount(mass, first), second), discount(mass, first * second), times=5)
+        same(discount(mass, 1.0), mass)
+        same(discount(mass, 0.0), np.zeros_like(mass))
+
+
+@laws
+@given(mass=arrays_of_masses(), one=numbers, other=numbers)
+def test_forgetting_does_not_depend_on_the_steps(mass: np.ndarray, one: float, other: float) -> None:
+    step = evidence.discount_over_time(evidence.discount_over_time(mass, one, 0.7), other, 0.7)
+    same(step, evidence.discount_over_time(mass, one + other, 0.7), times=5)
+    same(evidence.discount_over_time(mass, 3.0, half_life=3.0), mass / 2)
+    same(evidence.discount_over_time(mass, 3.0, half_life=float("inf")), mass)
+
+
+@laws
+@given(mass=arrays_of_masses(least_unknown=1), reliability=numbers)
+def test_evidence_discounting_scales_evidence(mass: np.ndarray, reliability: float) -> None:
+    scaled = evidence.mass_to_evidence(mass) * reliability
+    same(evidence.discount_evidence(mass, reliability), evidence.evidence_to_mass(scaled.astype(mass.dtype)))
+
+
+@laws
+@given(mass=arrays_of_masses(), reliability=numbers)
+def test_discounting_by_one_number_and_by_an_array_agree(mass: np.ndarray, reliability: float) -> None:
+    per_cell = np.full(mass.shape[:-1], reliability, mass.dtype)
+    for discount in (evidence.discount, evidence.discount_evidence):
+        same(discount(mass, per_cell), discount(mass, reliability))
+    same(evidence.contextual_discount(mass, per_cell, per_cell), evidence.discount(mass, reliability))
+
+
+@laws
+@given(masses=arrays_of_masses(2), base_rate=numbers)
+def test_trust_discounting_is_discounting_by_the_projected_trust(masses: Any, base_rate: float) -> None:
+    mass, trust = masses
+    reliability = evidence.mass_to_probability(trust, base_rate)
+    same(evidence.trust_discount(mass, trust, base_rate), evidence.discount(mass, reliability))
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_full_distrust_turns_an_opposite_discount_around(masses: Any) -> None:
+    mass, trust = masses
+    distrust, full_trust = np.zeros_like(mass), np.zeros_like(mass)
+    distrust[..., 0], full_trust[..., 1] = 1, 1
+    same(evidence.trust_discount_opposite(mass, distrust), swapped(mass))
+    same(evidence.trust_discount_opposite(mass, full_trust), mass)
+    evidence.check_mass(evidence.trust_discount_opposite(mass, trust))
+
+
+@laws
+@given(mass=arrays_of_masses())
+def test_probabilities_lie_between_belief_and_plausibility(mass: np.ndarray) -> None:
+    free, occupied = mass[..., 0], mass[..., 1]
+    for transform in (evidence.pignistic, evidence.plausibility_transform):
+        probability = transform(mass)
+        assert (occupied - tolerance(mass) <= probability).all()
+        assert (probability <= 1 - free + tolerance(mass)).all()
+
+
+@laws
+@given(mass=arrays_of_masses(), base_rate=numbers)
+def test_uncertainty_maximisation_keeps_the_probability(mass: np.ndarray, base_rate: float) -> None:
+    maximal = evidence.maximize_uncertainty(mass, base_rate)
+    evidence.check_mass(maximal)
+    same(
+        evidence.mass_to_probability(maximal, base_rate),
+        evidence.mass_to_probability(mass, base_rate),
+        times=5,
+    )
+    assert (evidence.unknown(maximal) >= evidence.unknown(mass) - tolerance(mass)).all()
+    assert (maximal.min(-1) <= tolerance(mass)).all()
+    same(evidence.maximize_uncertainty(maximal, base_rate), maximal, times=5)
+
+
+@laws
+@given(masses=arrays_of_masses(2), base_rate=numbers)
+def test_measures_lie_in_their_ranges(masses: Any, base_rate: float) -> None:
+    a, b = masses
+    ranges = {
+        "conflict": (0, 1, evidence.conflict(a, b)),
+        "degree_of_conflict": (0, 1, evidence.degree_of_conflict(a, b, base_rate)),
+        "jousselme": (0, 1, evidence.jousselme_distance(a, b)),
+        "vacuity": (0, 1, evidence.vacuity(a)),
+        "dissonance": (0, 1, evidence.dissonance(a)),
+        "specificity": (0.5, 1, evidence.specificity(a)),
+        "yager": (0, 1, evidence.yager_entropy(a)),
+        "pignistic": (0, 1, evidence.pignistic_entropy(a)),
+        "jirousek_shenoy": (0, 2, evidence.jirousek_shenoy_entropy(a)),
+        "deng": (0, np.log2(5), evidence.deng_entropy(a)),
+    }
+    for name, (low, high, value) in ranges.items():
+        assert value.dtype == a.dtype, name
+        assert value.shape == a.shape[:-1], name
+        assert ((value >= low - tolerance(a)) & (value <= high + tolerance(a))).all(), name
+
+
+@laws
+@given(masses=arrays_of_masses(3))
+def test_jousselme_is_a_distance(masses: Any) -> None:
+    a, b, c = masses
+    distance = evidence.jousselme_distance
+    same(distance(a, a), np.zeros_like(a[..., 0]))
+    same(distance(a, b), distance(b, a))
+    assert (distance(a, c) <= distance(a, b) + distance(b, c) + tolerance(a)).all()
+    # The closed form is the published one, with the matrix of Jaccard indices.
+    jaccard = np.array([[1, 0, 0.5], [0, 1, 0.5], [0.5, 0.5, 1]])
+    d = triple(a).astype(float) - triple(b)
+    quadratic = np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", d, jaccard, d) / 2, 0))
+    np.testing.assert_allclose(distance(a, b), quadratic, atol=1e-3 if a.dtype == np.float32 else 1e-7)
+
+
+@laws
+@given(masses=arrays_of_masses(2), rates=st.tuples(st.integers(0, 19), st.integers(0, 19)))
+def test_multiplication_multiplies_probabilities(masses: Any, rates: tuple[int, int]) -> None:
+    x, y = masses
+    a, r = rates[0] / 20, rates[1] / 20
+    both, rate = evidence.multiplication(x, y, a, r)
+    evidence.check_mass(both)
+    product = evidence.mass_to_probability(x, a) * evidence.mass_to_probability(y, r)
+    same(evidence.mass_to_probability(both, rate), product, times=5)
+
+
+@laws
+@given(masses=arrays_of_masses(2), rates=st.tuples(st.integers(1, 20), st.integers(1, 20)))
+def test_comultiplication_is_the_dual_of_multiplication(masses: Any, rates: tuple[int, int]) -> None:
+    x, y = masses
+    a, r = rates[0] / 20, rates[1] / 20
+    either, rate = evidence.comultiplication(x, y, a, r)
+    neither = evidence.multiplication(swapped(x), swapped(y), 1 - a, 1 - r)
+    same(either, swapped(neither.mass), times=5)
+    same(rate, 1 - neither.base_rate, times=5)
+
+
+@laws
+@given(masses=arrays_of_masses(3), base_rate=numbers)
+def test_deduction_follows_the_law_of_total_probability(masses: Any, base_rate: float) -> None:
+    x, if_true, if_false = masses
+    y, rate = evidence.deduction(x, if_true, if_false, base_rate)
+    evidence.check_mass(y, tolerance=tolerance(x))
+    p = evidence.mass_to_probability(x, base_rate)
+    p_true, p_false = (evidence.mass_to_probability(c, rate) for c in (if_true, if_false))
+    same(evidence.mass_to_probability(evidence.renormalize(y), rate), p * p_true + (1 - p) * p_false, times=5)
+
+
+@three
+@given(conditionals=arrays_of_masses(2))
+def test_deduction_from_certainty_is_the_conditional(conditionals: Any) -> None:
+    if_true, if_false = conditionals
+    certain = np.zeros_like(if_true)
+    certain[..., 1] = 1
+    same(evidence.deduction(certain, if_true, if_false).mass, if_true, times=5)
+    same(evidence.deduction(swapped(certain), if_true, if_false).mass, if_false, times=5)
+
+
+@laws
+@given(hits=st.integers(0, 6), passes=st.integers(0, 6), miss=numbers, false=numbers)
+def test_count_masses_are_yagers_rule_on_simple_masses(
+    hits: int, passes: int, miss: float, false: float
+) -> None:
+    sources = [[0, 1 - false]] * hits + [[1 - miss, 0]] * passes + [[0, 0]]
+    expected = evidence.yager(np.array(sources, float), axis=0)
+    same(evidence.counts_to_mass(np.array(float(hits)), np.array(float(passes)), miss, false), expected)
