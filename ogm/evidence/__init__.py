@@ -1,0 +1,129 @@
+"""Evidence algebra on arrays: Dempster-Shafer rules and subjective logic for occupancy grids.
+
+Masses are arrays of pairs ``(free, occupied)`` with any leading shape, in numpy or torch, float32 or float64;
+what is not committed is unknown. Results come in the caller's library and dtype, and torch gradients flow.
+
+See `docs/evidence.md` for every rule with its formula, properties and edge policy.
+"""
+
+from ogm.evidence.arrays import check_mass, renormalize
+from ogm.evidence.dirichlet import dirichlet_entropy, dirichlet_kl
+from ogm.evidence.discounting import (
+    contextual_discount,
+    discount,
+    discount_evidence,
+    discount_over_time,
+    trust_discount,
+    trust_discount_opposite,
+)
+from ogm.evidence.logic import Conclusion, comultiplication, deduction, multiplication
+from ogm.evidence.measures import (
+    conflict,
+    conflict_direction,
+    degree_of_conflict,
+    deng_entropy,
+    dissonance,
+    jirousek_shenoy_entropy,
+    jousselme_distance,
+    nonspecificity,
+    pignistic_entropy,
+    specificity,
+    vacuity,
+    yager_entropy,
+)
+from ogm.evidence.open_world import bold, cautious, close_world, conjunctive, disjunctive
+from ogm.evidence.opinion import (
+    Opinion,
+    alpha_to_evidence,
+    evidence_to_alpha,
+    evidence_to_mass,
+    mass_to_evidence,
+    unknown,
+)
+from ogm.evidence.probability import (
+    counts_to_mass,
+    log_odds_to_mass,
+    mass_to_log_odds,
+    mass_to_probability,
+    maximize_uncertainty,
+    pignistic,
+    plausibility_transform,
+    probability_to_mass,
+)
+from ogm.evidence.proportional import murphy, pcr5, pcr6, pcr6_plus
+from ogm.evidence.rules import dempster, dubois_prade, yager
+from ogm.evidence.subjective import (
+    averaging,
+    belief_constraint,
+    confidence_base_rate,
+    consensus_compromise,
+    cumulative,
+    cumulative_base_rate,
+    cumulative_epistemic,
+    cumulative_unfusion,
+    weighted,
+)
+
+__all__ = [
+    "Conclusion",
+    "Opinion",
+    "alpha_to_evidence",
+    "averaging",
+    "belief_constraint",
+    "bold",
+    "cautious",
+    "check_mass",
+    "close_world",
+    "comultiplication",
+    "confidence_base_rate",
+    "conflict",
+    "conflict_direction",
+    "conjunctive",
+    "consensus_compromise",
+    "contextual_discount",
+    "counts_to_mass",
+    "cumulative",
+    "cumulative_base_rate",
+    "cumulative_epistemic",
+    "cumulative_unfusion",
+    "deduction",
+    "degree_of_conflict",
+    "dempster",
+    "deng_entropy",
+    "dirichlet_entropy",
+    "dirichlet_kl",
+    "discount",
+    "discount_evidence",
+    "discount_over_time",
+    "disjunctive",
+    "dissonance",
+    "dubois_prade",
+    "evidence_to_alpha",
+    "evidence_to_mass",
+    "jirousek_shenoy_entropy",
+    "jousselme_distance",
+    "log_odds_to_mass",
+    "mass_to_evidence",
+    "mass_to_log_odds",
+    "mass_to_probability",
+    "maximize_uncertainty",
+    "multiplication",
+    "murphy",
+    "nonspecificity",
+    "pcr5",
+    "pcr6",
+    "pcr6_plus",
+    "pignistic",
+    "pignistic_entropy",
+    "plausibility_transform",
+    "probability_to_mass",
+    "renormalize",
+    "specificity",
+    "trust_discount",
+    "trust_discount_opposite",
+    "unknown",
+    "vacuity",
+    "weighted",
+    "yager",
+    "yager_entropy",
+]

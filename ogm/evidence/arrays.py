@@ -1,0 +1,294 @@
+"""What every function here does first: know its library, and refuse what is not a mass.
+
+One source serves numpy and torch because the two modules agree on the few functions the algebra needs
+(``where``, ``stack``, ``sqrt``, ``log``, ...). Torch is never imported: a tensor can only exist once somebody
+else has imported it, so it is found in ``sys.modules``.
+
+Two kinds of checks. *Form* (library, dtype, last axis, shapes) is checked on every call: it costs nothing.
+*Values* (the simplex, NaN) are checked on every call for numpy arrays, where a minimum is cheap, and never
+for tensors, where reading a value would stall the GPU and stop tracing: call `check_mass` where tensors
+enter.
+"""
+
+import sys
+from types import ModuleType
+from typing import Any, TypeVar
+
+import numpy as np
+
+__all__ = ["Array", "check_mass", "renormalize", "tolerance_of"]
+
+Array = TypeVar("Array")  # a numpy array or a torch tensor: what goes in comes out
+
+_STATES: dict[tuple[int, ...], str] = {
+    (2,): "2 states (free, occupied)",
+    (3,): "3 numbers (free, occupied, conflict)",
+    (2, 3): "2 states (free, occupied), or 3 numbers (free, occupied, conflict),",
+}
+_TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a mass outside the simplex
+
+
+def namespace(array: Any, name: str = "mass") -> Any:
+    """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
+    if isinstance(array, np.ndarray | np.generic):
+        return np
+    torch = sys.modules.get("torch")
+    if isinstance(torch, ModuleType) and isinstance(array, torch.Tensor):
+        return torch
+    raise TypeError(
+        f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; "
+        f"wrap it: np.asarray({name})"
+    )
+
+
+def dtype_name(array: Any) -> str:
+    """Return ``"float32"`` for either library's float32, and so on."""
+    return str(array.dtype).removeprefix("torch.")
+
+
+def tolerance_of(mass: Any) -> float:
+    """Return how far a mass of this dtype may lie outside the simplex: 1e-6 (float32), 1e-12 (float64)."""
+    return _TOLERANCE[dtype_name(mass)]
+
+
+def check_form(array: Any, name: str = "mass", states: tuple[int, ...] = (2,)) -> Any:
+    """Refuse a wrong library, dtype or last axis; return the library's module."""
+    xp = namespace(array, name)
+    if dtype_name(array) not in _TOLERANCE:
+        raise TypeError(
+            f"{name} must be float32 or float64, got {dtype_name(array)}; convert it, "
+            f"for example {name}.{'astype(np.float32)' if xp is np else 'float()'}"
+        )
+    if array.ndim == 0 or array.shape[-1] not in states:
+        wanted = _STATES[states]
+        raise ValueError(f"{name} must have {wanted} on its last axis, got shape {tuple(array.shape)}")
+    return xp
+
+
+def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
+    """Refuse two arrays of different library, dtype or device, or of shapes that do not broadcast."""
+    first, second = names
+    if namespace(a, first) is not namespace(b, second):
+        raise TypeError(
+            f"{first} and {second} must come from one library, got {namespace(a).__name__} and "
+            f"{namespace(b).__name__}; convert one: torch.from_numpy(x) or x.numpy()"
+        )
+    if a.dtype != b.dtype:
+        raise TypeError(
+            f"{first} and {second} must have one dtype, got {dtype_name(a)} and {dtype_name(b)}; "
+            f"cast one of them"
+        )
+    try:
+        np.broadcast_shapes(tuple(a.shape[:-1]), tuple(b.shape[:-1]))
+    except ValueError:
+        raise ValueError(
+            f"{first} and {second} must have shapes that broadcast, got {tuple(a.shape)} and {tuple(b.shape)}"
+        ) from None
+
+
+def rounding(mass: Any) -> float:
+    """Return the unknown that counts as none: 4 units of rounding, 4.8e-7 (float32) or 8.9e-16 (float64).
+
+    1 - (free + occupied) of a dogmatic mass is not always exactly zero.
+    """
+    return float(4 * np.finfo(dtype_name(mass)).eps)
+
+
+def like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1.0) -> Any:
+    """Bring a number, or an array of one number per cell, to the library and dtype of `cells`.
+
+    Numbers and numpy arrays are checked to lie in [low, high], arrays to broadcast with `cells`.
+    """
+    xp = namespace(cells)
+    if isinstance(value, int | float | np.generic):
+        number = float(value)
+        if not low <= number <= high:
+            raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {number}")
+        return number
+    if namespace(value, name) is not xp:
+        raise TypeError(
+            f"{name} must be a number or come from the library of the mass, got {type(value).__name__}"
+        )
+    try:
+        np.broadcast_shapes(tuple(value.shape), tuple(cells.shape))
+    except ValueError:
+        raise ValueError(
+            f"{name} must have one number per cell, shape {tuple(cells.shape)}, "
+            f"got shape {tuple(value.shape)}"
+        ) from None
+    if xp is not np:
+        return value.to(cells.dtype)
+    outside = ~((value >= low) & (value <= high))
+    if outside.any():
+        index = [int(i) for i in np.argwhere(outside)[0]]
+        raise ValueError(
+            f"{name} must lie in [{low:g}, {high:g}], but {name}{index} is {value[tuple(index)]}"
+        )
+    return value.astype(cells.dtype, copy=False)
+
+
+def anywhere(xp: Any, condition: Any) -> bool:
+    """Say whether a rare case occurs, so that numpy may skip its treatment.
+
+    A tensor is not read: there it always may.
+    """
+    return xp is not np or bool(condition.any())
+
+
+def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
+    """Check a pair and return its (free, occupied, unknown), each of the leading shape.
+
+    The derived unknown is 1 - free - occupied; what rounding leaves below zero is zero.
+    """
+    xp = check_form(mass, name)
+    free, occupied = mass[..., 0], mass[..., 1]
+    unknown = 1 - (free + occupied)  # in this order free and occupied are treated alike to the last bit
+    if xp is not np:
+        return free, occupied, unknown.clip(0)
+    _check_values(mass, unknown, name)
+    return free, occupied, unknown if unknown.min(initial=0) >= 0 else np.maximum(unknown, 0)
+
+
+def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
+    """Return (free, occupied, unknown, conflict) of a pair (its conflict is 0) or an open-world triple."""
+    xp = check_form(mass, name, states=(2, 3))
+    if mass.shape[-1] == 2:
+        free, occupied, unknown = split(mass, name)
+        return free, occupied, unknown, 0 * unknown
+    free, occupied, conflict = mass[..., 0], mass[..., 1], mass[..., 2]
+    unknown = 1 - conflict - (free + occupied)
+    if xp is np:
+        _check_values(mass, unknown, name)
+    return free, occupied, unknown.clip(0), conflict
+
+
+def _check_values(mass: Any, unknown: Any, name: str) -> None:
+    """Check an array whose unknown is at hand: two minima, and the full search only where they fail."""
+    least = min(float(unknown.min(initial=1)), float(mass.min(initial=0)))
+    if not least >= -tolerance_of(mass):
+        check_mass(mass, name=name)
+
+
+def sources(a: Any, b: Any, axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
+    """Return (module, parts) of a rule's sources: of the two in ``(a, b)``, or of those along `axis` of `a`.
+
+    Each part is (free, occupied, unknown).
+    """
+    return _sources(a, b, axis, (2,), split)
+
+
+def open_sources(
+    a: Any, b: Any, axis: int | None, states: tuple[int, ...] = (2, 3)
+) -> tuple[Any, list[tuple[Any, Any, Any, Any]]]:
+    """Return the same for open-world rules: each part is (free, occupied, unknown, conflict)."""
+    return _sources(a, b, axis, states, split_open)
+
+
+def _sources(
+    a: Any, b: Any, axis: int | None, states: tuple[int, ...], take_apart: Any
+) -> tuple[Any, list[Any]]:
+    xp = check_form(a, "a", states)
+    if b is not None and axis is None:
+        check_form(b, "b", states)
+        check_alike(a, b)
+        return xp, [take_apart(a, "a"), take_apart(b, "b")]
+    if b is not None or axis is None:
+        raise TypeError(
+            "give two masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0)"
+        )
+    if a.ndim < 2 or not -a.ndim <= axis < a.ndim or axis % a.ndim == a.ndim - 1:
+        raise ValueError(
+            f"axis must be a leading axis of the stack, not the last one (the states), "
+            f"got axis {axis} for shape {tuple(a.shape)}"
+        )
+    if a.shape[axis] == 0:
+        raise ValueError(
+            f"a rule needs at least one source, got none along axis {axis} of shape {tuple(a.shape)}"
+        )
+    stacks = [xp.moveaxis(number, axis % a.ndim, 0) for number in take_apart(a, "a")]
+    return xp, list(zip(*stacks, strict=True))
+
+
+def broadcast(xp: Any, arrays: list[Any]) -> list[Any]:
+    """Bring arrays of either library to one shape."""
+    return list(xp.broadcast_arrays(*arrays) if xp is np else xp.broadcast_tensors(*arrays))
+
+
+def pack(xp: Any, numbers: list[Any], mass: Any) -> Any:
+    """Stack numbers per cell on a new last axis, in the dtype of `mass`."""
+    if xp is np:
+        return np.stack(broadcast(xp, numbers), axis=-1).astype(mass.dtype, copy=False)
+    return xp.stack(broadcast(xp, numbers), dim=-1)
+
+
+def per_cell(value: Any, mass: Any) -> Any:
+    """Return one number per cell in the dtype of `mass` (numpy 1 would widen a lone float32)."""
+    return value.astype(mass.dtype, copy=False) if namespace(mass) is np else value
+
+
+def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") -> None:
+    """Raise unless every cell is a mass: free >= 0, occupied >= 0, free + occupied <= 1.
+
+    Call it where data enters, once. Nothing is changed; `renormalize` is the verb that repairs.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+        Pairs (free, occupied); or (..., 3), triples (free, occupied, conflict) of an open world.
+    tolerance : float, optional
+        How far outside the simplex a cell may lie; by default 1e-6 for float32 and 1e-12 for float64.
+    name : str
+        What the error message calls the array.
+
+    Raises
+    ------
+    ValueError
+        If a cell is NaN or lies outside the simplex by more than `tolerance`; the message names the worst
+        cell, its value and the tolerance.
+    TypeError
+        If `mass` is no floating-point array or tensor.
+    """
+    xp = check_form(mass, name, states=(2, 3))
+    tolerance = tolerance_of(mass) if tolerance is None else tolerance
+    values = mass if xp is np else mass.detach()
+    # How far each cell lies outside: below zero, or above one in sum. NaN counts as infinitely far.
+    below = -(values.min(-1) if xp is np else values.amin(-1))
+    above = values.sum(-1) - 1
+    outside = xp.where(below > above, below, above)
+    outside = xp.where(xp.isnan(outside), xp.inf, outside)
+    if bool((outside <= tolerance).all()):
+        return
+    index = tuple(int(i) for i in np.unravel_index(int(outside.argmax()), tuple(outside.shape)))
+    place = f"{name}[{', '.join(map(str, (*index, ':')))}]"
+    count = int((~(outside <= tolerance)).sum())
+    raise ValueError(
+        f"{name} must be non-negative and sum to at most 1 in every cell (tolerance {tolerance:g}); the "
+        f"worst of the {count} cells that are not, {place}, is {values[index].tolist()}; "
+        f"repair it on purpose with renormalize({name})"
+    )
+
+
+def renormalize(mass: Array) -> Array:
+    """Return the mass with negative numbers set to 0 and sums above 1 divided by the sum.
+
+    An explicit repair, for data that comes from elsewhere with rounding or resampling errors in it; nothing
+    in this package calls it for you.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+        Finite numbers, meant to be pairs (free, occupied); (..., 3) triples are also taken.
+
+    Raises
+    ------
+    ValueError
+        If a numpy array holds NaN or infinity: there is nothing to repair them with.
+    """
+    xp = check_form(mass, states=(2, 3))
+    given: Any = mass
+    if xp is np and not np.isfinite(given).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
+        raise ValueError(f"mass must be finite to be renormalized, but mass{list(index)} is {given[index]}")
+    positive = given.clip(0)
+    total = positive.sum(-1)[..., None]
+    return positive / xp.where(total > 1, total, xp.ones_like(total))

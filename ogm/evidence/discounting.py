@@ -1,0 +1,155 @@
+"""Discounting: how a mass fades when its source is not to be trusted, or is old.
+
+Sources: Shafer (1976), chapter 11; Mercier, Quost and Denœux, "Refined modeling of sensor reliability in the
+belief function framework using contextual discounting" (2008); Jøsang, *Subjective Logic* (2016), chapter 14.
+"""
+
+from typing import Any
+
+from ogm.evidence.arrays import Array, check_alike, like, namespace, pack, split
+
+__all__ = [
+    "contextual_discount",
+    "discount",
+    "discount_evidence",
+    "discount_over_time",
+    "trust_discount",
+    "trust_discount_opposite",
+]
+
+
+def discount(mass: Array, reliability: Any) -> Array:
+    """Return Shafer's discounted mass: every belief times the reliability, the rest unknown.
+
+    Discounts compose: twice, with r1 and r2, is once with r1 r2.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+    reliability : float or (...) array
+        In [0, 1]; 1 keeps all, 0 leaves nothing.
+    """
+    free, occupied, _ = split(mass)
+    r = like(reliability, free, "reliability")
+    if isinstance(r, float):  # the same, in one pass
+        given: Any = mass
+        return given * r
+    return pack(namespace(mass), [r * free, r * occupied], mass)
+
+
+def discount_evidence(mass: Array, reliability: Any) -> Array:
+    """Return the mass whose evidence is `reliability` times that of `mass`.
+
+    b' = r b / (u + r (1 - u)). Gentler than `discount` on strong masses. A dogmatic mass has infinite
+    evidence and stays as it is for every r > 0; with r = 0 all is forgotten.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+    reliability : float or (...) array
+        In [0, 1]; 1 keeps all, 0 leaves nothing.
+    """
+    free, occupied, unknown = split(mass)
+    xp = namespace(mass)
+    r = like(reliability, free, "reliability")
+    strength = unknown + r * (free + occupied)
+    strength = strength + (strength == 0)
+    return pack(xp, [r * free / strength, r * occupied / strength], mass)
+
+
+def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
+    """Return the mass after `elapsed` seconds of forgetting: `discount` by 2^(-elapsed / half_life).
+
+    The exponential law is the one that does not depend on how time is cut into steps.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+    elapsed : float or (...) array
+        Time since the mass was measured [s], not negative.
+    half_life : float
+        Time in which belief halves [s], greater than 0; infinity forgets nothing.
+    """
+    if not half_life > 0:
+        raise ValueError(
+            f"half_life must be greater than 0 s, got {half_life}; use infinity to forget nothing"
+        )
+    age = like(elapsed, split(mass)[0], "elapsed", high=float("inf"))
+    return discount(mass, 0.5 ** (age / half_life))
+
+
+def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_occupied: Any) -> Array:
+    """Return the mass of a source whose reliability depends on what is really there.
+
+    A source that is unreliable *when the cell is occupied* cannot be believed when it says free, so
+
+    free' = reliability_if_occupied * free,   occupied' = reliability_if_free * occupied.
+
+    To let free space fade faster than obstacles, make `reliability_if_occupied` the smaller one. With both
+    equal it is exactly `discount`.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+    reliability_if_free, reliability_if_occupied : float or (...) array
+        In [0, 1]; 1 keeps all.
+
+    Notes
+    -----
+    Mercier, Quost and Denœux (2008): the disjunctive combination of `mass` with one mass per context that
+    puts 1 - reliability on that context and the rest on the empty set.
+    """
+    free, occupied, _ = split(mass)
+    if_free = like(reliability_if_free, free, "reliability_if_free")
+    if_occupied = like(reliability_if_occupied, free, "reliability_if_occupied")
+    return pack(namespace(mass), [if_occupied * free, if_free * occupied], mass)
+
+
+def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
+    """Return an advisor's mass, discounted by the projected probability of trust in the advisor.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+        What the advisor says.
+    trust : (..., 2) of the same library and dtype
+        Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
+    base_rate : float or (...) array
+        Trust in an advisor of whom nothing is known, in [0, 1].
+
+    Notes
+    -----
+    Jøsang (2016), section 14.3 (probability-sensitive trust discounting).
+    """
+    free, occupied, _ = split(mass)
+    check_alike(mass, trust, ("mass", "trust"))
+    _, trusted, unknown = split(trust, "trust")
+    r = trusted + like(base_rate, free, "base_rate") * unknown
+    return pack(namespace(mass), [r * free, r * occupied], mass)
+
+
+def trust_discount_opposite(mass: Array, trust: Array) -> Array:
+    """Return an advisor's mass where a distrusted advisor is believed to say the opposite of the truth.
+
+    free' = trust free + distrust occupied,   occupied' = trust occupied + distrust free.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+        What the advisor says.
+    trust : (..., 2) of the same library and dtype
+        Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
+
+    Notes
+    -----
+    Jøsang, Marsh and Pope, "Exploring different types of trust propagation" (2006), opposite belief
+    favouring.
+    """
+    free, occupied, _ = split(mass)
+    check_alike(mass, trust, ("mass", "trust"))
+    distrusted, trusted, _ = split(trust, "trust")
+    return pack(
+        namespace(mass),
+        [trusted * free + distrusted * occupied, trusted * occupied + distrusted * free],
+        mass,
+    )

@@ -1,0 +1,155 @@
+"""How much two masses conflict, and how much one mass does not know.
+
+Entropies are in bits. Sources are named with each measure.
+"""
+
+from typing import Any
+
+from ogm.evidence.arrays import Array, check_alike, namespace, pack, per_cell, split
+from ogm.evidence.opinion import unknown
+from ogm.evidence.probability import mass_to_probability, plausibility_transform
+
+__all__ = [
+    "conflict",
+    "conflict_direction",
+    "degree_of_conflict",
+    "deng_entropy",
+    "dissonance",
+    "jirousek_shenoy_entropy",
+    "jousselme_distance",
+    "nonspecificity",
+    "pignistic_entropy",
+    "specificity",
+    "vacuity",
+    "yager_entropy",
+]
+
+
+def conflict(a: Array, b: Array) -> Array:
+    """Return the mass that two sources put on the empty set before normalising, in [0, 1].
+
+    free_a occupied_b + occupied_a free_b (Shafer, 1976).
+
+    Parameters
+    ----------
+    a, b : (..., 2) float32 or float64, numpy or torch
+    """
+    f, o, g, p = _two(a, b)
+    return per_cell(f * p + o * g, a)
+
+
+def conflict_direction(before: Array, now: Array) -> Array:
+    """Return the conflict split by its direction: (free -> occupied, occupied -> free).
+
+    Something appeared in the first case and went away in the second: the usual sign of moving objects in a
+    map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
+
+    Parameters
+    ----------
+    before, now : (..., 2) float32 or float64, numpy or torch
+        For example the map and the new measurement grid.
+
+    Returns
+    -------
+    (..., 2): free_before occupied_now, and occupied_before free_now; they sum to `conflict`
+    """
+    f, o, g, p = _two(before, now, ("before", "now"))
+    return pack(namespace(before), [f * p, o * g], before)
+
+
+def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:
+    """Return Jøsang's degree of conflict, |P_a - P_b| (1 - u_a) (1 - u_b), in [0, 1].
+
+    Projected distance times conjunctive certainty (Jøsang 2016, section 4.8).
+    """
+    f, o, g, p = _two(a, b)
+    p_a: Any = mass_to_probability(a, base_rate)
+    distance = abs(p_a - mass_to_probability(b, base_rate))
+    return per_cell(distance * (f + o) * (g + p), a)
+
+
+def jousselme_distance(a: Array, b: Array) -> Array:
+    """Return Jousselme's distance of two masses, in [0, 1].
+
+    sqrt(d' D d / 2) with D the Jaccard indices of the focal sets (Jousselme, Grenier and Bossé, 2001); with
+    two states it reduces to the Euclidean distance of the pairs over sqrt(2).
+    """
+    f, o, g, p = _two(a, b)
+    xp = namespace(a)
+    square = 0.5 * ((f - g) ** 2 + (o - p) ** 2)
+    same = square == 0
+    return per_cell(xp.where(same, 0 * square, xp.sqrt(square + same)), a)
+
+
+def vacuity(mass: Array) -> Array:
+    """Return the unknown u: the uncertainty that comes from lack of evidence (Jøsang, Cho and Chen, 2018)."""
+    return unknown(mass)
+
+
+def dissonance(mass: Array) -> Array:
+    """Return the uncertainty that comes from contradicting evidence, 2 min(free, occupied), in [0, 1].
+
+    The binary case of sum_i b_i Bal_i with Bal = 1 - |b_i - b_j| / (b_i + b_j) (Jøsang, Cho and Chen, 2018).
+    """
+    free, occupied, _ = split(mass)
+    return per_cell(2 * namespace(mass).minimum(free, occupied), mass)
+
+
+def nonspecificity(mass: Array) -> Array:
+    """Return the generalised Hartley measure, sum m(A) log2 |A|; with two states it is the unknown."""
+    return unknown(mass)
+
+
+def specificity(mass: Array) -> Array:
+    """Return Yager's specificity, sum m(A) / |A| = free + occupied + unknown / 2, in [0.5, 1]."""
+    free, occupied, ignorance = split(mass)
+    return per_cell(free + occupied + 0.5 * ignorance, mass)
+
+
+def yager_entropy(mass: Array) -> Array:
+    """Return Yager's entropy (dissonance in his words), -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983)."""
+    free, occupied, _ = split(mass)
+    xp = namespace(mass)
+    return per_cell(-_times_log2(xp, free, 1 - occupied) - _times_log2(xp, occupied, 1 - free), mass)
+
+
+def pignistic_entropy(mass: Array) -> Array:
+    """Return Shannon's entropy of the pignistic probability, in [0, 1] bit."""
+    return per_cell(_binary_entropy(namespace(mass), mass_to_probability(mass)), mass)
+
+
+def jirousek_shenoy_entropy(mass: Array) -> Array:
+    """Return the total uncertainty of Jiroušek and Shenoy (2018), in [0, 2] bit; 2 for the vacuous mass.
+
+    Shannon's entropy of the plausibility transform, plus `nonspecificity`.
+    """
+    return per_cell(_binary_entropy(namespace(mass), plausibility_transform(mass)) + unknown(mass), mass)
+
+
+def deng_entropy(mass: Array) -> Array:
+    """Return Deng's entropy, -sum m(A) log2(m(A) / (2^|A| - 1)), in bit (Deng, 2016).
+
+    Largest, log2(5), at free = occupied = 1/5 and not at the vacuous mass (log2(3)): do not use it as a
+    measure of the unknown.
+    """
+    free, occupied, ignorance = split(mass)
+    xp = namespace(mass)
+    logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
+    return per_cell(-logs - _times_log2(xp, ignorance, ignorance / 3), mass)
+
+
+def _two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any, Any, Any]:
+    f, o, _ = split(a, names[0])
+    g, p, _ = split(b, names[1])
+    check_alike(a, b, names)
+    return f, o, g, p
+
+
+def _times_log2(xp: Any, x: Any, y: Any) -> Any:
+    """Return x log2(y), and 0 where x is 0."""
+    zero = x <= 0
+    return x * xp.log2(xp.where(zero, 1 + 0 * y, y))
+
+
+def _binary_entropy(xp: Any, p: Any) -> Any:
+    return -_times_log2(xp, p, p) - _times_log2(xp, 1 - p, 1 - p)

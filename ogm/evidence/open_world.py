@@ -1,0 +1,193 @@
+"""Rules of the open world, in which conflict stays visible as mass on the empty set.
+
+They return triples ``(free, occupied, conflict)`` and take triples and pairs; a pair is a triple without
+conflict. Were the conflict dropped, the surviving pair of the conjunctive rule would be numerically Yager's,
+and the unknown derived from it would count conflict as ignorance: so it stays. `close_world` leads back to
+pairs. All four rules are associative.
+
+Sources: Smets and Kennes, "The transferable belief model" (1994); Smets, "Belief functions: the disjunctive
+rule of combination" (1993); Denœux, "Conjunctive and disjunctive combination of belief functions induced by
+nondistinct bodies of evidence" (2008).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ogm.evidence.arrays import Array, check_form, open_sources, pack, split_open, tolerance_of
+from ogm.evidence.rules import OnConflict, check_policy, normalized, resolve
+
+__all__ = ["bold", "cautious", "close_world", "conjunctive", "disjunctive"]
+
+
+def conjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Combine by the unnormalised conjunctive rule of the transferable belief model.
+
+    Commutative and associative; the vacuous mass is neutral. Conflict stays visible as mass on the empty set.
+
+    Parameters
+    ----------
+    a, b : (..., 2) or (..., 3) float32 or float64, numpy or torch
+        Pairs (free, occupied) or triples (free, occupied, conflict). Without `b`, `a` is a stack along
+        `axis`.
+    axis : int, optional
+        The leading axis of `a` that counts the sources.
+
+    Returns
+    -------
+    (..., 3), (free, occupied, conflict); unknown is 1 minus their sum
+    """
+    xp, parts = open_sources(a, b, axis)
+    free, occupied, unknown, conflict = parts[0]
+    for f, o, u, c in parts[1:]:
+        free, occupied, unknown, conflict = (
+            free * (f + u) + unknown * f,
+            occupied * (o + u) + unknown * o,
+            unknown * u,
+            free * o + occupied * f + conflict + c - conflict * c,
+        )
+    return pack(xp, [free, occupied, conflict], a)
+
+
+def disjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Combine by the disjunctive rule: at least one source is reliable, and nobody knows which.
+
+    Commutative and associative; vacuous is absorbing, and total conflict (all mass on the empty set) is
+    neutral. Never produces conflict.
+
+    Parameters
+    ----------
+    a, b : (..., 2) or (..., 3) float32 or float64, numpy or torch
+        Pairs (free, occupied) or triples (free, occupied, conflict). Without `b`, `a` is a stack along
+        `axis`.
+    axis : int, optional
+        The leading axis of `a` that counts the sources.
+
+    Returns
+    -------
+    (..., 2) if all sources are pairs, else (..., 3)
+    """
+    xp, parts = open_sources(a, b, axis)
+    free, occupied, _, conflict = parts[0]
+    for f, o, _, c in parts[1:]:
+        free, occupied, conflict = (
+            free * (f + c) + conflict * f,
+            occupied * (o + c) + conflict * o,
+            conflict * c,
+        )
+    closed = all(mass.shape[-1] == 2 for mass in (a, b) if mass is not None)  # type: ignore[attr-defined]
+    return pack(xp, [free, occupied] if closed else [free, occupied, conflict], a)
+
+
+def cautious(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Combine dependent sources by Denœux's cautious rule: the least committed that is as informed as each.
+
+    Commutative, associative and idempotent; evidence that is heard twice counts once. Vacuous is neutral only
+    for separable masses (at most one state believed); in general the result is a w-least committed one.
+
+    Parameters
+    ----------
+    a, b : (..., 2) or (..., 3) float32 or float64, numpy or torch
+        Pairs (free, occupied) or triples (free, occupied, conflict). Without `b`, `a` is a stack along
+        `axis`.
+    axis : int, optional
+        The leading axis of `a` that counts the sources.
+
+    Returns
+    -------
+    (..., 3), (free, occupied, conflict); `close_world` normalises it
+
+    Notes
+    -----
+    Undefined for unknown = 0: unknown is read as at least 1e-6 (float32) or 1e-12 (float64).
+    """
+    xp, parts = open_sources(a, b, axis)
+    w_free, w_occupied, w_empty = _conjunctive_weights(parts[0], tolerance_of(a))
+    for part in parts[1:]:
+        v_free, v_occupied, v_empty = _conjunctive_weights(part, tolerance_of(a))
+        w_free, w_occupied = xp.minimum(w_free, v_free), xp.minimum(w_occupied, v_occupied)
+        w_empty = xp.minimum(w_empty, v_empty)
+    free = (1 - w_free) * w_occupied * w_empty
+    occupied = (1 - w_occupied) * w_free * w_empty
+    conflict = (1 - free - occupied - w_free * w_occupied * w_empty).clip(0)
+    return pack(xp, [free, occupied, conflict], a)
+
+
+def bold(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Combine dependent sources by Denœux's bold disjunctive rule, the dual of `cautious`.
+
+    Commutative, associative and idempotent. Defined only for masses with conflict > 0.
+
+    Parameters
+    ----------
+    a, b : (..., 3) float32 or float64, numpy or torch
+        Triples (free, occupied, conflict). Without `b`, `a` is a stack of sources along `axis`.
+    axis : int, optional
+        The leading axis of `a` that counts the sources.
+
+    Returns
+    -------
+    (..., 3), (free, occupied, conflict)
+
+    Raises
+    ------
+    ValueError
+        If a source of a numpy array has no conflict in some cell.
+    """
+    xp, parts = open_sources(a, b, axis, states=(3,))
+    if xp is np and not all((conflict > 0).all() for *_, conflict in parts):
+        raise ValueError(
+            "the bold rule needs conflict > 0 in every cell of every source, got a cell with 0; "
+            "use disjunctive for masses without conflict"
+        )
+    w_free, w_occupied, w_whole = _disjunctive_weights(parts[0])
+    for part in parts[1:]:
+        v_free, v_occupied, v_whole = _disjunctive_weights(part)
+        w_free, w_occupied = xp.minimum(w_free, v_free), xp.minimum(w_occupied, v_occupied)
+        w_whole = xp.minimum(w_whole, v_whole)
+    free = (1 - w_free) * w_occupied * w_whole
+    occupied = (1 - w_occupied) * w_free * w_whole
+    return pack(xp, [free, occupied, w_free * w_occupied * w_whole], a)
+
+
+def close_world(open_mass: Array, *, on_conflict: OnConflict = "average") -> Array:
+    """Return the closed-world pair of an open-world triple: Dempster's normalisation.
+
+    Parameters
+    ----------
+    open_mass : (..., 3) float32 or float64, numpy or torch
+        Triples (free, occupied, conflict).
+    on_conflict : {"average", "vacuous", "nan", "raise"}
+        What to return where conflict is 1. The sources are not known here: "average" is (0.5, 0.5), the limit
+        of two equally strong ones.
+
+    Returns
+    -------
+    (..., 2), masses (free, occupied)
+    """
+    check_policy(on_conflict)
+    xp = check_form(open_mass, "open_mass", states=(3,))
+    free, occupied, unknown, _ = split_open(open_mass, "open_mass")
+    free, occupied, _, none = normalized(xp, free, occupied, unknown)
+    return resolve(xp, open_mass, free, occupied, none, (0.5, 0.5), on_conflict)
+
+
+def _conjunctive_weights(part: tuple[Any, Any, Any, Any], least: float) -> tuple[Any, Any, Any]:
+    """Return the weights w(free), w(occupied), w(empty) of Smets' canonical decomposition."""
+    free, occupied, unknown, _ = part
+    unknown = unknown.clip(least)
+    return (
+        unknown / (free + unknown),
+        unknown / (occupied + unknown),
+        (free + unknown) * (occupied + unknown) / unknown,
+    )
+
+
+def _disjunctive_weights(part: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any]:
+    """Return the disjunctive weights v(free), v(occupied), v(whole frame)."""
+    free, occupied, _, conflict = part
+    return (
+        conflict / (free + conflict),
+        conflict / (occupied + conflict),
+        (free + conflict) * (occupied + conflict) / conflict,
+    )

@@ -1,0 +1,175 @@
+"""From masses to the probability of being occupied, and from probabilities, log-odds and counts to masses.
+
+Sources: Smets and Kennes, "The transferable belief model" (1994); Jøsang, *Subjective Logic* (2016), chapter
+3; Cobb and Shenoy, "On the plausibility transformation method for translating belief function models to
+probability models" (2006).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ogm.evidence.arrays import Array, dtype_name, like, namespace, pack, per_cell, split
+
+__all__ = [
+    "counts_to_mass",
+    "log_odds_to_mass",
+    "mass_to_log_odds",
+    "mass_to_probability",
+    "maximize_uncertainty",
+    "pignistic",
+    "plausibility_transform",
+    "probability_to_mass",
+]
+
+
+def mass_to_probability(mass: Array, base_rate: float = 0.5) -> Array:
+    """Return the projected probability of occupied, P = occupied + a * unknown.
+
+    It is the mean alpha_occupied / sum(alpha) of the Dirichlet density, and with a = 0.5 the pignistic
+    probability.
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+    base_rate : float or array of one value per cell
+        Prior probability a of occupied, in [0, 1].
+
+    Returns
+    -------
+    (...), in [0, 1]
+    """
+    _, occupied, ignorance = split(mass)
+    return per_cell(occupied + like(base_rate, occupied, "base_rate") * ignorance, mass)
+
+
+def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) -> Any:
+    """Return the mass with a given projected probability of occupied and a given unknown.
+
+    The inverse of `mass_to_probability`: occupied = P - a u, free = 1 - P - (1 - a) u. With ``unknown = 0``
+    it is the dogmatic (Bayesian) mass.
+
+    Raises
+    ------
+    ValueError
+        If `unknown` is too large for `probability`: the largest possible is that of `maximize_uncertainty`.
+    """
+    xp = namespace(probability, "probability")
+    if dtype_name(probability) not in ("float32", "float64"):
+        raise TypeError(f"probability must be float32 or float64, got {dtype_name(probability)}")
+    ignorance = like(unknown, probability, "unknown")
+    rate = like(base_rate, probability, "base_rate")
+    like(probability, probability, "probability")
+    free = 1 - probability - (1 - rate) * ignorance
+    occupied = probability - rate * ignorance
+    mass = pack(xp, [free, occupied], probability)
+    split(mass, "the mass of this probability and unknown")
+    return mass
+
+
+def pignistic(mass: Array) -> Array:
+    """Return the pignistic probability of occupied, occupied + unknown / 2 (Smets and Kennes, 1994)."""
+    return mass_to_probability(mass, 0.5)
+
+
+def plausibility_transform(mass: Array) -> Array:
+    """Return the plausibility transform, Pl(O) / (Pl(F) + Pl(O)) (Cobb and Shenoy, 2006).
+
+    Dempster's rule multiplies plausibilities, so the log-odds of this probability simply add under it.
+    """
+    free, occupied, _ = split(mass)
+    return per_cell((1 - free) / ((1 - free) + (1 - occupied)), mass)
+
+
+def mass_to_log_odds(mass: Array) -> Array:
+    """Return the log-odds of occupied of the plausibility transform, ln(Pl(O) / Pl(F)).
+
+    What a Bayesian log-odds grid would hold: under Dempster's rule these numbers add. A cell that is
+    certainly occupied (free) has +inf (-inf).
+    """
+    free, occupied, _ = split(mass)
+    xp = namespace(mass)
+    with np.errstate(divide="ignore"):
+        return per_cell(xp.log1p(-free.clip(None, 1)) - xp.log1p(-occupied.clip(None, 1)), mass)
+
+
+def log_odds_to_mass(log_odds: Array) -> Array:
+    """Return the least committed mass with these log-odds: all belief on one state.
+
+    l > 0 gives occupied = 1 - exp(-l), l < 0 gives free = 1 - exp(l), the rest is unknown. Combining such
+    masses by Dempster's rule is adding log-odds (`mass_to_log_odds` inverts this).
+
+    Parameters
+    ----------
+    log_odds : (...) float32 or float64, numpy or torch
+        Natural logarithm of the odds of occupied.
+    """
+    xp = namespace(log_odds, "log_odds")
+    if dtype_name(log_odds) not in ("float32", "float64"):
+        raise TypeError(f"log_odds must be float32 or float64, got {dtype_name(log_odds)}")
+    if xp is np and np.isnan(log_odds).any():  # type: ignore[call-overload]
+        raise ValueError("log_odds must not be NaN")
+    given: Any = log_odds
+    return pack(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
+
+
+def maximize_uncertainty(mass: Array, base_rate: float = 0.5) -> Array:
+    """Return the mass of the same projected probability with the greatest unknown.
+
+    u = min(P / a, (1 - P) / (1 - a)): one of the two beliefs becomes zero (Jøsang 2016, section 3.5.6).
+
+    Parameters
+    ----------
+    mass : (..., 2) float32 or float64, numpy or torch
+    base_rate : float or array of one value per cell
+        Prior probability a of occupied, in [0, 1].
+    """
+    free, occupied, ignorance = split(mass)
+    xp = namespace(mass)
+    rate = like(base_rate, occupied, "base_rate")
+    probability = occupied + rate * ignorance
+    opposite = free + (1 - rate) * ignorance
+    # Cross-multiplied, and no bound where a base rate is 0 or 1: nothing is divided by zero.
+    occupied_wins = (probability * (1 - rate) >= opposite * rate) & (rate < 1)
+    zero = 0 * ignorance
+    as_occupied = probability - rate * opposite / xp.where(occupied_wins, 1 - rate, 1.0 + zero).clip(1e-30)
+    as_free = opposite - (1 - rate) * probability / xp.where(occupied_wins, 1.0 + zero, rate + zero).clip(
+        1e-30
+    )
+    return pack(
+        xp,
+        [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)],
+        mass,
+    )
+
+
+def counts_to_mass(
+    hits: Array, passes: Array, false_negative: float = 0.8, false_positive: float = 0.05
+) -> Array:
+    """Return the mass of a cell in which `hits` rays ended and through which `passes` rays went.
+
+    Each hit is a simple mass 1 - false_positive on occupied, each pass a simple mass 1 - false_negative on
+    free; all of them are combined by Yager's rule at once:
+
+    occupied = fn^passes (1 - fp^hits),   free = fp^hits (1 - fn^passes).
+
+    Parameters
+    ----------
+    hits, passes : (...) float32 or float64, numpy or torch
+        Numbers of rays, not negative; whole numbers or weights.
+    false_negative : float
+        Probability in [0, 1] that a ray passes through an occupied cell.
+    false_positive : float
+        Probability in [0, 1] that a ray ends in a free cell.
+    """
+    xp = namespace(hits, "hits")
+    if dtype_name(hits) not in ("float32", "float64"):
+        raise TypeError(
+            f"hits must be float32 or float64, got {dtype_name(hits)}; convert it: hits.astype(np.float32)"
+        )
+    reflections: Any = hits
+    transmissions = like(passes, hits, "passes", high=float("inf"))
+    like(hits, hits, "hits", high=float("inf"))
+    missed = like(false_negative, hits, "false_negative") ** transmissions
+    false = like(false_positive, hits, "false_positive") ** reflections
+    return pack(xp, [false * (1 - missed), missed * (1 - false)], hits)

@@ -1,0 +1,144 @@
+"""Dempster-Shafer rules for the frame {free, occupied}, in a closed world: pairs in, pairs out.
+
+Every rule takes two masses, ``rule(a, b)``, or a stack of sources and its axis, ``rule(stack, axis=0)``, with
+any leading shape. `dempster` is associative, so both ways agree; the others combine a stack in one go, and a
+chain of pairs gives something else.
+
+Sources: Dempster (1967); Shafer (1976); Yager, "On the Dempster-Shafer framework and new combination rules"
+(1987); Dubois and Prade, "Representation and combination of uncertainty with belief functions and possibility
+measures" (1988).
+"""
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ogm.evidence.arrays import Array, anywhere, pack, sources
+
+__all__ = ["OnConflict", "dempster", "dubois_prade", "yager"]
+
+OnConflict = Literal["average", "vacuous", "nan", "raise"]
+
+
+def dempster(
+    a: Array, b: Array | None = None, *, axis: int | None = None, on_conflict: OnConflict = "average"
+) -> Array:
+    """Combine independent, reliable sources by Dempster's rule: agreement, normalised.
+
+    Commutative and associative; the vacuous mass is neutral. Conflict is shared out in proportion, by
+    dividing by the sum of the surviving masses (1 - conflict, but without its cancellation).
+
+    Parameters
+    ----------
+    a, b : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    axis : int, optional
+        The leading axis of `a` that counts the sources.
+    on_conflict : {"average", "vacuous", "nan", "raise"}
+        What to return where nothing survives (certainly free against certainly occupied): the mean of the
+        certain sources, for two of them (0.5, 0.5), the limit of two equally strong ones; ignorance; NaN; or
+        an error.
+
+    Returns
+    -------
+    (..., 2), the combined mass
+    """
+    check_policy(on_conflict)
+    xp, parts = sources(a, b, axis)
+    free, occupied, unknown = parts[0]
+    for part in parts[1:]:
+        free, occupied, unknown = _agreement(free, occupied, unknown, *part)
+        # Normalise at once, so that long stacks do not underflow. Once nothing survives, nothing ever will.
+        free, occupied, unknown, none = normalized(xp, free, occupied, unknown)
+    if len(parts) == 1 or not anywhere(xp, none):
+        return pack(xp, [free, occupied], a)
+    return resolve(xp, a, free, occupied, none, _mean_of_the_certain(parts), on_conflict)
+
+
+def yager(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Combine by Yager's rule: agreement survives, conflict becomes unknown.
+
+    Commutative, vacuous is neutral, not associative: a stack is combined in one go (conjunctively, all
+    conflict to unknown at the end), a chain of pairs is not the same.
+
+    Parameters
+    ----------
+    a, b : (..., 2) float32 or float64, numpy or torch
+        Masses (free, occupied). Without `b`, `a` is a stack of sources along `axis`.
+    axis : int, optional
+        The leading axis of `a` that counts the sources.
+
+    Returns
+    -------
+    (..., 2), the combined mass
+    """
+    xp, parts = sources(a, b, axis)
+    free, occupied, unknown = parts[0]
+    for part in parts[1:]:
+        free, occupied, unknown = _agreement(free, occupied, unknown, *part)
+    return pack(xp, [free, occupied], a)
+
+
+def dubois_prade(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Combine by Dubois and Prade's rule: the conflict of A and B goes to "A or B".
+
+    With two states, "free or occupied" is everything, so this is exactly `yager`; in larger frames
+    (`ogm.evidence.powerset`) the two differ.
+    """
+    return yager(a, b, axis=axis)
+
+
+def _agreement(free: Any, occupied: Any, unknown: Any, f: Any, o: Any, u: Any) -> tuple[Any, Any, Any]:
+    """Return what two closed-world masses agree on, (free, occupied, unknown); conflict is what is missing.
+
+    Sums of products only: nothing cancels, and a belief of 1e-8 is not lost beside one of 1.
+    """
+    return free * (f + u) + unknown * f, occupied * (o + u) + unknown * o, unknown * u
+
+
+def normalized(xp: Any, free: Any, occupied: Any, unknown: Any) -> tuple[Any, Any, Any, Any]:
+    """Divide by what survives, and say in which cells nothing does; there the masses stay 0."""
+    surviving = free + occupied + unknown
+    none = surviving == 0
+    if anywhere(xp, none):
+        surviving = surviving + none
+    return free / surviving, occupied / surviving, unknown / surviving, none
+
+
+def check_policy(on_conflict: str) -> None:
+    """Refuse a policy that does not exist."""
+    if on_conflict not in get_args(OnConflict):
+        raise ValueError(f"on_conflict must be one of {', '.join(get_args(OnConflict))}, got {on_conflict!r}")
+
+
+def refuse_total_conflict(none: Any, on_conflict: OnConflict) -> None:
+    """Raise in the policy "raise" if there is a cell in which nothing survived."""
+    if on_conflict == "raise" and bool(none.any()):
+        index = [int(i) for i in np.unravel_index(none.ravel().tolist().index(True), tuple(none.shape))]
+        raise ValueError(
+            f"{int(none.sum())} cells are in total conflict, the first at {index}; "
+            f"choose another on_conflict: average, vacuous or nan"
+        )
+
+
+def _mean_of_the_certain(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
+    """Return the mean of the sources that are certain: there are some on both sides in total conflict."""
+    for_free = sum((o + u == 0) + 0 * u for _, o, u in parts)
+    for_occupied = sum((f + u == 0) + 0 * u for f, _, u in parts)
+    votes = (for_free + for_occupied).clip(1)
+    return for_free / votes, for_occupied / votes
+
+
+def resolve(
+    xp: Any, mass: Any, free: Any, occupied: Any, none: Any, average: tuple[Any, Any], on_conflict: OnConflict
+) -> Any:
+    """Fill the cells in which nothing survived, according to the policy.
+
+    They hold (0, 0), the vacuous mass.
+    """
+    refuse_total_conflict(none, on_conflict)
+    if on_conflict == "average":
+        return pack(xp, [xp.where(none, average[0], free), xp.where(none, average[1], occupied)], mass)
+    if on_conflict == "nan":
+        return pack(xp, [xp.where(none, xp.nan, free), xp.where(none, xp.nan, occupied)], mass)
+    return pack(xp, [free, occupied], mass)
