@@ -140,7 +140,7 @@ def ground_height(
     return result
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy", inline="always")
 def sample(height, x0, y0, inverse_resolution, x, y):
     """Interpolate `height`, at least 2 x 2 cells, bilinearly at (x, y); the edge's value holds outside (kernel)."""
     u = min(
@@ -157,14 +157,14 @@ def sample(height, x0, y0, inverse_resolution, x, y):
     return low + (high - low) * a
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _sample_many(height, x0, y0, resolution, x, y, result):
     x0, y0, inverse = np.float32(x0), np.float32(y0), np.float32(1.0 / resolution)
     for n in range(x.shape[0]):
         result[n] = sample(height, x0, y0, inverse, x[n], y[n])
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, low_tolerance, band, height):
     nx, ny = height.shape
     rise = np.float32(max_slope * resolution)
@@ -230,7 +230,7 @@ def _local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, 
     _fill(height, weight, np.float32(foot[2]))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _drop_strays(lowest, i0, j0, ground_z, rise, tolerance):
     """Set cells to inf whose lowest return lies under the ground: mirror images and multipath.
 
@@ -266,7 +266,7 @@ def _drop_strays(lowest, i0, j0, ground_z, rise, tolerance):
                     lowest[i, j] = np.inf
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _lower_envelope(height, rise):
     """Lower every cell to what its neighbours allow: a two-pass chamfer distance transform in height."""
     nx, ny = height.shape
@@ -297,7 +297,7 @@ def _lower_envelope(height, rise):
             height[i, j] = low
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _fill(height, weight, otherwise):
     """Give cells of weight 0 the height of a smooth surface through the others (pull-push), in place."""
     nx, ny = height.shape

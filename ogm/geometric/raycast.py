@@ -25,6 +25,10 @@ __all__ = [
 ]
 
 UNKNOWN, FREE, OCCUPIED, BEYOND = 0, 1, 2, 3  # states of a cell while `height_band_states` draws
+# numpy's error model: a division is not guarded by a branch, which would keep loops off the vector units.
+_kernel = njit(cache=True, error_model="numpy")
+_inline = njit(cache=True, error_model="numpy", inline="always")
+_vector = njit(cache=True, error_model="numpy", fastmath={"contract", "nsz", "nnan"})  # for input without NaN
 _TAU = np.float32(2 * math.pi)
 _ATAN = (
     0.99999611,
@@ -37,7 +41,7 @@ _ATAN = (
 )  # odd powers, fitted
 
 
-@njit(cache=True)
+@_kernel
 def own_frame(points, T, box, xyz):
     """Take points to the vehicle frame and drop those that are not finite or lie in the vehicle's own box.
 
@@ -81,7 +85,7 @@ def own_frame(points, T, box, xyz):
     return kept, invalid, own
 
 
-@njit(cache=True)
+@_kernel
 def draw_lines(state, ends, i0, j0):
     """Mark cells as free on the straight line from (i0, j0) to each end, up to the first occupied one.
 
@@ -125,7 +129,7 @@ def draw_lines(state, ends, i0, j0):
                 flat[cell] = FREE
 
 
-@njit(cache=True)
+@_kernel
 def height_band_states(x, y, z, origin, z_low, z_high, min_range, x0, y0, resolution, state, ends):
     """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
 
@@ -185,7 +189,7 @@ def height_band_states(x, y, z, origin, z_low, z_high, min_range, x0, y0, resolu
     draw_lines(state, ends[:count], i0, j0)
 
 
-@njit(cache=True)
+@_kernel
 def state_mass(state, evidence, factor, mass):
     """Turn states into masses, e / (2 + sum of e), averaging evidence over `factor` x `factor` cells.
 
@@ -219,7 +223,7 @@ def state_mass(state, evidence, factor, mass):
             mass[i, j, 0], mass[i, j, 1] = free / strength, occupied / strength
 
 
-@njit(cache=True)
+@_kernel
 def polar_lookup(x0, y0, resolution, origin, box, sectors, radial_step, bins, sector, span, ring):
     """Tell for every cell which polar bins around the sensor cover it.
 
@@ -257,7 +261,7 @@ def polar_lookup(x0, y0, resolution, origin, box, sectors, radial_step, bins, se
             sector[i, j] = round(middle - span[i, j] / 2) % sectors
 
 
-@njit(cache=True, inline="always")
+@_inline
 def _azimuth(x, y):
     """Angle from the x axis to the left in [0, 2 pi), by a polynomial with an error below 1e-6 rad."""
     ax, ay = abs(x), abs(y)
@@ -276,7 +280,7 @@ def _azimuth(x, y):
     return _TAU - a if y < 0 else a
 
 
-@njit(cache=True)
+@_kernel
 def level_say(height, x0, y0, resolution, origin, clearance, radial_step, say):
     """Sample the ground along sectors, as the say that a level ray from the sensor has there.
 
@@ -314,7 +318,7 @@ def level_say(height, x0, y0, resolution, origin, clearance, radial_step, say):
             before = now
 
 
-@njit(cache=True)
+@_kernel
 def mark_and_aim(
     x,
     y,
@@ -400,13 +404,13 @@ def mark_and_aim(
         end[n] = _below_clearance(slope[n] * scale, min(reach, most), highest[sector[n] & 0x7FFF])
 
 
-@njit(cache=True, inline="always")
+@_inline
 def _below_clearance(tilt, end, highest):
     """Cut a ray where it rises above clearance."""
     return max(highest, np.float32(0.0)) / tilt if tilt * end > highest and tilt > 0 else end
 
 
-@njit(cache=True)
+@_kernel
 def _highest(level, sectors):
     """Return the largest value of each row, for each sector."""
     rows, bins = level.shape
@@ -419,7 +423,7 @@ def _highest(level, sectors):
     return highest
 
 
-@njit(cache=True, fastmath={"contract", "nsz", "nnan"})
+@_vector
 def _polar(x, y, z, sx, sy, sz, to_sector, last_sector, sector, slope, run):
     """Sector, rise over run and run of each point as seen from the sensor, without branches."""
     for n in range(x.shape[0]):
@@ -430,7 +434,7 @@ def _polar(x, y, z, sx, sy, sz, to_sector, last_sector, sector, slope, run):
         run[n] = r
 
 
-@njit(cache=True)
+@_kernel
 def aim_missing(directions, level, clearance, radial_step, max_range, sectors, sector, slope, end):
     """Turn beams that came back empty into rays that end where they meet the ground, or at `max_range`.
 
@@ -467,7 +471,7 @@ def aim_missing(directions, level, clearance, radial_step, max_range, sectors, s
         end[n] = _below_clearance(tilt, np.float32(reach), highest[s])
 
 
-@njit(cache=True)
+@_kernel
 def sort_rays(sector, slope, end, sectors, rays):
     """Bring the rays of each sector together (a counting sort).
 
@@ -497,7 +501,7 @@ def sort_rays(sector, slope, end, sectors, rays):
     return starts[: sectors + 1]
 
 
-@njit(cache=True)
+@_kernel
 def clear_sectors(
     rays,
     starts,
@@ -588,7 +592,7 @@ def clear_sectors(
         )
 
 
-@njit(cache=True, fastmath={"contract", "nsz", "nnan"})
+@_vector
 def _belief(count, rise, lowest, level, reach, share, free):
     """``w_1 * (1 - p**T)`` for the bins of one sector, with ``exp(x)`` as a power: error below 1e-6."""
     for k in range(free.shape[0]):
@@ -607,7 +611,7 @@ def _belief(count, rise, lowest, level, reach, share, free):
         free[k] = first * (np.float32(1.0) - np.float32(1.0) / q)
 
 
-@njit(cache=True)
+@_kernel
 def ray_mass(free, hits, sector, span, ring, missed, reliability, most, mass):
     """Turn polar belief in free and counts of returns into masses.
 
