@@ -9,7 +9,7 @@ from typing import Protocol, Self, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probability
+from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probability, unknown
 from ogm.files import atomic_write
 
 __all__ = ["EvidentialGrid", "GridSpec", "InverseSensorModel"]
@@ -229,7 +229,7 @@ class EvidentialGrid:
     @cached_property
     def unknown(self) -> NDArray[np.float32]:
         """Mass of the whole frame, (nx, ny) in [0, 1]: 1 - free - occupied, rounding below 0 shown as 0."""
-        return np.maximum(1 - self.mass[..., 0] - self.mass[..., 1], np.float32(0))
+        return unknown(self.mass)
 
     @property
     def probability(self) -> NDArray[np.float32]:

@@ -251,11 +251,11 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
     xp = check_form(mass, name, states=(2, 3))
     tolerance = tolerance_of(mass) if tolerance is None else tolerance
     values = mass if xp is np else mass.detach()
-    # How far each cell lies outside: below zero, or above one in sum. NaN counts as infinitely far.
+    # How far each cell lies outside: below zero, or above one in sum. NaN fails every comparison, and argmax finds it
+    # first.
     below = -(values.min(-1) if xp is np else values.amin(-1))
     above = values.sum(-1) - 1
     outside = xp.where(below > above, below, above)
-    outside = xp.where(xp.isnan(outside), xp.inf, outside)
     if bool((outside <= tolerance).all()):
         return
     index = tuple(int(i) for i in np.unravel_index(int(outside.argmax()), tuple(outside.shape)))

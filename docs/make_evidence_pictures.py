@@ -1,0 +1,131 @@
+"""Draw the opinion triangles of docs/evidence.md: ``python docs/make_evidence_pictures.py``.
+
+Each picture shows two masses A and B, what the rule makes of them (star), and the way there: the rule applied
+to A and to B discounted by every reliability from 0 to 1.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+
+from ogm import evidence
+
+PICTURES = Path(__file__).parent / "pictures"
+A, B = np.array([0.5, 0.2]), np.array([0.1, 0.6])
+STEPS = np.linspace(0, 1, 101)
+BLUE, ORANGE, DARK, LIGHT = "#1f77b4", "#d55e00", "#222222", "#999999"
+
+
+def place(mass: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the point of a mass: free lower left, occupied lower right, unknown on top."""
+    free, occupied = mass[..., 0], mass[..., 1]
+    unknown = 1 - free - occupied
+    return occupied + unknown / 2, unknown * np.sqrt(3) / 2
+
+
+def triangle(axes: Any) -> None:
+    """Draw the frame of an opinion triangle."""
+    corners = np.array([[1.0, 0], [0, 1], [0, 0], [1, 0]])
+    axes.plot(*place(corners), color=DARK, linewidth=1)
+    for level in (0.25, 0.5, 0.75):
+        line = np.array([[1 - level, 0], [0, 1 - level]])
+        axes.plot(*place(line), color="#dddddd", linewidth=0.7, zorder=0)
+    axes.text(-0.02, -0.04, "free", ha="center", va="top", fontsize=8)
+    axes.text(1.02, -0.04, "occupied", ha="center", va="top", fontsize=8)
+    axes.text(0.5, 0.89, "unknown", ha="center", va="bottom", fontsize=8)
+    axes.set_aspect("equal")
+    axes.set_xlim(-0.2, 1.2)
+    axes.set_ylim(-0.16, 1.0)
+    axes.axis("off")
+
+
+def dot(axes: Any, mass: np.ndarray, name: str, color: str) -> None:
+    """Draw a mass with its name."""
+    x, y = place(mass)
+    axes.plot(x, y, "o", color=color, markersize=6)
+    axes.annotate(
+        name, (x, y), (-9, 4) if x < 0.5 else (-3, 7), textcoords="offset points", color=color, fontsize=9
+    )
+
+
+def save(figure: Any, name: str) -> None:
+    """Write a figure to its picture."""
+    figure.savefig(PICTURES / f"evidence_{name}.png", dpi=100, metadata={"Software": ""})
+    plt.close(figure)
+
+
+def picture_of_a_rule(name: str, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
+    """Draw A, B, their combination, and the way from A to it."""
+    figure, axes = plt.subplots(figsize=(2.4, 2.1), layout="constrained")
+    triangle(axes)
+    faded = evidence.discount(np.broadcast_to(B, (len(STEPS), 2)), STEPS)
+    axes.plot(*place(rule(np.broadcast_to(A, faded.shape), faded)), color=LIGHT, linewidth=1.5)
+    dot(axes, A, "A", BLUE)
+    dot(axes, B, "B", ORANGE)
+    axes.plot(*place(rule(A, B)), "*", color=DARK, markersize=12)
+    save(figure, name)
+
+
+def picture_of_discounting() -> None:
+    """Draw how a mass fades by three kinds of discounting."""
+    figure, axes = plt.subplots(figsize=(3.4, 2.9), layout="constrained")
+    triangle(axes)
+    start = np.broadcast_to(np.array([0.3, 0.6]), (len(STEPS), 2))
+    tenths = slice(0, None, 10)
+    for discount, color, name, shift in [
+        (evidence.discount, BLUE, "mass", -0.012),
+        (evidence.discount_evidence, ORANGE, "evidence", 0.012),
+    ]:
+        x, y = place(discount(start, STEPS))
+        axes.plot(x + shift, y, color=color, linewidth=1, label=f"{name} discount")
+        axes.plot(x[tenths] + shift, y[tenths], "o", color=color, markersize=3.5)
+    x, y = place(evidence.contextual_discount(start, 1.0, STEPS))
+    axes.plot(x, y, "--", color=LIGHT, linewidth=1.5, label="contextual, free only")
+    axes.legend(loc="upper left", fontsize=7, frameon=False, bbox_to_anchor=(-0.08, 1.02))
+    save(figure, "discounting")
+
+
+def picture_of_the_maximal_unknown() -> None:
+    """Draw the line of equal probability and its uppermost point."""
+    figure, axes = plt.subplots(figsize=(2.4, 2.1), layout="constrained")
+    triangle(axes)
+    mass = np.array([0.1, 0.7])
+    axes.plot(*place(np.stack([mass, evidence.maximize_uncertainty(mass)])), color=LIGHT, linewidth=1.5)
+    axes.plot(
+        *place(np.stack([evidence.maximize_uncertainty(mass), [0.2, 0.8]])), ":", color=LIGHT, linewidth=1.5
+    )
+    dot(axes, mass, "A", BLUE)
+    axes.plot(*place(evidence.maximize_uncertainty(mass)), "*", color=DARK, markersize=12)
+    save(figure, "maximize_uncertainty")
+
+
+def main() -> None:
+    """Draw all pictures."""
+    plt.rcParams["font.family"] = "DejaVu Sans"
+    for name in (
+        "dempster",
+        "yager",
+        "disjunctive",
+        "pcr5",
+        "murphy",
+        "cumulative",
+        "cumulative_epistemic",
+        "averaging",
+        "weighted",
+        "consensus_compromise",
+    ):
+        picture_of_a_rule(name, getattr(evidence, name))
+    picture_of_a_rule("conjunctive", lambda a, b: evidence.close_world(evidence.conjunctive(a, b)))
+    picture_of_a_rule("cautious", lambda a, b: evidence.close_world(evidence.cautious(a, b)))
+    picture_of_discounting()
+    picture_of_the_maximal_unknown()
+
+
+if __name__ == "__main__":
+    main()
