@@ -41,11 +41,11 @@ _scratch = _Scratch()
 
 
 def _rays(name: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Work space for rays: sector, slope, end."""
+    """Work space for rays: sector, slope, run or end."""
     return (
         _scratch(f"{name} sector", (count,), np.int32),
         _scratch(f"{name} slope", (count,), np.float32),
-        _scratch(f"{name} end", (count,), np.float32),
+        _scratch(f"{name} run", (count,), np.float32),
     )
 
 
@@ -358,8 +358,8 @@ class RayISM:
         # Obstacles mark their cells, and every beam is a ray
         hits = _scratch("hits", spec.shape, np.int32)
         hits[:] = 0
-        sector, slope, end = _rays("returned", len(xyz))
-        raycast.mark_and_aim(
+        rays = _scratch("rays", (len(xyz), 2), np.float32)
+        starts = raycast.mark_and_aim(
             *xyz.T,
             mount.origin,
             height,
@@ -375,12 +375,9 @@ class RayISM:
             *spec.origin,
             spec.resolution,
             hits,
-            sector,
-            slope,
-            end,
+            *_rays("returned", len(xyz)),
+            rays,
         )
-        rays = _scratch("rays", (len(xyz), 2), np.float32)
-        starts = raycast.sort_rays(sector, slope, end, polar.sectors, rays)
         directions = (missing @ mount.T_vehicle_points[:, :3].T).astype(np.float32)
         sector, slope, end = _rays("missing", len(missing))
         raycast.aim_missing(

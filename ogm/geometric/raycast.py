@@ -318,7 +318,7 @@ def level_say(height, x0, y0, resolution, origin, clearance, radial_step, say):
             before = now
 
 
-@_kernel
+@_vector
 def mark_and_aim(
     x,
     y,
@@ -341,7 +341,8 @@ def mark_and_aim(
     hits,
     sector,
     slope,
-    end,
+    run,
+    rays,
 ):
     """Let obstacle returns mark their cells, and turn every return into the ray that led to it.
 
@@ -368,8 +369,15 @@ def mark_and_aim(
         Corner and cell side of the grid [m].
     hits : (nx, ny) int32
         Added to: half hits, two for every obstacle return.
-    sector : (N,) int32; slope, end : (N,) float32
-        Filled: a ray's sector, its rise over run, and the first bin that it does not clear.
+    sector : (N,) int32; slope, run : (N,) float32
+        Work space.
+    rays : (N, 2) float32
+        Filled, sector by sector: a ray's rise over run, and the first bin that it does not clear.
+
+    Returns
+    -------
+    starts : (sectors + 1,) int32
+        Where each sector begins in `rays`.
     """
     nx, ny = hits.shape
     bins = level.shape[1]
@@ -382,26 +390,33 @@ def mark_and_aim(
     sx, sy, sz = origin
     highest = _highest(level, sectors)
     _polar(
-        x, y, z, sx, sy, sz, np.float32(sectors / (2 * math.pi)), np.int32(sectors - 1), sector, slope, end
+        x, y, z, sx, sy, sz, np.float32(sectors / (2 * math.pi)), np.int32(sectors - 1), sector, slope, run
     )
+    starts = _starts(sector, sectors)
     for n in range(x.shape[0]):
-        above, r = z[n] - sample(height, gx0, gy0, ginverse, x[n], y[n]), end[n]
+        r = run[n]
+        above = z[n] - sample(height, gx0, gy0, ginverse, x[n], y[n])
         if above < below or r < near:  # a mirror image, or straight up or down
-            end[n] = zero
-            continue
-        reach = r * inverse_step
-        if above <= low:
-            reach += one
-        elif above < high:
+            reach = zero
+        elif above <= low:
+            reach = r * inverse_step + one
+        elif above >= high:
+            reach = r * inverse_step
+        else:
             reach = max((r - margin) * inverse_step, zero)
-            share = noise / r * inverse
+            share = noise / r
             du, dv = (x[n] - sx) * share, (y[n] - sy) * share
-            u, v = (x[n] - x0) * inverse, (y[n] - y0) * inverse
-            if u - du >= 0 and u - du < nx and v - dv >= 0 and v - dv < ny:
-                hits[int(u - du) & 0x7FFFFFFF, int(v - dv) & 0x7FFFFFFF] += 1
-            if u + du >= 0 and u + du < nx and v + dv >= 0 and v + dv < ny:
-                hits[int(u + du) & 0x7FFFFFFF, int(v + dv) & 0x7FFFFFFF] += 1
-        end[n] = _below_clearance(slope[n] * scale, min(reach, most), highest[sector[n] & 0x7FFF])
+            u, v = (x[n] - du - x0) * inverse, (y[n] - dv - y0) * inverse
+            if u >= 0 and u < nx and v >= 0 and v < ny:
+                hits[int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF] += 1
+            u, v = (x[n] + du - x0) * inverse, (y[n] + dv - y0) * inverse
+            if u >= 0 and u < nx and v >= 0 and v < ny:
+                hits[int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF] += 1
+        s = sector[n] & 0x7FFF
+        to = starts[s + 1] & 0x7FFFFFFF
+        starts[s + 1] += 1
+        rays[to, 0], rays[to, 1] = slope[n], _below_clearance(slope[n] * scale, min(reach, most), highest[s])
+    return starts[: sectors + 1]
 
 
 @_inline
@@ -448,7 +463,7 @@ def aim_missing(directions, level, clearance, radial_step, max_range, sectors, s
         [m]; see `RayISM`.
     sectors : int
     sector : (M,) int32; slope, end : (M,) float32
-        Filled as by `mark_and_aim`.
+        Filled: a ray's sector, its rise over run, and the first bin that it does not clear.
     """
     rows, bins = level.shape
     per_row = sectors // rows
@@ -478,7 +493,7 @@ def sort_rays(sector, slope, end, sectors, rays):
     Parameters
     ----------
     sector : (N,) int32; slope, end : (N,) float32
-        From `mark_and_aim` or `aim_missing`.
+        From `aim_missing`.
     sectors : int
     rays : (N, 2) float32
         Filled: slope and end.
@@ -488,17 +503,24 @@ def sort_rays(sector, slope, end, sectors, rays):
     starts : (sectors + 1,) int32
         Where each sector begins in `rays`.
     """
-    starts = np.zeros(sectors + 2, np.int32)
-    for n in range(sector.shape[0]):
-        starts[(sector[n] & 0x7FFF) + 2] += 1
-    for s in range(sectors + 1):
-        starts[s + 1] += starts[s]
+    starts = _starts(sector, sectors)
     for n in range(sector.shape[0]):
         s = (sector[n] & 0x7FFF) + 1
         to = starts[s] & 0x7FFFFFFF
         starts[s] += 1
         rays[to, 0], rays[to, 1] = slope[n], end[n]
     return starts[: sectors + 1]
+
+
+@_kernel
+def _starts(sector, sectors):
+    """Begin a counting sort: entry s + 1 is where the next ray of sector s goes, and in the end where s ends."""
+    starts = np.zeros(sectors + 2, np.int32)
+    for n in range(sector.shape[0]):
+        starts[(sector[n] & 0x7FFF) + 2] += 1
+    for s in range(sectors + 1):
+        starts[s + 1] += starts[s]
+    return starts
 
 
 @_kernel
@@ -531,9 +553,9 @@ def clear_sectors(
     Parameters
     ----------
     rays : (N, 2) float32, starts : (sectors + 1,) int32
-        From `sort_rays`.
+        From `mark_and_aim`.
     missing, missing_starts, missing_weight
-        The same for beams that came back empty, and what one counts against a ray that came back.
+        The same from `sort_rays`, for beams that came back empty, and what one counts against a ray that came back.
     level : (rows, bins) float32
         From `level_say`.
     clearance, radial_step : float
