@@ -156,7 +156,7 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
     """Write a result, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "w") as file:
-        json.dump(record, file, indent=1, default=_plain)
+        json.dump(record, file, indent=1, default=_plain, allow_nan=False)
         file.write("\n")
 
 

@@ -51,6 +51,7 @@ def _rays(name: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32]
 
 Frame = Literal["sensor", "vehicle"]
 KEPT_BYTES = 2**25  # [bytes] a larger work array (clouds of millions of points) is given back after the scan
+MOST_BINS = 2**15 - 1  # what the kernels count in int16
 NO_BOX = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -347,9 +348,9 @@ class RayISM:
         xyz = _own_points(points, mount, self.own_box)  # type: ignore[arg-type]
 
         # The ground, and what a level ray would say above it
-        coarse = _ground_spec(spec)
-        height = self.ground(xyz, coarse, mount.foot)
         polar = _polar_grid(spec, tuple(mount.origin.tolist()), self.own_box, self.azimuth_step)
+        coarse = _ground_spec(spec)
+        height = _checked_height(self.ground(xyz, coarse, mount.foot), coarse)
         level = _scratch("level", (polar.rows, polar.bins), np.float32)
         raycast.level_say(
             height, *coarse.origin, coarse.resolution, mount.origin, self.clearance, step, level
@@ -418,6 +419,14 @@ class RayISM:
         return EvidentialGrid.trusted(spec, mass)
 
 
+def _checked_height(height: NDArray, spec: GridSpec) -> NDArray[np.float32]:
+    """Check what a ground estimate returned: the kernels trust it."""
+    if not isinstance(height, np.ndarray) or height.shape != spec.shape or not np.isfinite(height).all():
+        got = f"shape {height.shape}" if isinstance(height, np.ndarray) else type(height).__name__
+        raise ValueError(f"a ground estimate must return {spec.shape} finite heights [m], got {got}")
+    return np.ascontiguousarray(height, np.float32)
+
+
 @dataclass(frozen=True, eq=False)
 class _PolarGrid:
     """Sectors and rings around the sensor, and where each cell of a grid lies among them."""
@@ -442,6 +451,11 @@ def _polar_grid(
     x0, x1, y0, y1 = spec.extent
     far = math.hypot(max(x1 - origin[0], origin[0] - x0), max(y1 - origin[1], origin[1] - y0))
     bins = math.ceil(far / spec.resolution) + 1
+    if max(bins, math.ceil(far)) > MOST_BINS:
+        raise ValueError(
+            f"a grid of one scan may reach at most {MOST_BINS} cells and {MOST_BINS} m from the sensor, "
+            f"this one reaches {far:g} m, {bins} cells; use coarser cells or a smaller grid"
+        )
     sector, span, ring = (np.empty(spec.shape, np.int16) for _ in range(3))
     raycast.polar_lookup(
         *spec.origin,

@@ -162,3 +162,20 @@ def test_models_can_run_in_several_threads() -> None:
         for _ in range(5):
             for got, want in zip(pool.map(MODELS[1], clouds), expected, strict=True):
                 np.testing.assert_array_equal(got.mass, want)
+
+
+@pytest.mark.parametrize(
+    "height", [np.zeros((3, 3), np.float32), np.full((20, 20), np.nan), [0.0], np.zeros((20, 20, 1))]
+)
+def test_a_ground_estimate_that_returns_nonsense_is_refused(height) -> None:
+    ism = RayISM(SPEC, 1.7, ground=lambda xyz, spec, foot: height)
+    with pytest.raises(ValueError, match=r"ground estimate must return \(20, 20\) finite heights"):
+        ism(np.zeros((1, 4), np.float32))
+
+
+@pytest.mark.parametrize(
+    "spec", [GridSpec(0.1, (2**17, 1), (0.0, 0.0)), GridSpec(50.0, (2000, 2), (0.0, 0.0))]
+)
+def test_a_grid_longer_than_the_kernels_count_is_refused(spec: GridSpec) -> None:
+    with pytest.raises(ValueError, match="use coarser cells or a smaller grid"):
+        RayISM(spec, 1.7)(np.zeros((1, 4), np.float32))
