@@ -4,6 +4,7 @@ The kernels are compiled by numba at their first call in a new environment and c
 """
 
 from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground
-from ogm.geometric.ism import HeightBandISM, RayISM
+from ogm.geometric.height_band import HeightBandISM
+from ogm.geometric.ray import RayISM
 
 __all__ = ["HeightBandISM", "RayISM", "flat_ground", "ground_height", "local_ground", "patchwork_ground"]

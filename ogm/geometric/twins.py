@@ -1,4 +1,4 @@
-"""Slow twins: what the kernels of `raycast` and `ground` say, once more in plain Python.
+"""Slow twins: what the kernels of `core` say, once more in plain Python.
 
 They follow the definitions (one ray after the other, one cell after the other, float64) and none of the
 kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one against the other.

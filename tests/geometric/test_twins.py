@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm import GridSpec
-from ogm.geometric import HeightBandISM, RayISM, flat_ground, raycast, twins
-from ogm.geometric.ground import _lower_envelope
+from ogm.geometric import HeightBandISM, RayISM, flat_ground, twins
+from ogm.geometric.core import lines, polar, surface
 
 SPEC = GridSpec.centered(16.0, 12.0, 0.5)
 HEIGHT = 1.7
@@ -33,7 +33,7 @@ def cloud(seed: int, count: int = 300) -> np.ndarray:
 @settings(max_examples=200, deadline=None)
 def test_the_kernel_draws_bresenhams_line(di: int, dj: int) -> None:
     state = np.zeros((96, 96), np.uint8)
-    raycast.draw_lines(state, np.array([[48 + di, 48 + dj]], np.int32), 48, 48)
+    lines.draw_lines(state, np.array([[48 + di, 48 + dj]], np.int32), 48, 48)
     drawn = set(zip(*np.nonzero(state), strict=True))
     assert drawn == set(twins.line_cells((48, 48), (48 + di, 48 + dj))) - {(48 + di, 48 + dj)}
 
@@ -102,7 +102,7 @@ def test_lower_envelope_is_the_least_cone(seed: int) -> None:
     height = rng.uniform(-1, 5, (9, 7)).astype(np.float32)
     height[rng.random(height.shape) < 0.5] = np.inf
     fast = height.copy()
-    _lower_envelope(fast, np.float32(0.25))
+    surface.lower_envelope(fast, np.float32(0.25))
     np.testing.assert_allclose(fast, twins.lower_envelope(height, 0.25), rtol=1e-5, atol=1e-6)
 
 
@@ -111,7 +111,7 @@ def test_lower_envelope_is_the_least_cone(seed: int) -> None:
 def test_azimuth_polynomial(x: float, y: float) -> None:
     if max(abs(x), abs(y)) < 1e-6:
         return
-    got = float(raycast._azimuth(np.float32(x), np.float32(y)))
+    got = float(polar.azimuth(np.float32(x), np.float32(y)))
     assert abs((got - math.atan2(y, x) + math.pi) % (2 * math.pi) - math.pi) < 2e-6
 
 

@@ -1,0 +1,149 @@
+"""Straight lines of cells: what `HeightBandISM` draws."""
+
+import math
+
+import numpy as np
+
+from ogm.geometric.core.jit import kernel
+
+__all__ = ["draw_lines", "height_band_states", "state_mass"]
+
+UNKNOWN, FREE, OCCUPIED, BEYOND = 0, 1, 2, 3  # states of a cell while `height_band_states` draws
+
+
+@kernel
+def draw_lines(state, ends, i0, j0):
+    """Mark cells as free on the straight line from (i0, j0) to each end, up to the first occupied one.
+
+    Lines are Bresenham's: one cell per step along the longer axis, the other rounded to the nearest (half
+    up, away from the start), in 32.32 fixed point, exact for lines of up to 2**16 cells.
+
+    Parameters
+    ----------
+    state : (nx, ny) uint8, changed in place
+        An end that is BEYOND (where a ray leaves the grid) becomes FREE if its line gets there.
+    ends : (M, 2) int32
+        Cells ix, iy.
+    i0, j0 : int
+        The sensor's cell.
+    """
+    flat = state.reshape(-1)
+    stride = state.shape[1]
+    for n in range(ends.shape[0]):
+        di, dj = ends[n, 0] - i0, ends[n, 1] - j0
+        steps_i, steps_j = abs(di), abs(dj)
+        up_i = stride if di > 0 else -stride
+        up_j = 1 if dj > 0 else -1
+        if steps_i >= steps_j:
+            long, short, up_long, up_short = steps_i, steps_j, up_i, up_j
+        else:
+            long, short, up_long, up_short = steps_j, steps_i, up_j, up_i
+        slope = ((np.int64(short) << 32) // long + 1) if long > 0 else np.int64(0)
+        cell = np.int64(i0) * stride + j0
+        fraction = np.int64(1) << 31
+        for _ in range(long):
+            if flat[cell] == OCCUPIED:
+                break
+            flat[cell] = FREE
+            cell += up_long
+            fraction += slope
+            if fraction >> 32:
+                fraction -= np.int64(1) << 32
+                cell += up_short
+        else:
+            if flat[cell] == BEYOND:
+                flat[cell] = FREE
+
+
+@kernel
+def height_band_states(x, y, z, origin, z_low, z_high, min_range, x0, y0, resolution, state, ends):
+    """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
+
+    Van Kempen et al. 2021, Sec. V: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
+    per distinct cell, which gives the same states as one per return. Returns beyond the grid end where their
+    ray leaves it, and mark nothing.
+
+    Parameters
+    ----------
+    x, y, z : (N,) float32
+        Points in the frame of the grid [m].
+    origin : (3,) float32
+        The sensor, inside the grid [m].
+    z_low, z_high : float
+        Open interval of heights that are obstacles, in the frame of the grid [m].
+    min_range : float
+        Returns at most this far from the sensor are ignored [m].
+    x0, y0, resolution : float
+        Corner and cell side of the grid [m].
+    state : (nx, ny) uint8
+        Zeros on entry; UNKNOWN, FREE or OCCUPIED on return (or BEYOND: a ray's exit that it did not reach).
+    ends : (nx * ny, 2) int32
+        Work space.
+    """
+    nx, ny = state.shape
+    i0, j0 = int(math.floor((origin[0] - x0) / resolution)), int(math.floor((origin[1] - y0) / resolution))
+    low, high, near = np.float32(z_low), np.float32(z_high), np.float32(min_range) * np.float32(min_range)
+    count = 0
+    for n in range(x.shape[0]):
+        if not (z[n] > low and z[n] < high):
+            continue
+        dx, dy, dz = x[n] - origin[0], y[n] - origin[1], z[n] - origin[2]
+        if not dx * dx + dy * dy + dz * dz > near:
+            continue
+        u, v = (x[n] - x0) / resolution, (y[n] - y0) / resolution
+        mark = OCCUPIED
+        if not (u >= 0 and u < nx and v >= 0 and v < ny):
+            a, b = (origin[0] - x0) / resolution, (origin[1] - y0) / resolution
+            share = 1.0
+            if u < 0:
+                share = min(share, a / (a - u))
+            elif u >= nx:
+                share = min(share, (nx - a) / (u - a))
+            if v < 0:
+                share = min(share, b / (b - v))
+            elif v >= ny:
+                share = min(share, (ny - b) / (v - b))
+            u, v = a + share * (u - a), b + share * (v - b)
+            mark = BEYOND
+        i, j = min(max(int(u), 0), nx - 1), min(max(int(v), 0), ny - 1)
+        before = state[i, j]
+        if before == UNKNOWN:
+            ends[count, 0], ends[count, 1] = i, j
+            count += 1
+        if mark == OCCUPIED or before == UNKNOWN:
+            state[i, j] = mark
+    draw_lines(state, ends[:count], i0, j0)
+
+
+@kernel
+def state_mass(state, evidence, factor, mass):
+    """Turn states into masses, e / (2 + sum of e), averaging evidence over `factor` x `factor` cells.
+
+    Parameters
+    ----------
+    state : (nx * factor, ny * factor) uint8
+    evidence : float
+        Dirichlet evidence of a free or occupied cell, > 0.
+    factor : int
+        Cells of `state` per cell of `mass` along each axis.
+    mass : (nx, ny, 2) float32
+        Filled: free and occupied.
+    """
+    nx, ny = mass.shape[0], mass.shape[1]
+    if factor == 1:
+        table = np.zeros((4, 2), np.float32)
+        table[FREE, 0] = table[OCCUPIED, 1] = evidence / (2 + evidence)
+        for i in range(nx):
+            for j in range(ny):
+                s = state[i, j]
+                mass[i, j, 0], mass[i, j, 1] = table[s, 0], table[s, 1]
+        return
+    for i in range(nx):
+        for j in range(ny):
+            free, occupied = 0, 0
+            for k in range(i * factor, (i + 1) * factor):
+                for l in range(j * factor, (j + 1) * factor):  # noqa: E741
+                    free += state[k, l] == FREE
+                    occupied += state[k, l] == OCCUPIED
+            strength = 2 * factor * factor / evidence + free + occupied
+            mass[i, j, 0], mass[i, j, 1] = free / strength, occupied / strength

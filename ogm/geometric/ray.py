@@ -1,0 +1,289 @@
+"""The model to use: rays over a local ground, marking apart from clearing."""
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.geometric.core.belief import clear_sectors, ray_mass
+from ogm.geometric.core.polar import level_say, polar_lookup
+from ogm.geometric.core.rays import aim_missing, mark_and_aim, sort_rays
+from ogm.geometric.ground import GroundEstimate, local_ground
+from ogm.geometric.mount import Frame, Mount, check_box, check_within, mount_sensor, own_points, scratch
+from ogm.grid import EvidentialGrid, GridSpec
+
+__all__ = ["RayISM"]
+
+MOST_BINS = 2**15 - 1  # what the kernels count in int16
+
+
+@dataclass(frozen=True, eq=False)
+class RayISM:
+    """The geometric model to use: local ground, marking apart from clearing, counts turned into belief.
+
+    Each return is a ray. Obstacle returns (between `obstacle_height` and `clearance` above the *local* ground)
+    mark their cell. All rays, also those to the ground, to tree crowns and, if given, those that came back
+    empty, clear the cells they pass, the less the higher above ground they pass and not at all above
+    `clearance`. Where no ray passes low enough, the cell stays unknown.
+
+    Counts become belief: R returns give occupied ``1 - p_false**R``, T rays at the ground give free
+    ``1 - p_pass**T`` (count-based belief, as in Bosch's evidential occupancy, CVPR 2024), and rays that pass
+    higher give less, see `core.belief.clear_sectors`.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill, in the vehicle frame; must hold the sensor.
+    sensor_height : float
+        Of the sensor above the ground under it [m].
+    T_vehicle_sensor : (4, 4) array, optional
+        Pose of the sensor in the frame of the grid; identity if the grid is centred on the sensor. A pitched
+        or rolled mount is levelled by it.
+    points_in : {"sensor", "vehicle"}
+        Frame of the points. Rays start at the sensor in either case.
+    ground : function
+        `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, foot) -> height``.
+    obstacle_height : float
+        Lowest return above ground that marks [m]; kerbs are 0.08 to 0.15 m high.
+    clearance : float
+        Height that a vehicle needs [m]; what hangs above does not mark. The paper's band ends at 2.0 m.
+    below_ground : float
+        Returns further below ground are mirror images and are ignored [m].
+    range_noise : float
+        Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
+    p_pass : float
+        Chance that a ray passes an occupied cell unnoticed; 0.8 in Bosch's belief model.
+    p_false : float
+        Chance that a return comes from an empty cell; 0.05 in Bosch's belief model.
+    marked_reliability : float
+        Shafer reliability of the rays that pass a cell in which others of the same scan were returned. 1
+        takes both for witnesses of one state (Bosch's belief model, walls seen at a grazing angle fade); 0
+        lets returns win outright. Rays pass beside or above what others hit, hence a low default.
+    max_mass : float
+        No mass of one scan exceeds this, so that a map can change its mind.
+    max_range : float
+        How far an obstacle would be seen, for beams that came back empty [m].
+    missing_weight : float
+        Say of such a beam against one that came back: black and wet surfaces swallow beams too.
+    azimuth_step : float
+        Width of the polar sectors that rays are counted in [rad]; not finer than the sensor's azimuth step,
+        or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
+    own_box : (float, float, float, float), optional
+        x_min, x_max, y_min, y_max of the own vehicle in the vehicle frame [m]: returns in it are dropped, its
+        cells stay unknown. By default 5.0 m x 2.2 m around the sensor.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the sensor lies outside the grid.
+    """
+
+    spec: GridSpec
+    sensor_height: float
+    T_vehicle_sensor: ArrayLike | None = None
+    points_in: Frame = "sensor"
+    ground: GroundEstimate = local_ground
+    obstacle_height: float = 0.1
+    clearance: float = 2.0
+    below_ground: float = 0.3
+    range_noise: float = 0.03
+    p_pass: float = 0.8
+    p_false: float = 0.05
+    marked_reliability: float = 0.2
+    max_mass: float = 0.98
+    max_range: float = 100.0
+    missing_weight: float = 0.2
+    azimuth_step: float = 2 * math.pi / 1024
+    own_box: tuple[float, float, float, float] | None = None
+    _mount: Mount = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        mount = mount_sensor(self.spec, self.sensor_height, self.T_vehicle_sensor, self.points_in)
+        object.__setattr__(self, "_mount", mount)
+        if self.own_box is None:
+            x, y, _ = mount.foot
+            object.__setattr__(self, "own_box", (x - 2.5, x + 2.5, y - 1.1, y + 1.1))
+        check_box(self.own_box)  # type: ignore[arg-type]
+        if not 0 < self.obstacle_height < self.clearance < math.inf:
+            raise ValueError(
+                f"obstacle_height must lie above 0 and below clearance, got {self.obstacle_height}, {self.clearance}"
+            )
+        for name in ("p_pass", "p_false", "max_mass"):
+            check_within(name, getattr(self, name), 0, 1)
+        for name in ("below_ground", "max_range"):
+            check_within(name, getattr(self, name), 0, math.inf)
+        check_within("range_noise", self.range_noise, -1e-9, 10)
+        check_within("marked_reliability", self.marked_reliability, -1e-9, 1 + 1e-9)
+        check_within("missing_weight", self.missing_weight, -1e-9, 1 + 1e-9)
+        check_within("azimuth_step", self.azimuth_step, 2 * math.pi / 2**15, math.pi / 2)
+
+    def __call__(
+        self, points: NDArray[np.float32], missing: NDArray[np.float32] | None = None
+    ) -> EvidentialGrid:
+        """Map one scan.
+
+        Parameters
+        ----------
+        points : (N, 4) float32
+            x, y, z [m], intensity [0, 1] (not used). NaN and inf rows are dropped and counted in the log.
+        missing : (M, 3) float32, optional
+            Unit vectors of beams that came back empty, in the frame of the points (`Scan.missing`).
+
+        Returns
+        -------
+        EvidentialGrid
+            Vacuous for an empty scan.
+        """
+        mount, spec, step = self._mount, self.spec, self.spec.resolution
+        if missing is None:
+            missing = np.empty((0, 3), np.float32)
+        if missing.ndim != 2 or missing.shape[1] != 3:
+            raise ValueError(f"missing must hold directions, shape (M, 3), got {missing.shape}")
+        missing = missing[np.isfinite(missing).all(axis=1)]
+        xyz = own_points(points, mount, self.own_box)  # type: ignore[arg-type]
+
+        # The ground, and what a level ray would say above it
+        polar = _polar_grid(spec, tuple(mount.origin.tolist()), self.own_box, self.azimuth_step)
+        coarse = _ground_spec(spec)
+        height = _checked_height(self.ground(xyz, coarse, mount.foot), coarse)
+        level = scratch("level", (polar.rows, polar.bins), np.float32)
+        level_say(height, *coarse.origin, coarse.resolution, mount.origin, self.clearance, step, level)
+
+        # Obstacles mark their cells, and every beam is a ray
+        hits = scratch("hits", spec.shape, np.int32)
+        hits[:] = 0
+        rays = scratch("rays", (len(xyz), 2), np.float32)
+        starts = mark_and_aim(
+            *xyz.T,
+            mount.origin,
+            height,
+            *coarse.origin,
+            coarse.resolution,
+            level,
+            self.obstacle_height,
+            self.clearance,
+            self.below_ground,
+            self.range_noise,
+            step,
+            polar.sectors,
+            *spec.origin,
+            spec.resolution,
+            hits,
+            *_rays("returned", len(xyz)),
+            rays,
+        )
+        directions = (missing @ mount.T_vehicle_points[:, :3].T).astype(np.float32)
+        sector, slope, end = _rays("missing", len(missing))
+        aim_missing(
+            directions, level, self.clearance, step, self.max_range, polar.sectors, sector, slope, end
+        )
+        empty_rays = np.empty((len(missing), 2), np.float32)
+        empty_starts = sort_rays(sector, slope, end, polar.sectors, empty_rays)
+
+        # Rays clear what they pass
+        free = scratch("free", (polar.sectors, polar.bins), np.float32)
+        clear_sectors(
+            rays,
+            starts,
+            empty_rays,
+            empty_starts,
+            self.missing_weight,
+            level,
+            self.clearance,
+            step,
+            polar.sectors / math.pi,
+            self.p_pass,
+            free,
+        )
+
+        # Belief
+        mass = np.empty((*spec.shape, 2), np.float32)
+        ray_mass(
+            free,
+            hits,
+            polar.sector,
+            polar.span,
+            polar.ring,
+            _powers(math.sqrt(self.p_false)),
+            self.marked_reliability,
+            self.max_mass,
+            mass,
+        )
+        return EvidentialGrid.trusted(spec, mass)
+
+
+def _checked_height(height: NDArray, spec: GridSpec) -> NDArray[np.float32]:
+    """Check what a ground estimate returned: the kernels trust it."""
+    if not isinstance(height, np.ndarray) or height.shape != spec.shape or not np.isfinite(height).all():
+        got = f"shape {height.shape}" if isinstance(height, np.ndarray) else type(height).__name__
+        raise ValueError(f"a ground estimate must return {spec.shape} finite heights [m], got {got}")
+    return np.ascontiguousarray(height, np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _PolarGrid:
+    """Sectors and rings around the sensor, and where each cell of a grid lies among them."""
+
+    sectors: int
+    bins: int
+    rows: int  # coarse sectors in which the ground is sampled
+    sector: NDArray[np.int16]
+    span: NDArray[np.int16]
+    ring: NDArray[np.int16]
+
+
+@lru_cache(maxsize=16)
+def _polar_grid(
+    spec: GridSpec,
+    origin: tuple[float, float, float],
+    box: tuple[float, float, float, float],
+    azimuth_step: float,
+) -> _PolarGrid:
+    """Lay the polar grid over a spec; computed once for each mount."""
+    sectors = 8 * math.ceil(2 * math.pi / azimuth_step / 8 - 1e-9)
+    x0, x1, y0, y1 = spec.extent
+    far = math.hypot(max(x1 - origin[0], origin[0] - x0), max(y1 - origin[1], origin[1] - y0))
+    bins = math.ceil(far / spec.resolution) + 1
+    if max(bins, math.ceil(far)) > MOST_BINS:
+        raise ValueError(
+            f"a grid of one scan may reach at most {MOST_BINS} cells and {MOST_BINS} m from the sensor, "
+            f"this one reaches {far:g} m, {bins} cells; use coarser cells or a smaller grid"
+        )
+    sector, span, ring = (np.empty(spec.shape, np.int16) for _ in range(3))
+    polar_lookup(
+        *spec.origin,
+        spec.resolution,
+        np.array(origin, np.float32),
+        np.array(box, np.float32),
+        sectors,
+        spec.resolution,
+        bins,
+        sector,
+        span,
+        ring,
+    )
+    return _PolarGrid(sectors, bins, sectors // 8, sector, span, ring)
+
+
+@lru_cache(maxsize=16)
+def _ground_spec(spec: GridSpec, resolution: float = 1.0) -> GridSpec:
+    """Return cells of about 1 m over the area of a grid."""
+    nx, ny = (max(math.ceil(size / resolution), 2) for size in (spec.length, spec.width))
+    return GridSpec(resolution, (nx, ny), spec.origin)
+
+
+@lru_cache(maxsize=64)
+def _powers(base: float) -> NDArray[np.float32]:
+    """Tabulate ``base ** n`` until it does not matter in float32."""
+    return np.append(base ** np.arange(min(math.ceil(-17 / math.log(base)), 2**12)), 0).astype(np.float32)
+
+
+def _rays(name: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Work space for rays: sector, slope, run or end."""
+    return (
+        scratch(f"{name} sector", (count,), np.int32),
+        scratch(f"{name} slope", (count,), np.float32),
+        scratch(f"{name} run", (count,), np.float32),
+    )
