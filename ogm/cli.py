@@ -15,6 +15,7 @@ import typer
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from rich.text import Text
 
 import ogm
 
@@ -111,7 +112,7 @@ def _table(title: str) -> Table:
 
 def _row(table: Table, name: str, count: int, grid: "EvidentialGrid", seconds: float) -> None:
     shares = (f"{100 * float(share.mean()):.1f} %" for share in (grid.free, grid.occupied, grid.unknown))
-    table.add_row(name, f"{count}", *shares, f"{1e3 * seconds:.1f}")
+    table.add_row(Text(name.encode("utf-8", "replace").decode()), f"{count}", *shares, f"{1e3 * seconds:.1f}")
 
 
 def _timed(
@@ -149,6 +150,7 @@ def demo(
         grids[title], seconds = _timed(ism, scan.points, None, repeats=9)
         _row(table, name, len(scan.points), grids[title], seconds)
     cloud = plot.points(scan.points, spec, f"{len(scan.points)} points", -DEMO_HEIGHT)
+    out_folder.mkdir(parents=True, exist_ok=True)
     picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
     plot.save_picture(picture, cloud, *grids.values(), titles=["", *grids])
     grids["RayISM"].save(archive)
@@ -181,10 +183,10 @@ def map_(
     ] = None,
     out_path: Annotated[
         Path | None,
-        typer.Option("--out", help="Grid file (.npz), or a folder for many. [default: ./NAME.npz]"),
+        typer.Option("--out", help="Grid file (.npz), or a folder. [default: ./NAME.npz]"),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Picture (.png), or a folder for many. [default: ./NAME.png]")
+        Path | None, typer.Option(help="Picture (.png), or a folder. [default: ./NAME.png]")
     ] = None,
     length: Annotated[float, typer.Option(help="Extent of the grid along x [m].")] = 81.92,
     width: Annotated[float, typer.Option(help="Extent of the grid along y [m].")] = 56.32,
@@ -198,16 +200,16 @@ def map_(
     names = [_stem(path) for path in scans]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
-    many = len(scans) > 1 or any(path is not None and path.is_dir() for path in (out_path, picture))
+    if ism is Model.released and sensor_height is not None:
+        raise ValueError("height-band-released has a mount of 1.61 m built in; leave out --sensor-height")
     if out_path is None and picture is None:
-        out_path, picture, many = Path("."), Path("."), True
-    if many:
-        for folder in {out_path, picture} - {None}:
-            folder.mkdir(parents=True, exist_ok=True)  # type: ignore[union-attr]
+        out_path, picture = Path(), Path()
+    grids = _outputs(out_path, names, ".npz", "--out")
+    pictures = _outputs(picture, names, ".png", "--picture")
     table, failed = _table(f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m, {ism}"), []
     warm = False
-    for path, name in track(
-        list(zip(scans, names, strict=True)),
+    for path, name, grid_path, picture_path in track(
+        list(zip(scans, names, grids, pictures, strict=True)),
         "mapping",
         console=complaints,
         disable=len(scans) == 1,
@@ -215,29 +217,44 @@ def map_(
     ):
         try:
             scan = read_scan(path, axes=_axes(axes), intensity_max=intensity_max)
-            model = _model(ism, spec, _height(scan.points, sensor_height, sensor_position), sensor_position)
+            height = 1.61 if ism is Model.released else _height(scan.points, sensor_height, sensor_position)
+            model = _model(ism, spec, height, sensor_position)
             if not warm:
                 _grid(model, scan.points, scan.missing)  # compiles, or loads what was compiled before
                 warm = True
             grid, seconds = _timed(model, scan.points, scan.missing)
-            if out_path is not None:
-                grid.save(out_path / f"{name}.npz" if many else out_path)
-            if picture is not None:
+            if grid_path is not None:
+                grid.save(grid_path)
+            if picture_path is not None:
                 cloud = plot.points(scan.points, grid.spec, path.name)
-                plot.save_picture(
-                    picture / f"{name}.png" if many else picture, cloud, grid, titles=["", str(ism)]
-                )
+                plot.save_picture(picture_path, cloud, grid, titles=["", str(ism)])
             _row(table, name, len(scan.points), grid, seconds)
         except (ValueError, TypeError, OSError) as error:
             if len(scans) == 1:
                 raise
             failed.append(f"{path}: {_one_line(error)}")
     if table.row_count:
-        out.print(table)
+        out.print(table, markup=False)
     for line in failed:
         complaints.print(f"ogm: {line}", markup=False)
     if failed:
         raise typer.Exit(2)
+
+
+def _outputs(path: Path | None, names: list[str], suffix: str, option: str) -> list[Path | None]:
+    """Say where each output goes: into a folder, made if need be, or, of a single scan, to a file."""
+    if path is None:
+        return [None] * len(names)
+    if path.suffix.lower() == suffix and not path.is_dir():
+        if len(names) > 1:
+            raise ValueError(f"{option} {path} is one file for {len(names)} scans; give a folder")
+        return [path]
+    if path.suffix and not path.is_dir():
+        raise ValueError(
+            f"{option} writes {suffix} files, got {path}; give a name that ends in {suffix}, or a folder"
+        )
+    path.mkdir(parents=True, exist_ok=True)
+    return [path / f"{name}{suffix}" for name in names]
 
 
 def _height(points: object, given: float | None, position: tuple[float, float, float] | None) -> float:
@@ -263,6 +280,8 @@ def _axes(text: str) -> str | tuple[str, ...]:
 def _stem(path: Path) -> str:
     """Return a scan's name without the endings that say its format."""
     name = path.name
+    if name in (".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather"):
+        return name
     for ending in (".xz", ".gz", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather"):
         name = name.removesuffix(ending)
     return name

@@ -2,6 +2,7 @@
 
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, Self, runtime_checkable
@@ -15,6 +16,17 @@ from ogm.files import atomic_write
 __all__ = ["EvidentialGrid", "GridSpec", "InverseSensorModel"]
 
 _FORMAT = "ogm.EvidentialGrid/1"
+_UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    KeyError,
+    IndexError,
+    TypeError,
+    NotImplementedError,
+    RuntimeError,
+    OSError,
+)
 _MAX_CELLS = 2**28  # a grid of 1 GiB of masses; a file that claims more is refused before it is unpacked
 
 
@@ -303,7 +315,7 @@ class EvidentialGrid:
                     float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist())
                 )
                 return cls(spec, data["mass"])
-        except (zipfile.BadZipFile, EOFError, KeyError, OSError, TypeError, IndexError) as error:
+        except _UNREADABLE as error:
             if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
                 raise
             raise ValueError(f"{path} is not a whole grid file (.npz): {error}") from error

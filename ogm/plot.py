@@ -187,6 +187,12 @@ def _size(panels: Sequence[Panel]) -> tuple[float, float]:
     return min(max(sum(widths), 4.0), 40.0), 7.6
 
 
+def _shown(title: str, most: int = 40) -> str:
+    """Cut a title to what fits over a panel, and replace what the font cannot show."""
+    title = title.encode("latin-1", "replace").decode("latin-1")
+    return title if len(title) <= most else f"{title[: most // 2 - 1]}...{title[-most // 2 + 2 :]}"
+
+
 def _draw(figure: "Figure", panels: Sequence[Panel]) -> "Figure":
     from matplotlib.patches import Patch
 
@@ -198,7 +204,7 @@ def _draw(figure: "Figure", panels: Sequence[Panel]) -> "Figure":
             axis.plot(
                 0, 0, marker="^", markersize=7, color="white", markeredgecolor="black", markeredgewidth=0.8
             )
-        axis.set_title(panel.title, fontsize=11)
+        axis.set_title(_shown(panel.title), fontsize=11, parse_math=False)
         axis.set_xlabel("y, left [m]")
         if k == 0:
             axis.set_ylabel("x, forward [m]")

@@ -50,7 +50,7 @@ def test_map_writes_the_grid_and_its_picture(scan: Path, tmp_path: Path, model: 
     out, picture = tmp_path / "o.npz", tmp_path / "o.png"
     result = ogm("map", scan, "--ism", model, "--out", out, "--picture", picture, *SMALL)
     assert result.exit_code == 0, result.output
-    assert "sensor height 1.70 m, estimated" in result.output
+    assert ("sensor height 1.70 m, estimated" in result.output) == (model != "height-band-released")
     assert EvidentialGrid.load(out).at(8.1, 0.1).occupied > 0.15
     assert picture.exists()
 
@@ -76,6 +76,22 @@ def test_points_in_the_vehicles_frame(scan: Path, tmp_path: Path) -> None:
     assert EvidentialGrid.load(tmp_path / "v.npz").at(9.6, 0.1).occupied > 0.5
 
 
+def test_beams_without_a_return_reach_the_model(tmp_path: Path) -> None:
+    """An organised scan whose front came back empty: the ground there is cleared all the same."""
+    elevation, azimuth = np.radians(np.linspace(-20, -3, 16)), np.radians(np.arange(0, 360, 1.0))
+    run = 1.7 / np.tan(-elevation)[:, None] + 0 * azimuth
+    raster = np.stack(
+        [run * np.cos(azimuth), run * np.sin(azimuth), 0 * run - 1.7, 0 * run + 0.5], axis=-1
+    ).astype(np.float32)
+    raster[8:, 20:60] = 0
+    np.save(tmp_path / "organised.npy", raster)
+    result = ogm(
+        "map", tmp_path / "organised.npy", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL
+    )
+    assert result.exit_code == 0, result.output
+    assert EvidentialGrid.load(tmp_path / "o.npz").at(8.0, 6.5).free > 0.02
+
+
 def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
     result = ogm("info", scan)
     assert "20000" in result.output
@@ -94,12 +110,15 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
         (("map", "{scan}", "--length", "10.0"), "use 9.92 m or 10.08 m"),
         (("map", "{scan}", "--axes", "upside-down"), "upside-down"),
         (("map", "{scan}", "--out", "{folder}/none/x.npz"), "no folder"),
-        (("map", "{scan}", "--out", "{folder}/x.txt"), "saved as .npz"),
+        (("map", "{scan}", "--out", "{folder}/x.txt"), "ends in .npz"),
+        (("map", "{scan}", "--out", "{folder}/x.npz", "--picture", "{folder}/x.jpg"), "ends in .png"),
+        (("map", "{scan}", "{empty}", "--out", "{folder}/x.npz"), "give a folder"),
+        (("map", "{scan}", "--ism", "height-band-released", "--sensor-height", "2"), "built in"),
         (("map", "{scan}", "--sensor-height", "-1"), "sensor_height"),
         (("map", "{scan}", "{scan}"), "share a name"),
         (("map", "{empty}"), "empty.bin"),
         (("map", "{nothing}"), "--sensor-height"),
-        (("demo", "--out", "{folder}/none"), "no folder"),
+        (("demo", "--out", "{scan}"), "wall.bin"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, says: str) -> None:
@@ -112,6 +131,26 @@ def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, says: str
     assert says in result.output
     assert "Traceback" not in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "name", ["m$\\frac$.bin", "tag[red].bin", "with space.bin", "日本.bin", "x" * 120 + ".bin"]
+)
+def test_odd_file_names(scan: Path, tmp_path: Path, name: str) -> None:
+    odd = tmp_path / name
+    odd.write_bytes(scan.read_bytes())
+    result = ogm("map", odd, "--out", tmp_path, "--picture", tmp_path, "--sensor-height", 1.7, *SMALL)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / f"{name[:-4]}.png").exists()
+    assert name[:8].split(".")[0] in result.output
+
+
+def test_a_grid_folder_and_a_picture_file(scan: Path, tmp_path: Path) -> None:
+    (tmp_path / "grids").mkdir()
+    result = ogm("map", scan, "--out", tmp_path / "grids", "--picture", tmp_path / "p.png", *SMALL)
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "p.png").is_file()
+    assert (tmp_path / "grids" / "wall.npz").is_file()
 
 
 def test_a_failure_leaves_the_old_output_whole(scan: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """GridSpec and EvidentialGrid: geometry, checks, files."""
 
+import contextlib
 import os
 import zipfile
 from pathlib import Path
@@ -175,6 +176,18 @@ def test_damaged_and_foreign_files_are_refused(tmp_path: Path) -> None:
         EvidentialGrid.load(path)
     with pytest.raises(FileNotFoundError):
         EvidentialGrid.load(tmp_path / "none.npz")
+
+
+def test_flipped_bytes_are_a_value_error_or_a_grid(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    random_grid().save(path)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    for _ in range(600):
+        damaged = bytearray(whole)
+        damaged[rng.integers(len(whole))] ^= int(rng.integers(1, 256))
+        path.write_bytes(bytes(damaged))
+        with contextlib.suppress(ValueError):
+            EvidentialGrid.load(path)
 
 
 def test_a_file_that_claims_too_much_is_not_unpacked(tmp_path: Path) -> None:

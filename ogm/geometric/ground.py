@@ -62,7 +62,16 @@ def local_ground(
     Parameters, returns : see `flat_ground`
     max_slope : float
         Steepest rise over run that is ground.
+
+    Raises
+    ------
+    ValueError
+        If the foot lies outside `spec`, or `spec` has fewer than 2 x 2 cells.
     """
+    if not spec.contains(foot[0], foot[1]):
+        raise ValueError(f"the foot at x={foot[0]:g}, y={foot[1]:g} m must lie inside the grid {spec.extent}")
+    if min(spec.shape) < 2:
+        raise ValueError(f"a map of the ground needs 2 x 2 cells or more, got {spec.shape}")
     height = np.empty(spec.shape, np.float32)
     surface.local_ground(
         *(np.ascontiguousarray(xyz[:: 1 + len(xyz) // ENOUGH, k]) for k in range(3)),
@@ -133,6 +142,7 @@ def ground_height(
     (N,) float32
         Height of the ground [m]; ``xyz[:, 2]`` minus this is the height above ground.
     """
+    height = np.pad(height, [(0, int(n == 1)) for n in height.shape], mode="edge")  # the kernel wants 2 x 2
     result = np.empty(len(xyz), np.float32)
     x, y = np.ascontiguousarray(xyz[:, 0], np.float32), np.ascontiguousarray(xyz[:, 1], np.float32)
     surface.sample_many(height, spec.origin[0], spec.origin[1], spec.resolution, x, y, result)

@@ -74,7 +74,7 @@ class HeightBandISM:
             raise ValueError(f"z_min must lie below z_max, got {self.z_min} and {self.z_max}")
         check_within("evidence", self.evidence, 0, math.inf)
         check_within("min_range", self.min_range, -1e-9, math.inf)
-        check_box(self.own_box)
+        object.__setattr__(self, "own_box", check_box(self.own_box))
         self.spec.refined(self.supersampling)
 
     @classmethod
@@ -109,6 +109,7 @@ class HeightBandISM:
         height_band_states(
             *xyz.T,
             self._mount.origin,
+            *(min(int(k), n - 1) for k, n in zip(fine.index(*self._mount.foot[:2]), fine.shape, strict=True)),
             ground + self.z_min,
             ground + self.z_max,
             self.min_range,

@@ -3,6 +3,7 @@
 import logging
 import math
 import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -70,10 +71,17 @@ def own_points(
     return rows[:, :kept].T
 
 
-def check_box(box: tuple[float, float, float, float]) -> None:
-    """Refuse an own-vehicle box that is none."""
-    if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
+def check_box(box: Sequence[float]) -> tuple[float, float, float, float]:
+    """Return an own-vehicle box as numbers, or refuse one that is none."""
+    numbers = tuple(float(edge) for edge in box)
+    if (
+        len(numbers) != 4
+        or not np.isfinite(numbers).all()
+        or numbers[0] > numbers[1]
+        or numbers[2] > numbers[3]
+    ):
         raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {box}")
+    return numbers
 
 
 def check_within(name: str, value: float, low: float, high: float) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.geometric.core.belief import clear_sectors, ray_mass
-from ogm.geometric.core.polar import level_say, polar_lookup
+from ogm.geometric.core.polar import ROW_BITS, level_say, polar_lookup
 from ogm.geometric.core.rays import aim_missing, mark_and_aim, sort_rays
 from ogm.geometric.ground import GroundEstimate, local_ground
 from ogm.geometric.mount import Frame, Mount, check_box, check_within, mount_sensor, own_points, scratch
@@ -105,7 +105,7 @@ class RayISM:
         if self.own_box is None:
             x, y, _ = mount.foot
             object.__setattr__(self, "own_box", (x - 2.5, x + 2.5, y - 1.1, y + 1.1))
-        check_box(self.own_box)  # type: ignore[arg-type]
+        object.__setattr__(self, "own_box", check_box(self.own_box))  # type: ignore[arg-type]
         if not 0 < self.obstacle_height < self.clearance < math.inf:
             raise ValueError(
                 f"obstacle_height must lie above 0 and below clearance, got {self.obstacle_height}, {self.clearance}"
@@ -113,7 +113,7 @@ class RayISM:
         for name in ("p_pass", "p_false", "max_mass"):
             check_within(name, getattr(self, name), 0, 1)
         for name in ("below_ground", "max_range"):
-            check_within(name, getattr(self, name), 0, math.inf)
+            check_within(name, getattr(self, name), 0, 1e6)
         check_within("range_noise", self.range_noise, -1e-9, 10)
         check_within("marked_reliability", self.marked_reliability, -1e-9, 1 + 1e-9)
         check_within("missing_weight", self.missing_weight, -1e-9, 1 + 1e-9)
@@ -139,8 +139,9 @@ class RayISM:
         mount, spec, step = self._mount, self.spec, self.spec.resolution
         if missing is None:
             missing = np.empty((0, 3), np.float32)
-        if missing.ndim != 2 or missing.shape[1] != 3:
-            raise ValueError(f"missing must hold directions, shape (M, 3), got {missing.shape}")
+        if getattr(missing, "ndim", 0) != 2 or missing.shape[1] != 3:
+            got = getattr(missing, "shape", type(missing).__name__)
+            raise ValueError(f"missing must be an array of directions, shape (M, 3), got {got}")
         missing = missing[np.isfinite(missing).all(axis=1)]
         xyz = own_points(points, mount, self.own_box)  # type: ignore[arg-type]
 
@@ -154,7 +155,7 @@ class RayISM:
         # Obstacles mark their cells, and every beam is a ray
         hits = scratch("hits", spec.shape, np.int32)
         hits[:] = 0
-        rays = scratch("rays", (len(xyz), 2), np.float32)
+        rays = scratch("rays", (len(xyz), 3), np.float32)
         starts = mark_and_aim(
             *xyz.T,
             mount.origin,
@@ -171,16 +172,16 @@ class RayISM:
             *spec.origin,
             spec.resolution,
             hits,
-            *_rays("returned", len(xyz)),
+            scratch("sector", (len(xyz),), np.int32),
+            scratch("slope", (len(xyz),), np.float32),
+            scratch("run", (len(xyz),), np.float32),
             rays,
         )
         directions = (missing @ mount.T_vehicle_points[:, :3].T).astype(np.float32)
-        sector, slope, end = _rays("missing", len(missing))
-        aim_missing(
-            directions, level, self.clearance, step, self.max_range, polar.sectors, sector, slope, end
-        )
-        empty_rays = np.empty((len(missing), 2), np.float32)
-        empty_starts = sort_rays(sector, slope, end, polar.sectors, empty_rays)
+        sector, aimed = np.empty(len(missing), np.int32), np.empty((len(missing), 3), np.float32)
+        aim_missing(directions, level, self.clearance, step, self.max_range, polar.sectors, sector, aimed)
+        empty_rays = np.empty_like(aimed)
+        empty_starts = sort_rays(sector, aimed, polar.sectors, empty_rays)
 
         # Rays clear what they pass
         free = scratch("free", (polar.sectors, polar.bins), np.float32)
@@ -242,7 +243,8 @@ def _polar_grid(
     azimuth_step: float,
 ) -> _PolarGrid:
     """Lay the polar grid over a spec; computed once for each mount."""
-    sectors = 8 * math.ceil(2 * math.pi / azimuth_step / 8 - 1e-9)
+    together = 2**ROW_BITS
+    sectors = together * math.ceil(2 * math.pi / azimuth_step / together - 1e-9)
     x0, x1, y0, y1 = spec.extent
     far = math.hypot(max(x1 - origin[0], origin[0] - x0), max(y1 - origin[1], origin[1] - y0))
     bins = math.ceil(far / spec.resolution) + 1
@@ -264,7 +266,7 @@ def _polar_grid(
         span,
         ring,
     )
-    return _PolarGrid(sectors, bins, sectors // 8, sector, span, ring)
+    return _PolarGrid(sectors, bins, sectors // together, sector, span, ring)
 
 
 @lru_cache(maxsize=16)
@@ -278,12 +280,3 @@ def _ground_spec(spec: GridSpec, resolution: float = 1.0) -> GridSpec:
 def _powers(base: float) -> NDArray[np.float32]:
     """Tabulate ``base ** n`` until it does not matter in float32."""
     return np.append(base ** np.arange(min(math.ceil(-17 / math.log(base)), 2**12)), 0).astype(np.float32)
-
-
-def _rays(name: str, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Work space for rays: sector, slope, run or end."""
-    return (
-        scratch(f"{name} sector", (count,), np.int32),
-        scratch(f"{name} slope", (count,), np.float32),
-        scratch(f"{name} run", (count,), np.float32),
-    )

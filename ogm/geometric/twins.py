@@ -141,11 +141,11 @@ def clear_from_rays(
     """
     if len(slopes) == 0:
         return 0.0
-    says = level - slopes * reach
-    first = min(max(says.max(), 0.0), 1.0)
+    says = np.maximum(level - slopes * reach, 0)  # above clearance a ray says nothing
+    first = min(says.max(), 1.0)
     if first == 0:
         return 0.0
-    count = min(max(float((says * weights).sum()) / first, 0.0), float(weights.sum()))
+    count = min(max(float((says * weights).sum()) / first, 0.0), float(weights[says > 0].sum()))
     return first * (1 - p_pass ** (count * per_cell))
 
 
@@ -182,8 +182,6 @@ def ray_grid_mass(
     rays: list[list[tuple[float, float, float]]] = [[] for _ in range(sectors)]  # slope, end bin, weight
 
     def add(x: float, y: float, slope: float, end: float, weight: float) -> None:
-        if slope > 0:  # where it is above clearance
-            end = min(end, max(level, 0) / (slope * step / clearance))
         sector = int((math.atan2(y, x) % (2 * math.pi)) * sectors / (2 * math.pi))
         rays[min(sector, sectors - 1)].append((slope, int(min(end, bins)), weight))
 

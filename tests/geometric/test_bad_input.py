@@ -125,6 +125,7 @@ def test_impossible_mounts_are_refused(model: type, options: dict, says: str) ->
         (RayISM, {"missing_weight": -1.0}, "missing_weight"),
         (RayISM, {"azimuth_step": 0.0}, "azimuth_step"),
         (RayISM, {"below_ground": math.nan}, "below_ground"),
+        (RayISM, {"max_range": 1e300}, "max_range"),
     ],
 )
 def test_impossible_numbers_are_refused(model: type, options: dict, says: str) -> None:
@@ -136,6 +137,16 @@ def test_impossible_numbers_are_refused(model: type, options: dict, says: str) -
 def test_missing_must_be_directions(shape: tuple) -> None:
     with pytest.raises(ValueError, match=r"shape \(M, 3\)"):
         MODELS[1](np.empty((0, 4), np.float32), np.zeros(shape, np.float32))
+
+
+def test_missing_must_be_an_array() -> None:
+    with pytest.raises(ValueError, match=r"shape \(M, 3\), got list"):
+        MODELS[1](np.empty((0, 4), np.float32), [[1.0, 0.0, 0.0]])
+
+
+def test_own_box_may_be_any_four_numbers() -> None:
+    points = np.array([[0.5, 0.5, -0.9, 0]], np.float32)
+    assert (RayISM(SPEC, 1.7, own_box=[-1, 1, -1, 1])(points).mass == 0).all()
 
 
 def test_directions_that_are_none_clear_nothing() -> None:

@@ -54,6 +54,46 @@ def test_mirror_images_below_ground_do_not_pull_it_down(depth: float) -> None:
     assert (np.abs(above[is_ground]) < 0.15).mean() > 0.985
 
 
+def test_a_few_strays_under_a_thin_layer_of_road_do_not_lower_it() -> None:
+    """Twenty returns 0.4 m under three hundred of the road, in one cell near the car."""
+    xyz, is_ground = scene(noise=0.01)
+    rng = np.random.default_rng(3)
+    cell = rng.uniform((5.0, 1.0, 0), (6.0, 2.0, 0), (320, 3))
+    cell[:, 2] = hill(cell[:, 0], cell[:, 1]) + rng.normal(0, 0.01, 320)
+    cell[:20, 2] -= 0.38
+    both = np.concatenate([xyz, cell.astype(np.float32)])
+    above = cell[20:, 2] - ground_height(local_ground(both, SPEC, FOOT), SPEC, cell[20:].astype(np.float32))
+    assert (np.abs(above) < 0.1).mean() > 0.95
+
+
+def test_returns_that_no_road_leads_down_to_are_not_ground() -> None:
+    """A cell near the car with both road and deep strays keeps its road."""
+    xyz, _ = scene()
+    stray = np.array([[6.5, 0.5, -5.0], [6.6, 0.4, -4.0]], np.float32)
+    height = local_ground(np.concatenate([xyz, stray]), SPEC, FOOT)
+    np.testing.assert_allclose(height, local_ground(xyz, SPEC, FOOT), atol=1e-6)
+
+
+def test_a_large_cloud_is_thinned_and_says_the_same() -> None:
+    xyz, is_ground = scene()
+    many = np.repeat(xyz, 5, axis=0)
+    above = xyz[:, 2] - ground_height(local_ground(many, SPEC, FOOT), SPEC, xyz)
+    assert (np.abs(above[is_ground]) < 0.15).mean() > 0.99
+    np.testing.assert_array_equal(local_ground(many, SPEC, FOOT), local_ground(many[::4], SPEC, FOOT))
+
+
+def test_a_foot_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
+    with pytest.raises(ValueError, match="must lie inside the grid"):
+        local_ground(np.zeros((1, 3), np.float32), SPEC, (99.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="2 x 2 cells"):
+        local_ground(np.zeros((1, 3), np.float32), GridSpec(1.0, (1, 5), (-0.5, -2.0)), (0.0, 0.0, 0.0))
+    at = np.array([(0.2, 0.7, 0.0), (5.0, 2.6, 0.0)], np.float32)
+    for shape in ((1, 1), (1, 3), (3, 1)):
+        np.testing.assert_array_equal(
+            ground_height(np.full(shape, 3, np.float32), GridSpec(1.0, shape, (0.0, 0.0)), at), [3, 3]
+        )
+
+
 def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
     rng = np.random.default_rng(2)
     x, y = rng.uniform(-25, 25, (2, 60_000))

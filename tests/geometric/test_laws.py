@@ -228,3 +228,72 @@ def test_passing_rays_doubt_a_lone_return_only_as_far_as_they_are_relied_on() ->
     assert lone(1.0).occupied < 0.45
     assert lone(1.0).unknown > 0.3  # the conflict is ignorance (Yager), not a coin toss
     assert lone(1.0).occupied < lone(0.2).occupied < lone(0.0).occupied
+
+
+@pytest.mark.parametrize("height", [1.9, 3.0, 5.0])
+def test_rays_above_clearance_take_nothing_from_what_others_know(height: float) -> None:
+    """A facade behind free ground, hit well above clearance, changes no cell before it."""
+    spec = GridSpec.centered(80.0, 4.0, 0.5)
+    ism = RayISM(spec, height, ground=flat_ground)
+    ground = [(x, y, -height, 0) for x in np.arange(6, 30, 0.5) for y in np.arange(-1, 1, 0.02)]
+    facade = [(38.0, y, z - height, 0) for z in (2.2, 3.0, 6.0) for y in np.arange(-2, 2, 0.02)]
+    alone = ism(np.array(ground, np.float32))
+    both = ism(np.array(ground + facade, np.float32))
+    near = slice(0, spec.index(30.0, 0)[0])
+    assert (both.free[near] >= alone.free[near] - 1e-6).all()
+    assert alone.at(15.0, 0.1).free > 0.8
+
+
+def test_on_a_falling_road_high_rays_take_nothing_either() -> None:
+    spec = GridSpec.centered(80.0, 4.0, 0.5)
+    ism = RayISM(spec, 1.9)
+    x, y = np.meshgrid(np.arange(4, 36, 0.25), np.arange(-1.5, 1.5, 0.05))
+    road = np.stack([x, y, -1.9 - 0.1 * x, 0 * x], -1).reshape(-1, 4)
+    facade = np.array(
+        [(38.0, b, -1.9 - 3.8 + c, 0) for b in np.arange(-1.5, 1.5, 0.02) for c in (2.5, 3.0, 4.0)]
+    )
+    alone = ism(road.astype(np.float32))
+    both = ism(np.concatenate([road, facade]).astype(np.float32))
+    near = slice(0, spec.index(34.0, 0)[0])
+    assert (both.free[near] >= alone.free[near] - 0.05).all()
+    assert alone.at(26.0, 0.1).free > 0.4
+
+
+def test_directions_of_missing_beams_turn_with_the_mount() -> None:
+    spec = GridSpec.centered(40.0, 40.0, 0.5)
+    ism = RayISM(spec, HEIGHT, T_vehicle_sensor=pose(yaw=math.pi / 2))
+    ahead = np.array([(math.cos(a), math.sin(a), -0.05) for a in np.linspace(-0.1, 0.1, 400)], np.float32)
+    grid = ism(np.zeros((0, 4), np.float32), ahead)
+    assert grid.at(0.1, 10.0).free > 0.3
+    assert grid.at(10.0, 0.1).free == 0
+
+
+def test_no_mass_exceeds_its_bound() -> None:
+    spec = GridSpec.centered(20.0, 20.0, 0.5)
+    scene = at(
+        *[(6.2, 0.2, z) for z in np.linspace(0.2, 1.9, 400)], *[(8.0, 0.001 * k, 0.0) for k in range(4000)]
+    )
+    grid = RayISM(spec, HEIGHT, max_mass=0.6)(scene)
+    assert grid.occupied.max() == pytest.approx(0.6)
+    assert grid.free.max() == pytest.approx(0.6)
+
+
+def test_the_released_codes_numbers() -> None:
+    """Band -1.11 to 0.39 m around the sensor, nothing nearer than 3 m (EviLOG, naive_geometric_ISM)."""
+    spec = GridSpec.centered(8.0, 8.0, 0.5)
+    ism = HeightBandISM.as_released(spec)
+    for z, marks in ((-1.12, False), (-1.10, True), (0.38, True), (0.40, False)):
+        assert (ism(np.array([[3.6, 0.1, z, 0]], np.float32)).occupied.max() > 0) == marks
+    for x, marks in ((2.98, False), (3.02, True)):
+        assert (ism(np.array([[x, 0.0, 0.0, 0]], np.float32)).occupied.max() > 0) == marks
+
+
+@pytest.mark.parametrize("edge", [9.99999999, 0.0, 1e-9, 9.9999])
+def test_a_sensor_on_the_grids_edge(edge: float) -> None:
+    """Its cell is found in float64: rounding must not carry it off the grid."""
+    spec = GridSpec(0.5, (20, 20), (0.0, 0.0))
+    points = np.array([(x, y, -0.9, 0) for x in (-4, -0.3, 0.3, 4) for y in (-4, -0.3, 0.3, 4)], np.float32)
+    for T in (pose(edge, 5.2), pose(5.2, edge)):
+        assert HeightBandISM(spec, HEIGHT, T_vehicle_sensor=T)(points).occupied.any()
+        assert RayISM(spec, HEIGHT, T_vehicle_sensor=T, ground=flat_ground)(points).occupied.any()
+        assert RayISM(spec, HEIGHT, T_vehicle_sensor=T)(points).free.any()

@@ -33,12 +33,13 @@ def clear_sectors(
         T = sum_i w_i / w_1,        free = w_1 * (1 - p**T),
 
     which is the count-based ``1 - p**n`` for n rays at the ground, discounted (Shafer) by w_1: many rays over
-    a roof say nothing about what is below it. The sums need no loop over rays and bins: all rays of a sector
-    start at the sensor, so that those that pass a bin are those that end further out.
+    a roof say nothing about what is below it. A ray counts only where it is below clearance. The sums need no
+    loop over rays and bins: the rays that pass a bin are those that stop further out, less those that start
+    further out.
 
     Parameters
     ----------
-    rays : (N, 2) float32, starts : (sectors + 1,) int32
+    rays : (N, 3) float32, starts : (sectors + 1,) int32
         From `mark_and_aim`.
     missing, missing_starts, missing_weight
         The same from `sort_rays`, for beams that came back empty, and what one counts against a ray that came back.
@@ -69,19 +70,10 @@ def clear_sectors(
         share[k] = -math.log(p_pass) * cell_sectors / (2 * k + 1) / 64
     for s in range(sectors):
         count[:], rise[:], lowest[:] = zero, zero, np.inf
-        furthest = 0
-        for n in range(starts[s], starts[s + 1]):
-            slope, k = rays[n, 0], int(rays[n, 1]) & 0x7FFF
-            count[k] += one
-            rise[k] += slope
-            lowest[k] = min(lowest[k], slope)
-            furthest = max(furthest, k)
-        for n in range(missing_starts[s], missing_starts[s + 1]):
-            slope, k = missing[n, 0], int(missing[n, 1]) & 0x7FFF
-            count[k] += weight
-            rise[k] += weight * slope
-            lowest[k] = min(lowest[k], slope)
-            furthest = max(furthest, k)
+        furthest = _file(rays, starts[s], starts[s + 1], one, count, rise, lowest)
+        furthest = max(
+            furthest, _file(missing, missing_starts[s], missing_starts[s + 1], weight, count, rise, lowest)
+        )
         through, climb, least = zero, zero, np.float32(np.inf)
         for k in range(furthest, 0, -1):
             through += count[k]
@@ -98,6 +90,22 @@ def clear_sectors(
             share[:furthest],
             free[s, :furthest],
         )
+
+
+@kernel
+def _file(rays, first, after, weight, count, rise, lowest):
+    """File rays under the bins before which they stop, and take them back under those where they start."""
+    furthest = 0
+    for n in range(first, after):
+        slope, start, stop = rays[n, 0], int(rays[n, 1]) & 0x7FFF, int(rays[n, 2]) & 0x7FFF
+        count[stop] += weight
+        rise[stop] += weight * slope
+        lowest[stop] = min(lowest[stop], slope)
+        furthest = max(furthest, stop)
+        if start > 0:
+            count[start] -= weight
+            rise[start] -= weight * slope
+    return furthest
 
 
 @vector

@@ -1,7 +1,5 @@
 """Straight lines of cells: what `HeightBandISM` draws."""
 
-import math
-
 import numpy as np
 
 from ogm.geometric.core.jit import kernel
@@ -56,7 +54,7 @@ def draw_lines(state, ends, i0, j0):
 
 
 @kernel
-def height_band_states(x, y, z, origin, z_low, z_high, min_range, x0, y0, resolution, state, ends):
+def height_band_states(x, y, z, origin, i0, j0, z_low, z_high, min_range, x0, y0, resolution, state, ends):
     """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
 
     Van Kempen et al. 2021, Sec. V: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
@@ -68,7 +66,9 @@ def height_band_states(x, y, z, origin, z_low, z_high, min_range, x0, y0, resolu
     x, y, z : (N,) float32
         Points in the frame of the grid [m].
     origin : (3,) float32
-        The sensor, inside the grid [m].
+        The sensor [m].
+    i0, j0 : int
+        The cell that holds it.
     z_low, z_high : float
         Open interval of heights that are obstacles, in the frame of the grid [m].
     min_range : float
@@ -81,7 +81,6 @@ def height_band_states(x, y, z, origin, z_low, z_high, min_range, x0, y0, resolu
         Work space.
     """
     nx, ny = state.shape
-    i0, j0 = int(math.floor((origin[0] - x0) / resolution)), int(math.floor((origin[1] - y0) / resolution))
     low, high, near = np.float32(z_low), np.float32(z_high), np.float32(min_range) * np.float32(min_range)
     count = 0
     for n in range(x.shape[0]):

@@ -7,9 +7,10 @@ import numpy as np
 from ogm.geometric.core.jit import inline, kernel, vector
 from ogm.geometric.core.surface import sample
 
-__all__ = ["azimuth", "level_say", "polar_coordinates", "polar_lookup"]
+__all__ = ["ROW_BITS", "azimuth", "level_say", "polar_coordinates", "polar_lookup"]
 
 TAU = np.float32(2 * math.pi)
+ROW_BITS = 3  # the ground is sampled once for 2**3 neighbouring sectors
 _ATAN = (
     0.99999611,
     -0.33317370,

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from ogm.geometric.core.jit import inline, kernel, vector
-from ogm.geometric.core.polar import azimuth, polar_coordinates
+from ogm.geometric.core.jit import kernel, vector
+from ogm.geometric.core.polar import ROW_BITS, azimuth, polar_coordinates
 from ogm.geometric.core.surface import sample
 
 __all__ = ["aim_missing", "mark_and_aim", "sort_rays"]
@@ -64,8 +64,9 @@ def mark_and_aim(
         Added to: half hits, two for every obstacle return.
     sector : (N,) int32; slope, run : (N,) float32
         Work space.
-    rays : (N, 2) float32
-        Filled, sector by sector: a ray's rise over run, and the first bin that it does not clear.
+    rays : (N, 3) float32
+        Filled, sector by sector: a ray's rise over run, the first bin that it clears, and the first after
+        these that it does not.
 
     Returns
     -------
@@ -108,12 +109,13 @@ def mark_and_aim(
         s = sector[n] & 0x7FFF
         to = starts[s + 1] & 0x7FFFFFFF
         starts[s + 1] += 1
-        rays[to, 0], rays[to, 1] = slope[n], _below_clearance(slope[n] * scale, min(reach, most), highest[s])
+        start, stop = _say_span(level, s >> ROW_BITS, slope[n] * scale, int(min(reach, most)), highest[s])
+        rays[to, 0], rays[to, 1], rays[to, 2] = slope[n], start, stop
     return starts[: sectors + 1]
 
 
 @kernel
-def aim_missing(directions, level, clearance, radial_step, max_range, sectors, sector, slope, end):
+def aim_missing(directions, level, clearance, radial_step, max_range, sectors, sector, rays):
     """Turn beams that came back empty into rays that end where they meet the ground, or at `max_range`.
 
     Parameters
@@ -125,53 +127,53 @@ def aim_missing(directions, level, clearance, radial_step, max_range, sectors, s
     clearance, radial_step, max_range : float
         [m]; see `RayISM`.
     sectors : int
-    sector : (M,) int32; slope, end : (M,) float32
-        Filled: a ray's sector, its rise over run, and the first bin that it does not clear.
+    sector : (M,) int32
+        Filled.
+    rays : (M, 3) float32
+        Filled as by `mark_and_aim`, but in the order of the beams.
     """
-    rows, bins = level.shape
-    per_row = sectors // rows
+    bins = level.shape[1]
     to_sector, scale = np.float32(sectors / (2 * math.pi)), np.float32(radial_step / clearance)
     highest = _highest(level, sectors)
     for n in range(directions.shape[0]):
         dx, dy, dz = directions[n, 0], directions[n, 1], directions[n, 2]
         across = math.sqrt(dx * dx + dy * dy)
-        sector[n], slope[n], end[n] = 0, 0, 0
+        sector[n], rays[n, 0], rays[n, 1], rays[n, 2] = 0, 0, 0, 0
         if not (across > 1e-3 and across < 2 and abs(dz) < 2):
             continue
         s = min(int(azimuth(dx, dy) * to_sector), sectors - 1)
-        tilt, row = dz / across * scale, level[s // per_row]
-        reach = min(int(max_range * across / radial_step), bins)
-        for k in range(reach):
-            if row[k] - tilt * (np.float32(k) + np.float32(0.5)) > 1:
-                reach = k
+        tilt = dz / across * scale
+        stop = int(min(max_range * across / radial_step, bins))
+        for k in range(stop):
+            if level[s >> ROW_BITS, k] - tilt * (np.float32(k) + np.float32(0.5)) > 1:
+                stop = k
                 break
-        sector[n], slope[n] = s, dz / across
-        end[n] = _below_clearance(tilt, np.float32(reach), highest[s])
+        start, stop = _say_span(level, s >> ROW_BITS, tilt, stop, highest[s])
+        sector[n], rays[n, 0], rays[n, 1], rays[n, 2] = s, dz / across, start, stop
 
 
 @kernel
-def sort_rays(sector, slope, end, sectors, rays):
+def sort_rays(sector, rays, sectors, ordered):
     """Bring the rays of each sector together (a counting sort).
 
     Parameters
     ----------
-    sector : (N,) int32; slope, end : (N,) float32
+    sector : (N,) int32; rays : (N, 3) float32
         From `aim_missing`.
     sectors : int
-    rays : (N, 2) float32
-        Filled: slope and end.
+    ordered : (N, 3) float32
+        Filled.
 
     Returns
     -------
     starts : (sectors + 1,) int32
-        Where each sector begins in `rays`.
+        Where each sector begins in `ordered`.
     """
     starts = _starts(sector, sectors)
     for n in range(sector.shape[0]):
         s = (sector[n] & 0x7FFF) + 1
-        to = starts[s] & 0x7FFFFFFF
+        ordered[starts[s]] = rays[n]
         starts[s] += 1
-        rays[to, 0], rays[to, 1] = slope[n], end[n]
     return starts[: sectors + 1]
 
 
@@ -186,10 +188,22 @@ def _starts(sector, sectors):
     return starts
 
 
-@inline
-def _below_clearance(tilt, end, highest):
-    """Cut a ray where it rises above clearance."""
-    return max(highest, np.float32(0.0)) / tilt if tilt * end > highest and tilt > 0 else end
+@kernel
+def _say_span(level, s, tilt, stop, highest):
+    """Cut a ray to the bins in which it is below clearance: first, and first not (up to `stop`)."""
+    start = 0
+    if tilt > 0 and tilt * stop > highest:
+        stop = min(stop, int(max(highest, np.float32(0.0)) / tilt) + 1)
+    while stop > 0 and not level[s, stop - 1] > tilt * (np.float32(stop) - np.float32(0.5)):
+        stop -= 1
+    if stop > 0 and not level[s, 0] > tilt * np.float32(0.5):  # it begins above clearance: a tall mount
+        if tilt < 0:
+            start = min(int(level[s, 0] / tilt), stop - 1)  # where it comes down over flat ground
+        while start > 0 and level[s, start - 1] > tilt * (np.float32(start) - np.float32(0.5)):
+            start -= 1
+        while start < stop and not level[s, start] > tilt * (np.float32(start) + np.float32(0.5)):
+            start += 1
+    return start, stop
 
 
 @kernel

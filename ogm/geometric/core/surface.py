@@ -76,7 +76,8 @@ def local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, l
                 if depth <= 0 or depth * depth <= steepest * (dx * dx + dy * dy):
                     flat[c] = z
     lowest = flat.reshape((nx, ny))  # a view
-    i0, j0 = int((foot_x - x0) * inverse), int((foot_y - y0) * inverse)
+    i0 = min(max(int((foot_x - x0) * inverse), 0), nx - 1)
+    j0 = min(max(int((foot_y - y0) * inverse), 0), ny - 1)
     _drop_strays(
         lowest, i0, j0, np.float32(foot[2]), np.float32(max_descent * resolution), np.float32(low_tolerance)
     )
