@@ -80,6 +80,7 @@ def mark_and_aim(
     low, high, below = np.float32(obstacle_height), np.float32(clearance), -np.float32(below_ground)
     noise, x0, y0 = np.float32(range_noise), np.float32(x0), np.float32(y0)
     margin, most, zero = np.float32(2.0) * noise, np.float32(bins), np.float32(0.0)
+    half = np.float32(0.5)
     near, one, scale = np.float32(radial_step), np.float32(1.0), np.float32(radial_step / clearance)
     sx, sy, sz = origin
     highest = _highest(level, sectors)
@@ -109,7 +110,10 @@ def mark_and_aim(
         s = sector[n] & 0x7FFF
         to = starts[s + 1] & 0x7FFFFFFF
         starts[s + 1] += 1
-        start, stop = _say_span(level, s >> ROW_BITS, slope[n] * scale, int(min(reach, most)), highest[s])
+        tilt, start, stop, row = slope[n] * scale, 0, int(min(reach, most)), s >> ROW_BITS
+        first, last = tilt * half, tilt * (np.float32(stop) - half)
+        if stop > 0 and not (level[row, 0] > first and level[row, (stop - 1) & 0x7FFF] > last):
+            start, stop = _say_span(level, row, tilt, stop, highest[s])
         rays[to, 0], rays[to, 1], rays[to, 2] = slope[n], start, stop
     return starts[: sectors + 1]
 
