@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ogm import GridSpec, read_points
-from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground
+from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, twins
 
 SPEC = GridSpec.centered(60.0, 60.0, 1.0)
 FOOT = (0.0, 0.0, -1.8)
@@ -92,6 +92,20 @@ def test_a_foot_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
         np.testing.assert_array_equal(
             ground_height(np.full(shape, 3, np.float32), GridSpec(1.0, shape, (0.0, 0.0)), at), [3, 3]
         )
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("shape", [(12, 9), (2, 2), (2, 7), (13, 2)])
+def test_local_ground_equals_its_twin(seed: int, shape: tuple[int, int]) -> None:
+    rng = np.random.default_rng(seed)
+    spec = GridSpec(1.0, shape, (-shape[0] / 2, -shape[1] / 2))
+    xy = rng.uniform((-7, -5), (7, 5), (250, 2))
+    above = rng.choice([0, 0, 0, 0.5, 1.5, 3, -0.35, -1, -9], 250)
+    xyz = np.column_stack([xy, hill(*xy.T) + above + rng.normal(0, 0.02, 250)]).astype(np.float32)
+    foot = (0.3, -0.2, -1.8)
+    fast = local_ground(xyz, spec, foot)
+    slow = twins.ground_map(xyz, foot, spec, 0.25, 0.15, 0.4, 0.25)
+    np.testing.assert_allclose(fast, slow, atol=1e-4)
 
 
 def test_kerbs_do_not_break_the_ground_on_either_side() -> None:

@@ -111,7 +111,7 @@ def local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, l
             if count[c, k] > 0:
                 height[i, j] = lowest[i, j] + total[c, k] / count[c, k]
                 weight[i, j] = min(count[c, k], np.float32(8.0))
-            elif i == i0 and j == j0:
+            elif i == i0 and j == j0 and math.isfinite(lowest[i, j]):
                 height[i, j], weight[i, j] = foot[2], np.float32(1.0)
 
     # 4. a smooth surface through them
