@@ -181,6 +181,10 @@ def map_(
     intensity_max: Annotated[
         float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
     ] = None,
+    time_unit: Annotated[
+        float | None,
+        typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
+    ] = None,
     out_path: Annotated[
         Path | None,
         typer.Option("--out", help="Grid file (.npz), or a folder. [default: ./NAME.npz]"),
@@ -216,7 +220,7 @@ def map_(
         transient=True,
     ):
         try:
-            scan = read_scan(path, axes=_axes(axes), intensity_max=intensity_max)
+            scan = read_scan(path, axes=_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
             height = 1.61 if ism is Model.released else _height(scan.points, sensor_height, sensor_position)
             model = _model(ism, spec, height, sensor_position)
             if not warm:
@@ -297,6 +301,10 @@ def info(
     intensity_max: Annotated[
         float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
     ] = None,
+    time_unit: Annotated[
+        float | None,
+        typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
+    ] = None,
 ) -> None:
     """Say what a file holds."""
     from ogm import EvidentialGrid, read_scan
@@ -312,7 +320,7 @@ def info(
             "y": f"{y0:g} ... {y1:g} m",
         } | {name: f"{100 * getattr(grid, name).mean():.1f} %" for name in ("free", "occupied", "unknown")}
     else:
-        facts = describe(read_scan(scan, axes=_axes(axes), intensity_max=intensity_max))
+        facts = describe(read_scan(scan, axes=_axes(axes), intensity_max=intensity_max, time_unit=time_unit))
     table = Table(box=None, show_header=False, pad_edge=False)
     for name, value in facts.items():
         table.add_row(name, value)

@@ -46,11 +46,18 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
         if axes not in AXES:
             raise ValueError(f"axes {axes!r} are not known: {_WAY_OUT}")
         axes = AXES[axes]
+    if not isinstance(axes, Sequence | np.ndarray):
+        raise ValueError(
+            f"axes must be a name, three signed axes or a (3, 3) matrix, got {axes!r}: {_WAY_OUT}"
+        )
     if all(isinstance(axis, str) for axis in axes):
         if not set(axes) <= _WAYS.keys():
             raise ValueError(f"axes {tuple(axes)} are not three of {', '.join(_WAYS)}: {_WAY_OUT}")
         axes = np.array([_WAYS[axis] for axis in axes])
-    rotation = np.asarray(axes, dtype=np.float64)
+    try:
+        rotation = np.asarray(axes, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"axes {axes!r} are no (3, 3) matrix of numbers: {_WAY_OUT}") from error
     if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
         raise ValueError(
             f"axes must be three at right angles to each other, got {rotation.tolist()}: {_WAY_OUT}"

@@ -1,4 +1,4 @@
-"""KITTI, nuScenes, Argoverse 2, LAS and numpy files: bytes in, columns out."""
+"""KITTI, nuScenes, LAS and numpy files: bytes in, columns out."""
 
 import io
 import math
@@ -8,7 +8,7 @@ import numpy as np
 
 from ogm.io.source import BYTE_LIMIT, Table, optional
 
-__all__ = ["parse_feather", "parse_kitti", "parse_las", "parse_npy", "parse_nuscenes"]
+__all__ = ["parse_kitti", "parse_las", "parse_npy", "parse_nuscenes"]
 
 _LAS_FORMAT = 104  # where the format of the points stands; its highest bit tells LAZ
 _LAS_RECORD = 54  # [byte] of a variable length record at least
@@ -49,11 +49,12 @@ def parse_npy(data: bytes, path: Path) -> Table:
     try:
         # numpy.load would make room for what the header claims before it looks at the file.
         version = np.lib.format.read_magic(stream)
-        read_header = {
-            (1, 0): np.lib.format.read_array_header_1_0,
-            (2, 0): np.lib.format.read_array_header_2_0,
-        }[version]
-        shape, fortran, dtype = read_header(stream)
+        if version == (1, 0):
+            shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
+        elif version in ((2, 0), (3, 0)):  # 3.0 differs in the names of fields only, which are refused
+            shape, fortran, dtype = np.lib.format.read_array_header_2_0(stream)
+        else:
+            raise ValueError(f"its version is {version[0]}.{version[1]}, known are 1.0, 2.0 and 3.0")
     except Exception as error:  # the header is Python text, which can be wrong in many ways
         raise ValueError(f"{path} has no readable numpy header ({error}), wanted {wanted}") from error
     listed = len(shape) == 2 and 3 <= shape[1] <= 5
@@ -71,19 +72,6 @@ def parse_npy(data: bytes, path: Path) -> Table:
     flat = array.reshape(-1, shape[-1])
     columns = {name: flat[:, i] for i, name in enumerate(_NAMES[: min(shape[-1], 4 if organised else 5)])}
     return Table("numpy array", columns, (shape[0], shape[1]) if organised else None)
-
-
-def parse_feather(data: bytes, path: Path) -> Table:
-    """Read a Feather table; an Argoverse 2 sweep has x, y, z, intensity, laser_number, offset_ns."""
-    pyarrow, feather = optional("pyarrow", path), optional("pyarrow.feather", path)
-    try:
-        table = feather.read_table(pyarrow.BufferReader(data))
-        columns = {name: table[name].to_numpy() for name in table.column_names}
-    except (pyarrow.ArrowException, ValueError, OSError) as error:
-        raise ValueError(
-            f"{path} is no readable Feather table ({error}): it is damaged or wrongly named"
-        ) from error
-    return Table("Feather", {name: column for name, column in columns.items() if column.dtype.kind in "fiu"})
 
 
 def parse_las(data: bytes, path: Path) -> Table:

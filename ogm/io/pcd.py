@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ogm.io.names import refuse_doubles
 from ogm.io.records import Field, binary_columns, check_size, text_columns
 from ogm.io.source import Table, optional
 
@@ -76,6 +77,7 @@ def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     if missing:
         raise ValueError(f"{path} has no {', '.join(missing)} in its header: it is damaged or no PCD file")
     names = entries["FIELDS"]
+    refuse_doubles((name for name in names if name != "_"), path)
     kinds = [kind.upper() + size for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=False)]
     if not len(names) == len(entries["TYPE"]) == len(entries["SIZE"]) or not _KINDS.issuperset(kinds):
         raise ValueError(

@@ -4,16 +4,19 @@ Read here rather than by `plyfile`, which goes through a packed file, a text or 
 number in Python (9 s for a million points), and makes room for what a header claims before it looks.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
 
-from ogm.io.records import Field, binary_columns, check_size, text_columns
+from ogm.io.names import refuse_doubles
+from ogm.io.records import Field, binary_columns, check_size, check_text, text_columns
 from ogm.io.source import Table
 
 __all__ = ["parse_ply"]
 
 _HEADER_LIMIT = 2**16  # [byte] within which the header must end
+_END = re.compile(rb"\nend_header\r?\n")  # a line of its own: a comment may speak of it
 _ORDER = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -50,13 +53,12 @@ def parse_ply(data: bytes, path: Path) -> Table:
 
 def _split(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Field | None]]], memoryview]:
     """Take the header off; a property that is a list stands as None among its element's fields."""
-    end = data.find(b"end_header", 0, _HEADER_LIMIT)
-    start = data.find(b"\n", end) + 1
-    if not data.startswith(b"ply") or end < 0 or start == 0:
+    end = _END.search(data, 0, _HEADER_LIMIT)
+    if not data.startswith(b"ply") or end is None:
         raise ValueError(f"{path} has no whole PLY header: it is cut short or no PLY file")
     encoding = ""
     elements: list[tuple[str, int, list[Field | None]]] = []
-    for line in data[:end].decode("ascii", "replace").splitlines()[1:]:
+    for line in data[: end.start()].decode("ascii", "replace").split("\n")[1:]:
         match line.split():
             case [] | ["comment" | "obj_info", *_]:
                 pass
@@ -70,7 +72,7 @@ def _split(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Fiel
                 elements[-1][2].append(Field(name, np.dtype(_ORDER[encoding] + _TYPES[kind])))
             case _:
                 raise ValueError(f"{path} has the line {line[:80]!r} in its PLY header: it is damaged")
-    return encoding, elements, memoryview(data)[start:]
+    return encoding, elements, memoryview(data)[end.end() :]
 
 
 def _single(fields: list[Field | None], element: str, path: Path) -> list[Field]:
@@ -80,11 +82,15 @@ def _single(fields: list[Field | None], element: str, path: Path) -> list[Field]
             f"{path} has lists in its PLY element {element}, wanted single numbers: write the points "
             "without them"
         )
+    refuse_doubles((field.name for field in single), path)
     return single
 
 
 def _after_lines(body: memoryview, count: int, path: Path) -> memoryview:
-    lines = bytes(body).split(b"\n", count) if count <= len(body) else []
-    if len(lines) <= count:
-        raise ValueError(f"{path} ends before its vertices: it is cut short or damaged")
-    return memoryview(lines[-1])
+    check_text(body, path)
+    text, start = bytes(body), 0
+    for _ in range(count):
+        start = text.find(b"\n", start) + 1
+        if not start:
+            raise ValueError(f"{path} ends before its vertices: it is cut short or damaged")
+    return body[start:]

@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.formats import parse_feather, parse_kitti, parse_las, parse_npy, parse_nuscenes
+from ogm.io.feather import parse_feather
+from ogm.io.formats import parse_kitti, parse_las, parse_npy, parse_nuscenes
+from ogm.io.names import INTENSITY, PLACE, RING, TIME, plain
 from ogm.io.pcd import parse_pcd
 from ogm.io.ply import parse_ply
 from ogm.io.raster import missing_beams
 from ogm.io.scan import Scan
-from ogm.io.source import Table, read_bytes, refuse_foreign
+from ogm.io.source import read_bytes, refuse_foreign
 
 __all__ = ["read_points", "read_scan"]
 
@@ -30,11 +32,9 @@ _PARSERS = {
     ".laz": parse_las,
     ".npy": parse_npy,
 }
-_INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")
-_RING = ("ring", "laser_number", "channel", "laser_id", "line")
-_TIME = ("time", "timestamp", "time_stamp", "t", "offset_ns", "offset_time", "gps_time")
 _REACH = 1e5  # [m] beyond which float32 is coarser than a centimetre, and no lidar sees
 _SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
+_FLASH = 1e-3  # [s] shorter than a sweep
 
 
 def read_points(
@@ -43,12 +43,13 @@ def read_points(
     *,
     intensity_max: float | None = None,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
+    time_unit: float | None = None,
 ) -> np.ndarray:
     """Read the points of one scan.
 
     Parameters
     ----------
-    path, axes, intensity_max, origin
+    path, axes, intensity_max, origin, time_unit
         As for `read_scan`, where the formats, the defaults and the errors are told too.
 
     Returns
@@ -56,7 +57,7 @@ def read_points(
     points : (N, 4) float32
         x forward, y left, z up [m], intensity [0, 1].
     """
-    return read_scan(path, axes, intensity_max=intensity_max, origin=origin).points
+    return read_scan(path, axes, intensity_max=intensity_max, origin=origin, time_unit=time_unit).points
 
 
 def read_scan(
@@ -65,15 +66,23 @@ def read_scan(
     *,
     intensity_max: float | None = None,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
+    time_unit: float | None = None,
 ) -> Scan:
     """Read one scan, with everything that the file tells about it.
 
     The file's name tells its format: ``.bin`` (KITTI), ``.pcd.bin`` (nuScenes), ``.pcd``, ``.ply``,
     ``.feather`` (Argoverse 2), ``.las``, ``.laz`` and ``.npy``, each also packed as ``.xz`` or ``.gz``.
 
-    Rows without a point (NaN, infinite, or 0, 0, 0 for "no return") are dropped, counted and logged. All
-    others are kept as they are, those of the own vehicle and those far below the ground too: to tell them
-    apart is up to the inverse sensor model. A file of no points gives (0, 4).
+    Rows without a point (x, y or z NaN or infinite, or all three 0 for "no return") are dropped, counted and
+    logged. All others are kept as they are, those of the own vehicle and those far below the ground too: to
+    tell them apart is up to the inverse sensor model. A file of no points gives (0, 4).
+
+    What else a row lacks costs no point, for a wall that is dropped is taken for free: an intensity that is
+    NaN or infinite becomes 0, counted and logged; rings, or times, of which one is, are left out altogether
+    (None), with a warning in the log.
+
+    Fields are known by their names, whether in capitals or not, and with or without the ``scalar_`` of
+    CloudCompare.
 
     Parameters
     ----------
@@ -87,18 +96,22 @@ def read_scan(
         The file's intensity that means 1; larger ones count as 1. By default the format tells: 1 in KITTI,
         255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits without sign
         (Argoverse, PLY, LAS). Where it does not, intensities up to 1 stay as they are, up to 255 are divided
-        by 255, and larger ones are an error. `Scan.intensity_max` says what was taken.
+        by 255 (which is logged, for another scan of the same sensor may seem to have another scale), and
+        larger ones are an error. `Scan.intensity_max` says what was taken.
     origin : 3 float
         Where the sensor stands in the file's coordinates [m], for files in map coordinates (UTM), which
         float32 cannot hold. It is subtracted first.
+    time_unit : float, optional
+        What the file's times count in [s]: 1e-9 for nanoseconds, 1e-6 for microseconds. By default whole
+        numbers count nanoseconds, others seconds, and times that then last longer than 10 s are an error.
 
     Returns
     -------
     Scan
-        Whole numbers of time count as nanoseconds, others as seconds. If the earliest time is beyond 10 s,
-        the times are a clock's: `Scan.stamp` is then the earliest, and `Scan.time` counts from it.
-        Otherwise `Scan.time` is as in the file, and `Scan.stamp` the number at the end of the file's name if
-        that has 16 digits (microseconds, as in nuScenes) or 18 or 19 (nanoseconds, as in Argoverse).
+        If the earliest time is beyond 10 s, the times are a clock's: `Scan.stamp` is then the earliest, and
+        `Scan.time` counts from it. Otherwise `Scan.time` is as in the file, and `Scan.stamp` the number at
+        the end of the file's name if that has 16 digits (microseconds, as in nuScenes) or 18 or 19
+        (nanoseconds, as in Argoverse).
         `Scan.missing` is told from organised clouds whose raster is a spinning lidar's.
 
     Raises
@@ -107,7 +120,7 @@ def read_scan(
         If there is no such file.
     ValueError
         If the file is not what its name says, is damaged, or has numbers that no scan has; or if `axes`,
-        `intensity_max` or `origin` make no sense.
+        `intensity_max`, `origin` or `time_unit` make no sense.
     ImportError
         If the format needs a package of the ``io`` extra that is not there.
     """
@@ -116,6 +129,8 @@ def read_scan(
         raise ValueError(f"origin must be x, y, z [m], got {origin!r}")
     if intensity_max is not None and not 0.0 < intensity_max < np.inf:
         raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
+    if time_unit is not None and not 0.0 < time_unit < np.inf:
+        raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")
     data, inner = read_bytes(path)
     suffix = _suffix(inner)
     refuse_foreign(data, inner, suffix)
@@ -123,13 +138,11 @@ def read_scan(
     if suffix == ".pcd.bin" and np.array_equal(rotation, np.eye(3)):
         log.warning('%s: nuScenes files have x right and y forward; axes="nuscenes" turns them', path)
 
-    # Which rows are points? Those with finite numbers and a distance.
-    xyz = _coordinates(table, inner)
-    intensity, ring, time = (_first(table, names) for names in (_INTENSITY, _RING, _TIME))
-    returned = np.any(xyz != 0, axis=0)
-    for column in (*xyz, intensity, ring, time):
-        if column is not None:
-            returned &= np.isfinite(column)
+    # Which rows are points? Those with a finite place and a distance; what else they lack is no matter.
+    fields = table.fields or tuple(table.columns)
+    columns = {plain(name): column for name, column in table.columns.items()}
+    xyz = _coordinates(columns, fields, inner)
+    returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
     kept: np.ndarray | slice = slice(None)
     dropped = returned.size - int(np.count_nonzero(returned))
     if dropped:
@@ -147,12 +160,14 @@ def read_scan(
     points[:, :3] = _within_reach(xyz[:, kept], inner).T
 
     # What else the sensor says.
+    intensity, ring, time = (_first(columns, names, kept) for names in (INTENSITY, RING, TIME))
     scale = None
     if intensity is not None:
-        points[:, 3], scale = _scaled(intensity[kept], intensity_max, table.intensity_max, inner)
-    ring = None if ring is None else _checked_ring(ring[kept], inner)
-    time, stamp = _times(None if time is None else time[kept], inner)
-    fields = tuple(table.columns)
+        intensity = _known_intensity(intensity, inner)
+        points[:, 3], scale = _scaled(intensity, intensity_max, table.intensity_max, inner)
+    ring = _whole(ring, "rings", inner)
+    ring = None if ring is None else _checked_ring(ring, inner)
+    time, stamp = _times(_whole(time, "times", inner), time_unit, inner)
     return Scan(points, ring, time, stamp, missing, dropped, scale, table.format, fields, table.shape)
 
 
@@ -166,18 +181,38 @@ def _suffix(path: Path) -> str:
     )
 
 
-def _first(table: Table, names: tuple[str, ...]) -> np.ndarray | None:
-    return next((table.columns[name] for name in names if name in table.columns), None)
+def _first(
+    columns: dict[str, np.ndarray], names: tuple[str, ...], kept: np.ndarray | slice
+) -> np.ndarray | None:
+    return next((columns[name][kept] for name in names if name in columns), None)
 
 
-def _coordinates(table: Table, path: Path) -> np.ndarray:
+def _coordinates(columns: dict[str, np.ndarray], fields: tuple[str, ...], path: Path) -> np.ndarray:
     """Gather x, y, z as (3, N) float64."""
-    if not {"x", "y", "z"} <= table.columns.keys():
-        raise ValueError(
-            f"{path} has the fields {', '.join(table.columns) or 'none'}, wanted x, y, z among them"
-        )
+    if not columns.keys() >= set(PLACE):
+        raise ValueError(f"{path} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
     with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
-        return np.array([table.columns[name] for name in "xyz"], dtype=np.float64)
+        return np.array([columns[name] for name in PLACE], dtype=np.float64)
+
+
+def _known_intensity(raw: np.ndarray, path: Path) -> np.ndarray:
+    """Give points of unknown intensity 0: they are points all the same."""
+    known = np.isfinite(raw)
+    if known.all():
+        return raw
+    log.info("%s: %d of %d intensities are no number and become 0", path, np.sum(~known), raw.size)
+    return np.where(known, raw, 0)
+
+
+def _whole(raw: np.ndarray | None, what: str, path: Path) -> np.ndarray | None:
+    """Leave a column out that is not known of every point: no number could stand for the unknown."""
+    if raw is None or np.isfinite(raw).all():
+        return raw
+    log.warning(
+        "%s: %d of %d points have %s that are no number; all %s are left out",
+        path, np.count_nonzero(~np.isfinite(raw)), raw.size, what, what,
+    )  # fmt: skip
+    return None
 
 
 def _within_reach(xyz: np.ndarray, path: Path) -> np.ndarray:
@@ -208,6 +243,12 @@ def _scaled(
         scale = float(np.iinfo(raw.dtype).max)
     else:
         scale = 1.0 if high <= 1.0 else 255.0
+        if 1.0 < high <= scale:
+            log.info(
+                "%s: intensities up to %g are divided by 255; give intensity_max if they mean something else, "
+                "or if those of another scan are not divided",
+                path, high,
+            )  # fmt: skip
     if high > scale:
         raise ValueError(
             f"{path} has intensities up to {high:g}, wanted at most {scale:g}: give as intensity_max the one "
@@ -226,14 +267,26 @@ def _checked_ring(raw: np.ndarray, path: Path) -> np.ndarray:
     return ring
 
 
-def _times(raw: np.ndarray | None, path: Path) -> tuple[np.ndarray | None, float | None]:
+def _times(raw: np.ndarray | None, unit: float | None, path: Path) -> tuple[np.ndarray | None, float | None]:
     """Give the times of the points, counted from the stamp, and the stamp [s]."""
     digits = re.search(r"(?<!\d)(\d{16}|\d{18,19})$", path.name.split(".")[0])
     stamp = None if digits is None else int(digits[1]) * (1e-6 if len(digits[1]) == 16 else 1e-9)
-    if raw is None:
-        return None, stamp
-    time = raw.astype(np.float64) * (1e-9 if raw.dtype.kind in "iu" else 1.0)
-    earliest = float(time.min(initial=np.inf))
-    if _SWEEP < abs(earliest) < np.inf:
+    if raw is None or not raw.size:
+        return raw if raw is None else raw.astype(np.float64), stamp
+    guess = 1e-9 if raw.dtype.kind in "iu" else 1.0
+    time = raw.astype(np.float64) * (guess if unit is None else unit)
+    earliest, latest = float(time.min()), float(time.max())
+    if unit is None and latest - earliest > _SWEEP:
+        raise ValueError(
+            f"{path} has times that last {latest - earliest:.3g} s if they count in {guess:g} s ({raw.dtype}), "
+            f"wanted at most {_SWEEP:g} s for one sweep: give as time_unit [s] what they count in, 1e-9 for "
+            "nanoseconds, 1e-6 for microseconds, 1e-3 for milliseconds (1 to take seconds as they are)"
+        )
+    if unit is None and guess < 1.0 and 0.0 < latest - earliest < _FLASH:
+        log.warning(
+            "%s: its times last %.3g s if they count nanoseconds; if not, give time_unit (1e-6: microseconds)",
+            path, latest - earliest,
+        )  # fmt: skip
+    if abs(earliest) > _SWEEP:
         return time - earliest, earliest
     return time, stamp

@@ -16,18 +16,18 @@ class Scan:
     Parameters
     ----------
     points : (N, 4) float32
-        x forward, y left, z up [m], intensity [0, 1] (0 throughout where the file has none).
+        x forward, y left, z up [m], intensity [0, 1] (0 where the file has none).
     ring : (N,) uint16 or None
-        The laser that measured each point, as the file counts them.
+        The laser that measured each point, as the file counts them; None where that is unknown of any.
     time : (N,) float64 or None
-        When each point was measured [s], counted from `stamp`.
+        When each point was measured [s], counted from `stamp`; None where that is unknown of any.
     stamp : float or None
         The scan's own time [s], on the clock of the recording.
     missing : (M, 3) float32 or None
         Unit directions, in the frame of `points`, of beams that came back empty: from the sky, but also from
         what is black or wet, or because somebody took the own vehicle out. None where that is unknown.
     dropped : int
-        Rows of the file that hold no point: NaN, infinite, or (0, 0, 0).
+        Rows of the file that hold no point: x, y or z NaN or infinite, or (0, 0, 0).
     intensity_max : float or None
         The file's intensity that became 1; None where it has none.
     format : str

@@ -49,12 +49,15 @@ class Table:
         The raster of an organised cloud, whose rows follow each other in `columns`; None for a list.
     intensity_max : float or None
         Raw intensity that the format calls 1; None where the format does not say.
+    fields : tuple of str
+        The names of all that the file holds, where `columns` has not all of it; else empty.
     """
 
     format: str
     columns: dict[str, np.ndarray]
     shape: tuple[int, int] | None = None
     intensity_max: float | None = None
+    fields: tuple[str, ...] = ()
 
 
 def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ogm.io.feather
+import ogm.io.records
 import ogm.io.source
 from ogm.io import Scan, read_scan
 
@@ -243,6 +245,15 @@ def test_a_pcd_field_of_no_values(tmp_path):
     )
 
 
+@pytest.mark.parametrize("names", [("x",), ("w", "w"), ("scalar_Time", "time")])
+@pytest.mark.parametrize("encoding", ["ascii", "binary", "binary_compressed"])
+def test_a_pcd_field_that_is_there_twice(names, encoding, tmp_path):
+    header = PCD.replace("DATA binary", f"DATA {encoding}")
+    for line, more in (("x y z", names), ("4 4 4", "44"), ("F F F", "FF"), ("1 1 1", "11")):
+        header = header.replace(line, " ".join([line, *more[: len(names)]]), 1)
+    refused(put(tmp_path, "a.pcd", header.encode() + bytes(200)), f"{names[-1]}, wanted one of each name")
+
+
 # ---- PLY headers
 
 
@@ -257,6 +268,9 @@ def test_a_pcd_field_of_no_values(tmp_path):
         ("vertex", "point"),
         ("float z", "float32 w"),
         ("float z", "quad z"),
+        ("float z", "float z\nproperty float z"),
+        ("end_header\n", "comment end_header\n"),
+        ("end_header\n", "end_header of it\n"),
         ("property float z", "property list uchar float z"),
         ("property float z", "property list uchar"),
         ("element vertex 10", "element face 10\nproperty list uchar int v\nelement vertex 10"),
@@ -273,12 +287,89 @@ def test_a_ply_header_that_cannot_be(line, instead, tmp_path):
     refused(put(tmp_path, "a.ply", PLY.replace(line, instead).encode() + bytes(120)))
 
 
+@pytest.mark.parametrize(("name", "double"), [("x", "x"), ("w", "w"), ("x", "scalar_X")])
+def test_a_ply_property_that_is_there_twice(name, double, tmp_path):
+    more = f"property float {double}\n" + ("property float w\n" if name == "w" else "")
+    header = PLY.replace("end_header", f"{more}end_header")
+    refused(
+        put(tmp_path, "a.ply", header.encode() + bytes(200)),
+        f"fields {name}, {double}, wanted one of each name",
+    )
+
+
 @pytest.mark.parametrize("number", [11, 99999999999])
 def test_a_ply_text_that_is_too_short(number, tmp_path):
     header = PLY.replace("binary_little_endian", "ascii").replace("10", str(number))
     refused(put(tmp_path, "a.ply", header.encode() + b"1 2 3\n" * 10), "cut short")
     header = header.replace("element vertex", f"element camera {number}\nproperty float f\nelement vertex")
     refused(put(tmp_path, "a.ply", header.encode() + b"1\n"), "cut short")
+
+
+@pytest.mark.parametrize("name", ["a.pcd", "a.ply"])
+def test_text_without_end(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(ogm.io.records, "TEXT_LIMIT", 30)
+    header = (
+        PCD.replace("binary", "ascii") if name == "a.pcd" else PLY.replace("binary_little_endian", "ascii")
+    )
+    refused(put(tmp_path, name, header.encode() + b"1 2 3\n" * 10), "60 bytes of text, wanted at most 30")
+
+
+def test_lines_before_the_vertices_take_little_memory(tmp_path, monkeypatch):
+    header = PLY.replace("binary_little_endian", "ascii").replace("vertex 10", "vertex 1")
+    header = header.replace("element", "element camera 1000000\nproperty float f\nelement", 1)
+    path = put(tmp_path, "a.ply", header.encode() + b"\n" * 1_000_000 + b"1 2 x\n")
+    refused(path, "not 3 numbers")
+    monkeypatch.setattr(ogm.io.records, "TEXT_LIMIT", 30)
+    refused(path, "bytes of text, wanted at most 30")
+
+
+def test_text_takes_little_more_memory_than_its_numbers():
+    body = memoryview(b"1 2 3\n" * 200_000)
+    fields = [ogm.io.records.Field(name, np.dtype("<f4")) for name in "xyz"]
+    tracemalloc.start()
+    try:
+        columns = ogm.io.records.text_columns(fields, 200_000, body, Path("a"))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(columns["z"], np.full(200_000, 3))
+    assert peak < 7e6  # 2.4 MB of numbers, twice, and 1.2 MB of text; one str per line would be 11 MB more
+
+
+# ---- Feather
+
+
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "uncompressed"])
+@pytest.mark.parametrize("batch", [5_000, 50_000])
+def test_a_small_feather_file_cannot_fill_the_memory(compression, batch, tmp_path, monkeypatch):
+    pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
+    table = pyarrow.table({name: np.zeros(50_000, np.float32) for name in "xyzw"})
+    feather.write_feather(table, tmp_path / "a.feather", compression=compression, chunksize=batch)
+    monkeypatch.setattr(ogm.io.feather, "BYTE_LIMIT", 50_000 * 12)  # w is not unpacked
+    assert read_scan(tmp_path / "a.feather").dropped == 50_000
+    monkeypatch.setattr(ogm.io.feather, "BYTE_LIMIT", 50_000 * 12 - 1)
+    unpacked = pyarrow.total_allocated_bytes()
+    refused(tmp_path / "a.feather", "unpacks to 50000 rows of 12 bytes, wanted .* at most 599999")
+    assert pyarrow.total_allocated_bytes() == unpacked
+
+
+def test_a_feather_table_without_points_names_its_fields(tmp_path):
+    pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
+    feather.write_feather(pyarrow.table({"a": [1.0], "b": ["c"]}), tmp_path / "a.feather")
+    refused(tmp_path / "a.feather", "has the fields a, wanted x, y, z")
+
+
+def test_feather_of_version_1(tmp_path):
+    pytest.importorskip("pyarrow")
+    refused(put(tmp_path, "a.feather", b"FEA1" + bytes(100) + b"FEA1"), "version 1, wanted version 2")
+
+
+def test_a_feather_column_that_is_there_twice(tmp_path):
+    pyarrow, ipc = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.ipc")
+    batch = pyarrow.RecordBatch.from_arrays([pyarrow.array([1.0])] * 4, ["x", "y", "z", "z"])
+    with ipc.new_file(str(tmp_path / "a.feather"), batch.schema) as writer:
+        writer.write_batch(batch)
+    refused(tmp_path / "a.feather", "fields z, z, wanted one of each name")
 
 
 # ---- numpy arrays
@@ -302,6 +393,13 @@ def test_a_ply_text_that_is_too_short(number, tmp_path):
 def test_an_array_that_is_no_cloud(array, tmp_path):
     np.save(tmp_path / "a.npy", array)
     refused(tmp_path / "a.npy", "wanted numbers of shape")
+
+
+def test_an_array_of_an_unknown_version(tmp_path):
+    np.save(tmp_path / "a.npy", np.ones((2, 3)))
+    content = bytearray((tmp_path / "a.npy").read_bytes())
+    content[6] = 4
+    refused(put(tmp_path, "b.npy", bytes(content)), "version|format")
 
 
 def test_a_pickle_is_never_opened(tmp_path):

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ogm.io import read_points, read_scan
+from ogm.io.feather import parse_feather
 
 CLOUDS = hnp.arrays(
     np.float32,
@@ -191,6 +192,13 @@ def test_npy_may_lie_column_by_column_and_in_any_byte_order(cloud, tmp_path):
     np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), cloud)
 
 
+@pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+def test_npy_of_any_version_is_read(version, cloud, tmp_path):
+    with open(tmp_path / "a.npy", "wb") as file:
+        np.lib.format.write_array(file, cloud, version)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), cloud)
+
+
 def test_npy_of_an_image_is_an_organised_cloud(cloud, tmp_path):
     image = np.concatenate([cloud, np.full((60, 2), 99.0, np.float32)], axis=1).reshape(6, 10, 6)
     np.save(tmp_path / "a.npy", image)
@@ -337,3 +345,26 @@ def test_ply_types_are_read_by_either_name(tmp_path):
     scan = read_scan(tmp_path / "a.ply")
     np.testing.assert_array_equal(scan.points, [[1.5, 2.5, 3, 1], [-1, -2, -3, 0]])
     np.testing.assert_array_equal(scan.ring, [7, 8])
+
+
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
+def test_a_ply_comment_may_speak_of_end_header(newline, tmp_path):
+    text = (
+        "ply\nformat ascii 1.0\ncomment the end_header line comes below\ncomment end_header\n"
+        "element vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n1 2 3\n4 5 6\n"
+    )
+    (tmp_path / "a.ply").write_bytes(text.replace("\n", newline).encode())
+    np.testing.assert_array_equal(read_points(tmp_path / "a.ply")[:, :3], [[1, 2, 3], [4, 5, 6]])
+
+
+def test_feather_reads_only_what_it_needs(cloud, tmp_path):
+    pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
+    columns = dict(zip(("x", "y", "z", "intensity"), cloud.T, strict=True))
+    words = pyarrow.array(["a word"] * 60)
+    table = pyarrow.table({"label": words, **columns, "kind": words.dictionary_encode(), "rgb": cloud[:, 0]})
+    feather.write_feather(table, tmp_path / "a.feather", chunksize=7)
+    scan = read_scan(tmp_path / "a.feather")
+    np.testing.assert_array_equal(scan.points, cloud)
+    assert scan.fields == ("x", "y", "z", "intensity", "rgb")
+    path = tmp_path / "a.feather"
+    assert set(parse_feather(path.read_bytes(), path).columns) == {"x", "y", "z", "intensity"}

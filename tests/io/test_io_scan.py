@@ -70,6 +70,10 @@ def test_any_rotation_will_do(cloud, save):
         (("+x", "+y"), "right angles"),
         (("+x", "-y", "+z"), "mirror"),
         (np.eye(2), "right angles"),
+        (None, "axes must be a name.*got None.*give flu"),
+        (3, "axes must be a name.*got 3"),
+        (("+x", 1, 2), "no .* matrix of numbers"),
+        ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
         (np.eye(3) * 2, "right angles"),
         (np.diag([1.0, 1.0, -1.0]), "mirror"),
     ],
@@ -115,23 +119,63 @@ def test_rows_without_a_point_are_dropped_counted_and_logged(cloud, save, caplog
     rows[4, :3] = -0.0
     rows[5, 1] = np.nan
     rows[6, 2] = -np.inf
-    rows[7, 3] = np.nan
-    rows[8, 4] = np.nan
     with caplog.at_level(logging.INFO, logger="ogm"):
         scan = read_scan(save(rows))
-    gone = [3, 4, 5, 6, 7, 8]
-    assert scan.dropped == 6
-    assert "6 of 60 rows" in caplog.text
+    gone = [3, 4, 5, 6]
+    assert scan.dropped == 4
+    assert "4 of 60 rows" in caplog.text
     np.testing.assert_array_equal(scan.points, np.delete(cloud, gone, axis=0))
     np.testing.assert_array_equal(scan.ring, np.delete(np.arange(60), gone))
 
 
-def test_a_row_without_its_time_is_dropped(tmp_path):
+@pytest.mark.parametrize("unknown", [np.nan, np.inf, -np.inf])
+def test_a_point_of_unknown_intensity_is_a_point(unknown, cloud, save, caplog):
+    rows = cloud.copy()
+    rows[[7, 9], 3] = unknown
+    with caplog.at_level(logging.INFO, logger="ogm"):
+        scan = read_scan(save(rows))
+    assert scan.dropped == 0
+    assert "2 of 60 intensities" in caplog.text
+    rows[[7, 9], 3] = 0
+    np.testing.assert_array_equal(scan.points, rows)
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf])
+@pytest.mark.parametrize(("column", "what"), [("ring", "rings"), ("time", "times")])
+def test_a_column_with_a_gap_is_left_out_and_costs_no_point(column, what, unknown, tmp_path, caplog):
+    values = {"ring": np.float32([0, 1, 2]), "time": np.float32([0, 0.05, 0.1])}
+    values[column][1] = unknown
+    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, **values))
+    assert len(scan.points) == 3
+    assert scan.dropped == 0
+    assert getattr(scan, column) is None
+    assert (scan.ring is None) != (scan.time is None)
+    assert f"1 of 3 points have {what} that are no number" in caplog.text
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+
+
+def test_a_row_without_a_point_may_lack_everything(tmp_path, caplog):
+    gap = np.float32([1, np.nan, 2])
     scan = read_scan(
-        feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, time=np.float32([0, np.nan, 0.1]))
+        feather(tmp_path / "a.feather", x=gap, y=gap, z=gap, intensity=gap / 2, ring=gap, time=gap)
     )
     assert scan.dropped == 1
-    np.testing.assert_allclose(scan.time, [0, 0.1])
+    np.testing.assert_array_equal(scan.ring, [1, 2])
+    np.testing.assert_array_equal(scan.time, [1, 2])
+    assert not caplog.records
+
+
+def test_a_wall_of_unknown_intensity_is_no_missing_beam(save):
+    azimuth, elevation = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-0.3, 0.1, 8))
+    way = np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    image = np.concatenate([10 * way, np.full((1, 8, 40), 0.5)]).transpose(1, 2, 0).astype(np.float32)
+    image[2, 10:20, 3] = np.nan  # a wall
+    image[5, 30:33] = np.nan  # the sky
+    scan = read_scan(save(image))
+    assert len(scan.points) == 8 * 40 - 3
+    assert len(scan.missing) == 3
 
 
 def test_a_point_with_one_or_two_zeros_is_a_point(save):
@@ -195,6 +239,18 @@ def test_intensity_of_a_known_format_is_checked(tmp_path):
     assert read_points(tmp_path / "a.bin", intensity_max=154)[0, 3] == 0.5
 
 
+def test_a_guessed_scale_is_logged_where_it_divides(tmp_path, caplog):
+    with caplog.at_level(logging.INFO, logger="ogm"):
+        read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=ONES))
+        read_scan(feather(tmp_path / "b.feather", x=ONES, y=ONES, z=ONES, intensity=np.uint8([0, 9, 255])))
+        read_scan(
+            feather(tmp_path / "c.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES), intensity_max=9
+        )
+        assert not caplog.records
+        read_scan(feather(tmp_path / "d.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES))
+    assert "intensities up to 9 are divided by 255; give intensity_max" in caplog.text
+
+
 def test_intensity_below_zero_is_refused(save):
     with pytest.raises(ValueError, match="down to -0.5"):
         read_points(save(np.float32([[1, 2, 3, -0.5]])))
@@ -243,6 +299,87 @@ def test_times_count_from_the_stamp(name, times, expected, stamp, tmp_path):
     assert scan.time.dtype == np.float64
     np.testing.assert_allclose(scan.time, expected, atol=1e-6)
     assert scan.stamp == (None if stamp is None else pytest.approx(stamp, abs=1e-6))
+
+
+def timed(path, times):
+    return feather(path / "a.feather", x=ONES, y=ONES, z=ONES, timestamp=times)
+
+
+@pytest.mark.parametrize(
+    ("times", "unit", "stamp"),
+    [
+        (1.7e18 + np.float64([0, 5e7, 1e8]), 1e-9, 1.7e9),  # as the driver of Livox writes them
+        (np.float64([0, 5e7, 1e8]), 1e-9, None),
+        (np.float32([0, 5e4, 1e5]), 1e-6, None),
+        (np.float32([0, 50, 100]), 1e-3, None),
+        (np.uint64([0, 10**10 + 1, 2 * 10**10]), 5e-12, None),
+    ],
+)
+def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_told(times, unit, stamp, tmp_path):
+    path = timed(tmp_path, times)
+    with pytest.raises(
+        ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"
+    ):
+        read_scan(path)
+    scan = read_scan(path, time_unit=unit)
+    np.testing.assert_allclose(scan.time, [0, 0.05, 0.1], atol=1e-6)
+    assert scan.stamp == (None if stamp is None else pytest.approx(stamp))
+    np.testing.assert_array_equal(read_points(path, time_unit=unit), scan.points)
+
+
+def test_whole_microseconds_are_remarked_unless_their_unit_is_told(tmp_path, caplog):
+    path = timed(tmp_path, np.uint32([4_000_000_000, 4_000_050_000, 4_000_100_000]))
+    scan = read_scan(path, time_unit=1e-6)
+    np.testing.assert_allclose(scan.time, [0, 0.05, 0.1])
+    assert scan.stamp == 4000.0
+    assert not caplog.records
+    read_scan(path)
+    assert "give time_unit (1e-6: microseconds)" in caplog.text
+
+
+def test_times_of_one_value_and_of_ten_seconds_are_a_sweep(tmp_path, caplog):
+    np.testing.assert_allclose(read_scan(timed(tmp_path, np.uint32([7, 7, 7]))).time, 7e-9)
+    np.testing.assert_array_equal(read_scan(timed(tmp_path, np.float32([0, 5, 10]))).time, [0, 5, 10])
+    assert not caplog.records
+
+
+def test_a_long_recording_is_read_if_its_unit_is_told(tmp_path):
+    scan = read_scan(timed(tmp_path, np.float64([3, 60, 600])), time_unit=1.0)
+    np.testing.assert_array_equal(scan.time, [3, 60, 600])
+
+
+@pytest.mark.parametrize("wrong", [0, -1e-9, np.nan, np.inf])
+def test_a_time_unit_is_a_positive_number(wrong, save):
+    with pytest.raises(ValueError, match="time_unit must be above 0"):
+        read_points(save(np.ones((1, 3))), time_unit=wrong)
+
+
+# ---- names of fields
+
+
+@pytest.mark.parametrize("place", ["xyz", "XYZ"])
+@pytest.mark.parametrize("intensity", ["Intensity", "scalar_Intensity", "Reflectivity", "INTENSITY"])
+@pytest.mark.parametrize(("ring", "time"), [("Ring", "Timestamp"), ("scalar_ring", "scalar_GpsTime")])
+def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path):
+    x, y, z = place
+    columns = {x: ONES, y: 2 * ONES, z: 3 * ONES, intensity: ONES / 2, ring: np.uint8([4, 5, 6]), time: ONES}
+    scan = read_scan(feather(tmp_path / "a.feather", **columns))
+    np.testing.assert_array_equal(scan.points, [[1, 2, 3, 0.5]] * 3)
+    np.testing.assert_array_equal(scan.ring, [4, 5, 6])
+    np.testing.assert_array_equal(scan.time, ONES)
+    assert scan.fields == tuple(columns)
+
+
+@pytest.mark.parametrize("double", ["X", "scalar_x", "scalar_Y"])
+def test_two_fields_of_one_meaning_are_refused(double, tmp_path):
+    columns = {"x": ONES, "y": ONES, "z": ONES, double: ONES}
+    with pytest.raises(ValueError, match=f"fields ., {double}, wanted one of each name"):
+        read_scan(feather(tmp_path / "a.feather", **columns))
+
+
+def test_fields_of_no_meaning_may_differ_in_capitals_only(tmp_path):
+    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, a=ONES, A=ONES))
+    assert scan.fields == ("x", "y", "z", "a", "A")
 
 
 def test_other_fields_are_named_but_not_needed(tmp_path):
