@@ -45,13 +45,14 @@ def triangle(axes: Any) -> None:
     axes.axis("off")
 
 
-def dot(axes: Any, mass: np.ndarray, name: str, color: str) -> None:
-    """Draw a mass with its name."""
+def dot(
+    axes: Any, mass: np.ndarray, name: str, color: str, offset: tuple[float, float] | None = None
+) -> None:
+    """Draw a mass with its name beside it, `offset` points away."""
     x, y = place(mass)
     axes.plot(x, y, "o", color=color, markersize=6)
-    axes.annotate(
-        name, (x, y), (-9, 4) if x < 0.5 else (-3, 7), textcoords="offset points", color=color, fontsize=9
-    )
+    offset = offset or ((-9, 4) if x < 0.5 else (-3, 7))
+    axes.annotate(name, (x, y), offset, textcoords="offset points", color=color, fontsize=9)
 
 
 def save(figure: Any, name: str) -> None:
@@ -78,13 +79,14 @@ def picture_of_discounting() -> None:
     triangle(axes)
     start = np.broadcast_to(np.array([0.3, 0.6]), (len(STEPS), 2))
     tenths = slice(0, None, 10)
-    for discount, color, name, shift in [
-        (evidence.discount, BLUE, "mass", -0.012),
-        (evidence.discount_evidence, ORANGE, "evidence", 0.012),
+    # Both fade along the same line, at different speeds: rings around dots, a dashed line on a solid one.
+    for discount, color, name, line, face, size in [
+        (evidence.discount, BLUE, "mass", "-", "none", 6.5),
+        (evidence.discount_evidence, ORANGE, "evidence", (0, (3, 3)), ORANGE, 3.0),
     ]:
         x, y = place(discount(start, STEPS))
-        axes.plot(x + shift, y, color=color, linewidth=1, label=f"{name} discount")
-        axes.plot(x[tenths] + shift, y[tenths], "o", color=color, markersize=3.5)
+        axes.plot(x, y, linestyle=line, color=color, linewidth=1.2, label=f"{name} discount")
+        axes.plot(x[tenths], y[tenths], "o", color=color, markerfacecolor=face, markersize=size)
     x, y = place(evidence.contextual_discount(start, 1.0, STEPS))
     axes.plot(x, y, "--", color=LIGHT, linewidth=1.5, label="contextual, free only")
     axes.legend(loc="upper left", fontsize=7, frameon=False, bbox_to_anchor=(-0.08, 1.02))
@@ -100,7 +102,7 @@ def picture_of_the_maximal_unknown() -> None:
     axes.plot(
         *place(np.stack([evidence.maximize_uncertainty(mass), [0.2, 0.8]])), ":", color=LIGHT, linewidth=1.5
     )
-    dot(axes, mass, "A", BLUE)
+    dot(axes, mass, "A", BLUE, (-13, -2))
     axes.plot(*place(evidence.maximize_uncertainty(mass)), "*", color=DARK, markersize=12)
     save(figure, "maximize_uncertainty")
 

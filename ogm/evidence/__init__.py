@@ -7,6 +7,7 @@ See `docs/evidence.md` for every rule with its formula, properties and edge poli
 """
 
 from ogm.evidence.arrays import check_mass, renormalize
+from ogm.evidence.consensus import consensus_compromise
 from ogm.evidence.dirichlet import dirichlet_entropy, dirichlet_kl
 from ogm.evidence.discounting import (
     contextual_discount,
@@ -56,7 +57,6 @@ from ogm.evidence.subjective import (
     averaging,
     belief_constraint,
     confidence_base_rate,
-    consensus_compromise,
     cumulative,
     cumulative_base_rate,
     cumulative_epistemic,

@@ -30,6 +30,10 @@ _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a
 
 def namespace(array: Any, name: str = "mass") -> Any:
     """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
+    if isinstance(array, np.ma.MaskedArray):
+        raise TypeError(
+            f"{name} must not be a masked array: masks are not looked at; fill it: {name}.filled(0)"
+        )
     if isinstance(array, np.ndarray | np.generic):
         return np
     torch = sys.modules.get("torch")
@@ -77,6 +81,10 @@ def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
         raise TypeError(
             f"{first} and {second} must have one dtype, got {dtype_name(a)} and {dtype_name(b)}; "
             f"cast one of them"
+        )
+    if namespace(a) is not np and a.device != b.device:
+        raise TypeError(
+            f"{first} and {second} must be on one device, got {a.device} and {b.device}; move one of them"
         )
     try:
         np.broadcast_shapes(tuple(a.shape[:-1]), tuple(b.shape[:-1]))
@@ -138,15 +146,18 @@ def anywhere(xp: Any, condition: Any) -> bool:
 def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
     """Check a pair and return its (free, occupied, unknown), each of the leading shape.
 
-    The derived unknown is 1 - free - occupied; what rounding leaves below zero is zero.
+    The derived unknown is 1 - free - occupied. What lies below zero, within the tolerance, is read as zero,
+    and in numpy a sum above one by more than rounding is divided by it: rules that divide small numbers would
+    make nonsense of them. The caller's array is not changed.
     """
     xp = check_form(mass, name)
     free, occupied = mass[..., 0], mass[..., 1]
-    unknown = 1 - (free + occupied)  # in this order free and occupied are treated alike to the last bit
     if xp is not np:
-        return free, occupied, unknown.clip(0)
-    _check_values(mass, unknown, name)
-    return free, occupied, unknown if unknown.min(initial=0) >= 0 else np.maximum(unknown, 0)
+        free, occupied = free.clip(0), occupied.clip(0)
+        return free, occupied, (1 - (free + occupied)).clip(0)
+    unknown = 1 - (free + occupied)  # in this order free and occupied are treated alike to the last bit
+    (free, occupied), unknown = _inside([free, occupied], unknown, mass, name)
+    return free, occupied, unknown
 
 
 def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
@@ -156,17 +167,30 @@ def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
         free, occupied, unknown = split(mass, name)
         return free, occupied, unknown, 0 * unknown
     free, occupied, conflict = mass[..., 0], mass[..., 1], mass[..., 2]
+    if xp is not np:
+        free, occupied, conflict = free.clip(0), occupied.clip(0), conflict.clip(0)
+        return free, occupied, (1 - conflict - (free + occupied)).clip(0), conflict
     unknown = 1 - conflict - (free + occupied)
-    if xp is np:
-        _check_values(mass, unknown, name)
-    return free, occupied, unknown.clip(0), conflict
+    (free, occupied, conflict), unknown = _inside([free, occupied, conflict], unknown, mass, name)
+    return free, occupied, unknown, conflict
 
 
-def _check_values(mass: Any, unknown: Any, name: str) -> None:
-    """Check an array whose unknown is at hand: two minima, and the full search only where they fail."""
-    least = min(float(unknown.min(initial=1)), float(mass.min(initial=0)))
-    if not least >= -tolerance_of(mass):
+def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[list[Any], Any]:
+    """Check an array whose unknown is at hand, and bring within the simplex what rounding left outside.
+
+    Two minima; more work only where they are negative, and the full search only where they fail.
+    """
+    given, least = float(mass.min(initial=0)), float(unknown.min(initial=0))
+    if not (given >= -tolerance_of(mass) and least >= -tolerance_of(mass)):
         check_mass(mass, name=name)
+    if given < 0:
+        numbers = [np.maximum(number, 0) for number in numbers]
+        unknown = 1 - sum(numbers[2:]) - (numbers[0] + numbers[1])
+        least = float(unknown.min(initial=0))
+    if least < -np.finfo(mass.dtype).eps:  # more than the last bit of a dogmatic mass
+        scale = np.maximum(1 - unknown, 1)
+        numbers = [number / scale for number in numbers]
+    return numbers, unknown if least >= 0 else np.maximum(unknown, 0)
 
 
 def sources(a: Any, b: Any, axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:

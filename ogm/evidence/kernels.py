@@ -2,9 +2,10 @@
 
 `dempster`, `yager` and `cumulative` discount the first mass (the map) and combine it with the second (the
 scan). They give the same numbers as their namesakes in `ogm.evidence` after `discount`, with one traversal of
-memory instead of dozens. They trust their input: values are not checked. NaN in a cell stays NaN in that
-cell; total conflict and two dogmatic masses give the mean. They run on one core, release the GIL, and their
-compiled code is cached on disk.
+memory instead of dozens. They trust their input: values are not checked. A belief below zero is read as zero,
+but a sum above one is not brought back to one. NaN in a cell stays NaN in that cell; total conflict and two
+dogmatic masses (unknown of at most 4 units of rounding) give the mean. They run on one core, release the GIL,
+and their compiled code is cached on disk.
 
 Importing this module loads numba; `ogm.evidence` does not import it.
 """
@@ -34,8 +35,8 @@ def dempster(
     reliability : float
         Shafer's discount of `a`, in [0, 1]; 1 keeps all.
     out : array, optional
-        Where the result goes: a new array by default; `a` itself for an update in place; or any other array
-        of the same shape and dtype that does not overlap `a` or `b`.
+        Where the result goes: a new array by default; `a` itself for an update in place; or any other
+        writeable array of the same shape and dtype that shares no memory with `a` or `b`.
 
     Returns
     -------
@@ -81,15 +82,26 @@ def _run(
     """Check the form of the arrays and run the loop that fits `out`."""
     _check(a, "a", a)
     _check(b, "b", a)
+    if not isinstance(reliability, int | float | np.generic):
+        raise TypeError(
+            f"reliability must be one number in a kernel, got {type(reliability).__name__}; "
+            f"for one per cell use evidence.discount"
+        )
     if not 0 <= reliability <= 1:
         raise ValueError(f"reliability must lie in [0, 1], got {reliability}")
-    if out is a:
-        # Its own loop: with a second name for the same memory the compiler could not use vector instructions.
-        in_place(a.reshape(-1), b.reshape(-1), reliability)
-        return a
     if out is None:
         out = np.empty_like(a)
     _check(out, "out", a)
+    if not out.flags.writeable:
+        raise ValueError("out must be writeable, got a read-only array")
+    if np.may_share_memory(out, b):
+        raise ValueError("out must not share memory with b; only a may be updated in place")
+    if out.ctypes.data == a.ctypes.data:
+        # Its own loop: with a second name for the same memory the compiler could not use vector instructions.
+        in_place(out.reshape(-1), b.reshape(-1), reliability)
+        return out
+    if np.may_share_memory(out, a):
+        raise ValueError("out must be a itself or share no memory with it, got a part of it, shifted")
     into(a.reshape(-1), b.reshape(-1), reliability, out.reshape(-1))
     return out
 
@@ -117,14 +129,20 @@ def _check(array: Any, name: str, a: np.ndarray) -> None:
 
 
 @_jit
+def _positive(one: Any, belief: Any) -> Any:
+    return one - one if belief < 0 else belief  # NaN < 0 is false: NaN stays
+
+
+@_jit
 def _unknown(one: Any, free: Any, occupied: Any) -> Any:
     unknown = one - (free + occupied)
-    return one - one if unknown < 0 else unknown  # NaN < 0 is false: NaN stays
+    return one - one if unknown < 0 else unknown
 
 
 @_jit
 def _agreement(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
     """Return (free, occupied, unknown) on which (f, o) and (g, p) agree."""
+    f, o, g, p = _positive(one, f), _positive(one, o), _positive(one, g), _positive(one, p)
     u, v = _unknown(one, f, o), _unknown(one, g, p)
     return f * (g + v) + u * g, o * (p + v) + u * p, u * v
 
@@ -148,12 +166,14 @@ def _yager_cell(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
 
 @_jit
 def _cumulative_cell(one: Any, f: Any, o: Any, g: Any, p: Any, rounding: Any) -> Any:
+    f, o, g, p = _positive(one, f), _positive(one, o), _positive(one, g), _positive(one, p)
     u, v = _unknown(one, f, o), _unknown(one, g, p)
     total = u + v * (f + o)
+    both = (u <= rounding) & (v <= rounding)
     half = one / (one + one)
     return (
-        half * (f + g) if total <= rounding else (f * v + g * u) / total,
-        half * (o + p) if total <= rounding else (o * v + p * u) / total,
+        half * (f + g) if both else (f * v + g * u) / total,
+        half * (o + p) if both else (o * v + p * u) / total,
     )
 
 
@@ -190,7 +210,7 @@ def _yager_in_place(a: np.ndarray, b: np.ndarray, reliability: float) -> None:
 @_jit
 def _cumulative_into(a: np.ndarray, b: np.ndarray, reliability: float, out: np.ndarray) -> None:
     one, r = a.dtype.type(1), a.dtype.type(reliability)
-    rounding = a.dtype.type(8 * np.finfo(a.dtype).eps)  # both unknowns as good as zero
+    rounding = a.dtype.type(4 * np.finfo(a.dtype).eps)  # an unknown as good as zero
     for i in range(a.size // 2):
         out[2 * i], out[2 * i + 1] = _cumulative_cell(
             one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1], rounding
@@ -200,7 +220,7 @@ def _cumulative_into(a: np.ndarray, b: np.ndarray, reliability: float, out: np.n
 @_jit
 def _cumulative_in_place(a: np.ndarray, b: np.ndarray, reliability: float) -> None:
     one, r = a.dtype.type(1), a.dtype.type(reliability)
-    rounding = a.dtype.type(8 * np.finfo(a.dtype).eps)  # both unknowns as good as zero
+    rounding = a.dtype.type(4 * np.finfo(a.dtype).eps)  # an unknown as good as zero
     for i in range(a.size // 2):
         a[2 * i], a[2 * i + 1] = _cumulative_cell(
             one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1], rounding

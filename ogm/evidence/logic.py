@@ -8,6 +8,8 @@ Source: Jøsang, *Subjective Logic* (2016), chapters 7 and 9.
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from ogm.evidence.arrays import Array, check_alike, like, namespace, pack, per_cell, split
 
 __all__ = ["Conclusion", "comultiplication", "deduction", "multiplication"]
@@ -89,7 +91,8 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
         _ratio(xp, p_hat - xp.minimum(b1, b0), rate), _ratio(xp, 1 - p_hat - xp.minimum(d1, d0), 1 - rate)
     ).clip(0, 1)
     unknown = u * apex + b * u1 + d * u0
-    mass = pack(xp, [1 - p - (1 - rate) * unknown, p - rate * unknown], x)
+    disbelief, belief = 1 - p - (1 - rate) * unknown, p - rate * unknown
+    mass = pack(xp, [disbelief.clip(0), belief.clip(0)], x)  # rounding may leave them below zero
     return Conclusion(mass, per_cell(rate, x))
 
 
@@ -107,7 +110,8 @@ def _rate(rate: Any, cells: Any, mass: Any) -> Any:
 
 
 def _refuse_zero(scale: Any, message: str) -> None:
-    if isinstance(scale, float) and scale == 0:
+    """Raise if a number, or one of a numpy array, is zero; tensors are not read."""
+    if isinstance(scale, float | np.ndarray | np.generic) and np.any(scale == 0):
         raise ValueError(message)
 
 

@@ -108,9 +108,11 @@ def specificity(mass: Array) -> Array:
 
 def yager_entropy(mass: Array) -> Array:
     """Return Yager's entropy (dissonance in his words), -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983)."""
-    free, occupied, _ = split(mass)
+    free, occupied, ignorance = split(mass)
     xp = namespace(mass)
-    return per_cell(-_times_log2(xp, free, 1 - occupied) - _times_log2(xp, occupied, 1 - free), mass)
+    # Plausibility as belief + unknown: 1 - the other belief may round to less than the belief, even to zero.
+    logs = _times_log2(xp, free, (free + ignorance).clip(None, 1))
+    return per_cell(-logs - _times_log2(xp, occupied, (occupied + ignorance).clip(None, 1)), mass)
 
 
 def pignistic_entropy(mass: Array) -> Array:

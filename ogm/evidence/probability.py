@@ -23,7 +23,7 @@ __all__ = [
 ]
 
 
-def mass_to_probability(mass: Array, base_rate: float = 0.5) -> Array:
+def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the projected probability of occupied, P = occupied + a * unknown.
 
     It is the mean alpha_occupied / sum(alpha) of the Dirichlet density, and with a = 0.5 the pignistic
@@ -63,8 +63,8 @@ def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) ->
     free = 1 - probability - (1 - rate) * ignorance
     occupied = probability - rate * ignorance
     mass = pack(xp, [free, occupied], probability)
-    split(mass, "the mass of this probability and unknown")
-    return mass
+    free, occupied, _ = split(mass, "the mass of this probability and unknown")
+    return pack(xp, [free, occupied], probability)
 
 
 def pignistic(mass: Array) -> Array:
@@ -77,15 +77,15 @@ def plausibility_transform(mass: Array) -> Array:
 
     Dempster's rule multiplies plausibilities, so the log-odds of this probability simply add under it.
     """
-    free, occupied, _ = split(mass)
-    return per_cell((1 - free) / ((1 - free) + (1 - occupied)), mass)
+    free, occupied, ignorance = split(mass)
+    return per_cell((occupied + ignorance) / ((free + ignorance) + (occupied + ignorance)), mass)
 
 
 def mass_to_log_odds(mass: Array) -> Array:
     """Return the log-odds of occupied of the plausibility transform, ln(Pl(O) / Pl(F)).
 
     What a Bayesian log-odds grid would hold: under Dempster's rule these numbers add. A cell that is
-    certainly occupied (free) has +inf (-inf).
+    dogmatically occupied (free) has +inf (-inf).
     """
     free, occupied, _ = split(mass)
     xp = namespace(mass)
@@ -113,7 +113,7 @@ def log_odds_to_mass(log_odds: Array) -> Array:
     return pack(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
 
 
-def maximize_uncertainty(mass: Array, base_rate: float = 0.5) -> Array:
+def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the mass of the same projected probability with the greatest unknown.
 
     u = min(P / a, (1 - P) / (1 - a)): one of the two beliefs becomes zero (Jøsang 2016, section 3.5.6).

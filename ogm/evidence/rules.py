@@ -1,8 +1,9 @@
 """Dempster-Shafer rules for the frame {free, occupied}, in a closed world: pairs in, pairs out.
 
 Every rule takes two masses, ``rule(a, b)``, or a stack of sources and its axis, ``rule(stack, axis=0)``, with
-any leading shape. `dempster` is associative, so both ways agree; the others combine a stack in one go, and a
-chain of pairs gives something else.
+any leading shape. `dempster` is associative, so both ways agree wherever something survives; in cells of
+total conflict between dogmatic sources the policy `on_conflict` decides, and a chain of pairs may end elsewhere
+than a stack. The other rules combine a stack in one go, and a chain of pairs gives something else.
 
 Sources: Dempster (1967); Shafer (1976); Yager, "On the Dempster-Shafer framework and new combination rules"
 (1987); Dubois and Prade, "Representation and combination of uncertainty with belief functions and possibility
@@ -25,8 +26,9 @@ def dempster(
 ) -> Array:
     """Combine independent, reliable sources by Dempster's rule: agreement, normalised.
 
-    Commutative and associative; the vacuous mass is neutral. Conflict is shared out in proportion, by
-    dividing by the sum of the surviving masses (1 - conflict, but without its cancellation).
+    Commutative, and associative but in cells of total conflict; the vacuous mass is neutral. Conflict is
+    shared out in proportion, by dividing by the sum of the surviving masses (1 - conflict, but without its
+    cancellation).
 
     Parameters
     ----------
@@ -35,9 +37,9 @@ def dempster(
     axis : int, optional
         The leading axis of `a` that counts the sources.
     on_conflict : {"average", "vacuous", "nan", "raise"}
-        What to return where nothing survives (certainly free against certainly occupied): the mean of the
-        certain sources, for two of them (0.5, 0.5), the limit of two equally strong ones; ignorance; NaN; or
-        an error.
+        What to return where nothing survives (dogmatically free against dogmatically occupied): the mean of
+        the dogmatic sources, for two of them (0.5, 0.5), the limit of two equally strong ones; ignorance;
+        NaN; or an error.
 
     Returns
     -------
@@ -46,13 +48,15 @@ def dempster(
     check_policy(on_conflict)
     xp, parts = sources(a, b, axis)
     free, occupied, unknown = parts[0]
-    for part in parts[1:]:
+    for number, part in enumerate(parts[1:], start=2):
         free, occupied, unknown = _agreement(free, occupied, unknown, *part)
         # Normalise at once, so that long stacks do not underflow. Once nothing survives, nothing ever will.
-        free, occupied, unknown, none = normalized(xp, free, occupied, unknown)
+        free, occupied, surviving, none = normalized(xp, free, occupied, unknown)
+        if number < len(parts):
+            unknown = unknown / surviving
     if len(parts) == 1 or not anywhere(xp, none):
         return pack(xp, [free, occupied], a)
-    return resolve(xp, a, free, occupied, none, _mean_of_the_certain(parts), on_conflict)
+    return resolve(xp, a, free, occupied, none, _mean_of_the_dogmatic(parts), on_conflict)
 
 
 def yager(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
@@ -97,12 +101,15 @@ def _agreement(free: Any, occupied: Any, unknown: Any, f: Any, o: Any, u: Any) -
 
 
 def normalized(xp: Any, free: Any, occupied: Any, unknown: Any) -> tuple[Any, Any, Any, Any]:
-    """Divide by what survives, and say in which cells nothing does; there the masses stay 0."""
+    """Return (free, occupied) divided by what survives, the divisor, and in which cells nothing survives.
+
+    There the masses stay 0, and the divisor is 1.
+    """
     surviving = free + occupied + unknown
     none = surviving == 0
     if anywhere(xp, none):
         surviving = surviving + none
-    return free / surviving, occupied / surviving, unknown / surviving, none
+    return free / surviving, occupied / surviving, surviving, none
 
 
 def check_policy(on_conflict: str) -> None:
@@ -121,8 +128,8 @@ def refuse_total_conflict(none: Any, on_conflict: OnConflict) -> None:
         )
 
 
-def _mean_of_the_certain(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
-    """Return the mean of the sources that are certain: there are some on both sides in total conflict."""
+def _mean_of_the_dogmatic(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
+    """Return the mean of the sources dogmatic for one state: there are some on both sides in total conflict."""
     for_free = sum((o + u == 0) + 0 * u for _, o, u in parts)
     for_occupied = sum((f + u == 0) + 0 * u for f, _, u in parts)
     votes = (for_free + for_occupied).clip(1)

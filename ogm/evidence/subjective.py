@@ -2,10 +2,12 @@
 
 They act on the same pairs as the Dempster-Shafer rules and think in evidence ``e = W b / u``: cumulative
 fusion adds it, averaging fusion takes its mean, weighted fusion its mean weighted by confidence ``1 - u``. A
-mass with u = 0 has infinite evidence: it overrules all others, and several of them are averaged.
+mass with u = 0 (up to 4 units of rounding) has infinite evidence: it overrules all others, and several of them
+are averaged.
 
-Every operator takes two masses or a stack and its axis. Pairs and stacks agree for cumulative fusion alone;
-for the others a chain of pairs is not the operator.
+Every operator takes two masses or a stack and its axis. Pairs and stacks agree for cumulative fusion alone, and
+there only in cells with at most two dogmatic sources: a chain of pairs does not know of how many a mean is. For
+the others a chain of pairs is not the operator. `consensus_compromise` is in `ogm.evidence.consensus`.
 
 Base rates are not part of a pair. Where all sources share one, so does the result; where they differ, use
 `cumulative_base_rate`, `confidence_base_rate`, or for averaging fusion the plain mean.
@@ -16,7 +18,6 @@ subjective logic" (Fusion 2018).
 """
 
 from collections.abc import Sequence
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,6 @@ __all__ = [
     "averaging",
     "belief_constraint",
     "confidence_base_rate",
-    "consensus_compromise",
     "cumulative",
     "cumulative_base_rate",
     "cumulative_epistemic",
@@ -59,7 +59,7 @@ def cumulative(
 ) -> Array:
     """Fuse independent observations by (aleatory) cumulative fusion: evidence adds.
 
-    Commutative and associative; vacuous is neutral.
+    Commutative, and associative but where three or more sources are dogmatic; vacuous is neutral.
 
     Parameters
     ----------
@@ -78,10 +78,10 @@ def cumulative(
     if len(parts) == 2 and dogmatic_weights is None:
         (f, o, u), (g, p, v) = parts
         free, occupied, total = f * v + g * u, o * v + p * u, u + v * (f + o)  # = u + v - u v
-        both = total <= 2 * rounding(a)
+        both = (u <= rounding(a)) & (v <= rounding(a))
         if anywhere(xp, both):  # two dogmatic masses: their mean
-            free, occupied = free + both * (f + g), occupied + both * (o + p)
-            total = total + 2 * both
+            free, occupied = xp.where(both, f + g, free), xp.where(both, o + p, occupied)
+            total = xp.where(both, 2 + 0 * total, total)
         return pack(xp, [free / total, occupied / total], a)
     return _by_evidence(xp, a, parts, dogmatic_weights, _sum_of_evidence)
 
@@ -195,47 +195,6 @@ def belief_constraint(
     return dempster(a, b, axis=axis, on_conflict=on_conflict)
 
 
-def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
-    """Fuse by consensus & compromise: keep what all agree on, share out the rest, turn conflict to unknown.
-
-    Commutative and idempotent, vacuous is neutral for two sources; not associative. Discontinuous at
-    agreement: two equal masses give themselves, two almost equal ones something far from it. Not for grids by
-    default.
-
-    Parameters
-    ----------
-    a, b, axis
-        As for `cumulative`; at most 12 sources, as the work doubles with each.
-
-    Notes
-    -----
-    Where the sources are equal nothing remains to be shared; their common mass is returned (the published
-    formula divides zero by zero there).
-    """
-    xp, parts = sources(a, b, axis)
-    if len(parts) > 12:
-        raise ValueError(f"consensus_compromise takes at most 12 sources, got {len(parts)}")
-    # Step 1, consensus: the belief that every source has at least.
-    agreed_free, agreed_occupied = parts[0][0], parts[0][1]
-    for free, occupied, _ in parts[1:]:
-        agreed_free, agreed_occupied = xp.minimum(agreed_free, free), xp.minimum(agreed_occupied, occupied)
-    rests = [(free - agreed_free, occupied - agreed_occupied) for free, occupied, _ in parts]
-    unknowns = [unknown for _, _, unknown in parts]
-    # Step 2, compromise: a residue meets the ignorance of all others, or their residues.
-    free = _one_against_ignorance(rests, unknowns, 0) + _product([rest[0] for rest in rests])
-    occupied = _one_against_ignorance(rests, unknowns, 1) + _product([rest[1] for rest in rests])
-    both = 0 * free
-    for states in product((0, 1), repeat=len(rests)):
-        if 0 in states and 1 in states:
-            both = both + _product([rest[state] for rest, state in zip(rests, states, strict=True)])
-    # Step 3, normalise: all that is neither agreed nor unknown to everybody is shared out in proportion.
-    ignorance = _product(unknowns)
-    left = (1 - agreed_free - agreed_occupied - ignorance).clip(0)
-    shared = free + occupied + both
-    share = left / (shared + (shared == 0))
-    return pack(xp, [agreed_free + share * free, agreed_occupied + share * occupied], a)
-
-
 def cumulative_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any) -> Array:
     """Return the base rate of the cumulative fusion of two masses with different base rates.
 
@@ -294,7 +253,7 @@ def _by_evidence(
     if not any(anywhere(xp, here) for here in dogmatic):
         return pack(xp, list(combine(parts)), mass)
     # Where some are dogmatic, their weighted mean; elsewhere the rule (with a stand-in for u = 0).
-    share = [weight * here for weight, here in zip(weights, dogmatic, strict=True)]
+    share = [weight * (here + 0 * u) for weight, here, (*_, u) in zip(weights, dogmatic, parts, strict=True)]
     free = sum(s * f for s, (f, _, _) in zip(share, parts, strict=True))
     occupied = sum(s * o for s, (_, o, _) in zip(share, parts, strict=True))
     total: Any = sum(share)
@@ -325,18 +284,3 @@ def _confident_mean_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any,
     total = confidence + free + occupied
     total = total + (total == 0)
     return free / total, occupied / total
-
-
-def _product(numbers: list[Any]) -> Any:
-    result = numbers[0]
-    for number in numbers[1:]:
-        result = result * number
-    return result
-
-
-def _one_against_ignorance(rests: list[tuple[Any, Any]], unknowns: list[Any], state: int) -> Any:
-    """Sum over the sources of its residue for a state times the unknown of all others."""
-    total = 0 * unknowns[0]
-    for i, rest in enumerate(rests):
-        total = total + _product([rest[state], *(u for j, u in enumerate(unknowns) if j != i)])
-    return total

@@ -266,3 +266,39 @@ def test_dirichlet_refuses_what_is_no_density() -> None:
         evidence.dirichlet_kl(np.ones((3, 2)), np.ones((4, 2)))
     with pytest.raises(TypeError, match="float32 or float64"):
         evidence.dirichlet_entropy(np.array([1, 2]))
+
+
+def test_bold_names_the_cell_without_conflict() -> None:
+    triples = np.full((3, 4, 3), 0.2)
+    without = triples.copy()
+    without[1, 2] = (0.5, 0.2, 0)
+    message = r"source 1 has none in 1 cells, the first at \[1, 2\]"
+    with pytest.raises(ValueError, match=message):
+        evidence.bold(triples, without)
+    with pytest.raises(ValueError, match=message):
+        powerset.bold(powerset.from_pair(triples), powerset.from_pair(without))
+
+
+@pytest.mark.parametrize("name", ["multiplication", "comultiplication"])
+def test_base_rates_that_divide_by_zero_are_refused_in_arrays_too(name: str) -> None:
+    rate = 1.0 if name == "multiplication" else 0.0
+    rates = np.array([0.5, rate])
+    grid = np.stack([GOOD, GOOD])
+    for first, second in [(rate, rate), (rates, rates), (rate, rates), (rates, rate)]:
+        with pytest.raises(ValueError, match="base rates must not both be"):
+            getattr(evidence, name)(grid, grid, first, second)
+    assert np.isfinite(getattr(evidence, name)(grid, grid, rates, 0.5).mass).all()
+
+
+@pytest.mark.parametrize("function", [evidence.vacuity, evidence.check_mass, evidence.renormalize])
+def test_masked_arrays_are_refused(function: Any) -> None:
+    with pytest.raises(TypeError, match=r"must not be a masked array.*filled\(0\)"):
+        function(np.ma.masked_array([[0.1, 0.2]]))
+    with pytest.raises(TypeError, match="b must not be a masked array"):
+        evidence.dempster(GOOD, np.ma.masked_array(GOOD))
+
+
+def test_tensors_of_two_devices_are_refused() -> None:
+    here = torch.tensor(GOOD)
+    with pytest.raises(TypeError, match="a and b must be on one device, got cpu and meta"):
+        evidence.dempster(here, here.to("meta"))

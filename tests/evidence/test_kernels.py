@@ -123,3 +123,28 @@ def test_kernels_refuse_what_does_not_fit(name: str) -> None:
         kernel(np.zeros((6, 2), np.float32)[::2], good)
     with pytest.raises(ValueError, match=r"reliability must lie in \[0, 1\], got 1.5"):
         kernel(good, good, reliability=1.5)
+    for several in (np.array([0.5, 0.5]), [0.5], None):
+        with pytest.raises(TypeError, match="reliability must be one number.*use evidence.discount"):
+            kernel(good, good, reliability=several)
+    frozen = good.copy()
+    frozen.flags.writeable = False
+    with pytest.raises(ValueError, match="out must be writeable"):
+        kernel(good, good.copy(), out=frozen)
+    with pytest.raises(ValueError, match="out must be writeable"):
+        kernel(frozen, good.copy(), out=frozen)
+    assert kernel(frozen, frozen).shape == (3, 2)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_kernels_refuse_memory_that_overlaps(name: str) -> None:
+    kernel = getattr(kernels, name)
+    memory, other = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 11)).astype(np.float32)[..., :2].copy()
+    with pytest.raises(ValueError, match="out must be a itself or share no memory with it"):
+        kernel(memory[:-1], other[:-1], out=memory[1:])
+    with pytest.raises(ValueError, match="out must not share memory with b"):
+        kernel(other, memory, out=memory)
+    with pytest.raises(ValueError, match="out must not share memory with b"):
+        kernel(other[1:], memory[:-1], out=memory[1:])
+    expected = kernel(memory, other)
+    np.testing.assert_allclose(kernel(memory, other, out=memory[:]), expected, atol=1e-7)  # a by another name
+    np.testing.assert_allclose(memory, expected, atol=1e-7)

@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from ogm.evidence.arrays import Array, like
 from ogm.evidence.powerset.transforms import MOST_STATES, Columns, split_columns, stack, subset
 
@@ -63,25 +65,27 @@ def pignistic(mass: Array) -> Array:
     columns = split_columns(mass)
     states = range(len(columns).bit_length() - 1)
     alive = sum(columns[2:], start=columns[1])
-    return stack(
-        [
-            sum(column / place.bit_count() for place, column in enumerate(columns) if place >> state & 1)
-            / alive
-            for state in states
-        ],
-        mass,
-    )
+    shares: list[Any] = [
+        sum(column / place.bit_count() for place, column in enumerate(columns) if place >> state & 1)
+        for state in states
+    ]
+    with np.errstate(invalid="ignore"):
+        return stack([share / alive for share in shares], mass)
 
 
 def plausibility_transform(mass: Array) -> Array:
-    """Return the plausibilities of the single states, normalised to a probability, (..., K)."""
+    """Return the plausibilities of the single states, normalised to a probability, (..., K).
+
+    Where conflict is all there is, the result is NaN.
+    """
     columns = split_columns(mass)
     plausible: list[Any] = [
         sum(column for place, column in enumerate(columns) if place >> state & 1)
         for state in range(len(columns).bit_length() - 1)
     ]
     total = sum(plausible)
-    return stack([number / total for number in plausible], mass)
+    with np.errstate(invalid="ignore"):
+        return stack([number / total for number in plausible], mass)
 
 
 def coarsen(mass: Array, groups: Sequence[Sequence[int]]) -> Array:

@@ -21,6 +21,7 @@ from ogm.evidence.arrays import (
     rounding,
     tolerance_of,
 )
+from ogm.evidence.open_world import refuse_no_conflict
 from ogm.evidence.powerset.transforms import (
     Columns,
     difference_subsets,
@@ -157,6 +158,8 @@ def cautious(a: Array, b: Array) -> Array:
 def bold(a: Array, b: Array) -> Array:
     """Combine by the bold disjunctive rule: `cautious` on complements. Needs conflict > 0 in both."""
     first, second = _two(a, b)
+    if namespace(a) is np:
+        refuse_no_conflict([first[0], second[0]])
     return stack(_cautious(first[::-1], second[::-1], a)[::-1], a)
 
 
