@@ -25,6 +25,14 @@ if TYPE_CHECKING:
 # The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
 DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
 
+IntensityMax = Annotated[
+    float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
+]
+TimeUnit = Annotated[
+    float | None,
+    typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
+]
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -178,13 +186,8 @@ def map_(
             help="x y z of the sensor [m], for points that come in the vehicle's frame.", metavar="X Y Z"
         ),
     ] = None,
-    intensity_max: Annotated[
-        float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
-    ] = None,
-    time_unit: Annotated[
-        float | None,
-        typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
-    ] = None,
+    intensity_max: IntensityMax = None,
+    time_unit: TimeUnit = None,
     out_path: Annotated[
         Path | None,
         typer.Option("--out", help="Grid file (.npz), or a folder. [default: ./NAME.npz]"),
@@ -298,13 +301,8 @@ def info(
     axes: Annotated[
         str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")
     ] = "flu",
-    intensity_max: Annotated[
-        float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
-    ] = None,
-    time_unit: Annotated[
-        float | None,
-        typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
-    ] = None,
+    intensity_max: IntensityMax = None,
+    time_unit: TimeUnit = None,
 ) -> None:
     """Say what a file holds."""
     from ogm import EvidentialGrid, read_scan
