@@ -1,0 +1,1 @@
+"""Towns, traffic and lidars that make training data: sensor points with their evidential truth grids."""
