@@ -1,15 +1,17 @@
 """What the benchmarks share: one core, medians of interleaved rounds, and a record of the machine.
 
 Importing this module pins the process to one core, and must therefore come before numpy is imported: the
-thread pools of numba, OpenMP and BLAS read their sizes when they are loaded.
+thread pools of numba, OpenMP and BLAS read their sizes when they are loaded. A benchmark that is about several
+cores sets OGM_CORES in ``os.environ`` before it imports this module: their number, and nothing is pinned.
 """
 
 import os
 
 THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-os.environ.update(dict.fromkeys(THREADS, "1"))
+CORES = int(os.environ.get("OGM_CORES", "1"))
+os.environ.update(dict.fromkeys(THREADS, str(CORES)))
 CORE = None
-if hasattr(os, "sched_setaffinity"):  # Linux
+if CORES == 1 and hasattr(os, "sched_setaffinity"):  # Linux
     CORE = max(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {CORE})
 
@@ -35,7 +37,7 @@ from ogm.files import atomic_write  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PICTURES = ROOT / "benchmarks" / "results", ROOT / "docs" / "pictures"
 DATA = Path(os.environ.get("OGM_DATA", ROOT.parent / "shared" / "data" / "real"))  # see benchmarks/README.md
-PACKAGES = ("numpy", "numba", "llvmlite", "pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp")
+PACKAGES = ("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "shapely", "torch", "pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp")
 SLOW = 0.3  # [s] a call that takes longer is not repeated within a round
 BURST = 0.05  # [s] how long a quick call is repeated within a round
 MOST = 10  # calls per round
@@ -126,7 +128,7 @@ def environment() -> dict[str, Any]:
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "cpu": _cpu(),
         "cores": os.cpu_count(),
-        "cores used": 1,
+        "cores used": CORES,
         "pinned": CORE is not None,
         "load at start": load,
         "system": f"{platform.system()} {platform.machine()}",
@@ -146,8 +148,9 @@ def _cpu() -> str:
 def caption(record: Mapping[str, Any]) -> str:
     """Return one line that says where and when a picture's figures were measured."""
     versions = record["versions"]
+    cores = "one core" if record["cores used"] == 1 else f"{record['cores used']} cores"
     return (
-        f"{record['cpu']}, one core, {record['date'][:10]}, Python {record['python']}, "
+        f"{record['cpu']}, {cores}, {record['date'][:10]}, Python {record['python']}, "
         f"numpy {versions['numpy']}, numba {versions['numba']}; remade by: {record['command']}"
     )
 
