@@ -1,52 +1,25 @@
-"""The command line: ``ogm demo``, ``ogm map``, ``ogm info``."""
+"""``ogm demo`` and ``ogm map``: scans to evidential grids."""
 
-import functools
-import logging
 import statistics
-import sys
 import time
-from collections.abc import Callable
 from enum import StrEnum
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-import ogm
+from ogm.cli.console import complaints, one_line, out, tidy
+from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
 
 # The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
 DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
-
-IntensityMax = Annotated[
-    float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
-]
-TimeUnit = Annotated[
-    float | None,
-    typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
-]
-
-P = ParamSpec("P")
-R = TypeVar("R")
-
-app = typer.Typer(
-    name="ogm",
-    help="Evidential occupancy grid maps from lidar: free, occupied, and, as a number of its own, unknown.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
-)
-out = Console(highlight=False)
-complaints = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 class Model(StrEnum):
@@ -55,31 +28,6 @@ class Model(StrEnum):
     ray = "ray"
     height_band = "height-band"
     released = "height-band-released"
-
-
-def tidy(command: Callable[P, R]) -> Callable[P, R]:
-    """Turn the errors a user can cause into one line and exit code 2."""
-
-    @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> R:
-        try:
-            return command(*args, **kwargs)
-        except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
-            complaints.print(f"ogm: {_one_line(error)}", markup=False)
-            raise typer.Exit(2) from None
-        except KeyboardInterrupt:
-            complaints.print("ogm: interrupted; files that were finished are whole, no other was written")
-            raise typer.Exit(130) from None
-
-    return run
-
-
-def _one_line(error: BaseException) -> str:
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    if isinstance(error, MemoryError):
-        return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _model(
@@ -135,7 +83,6 @@ def _timed(
     return grid, statistics.median(seconds)
 
 
-@app.command(epilog="Example:  ogm demo --out /tmp")
 @tidy
 def demo(
     out_folder: Annotated[
@@ -166,7 +113,6 @@ def demo(
     out.print(f"picture {picture}   grid {archive}", markup=False)
 
 
-@app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")
 @tidy
 def map_(
     scans: Annotated[
@@ -223,7 +169,7 @@ def map_(
         transient=True,
     ):
         try:
-            scan = read_scan(path, axes=_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
+            scan = read_scan(path, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
             height = 1.61 if ism is Model.released else _height(scan.points, sensor_height, sensor_position)
             model = _model(ism, spec, height, sensor_position)
             if not warm:
@@ -239,7 +185,7 @@ def map_(
         except (ValueError, TypeError, OSError) as error:
             if len(scans) == 1:
                 raise
-            failed.append(f"{path}: {_one_line(error)}")
+            failed.append(f"{path}: {one_line(error)}")
     if table.row_count:
         out.print(table, markup=False)
     for line in failed:
@@ -280,10 +226,6 @@ def _height(points: object, given: float | None, position: tuple[float, float, f
     return height
 
 
-def _axes(text: str) -> str | tuple[str, ...]:
-    return tuple(text.split(",")) if "," in text else text
-
-
 def _stem(path: Path) -> str:
     """Return a scan's name without the endings that say its format."""
     name = path.name
@@ -292,53 +234,3 @@ def _stem(path: Path) -> str:
     for ending in (".xz", ".gz", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather"):
         name = name.removesuffix(ending)
     return name
-
-
-@app.command(epilog="Example:  ogm info scan.pcd")
-@tidy
-def info(
-    scan: Annotated[Path, typer.Argument(help="A scan, or a grid (.npz) that ogm wrote.")],
-    axes: Annotated[
-        str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")
-    ] = "flu",
-    intensity_max: IntensityMax = None,
-    time_unit: TimeUnit = None,
-) -> None:
-    """Say what a file holds."""
-    from ogm import EvidentialGrid, read_scan
-    from ogm.io import describe
-
-    if scan.suffix == ".npz":
-        grid = EvidentialGrid.load(scan)
-        x0, x1, y0, y1 = grid.spec.extent
-        facts = {
-            "format": "evidential grid",
-            "cells": f"{grid.spec.shape[0]} x {grid.spec.shape[1]} of {grid.spec.resolution:g} m",
-            "x": f"{x0:g} ... {x1:g} m",
-            "y": f"{y0:g} ... {y1:g} m",
-        } | {name: f"{100 * getattr(grid, name).mean():.1f} %" for name in ("free", "occupied", "unknown")}
-    else:
-        facts = describe(read_scan(scan, axes=_axes(axes), intensity_max=intensity_max, time_unit=time_unit))
-    table = Table(box=None, show_header=False, pad_edge=False)
-    for name, value in facts.items():
-        table.add_row(name, value)
-    out.print(table, markup=False)
-
-
-@app.callback(invoke_without_command=True)
-def _options(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
-) -> None:
-    if version:
-        out.print(f"ogm {ogm.__version__}")
-        raise typer.Exit
-
-
-def main() -> None:
-    """Run the command line."""
-    logging.basicConfig(format="ogm: %(message)s", level=logging.WARNING, stream=sys.stderr)
-    app()
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,44 @@
+"""The command line: ``ogm demo``, ``ogm map``, ``ogm simulate``, ``ogm info``."""
+
+import logging
+import sys
+from typing import Annotated
+
+import typer
+
+import ogm
+from ogm.cli.console import out
+from ogm.cli.info import info
+from ogm.cli.maps import demo, map_
+from ogm.cli.simulate import simulate
+
+__all__ = ["app", "main"]
+
+app = typer.Typer(
+    name="ogm",
+    help="Evidential occupancy grid maps from lidar: free, occupied, and, as a number of its own, unknown.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+app.command(epilog="Example:  ogm demo --out /tmp")(demo)
+app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")(map_)
+app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
+app.command(epilog="Example:  ogm info scan.pcd")(info)
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    if version:
+        out.print(f"ogm {ogm.__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line."""
+    logging.basicConfig(format="ogm: %(message)s", level=logging.WARNING, stream=sys.stderr)
+    app()

@@ -1,0 +1,5 @@
+"""``python -m ogm.cli``."""
+
+from ogm.cli import main
+
+main()

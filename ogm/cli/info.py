@@ -1,0 +1,44 @@
+"""``ogm info``: what a file holds."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ogm.cli.console import print_facts, tidy
+from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
+
+
+@tidy
+def info(
+    scan: Annotated[
+        Path, typer.Argument(help="A scan, a grid (.npz) or a data set (a folder) that ogm made.")
+    ],
+    axes: Annotated[
+        str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")
+    ] = "flu",
+    intensity_max: IntensityMax = None,
+    time_unit: TimeUnit = None,
+) -> None:
+    """Say what a file or a data set holds."""
+    from ogm import EvidentialGrid, read_scan
+    from ogm.io import describe
+
+    if scan.is_dir():
+        from ogm.simulation.store import Store
+
+        facts = Store.open(scan).describe()
+    elif scan.suffix == ".npz":
+        grid = EvidentialGrid.load(scan)
+        x0, x1, y0, y1 = grid.spec.extent
+        facts = {
+            "format": "evidential grid",
+            "cells": f"{grid.spec.shape[0]} x {grid.spec.shape[1]} of {grid.spec.resolution:g} m",
+            "x": f"{x0:g} ... {x1:g} m",
+            "y": f"{y0:g} ... {y1:g} m",
+        } | {name: f"{100 * getattr(grid, name).mean():.1f} %" for name in ("free", "occupied", "unknown")}
+    else:
+        facts = describe(
+            read_scan(scan, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
+        )
+    print_facts(facts)

@@ -1,0 +1,193 @@
+"""The layout of the paper's data (van Kempen et al. 2021): point clouds as PCD, truth grids as PNG.
+
+::
+
+    input_train/0000000001.pcd    x, y, z [m], intensity 0 ... 255, float32, sensor frame
+    label_train/0000000001.png    512 x 352, row 0 the front, column 0 the left: green free, blue occupied
+    input_valid/ label_valid/ input_test/ label_test/
+
+Files are numbered from 1 and belong together by name.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import NamedTuple, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import atomic_write
+from ogm.grid import GridSpec
+from ogm.io import read_points
+from ogm.simulation.store import Store
+from ogm.truth import FREE, OCCUPIED, UNKNOWN, Truth
+
+__all__ = ["PAPER_GRID", "Pair", "PairFolder", "export", "read_label", "write_label", "write_pcd"]
+
+PAPER_GRID = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+FOLDERS = {"training": "train", "validation": "valid", "test": "test"}
+
+
+class Pair(NamedTuple):
+    """A scan with its truth: points (N, 4) float32 (x, y, z [m], intensity [0, 1]) and the grid around them."""
+
+    points: NDArray[np.float32]
+    truth: Truth
+
+
+class PairFolder(Sequence[Pair]):
+    """One part of a data set in the paper's layout.
+
+    Parameters
+    ----------
+    path : path
+        Folder that holds ``input_...`` and ``label_...``.
+    part : str
+        What follows in their names: "train", "valid", "test".
+
+    Raises
+    ------
+    FileNotFoundError
+        If one of the two folders is missing.
+    ValueError
+        If a cloud has no label or a label no cloud.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], part: str) -> None:
+        self.path, self.part = Path(path), part
+        clouds = self._stems("input", ".pcd")
+        odd = sorted(set(clouds) ^ set(self._stems("label", ".png")))
+        if odd:
+            raise ValueError(
+                f"{self.path}: input_{part} and label_{part} must have the same names, but {odd[0]} "
+                f"(and {len(odd) - 1} more) is in one of them only"
+            )
+        self.names = clouds
+
+    def _stems(self, kind: str, suffix: str) -> list[str]:
+        folder = self.path / f"{kind}_{self.part}"
+        if not folder.is_dir():
+            raise FileNotFoundError(f"there is no folder {folder}; the paper's layout wants one")
+        return sorted(file.stem for file in folder.iterdir() if file.suffix == suffix)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    @overload
+    def __getitem__(self, index: int) -> Pair: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[Pair]: ...
+    def __getitem__(self, index: int | slice) -> Pair | list[Pair]:
+        """Read pairs."""
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        name = self.names[index]
+        points = read_points(self.path / f"input_{self.part}" / f"{name}.pcd", intensity_max=255.0)
+        return Pair(points, read_label(self.path / f"label_{self.part}" / f"{name}.png"))
+
+
+def export(
+    store: Store,
+    path: str | os.PathLike[str],
+    *,
+    tick: Callable[[Iterable[int], str], Iterable[int]] = lambda numbers, _: numbers,
+) -> int:
+    """Write a data set's finished samples in the paper's layout; sequences have no place in it.
+
+    Cells that are to be ignored become unknown, as the layout knows no other.
+
+    Parameters
+    ----------
+    store : Store
+    path : path
+        Folder to write to; made if need be. Files of the same names are replaced.
+    tick : callable
+        ``tick(numbers, name)`` iterates over the numbers, and may draw a progress bar.
+
+    Returns
+    -------
+    int
+        Samples written.
+    """
+    count = 0
+    for split, part in FOLDERS.items():
+        samples = store[split]
+        finished = samples.finished
+        if not len(finished):
+            continue
+        inputs, labels = Path(path) / f"input_{part}", Path(path) / f"label_{part}"
+        inputs.mkdir(parents=True, exist_ok=True)
+        labels.mkdir(parents=True, exist_ok=True)
+        for i in tick(finished.tolist(), split):
+            sample, name = samples[i], f"{i + 1:010d}"
+            write_pcd(inputs / f"{name}.pcd", sample.points)
+            write_label(labels / f"{name}.png", sample.truth.crop(PAPER_GRID))
+            count += 1
+    return count
+
+
+def write_pcd(path: str | os.PathLike[str], points: NDArray[np.float32]) -> None:
+    """Write a cloud (N, 4): x, y, z [m] and intensity [0, 1], which the file counts 0 ... 255."""
+    n = len(points)
+    header = (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS x y z intensity\nSIZE 4 4 4 4\n"
+        f"TYPE F F F F\nCOUNT 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA binary\n"
+    )
+    rows = points.astype("<f4") * np.array([1, 1, 1, 255], np.float32)
+    with atomic_write(path) as file:
+        file.write(header.encode("ascii") + rows.tobytes())
+
+
+def write_label(path: str | os.PathLike[str], truth: Truth) -> None:
+    """Write a truth grid as a picture: green 255 free, blue 255 occupied; row 0 the front, column 0 the left."""
+    from PIL import Image
+
+    upright = truth.state[::-1, ::-1]
+    image = np.zeros((*upright.shape, 3), np.uint8)
+    image[..., 1] = 255 * (upright == FREE)
+    image[..., 2] = 255 * (upright == OCCUPIED)
+    with atomic_write(path) as file:
+        Image.fromarray(image).save(file, format="PNG")
+
+
+def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Truth:
+    """Read a truth grid from a picture.
+
+    Parameters
+    ----------
+    path : path
+        RGB: green free, blue occupied, neither unknown; any value above 0 counts, red does not.
+    spec : GridSpec
+        The area that it shows.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is none.
+    ValueError
+        If it is no such picture, has another size than `spec`, or a cell is both free and occupied.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as picture:
+            mode, image = picture.mode, np.asarray(picture)
+    except (UnidentifiedImageError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path} is not a picture that can be read: {error}") from error
+    except OSError as error:
+        if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
+            raise
+        raise ValueError(f"{path} is not a whole picture: {error}") from error
+    if mode not in ("RGB", "RGBA") or image.shape[:2] != spec.shape:
+        raise ValueError(
+            f"{path} is {mode} of {image.shape[0]} x {image.shape[1]}, wanted RGB of {spec.shape[0]} rows x "
+            f"{spec.shape[1]} columns: green free, blue occupied"
+        )
+    free, occupied = image[::-1, ::-1, 1] > 0, image[::-1, ::-1, 2] > 0
+    if (free & occupied).any():
+        raise ValueError(
+            f"{path} has {np.count_nonzero(free & occupied)} cells both free and occupied; "
+            "in a label of the paper's layout a cell is one or neither"
+        )
+    return Truth(spec, np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8))

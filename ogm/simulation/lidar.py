@@ -1,0 +1,266 @@
+"""One turn of a lidar in a scene: ranges and intensities as a real one reports them."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.pose import check_pose
+from ogm.simulation.echo import receive, reflect
+from ogm.simulation.materials import GROUND, Material, table
+from ogm.simulation.scene import Hits, Scene
+from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
+
+__all__ = [
+    "CLEAR",
+    "LIDARS",
+    "LidarSpec",
+    "RangeImage",
+    "Weather",
+    "hd_directions",
+    "points",
+    "returns",
+    "scan",
+]
+
+
+class Weather(NamedTuple):
+    """What is in the air and on the road.
+
+    Attributes
+    ----------
+    rain : float
+        Rate [mm/h].
+    fog : float
+        Meteorological visibility [m]; inf for none.
+    wet : float
+        How wet the ground is, from 0, dry, to 1: asphalt as `Material.WET_ASPHALT`.
+    """
+
+    rain: float = 0.0
+    fog: float = math.inf
+    wet: float = 0.0
+
+
+CLEAR = Weather()
+
+
+class RangeImage(NamedTuple):
+    """What a lidar reports of one turn; (layers, azimuths) each, the lowest layer first.
+
+    Attributes
+    ----------
+    range : float32
+        [m]; 0 for no return.
+    intensity : float32
+        [0, 1] in steps of 1/255: up to 100/255 in percent of a matt white target, above it retroreflectors.
+    object : int32
+        As in `Hits`; -1 also for no return.
+    material : uint8
+        `Material`; 255 for no return and for drops in the air.
+    """
+
+    range: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    object: NDArray[np.int32]
+    material: NDArray[np.uint8]
+
+
+def scan(
+    scene: Scene,
+    spec: LidarSpec,
+    T_world_sensor: ArrayLike,
+    rng: np.random.Generator,
+    *,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    yaw_rate: float = 0.0,
+    weather: Weather = CLEAR,
+) -> RangeImage:
+    """Let a lidar turn once.
+
+    Parameters
+    ----------
+    scene : Scene
+    spec : LidarSpec
+    T_world_sensor : (4, 4) array
+        Pose in the middle of the turn.
+    rng : numpy.random.Generator
+    velocity : (3,) array
+        Of the sensor in the world frame [m/s]. The range image is as raw as a real one: each column as seen
+        from where the sensor was then (`spec.times`).
+    yaw_rate : float
+        About the sensor's z axis, to the left [rad/s].
+    weather : Weather
+
+    Returns
+    -------
+    RangeImage
+
+    Raises
+    ------
+    ValueError
+        If the pose is none, or a number is not finite or impossible.
+    """
+    T = check_pose(T_world_sensor, "T_world_sensor")
+    motion = np.asarray(velocity, np.float64)
+    if motion.shape != (3,) or not np.isfinite(motion).all() or not np.isfinite(yaw_rate):
+        raise ValueError(
+            f"velocity must be three finite numbers and yaw_rate one, got {velocity!r}, {yaw_rate}"
+        )
+    seed = int(rng.integers(2**62))
+    rays = spec.directions().reshape(-1, 3)
+    if spec.origins or motion.any() or yaw_rate:
+        hits = scene.cast(*_moving_rays(spec, T, motion, yaw_rate), salt=seed % 2**31)
+    else:
+        hits = scene.cast(T, rays, salt=seed % 2**31)
+    return _report(spec, T, hits, weather, seed)
+
+
+def _moving_rays(
+    spec: LidarSpec, T: NDArray[np.float64], velocity: NDArray[np.float64], yaw_rate: float
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return origins and directions in the world (layers * azimuths, 3), of a sensor that moves."""
+    turned = yaw_rate * spec.times
+    cosine, sine = np.cos(turned), np.sin(turned)
+    rotation = np.zeros((spec.azimuths, 3, 3))
+    rotation[:, 0, 0] = rotation[:, 1, 1] = cosine
+    rotation[:, 0, 1], rotation[:, 1, 0] = -sine, sine
+    rotation[:, 2, 2] = 1
+    rotation = T[:3, :3] @ rotation
+    place = T[:3, 3] + velocity * spec.times[:, None]
+    starts = np.array(spec.origins or np.zeros((spec.layers, 3)))
+    origins = np.einsum("aij,lj->lai", rotation, starts) + place
+    directions = np.einsum("aij,laj->lai", rotation.astype(np.float32), spec.directions())
+    return origins.reshape(-1, 3).astype(np.float32), directions.reshape(-1, 3).astype(np.float32)
+
+
+def _report(spec: LidarSpec, T: NDArray[np.float64], hits: Hits, weather: Weather, seed: int) -> RangeImage:
+    """Turn what the rays hit into what the lidar reports."""
+    count = spec.layers * spec.azimuths
+    strength = np.empty(count, np.float32)
+    reflect(spec.directions().reshape(-1, 3), T, *hits, _optics(weather.wet), strength)
+    image = RangeImage(
+        np.empty(spec.shape, np.float32),
+        np.empty(spec.shape, np.float32),
+        np.empty(spec.shape, np.int32),
+        np.empty(spec.shape, np.uint8),
+    )
+    upwards, shift = _laps(spec)
+    receive(
+        spec.shape,
+        hits.distance,
+        strength,
+        hits.material,
+        hits.object,
+        hits.cosine,
+        spec.divergence / 2 / spec.azimuth_step,
+        upwards,
+        shift,
+        (spec.range_min, spec.range_max, spec.reach),
+        (spec.range_noise, spec.range_step, spec.divergence),
+        _air(weather),
+        seed,
+        image.range.reshape(-1),
+        image.intensity.reshape(-1),
+        image.material.reshape(-1),
+        image.object.reshape(-1),
+    )
+    return image
+
+
+def _laps(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return half the beam's width in spacings to the layer above (0 if none), and how its columns differ."""
+    spacing = np.diff(spec.elevations, append=math.inf)
+    upwards = spec.divergence / 2 / np.maximum(spacing, 1e-9)
+    if spec.origins:
+        apart = np.any(np.diff(spec.origins, axis=0) != 0, axis=1)
+        upwards[:-1][apart] = 0
+    upwards[spacing < 1e-9] = 0
+    shift = np.zeros(spec.layers, np.int64)
+    shift[:-1] = np.round(np.diff(spec.azimuth_offsets) / spec.azimuth_step)
+    return upwards, shift
+
+
+def _optics(wet: float) -> NDArray[np.float32]:
+    """Return the table of materials with the ground as wet as told: darker, and more like a mirror."""
+    if not 0 <= wet <= 1:
+        raise ValueError(f"wet must lie in 0 ... 1, got {wet}")
+    optics = table()
+    soaked = optics[Material.WET_ASPHALT].copy()
+    for m in GROUND - {Material.WET_ASPHALT}:
+        if m in (Material.ASPHALT, Material.WORN_ASPHALT):
+            optics[m] += np.float32(wet) * (soaked - optics[m])
+        else:
+            optics[m, 0] *= 1 - 0.4 * wet
+            optics[m, 2] *= 1 - 0.7 * wet
+            optics[m, 3] += 0.3 * wet
+    return optics
+
+
+def _air(weather: Weather) -> tuple[float, float, float]:
+    """Return extinction [1/m], expected returns of the air on a free ray, and their mean distance [m].
+
+    Extinction: Koschmieder's law for fog, a power law of the rate for rain (order of magnitude of published
+    measurements at 905 nm). The returns are ours: about one ray in fifty in strong rain, most of them in
+    dense fog, from close by.
+    """
+    if not (weather.rain >= 0 and math.isfinite(weather.rain)):
+        raise ValueError(f"rain must be 0 mm/h or more, got {weather.rain}")
+    if not weather.fog > 0:
+        raise ValueError(f"fog, the visibility, must be positive [m], inf for none, got {weather.fog}")
+    extinction = 2e-4 * weather.rain**0.7 + 3.912 / weather.fog
+    drops = 1e-3 * weather.rain + 10 / weather.fog
+    depth = 3.0 if not math.isfinite(weather.fog) else 2 + 0.05 * min(weather.fog, 200.0)
+    return extinction, drops, depth
+
+
+class Returns(NamedTuple):
+    """The points of a range image, layer by layer from the lowest, each in the order of its columns.
+
+    Attributes
+    ----------
+    points : (N, 4) float32
+        x, y, z in the sensor frame [m], intensity [0, 1].
+    ring : (N,) uint16
+        Layer, 0 the lowest.
+    azimuth : (N,) uint16
+        Column.
+    time : (N,) float64
+        [s]; 0 is the middle of the turn.
+    object : (N,) int32; material : (N,) uint8
+        As in `RangeImage`.
+    """
+
+    points: NDArray[np.float32]
+    ring: NDArray[np.uint16]
+    azimuth: NDArray[np.uint16]
+    time: NDArray[np.float64]
+    object: NDArray[np.int32]
+    material: NDArray[np.uint8]
+
+
+def returns(image: RangeImage, spec: LidarSpec) -> Returns:
+    """Turn a range image into points and all that is known of each."""
+    if image.range.shape != spec.shape:
+        raise ValueError(f"a range image of {spec.name} has shape {spec.shape}, got {image.range.shape}")
+    ring, azimuth = np.nonzero(image.range)
+    distance = image.range[ring, azimuth]
+    cloud = np.empty((len(ring), 4), np.float32)
+    cloud[:, :3] = distance[:, None] * spec.directions()[ring, azimuth]
+    if spec.origins:
+        cloud[:, :3] += np.array(spec.origins, np.float32)[ring]
+    cloud[:, 3] = image.intensity[ring, azimuth]
+    return Returns(
+        cloud,
+        ring.astype(np.uint16),
+        azimuth.astype(np.uint16),
+        spec.times[azimuth],
+        image.object[ring, azimuth],
+        image.material[ring, azimuth],
+    )
+
+
+def points(image: RangeImage, spec: LidarSpec) -> NDArray[np.float32]:
+    """Turn a range image into points (N, 4): x, y, z in the sensor frame [m], intensity [0, 1]."""
+    return returns(image, spec).points

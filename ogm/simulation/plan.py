@@ -1,0 +1,253 @@
+"""What a data set shall hold: `Plan`, and which drive each of its samples is taken from."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ogm.simulation.sensors import LIDARS
+
+__all__ = ["MOUNTS", "SPLITS", "Moment", "Mount", "Plan", "moment", "mount_of", "only", "random"]
+
+SPLITS = ("training", "validation", "test", "sequences")
+DRIVES = 10  # scenarios that the samples of a split are taken from in turn (Sec. V: five each way round)
+RUN = 10  # [s] of one drive before the next one's turn: one shard of samples at 1 Hz
+LAP = 1000  # samples that one drive gives at most, one per second
+WARM_UP = 20.0  # [s] that traffic has run before the first sample
+TOWN_SIZES = (240.0, 1000.0)  # [m] that leave room for streets
+SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
+
+
+@dataclass(frozen=True)
+class Mount:
+    """A lidar, how it is mounted, and how often.
+
+    Parameters
+    ----------
+    lidar : str
+        Name in `ogm.simulation.sensors.LIDARS`.
+    share : float
+        Share of the samples taken with it, relative to that of the other mounts.
+    height : (float, float), optional
+        Lowest and highest mounting height above the ground [m]; drawn anew for each sample (each sequence). By
+        default the lidar's usual height.
+    forward : (float, float)
+        The same along the vehicle's x axis, from the middle of its footprint [m].
+    tilt : float
+        Largest roll and pitch of the mounting [rad], drawn likewise.
+    """
+
+    lidar: str
+    share: float = 1.0
+    height: tuple[float, float] | None = None
+    forward: tuple[float, float] = (0.0, 0.0)
+    tilt: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.height is not None:
+            object.__setattr__(self, "height", tuple(map(float, self.height)))
+        object.__setattr__(self, "forward", tuple(map(float, self.forward)))
+        if not (self.share > 0 and math.isfinite(self.share)):
+            raise ValueError(f"the share of {self.lidar} must be positive, got {self.share}")
+        for name, pair, low, high in (
+            ("height", self.height, 0.3, 5.0),
+            ("forward", self.forward, -3.0, 3.0),
+        ):
+            if pair is None:
+                continue
+            if len(pair) != 2 or not low <= pair[0] <= pair[1] <= high:
+                raise ValueError(
+                    f"{name} of {self.lidar} must be two numbers, rising, in {low} ... {high} m, got {pair}"
+                )
+        if not 0 <= self.tilt <= 0.2:
+            raise ValueError(f"tilt of {self.lidar} must be in 0 ... 0.2 rad, got {self.tilt}")
+
+
+# Four samples in five as in the paper; the others so that a network can be trained for more than one car.
+MOUNTS = (
+    Mount("vlp-32c", 0.80),
+    Mount("vlp-32c", 0.05, (1.55, 2.4), (-0.4, 0.4), 0.03),
+    Mount("hdl-32e", 0.05, (1.55, 2.2), (-0.4, 0.4), 0.03),
+    Mount("hdl-64e", 0.04, (1.6, 2.1), (-0.4, 0.4), 0.03),
+    Mount("os1-64", 0.04, (1.6, 2.2), (-0.4, 0.4), 0.03),
+    Mount("vls-128", 0.02, (1.6, 2.2), (-0.4, 0.4), 0.03),
+)
+
+
+def only(lidar: str) -> tuple[Mount, ...]:
+    """Return the mounts of a data set that has one lidar, mounted as the paper's: mid-roof and level."""
+    return (Mount(lidar),)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A data set to be: with the number of a sample, all there is to know to make it.
+
+    The default is the paper's recipe (Sec. V): ten drives through one town, half of them clockwise, at 1 Hz;
+    validation in the same town with other traffic; test in another town.
+
+    Parameters
+    ----------
+    seed : int
+        Says all that is random.
+    samples, validation, test : int
+        Numbers of samples in these splits.
+    sequences : int
+        Pieces of 10 s at 10 Hz with exact poses and velocities, 100 samples each.
+    truth : {"aimed", "hd"}
+        How the truth is looked at: rays aimed at every cell, or the paper's lidar of many layers.
+    mounts : tuple of Mount
+    bad_weather : float
+        Share [0, 1] of the samples in rain, in fog or on wet roads.
+    in_motion : float
+        Share [0, 1] of the samples that the own motion distorts during the turn (rolling shutter).
+    town_size : float
+        Side of the towns [m].
+    hd_layers : int
+        Layers of the lidar behind the "hd" truth.
+    """
+
+    seed: int = 1
+    samples: int = 10_000
+    validation: int = 1_000
+    test: int = 100
+    sequences: int = 0
+    truth: str = "aimed"
+    mounts: tuple[Mount, ...] = MOUNTS
+    bad_weather: float = 0.0
+    in_motion: float = 0.0
+    town_size: float = 480.0
+    hd_layers: int = 3000
+
+    def __post_init__(self) -> None:
+        for name in ("seed", "samples", "validation", "test", "sequences", "hd_layers"):
+            value = getattr(self, name)
+            if value != int(value) or value < 0:
+                raise ValueError(f"{name} must be a whole number from 0 on, got {value}")
+        if not sum(self.counts.values()):
+            raise ValueError("the data set would be empty: ask for at least one sample")
+        if self.truth not in ("aimed", "hd"):
+            raise ValueError(f'truth must be "aimed" or "hd", got {self.truth!r}')
+        low, high = TOWN_SIZES
+        if not low <= self.town_size <= high:
+            raise ValueError(f"town_size must be in {low:g} ... {high:g} m, got {self.town_size}")
+        if not self.mounts:
+            raise ValueError("mounts are empty: give at least one lidar")
+        for name in ("bad_weather", "in_motion"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} is a share and must be in 0 ... 1, got {getattr(self, name)}")
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Samples of each split."""
+        counts = (self.samples, self.validation, self.test, SEQUENCE * self.sequences)
+        return dict(zip(SPLITS, counts, strict=True))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the plan as JSON can hold it."""
+        return asdict(self) | {"mounts": [asdict(one) for one in self.mounts]}
+
+    @classmethod
+    def from_dict(cls, numbers: Mapping[str, Any]) -> "Plan":
+        """Make from what `as_dict` returned, or from what JSON made of it."""
+        known = {field.name for field in fields(cls)}
+        if set(numbers) != known:
+            odd = sorted(set(numbers) ^ known)
+            raise ValueError(f"the plan has other settings than this version of ogm: {', '.join(odd)}")
+        return cls(**(dict(numbers) | {"mounts": tuple(Mount(**one) for one in numbers["mounts"])}))
+
+    def grown(self, before: "Plan") -> "Plan":
+        """Return this plan, with `before`'s counts where those are larger, if it is `before` in all else.
+
+        Raises
+        ------
+        ValueError
+            If another setting differs: the samples of one data set are made by one recipe.
+        """
+        sizes = ("samples", "validation", "test", "sequences")
+        for field in fields(self):
+            mine, theirs = getattr(self, field.name), getattr(before, field.name)
+            if field.name not in sizes and mine != theirs:
+                raise ValueError(
+                    f"the data set was begun with {field.name} = {_short(theirs)}, got {_short(mine)}; "
+                    "leave the option out to go on, or give a new folder"
+                )
+        return replace(self, **{name: max(getattr(self, name), getattr(before, name)) for name in sizes})
+
+
+def _short(value: object) -> str:
+    if isinstance(value, tuple):
+        return " + ".join(f"{one.share:g} x {one.lidar}" for one in value)
+    return str(value)
+
+
+class Moment(NamedTuple):
+    """When and where a sample is taken.
+
+    Attributes
+    ----------
+    town, traffic : int
+        Seeds.
+    clockwise : bool
+        Which way round the own vehicle drives.
+    scenario : int
+        Number of the drive within the split.
+    time : float
+        [s] from the drive's beginning.
+    """
+
+    town: int
+    traffic: int
+    clockwise: bool
+    scenario: int
+    time: float
+
+
+def moment(plan: Plan, split: str, index: int) -> Moment:
+    """Say which drive a sample is from, and when.
+
+    Runs of ten seconds are taken from ten drives in turn, so that a part of a data set is as mixed as the
+    whole, and a longer one begins with the shorter one's samples.
+    """
+    if split not in SPLITS:
+        raise ValueError(f"split must be one of {', '.join(SPLITS)}, got {split!r}")
+    if index < 0:
+        raise ValueError(f"samples are counted from 0, got {index}")
+    town = _integer(plan.seed, 1 if split == "test" else 0)
+    number = SPLITS.index(split)
+    if split == "sequences":
+        scenario, frame = divmod(index, SEQUENCE)
+        time = WARM_UP + 0.1 * frame
+    else:
+        lap, rest = divmod(index, DRIVES * LAP)
+        run, second = divmod(rest, RUN)
+        scenario = DRIVES * lap + run % DRIVES
+        time = WARM_UP + run // DRIVES * RUN + second
+    return Moment(town, _integer(plan.seed, 2, number, scenario), scenario % 2 == 0, scenario, float(time))
+
+
+def mount_of(plan: Plan, split: str, index: int) -> tuple[Mount, tuple[float, float, float, float]]:
+    """Draw the lidar of a sample and its mounting: height, forward [m], roll, pitch [rad].
+
+    All samples of a sequence have the same.
+    """
+    rng = random(plan, split, index // SEQUENCE if split == "sequences" else index, 0)
+    shares = np.cumsum([mount.share for mount in plan.mounts])
+    choice = int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))
+    mount = plan.mounts[min(choice, len(plan.mounts) - 1)]
+    low, high = mount.height or (LIDARS[mount.lidar].height,) * 2
+    height, forward = rng.uniform(low, high), rng.uniform(*mount.forward)
+    roll, pitch = rng.uniform(-mount.tilt, mount.tilt, 2)
+    return mount, (height, forward, roll, pitch)
+
+
+def random(plan: Plan, split: str, index: int, purpose: int) -> np.random.Generator:
+    """Return the random numbers that belong to one sample and one purpose."""
+    return np.random.default_rng([plan.seed, 3, SPLITS.index(split), index, purpose])
+
+
+def _integer(*key: int) -> int:
+    """Return a seed below 2**31 that depends on all numbers of the key."""
+    return int(np.random.SeedSequence(key).generate_state(1)[0] >> 1)

@@ -1,0 +1,328 @@
+"""One sample of a data set: what the lidar saw, what is true around it, and what moved there.
+
+Needs numpy and numba only, so that data sets are read where the simulator is not installed.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.truth import Truth
+
+__all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "Sample", "Weather", "pack", "unpack"]
+
+RANGE_STEP = 0.004  # [m] in which ranges are kept, as Velodyne's packets do
+LABELS = ("car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle", "pedestrian")
+OBJECT = np.dtype(
+    [
+        ("label", np.uint8),  # number in LABELS
+        ("x", np.float32),  # middle of the upright box in the sensor's frame [m]
+        ("y", np.float32),
+        ("z", np.float32),
+        ("length", np.float32),  # [m]
+        ("width", np.float32),
+        ("height", np.float32),
+        ("yaw", np.float32),  # of the forward axis about the sensor's z axis [rad]
+        ("vx", np.float32),  # velocity over ground along the sensor's x and y axes [m/s]
+        ("vy", np.float32),
+        ("track", np.int32),  # the same for one participant in all samples of a scenario
+        ("returns", np.int32),  # points of this sample on it
+    ]
+)
+_MODULUS = 65535
+
+
+class Weather(NamedTuple):
+    """What is in the air and on the road.
+
+    Attributes
+    ----------
+    rain : float
+        Rate [mm/h].
+    fog : float
+        Meteorological visibility [m], inf for clear air.
+    wet : float
+        Share of the ground that is wet [0, 1].
+    """
+
+    rain: float = 0.0
+    fog: float = float("inf")
+    wet: float = 0.0
+
+
+@dataclass(frozen=True)
+class Beams:
+    """Where the beams of a lidar point: enough to turn a range image into points.
+
+    Parameters
+    ----------
+    name : str
+    elevation : tuple of float
+        Of each layer above the sensor's xy plane [rad], ascending.
+    azimuth : tuple of float
+        Of each layer's beam in column 0, from x towards y [rad].
+    step : float
+        From one column to the next [rad]; negative where the lidar turns clockwise, seen from above.
+    columns : int
+        Beams per layer and turn.
+    rate : float
+        Turns per second [Hz].
+    origin : tuple of (x, y, z)
+        Where each layer's beams start in the sensor's frame [m].
+    """
+
+    name: str
+    elevation: tuple[float, ...]
+    azimuth: tuple[float, ...]
+    step: float
+    columns: int
+    rate: float
+    origin: tuple[tuple[float, float, float], ...]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Layers and columns of a range image."""
+        return len(self.elevation), self.columns
+
+    @cached_property
+    def directions(self) -> NDArray[np.float32]:
+        """Unit directions in the sensor's frame, (layers, columns, 3)."""
+        elevation = np.array(self.elevation)[:, None]
+        azimuth = np.array(self.azimuth)[:, None] + self.step * np.arange(self.columns)
+        return np.stack(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation) + 0 * azimuth,
+            ],
+            axis=-1,
+        ).astype(np.float32)
+
+    @cached_property
+    def origins(self) -> NDArray[np.float32]:
+        """Where each layer's beams start [m], (layers, 3)."""
+        return np.array(self.origin, np.float32)
+
+    @cached_property
+    def times(self) -> NDArray[np.float32]:
+        """When each column is measured [s], (columns,) float32; 0 is the middle of the turn."""
+        return (((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate).astype(np.float32)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the numbers as JSON can hold them."""
+        return {
+            "name": self.name,
+            "elevation": list(self.elevation),
+            "azimuth": list(self.azimuth),
+            "step": self.step,
+            "columns": self.columns,
+            "rate": self.rate,
+            "origin": [list(one) for one in self.origin],
+        }
+
+    @classmethod
+    def from_dict(cls, numbers: Mapping[str, Any]) -> "Beams":
+        """Make from what `as_dict` returned."""
+        return cls(
+            str(numbers["name"]),
+            tuple(numbers["elevation"]),
+            tuple(numbers["azimuth"]),
+            float(numbers["step"]),
+            int(numbers["columns"]),
+            float(numbers["rate"]),
+            tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"]),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What a lidar saw in one turn, and the truth about the cells around it.
+
+    Parameters
+    ----------
+    beams : Beams
+        The lidar.
+    steps : (layers, columns) uint16
+        The range image in steps of `RANGE_STEP`; 0 where nothing came back.
+    intensities : (layers, columns) uint8
+        Calibrated as Velodyne's, 0 ... 255.
+    truth : Truth
+        Around the sensor, in its x and y.
+    objects : (K,) array of `OBJECT`
+        Traffic participants nearby.
+    T_world_sensor, T_vehicle_sensor : (4, 4) float64
+        Where the sensor stood, and how it is mounted.
+    velocity : (3,) float64
+        Of the own vehicle, in the world's axes [m/s].
+    yaw_rate : float
+        Of the own vehicle [rad/s].
+    stamp : float
+        Time in the scenario, in the middle of the turn [s].
+    split : str
+        The part of the data set: "training", "validation", "test" or "sequences".
+    index : int
+        Number in that part.
+    scenario : int
+        Number of the drive within the part: the same streets and traffic for all its samples.
+    weather : Weather
+    """
+
+    beams: Beams
+    steps: NDArray[np.uint16]
+    intensities: NDArray[np.uint8]
+    truth: Truth
+    objects: NDArray[Any]
+    T_world_sensor: NDArray[np.float64]
+    T_vehicle_sensor: NDArray[np.float64]
+    velocity: NDArray[np.float64]
+    yaw_rate: float
+    stamp: float
+    split: str
+    index: int
+    scenario: int
+    weather: Weather = Weather()
+
+    @property
+    def lidar(self) -> str:
+        """The lidar's name."""
+        return self.beams.name
+
+    @property
+    def range(self) -> NDArray[np.float32]:
+        """The range image [m], (layers, columns) float32; 0 where nothing came back."""
+        return self.steps * np.float32(RANGE_STEP)
+
+    @property
+    def intensity(self) -> NDArray[np.float32]:
+        """Intensities of the range image [0, 1], (layers, columns) float32."""
+        return self.intensities * np.float32(1 / 255)
+
+    @cached_property
+    def points(self) -> NDArray[np.float32]:
+        """The returns, (N, 4) float32: x, y, z in the sensor's frame [m], intensity [0, 1]; layer by layer."""
+        return _points(
+            np.ascontiguousarray(self.steps),
+            np.ascontiguousarray(self.intensities),
+            self.beams.directions,
+            self.beams.origins,
+            RANGE_STEP,
+        )
+
+    @property
+    def ring(self) -> NDArray[np.uint16]:
+        """The layer of each point, (N,) uint16; 0 is the lowest."""
+        return np.nonzero(self.steps)[0].astype(np.uint16)
+
+    @property
+    def column(self) -> NDArray[np.uint16]:
+        """The azimuth index of each point, (N,) uint16."""
+        return np.nonzero(self.steps)[1].astype(np.uint16)
+
+    @property
+    def time(self) -> NDArray[np.float32]:
+        """When each point was measured [s], counted from `stamp`, (N,) float32."""
+        return self.beams.times[np.nonzero(self.steps)[1]]
+
+
+@numba.njit(cache=True, nogil=True)
+def _points(
+    steps: NDArray, intensities: NDArray, directions: NDArray, origins: NDArray, range_step: float
+) -> NDArray:
+    count = 0
+    for value in steps.flat:
+        count += value != 0
+    result = np.empty((count, 4), np.float32)
+    n = 0
+    for layer in range(steps.shape[0]):
+        x, y, z = origins[layer]
+        for column in range(steps.shape[1]):
+            if steps[layer, column] == 0:
+                continue
+            distance = np.float32(steps[layer, column] * range_step)
+            result[n, 0] = x + distance * directions[layer, column, 0]
+            result[n, 1] = y + distance * directions[layer, column, 1]
+            result[n, 2] = z + distance * directions[layer, column, 2]
+            result[n, 3] = np.float32(intensities[layer, column]) * np.float32(1 / 255)
+            n += 1
+    return result
+
+
+def pack(steps: NDArray[np.uint16], intensities: NDArray[np.uint8], rays: int) -> NDArray[np.uint8]:
+    """Rewrite a range image so that it compresses well.
+
+    Neighbours differ little, so what is kept of a return is its difference from the last return of the same
+    layer (from 0 for the first): ``d = (r - last) mod 65535``, taken in -32767 ... 32767, then
+    ``2 d + 1`` for ``d >= 0`` and ``-2 d`` for ``d < 0``. A ray without return is 0.
+
+    Parameters
+    ----------
+    steps : (layers, columns) uint16
+    intensities : (layers, columns) uint8
+    rays : int
+        Columns of the result, at least layers * columns; what is over is 0.
+
+    Returns
+    -------
+    (3, rays) uint8
+        The low byte, the high byte, and the intensity of each ray, layer by layer.
+    """
+    planes = np.zeros((3, rays), np.uint8)
+    _pack(np.ascontiguousarray(steps), planes)
+    planes[2, : steps.size] = np.where(steps > 0, intensities, 0).ravel()
+    return planes
+
+
+@numba.njit(cache=True, nogil=True)
+def _pack(steps: NDArray, planes: NDArray) -> None:
+    k = 0
+    for layer in range(steps.shape[0]):
+        last = 0
+        for column in range(steps.shape[1]):
+            value = int(steps[layer, column])
+            if value != 0:
+                difference = (value - last) % _MODULUS
+                if difference > _MODULUS // 2:
+                    difference -= _MODULUS
+                code = 2 * difference + 1 if difference >= 0 else -2 * difference
+                planes[0, k] = code & 255
+                planes[1, k] = code >> 8
+                last = value
+            k += 1
+
+
+def unpack(planes: NDArray[np.uint8], shape: tuple[int, int]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """Take back what `pack` did.
+
+    Parameters
+    ----------
+    planes : (3, rays) uint8
+    shape : (layers, columns)
+
+    Returns
+    -------
+    steps : (layers, columns) uint16
+    intensities : (layers, columns) uint8
+    """
+    steps = np.zeros(shape, np.uint16)
+    _unpack(planes, steps)
+    return steps, planes[2, : steps.size].reshape(shape)
+
+
+@numba.njit(cache=True, nogil=True)
+def _unpack(planes: NDArray, steps: NDArray) -> None:
+    k = 0
+    for layer in range(steps.shape[0]):
+        last = 0
+        for column in range(steps.shape[1]):
+            code = int(planes[0, k]) | int(planes[1, k]) << 8
+            if code != 0:
+                difference = code // 2 if code % 2 == 1 else -(code // 2)
+                value = (last + difference) % _MODULUS
+                last = value if value != 0 else _MODULUS
+                steps[layer, column] = last
+            k += 1

@@ -1,0 +1,281 @@
+"""Lidars by their numbers: where the beams point, how far and how exactly they measure."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LIDARS", "LidarSpec", "hd_directions"]
+
+
+@dataclass(frozen=True)
+class LidarSpec:
+    """A spinning lidar.
+
+    It turns clockwise, seen from above, as Velodyne's and Ouster's do. A turn begins straight behind, so that
+    the sensor looks ahead in the middle of it.
+
+    Parameters
+    ----------
+    name : str
+    elevations : tuple of float
+        Of each layer above the sensor's xy plane [rad], ascending (equal ones may follow each other).
+    azimuth_offsets : tuple of float
+        How far each layer looks to the left of the column's azimuth [rad].
+    azimuth_step : float
+        Between columns [rad]; a whole number of them makes a turn.
+    rate : float
+        Turns per second [Hz].
+    range_min, range_max : float
+        What is nearer or farther gives no return [m].
+    reach : float
+        Where half the returns of a matt white target seen head-on are lost [m]. What reflects a share R of
+        that is lost at reach * sqrt(R).
+    range_noise : float
+        Standard deviation of the range of a strong return [m].
+    range_step : float
+        Ranges are whole multiples of this [m].
+    divergence : float
+        Full angle of the beam [rad].
+    height : float
+        Usual height of the sensor above the ground [m].
+    origins : tuple of (x, y, z)
+        Where the beams of each layer start in the sensor frame [m]; empty for (0, 0, 0).
+
+    Raises
+    ------
+    ValueError
+        If the numbers describe no lidar that could exist.
+    """
+
+    name: str
+    elevations: tuple[float, ...]
+    azimuth_offsets: tuple[float, ...]
+    azimuth_step: float
+    rate: float = 10.0
+    range_min: float = 0.7
+    range_max: float = 200.0
+    reach: float = 145.0
+    range_noise: float = 0.01
+    range_step: float = 0.004
+    divergence: float = 0.003
+    height: float = 1.9
+    origins: tuple[tuple[float, float, float], ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.elevations:
+            raise ValueError(f"{self.name}: elevations are empty; a lidar has at least one layer")
+        _check_finite(self.name, "elevations", self.elevations)
+        _check_finite(self.name, "azimuth_offsets", self.azimuth_offsets)
+        if max(map(abs, self.elevations)) > math.pi / 2:
+            raise ValueError(
+                f"{self.name}: elevations must lie in -pi/2 ... pi/2 rad, got {min(self.elevations):g} ... "
+                f"{max(self.elevations):g} (degrees?)"
+            )
+        for k, (low, high) in enumerate(zip(self.elevations, self.elevations[1:], strict=False)):
+            if high < low:
+                raise ValueError(
+                    f"{self.name}: elevations must ascend from the lowest layer, but layer {k + 1} "
+                    f"({high:g} rad) is below layer {k} ({low:g} rad); sort them and their offsets"
+                )
+        if len(self.azimuth_offsets) != len(self.elevations):
+            raise ValueError(
+                f"{self.name}: {len(self.azimuth_offsets)} azimuth_offsets for {len(self.elevations)} layers"
+            )
+        numbers = {
+            "azimuth_step": (self.azimuth_step, 1e-4, 0.2),
+            "rate": (self.rate, 0.1, 200),
+            "range_min": (self.range_min, 0, 50),
+            "range_max": (self.range_max, self.range_min, 2000),
+            "reach": (self.reach, 1, 5000),
+            "range_noise": (self.range_noise, 0, 1),
+            "range_step": (self.range_step, 1e-5, 1),
+            "divergence": (self.divergence, 0, 0.1),
+            "height": (self.height, 0.05, 20),
+        }
+        for name, (value, low, high) in numbers.items():
+            if not low <= value <= high:  # NaN fails too
+                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {value}")
+        columns = 2 * math.pi / self.azimuth_step
+        if abs(columns - round(columns)) > 1e-6 * columns:
+            raise ValueError(
+                f"{self.name}: azimuth_step must divide a full turn, got {self.azimuth_step} rad = a turn / "
+                f"{columns:.6g}; take 2 * pi / {round(columns)}"
+            )
+        if self.origins:
+            if len(self.origins) != len(self.elevations) or any(len(one) != 3 for one in self.origins):
+                raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer")
+            _check_finite(self.name, "origins", [value for one in self.origins for value in one])
+
+    @property
+    def layers(self) -> int:
+        """Beams above each other."""
+        return len(self.elevations)
+
+    @property
+    def azimuths(self) -> int:
+        """Columns: firings of each layer in a turn."""
+        return round(2 * math.pi / self.azimuth_step)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Layers and columns of a range image."""
+        return self.layers, self.azimuths
+
+    @property
+    def first_azimuth(self) -> float:
+        """Azimuth of column 0 for a layer without offset [rad]; column k is k * azimuth_step further right."""
+        return math.pi - self.azimuth_step / 2
+
+    @cached_property
+    def times(self) -> NDArray[np.float64]:
+        """When each column fires [s], (azimuths,); 0 is the middle of the turn."""
+        return ((np.arange(self.azimuths) + 0.5) / self.azimuths - 0.5) / self.rate
+
+    def directions(self) -> NDArray[np.float32]:
+        """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
+        return _shared_rays(
+            self.elevations, self.azimuth_offsets, self.first_azimuth, self.azimuth_step, self.azimuths
+        )
+
+
+@lru_cache(maxsize=2)
+def hd_directions(spec: LidarSpec, layers: int = 3000) -> NDArray[np.float32]:
+    """Return the rays of a lidar of many layers with another one's field of view and azimuths.
+
+    Parameters
+    ----------
+    spec : LidarSpec
+    layers : int
+        Evenly from the lowest to the highest elevation of `spec`.
+
+    Returns
+    -------
+    (layers, azimuths, 3) float32
+        Unit vectors in the sensor frame; shared, hence read-only.
+    """
+    if layers < 2:
+        raise ValueError(f"layers must be 2 or more, got {layers}")
+    elevations = np.linspace(spec.elevations[0], spec.elevations[-1], layers)
+    return _rays(
+        tuple(elevations.tolist()), (0.0,) * layers, spec.first_azimuth, spec.azimuth_step, spec.azimuths
+    )
+
+
+def _rays(
+    elevations: tuple[float, ...], offsets: tuple[float, ...], first: float, step: float, columns: int
+) -> NDArray[np.float32]:
+    elevation = np.array(elevations)[:, None]
+    offset = np.array(offsets)[:, None]
+    azimuth = first - step * np.arange(columns)
+    # the sum of two angles, so that 5 million rays need few sines
+    cosine = np.cos(azimuth) * np.cos(offset) - np.sin(azimuth) * np.sin(offset)
+    sine = np.sin(azimuth) * np.cos(offset) + np.cos(azimuth) * np.sin(offset)
+    rays = np.empty((len(elevations), columns, 3), np.float32)
+    rays[..., 0] = np.cos(elevation) * cosine
+    rays[..., 1] = np.cos(elevation) * sine
+    rays[..., 2] = np.sin(elevation)
+    rays.flags.writeable = False
+    return rays
+
+
+_shared_rays = lru_cache(maxsize=16)(_rays)
+
+
+def _check_finite(lidar: str, name: str, values: Sequence[float]) -> None:
+    if not np.isfinite(values).all():
+        raise ValueError(f"{lidar}: {name} hold NaN or inf: {values}")
+
+
+def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
+    return tuple(map(math.radians, degrees))
+
+
+def _evenly(low: float, high: float, layers: int) -> list[float]:
+    return np.linspace(low, high, layers).tolist()
+
+
+# Velodyne VLP-32C user manual: closer layers around the horizon, four columns of lasers.
+_VLP_32C = (
+    *(-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667),
+    *(-2.333, -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333),
+    *(3.333, 4.667, 7.0, 10.333, 15.0),
+)
+_VLP_32C_OFFSETS = (
+    *(-1.4, 1.4, -1.4, 1.4, -1.4, 1.4, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4),
+    *(1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -1.4, 1.4, -1.4, 1.4, -1.4, 1.4),
+)
+# A second one 0.119 m below the first and upside down, as on the cars of Argoverse 2: its elevations and
+# offsets change their signs. In order of elevation, the upper sensor first where both have the same.
+_PAIR = sorted(
+    [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
+    + [(-e, 1, -a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
+)
+# Velodyne VLS-128 (Alpha Prime): 0.11 degrees apart between -6.5 and +4.83.
+_VLS_128 = (
+    *(-25.0, -19.582, -16.042, -13.565, -11.742, -10.346, -9.244, -8.352, -7.65, -7.15, -6.85, -6.65, -6.5),
+    *(round(-6.39 + 0.11 * k, 2) for k in range(103)),
+    *(4.98, 5.18, 5.43, 5.73, 6.08, 6.48, 6.98, 7.58, 8.43, 9.7, 11.75, 15.0),
+)
+
+LIDARS: dict[str, LidarSpec] = {
+    spec.name: spec
+    for spec in (
+        LidarSpec("vlp-32c", _radians(_VLP_32C), _radians(_VLP_32C_OFFSETS), math.radians(0.2)),
+        LidarSpec(
+            "dual-vlp-32c",
+            _radians([elevation for elevation, _, _ in _PAIR]),
+            _radians([offset for _, _, offset in _PAIR]),
+            math.radians(0.2),
+            origins=tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR),
+            height=2.0,
+        ),
+        LidarSpec(
+            "hdl-32e",
+            _radians(_evenly(-30.67, 10.67, 32)),
+            (0.0,) * 32,
+            2 * math.pi / 1085,
+            rate=20.0,
+            range_max=100.0,
+            reach=130.0,
+            range_noise=0.012,
+            range_step=0.002,
+        ),
+        LidarSpec(
+            "hdl-64e",
+            _radians([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)]),
+            _radians([(-3.5, 3.5)[k % 2] for k in range(64)]),
+            2 * math.pi / 2083,
+            range_min=0.9,
+            range_max=120.0,
+            reach=140.0,
+            range_noise=0.012,
+            range_step=0.002,
+            divergence=0.002,
+            height=1.73,
+        ),
+        LidarSpec(
+            "vls-128",
+            _radians(_VLS_128),
+            (0.0,) * 128,
+            math.radians(0.2),
+            range_max=245.0,
+            reach=240.0,
+            range_noise=0.015,
+        ),
+        LidarSpec(
+            "os1-64",
+            _radians(_evenly(-22.5, 22.5, 64)),
+            _radians([(3.16, 1.05, -1.05, -3.16)[k % 4] for k in range(64)]),
+            2 * math.pi / 1024,
+            range_max=120.0,
+            reach=130.0,
+            range_noise=0.02,
+            range_step=0.003,
+            divergence=0.0023,
+        ),
+    )
+}

@@ -1,0 +1,176 @@
+"""Towns, drawn by a seed: streets and lanes, ground with hills and kerbs, houses, trees and street furniture."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import Polygon
+
+from ogm.simulation.mesh import Mesh, merge
+from ogm.simulation.town.furnish import furnish
+from ogm.simulation.town.ground import cover, height_raster, surface
+from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
+from ogm.simulation.town.layout import Plan, make_plan
+from ogm.simulation.town.lots import fill_blocks
+from ogm.simulation.town.network import Network, make_network
+from ogm.simulation.town.terrain import Raster, Terrain, make_terrain
+from ogm.simulation.town.trips import SHORTEST, round_trip
+
+__all__ = ["Lane", "Town", "build_town"]
+
+HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
+ATTEMPTS = 20  # draws of streets
+SMALLEST, LARGEST = 240.0, 1000.0  # [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Town:
+    """A town, centred on (0, 0), z up.
+
+    Attributes
+    ----------
+    seed : int
+        What it was drawn from.
+    size : float
+        Its edge [m].
+    mesh : Mesh
+        Everything that stands still.
+    ground : Mesh
+        The surfaces one may stand on, kerb faces left out.
+    lanes : tuple of Lane
+        Right-hand traffic.
+    bays : (B, 6) float64
+        Places to park: x, y, z, yaw [rad], length, width [m].
+    walkways : tuple of (M, 3) float64
+        Lines along which pedestrians go: sidewalks, crossings, paths.
+    loop, counter_loop : tuple of int
+        Lanes of a closed round trip of at least 600 m, clockwise and counter-clockwise.
+    height : (n, n) float32
+        Ground height on points corner + height_step * (i, j), i along x.
+    height_step : float
+        [m]
+    corner : (2,) float64
+        x, y of point (0, 0) [m].
+    districts : tuple of (Polygon, str)
+        Blocks between the streets, and what kind of district they belong to.
+    """
+
+    seed: int
+    size: float
+    mesh: Mesh
+    ground: Mesh
+    lanes: tuple[Lane, ...]
+    bays: NDArray[np.float64]
+    walkways: tuple[NDArray[np.float64], ...]
+    loop: tuple[int, ...]
+    counter_loop: tuple[int, ...]
+    height: NDArray[np.float32]
+    height_step: float
+    corner: NDArray[np.float64]
+    districts: tuple[tuple[Polygon, str], ...]
+
+    def ground_height(self, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+        """Height of the ground at x, y [m]: bilinear in the raster, as at the edge beyond it."""
+        return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
+
+
+def build_town(seed: int, size: float = 480.0) -> Town:
+    """Build the town that belongs to a seed.
+
+    Parameters
+    ----------
+    seed : int
+        Any number >= 0; the same seed and size give the same town, bit for bit.
+    size : float
+        Edge of the square that the town fills [m], 240 to 1000.
+
+    Raises
+    ------
+    ValueError
+        If `seed` is negative or no whole number, or `size` out of range.
+    """
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise ValueError(f"seed must be a whole number >= 0, got {seed!r}")
+    if not SMALLEST <= float(size) <= LARGEST:
+        raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (room for streets), got {size!r}")
+    size = float(size)
+    draws = [np.random.default_rng([int(seed), k]) for k in range(6)]
+    network, draft, loops = _streets(int(seed), size)
+    plan = make_plan(size, network, draft, draws[1])
+    lots = fill_blocks(plan, draws[4])
+    terrain = _terrain(plan, draws[2])
+    ground, kerbs = cover(size, plan.road, plan.zones, plan.lines, terrain, plan.drops)
+    raster = height_raster(surface(ground), size, HEIGHT_STEP)
+    things = furnish(plan, lots, raster, draws[5])
+    lanes = [replace(lane, points=_raise(lane.points, terrain)) for lane in draft.lanes]
+    bays = np.array([(b.x, b.y, 0.0, b.yaw, b.length, b.width) for b in plan.bays]).reshape(-1, 6)
+    bays[:, 2] = raster(bays[:, 0], bays[:, 1])
+    walkways = tuple(np.column_stack([line, raster(line[:, 0], line[:, 1])]) for line in plan.walkways)
+    return Town(
+        seed=int(seed),
+        size=size,
+        mesh=merge([ground, kerbs, *things]),
+        ground=surface(ground),
+        lanes=tuple(lanes),
+        bays=bays,
+        walkways=walkways,
+        loop=loops[0],
+        counter_loop=loops[1],
+        height=raster.values,
+        height_step=raster.step,
+        corner=np.array(raster.corner),
+        districts=tuple((block.shape, block.style) for block in plan.blocks),
+    )
+
+
+def _streets(seed: int, size: float) -> tuple[Network, Draft, list[tuple[int, ...]]]:
+    """Draw streets until round trips both ways are found, as at the first try nearly always."""
+    for attempt in range(ATTEMPTS):
+        network = make_network(size, np.random.default_rng([seed, 0, attempt]))
+        draft = make_lanes(network)
+        shows = [_sight(network, draft, k) for k in range(len(draft.lanes))]
+        rng = np.random.default_rng([seed, 3, attempt])
+        loops = [round_trip(draft.lanes, shows, sense, rng, 5.0 * size) for sense in (-1.0, 1.0)]
+        if all(loops):
+            return network, draft, loops
+    raise RuntimeError(
+        f"found no streets with round trips of {SHORTEST:g} m for seed {seed} and size {size:g} m "
+        f"in {ATTEMPTS} draws; try another seed or a larger size"
+    )
+
+
+def _terrain(plan: Plan, rng: np.random.Generator) -> Terrain:
+    """Hills under the plan: banks as the districts have them, a dip on a long street."""
+    network = plan.network
+    kerbs = [
+        (shapely.buffer(shapely.linestrings(street.line), 14.0, cap_style="flat"), street.profile.kerb)
+        for street in network.streets
+    ]
+    uneven = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4}
+    banks = [(face, uneven[style]) for face, style in zip(network.faces, network.styles, strict=True)]
+    edge = plan.size / 2
+    ticks = np.linspace(-edge, edge, 9)
+    banks += [
+        (np.array(point), 1.3) for t in ticks for point in ((t, -edge), (t, edge), (-edge, t), (edge, t))
+    ]
+    longest = max(network.streets, key=lambda street: street.length)
+    dip = longest.at(longest.length * 0.5)
+    return make_terrain(
+        plan.size, plan.road, plan.corridor, kerbs, banks, (float(dip[0]), float(dip[1])), rng
+    )
+
+
+def _raise(points: NDArray, terrain: Terrain) -> NDArray[np.float64]:
+    return np.column_stack([points[:, :2], terrain.road(points[:, 0], points[:, 1])])
+
+
+def _sight(network: Network, draft: Draft, lane: int) -> str:
+    """Tell what a trip over a lane shows."""
+    street = draft.streets[lane]
+    if street >= 0:
+        shown = network.streets[street]
+        return f"{shown.profile.kind} {shown.district}"
+    here = draft.lanes[lane]
+    away = np.linalg.norm(here.points[0, :2] - network.nodes[network.roundabout])
+    return "roundabout" if here.phase < 0 and away < RING else ""

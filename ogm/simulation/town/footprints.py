@@ -1,0 +1,211 @@
+"""Where houses stand: footprints side by side along a street."""
+
+from collections.abc import Callable
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
+
+__all__ = ["STYLES", "check_style", "front_first", "split_front"]
+
+STYLES = ("centre", "suburb", "industrial", "arterial", "park")
+
+
+def split_front(lot: Polygon, front: ArrayLike, style: str, rng: np.random.Generator) -> list[Polygon]:
+    """Place the footprints of houses in a lot, side by side along its street front.
+
+    Parameters
+    ----------
+    lot : Polygon
+        Where may be built [m].
+    front : (2, 2) array
+        Two points of the street side; the lot lies to either side of the line through them.
+    style : str
+        One of `STYLES`: a closed row, detached houses with garages, halls, large buildings, a pavilion.
+    rng : Generator
+        Chooses widths, depths, set-backs, recesses and gaps.
+
+    Returns
+    -------
+    list of Polygon
+        Counter-clockwise; **the first edge faces the street**, which `building` relies on. They do not overlap.
+        Empty if nothing fits.
+
+    Raises
+    ------
+    ValueError
+        If the style is unknown, or the front's two points are the same.
+    """
+    check_style(style)
+    ends = np.asarray(front, np.float64)
+    if ends.shape != (2, 2) or not np.isfinite(ends).all() or np.linalg.norm(ends[1] - ends[0]) < 0.1:
+        raise ValueError(f"front must be two finite points (2, 2) at least 0.1 m apart, got {front!r}")
+    if lot.is_empty or lot.area < 6.0:
+        return []
+    # A frame with x along the street and y into the lot.
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    inward = np.array([-along[1], along[0]])
+    if (np.array([lot.centroid.x, lot.centroid.y]) - ends[0]) @ inward < 0:
+        inward = -inward
+    axes = np.stack([along, inward])
+    local = shapely.transform(lot, lambda p: (p - ends[0]) @ axes.T)
+    kept: list[Polygon] = []
+    taken = Polygon()
+    for shape, smallest in _PLACERS[style](local, rng):
+        pieces = shapely.get_parts(shape.intersection(local).difference(taken))
+        pieces = [piece for piece in pieces if isinstance(piece, Polygon) and piece.area > 0]
+        if not pieces:
+            continue
+        piece = max(pieces, key=lambda p: p.area).simplify(0.05)
+        piece = Polygon(piece.exterior)
+        if piece.area < smallest or piece.buffer(-1.0).is_empty:
+            continue
+        kept.append(front_first(shapely.transform(piece, lambda p: p @ axes + ends[0]), -inward))
+        taken = taken.union(piece)
+    return kept
+
+
+Placed = list[tuple[Polygon, float]]
+
+
+def _rectangle(x: float, y: float, width: float, depth: float) -> Polygon:
+    return shapely.box(x, y, x + width, y + depth)
+
+
+def _row(lot: Polygon, rng: np.random.Generator) -> Placed:
+    """Set house to house: small set-backs, recesses in the front, wings behind, now and then a gap."""
+    x0, y0, x1, y1 = lot.bounds
+    placed: Placed = []
+    x, setback = x0, rng.choice([0.0, 0.0, 1.5])
+    while x1 - x > 4:
+        width = rng.uniform(8.0, 20.0)
+        if x1 - x - width < 7.0:
+            width = x1 - x
+        y = y0 + setback + rng.choice([0.0, 0.0, 0.0, rng.uniform(0.2, 2.5)])
+        depth = min(rng.uniform(10.5, 14.0), y1 - y)
+        shape = _rectangle(x, y, width, depth)
+        kind = rng.random()
+        if kind < 0.25 and width > 11:  # a recess, as for an entrance court
+            wide = rng.uniform(3.0, 0.4 * width)
+            shape = shape.difference(
+                _rectangle(x + rng.uniform(0.2, 0.5) * width, y - 1, wide, 1 + rng.uniform(1, 3))
+            )
+        elif kind < 0.5 and width > 9 and y1 - y > depth + 6:
+            wing = rng.uniform(5.0, min(8.0, 0.6 * width))
+            side = x if rng.random() < 0.5 else x + width - wing
+            shape = shape.union(
+                _rectangle(side, y + depth - 1, wing, rng.uniform(4, min(14, y1 - y - depth)))
+            )
+        placed.append((shape, 30.0))
+        x += width + (rng.uniform(2.5, 6.0) if rng.random() < 0.07 else 0.0)
+    return placed
+
+
+def _detached(lot: Polygon, rng: np.random.Generator) -> Placed:
+    """Set houses apart in gardens, with garages beside them."""
+    x0, y0, x1, y1 = lot.bounds
+    placed: Placed = []
+    setback = rng.uniform(3.0, 6.5)
+    x = x0 + rng.uniform(1.0, 3.0)
+    while x1 - x > 8:
+        width = min(rng.uniform(8.5, 13.0), x1 - x - 1.5)
+        if rng.random() < 0.2:
+            width = min(1.7 * width, x1 - x - 1.5)  # semi-detached
+        y = y0 + setback + rng.uniform(-0.8, 1.5)
+        depth = min(rng.uniform(8.0, 11.0), y1 - y - 1.0)
+        if depth < 5:
+            break
+        shape = _rectangle(x, y, width, depth)
+        kind = rng.random()
+        if kind < 0.3 and width > 9.5:  # an L: a part stands back
+            shape = shape.difference(_rectangle(x + 0.6 * width, y - 1, width, 1 + rng.uniform(1.2, 3.0)))
+        placed.append((shape, 35.0))
+        x += width
+        if rng.random() < 0.6:
+            gap = rng.choice([0.0, rng.uniform(0.8, 2.0)])
+            placed.append((_rectangle(x + gap, y + rng.uniform(0.0, 4.0), rng.uniform(3.0, 6.0), 6.0), 15.0))
+            x += gap + 6.0
+        x += rng.uniform(2.5, 6.0)
+    return placed
+
+
+def _halls(lot: Polygon, rng: np.random.Generator) -> Placed:
+    """Set halls behind yards, with an office at the front of some."""
+    x0, y0, x1, y1 = lot.bounds
+    placed: Placed = []
+    x = x0 + rng.uniform(2.0, 6.0)
+    while x1 - x > 12:
+        width = min(rng.uniform(20.0, 55.0), x1 - x - 2)
+        y = y0 + rng.uniform(5.0, 16.0)
+        depth = min(rng.uniform(18.0, 40.0), y1 - y - 2)
+        if depth < 8:
+            break
+        shape = _rectangle(x, y, width, depth)
+        if rng.random() < 0.4 and width > 24:
+            shape = shape.difference(_rectangle(x + 0.65 * width, y - 1, width, 1 + 0.4 * depth))
+        if rng.random() < 0.4:
+            placed.append((_rectangle(x + 1, y - 4.5, 9.0, 4.5), 30.0))
+        placed.append((shape, 80.0))
+        x += width + rng.uniform(6.0, 14.0)
+    return placed
+
+
+def _large(lot: Polygon, rng: np.random.Generator) -> Placed:
+    """Set offices, markets and filling stations along an arterial road."""
+    x0, y0, x1, y1 = lot.bounds
+    placed: Placed = []
+    x = x0 + rng.uniform(1.0, 5.0)
+    while x1 - x > 10:
+        width = min(rng.uniform(16.0, 42.0), x1 - x - 1)
+        y = y0 + rng.choice([rng.uniform(2.0, 5.0), rng.uniform(6.0, 14.0)])
+        depth = min(rng.uniform(12.0, 24.0), y1 - y - 1)
+        if depth < 7:
+            break
+        shape = _rectangle(x, y, width, depth)
+        if rng.random() < 0.35:
+            at = rng.uniform(0.2, 0.6)
+            shape = shape.difference(
+                _rectangle(x + at * width, y - 1, 0.25 * width, 1 + rng.uniform(1.5, 4.0))
+            )
+        placed.append((shape, 60.0))
+        x += width + rng.uniform(4.0, 14.0)
+    return placed
+
+
+def _pavilions(lot: Polygon, rng: np.random.Generator) -> Placed:
+    """Set a kiosk or pavilion now and then."""
+    x0, y0, x1, y1 = lot.bounds
+    placed: Placed = []
+    x = x0 + rng.uniform(0.0, 30.0)
+    while x1 - x > 6 and y1 - y0 > 6:
+        width, depth = rng.uniform(3.0, 9.0), rng.uniform(3.0, 6.0)
+        placed.append((_rectangle(x, y0 + rng.uniform(1.0, 4.0), width, depth), 8.0))
+        x += width + rng.uniform(25.0, 60.0)
+    return placed
+
+
+_PLACERS: dict[str, Callable[[Polygon, np.random.Generator], Placed]] = {
+    "centre": _row,
+    "suburb": _detached,
+    "industrial": _halls,
+    "arterial": _large,
+    "park": _pavilions,
+}
+
+
+def check_style(style: str) -> None:
+    """Refuse an unknown style."""
+    if style not in STYLES:
+        raise ValueError(f"style must be one of {', '.join(STYLES)}, got {style!r}")
+
+
+def front_first(footprint: Polygon, towards: NDArray[np.float64]) -> Polygon:
+    """Return a footprint counter-clockwise, from the edge on that faces the street the most."""
+    footprint = shapely.geometry.polygon.orient(footprint, 1.0)
+    ring = np.array(footprint.exterior.coords)[:-1]
+    edge = np.roll(ring, -1, axis=0) - ring
+    length = np.linalg.norm(edge, axis=1)
+    facing = np.stack([edge[:, 1], -edge[:, 0]], axis=1) @ towards / np.maximum(length, 1e-9)
+    first = int(np.argmax(length * (facing - 0.5)))
+    return Polygon(np.roll(ring, -first, axis=0), footprint.interiors)

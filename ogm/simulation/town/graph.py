@@ -1,0 +1,125 @@
+"""Crossings on a bent grid and the edges between them, before they become streets."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["MARGIN", "bent_grid", "broad_line", "chains_of", "dead_ends", "grid_edges", "thinned"]
+
+MARGIN = 35.0  # [m] from the outermost street to the edge of the town
+Edges = list[tuple[int, int]]
+
+
+def bent_grid(n: int, size: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Crossings of n x n bent and irregular lines, those of line i at i * n + j."""
+    half = size / 2 - MARGIN
+    spacing = 2 * half / (n - 1)
+    ticks = []
+    for _ in range(2):
+        gaps = rng.uniform(0.82, 1.18, n - 1)
+        ticks.append(np.concatenate([[0], np.cumsum(gaps)]) / gaps.sum() * 2 * half - half)
+    x, y = np.meshgrid(*ticks, indexing="ij")
+    phase = rng.uniform(0, 2 * np.pi, 2)
+    bend = 0.07 * spacing * (1 - (np.maximum(abs(x), abs(y)) / half) ** 4)
+    x, y = x + bend * np.sin(y / 60 + phase[0]), y + bend * np.sin(x / 60 + phase[1])
+    jitter = rng.uniform(-0.06, 0.06, (2, n, n)) * spacing
+    jitter[0, [0, -1]] = -np.sign(x[[0, -1]]) * abs(jitter[0, [0, -1]]) * 0.5
+    jitter[1][:, [0, -1]] = -np.sign(y[:, [0, -1]]) * abs(jitter[1][:, [0, -1]]) * 0.5
+    return np.stack([x + jitter[0], y + jitter[1]], axis=-1).reshape(-1, 2)
+
+
+def grid_edges(n: int) -> Edges:
+    """Return the edges between neighbours in an n x n grid."""
+    along = [(i * n + j, (i + 1) * n + j) for i in range(n - 1) for j in range(n)]
+    across = [(i * n + j, i * n + j + 1) for i in range(n) for j in range(n - 1)]
+    return sorted(along + across)
+
+
+def broad_line(n: int, side: int) -> set[tuple[int, int]]:
+    """Return the edges of one line of the grid: an outer one of a small town, one further in for a large one."""
+    line = (0 if n == 3 else 1) if side % 2 == 0 else (n - 1 if n == 3 else n - 2)
+    if side < 2:
+        return {(line * n + j, line * n + j + 1) for j in range(n - 1)}
+    return {(i * n + line, (i + 1) * n + line) for i in range(n - 1)}
+
+
+def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
+    """Leave out edges only while every crossing keeps two streets and no street becomes a bridge."""
+    result = list(edges)
+    for edge in edges:
+        if edge in kept:
+            continue
+        rest = [other for other in result if other != edge]
+        degree = np.bincount(np.ravel(rest), minlength=count)
+        touched = {edge[0], edge[1]}
+        if all(degree[k] >= 2 for k in touched) and _ring(rest, count):
+            result = rest
+    return result
+
+
+def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
+    """Whether the graph stays in one piece when any one of its edges is closed."""
+    for closed in range(len(edges)):
+        group = np.arange(count)
+        for k, (a, b) in enumerate(edges):
+            if k != closed and group[a] != group[b]:
+                group[group == group[a]] = group[b]
+        if (group != group[0]).any():
+            return False
+    return True
+
+
+def dead_ends(
+    nodes: NDArray,
+    edges: Edges,
+    broad: set[tuple[int, int]],
+    faces: NDArray,
+    styles: tuple[str, ...],
+    roundabout: int,
+    count: int,
+) -> tuple[NDArray, Edges, list[int]]:
+    """Lead a short street into some of the suburban blocks."""
+    heads: list[int] = []
+    for face in [k for k, style in enumerate(styles) if style in ("suburb", "industrial")][: count + 2]:
+        if len(heads) == count:
+            break
+        middle = np.array([(nodes[a] + nodes[b]) / 2 for a, b in edges])
+        length = np.array([np.linalg.norm(nodes[a] - nodes[b]) for a, b in edges])
+        far = np.linalg.norm(middle - faces[face], axis=1) + 1000 * (length < 76)
+        far += 1000 * np.array(
+            [edge in broad or max(edge) >= len(nodes) or roundabout in edge for edge in edges]
+        )
+        k = int(np.argmin(far))
+        inward = faces[face] - middle[k]
+        reach = min(40.0, float(np.linalg.norm(inward)))
+        if far[k] > 80 or reach < 30:
+            continue
+        a, b = edges[k]
+        across = np.array([-(nodes[b] - nodes[a])[1], (nodes[b] - nodes[a])[0]]) / length[k]
+        across *= np.sign(across @ inward)
+        m, e = len(nodes), len(nodes) + 1
+        nodes = np.vstack([nodes, middle[k], middle[k] + across * reach])
+        edges = [edge for edge in edges if edge != (a, b)] + [(a, m), (b, m), (m, e)]
+        heads.append(e)
+    return nodes, edges, heads
+
+
+def chains_of(edges: Edges, count: int, stops: set[int]) -> list[list[int]]:
+    """Join edges that meet two by two at a crossing into one street each: lists of nodes."""
+    beside: list[list[int]] = [[] for _ in range(count)]
+    for a, b in edges:
+        beside[a].append(b)
+        beside[b].append(a)
+    ends = [k for k in range(count) if len(beside[k]) and (len(beside[k]) != 2 or k in stops)]
+    chains, seen = [], set()
+    for start in ends:
+        for following in beside[start]:
+            if (start, following) in seen:
+                continue
+            chain = [start, following]
+            while chain[-1] not in ends:
+                chain.append(next(k for k in beside[chain[-1]] if k != chain[-2]))
+            seen |= {(chain[0], chain[1]), (chain[-1], chain[-2])}
+            chains.append(chain)
+    return chains

@@ -1,0 +1,296 @@
+"""What the blocks between the streets are used for: houses, yards, driveways, squares, car parks, parks."""
+
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from ogm.simulation.materials import Material
+from ogm.simulation.town.buildings import split_front
+from ogm.simulation.town.ground import Zone, polygons
+from ogm.simulation.town.layout import Bay, Block, Plan
+from ogm.simulation.town.terrain import Drop
+
+__all__ = ["Lot", "fill_blocks"]
+
+M = Material
+DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m]
+SETBACK = {"centre": 0.0, "suburb": 2.5, "industrial": 3.0, "arterial": 2.0, "park": 2.0}  # [m] at least
+OPEN_SPACE = {"centre": 0.10, "suburb": 0.05, "industrial": 0.25, "arterial": 0.35, "park": 0.3}  # car parks
+
+
+class Lot(NamedTuple):
+    """Ground along a stretch of street.
+
+    Attributes
+    ----------
+    use : str
+        "houses", "car park", "square", "park" or "works" (a building site).
+    style : str
+        What kind of houses, see `ogm.simulation.town.buildings`.
+    shape : Polygon
+        Its outline.
+    front : (2, 2) float64
+        The ends of its street side.
+    inward : (2,) float64
+        Unit vector from the street into the lot.
+    houses : list of Polygon
+        Footprints.
+    gaps : list of Polygon
+        Driveways and paths, which fences leave open.
+    """
+
+    use: str
+    style: str
+    shape: Polygon
+    front: NDArray[np.float64]
+    inward: NDArray[np.float64]
+    houses: list[Polygon]
+    gaps: list[Polygon]
+
+
+def fill_blocks(plan: Plan, rng: np.random.Generator) -> list[Lot]:
+    """Divide all blocks into lots; adds surfaces, driveways, bays and paths to the plan."""
+    lots: list[Lot] = []
+    blocks = [k for k, block in enumerate(plan.blocks) if block.style == "centre" and _inside(plan, block)]
+    square = min(blocks, key=lambda k: abs(plan.blocks[k].shape.area - 2600.0)) if blocks else -1
+    for k, block in enumerate(plan.blocks):
+        inner = _inside(plan, block)
+        if block.style == "park" and inner:
+            lots.append(_park(plan, block, rng))
+            continue
+        ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT, "park": M.GRASS}
+        if inner:
+            plan.zones.append(Zone(block.shape, ground[block.style]))
+            if block.style == "centre":  # courts behind the houses
+                plan.zones.append(
+                    Zone(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS)
+                )
+        lots += _along(plan, block, k == square, rng)
+    return lots
+
+
+def _inside(plan: Plan, block: Block) -> bool:
+    """Whether a block lies within the streets, not at the town's edge."""
+    return bool(np.abs(np.array(block.shape.bounds)).max() < plan.size / 2 - 1.0)
+
+
+def _along(plan: Plan, block: Block, square: bool, rng: np.random.Generator) -> list[Lot]:
+    """Lots along all sides of a block, the longest first."""
+    network = plan.network
+    streets = np.array([LineString(street.line) for street in network.streets], dtype=object)
+    taken: BaseGeometry = plan.reserved
+    lots = []
+    for a, b, inward in _sides(plan, block):
+        middle = (a + b) / 2
+        near = int(np.argmin(shapely.distance(streets, shapely.points(middle))))
+        style = network.styles[int(np.argmin(np.linalg.norm(network.faces - middle, axis=1)))]
+        street = network.streets[near]
+        if style == "park":
+            style = "suburb"
+        if street.profile.kind == "arterial" and style == "suburb" and rng.random() < 0.7:
+            style = "arterial"
+        depth = DEPTH[style]
+        strip = Polygon([a, b, b + depth * inward, a + depth * inward])
+        free = polygons(shapely.intersection(block.shape, strip).difference(taken))
+        if not free or free[0].area < 60:
+            continue
+        taken = taken.union(free[0])
+        front = np.array([a, b])
+        width = float(np.linalg.norm(b - a))
+        use = "houses"
+        if square and width > 25:
+            use, square = "square", False
+        elif width > 26 and rng.random() < OPEN_SPACE[style]:
+            use = "car park"
+        elif rng.random() < 0.04:
+            use = "works"
+        lot = Lot(use, style, free[0], front, inward, [], [])
+        if use == "houses":
+            site = polygons(shapely.intersection(free[0], block.shape.buffer(-SETBACK[style])).buffer(-0.05))
+            lot.houses.extend(split_front(site[0], front, style, rng) if site else [])
+            if not lot.houses:
+                continue
+            _access(plan, lot, near, rng)
+        elif use == "car park":
+            _car_park(plan, lot, near)
+        elif use == "square":
+            _square(plan, lot, rng)
+        else:
+            plan.zones.append(Zone(free[0], M.SOIL))
+        lots.append(lot)
+    return lots
+
+
+def _sides(plan: Plan, block: Block) -> list[tuple[NDArray, NDArray, NDArray]]:
+    """Find the straight stretches of a block's outline along streets, with unit vectors into the block."""
+    result = []
+    outline = shapely.geometry.polygon.orient(block.shape.simplify(1.0), 1.0)
+    for ring in (outline.exterior, *outline.interiors):
+        points = np.array(ring.coords)
+        for a, b in zip(points[:-1], points[1:], strict=True):
+            length = float(np.linalg.norm(b - a))
+            if length < 9 or np.abs(np.concatenate([a, b])).max() > plan.size / 2 - 2:
+                continue
+            result.append((a, b, np.array([a[1] - b[1], b[0] - a[0]]) / length))
+    return sorted(result, key=lambda side: -float(np.linalg.norm(side[1] - side[0])))
+
+
+def _driveway(
+    plan: Plan, lot: Lot, near: int, at: NDArray, reach: float, width: float, material: Material
+) -> None:
+    """Pave a way from the kerb to `reach` metres behind the front, and let the kerb down."""
+    along = np.array([lot.inward[1], -lot.inward[0]])
+    street = plan.network.streets[near]
+    ray = LineString([at, at - 16.0 * lot.inward])
+    hit = shapely.intersection(ray, plan.road)
+    if hit.is_empty:
+        return
+    kerb = at - lot.inward * float(shapely.distance(shapely.points(at), hit))
+    way = Polygon(
+        [
+            kerb - along * width / 2 - 0.3 * lot.inward,
+            kerb + along * width / 2 - 0.3 * lot.inward,
+            at + along * width / 2 + reach * lot.inward,
+            at - along * width / 2 + reach * lot.inward,
+        ]
+    )
+    on_land = shapely.difference(way, plan.road)
+    plan.zones.append(Zone(on_land, material))
+    lot.gaps.append(way)
+    plan.driveways.append(way)
+    plan.drops.append(Drop(float(kerb[0]), float(kerb[1]), (float(along[0]), float(along[1])), width / 2))
+    # Nobody parks before a driveway.
+    clear = way.buffer(0.5)
+    along_street = max(street.profile.parking)
+    if along_street > 0:
+        spots = shapely.points([(bay.x, bay.y) for bay in plan.bays]) if plan.bays else np.array([])
+        far = shapely.distance(clear, spots) if len(spots) else []
+        plan.bays[:] = [bay for bay, d in zip(plan.bays, far, strict=True) if d > bay.length / 2]
+
+
+def _access(plan: Plan, lot: Lot, near: int, rng: np.random.Generator) -> None:
+    """Driveways to garages and yards, paths to doors."""
+    along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
+    for house in lot.houses:
+        corners = np.array(house.exterior.coords)[:-1] - lot.front[0]
+        u, d = corners @ along, corners @ lot.inward
+        width, setback = float(np.ptp(u)), float(d.min())
+        if lot.style == "suburb":
+            garage = width < 6.3
+            at = lot.front[0] + along * float((u.min() + u.max()) / 2)
+            if garage:
+                surface = Material(rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL]))
+                _driveway(plan, lot, near, at, setback + 0.5, min(width, 3.4), surface)
+                if setback > 6.5 and rng.random() < 0.8:
+                    spot = at + lot.inward * (setback / 2 + 0.4)
+                    yaw = float(
+                        np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0)
+                    )
+                    plan.bays.append(
+                        Bay(float(spot[0]), float(spot[1]), (yaw + np.pi) % (2 * np.pi) - np.pi, 5.2, 2.4)
+                    )
+            elif setback > 1.0:
+                at = at + along * rng.uniform(-0.25, 0.25) * width
+                path = LineString([at - 0.1 * lot.inward, at + (setback + 0.5) * lot.inward]).buffer(
+                    0.65, cap_style="flat"
+                )
+                plan.zones.append(Zone(path, M.PAVING))
+                lot.gaps.append(path)
+        elif lot.style in ("industrial", "arterial"):
+            plan.zones.append(Zone(house.buffer(0.9, join_style="mitre"), M.PAVING))
+    if lot.style == "industrial":
+        plan.zones.append(Zone(lot.shape, M.GRAVEL if rng.random() < 0.3 else M.WORN_ASPHALT))
+    elif lot.style == "arterial":
+        plan.zones.append(Zone(lot.shape, M.ASPHALT if rng.random() < 0.4 else M.PAVING))
+    if lot.style in ("industrial", "arterial"):
+        width = float(np.linalg.norm(lot.front[1] - lot.front[0]))
+        for u in np.arange(rng.uniform(6, 14), width - 6, rng.uniform(30, 45)):
+            _driveway(plan, lot, near, lot.front[0] + along * u, 1.0, 6.5, M.ASPHALT)
+        _yard_bays(plan, lot, along, width, rng)
+
+
+def _yard_bays(plan: Plan, lot: Lot, along: NDArray, width: float, rng: np.random.Generator) -> None:
+    """Places to park across the front of a yard, where no house stands."""
+    yaw = float(np.arctan2(lot.inward[1], lot.inward[0]))
+    built = shapely.union_all(lot.houses + lot.gaps).buffer(0.6)
+    ground = lot.shape.buffer(-0.8)
+    for u in np.arange(3.0, width - 3, 2.6):
+        spot = lot.front[0] + along * u + 3.6 * lot.inward
+        x, t = along * 1.2, lot.inward * 2.4
+        place = Polygon([spot - x - t, spot + x - t, spot + x + t, spot - x + t])
+        if rng.random() < 0.75 and shapely.contains(ground, place) and not shapely.intersects(built, place):
+            plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
+
+
+def _car_park(plan: Plan, lot: Lot, near: int) -> None:
+    """Asphalt with rows of bays parallel to the street, and a way in."""
+    along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
+    width = float(np.linalg.norm(lot.front[1] - lot.front[0]))
+    ground = lot.shape.buffer(-1.6, join_style="mitre")
+    plan.zones.append(Zone(lot.shape, M.GRASS))
+    plan.zones.append(Zone(ground, M.ASPHALT))
+    _driveway(plan, lot, near, lot.front[0] + along * width * 0.5, 2.0, 6.0, M.ASPHALT)
+    depth = DEPTH[lot.style]
+    shapely.prepare(ground)
+    row, facing = 1.9 + 2.5, 1.0
+    while row + 2.5 < depth:
+        yaw = float(np.arctan2(facing * lot.inward[1], facing * lot.inward[0]))
+        for u in np.arange(3.5, width - 3.5, 2.55):
+            if facing > 0 and row < 6 and abs(u - width / 2) < 5:
+                continue  # the way in
+            spot = lot.front[0] + along * u + row * lot.inward
+            x, t = along * 1.25, lot.inward * 2.45
+            if not shapely.contains(
+                ground, Polygon([spot - x - t, spot + x - t, spot + x + t, spot - x + t])
+            ):
+                continue
+            plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
+            side = spot + x
+            line = LineString([side - t, side + t]).buffer(0.06, cap_style="flat")
+            plan.zones.append(Zone(line, M.MARKING))
+        row, facing = row + (11.2 if facing > 0 else 5.2), -facing
+
+
+def _square(plan: Plan, lot: Lot, rng: np.random.Generator) -> None:
+    plan.zones.append(Zone(lot.shape, M.PAVING))
+    plan.zones.append(Zone(lot.shape.buffer(-3.0), M.COBBLES if rng.random() < 0.6 else M.PAVING))
+    for _ in range(3):
+        a, b = _point_in(lot.shape, rng), _point_in(lot.shape, rng)
+        if np.linalg.norm(a - b) > 8:
+            plan.walkways.append(np.linspace(a, b, int(np.linalg.norm(a - b)) + 1))
+
+
+def _park(plan: Plan, block: Block, rng: np.random.Generator) -> Lot:
+    """Grass with winding gravel paths from side to side."""
+    plan.zones.append(Zone(block.shape, M.GRASS))
+    middle = np.array(block.shape.centroid.coords[0])
+    ring = np.array(block.shape.exterior.coords)
+    lot = Lot("park", "park", block.shape, ring[:2], np.array([0.0, 1.0]), [], [])
+    for start in rng.permutation(len(ring) - 1)[:5]:
+        bow = rng.normal(0, 6, 2)
+        line = LineString([ring[start], ring[start] * 0.6 + middle * 0.4 + bow, middle + rng.normal(0, 3, 2)])
+        points = np.array(line.segmentize(2.0).coords)
+        for _ in range(2):
+            points[1:-1] = (points[:-2] + 2 * points[1:-1] + points[2:]) / 4
+        path = shapely.intersection(LineString(points).buffer(rng.uniform(0.9, 1.6)), block.shape)
+        plan.zones.append(Zone(path, M.GRAVEL if rng.random() < 0.7 else M.PAVING))
+        lot.gaps.extend(polygons(path))
+        plan.walkways.append(points)
+    for _ in range(3):  # flower beds and bare soil
+        spot = shapely.Point(_point_in(block.shape, rng)).buffer(rng.uniform(1, 3))
+        plan.zones.append(Zone(shapely.intersection(spot, block.shape), M.SOIL))
+    return lot
+
+
+def _point_in(shape: Polygon, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw a point of a polygon."""
+    x0, y0, x1, y1 = shape.bounds
+    for _ in range(100):
+        point = rng.uniform((x0, y0), (x1, y1))
+        if shapely.contains_xy(shape, *point):
+            return point
+    return np.array(shape.representative_point().coords[0])

@@ -1,0 +1,297 @@
+"""The street network in the plane: crossings on a bent grid, streets between them, what each street is like."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from shapely import LineString, Polygon
+
+from ogm.simulation.materials import Material
+from ogm.simulation.town.graph import (
+    MARGIN,
+    bent_grid,
+    broad_line,
+    chains_of,
+    dead_ends,
+    grid_edges,
+    thinned,
+)
+
+__all__ = ["PROFILES", "Network", "Profile", "Street", "make_network"]
+
+M = Material
+SPACING = 96.0  # [m] between parallel streets, about
+
+
+class Profile(NamedTuple):
+    """The cross-section of a kind of street; lengths in metres, right and left of its direction.
+
+    The line that a street is drawn along divides the lanes forward (right of it) from those back.
+    """
+
+    kind: str
+    forward: int
+    back: int
+    lane: float  # width of a lane
+    speed: float  # limit [m/s]
+    median: float  # width of the raised strip in the middle
+    cycle: float  # width of the cycle lanes
+    parking: tuple[float, float]  # width of the parking lanes
+    verge: float  # grass between kerb and sidewalk
+    sidewalk: tuple[float, float]
+    surface: Material
+    kerb: float  # height of the kerb
+
+    @property
+    def right(self) -> float:
+        """From the dividing line to the right kerb [m]."""
+        return self.median / 2 + self.forward * self.lane + self.cycle + self.parking[0] + GUTTER
+
+    @property
+    def left(self) -> float:
+        """From the dividing line to the left kerb [m]."""
+        back = self.back * self.lane + self.cycle * (self.back > 0)
+        return self.median / 2 + back + self.parking[1] + GUTTER
+
+
+GUTTER = 0.3  # [m] between the outermost lane and the kerb
+_FIELDS = (
+    Profile("arterial", 2, 2, 3.4, 16.7, 2.4, 0.0, (0.0, 0.0), 2.6, (2.6, 2.6), M.ASPHALT, 0.14),
+    Profile("main", 1, 1, 3.3, 13.9, 0.0, 1.6, (2.2, 2.2), 0.0, (3.4, 3.4), M.ASPHALT, 0.12),
+    Profile("avenue", 1, 1, 3.3, 13.9, 0.0, 0.0, (2.2, 0.0), 2.2, (2.6, 2.2), M.ASPHALT, 0.12),
+    Profile("residential", 1, 1, 3.0, 8.3, 0.0, 0.0, (2.1, 0.0), 0.0, (1.9, 1.9), M.WORN_ASPHALT, 0.10),
+    Profile("green", 1, 1, 3.0, 8.3, 0.0, 0.0, (0.0, 2.1), 1.8, (1.8, 1.8), M.ASPHALT, 0.10),
+    Profile("oneway", 1, 0, 3.4, 8.3, 0.0, 0.0, (2.1, 0.0), 0.0, (2.4, 2.2), M.COBBLES, 0.09),
+    Profile("narrow", 1, 0, 3.3, 8.3, 0.0, 0.0, (2.1, 2.1), 0.0, (1.8, 2.0), M.WORN_ASPHALT, 0.11),
+    Profile("industrial", 1, 1, 3.6, 13.9, 0.0, 0.0, (2.6, 0.0), 1.4, (1.8, 1.5), M.WORN_ASPHALT, 0.15),
+    Profile("lane", 1, 1, 2.8, 5.6, 0.0, 0.0, (0.0, 2.0), 0.0, (1.5, 1.5), M.ASPHALT, 0.08),
+)
+PROFILES = {profile.kind: profile for profile in _FIELDS}
+
+
+@dataclass(frozen=True, eq=False)
+class Street:
+    """A street from one crossing to another.
+
+    Attributes
+    ----------
+    start, end : int
+        Its crossings.
+    line : (M, 2) float64
+        The dividing line, about 1 m between points.
+    along : (M,) float64
+        Way from the start to each point [m].
+    normals : (M, 2) float64
+        Unit vectors to the LEFT.
+    profile : Profile
+        Its cross-section.
+    district : str
+        The district it runs through.
+    """
+
+    start: int
+    end: int
+    line: NDArray[np.float64]
+    along: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    profile: Profile
+    district: str
+
+    @property
+    def length(self) -> float:
+        """Length of the dividing line [m]."""
+        return float(self.along[-1])
+
+    def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Points (..., 2) at a way from the start and an offset to the left [m]."""
+        along, left = np.broadcast_arrays(np.asarray(along, float), np.asarray(left, float))
+        point = np.stack([np.interp(along, self.along, self.line[:, k]) for k in (0, 1)], axis=-1)
+        return point + self.normal(along) * left[..., None]
+
+    def normal(self, along: ArrayLike) -> NDArray[np.float64]:
+        """Return unit vectors (..., 2) to the left at a way from the start."""
+        way = np.asarray(along, float)
+        normal = np.stack([np.interp(way, self.along, self.normals[:, k]) for k in (0, 1)], axis=-1)
+        return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+    def band(self, start: float, end: float, right: float, left: float) -> Polygon:
+        """Return the strip from one way to another and between two offsets to the left [m]."""
+        along = np.linspace(start, end, max(2, int((end - start) / 3.0) + 2))
+        return Polygon(np.concatenate([self.at(along, right), self.at(along[::-1], left)]))
+
+    def middle(self, right: float, left: float) -> LineString:
+        """Return the line midway between two offsets (right one given positive)."""
+        return LineString(self.line + self.normals * (left - right) / 2)
+
+
+class Network(NamedTuple):
+    """Crossings and streets."""
+
+    nodes: NDArray[np.float64]  # (N, 2)
+    streets: tuple[Street, ...]
+    roundabout: int  # a node, -1 if there is none
+    heads: tuple[int, ...]  # nodes at which a dead end has room to turn
+    faces: NDArray[np.float64]  # (F, 2) middle of each mesh of the grid
+    styles: tuple[str, ...]  # its district
+
+
+def make_network(size: float, rng: np.random.Generator) -> Network:
+    """Draw the streets of a town of `size` metres."""
+    n = max(3, int((size - 2 * MARGIN) // SPACING) + 1)
+    nodes = bent_grid(n, size, rng)
+    edges = grid_edges(n)
+    # The middle of each mesh, and the district it belongs to.
+    grid = nodes.reshape(n, n, 2)
+    faces = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]).reshape(-1, 2) / 4
+    styles = _districts(n - 1, faces, rng)
+    # A broad road, a roundabout, a dead end.
+    ring = int(rng.integers(4))
+    broad = broad_line(n, ring)
+    if n == 3:
+        roundabout = n * n // 2
+    else:
+        inner = [i * n + j for i in range(1, n - 1) for j in range(1, n - 1)]
+        free = [k for k in inner if not any(k in edge and edge in broad for edge in edges)]
+        roundabout = int(rng.choice(free))
+    kept = [edge for edge in edges if edge in broad or roundabout in edge or rng.random() > 0.16]
+    edges = thinned(edges, kept, n * n)
+    nodes, edges, heads = dead_ends(nodes, edges, broad, faces, styles, roundabout, n // 3 + 1)
+    chains = chains_of(edges, len(nodes), {roundabout, *heads})
+    return Network(
+        nodes,
+        _streets(nodes, chains, broad, faces, styles, roundabout, heads, rng),
+        roundabout,
+        tuple(heads),
+        faces,
+        styles,
+    )
+
+
+def _districts(m: int, faces: NDArray, rng: np.random.Generator) -> tuple[str, ...]:
+    """Place a dense centre, a park beside it, industry in a corner, suburbs elsewhere."""
+    if m == 2:
+        return tuple(str(s) for s in rng.permutation(["centre", "park", "industrial", "suburb"]))
+    styles = np.full(m * m, "suburb", dtype=object)
+    far = np.linalg.norm(faces - rng.uniform(-0.12, 0.12, 2) * np.ptp(faces), axis=1)
+    order = np.argsort(far, kind="stable")
+    dense = max(2, round(m * m * rng.uniform(0.25, 0.4)))
+    styles[order[:dense]] = "centre"
+    corner = faces[order[-1 - int(rng.integers(2))]]
+    near = np.argsort(np.linalg.norm(faces - corner, axis=1), kind="stable")
+    styles[near[: max(2, round(m * m * rng.uniform(0.15, 0.25)))]] = "industrial"
+    green = [int(k) for k in order[dense - 1 :] if styles[k] != "industrial"]
+    styles[rng.choice(green[: len(green) // 2 + 1])] = "park"
+    return tuple(str(s) for s in styles)
+
+
+def _streets(
+    nodes: NDArray,
+    chains: list[list[int]],
+    broad: set[tuple[int, int]],
+    faces: NDArray,
+    styles: tuple[str, ...],
+    roundabout: int,
+    heads: list[int],
+    rng: np.random.Generator,
+) -> tuple[Street, ...]:
+    """Give each chain a bent line and a cross-section."""
+    kinds: list[str] = []
+    districts: list[str] = []
+    for chain in chains:
+        middle = nodes[chain].mean(axis=0)
+        district = styles[int(np.argmin(np.linalg.norm(faces - middle, axis=1)))]
+        districts.append(district)
+        round_it = roundabout in (chain[0], chain[-1])
+        if not round_it and any(
+            (a, b) in broad or (b, a) in broad for a, b in zip(chain[:-1], chain[1:], strict=True)
+        ):
+            kinds.append("arterial")
+        elif chain[0] in heads or chain[-1] in heads:
+            kinds.append("industrial" if district == "industrial" else "lane")
+        elif round_it:
+            kinds.append("industrial" if district == "industrial" else "avenue")
+        else:
+            kinds.append(str(rng.choice(_CHOICES[district])))
+    _one_way(chains, kinds, roundabout, heads, rng)
+    streets = []
+    for chain, kind, district in zip(chains, kinds, districts, strict=True):
+        line = _bend(nodes[chain], rng)
+        way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        tangent = np.gradient(line, axis=0)
+        tangent[[0, -1]] = line[1] - line[0], line[-1] - line[-2]
+        tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+        normals = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
+        streets.append(Street(chain[0], chain[-1], line, way, normals, PROFILES[kind], district))
+    return tuple(streets)
+
+
+_CHOICES = {
+    "centre": ["main", "main", "avenue", "oneway", "narrow"],
+    "suburb": ["residential", "residential", "green", "avenue"],
+    "industrial": ["industrial"],
+    "park": ["green", "avenue"],
+}
+
+
+def _one_way(
+    chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: np.random.Generator
+) -> None:
+    """Make narrow streets two-way where nobody could reach or leave some place otherwise."""
+    single = [k for k, kind in enumerate(kinds) if PROFILES[kind].back == 0]
+    for k in single:
+        if roundabout in (chains[k][0], chains[k][-1]) or chains[k][0] == chains[k][-1]:
+            kinds[k] = "residential"
+        elif rng.random() < 0.5:
+            chains[k].reverse()
+    for k in single:
+        if PROFILES[kinds[k]].back == 0 and not _reachable(chains, kinds, heads):
+            chains[k].reverse()
+            if not _reachable(chains, kinds, heads):
+                kinds[k] = "main"
+
+
+def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> bool:
+    """Whether every directed street can be reached from every other without turning on the spot."""
+    arcs = [(k, chain[0], chain[-1]) for k, chain in enumerate(chains)]
+    arcs += [(k, chain[-1], chain[0]) for k, chain in enumerate(chains) if PROFILES[kinds[k]].back]
+    step = np.array([[b == c and (k != m or b in heads) for m, c, _ in arcs] for k, _, b in arcs])
+    reach = step | np.eye(len(arcs), dtype=bool)
+    for _ in range(int(np.ceil(np.log2(len(arcs)))) + 1):
+        reach = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
+    return bool(reach.all() and step.any(axis=1).all())
+
+
+def _bend(points: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Draw a smooth line through a chain of crossings, straight near its ends, with a bend or an S between."""
+    control = [points[0]]
+    last = len(points) - 2
+    for k, (a, b) in enumerate(zip(points[:-1], points[1:], strict=True)):
+        length = float(np.linalg.norm(b - a))
+        across = np.array([a[1] - b[1], b[0] - a[0]]) / length
+        sway = rng.uniform(-1, 1) * min(4.0, 0.035 * length) if length > 60 else 0.0
+        other = sway * rng.choice([-1.0, 0.0, 1.0])
+        bends = [(0.32, 0.0), (0.44, sway), (0.56, other), (0.68, 0.0)]
+        for t, offset in bends[(1 if k > 0 else 0) : (3 if k < last else 4)]:
+            control.append(a + t * (b - a) + offset * across)
+        control.extend(_corner(a, b, points[k + 2]) if k < last else [b])
+    line = np.array(control)
+    for _ in range(5):  # cutting corners again and again tends to a quadratic B-spline
+        cut = np.stack([0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]], axis=1)
+        line = np.concatenate([line[:1], cut.reshape(-1, 2), line[-1:]])
+    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+    even = np.linspace(0, way[-1], int(round(way[-1])) + 1)
+    return np.stack([np.interp(even, way, line[:, k]) for k in (0, 1)], axis=1)
+
+
+def _corner(a: NDArray, b: NDArray, c: NDArray) -> list[NDArray[np.float64]]:
+    """Round a corner at b, on the way from a to c, by an arc as wide as there is room for."""
+    u, w = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
+    turn = float(np.arctan2(u[0] * w[1] - u[1] * w[0], u @ w))
+    if abs(turn) < 0.1:
+        return [b]
+    reach = min(23.0, 0.36 * float(np.linalg.norm(b - a)), 0.36 * float(np.linalg.norm(c - b)))
+    radius = reach / np.tan(abs(turn) / 2)
+    start, side = b - reach * u, np.sign(turn) * np.array([-u[1], u[0]])
+    angles = np.linspace(0, abs(turn), 9)
+    return [start + radius * (np.sin(angle) * u + (1 - np.cos(angle)) * side) for angle in angles]

@@ -1,0 +1,267 @@
+"""Trees, bushes, hedges and grass: loose clouds of small leaf cards that let a part of the rays through."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.typing import ArrayLike, NDArray
+from shapely import Polygon
+
+from ogm.simulation.materials import Material
+from ogm.simulation.mesh import Mesh, empty, loft, merge, quads
+
+__all__ = ["bush", "grass_tufts", "hedge", "tree"]
+
+M = Material
+HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+SUNK = 0.3  # [m] a trunk reaches this far into the ground, so that it stands on a slope as well
+TUFTS = 4000  # a lawn gets no more tufts than this
+
+
+class Species(NamedTuple):
+    """How a kind of tree grows; pairs are the smallest and the largest."""
+
+    share: float  # of all trees
+    height: tuple[float, float]  # [m]
+    slimness: tuple[float, float]  # crown radius over crown height
+    bare: tuple[float, float]  # share of the height below the crown
+    taper: float  # 0: a ball, 1: a cone
+    depth: tuple[float, float]  # mean number of leaf cards that a ray through the crown's middle meets
+    clumps: int  # branch ends that leaves gather around
+
+
+SPECIES = (
+    Species(0.34, (7.0, 13.0), (0.42, 0.55), (0.24, 0.34), 0.15, (0.8, 1.4), 16),  # lime, maple
+    Species(0.20, (5.0, 8.0), (0.36, 0.50), (0.30, 0.42), 0.10, (1.0, 1.7), 10),  # young street tree
+    Species(0.14, (8.0, 14.0), (0.28, 0.36), (0.16, 0.26), 0.25, (0.8, 1.1), 18),  # birch: airy
+    Species(0.10, (9.0, 15.0), (0.13, 0.18), (0.08, 0.14), 0.20, (1.1, 1.8), 14),  # poplar, columnar oak
+    Species(0.12, (5.0, 13.0), (0.20, 0.30), (0.03, 0.10), 1.0, (1.2, 1.9), 22),  # spruce
+    Species(0.10, (3.0, 5.0), (0.45, 0.60), (0.28, 0.40), 0.0, (1.0, 1.8), 8),  # fruit tree
+)
+
+
+def tree(rng: np.random.Generator, *, clearance: float = 0.0) -> Mesh:
+    """Grow a tree: trunk, branches and a loose crown.
+
+    A ray through the crown's middle meets as many leaf cards as a Poisson number with the species'
+    `depth` as its mean, so it is stopped with a probability of about ``1 - exp(-depth)``, 0.5 to 0.9.
+
+    Parameters
+    ----------
+    rng : Generator
+        Chooses species, size and shape.
+    clearance : float
+        No leaf hangs lower than this above the foot [m]: 4.5 beside a road that its crown reaches over.
+
+    Returns
+    -------
+    Mesh
+        At most 700 triangles; origin at the foot, z up.
+
+    Raises
+    ------
+    ValueError
+        If the clearance is not between 0 and 8 m.
+    """
+    if not 0 <= clearance <= 8:
+        raise ValueError(f"clearance must lie between 0 and 8 m, got {clearance}")
+    share = np.array([kind.share for kind in SPECIES])
+    if clearance > 1:  # a conifer with bare feet is none
+        share[[kind.taper == 1.0 for kind in SPECIES]] = 0.0
+    kind = SPECIES[int(rng.choice(len(SPECIES), p=share / share.sum()))]
+    height = rng.uniform(*kind.height)
+    bottom = max(height * rng.uniform(*kind.bare), clearance)
+    height = max(height, bottom + 2.5)
+    crown = height - bottom
+    radius = min(crown * rng.uniform(*kind.slimness), 4.5)
+    middle = np.array([*rng.normal(0, 0.06 * radius, 2), bottom + crown / 2])
+
+    # The trunk bends a little; branches go from it to where the leaves gather.
+    girth = np.clip(0.016 * height * rng.uniform(0.8, 1.4), 0.05, 0.28)
+    top = middle + [0, 0, crown * (0.42 if kind.taper == 1.0 else 0.2)]
+    knee = np.array([*(0.5 * middle[:2] + rng.normal(0, 0.05, 2)), bottom])
+    line = np.array([[0, 0, -SUNK], [0, 0, 0.25], knee, top])
+    trunk = _stem(line, girth * np.array([1.5, 1.05, 0.85, 0.2]), 7)
+    tips = middle + _within_crown(rng, kind.clumps, kind.taper, shell=0.75) * [radius, radius, crown / 2]
+    start = np.clip(rng.uniform(0.0, 0.6, len(tips)), 0, 1)[:, None]
+    branches = _sticks(knee + start * (top - knee), tips, 0.3 * girth) if kind.taper < 1.0 else empty()
+
+    # A ray along a mean chord meets count * area / (2 pi radius r_z) cards of random direction.
+    silhouette = np.pi * radius * crown / 2 * (1 - 0.45 * kind.taper)
+    count = int(np.clip(125 * silhouette**0.5, 300, 700 - len(trunk.triangles) - len(branches.triangles)))
+    area = 2 * silhouette * rng.uniform(*kind.depth) / count
+    gathered = rng.integers(len(tips), size=count)
+    spread = np.clip(rng.normal(0, 0.24, (count, 3)), -0.4, 0.4) * [radius, radius, crown / 2]
+    free = _within_crown(rng, count, kind.taper, shell=0.6) * [radius, radius, crown / 2] + middle
+    centers = np.where((rng.random(count) < 0.45)[:, None], tips[gathered] + spread, free)
+    leaves = _cards(rng, centers, np.sqrt(area * rng.uniform(0.4, 1.6, count)), lowest=max(bottom, 0.05))
+    return merge([trunk, branches, leaves])
+
+
+def bush(rng: np.random.Generator) -> Mesh:
+    """Grow a bush, 0.5 to 2.2 m high, with leaves down to the ground.
+
+    Returns
+    -------
+    Mesh
+        At most 150 triangles; origin at the foot, z up.
+    """
+    height = rng.uniform(0.5, 2.2)
+    radius = height * rng.uniform(0.4, 0.75)
+    count = int(np.clip(60 + 35 * height, 60, 126))
+    area = 2 * np.pi * radius * height / 2 * rng.uniform(1.2, 2.2) / count
+    centers = _within_crown(rng, count, 0.0, shell=0.6) * [radius, radius, height / 2] + [0, 0, height * 0.52]
+    tips = rng.normal(0, 0.4 * radius, (4, 3)) * [1, 1, 0] + [0, 0, 0.7 * height]
+    stems = _sticks(np.tile([0.0, 0.0, -0.1], (4, 1)), tips, 0.02)
+    return merge([stems, _cards(rng, centers, np.sqrt(area * rng.uniform(0.5, 1.5, count)), lowest=0.0)])
+
+
+def hedge(line: ArrayLike, rng: np.random.Generator) -> Mesh:
+    """Grow a clipped hedge along a line: an uneven core, and leaves that stand out of it.
+
+    Parameters
+    ----------
+    line : (M, 3) array
+        Points on the ground along the hedge's middle [m].
+    rng : Generator
+        Chooses height (0.8 to 2.1 m), width (0.5 to 1.0 m) and unevenness.
+
+    Returns
+    -------
+    Mesh
+        About 30 triangles per metre, in the line's frame.
+    """
+    points, side = resampled(line, 0.7)
+    n = len(points)
+    height, half = rng.uniform(0.8, 2.1), rng.uniform(0.25, 0.5)
+    bulge = half * rng.uniform(0.5, 0.95, (n, 4))
+    crest = height * rng.uniform(0.82, 0.97, (n, 2))
+    lift = np.column_stack([np.full(n, -SUNK), crest[:, 0], crest[:, 1], np.full(n, -SUNK)])
+    offset = bulge * [1.0, 0.9, -0.9, -1.0]
+    sections = points[:, None] + offset[..., None] * side[:, None] + lift[..., None] * [0.0, 0.0, 1.0]
+    core = loft(sections, M.FOLIAGE, caps=M.FOLIAGE)
+    # Leaves stand out of both faces and of the top.
+    count = int(17 * (n - 1) * np.clip(np.linalg.norm(points[1] - points[0]), 0.2, 0.7))
+    k = rng.integers(n - 1, size=count)
+    base = points[k] + rng.random((count, 1)) * (points[k + 1] - points[k])
+    high = rng.random(count) < 0.2
+    across = np.where(
+        high, rng.uniform(-1, 1, count), rng.choice([-1.0, 1.0], count) * rng.uniform(0.8, 1.05, count)
+    )
+    up = height * np.where(high, rng.uniform(0.92, 1.0, count), rng.uniform(0.05, 1.0, count))
+    centers = base + half * across[:, None] * side[k] + up[:, None] * [0.0, 0.0, 1.0]
+    return merge([core, _cards(rng, centers, rng.uniform(0.12, 0.34, count))])
+
+
+def grass_tufts(
+    polygon: Polygon, height_at: HeightAt, rng: np.random.Generator, *, density: float = 1.0
+) -> Mesh:
+    """Scatter tufts of long grass, of the material GRASS: they roughen the ground, but block no way.
+
+    Parameters
+    ----------
+    polygon : Polygon
+        Where they grow [m].
+    height_at : callable
+        Height of the ground [m] at x, y [m].
+    rng : Generator
+        Chooses places and sizes.
+    density : float
+        Tufts per square metre; no more than 4000 in all.
+
+    Returns
+    -------
+    Mesh
+        Two triangles per tuft, 0.05 to 0.3 m high.
+    """
+    if not density >= 0:
+        raise ValueError(f"density must be 0 or more tufts per square metre, got {density}")
+    if polygon.is_empty:
+        return empty()
+    count = min(int(polygon.area * density), TUFTS)
+    x0, y0, x1, y1 = polygon.bounds
+    tries = int(count * (x1 - x0) * (y1 - y0) / max(polygon.area, 1e-9)) if count else 0
+    x, y = rng.uniform(x0, x1, tries), rng.uniform(y0, y1, tries)
+    inside = shapely.contains_xy(polygon, x, y)
+    x, y = x[inside][:TUFTS], y[inside][:TUFTS]
+    if not len(x):
+        return empty()
+    foot = np.stack([x, y, np.asarray(height_at(x, y), np.float64)], axis=1)
+    tall = rng.uniform(0.05, 0.3, len(x)) * rng.uniform(0.4, 1.0)
+    angle = rng.uniform(0, 2 * np.pi, len(x))
+    across = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (0.04 + 0.6 * tall)[:, None]
+    lean = np.stack([*(0.3 * tall * rng.normal(0, 1, (2, len(x)))), tall], axis=1)
+    foot[:, 2] -= 0.03
+    corners = np.stack(
+        [foot - across, foot + across, foot + 0.6 * across + lean, foot - 0.6 * across + lean], 1
+    )
+    return quads(corners, M.GRASS)
+
+
+def _within_crown(rng: np.random.Generator, count: int, taper: float, *, shell: float) -> NDArray[np.float64]:
+    """Draw points in the unit ball, or in a cone (taper 1); `shell` of 1 draws them all to its skin."""
+    direction = rng.normal(size=(count, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    ball = direction * rng.random((count, 1)) ** (1 / 3 * (1 - 0.7 * shell))
+    z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its foot
+    ring = (1 - z) / 2 * np.sqrt(rng.random(count)) ** (1 - shell)
+    around = rng.uniform(0, 2 * np.pi, count)
+    cone = np.stack([ring * np.cos(around), ring * np.sin(around), -z * 0 + z], axis=1)
+    if taper == 1.0:
+        return cone
+    ball[:, :2] *= (1 - taper * (ball[:, 2:] + 1) / 2) * (1 + 0.5 * taper)
+    return ball
+
+
+def _cards(
+    rng: np.random.Generator, centers: NDArray[np.float64], size: NDArray[np.float64], lowest: float = -np.inf
+) -> Mesh:
+    """Make a triangle of random direction with an area of size² at each centre, none below `lowest`."""
+    count = len(centers)
+    u, v = rng.normal(size=(2, count, 3))
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    v -= np.sum(u * v, axis=1, keepdims=True) * u
+    v /= np.linalg.norm(v, axis=1, keepdims=True)
+    side = (1.52 * size)[:, None]  # of an equilateral triangle with that area
+    stretch = rng.uniform(0.75, 1.33, (count, 1))
+    u, v = u * side * stretch, v * side / stretch
+    corners = centers[:, None] + np.stack([-0.5 * u - 0.289 * v, 0.5 * u - 0.289 * v, 0.577 * v], axis=1)
+    lift = np.maximum(lowest - corners[..., 2].min(axis=1), 0)
+    corners[..., 2] += lift[:, None]
+    triangles = np.arange(3 * count, dtype=np.uint32).reshape(-1, 3)
+    return Mesh(corners.reshape(-1, 3).astype(np.float32), triangles, np.full(count, M.FOLIAGE, np.uint8))
+
+
+def _stem(line: NDArray[np.float64], radii: NDArray[np.float64], sides: int) -> Mesh:
+    """Make an upright tube along a line."""
+    angles = 2 * np.pi * np.arange(sides) / sides
+    ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    return loft(line[:, None] + radii[:, None, None] * ring, M.BARK)
+
+
+def _sticks(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> Mesh:
+    """Make thin three-sided branches between pairs of points."""
+    n = len(start)
+    angles = 2 * np.pi * np.arange(3) / 3
+    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    wide, narrow = start[:, None] + ring, end[:, None] + 0.3 * ring
+    wide_next, narrow_next = np.roll(wide, -1, axis=1), np.roll(narrow, -1, axis=1)
+    return quads(np.stack([wide, wide_next, narrow_next, narrow], axis=2).reshape(3 * n, 4, 3), M.BARK)
+
+
+def resampled(line: ArrayLike, step: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return points about `step` apart along a line, and the level direction to the left of it at each."""
+    points = np.asarray(line, np.float64)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
+        raise ValueError(f"line must be 2 or more finite points (M, 3), got shape {points.shape}")
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1))])
+    if run[-1] < 0.05:
+        raise ValueError(f"line must be at least 0.05 m long seen from above, got {run[-1]:.3g} m")
+    keep = np.concatenate([[True], np.diff(run) > 1e-6])
+    at = np.linspace(0, run[-1], max(int(np.ceil(run[-1] / step)), 1) + 1)
+    new = np.stack([np.interp(at, run[keep], points[keep, k]) for k in range(3)], axis=1)
+    ahead = np.gradient(new[:, :2], axis=0)
+    ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-9)
+    return new, np.stack([-ahead[:, 1], ahead[:, 0], 0 * at], axis=1)

@@ -1,0 +1,291 @@
+"""The storeys of one side of a house: windows, doors, shops, gates, balconies, bays, and what hangs on the wall."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.simulation.materials import Material
+from ogm.simulation.mesh import Mesh
+from ogm.simulation.town import facades
+from ogm.simulation.town.facades import Openings, Side, deck, ledge, punched, side_of
+from ogm.simulation.town.looks import Look
+
+__all__ = ["SUNK", "ground_floor", "upper_storeys"]
+
+M = Material
+HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+Pieces = list[tuple[NDArray[np.float64], ArrayLike]]
+
+SUNK = 0.8  # [m] walls reach this far below the lowest ground
+OVERHANG = 2.6  # [m] balconies, bays and awnings are higher above the ground than this
+
+
+def ground_floor(
+    side: Side,
+    role: str,
+    door: bool,
+    low: float,
+    floor: float,
+    upper: float,
+    look: Look,
+    height_at: HeightAt,
+    rng: np.random.Generator,
+) -> Pieces:
+    """Make the ground floor of one side: shops, gates, or windows and a door.
+
+    Parameters
+    ----------
+    side : Side
+        The wall's place.
+    role : str
+        "front", "side", "back", or "blind" for a wall without openings.
+    door : bool
+        The house's door is here.
+    low, floor, upper : float
+        Heights of the wall's foot, of the floor, and of the next storey's floor [m].
+    look : Look
+        Sizes and materials.
+    height_at : callable
+        Height of the ground [m] at x, y [m].
+    rng : Generator
+        Chooses the rest.
+
+    Returns
+    -------
+    list
+        Quadrilaterals in the side's u, d, z with their materials, for `Side.built`.
+    """
+    kind = look.ground_floor
+    front = role == "front"
+    bay, (width, sill, head) = look.bay, look.window
+    if kind == "shop":
+        bay, width, sill, head = (
+            (look.bay, 0.85 * look.bay, rng.uniform(0.1, 0.5), 2.8) if front else (5.0, 1.2, 1.6, 2.6)
+        )
+    elif kind == "garage":
+        bay, width, sill, head = (3.2, 2.5, 0.0, 2.1) if front else (4.0, 0.8, 1.3, 2.0)
+    elif kind == "hall" and not front:
+        sill, head = 0.62 * (upper - floor), 0.8 * (upper - floor)
+    columns = int((side.length - 0.7) / bay)
+    if role == "blind" or upper - floor < head or (columns < 1 and side.length < 1.7):
+        return punched(side.length, low, upper, _openings(np.zeros(0), 0.0), look.base)
+    columns = max(columns, 1)
+    width = min(width, side.length / columns - 0.5)
+    middle = (np.arange(columns) + 0.5) * side.length / columns
+    openings = _openings(middle, width)
+    ground = np.asarray(height_at(*side.xy(middle, 0.3).T), np.float64)
+    recess, pane = rng.uniform(0.8, 1.2, columns) * look.recess, _panes(rng, columns)
+    sills, heads = np.maximum(floor + sill, ground + 0.1), np.full(columns, min(floor + head, upper - 0.25))
+    extra: Pieces = []
+    if kind == "garage" and front:
+        sills, recess, pane = ground, rng.uniform(0.05, 0.2, columns), np.full(columns, M.METAL_SHEET)
+    if kind == "hall" and front:
+        sills, heads, recess, pane, extra = _gates(side, middle, width, ground, floor, upper, look, rng)
+        door = False
+    if kind == "shop" and front:
+        extra += _shops(openings, floor, upper, float(ground.max()), rng)
+    if door and kind != "garage" and columns:
+        k = int(rng.integers(columns))
+        wide = min(1.8 if kind == "shop" else rng.uniform(1.0, 1.5), max(width, 1.0))
+        openings.left[k], openings.right[k] = middle[k] - wide / 2, middle[k] + wide / 2
+        most = 0.36 if look.blind_sides else 0.72  # the rest of the stairs is inside
+        sills[k] = min(max(floor, ground[k] + 0.02), ground[k] + most)
+        heads[k] = min(sills[k] + rng.uniform(2.1, 2.5), upper - 0.2)
+        recess[k] = rng.choice([0.12, rng.uniform(0.3, 1.2)])
+        pane[k] = M.WINDOW if kind == "shop" else M.WOOD
+        if sills[k] - ground[k] > 0.1:
+            u0, u1 = middle[k] - wide / 2 - 0.2, middle[k] + wide / 2 + 0.2
+            extra.append((facades.steps(u0, u1, float(ground[k]), float(sills[k])), M.STONE))
+        roof = max(heads[k] + 0.15, ground[k] + OVERHANG)
+        if kind == "home" and roof < upper + 0.3 and rng.random() < 0.4:
+            u0, u1 = middle[k] - wide / 2 - 0.4, middle[k] + wide / 2 + 0.4
+            extra.append((ledge(u0, u1, rng.uniform(0.7, 1.2), roof, roof + 0.12), M.METAL_SHEET))
+    if front:
+        extra += _clutter(openings, float(ground.max()), upper, side.length, rng)
+    heads = np.maximum(heads, sills)
+    rows = openings._replace(
+        sill=sills[:, None], head=heads[:, None], recess=recess[:, None], pane=np.asarray(pane)[:, None]
+    )
+    if front and look.storeys > 1 and rng.random() < 0.7:
+        extra.append((ledge(0.0, side.length, rng.uniform(0.05, 0.15), upper - 0.12, upper + 0.1), look.base))
+    if front and side.length > 4 and rng.random() < 0.7:
+        top = upper + (look.storeys - 1) * look.storey
+        ends = [ledge(u, u + 0.09, 0.13, low, top) for u in (0.15, side.length - 0.24)]
+        extra.append((np.concatenate(ends[: int(rng.integers(1, 3))]), M.METAL_SHEET))
+    return [*punched(side.length, low, upper, rows, look.base), *extra]
+
+
+def upper_storeys(
+    side: Side,
+    role: str,
+    floor: float,
+    upper: float,
+    top: float,
+    look: Look,
+    height_at: HeightAt,
+    rng: np.random.Generator,
+) -> list[Mesh]:
+    """Make the upper storeys of one side, with bays and balconies.
+
+    Parameters
+    ----------
+    side, role, look, height_at, rng
+        As for `ground_floor`.
+    floor, upper, top : float
+        Heights of the ground floor, of the first upper storey's floor, and of the walls' top [m].
+    """
+    width, sill, head = look.window
+    columns = int((side.length - 0.7) / look.bay)
+    if role == "blind" or (columns < 1 and side.length < 1.7):
+        return [side.built(punched(side.length, upper, top, _openings(np.zeros(0), 0.0), look.wall))]
+    columns, rows = max(columns, 1), look.storeys - 1
+    width = min(width, side.length / columns - 0.5)
+    middle = (np.arange(columns) + 0.5) * side.length / columns
+    floors = upper + np.arange(rows) * look.storey
+    ground = float(np.max(height_at(*side.xy(np.append(middle, [0.0, side.length]), 0.8).T)))
+    shape = (columns, rows)
+    sills = np.broadcast_to(floors + sill, shape).copy()
+    heads = np.broadcast_to(np.minimum(floors + head, floors + look.storey - 0.2), shape).copy()
+    recess = np.full(shape, look.recess)
+    pane = _panes(rng, columns * rows).reshape(shape)
+    recess[pane != M.WINDOW] *= 0.4  # shutters are further out
+    extra: Pieces = []
+    parts: list[Mesh] = []
+
+    # Balconies stand one over the other, on the street and on the court.
+    chance = look.balconies if role in ("front", "back") else 0.0
+    high = floors - 0.18 - ground > OVERHANG
+    for k in np.flatnonzero(rng.random(columns) < chance).tolist():
+        half = min(rng.uniform(1.1, 2.0), 0.47 * side.length / columns)
+        depth = rng.uniform(0.8, 1.6)
+        sills[k, high] = floors[high] + 0.05
+        bars = 7 if look.panel == M.METAL_POLE else 0
+        for z in floors[high]:
+            extra += facades.balcony(middle[k] - half, middle[k] + half, depth, float(z), bars, look.panel)
+
+    # A bay runs through all upper storeys: three narrow walls before the wide one.
+    if look.bays and role == "front" and columns >= 2 and upper - 0.3 - ground > OVERHANG:
+        k = int(rng.integers(columns))
+        half, depth = min(1.4, 0.48 * side.length / columns), rng.uniform(0.45, 0.9)
+        cut = half - rng.uniform(0.0, 0.4)
+        line = [
+            (middle[k] - half, 0.0),
+            (middle[k] - cut, depth),
+            (middle[k] + cut, depth),
+            (middle[k] + half, 0.0),
+        ]
+        ends = [side.xy(u, d) for u, d in line]
+        for a, b in zip(ends[:-1], ends[1:], strict=True):
+            face = side_of(a, b)
+            holes = _openings(np.array([face.length / 2]), max(face.length - 0.5, 0.0))
+            if face.length < 0.8:
+                holes = _openings(np.zeros(0), 0.0)
+            n = len(holes.left)
+            holes = holes._replace(
+                sill=np.asarray((floors + sill)[None][:n], np.float64),
+                head=heads[:1][:n],
+                recess=recess[:1][:n],
+                pane=pane[:1][:n],
+            )
+            parts.append(face.built(punched(face.length, upper - 0.1, top, holes, look.wall)))
+        lids = np.concatenate(
+            [deck(line[0][0], line[3][0], 0.0, depth, z, z)[:, [0, 1, 2, 3]] for z in (upper - 0.1, top)]
+        )
+        lids[:, 2, 0], lids[:, 3, 0] = line[2][0], line[1][0]
+        extra.append((lids, look.wall))
+    if role == "front" and rng.random() < 0.5:
+        extra.append((ledge(0.0, side.length, rng.uniform(0.1, 0.3), top - 0.3, top), look.wall))
+    openings = _openings(middle, width)._replace(sill=sills, head=heads, recess=recess, pane=pane)
+    return [side.built([*punched(side.length, upper, top, openings, look.wall), *extra]), *parts]
+
+
+def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: np.random.Generator) -> Pieces:
+    """Make what hangs over shop windows: signs, awnings, and signs that stand out of the wall."""
+    extra: Pieces = []
+    low = max(floor + 2.9, ground + OVERHANG)
+    start, columns = 0, len(openings.left)
+    while start < columns:
+        end = min(start + int(rng.integers(1, 4)), columns) - 1
+        u0, u1 = float(openings.left[start]), float(openings.right[end])
+        if low + 0.55 < upper + 0.4:
+            if rng.random() < 0.6:
+                extra.append((ledge(u0, u1, rng.uniform(0.06, 0.25), low, low + 0.5), M.PLASTIC_DARK))
+            if rng.random() < 0.35:
+                drop, depth = rng.uniform(0.3, 0.6), rng.uniform(0.9, 1.7)
+                z = max(low + 0.3, ground + OVERHANG + drop + 0.2)
+                extra.append((facades.awning(u0, u1, depth, z, drop), M.TARPAULIN))
+            if rng.random() < 0.4:
+                out = ledge(u1, u1 + 0.12, rng.uniform(0.6, 0.9), low + 0.1, low + 0.8)
+                extra.append((out, M.METAL_SHEET))
+        start = end + 1
+    return extra
+
+
+def _gates(
+    side: Side,
+    middle: NDArray[np.float64],
+    width: float,
+    ground: NDArray[np.float64],
+    floor: float,
+    upper: float,
+    look: Look,
+    rng: np.random.Generator,
+) -> tuple[NDArray, NDArray, NDArray, NDArray, Pieces]:
+    """Make the front of a hall: roller gates, docks for trucks, windows, pilasters and a canopy."""
+    columns = len(middle)
+    kind = rng.choice(3, columns, p=[0.35, 0.25, 0.4])
+    sills = np.choose(kind, [ground, ground + 1.15, np.full(columns, floor + 1.0)])
+    heads = np.choose(kind, [ground + rng.uniform(3.6, 4.5), ground + 4.0, np.full(columns, floor + 2.6)])
+    heads = np.minimum(heads, upper - 0.4)
+    recess = np.choose(
+        kind, [np.full(columns, rng.uniform(0.2, 0.5)), np.full(columns, 0.3), np.full(columns, 0.1)]
+    )
+    pane = np.choose(
+        kind, [np.full(columns, M.METAL_SHEET), np.full(columns, M.METAL_SHEET), _panes(rng, columns)]
+    )
+    extra: Pieces = []
+    if rng.random() < 0.5:
+        joints = np.linspace(0, side.length, columns + 1)
+        low = float(ground.min()) - SUNK
+        posts = [ledge(max(u - 0.2, 0), min(u + 0.2, side.length), 0.2, low, upper) for u in joints]
+        extra.append((np.concatenate(posts), look.base))
+    docks = middle[kind == 1]
+    if len(docks):
+        pads = [ledge(u + s * width / 2 - 0.15, u + s * width / 2 + 0.15, 0.25, float(ground.min()) + 0.5,
+                      float(ground.max()) + 1.1) for u in docks for s in (-1, 1)]  # fmt: skip
+        extra.append((np.concatenate(pads), M.TYRE))
+    canopy = float(ground.max()) + 4.8
+    if canopy + 0.3 < upper and rng.random() < 0.4:
+        extra.append((ledge(0.1 * side.length, 0.8 * side.length, 2.5, canopy, canopy + 0.2), M.METAL_SHEET))
+    return sills, heads, recess, pane, extra
+
+
+def _clutter(
+    openings: Openings, ground: float, upper: float, length: float, rng: np.random.Generator
+) -> Pieces:
+    """Hang small things between windows: letter boxes, lamps, meters, name plates, air conditioners."""
+    edges = np.append(np.append(0.0, openings.right), length)
+    gaps = [(a, b) for a, b in zip(edges[:-1], np.append(openings.left, length), strict=True) if b - a > 0.35]
+    extra: Pieces = []
+    for a, b in gaps:
+        if rng.random() < 0.35:
+            width, tall = rng.uniform(0.12, min(0.8, b - a - 0.1)), rng.uniform(0.15, 0.7)
+            u, z = rng.uniform(a + 0.05, b - width - 0.05), ground + rng.uniform(0.7, 2.3)
+            if z + tall < upper - 0.2:
+                out = ledge(u, u + width, rng.uniform(0.05, 0.28), z, z + tall)
+                extra.append((out, int(rng.choice([M.METAL_SHEET, M.PLASTIC_DARK, M.PLASTER_LIGHT]))))
+    return extra
+
+
+def _openings(middle: NDArray[np.float64], width: float) -> Openings:
+    """Return columns around their middles, without rows yet."""
+    none = np.zeros((len(middle), 0))
+    return Openings(middle - width / 2, middle + width / 2, none, none, none, none.astype(np.uint8))
+
+
+def _panes(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
+    """Choose panes: most are glass, some have their shutters or blinds down."""
+    shut = rng.random() * 0.35
+    other = rng.choice([M.PLASTER_LIGHT, M.WOOD, M.PLASTIC_DARK])
+    return np.where(rng.random(count) < shut, other, M.WINDOW).astype(np.uint8)

@@ -1,0 +1,72 @@
+"""Closed round trips over the lanes of a town."""
+
+import numpy as np
+
+from ogm.simulation.town.lanes import Lane
+
+__all__ = ["SHORTEST", "round_trip"]
+
+SHORTEST = 600.0  # [m]
+TRIES = 4000  # random drives, of which the best is taken
+
+
+def round_trip(
+    lanes: list[Lane], kinds: list[str], sense: float, rng: np.random.Generator, longest: float
+) -> tuple[int, ...]:
+    """Find a closed trip of at least 600 m that sees many kinds of street.
+
+    Parameters
+    ----------
+    lanes : list of Lane
+        All lanes.
+    kinds : list of str
+        What a trip over each lane shows: kind of street and district, or "roundabout"; "" for nothing.
+    sense : float
+        1 for counter-clockwise, -1 for clockwise.
+    rng : np.random.Generator
+        Draws the trips that are tried.
+    longest : float
+        Longer trips are no better [m].
+
+    Returns
+    -------
+    tuple of int
+        Its lanes in order; none if no such trip was found.
+    """
+    lengths = [lane.length for lane in lanes]
+    begin = [k for k, lane in enumerate(lanes) if lane.junction < 0 and kinds[k]]
+    best: tuple[float, tuple[int, ...]] = (-1.0, ())
+    for _ in range(TRIES):
+        found = _wander(lanes, int(rng.choice(begin)), rng)
+        length = sum(lengths[k] for k in found)
+        if length < SHORTEST:
+            continue
+        points = np.concatenate([lanes[k].points[:, :2] for k in found])
+        following = np.roll(points, -1, axis=0)
+        area = (points[:, 0] * following[:, 1] - following[:, 0] * points[:, 1]).sum() / 2
+        if area * sense <= 0:
+            continue
+        seen = {kinds[k] for k in found if kinds[k]}
+        worth = 150.0 * len(seen) + 300.0 * ("roundabout" in seen) + min(length, longest)
+        if worth > best[0]:
+            best = worth, found
+    return best[1]
+
+
+def _wander(lanes: list[Lane], start: int, rng: np.random.Generator) -> tuple[int, ...]:
+    """Drive at random and cross no junction twice; the lanes of the trip if it comes back, else none."""
+    trip, crossed, choice = [start], set(), rng.random(200)
+    for draw in choice:
+        here = lanes[trip[-1]]
+        following = here.successors[int(draw * len(here.successors))]
+        if following == start:
+            return tuple(trip)
+        lane = lanes[following]
+        if following in trip or (
+            lane.junction >= 0 and lane.junction != here.junction and lane.junction in crossed
+        ):
+            return ()
+        if lane.junction >= 0:
+            crossed.add(lane.junction)
+        trip.append(following)
+    return ()

@@ -1,0 +1,108 @@
+"""Who takes part: a choice of bodies for one scenario, and how each kind of driver drives."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ogm.simulation.materials import Material
+from ogm.simulation.traffic.bodies import CARS, VANS, Body, Shape, car
+from ogm.simulation.traffic.heavy import bus, trailer, truck
+from ogm.simulation.traffic.people import bicycle, motorcycle, standing, walking
+
+__all__ = ["MANNERS", "Fleet", "Manners", "make_fleet"]
+
+M = Material
+PAINTS = (M.PAINT_LIGHT, M.PAINT_MEDIUM, M.PAINT_DARK, M.PAINT_BLACK)
+PAINT_SHARES = (0.38, 0.27, 0.17, 0.18)
+SHAPE_SHARES = {
+    "small": 0.16, "hatchback": 0.27, "saloon": 0.13, "estate": 0.16, "suv": 0.17, "coupe": 0.04,
+    "people carrier": 0.07,
+}  # fmt: skip
+
+
+class Manners(NamedTuple):
+    """How a kind of driver drives: accelerations [m/s^2], time gap [s], highest speed [m/s]."""
+
+    acceleration: float
+    braking: float
+    hardest: float
+    headway: float
+    top: float
+
+
+MANNERS = {
+    "car": Manners(1.7, 2.0, 6.0, 1.2, 50.0),
+    "van": Manners(1.4, 2.0, 6.0, 1.3, 40.0),
+    "truck": Manners(0.9, 1.6, 5.0, 1.6, 22.0),
+    "bus": Manners(1.0, 1.5, 5.0, 1.6, 22.0),
+    "motorcycle": Manners(2.4, 2.2, 6.0, 1.1, 50.0),
+    "bicycle": Manners(0.8, 1.6, 4.0, 1.0, 6.2),
+}
+OWN_MANNERS = Manners(1.8, 1.9, 4.0, 1.2, 50.0)
+
+
+class Fleet(NamedTuple):
+    """Bodies to draw participants from; each is shared by all that look alike.
+
+    Attributes
+    ----------
+    cars, vans, trucks, trailers, buses, motorcycles, bicycles : list of Body
+    walkers : list of list of Body
+        Pedestrians, each in the poses of a walking cycle.
+    standers : list of Body
+    """
+
+    cars: list[Body]
+    vans: list[Body]
+    trucks: list[Body]
+    trailers: list[Body]
+    buses: list[Body]
+    motorcycles: list[Body]
+    bicycles: list[Body]
+    walkers: list[list[Body]]
+    standers: list[Body]
+
+
+def make_fleet(rng: np.random.Generator) -> Fleet:
+    """Draw the bodies of one scenario: no two of the cars have the same measures."""
+
+    def paint() -> Material:
+        return PAINTS[int(rng.choice(4, p=PAINT_SHARES))]
+
+    names = rng.choice(list(SHAPE_SHARES), 28, p=np.array(list(SHAPE_SHARES.values())))
+    vans = rng.choice(list(VANS), 6)
+    return Fleet(
+        [car(_vary(CARS[str(name)], rng), paint()) for name in names],
+        [car(_vary(VANS[str(name)], rng), paint(), label="van", mirrors=0.16) for name in vans],
+        [truck(rng, paint()) for _ in range(3)],
+        [trailer(rng) for _ in range(2)],
+        [bus(rng, paint()) for _ in range(2)],
+        [motorcycle(rng, paint()) for _ in range(2)],
+        [bicycle(rng) for _ in range(4)],
+        [walking(rng, grown=rng.random() > 0.12) for _ in range(20)],
+        [standing(rng) for _ in range(6)],
+    )
+
+
+def _vary(shape: Shape, rng: np.random.Generator) -> Shape:
+    """Stretch a shape by a few per cent in each direction."""
+    along, across, up = rng.normal(1.0, [0.025, 0.012, 0.02])
+    return Shape(
+        shape.length * along,
+        shape.width * across,
+        shape.height * up,
+        shape.wheelbase * along,
+        shape.overhang * along,
+        shape.nose * up,
+        shape.cowl * up,
+        shape.deck * up,
+        shape.cowl_at * along,
+        shape.roof_at * along,
+        shape.roof_end * along,
+        shape.deck_at * along,
+        shape.floor,
+        shape.tyre,
+        shape.roof_width,
+        shape.side_glass,
+        shape.rear_glass,
+    )

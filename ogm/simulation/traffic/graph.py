@@ -1,0 +1,236 @@
+"""The lanes as arrays: path, speed profile, who may not cross whom, where pedestrians cross."""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ogm.simulation.town import Lane
+from ogm.simulation.traffic.paths import Lines, lines
+
+__all__ = ["Crossings", "LaneTable", "crossings", "drivable", "lane_table"]
+
+SIDEWAYS = 2.0  # [m/s^2] comfortable in a bend
+BRAKING = 1.6  # [m/s^2] comfortable before a bend
+APART = 2.5  # [m] centre lines of two lanes in one junction closer than this are not driven at once
+MERGED = 1.6  # [m] the same on the open road, where lanes lie side by side
+
+
+class LaneTable(NamedTuple):
+    """All lanes, one after the other; P points, L lanes.
+
+    Attributes
+    ----------
+    points : (P, 3) float64
+        Centre lines [m].
+    along : (P,) float64
+        Distance from the lane's start [m].
+    limit : (P,) float64
+        Highest speed [m/s], bends and braking before them within the lane included.
+    first : (L + 1,) int64
+        First point of each lane.
+    length : (L,) float64
+        Length of each lane [m].
+    guarded : (L,) bool
+        Lanes that a vehicle needs permission for: all in junctions, and those that cross or merge.
+    junction, phase : (L,) int64
+        -1 where there is no signal.
+    blocked_until : (L, L) float32
+        [c, l]: a vehicle on lane c bars lane l until its rear has come this far on c [m]; -1: they do not meet.
+    together_until : (L, L) float32
+        [a, b]: lanes with a common start, which part after this distance [m]; -1: no common start.
+    onward : (L, S) int64
+        Where each lane leads to without ending for ever, filled up with -1.
+    fork : (L,) bool
+        Lanes within a junction that lead to several others: the arcs of a roundabout that end at an exit.
+    most : (J,) int64
+        Vehicles that may be in a roundabout at once: one fewer than places to wait in it, so that one can move.
+    """
+
+    points: NDArray[np.float64]
+    along: NDArray[np.float64]
+    limit: NDArray[np.float64]
+    first: NDArray[np.int64]
+    length: NDArray[np.float64]
+    guarded: NDArray[np.bool_]
+    junction: NDArray[np.int64]
+    phase: NDArray[np.int64]
+    blocked_until: NDArray[np.float32]
+    together_until: NDArray[np.float32]
+    onward: NDArray[np.int64]
+    fork: NDArray[np.bool_]
+    most: NDArray[np.int64]
+
+
+class Crossings(NamedTuple):
+    """Where walkways cross lanes: Z zones, each passed by pedestrians or by vehicles, not by both.
+
+    Attributes
+    ----------
+    on_lane : (K, 4) float64
+        Lane, from and to [m along it], zone; sorted by lane.
+    lane_first : (L + 1,) int64
+        First row of each lane in `on_lane`.
+    on_walkway : (K', 4) float64
+        Walkway, from and to [m along it], zone; sorted by walkway.
+    walkway_first : (W + 1,) int64
+        First row of each walkway in `on_walkway`.
+    zones : int
+        Their number.
+    """
+
+    on_lane: NDArray[np.float64]
+    lane_first: NDArray[np.int64]
+    on_walkway: NDArray[np.float64]
+    walkway_first: NDArray[np.int64]
+    zones: int
+
+
+def _limit(lane: Lane, along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the speed profile of one lane [m/s]: its limit, its bends, braking before them."""
+    points = lane.points[:, :2]
+    limit = np.full(len(points), float(lane.speed))
+    if len(points) > 3:
+        reach = min(2, (len(points) - 1) // 2)
+        heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
+        middle = (along[1:] + along[:-1]) / 2
+        turn = np.abs(heading[reach:] - heading[:-reach]) / np.maximum(middle[reach:] - middle[:-reach], 0.3)
+        bend = np.interp(along, (middle[reach:] + middle[:-reach]) / 2, turn)
+        limit = np.minimum(limit, np.sqrt(SIDEWAYS / np.maximum(bend, 1e-4)))
+    limit = np.maximum(limit, 2.0)
+    for k in range(len(limit) - 2, -1, -1):
+        limit[k] = min(limit[k], np.sqrt(limit[k + 1] ** 2 + 2 * BRAKING * (along[k + 1] - along[k])))
+    return limit
+
+
+def lane_table(lanes: Sequence[Lane]) -> LaneTable:
+    """Arrange lanes for the kernels, and find out which of them cannot be driven at once."""
+    if not lanes:
+        raise ValueError("a town without lanes has no traffic; build_town makes some")
+    for number, lane in enumerate(lanes):
+        if lane.points.ndim != 2 or lane.points.shape[1] != 3 or len(lane.points) < 2:
+            raise ValueError(f"points of lane {number} must have shape (M >= 2, 3), got {lane.points.shape}")
+        bad = [k for k in lane.successors if not 0 <= k < len(lanes)]
+        if bad:
+            raise ValueError(f"lane {number} leads to lanes {bad}, but there are only {len(lanes)} lanes")
+    centers = lines([lane.points for lane in lanes])
+    first = centers.first
+    along = np.split(centers.along, first[1:-1])
+    blocked, together = _conflicts(lanes, along)
+    junction = np.array([lane.junction for lane in lanes], np.int64)
+    phase = np.array([lane.phase for lane in lanes], np.int64)
+    fork = (junction >= 0) & (np.array([len(lane.successors) for lane in lanes]) > 1)
+    return LaneTable(
+        centers.points,
+        centers.along,
+        np.concatenate([_limit(lane, s) for lane, s in zip(lanes, along, strict=True)]),
+        first,
+        np.array([s[-1] for s in along]),
+        (junction >= 0) | (blocked >= 0).any(axis=1),
+        junction,
+        phase,
+        blocked,
+        together,
+        _onward(lanes),
+        fork,
+        np.array([max(1, fork[junction == j].sum() - 1) for j in range(junction.max() + 1)], np.int64),
+    )
+
+
+def _onward(lanes: Sequence[Lane]) -> NDArray[np.int64]:
+    """Return `LaneTable.onward`."""
+    alive = drivable(lanes)
+    onward = np.full((len(lanes), max(1, *(len(lane.successors) for lane in lanes))), -1, np.int64)
+    for number, lane in enumerate(lanes):
+        good = [k for k in lane.successors if alive[k]]
+        onward[number, : len(good)] = good
+    return onward
+
+
+def _conflicts(
+    lanes: Sequence[Lane], along: list[NDArray[np.float64]]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return `LaneTable.blocked_until` and `LaneTable.together_until`."""
+    count = len(lanes)
+    blocked = np.full((count, count), -1, np.float32)
+    together = np.full((count, count), -1, np.float32)
+    trees = [cKDTree(lane.points[:, :2]) for lane in lanes]
+    low = np.array([lane.points[:, :2].min(axis=0) for lane in lanes])
+    high = np.array([lane.points[:, :2].max(axis=0) for lane in lanes])
+    before = [{k for k, lane in enumerate(lanes) if number in lane.successors} for number in range(count)]
+    ends = np.array([lane.points[-1, :2] for lane in lanes])
+    near = (low[:, None] < high[None] + APART).all(axis=2) & (low[None] < high[:, None] + APART).all(axis=2)
+    for a, b in np.argwhere(near).tolist():
+        if a == b or _follows(lanes, a, b) or _follows(lanes, b, a):
+            continue
+        inside = lanes[a].junction >= 0 and lanes[a].junction == lanes[b].junction
+        distance, _ = trees[b].query(lanes[a].points[:, :2], distance_upper_bound=APART)
+        if before[a] & before[b]:
+            apart = np.flatnonzero(~(distance < APART))
+            split = along[a][apart[0]] if len(apart) else along[a][-1]
+            together[a, b] = split
+            distance[along[a] <= split] = np.inf  # they may meet again: where both end
+        close = np.flatnonzero(distance < (APART if inside else MERGED))
+        merging = np.hypot(*(ends[a] - ends[b])) < 0.3
+        # Open lanes that touch a junction's lane only with an end belong to its corner.
+        if len(close) and (inside or merging or lanes[a].junction == lanes[b].junction == -1):
+            blocked[a, b] = along[a][close[-1]] + 1.0
+    blocked[blocked.T < 0] = -1
+    return blocked, together
+
+
+def _follows(lanes: Sequence[Lane], a: int, b: int) -> bool:
+    """Tell whether lane b comes right after lane a, or with one short lane between them."""
+    return b in lanes[a].successors or any(
+        b in lanes[k].successors for k in lanes[a].successors if lanes[k].junction >= 0
+    )
+
+
+def drivable(lanes: Sequence[Lane]) -> NDArray[np.bool_]:
+    """Tell which lanes lead on for ever without a turn on the spot (a dead end's head)."""
+    alive = np.ones(len(lanes), bool)
+    for number, lane in enumerate(lanes):
+        steps = np.diff(lane.points[:, :2], axis=0)
+        heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+        alive[number] = lane.junction >= 0 or np.ptp(heading) < np.deg2rad(170) or len(steps) > 70
+    while True:
+        dead = [n for n in np.flatnonzero(alive).tolist() if not any(alive[k] for k in lanes[n].successors)]
+        if not dead:
+            return alive
+        alive[dead] = False
+
+
+def crossings(table: LaneTable, walkways: Lines) -> Crossings:
+    """Find where walkways meet lanes: closer than a vehicle's half width and a person's reach."""
+    reach = 1.9
+    tree = cKDTree(table.points[:, :2])
+    owner = np.repeat(np.arange(len(table.length)), np.diff(table.first))
+    on_lane, on_walkway = [], []
+    zone = 0
+    for number, (first, last) in enumerate(itertools.pairwise(walkways.first)):
+        line, way = walkways.points[first:last], walkways.along[first:last]
+        even = np.linspace(0, way[-1], max(2, int(way[-1] / 0.4) + 1))
+        points = np.stack([np.interp(even, way, line[:, k]) for k in range(2)], axis=1)
+        met = tree.query_ball_point(points, reach)
+        wet = np.array([len(found) > 0 for found in met])
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], wet, [0]])))
+        for start, stop in edges.reshape(-1, 2):
+            on_walkway.append((number, even[start], even[stop - 1], zone))
+            hit = np.unique(np.concatenate([met[k] for k in range(start, stop)]).astype(np.int64))
+            for lane in np.unique(owner[hit]):
+                s = table.along[hit[owner[hit] == lane]]
+                for part in np.split(s, np.flatnonzero(np.diff(s) > 6.0) + 1):
+                    on_lane.append((lane, part[0] - 0.7, part[-1] + 0.7, zone))
+            zone += 1
+    lane_rows = np.array(sorted(on_lane), np.float64).reshape(-1, 4)
+    walk_rows = np.array(sorted(on_walkway), np.float64).reshape(-1, 4)
+    return Crossings(
+        lane_rows,
+        np.searchsorted(lane_rows[:, 0], np.arange(len(table.length) + 1)).astype(np.int64),
+        walk_rows,
+        np.searchsorted(walk_rows[:, 0], np.arange(len(walkways.first))).astype(np.int64),
+        zone,
+    )

@@ -1,0 +1,174 @@
+"""Bodies of lorries, trailers and buses."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.simulation.materials import Material
+from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads
+from ogm.simulation.traffic.bodies import Body, centered, wheel
+
+__all__ = ["bus", "trailer", "truck"]
+
+M = Material
+
+
+def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0.12) -> NDArray[np.float64]:
+    """Return an upright cross section with eight corners, bevelled at the top."""
+    y = np.array([half, half, half, half - bevel])
+    z = np.array([low, (low + high) / 2, high - bevel, high])
+    left = np.stack([np.full(4, x), y, z], axis=1)
+    return np.concatenate([left, (left * [1, -1, 1])[::-1]])
+
+
+def _axles(places: list[float], half: float, radius: float) -> list[Mesh]:
+    """Make twin wheels at each place along the vehicle."""
+    return [wheel(x, side * half, radius, 0.32) for x in places for side in (-1.0, 1.0)]
+
+
+def _plate(x: float, z: float) -> NDArray[np.float64]:
+    y, up = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.06, -0.06, 0.06, 0.06])
+    return np.stack([np.full(4, x), y, z + up], axis=1)
+
+
+def _lamps(x: float, half: float, z: float) -> Mesh:
+    """Make two lamps at one end."""
+    pairs = []
+    for side in (-1.0, 1.0):
+        y = side * (half + np.array([-0.38, -0.08, -0.08, -0.38]))
+        pairs.append(np.stack([np.full(4, x), y, z + np.array([-0.09, -0.09, 0.09, 0.09])], axis=1))
+    return quads(pairs, M.LAMP)
+
+
+def _cab(front: float, length: float, half: float, height: float, paint: int) -> Mesh:
+    """Make a cab over the engine: windscreen, side windows, steps, mirrors."""
+    low, sill = 0.42, 0.52 * height
+    places = np.array([0.0, 0.12, 0.35, 0.62, 1.0]) * length
+    inset = np.array([0.10, 0.02, 0.0, 0.0, 0.0])
+    lean = np.array([0.0, 0.0, 0.02, 0.02, 0.02])
+    sections = []
+    for s, shrink, drop in zip(places, inset, lean[::-1], strict=True):
+        y = half - shrink
+        left = np.array([(y, low), (y, sill), (y - 0.06, height - 0.22), (y - 0.2, height - drop)])
+        outline = np.concatenate([left, (left * [-1, 1])[::-1]])
+        x = front - s - np.array([0.0, 0.0, 0.16, 0.34, 0.34, 0.16, 0.0, 0.0]) * (s < 0.2 * length)
+        sections.append(np.column_stack([x, outline]))
+    material = np.full((4, 8), paint, np.uint8)
+    material[:, 7] = M.PLASTIC_DARK
+    material[2, [1, 5]] = M.CAR_GLASS
+    skin = loft(np.array(sections), material)
+    nose, back = sections[0], sections[-1]
+    faces = [nose[[0, 1, 6, 7]], nose[[1, 2, 5, 6]], nose[[2, 3, 4, 5]]]
+    rear = [back[[0, 1, 6, 7]], back[[1, 2, 5, 6]], back[[2, 3, 4, 5]]]
+    ends = quads(faces + rear, [M.PLASTIC_DARK, M.CAR_GLASS, paint, paint, paint, paint])
+    mirrors = [
+        box((front - 0.35, y - 0.11, sill + 0.1), (front - 0.22, y + 0.11, sill + 0.75), M.PLASTIC_DARK)
+        for y in (half + 0.12, -half - 0.12)
+    ]
+    bumper = box((front - 0.3, -half + 0.04, 0.3), (front + 0.04, half - 0.04, 0.62), paint)
+    plate = quads(_plate(front + 0.05, 0.42)[None], M.PLATE)
+    return merge([skin, ends, *mirrors, bumper, plate, _lamps(front + 0.05, half, 0.52)])
+
+
+def _load(front: float, rear: float, half: float, height: float, cover: int) -> Mesh:
+    """Make a box body or a tarpaulin over its frame, with the chassis, guards and bumper below."""
+    body = loft(
+        [_outline(x, half, 1.02, height, bevel=0.06) for x in (front, (front + rear) / 2, rear)],
+        cover,
+        caps=cover,
+    )
+    frame = box((rear + 0.1, -0.45, 0.72), (front - 0.05, 0.45, 1.0), M.METAL_SHEET)
+    guards = [
+        box((rear + 2.1, y - 0.02, 0.5), (front - 1.4, y + 0.02, 0.78), M.METAL_SHEET)
+        for y in (half - 0.1, -half + 0.1)
+        if front - rear > 4.5
+    ]
+    bumper = box((rear - 0.02, -half + 0.1, 0.42), (rear + 0.08, half - 0.1, 0.56), M.METAL_SHEET)
+    tail = quads(_plate(rear - 0.03, 0.68)[None], M.PLATE)
+    return merge([body, frame, *guards, bumper, tail, _lamps(rear - 0.03, half, 0.72)])
+
+
+def truck(rng: np.random.Generator, paint: Material) -> Body:
+    """Make a lorry: a cab, a gap, a box or a tarpaulin on its frame. 7 to 9 m long, 3.2 to 3.8 m high."""
+    length, height, half = rng.uniform(7.0, 8.8), rng.uniform(3.2, 3.8), rng.uniform(1.18, 1.25)
+    cover = (M.TARPAULIN, M.METAL_SHEET, M.PAINT_LIGHT)[rng.integers(3)]
+    front, cab = length / 2, 2.0
+    load_front = front - cab - rng.uniform(0.3, 0.6)
+    axles = [front - 1.35, -front + rng.uniform(1.7, 2.1)]
+    parts = [
+        _cab(front, cab, half - 0.03, rng.uniform(2.7, 3.1), paint),
+        _load(load_front, -front, half, height, cover),
+        box((load_front, -0.45, 0.72), (front - 0.4, 0.45, 1.0), M.METAL_SHEET),
+        cylinder((load_front - 1.2, 0.7, 0.68), (load_front - 0.2, 0.7, 0.68), 0.28, M.METAL_SHEET, sides=6),
+        *_axles(axles, half - 0.02, 0.5),
+    ]
+    return centered("truck", merge(parts), axles)
+
+
+def trailer(rng: np.random.Generator) -> Body:
+    """Make a drawbar trailer of 5.5 to 7 m, its drawbar reaching forward."""
+    length, height, half = rng.uniform(4.6, 6.0), rng.uniform(3.2, 3.8), rng.uniform(1.18, 1.25)
+    cover = (M.TARPAULIN, M.METAL_SHEET)[rng.integers(2)]
+    front = length / 2
+    axles = [front - 1.0, -front + 1.2]
+    bar = [
+        cylinder((front - 0.6, y, 0.75), (front + 1.0, y / 6, 0.62), 0.06, M.METAL_SHEET, sides=6)
+        for y in (-0.5, 0.5)
+    ]
+    return centered(
+        "trailer",
+        merge([_load(front, -front, half, height, cover), *_axles(axles, half - 0.02, 0.45), *bar]),
+        axles,
+    )
+
+
+def bus(rng: np.random.Generator, paint: Material) -> Body:
+    """Make a city bus of 9.5 to 12 m with a low floor and a band of windows."""
+    length, height, half = rng.uniform(9.5, 12.0), rng.uniform(2.95, 3.2), 1.25
+    front, low, sill = length / 2, 0.3, 1.0
+    axles = [front - 2.6, -front + 3.1]
+    count = int(length / 1.3)
+    windows = np.linspace(front - 0.7, -front + 0.5, count + 1)
+    places = [front, front - 0.12]
+    for a, b in zip(windows[:-1], windows[1:], strict=True):
+        places += [a - 0.04, b + 0.04]
+    places += [-front + 0.1, -front]
+    x = np.array(places)
+    width = half - np.interp(x, [-front, -front + 0.1, front - 0.12, front], [0.12, 0.0, 0.0, 0.14])
+    sections = []
+    for place, y in zip(x, width, strict=True):
+        arch = min(abs(place - axle) for axle in axles) < 0.62
+        bottom = 0.98 if arch else low
+        left = np.array(
+            [(y, bottom), (y, max(sill, bottom + 0.01)), (y - 0.03, height - 0.45), (y - 0.2, height)]
+        )
+        sections.append(np.column_stack([np.full(8, place), np.concatenate([left, (left * [-1, 1])[::-1]])]))
+    material = np.full((len(x) - 1, 8), paint, np.uint8)
+    material[:, 7] = M.PLASTIC_DARK
+    material[2:-1:2, [1, 5]] = M.CAR_GLASS
+    nose, tail = sections[0], sections[-1]
+    ends = quads(
+        [end[list(k)] for end in (nose, tail) for k in ((0, 1, 6, 7), (1, 2, 5, 6), (2, 3, 4, 5))],
+        [paint, M.CAR_GLASS, paint, paint, M.CAR_GLASS, paint],
+    )
+    floor = box((-front + 0.3, -half + 0.15, 0.36), (front - 0.3, half - 0.15, 0.42), M.PLASTIC_DARK)
+    seats = [
+        [(s, y, 0.5), (s, y + 0.8, 0.5), (s - 0.12, y + 0.8, 1.35), (s - 0.12, y, 1.35)]
+        for s in np.arange(-front + 1.2, front - 3.0, 1.6)
+        for y in (-1.1, 0.3)
+    ]
+    mirrors = [
+        box((front - 0.05, y - 0.08, 1.9), (front + 0.12, y + 0.08, 2.35), M.PLASTIC_DARK)
+        for y in (half, -half)
+    ]
+    plates = quads([_plate(front + 0.01, 0.5), _plate(-front - 0.01, 0.6)], M.PLATE)
+    lamps = [_lamps(front + 0.01, half - 0.12, 0.7), _lamps(-front - 0.01, half - 0.1, 0.8)]
+    parts = [
+        loft(np.array(sections), material),
+        ends,
+        floor,
+        quads(seats, M.PLASTIC_DARK),
+        *mirrors,
+        plates,
+        *lamps,
+    ]
+    return centered("bus", merge(parts + _axles(axles, half - 0.02, 0.48)), axles)

@@ -1,0 +1,184 @@
+"""Vehicles at rest: how a body stands on the ground, and which bays are taken."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from ogm.simulation.traffic.bodies import Body
+
+__all__ = ["HeightAt", "park", "stand"]
+
+HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+MARGIN = 0.65  # [m] kept free between a lane's traffic and a parked vehicle
+ON_FOOT = 0.75  # [m] kept free beside the line of a walkway
+SHIFT = 0.4  # [m] by which a vehicle is moved at most to keep clear of a lane
+HALF_TRAFFIC = 1.05  # [m] half the width of a car with mirrors
+
+
+def stand(
+    x: NDArray[np.float64],
+    y: NDArray[np.float64],
+    yaw: NDArray[np.float64],
+    reach: NDArray[np.float64],
+    side: NDArray[np.float64],
+    height_at: HeightAt,
+) -> NDArray[np.float64]:
+    """Stand N bodies on four wheels each.
+
+    Parameters
+    ----------
+    x, y, yaw : (N,) float64
+        Middle of the body [m] and its direction [rad].
+    reach, side : (N,) float64
+        Distance of the wheels before and behind, and to either side of the middle [m].
+    height_at : callable
+        Height of the ground at x, y [m].
+
+    Returns
+    -------
+    (N, 4, 4) float64
+        ``T_world_object``: on the plane that fits the ground under the wheels best.
+    """
+    c, s = np.cos(yaw), np.sin(yaw)
+    along = np.stack([reach, reach, -reach, -reach], axis=1)
+    across = np.stack([side, -side, side, -side], axis=1)
+    wx = x[:, None] + c[:, None] * along - s[:, None] * across
+    wy = y[:, None] + s[:, None] * along + c[:, None] * across
+    z = np.asarray(height_at(wx.ravel(), wy.ravel()), np.float64).reshape(wx.shape)
+    slope = (z[:, 0] + z[:, 1] - z[:, 2] - z[:, 3]) / (4 * reach)  # along the body
+    bank = (z[:, 0] + z[:, 2] - z[:, 1] - z[:, 3]) / (4 * side)  # to its left
+    return frames(np.stack([x, y, z.mean(axis=1)], axis=1), yaw, slope, bank)
+
+
+def frames(
+    middle: NDArray[np.float64],
+    yaw: NDArray[np.float64],
+    slope: NDArray[np.float64],
+    bank: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return transforms (N, 4, 4) of bodies with a direction, a slope ahead and one to the left (rise per metre)."""
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    forward = np.stack([c, s, slope], axis=1)
+    up = np.cross(forward, np.stack([-s, c, bank], axis=1))
+    forward /= np.linalg.norm(forward, axis=1, keepdims=True)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    T = np.zeros((len(yaw), 4, 4))
+    T[:, :3, 0], T[:, :3, 1], T[:, :3, 2] = forward, np.cross(up, forward), up
+    T[:, :3, 3] = middle
+    T[:, 3, 3] = 1 + zero
+    return T
+
+
+def park(
+    bays: NDArray[np.float64],
+    lanes: NDArray[np.float64],
+    walkways: NDArray[np.float64],
+    bodies: list[Body],
+    height_at: HeightAt,
+    rng: np.random.Generator,
+) -> list[tuple[Body, NDArray[np.float64]]]:
+    """Fill some of the bays.
+
+    Parameters
+    ----------
+    bays : (B, 6) float64
+        x, y, z, yaw, length, width.
+    lanes : (P, 3) float64
+        Points of all centre lines: what stands closer to them than traffic needs is not parked.
+    walkways : (Q, 3) float64
+        Points of all walkways, which are kept clear as well.
+    bodies : list of Body
+        To choose from; one is taken only if it fits into the bay.
+    height_at : callable
+    rng : np.random.Generator
+
+    Returns
+    -------
+    list of (Body, (4, 4) float64)
+        Bodies and their ``T_world_object``.
+    """
+    share = rng.uniform(0.5, 0.9)
+    size = np.array([body.size for body in bodies])
+    chosen, places = [], []
+    for x, y, _, yaw, length, width in bays:
+        draw = rng.random(4)
+        shift, skew = rng.normal(0, [0.18, 0.07]), rng.normal(0, 0.025 if draw[1] < 0.9 else 0.09)
+        fits = np.flatnonzero((size[:, 0] < length - 0.25) & (size[:, 1] < width + 0.35))
+        pick = rng.random()
+        if draw[0] > share or len(fits) == 0:
+            continue
+        body = bodies[fits[int(pick * len(fits))]]
+        slack = max(length - body.size[0] - 0.5, 0.0) / 2
+        ahead, left = np.clip(shift[0], -slack, slack), np.clip(shift[1], -0.25, 0.25)
+        if draw[1] > 0.96:  # partly over the line
+            left += 0.3 * (1 if draw[2] < 0.5 else -1)
+        yaw = yaw + skew
+        x, y = x + np.cos(yaw) * ahead - np.sin(yaw) * left, y + np.sin(yaw) * ahead + np.cos(yaw) * left
+        if draw[3] < 0.12:
+            yaw += np.pi
+        chosen.append(body)
+        places.append((x, y, yaw))
+    if not chosen:
+        return []
+    x, y, yaw = _keep_clear(np.array(places), np.array([body.size for body in chosen]), lanes)
+    reach = np.array([abs(body.axles).mean() for body in chosen])
+    side = np.array([body.size[1] * 0.38 for body in chosen])
+    boxes = np.column_stack([x, y, yaw, [body.size[:2] for body in chosen]])
+    free = np.isfinite(x)
+    rim = _rim(x[free], y[free], yaw[free], boxes[free, 3:5])
+    if len(walkways):
+        free[free] = cKDTree(walkways[:, :2]).query(rim)[0].min(axis=1) > ON_FOOT
+    kept: list[int] = []
+    for k in np.flatnonzero(free):
+        near = [n for n in kept if np.hypot(*(boxes[n, :2] - boxes[k, :2])) < 12]
+        if not any(overlap(boxes[k], boxes[n]) for n in near):
+            kept.append(int(k))
+    poses = stand(x[kept], y[kept], yaw[kept], reach[kept], side[kept], height_at)
+    return [(chosen[k], pose) for k, pose in zip(kept, poses, strict=True)]
+
+
+def _keep_clear(
+    places: NDArray[np.float64], size: NDArray[np.float64], lanes: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Shift what stands too close to a lane away from it; x becomes NaN where that needs more than `SHIFT`."""
+    tree = cKDTree(lanes[:, :2])
+    need = HALF_TRAFFIC + MARGIN
+    x, y, yaw = places.T.copy()
+    moved = np.zeros(len(x))
+    for _ in range(4):
+        rim = _rim(x, y, yaw, size)
+        distance, nearest = tree.query(rim)
+        worst = distance.argmin(axis=1)
+        rows = np.arange(len(x))
+        lack = np.maximum(need - distance[rows, worst], 0)
+        away = rim[rows, worst] - lanes[nearest[rows, worst], :2]
+        away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6)
+        x, y = x + lack * away[:, 0], y + lack * away[:, 1]
+        moved += lack
+    distance, _ = tree.query(_rim(x, y, yaw, size))
+    bad = (distance.min(axis=1) < need - 0.15) | (moved > SHIFT)
+    return np.where(bad, np.nan, x), np.where(bad, np.nan, y), yaw
+
+
+def _rim(
+    x: NDArray[np.float64], y: NDArray[np.float64], yaw: NDArray[np.float64], size: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return points (N, 22, 2) round each box."""
+    t = np.linspace(-0.5, 0.5, 9)
+    edge = np.concatenate([np.stack([t, t * 0 + s], axis=1) for s in (-0.5, 0.5)] + [[[-0.5, 0], [0.5, 0]]])
+    local = edge[None] * size[:, None, :2]
+    c, s = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
+    turned = (c * local[..., 0] - s * local[..., 1], s * local[..., 0] + c * local[..., 1])
+    return np.stack([x[:, None] + turned[0], y[:, None] + turned[1]], axis=2)
+
+
+def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """Tell whether two rectangles (x, y, yaw, length, width) in the plane share some area."""
+    c, s = np.cos([a[2], b[2]]), np.sin([a[2], b[2]])
+    axes = np.array([[c[0], s[0]], [-s[0], c[0]], [c[1], s[1]], [-s[1], c[1]]])
+    reach_a = np.abs(axes @ axes[:2].T) @ a[3:5] / 2
+    reach_b = np.abs(axes @ axes[2:].T) @ b[3:5] / 2
+    return bool((np.abs(axes @ (b[:2] - a[:2])) < reach_a + reach_b).all())

@@ -1,0 +1,82 @@
+"""Places on routes and walkways, compiled: the only thing that is worked out for every frame."""
+
+# mypy: disallow-untyped-defs=False
+# numba infers the types of kernels, their docstrings tell them.
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+__all__ = ["Lines", "along_lines", "along_routes", "lines"]
+
+
+class Lines(NamedTuple):
+    """Polygonal lines, one after the other: points (P, 3), way along each line (P,), first point of each (L + 1,)."""
+
+    points: NDArray[np.float64]
+    along: NDArray[np.float64]
+    first: NDArray[np.int64]
+
+    @property
+    def length(self) -> NDArray[np.float64]:
+        """Length of each line [m]."""
+        return self.along[self.first[1:] - 1]
+
+
+def lines(parts: Sequence[NDArray[np.float64]]) -> Lines:
+    """Put lines (M, 3) together; points that repeat the one before are left out."""
+    kept = []
+    for number, part in enumerate(parts):
+        points = np.asarray(part, np.float64)
+        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
+            raise ValueError(f"points of line {number} must have shape (M >= 2, 3), got {points.shape}")
+        step = np.linalg.norm(np.diff(points, axis=0), axis=1)
+        kept.append(points[np.concatenate([[True], step > 1e-9])])
+        if len(kept[-1]) < 2:
+            raise ValueError(f"line {number} has no length: all its points are {points[0].tolist()}")
+    along = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]) for p in kept]
+    first = np.concatenate([[0], np.cumsum([len(p) for p in kept])]).astype(np.int64)
+    if not kept:
+        return Lines(np.zeros((0, 3)), np.zeros(0), first)
+    return Lines(np.concatenate(kept), np.concatenate(along), first)
+
+
+@njit(cache=True, nogil=True)
+def _add(points, along, first, last, s, weight, out):
+    """Add the point at way `s` on a line, times a weight, to `out`."""
+    low, high = first, last - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if along[middle] <= s:
+            low = middle
+        else:
+            high = middle
+    share = (s - along[low]) / (along[low + 1] - along[low])
+    for k in range(3):
+        out[k] += weight * ((1 - share) * points[low, k] + share * points[low + 1, k])
+
+
+@njit(cache=True, nogil=True)
+def along_routes(points, along, first, route, start, driver, way, reach, out):
+    """Write the places (U, 3) at `way` on the routes of drivers, corners rounded off over `reach` [m]."""
+    for u in range(len(way)):
+        n = driver[u]
+        out[u] = 0.0
+        for k in range(3):
+            s = way[u] + (k - 1) * reach[u]
+            place = max(np.searchsorted(start[n], s, side="right") - 1, 0)
+            lane = route[n, place]
+            weight = 0.5 if k == 1 else 0.25
+            _add(points, along, first[lane], first[lane + 1], s - start[n, place], weight, out[u])
+
+
+@njit(cache=True, nogil=True)
+def along_lines(points, along, first, line, way, out):
+    """Write the places (N, 3) at `way` on lines, whose ends are not passed."""
+    for n in range(len(way)):
+        low, high = first[line[n]], first[line[n] + 1]
+        out[n] = 0.0
+        _add(points, along, low, high, min(max(way[n], 0.0), along[high - 1]), 1.0, out[n])

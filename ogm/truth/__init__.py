@@ -1,0 +1,58 @@
+"""What is really there: classified points and object boxes in, a grid of states out.
+
+Simulated and real recordings meet here. A simulator says what each ray hit, a labelled recording says what
+each point is; from then on both go the same way (van Kempen et al. 2021, Sec. IV-B):
+
+* a cell in which *ground* was seen is free; what a vehicle may drive over counts as ground;
+* a cell in which an *obstacle* was hit between `obstacle_height` and `clearance` above the ground is occupied,
+  whatever else was seen in it: occupied wins over free, so that a cell with road and kerb is occupied;
+* a cell in which nothing was seen is unknown. Nothing is drawn between the sensor and a hit;
+* all cells of a traffic participant that returned at least `min_returns` points to the *input* scan are
+  occupied, seen or not; one with fewer is occupied only where it was hit;
+* cells under the own vehicle, and those that nobody looked at, are to be ignored: not free, not unknown.
+
+One hit is enough in either case: the hits of a simulator carry no noise, and real scans are too sparse to ask
+for more. Points of a sensor that invents returns must be cleaned before.
+"""
+
+from ogm.truth.boxes import boxes_seen_from, cells_in_box, count_returns
+from ogm.truth.recording import height_above_ground, truth_from_points
+from ogm.truth.rules import MIN_RETURNS, check_heights, settle, truth_grid
+from ogm.truth.state import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, Shares, Truth
+from ogm.truth.tally import (
+    CLEARANCE,
+    GROUND_SEEN,
+    OBSTACLE_HEIGHT,
+    OBSTACLE_SEEN,
+    PLANT_HEIGHT,
+    Kind,
+    tally_points,
+    tally_rays,
+)
+
+__all__ = [
+    "CANVAS",
+    "CLEARANCE",
+    "FREE",
+    "GROUND_SEEN",
+    "IGNORE",
+    "MIN_RETURNS",
+    "OBSTACLE_HEIGHT",
+    "OBSTACLE_SEEN",
+    "OCCUPIED",
+    "PLANT_HEIGHT",
+    "UNKNOWN",
+    "Kind",
+    "Shares",
+    "Truth",
+    "boxes_seen_from",
+    "cells_in_box",
+    "check_heights",
+    "count_returns",
+    "height_above_ground",
+    "settle",
+    "tally_points",
+    "tally_rays",
+    "truth_from_points",
+    "truth_grid",
+]

@@ -1,0 +1,62 @@
+"""What tests of data sets share: samples that need neither a town nor Open3D."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from ogm.simulation.sample import OBJECT, Beams, Sample, Weather
+from ogm.truth import CANVAS, Truth
+
+SMALL = Beams(
+    "small",
+    (-0.3, -0.2, -0.1, 0.1),
+    (0.0, 0.01, 0.0, 0.02),
+    -2 * np.pi / 90,
+    90,
+    10.0,
+    ((0.0, 0.0, 0.0),) * 4,
+)
+TALL = Beams("tall", (-0.3, -0.2), (0.0, 0.0), 2 * np.pi / 300, 300, 20.0, ((0.0, 0.0, 0.1),) * 2)
+
+
+def stand_in(plan: object, split: str, index: int) -> Sample:
+    """Make a sample out of thin air, the same for the same split and index."""
+    rng = np.random.default_rng([index, len(split)])
+    beams = (SMALL, TALL)[index % 2]
+    steps = rng.integers(0, 65536, beams.shape).astype(np.uint16) * (rng.random(beams.shape) < 0.7)
+    objects = np.zeros(index % 4, OBJECT)
+    for name in OBJECT.names or ():
+        objects[name] = rng.integers(1, 8, len(objects))
+    state = np.zeros(CANVAS.shape, np.uint8)
+    state[100:200, 50:90], state[300, 300:400], state[10:20] = 1, 2, 3
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[:, :3, 3] = rng.normal(size=(2, 3))
+    return Sample(
+        beams=beams,
+        steps=steps.astype(np.uint16),
+        intensities=rng.integers(0, 256, beams.shape).astype(np.uint8) * (steps > 0),
+        truth=Truth(CANVAS, np.roll(state, index, axis=0)),
+        objects=objects,
+        T_world_sensor=poses[0],
+        T_vehicle_sensor=poses[1],
+        velocity=rng.normal(size=3),
+        yaw_rate=float(rng.normal()),
+        stamp=20.0 + index,
+        split=split,
+        index=index,
+        scenario=index // 10,
+        weather=Weather(rain=float(index)),
+    )
+
+
+@pytest.fixture
+def make_sample() -> Callable[[object, str, int], Sample]:
+    """Give `stand_in`."""
+    return stand_in
+
+
+@pytest.fixture
+def beams() -> tuple[Beams, Beams]:
+    """Give the lidars of `stand_in`."""
+    return SMALL, TALL

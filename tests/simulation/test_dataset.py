@@ -1,0 +1,149 @@
+"""Samples: what the lidar saw agrees with what is true, and depends on the plan and the number alone."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ogm.pose import inverse, transform_points
+from ogm.simulation import dataset
+from ogm.simulation.lidar import RangeImage
+from ogm.simulation.lidar import points as lidar_points
+from ogm.simulation.plan import Mount, Plan, only
+from ogm.simulation.sample import LABELS, RANGE_STEP, Sample
+from ogm.simulation.sensors import LIDARS
+from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, count_returns
+
+PLAN = Plan(town_size=240.0, mounts=only("vlp-32c"))
+
+
+@pytest.fixture(scope="module")
+def pair() -> tuple[Sample, Sample]:
+    """Two samples a second apart."""
+    return dataset.sample(PLAN, "training", 3), dataset.sample(PLAN, "training", 4)
+
+
+def same(a: Sample, b: Sample) -> bool:
+    names = ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity")
+    arrays = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+    return arrays and np.array_equal(a.truth.state, b.truth.state) and a.yaw_rate == b.yaw_rate
+
+
+def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[Sample, Sample]) -> None:
+    """Not on what was made before, in another town, from another drive, or with how many cores."""
+    dataset.sample(PLAN, "training", 12)
+    dataset.threads_per_sample(1)
+    dataset._drives.clear()
+    again = dataset.sample(replace(PLAN, samples=77), "training", 4)
+    assert same(again, pair[1])
+    assert not same(*pair)
+
+
+def test_the_truth_agrees_with_the_points(pair: tuple[Sample, Sample]) -> None:
+    for sample in pair:
+        x, y, _, _ = sample.points.T
+        level = transform_points(sample.T_vehicle_sensor, sample.points)[:, 2]
+        near = (np.hypot(x, y) > 3) & (np.hypot(x, y) < 15)
+        standing, lying = near & (level > 0.8) & (level < 1.6), near & (np.abs(level) < 0.02)
+        assert np.count_nonzero(standing) > 100
+        assert np.count_nonzero(lying) > 500
+        states = sample.truth.state
+        hit = states[CANVAS.index(x[standing], y[standing])]
+        assert np.mean(hit == OCCUPIED) > 0.8
+        ground = states[CANVAS.index(x[lying], y[lying])]
+        assert np.mean(ground == FREE) > 0.8
+
+
+def test_the_own_vehicle_is_to_be_ignored(pair: tuple[Sample, Sample]) -> None:
+    for sample in pair:
+        ignored = np.argwhere(sample.truth.state == IGNORE) * 0.16 - 49.92
+        assert 4 * 1.6 < len(ignored) * 0.16**2 < 5.2 * 2.4
+        assert np.abs(ignored).max() < 3.5
+
+
+def test_objects_are_where_their_points_are(pair: tuple[Sample, Sample]) -> None:
+    sample = pair[0]
+    objects = sample.objects
+    assert {LABELS[k] for k in objects["label"]} <= set(LABELS)
+    assert (np.diff(np.hypot(objects["x"], objects["y"])) >= 0).all()
+    assert (objects["returns"] >= 0).all()
+    seen = objects[objects["returns"] >= 50]
+    assert len(seen)
+    bottom, top = seen["z"] - seen["height"] / 2, seen["z"] + seen["height"] / 2
+    boxes = [seen[name] for name in ("x", "y", "yaw", "length", "width")]
+    inside = count_returns(sample.points, np.column_stack([*boxes, bottom - 0.2, top + 0.2]))
+    np.testing.assert_array_less(0.6 * seen["returns"], inside)
+
+
+def test_participants_keep_their_tracks_and_move_as_they_say(pair: tuple[Sample, Sample]) -> None:
+    """What moves straight on is, a second later, where its velocity takes it."""
+    now, later = pair
+    T = inverse(later.T_world_sensor) @ now.T_world_sensor
+    checked = 0
+    for one in now.objects:
+        for other in later.objects[later.objects["track"] == one["track"]]:
+            assert other["label"] == one["label"]
+            if LABELS[one["label"]] != "pedestrian":  # whose arms and legs swing
+                assert other["length"] == pytest.approx(one["length"])
+            place = np.array([[one["x"] + one["vx"], one["y"] + one["vy"], one["z"]]])
+            predicted = transform_points(T, place)[0]
+            assert np.hypot(*(predicted[:2] - [other["x"], other["y"]])) < 2.5
+            checked += 1
+    assert checked > 10
+
+
+def test_points_are_those_of_the_lidar() -> None:
+    for spec in LIDARS.values():
+        beams = dataset.beams_of(spec)
+        rng = np.random.default_rng(0)
+        steps = rng.integers(0, 40_000, spec.shape).astype(np.uint16) * (rng.random(spec.shape) < 0.5)
+        steps = steps.astype(np.uint16)
+        empty = np.zeros(spec.shape, np.int32)
+        intensities = np.full(spec.shape, 51, np.uint8)
+        image = RangeImage(
+            steps * np.float32(RANGE_STEP), intensities / np.float32(255), empty, empty.astype(np.uint8)
+        )
+        made = Sample(
+            beams,
+            steps,
+            intensities,
+            *[None] * 4,
+            np.zeros(3),
+            0.0,
+            0.0,
+            "training",
+            0,
+            0,  # type: ignore[arg-type]
+        )
+        np.testing.assert_allclose(made.points, lidar_points(image, spec), atol=2e-4)
+        np.testing.assert_allclose(beams.times, spec.times, atol=1e-6)
+
+
+def test_mounting_and_own_motion_are_kept() -> None:
+    mount = Mount("hdl-32e", 1.0, (1.7, 2.1), (-0.3, 0.3), 0.04)
+    plan = replace(PLAN, mounts=(mount,), in_motion=1.0, bad_weather=1.0)
+    sample = dataset.sample(plan, "training", 5)
+    height, forward = sample.T_vehicle_sensor[2, 3], sample.T_vehicle_sensor[0, 3]
+    assert 1.7 <= height <= 2.1
+    assert -0.3 <= forward <= 0.3
+    assert sample.T_vehicle_sensor[2, 2] < 1
+    assert sample.lidar == "hdl-32e"
+    assert sample.steps.shape == LIDARS["hdl-32e"].shape
+    assert sample.weather.rain > 0 or np.isfinite(sample.weather.fog) or sample.weather.wet > 0
+    ego = sample.T_world_sensor @ inverse(sample.T_vehicle_sensor)
+    forward_axis = ego[:3, 0]
+    assert np.linalg.norm(sample.velocity - (sample.velocity @ forward_axis) * forward_axis) < 0.5
+
+
+def test_both_ways_to_look_at_the_truth_agree(pair: tuple[Sample, Sample]) -> None:
+    hd = dataset.sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
+    assert np.array_equal(hd.steps, pair[0].steps)
+    a, b = hd.truth.state, pair[0].truth.state
+    both = (np.isin(a, (FREE, OCCUPIED))) & (np.isin(b, (FREE, OCCUPIED)))
+    assert both.sum() > 10_000
+    assert np.mean(a[both] == b[both]) > 0.95
+
+
+def test_an_unknown_lidar_is_told() -> None:
+    with pytest.raises(ValueError, match="there is no lidar 'vlp-99'; there are vlp-32c, "):
+        dataset.lidars(replace(PLAN, mounts=only("vlp-99")))

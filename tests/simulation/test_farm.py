@@ -1,0 +1,205 @@
+"""Making data sets: what is finished stays, whoever is killed; and the bytes are the plan's alone."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import cloudpickle
+import pytest
+
+from ogm.simulation import farm
+from ogm.simulation.farm import Estimate, Made, begin, jobs, make
+from ogm.simulation.plan import Mount, Plan
+from ogm.simulation.sample import Beams, Sample
+from ogm.simulation.store import Store
+
+PLAN = Plan(samples=23, validation=4, test=1, mounts=(Mount("small"), Mount("tall")))
+SampleFunction = Callable[[Plan, str, int], Sample]
+
+
+def nothing(threads: int) -> None:
+    """Prepare for nothing."""
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def run(path: Path, beams: tuple[Beams, ...], function: SampleFunction, plan: Plan = PLAN) -> list:
+    store = begin(path, plan, beams, {"ogm": "0"})
+    return list(make(store, plan, function, nothing, workers=1))
+
+
+@pytest.fixture
+def whole(tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction) -> dict[str, bytes]:
+    """All files of the data set, made in one go."""
+    run(tmp_path / "whole", beams, make_sample)
+    return contents(tmp_path / "whole")
+
+
+def test_an_estimate_comes_first_then_every_shard(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
+) -> None:
+    estimate, *made = run(tmp_path / "data", beams, make_sample)
+    assert isinstance(estimate, Estimate)
+    assert estimate.samples == 28
+    assert all(isinstance(one, Made) for one in made)
+    assert sum(one.job.samples for one in made) == 28
+    assert [one.job.split for one in made] == ["training"] * 3 + ["validation", "test"]
+    real = sum(one.size for one in made)
+    assert real / 3 < estimate.size < 3 * real
+    assert jobs(Store.open(tmp_path / "data")) == []
+    assert run(tmp_path / "data", beams, make_sample) == []
+
+
+def test_a_run_that_breaks_is_taken_up_where_it_was(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
+) -> None:
+    def breaks(plan: Plan, split: str, index: int) -> Sample:
+        if index == 17:
+            raise KeyboardInterrupt
+        return make_sample(plan, split, index)
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "data", beams, breaks)
+    assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
+    asked = []
+
+    def told(plan: Plan, split: str, index: int) -> Sample:
+        asked.append((split, index))
+        return make_sample(plan, split, index)
+
+    run(tmp_path / "data", beams, told)
+    assert ("training", 3) not in asked
+    assert contents(tmp_path / "data") == whole
+
+
+def test_a_grown_data_set_is_as_one_made_in_one_go(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
+) -> None:
+    run(tmp_path / "data", beams, make_sample, replace(PLAN, samples=4, validation=0))
+    run(tmp_path / "data", beams, make_sample)
+    assert contents(tmp_path / "data") == whole
+
+
+def test_another_plan_is_refused(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
+) -> None:
+    run(tmp_path / "data", beams, make_sample, replace(PLAN, samples=1, validation=0))
+    before = contents(tmp_path / "data")
+    with pytest.raises(ValueError, match="begun with seed = 1, got 2"):
+        run(tmp_path / "data", beams, make_sample, replace(PLAN, seed=2))
+    assert contents(tmp_path / "data") == before
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from conftest import SMALL, TALL, stand_in
+from test_farm import PLAN, nothing
+from ogm.simulation.farm import begin, make
+from ogm.simulation import store
+
+write = store.Store.write
+def slow(self, split, shard, samples):
+    if shard == 1:
+        for name in ("returns", "truth"):  # half a shard, and a file that is being written
+            folder = self.path / split / name / "c" / "1" / "0"
+            folder.mkdir(parents=True)
+            (folder / "0.0123.partial").write_bytes(b"half")
+        print("now", flush=True)
+        time.sleep(60)
+    return write(self, split, shard, samples)
+store.Store.write = slow
+data = begin({path!r}, PLAN, (SMALL, TALL), {{"ogm": "0"}})
+list(make(data, PLAN, stand_in, nothing, workers=1))
+"""
+
+
+def test_a_killed_run_is_taken_up_where_it_was(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
+) -> None:
+    path = tmp_path / "data"
+    code = KILLED.format(tests=str(Path(__file__).parent), path=str(path))
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "now\n"
+        child.send_signal(signal.SIGKILL)
+    assert list(path.rglob("*.partial"))
+    assert Store.open(path)["training"].finished.tolist() == list(range(10))
+    run(path, beams, make_sample)
+    assert contents(path) == whole
+
+
+def test_a_full_disk_is_told(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write = Store.write
+
+    def full(self: Store, split: str, shard: int, samples: list[Sample]) -> int:
+        if self.path == tmp_path / "data" and shard == 1:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "somewhere")
+        return write(self, split, shard, samples)
+
+    monkeypatch.setattr(Store, "write", full)
+    with pytest.raises(OSError, match="is full; finished shards are whole: make room.*--resume"):
+        run(tmp_path / "data", beams, make_sample)
+    assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
+
+
+def test_what_will_not_fit_is_not_begun(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Usage:
+        free = 1000
+
+    monkeypatch.setattr(farm.shutil, "disk_usage", lambda _: Usage)
+    with pytest.raises(OSError, match=r"28 samples need about .* left; free some"):
+        run(tmp_path / "data", beams, make_sample)
+
+
+@pytest.mark.parametrize("workers", [0, -1, 10**6])
+def test_impossible_numbers_of_workers_are_told(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, workers: int
+) -> None:
+    store = begin(tmp_path / "data", PLAN, beams, {})
+    with pytest.raises(ValueError, match="workers must be in 1 ..."):
+        next(make(store, PLAN, make_sample, nothing, workers=workers))
+
+
+def test_an_unreachable_scheduler_is_told(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(farm, "PATIENCE", 0.5)
+    store = begin(tmp_path / "data", PLAN, beams, {})
+    with pytest.raises(OSError, match="tcp://127.0.0.1:9"):
+        next(make(store, PLAN, make_sample, nothing, workers=1, scheduler="tcp://127.0.0.1:9"))
+
+
+def test_two_workers_make_the_same_bytes_though_one_dies(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
+) -> None:
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    cloudpickle.register_pickle_by_value(sys.modules[make_sample.__module__])
+    first = tmp_path / "died"
+
+    def dies_once(plan: Plan, split: str, index: int) -> Sample:
+        if (split, index) == ("training", 14):
+            try:
+                first.touch(exist_ok=False)
+            except FileExistsError:
+                pass
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return make_sample(plan, split, index)
+
+    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    events = list(make(store, PLAN, dies_once, nothing, workers=2))
+    assert first.exists()
+    assert isinstance(events[0], Estimate)
+    assert contents(tmp_path / "data") == whole

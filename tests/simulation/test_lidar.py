@@ -1,0 +1,464 @@
+"""Laws of the simulated lidars: published beams, ranges as told, losses that grow the right way."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ogm import read_scan
+from ogm.pose import pose
+from ogm.simulation.lidar import CLEAR, RangeImage, Weather, points, returns, scan
+from ogm.simulation.materials import Material
+from ogm.simulation.mesh import box, empty, merge, wall
+from ogm.simulation.scene import OWN, Scene
+from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
+
+VLP = LIDARS["vlp-32c"]
+EXACT = replace(VLP, range_noise=0.0, divergence=0.0)
+FLAT = box([-300, -300, -1], [300, 300, 0], Material.ASPHALT)
+T = pose(0, 0, 1.9)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def street(material: Material = Material.PLASTER_LIGHT) -> Scene:
+    """Two walls along a road, some boxes, the own roof."""
+    scene = Scene(
+        merge(
+            [
+                FLAT,
+                wall([[-60, 9, 0], [60, 9, 0]], 8, material),
+                wall([[60, -9, 0], [-60, -9, 0]], 8, material),
+            ]
+        ),
+        threads=1,
+    )
+    cars = [box([x, 4, 0.2], [x + 4, 5.8, 1.5], Material.PAINT_DARK) for x in (-20, 6, 17)]
+    scene.place(cars, box([-2, -0.9, 0.3], [2, 0.9, 1.4], Material.OWN_VEHICLE))
+    return scene
+
+
+def room(material: Material, half: float) -> Scene:
+    """A cube around the sensor's frame at (0, 0, 0)."""
+    return Scene(box([-half] * 3, [half] * 3, material), threads=1)
+
+
+def to_the_front(distance: float, material: Material) -> tuple[Scene, tuple[slice, slice]]:
+    """A wall straight ahead, and the part of a VLP-32C's image that is surely on it and nearly head-on."""
+    scene = Scene(wall([[distance, -40, -40], [distance, 40, -40]], 80, material), threads=1)
+    return scene, (slice(10, 26), slice(870, 930))
+
+
+# --- the sensors ---
+
+
+def test_the_layers_of_the_vlp_32c_are_the_published_ones() -> None:
+    degrees = np.degrees(VLP.elevations)
+    assert VLP.layers == 32
+    assert VLP.azimuths == 1800
+    assert (degrees[0], degrees[-1]) == pytest.approx((-25, 15))
+    np.testing.assert_allclose(
+        degrees[9:26], np.arange(-11, 6) / 3, atol=6e-4
+    )  # a third of a degree apart around the horizon
+    assert set(np.round(np.degrees(VLP.azimuth_offsets), 1).tolist()) == {-4.2, -1.4, 1.4, 4.2}
+
+
+def test_elevations_agree_with_a_real_vlp_32c(real) -> None:
+    cloud = read_scan(real("nebula_apache2/vlp32/*.pcd")).points.astype(np.float64)
+    elevation = np.degrees(np.arctan2(cloud[:, 2], np.hypot(cloud[:, 0], cloud[:, 1])))
+    off = np.abs(elevation[:, None] - np.degrees(VLP.elevations)).min(axis=1)
+    assert off.max() < 1e-3
+    assert len(np.unique(np.round(elevation, 2))) == 32
+
+
+def test_elevations_and_azimuth_offsets_agree_with_a_real_car(real) -> None:
+    scan = read_scan(real("argoverse2_adcf/sensors/lidar/*.feather"))
+    upper = scan.ring < 32
+    x, y, z = (scan.points[upper, :3].astype(np.float64) - [1.3502, 0, 1.6404]).T  # where that sensor sits
+    ring, time, reach = scan.ring[upper], scan.time[upper], np.hypot(x, y)
+    found = {}
+    for laser in range(32):
+        chosen = (ring == laser) & (reach > (8 if laser != 31 else 0))
+        if np.count_nonzero(chosen) < 20:
+            continue
+        elevation = np.median(np.degrees(np.arctan2(z[chosen], reach[chosen])))
+        turned = np.arctan2(y[chosen], x[chosen]) + 2 * np.pi * 10.0025 * time[chosen]
+        found[int(np.argmin(np.abs(np.degrees(VLP.elevations) - elevation)))] = (
+            elevation,
+            np.degrees(np.angle(np.exp(1j * turned).mean())),
+        )
+    assert len(found) >= 31
+    layers = sorted(found)
+    elevations, azimuths = np.array([found[k] for k in layers]).T
+    np.testing.assert_allclose(elevations, np.degrees(VLP.elevations)[layers], atol=0.02)
+    offsets = np.degrees(VLP.azimuth_offsets)[layers]
+    apart = azimuths - offsets
+    apart = (apart - apart[0] + 180) % 360 - 180
+    np.testing.assert_allclose(apart, np.median(apart), atol=0.1)
+
+
+def test_elevations_of_the_vls_128_agree_with_a_real_one(real) -> None:
+    cloud = read_scan(real("nebula_apache2/vls128/*.pcd")).points.astype(np.float64)
+    reach = np.hypot(cloud[:, 0], cloud[:, 1])
+    elevation = np.degrees(np.arctan2(cloud[:, 2], reach))[reach > 5]
+    table = np.degrees(LIDARS["vls-128"].elevations)
+    nearest = np.abs(elevation[:, None] - table).argmin(axis=1)
+    assert np.abs(elevation - table[nearest]).max() < 2e-3
+    assert len(np.unique(nearest)) >= 126
+
+
+@pytest.mark.parametrize("name", LIDARS)
+def test_every_lidar_is_sane(name: str) -> None:
+    spec = LIDARS[name]
+    assert spec.name == name
+    rays = spec.directions()
+    assert rays.shape == (spec.layers, spec.azimuths, 3)
+    assert rays.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(rays, axis=-1), 1, atol=1e-6)
+    np.testing.assert_allclose(rays[:, 0, 2], np.sin(spec.elevations), atol=1e-6)
+    azimuth = np.unwrap(np.arctan2(rays[..., 1], rays[..., 0]).astype(np.float64), axis=1)
+    np.testing.assert_allclose(np.diff(azimuth, axis=1), -spec.azimuth_step, atol=2e-6)  # clockwise
+    ahead = azimuth[:, spec.azimuths // 2] - np.array(spec.azimuth_offsets)
+    np.testing.assert_allclose((ahead + np.pi) % (2 * np.pi) - np.pi, 0, atol=spec.azimuth_step)
+    assert (
+        len(np.unique(np.round(rays[:, 0].astype(np.float64), 5), axis=0)) >= spec.layers - 40
+    )  # few coincide
+    np.testing.assert_allclose(np.diff(spec.times), 1 / spec.rate / spec.azimuths)
+    assert spec.times.mean() == pytest.approx(0, abs=1e-9)
+    image = scan(Scene(street()._static.mesh, threads=1), spec, pose(0, 0, spec.height), rng())
+    share = (image.range > 0).mean(axis=1)
+    assert share[0] > 0.95  # the ground before the car
+    assert 0.3 < share.mean() <= 1
+
+
+def test_a_pair_looks_up_and_down_alike_from_two_places() -> None:
+    pair = LIDARS["dual-vlp-32c"]
+    np.testing.assert_allclose(np.sort(pair.elevations), -np.sort(pair.elevations)[::-1], atol=1e-12)
+    heights = np.array(pair.origins)[:, 2]
+    assert (heights == 0).sum() == (heights == -0.119).sum() == 32
+    exact = replace(pair, range_noise=0.0, divergence=0.0)
+    cloud = points(scan(Scene(FLAT, threads=1), exact, T, rng()), exact)
+    np.testing.assert_allclose(cloud[:, 2], -1.9, atol=2e-3)
+
+
+def test_the_hd_lidar_has_the_same_field_of_view() -> None:
+    rays = hd_directions(VLP, 300)
+    assert rays.shape == (300, 1800, 3)
+    for k in (0, -1):
+        np.testing.assert_allclose(rays[k, :, 2], math.sin(VLP.elevations[k]), atol=1e-6)
+    straight = replace(VLP, azimuth_offsets=(0.0,) * 32).directions()
+    np.testing.assert_allclose(
+        np.arctan2(rays[7, :, 1], rays[7, :, 0]), np.arctan2(straight[7, :, 1], straight[7, :, 0]), atol=1e-5
+    )
+    with pytest.raises(ValueError, match="layers"):
+        hd_directions(VLP, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"elevations": VLP.elevations[::-1]}, "ascend"),
+        ({"elevations": (), "azimuth_offsets": ()}, "empty"),
+        ({"elevations": (math.nan, *VLP.elevations[1:])}, "NaN"),
+        ({"elevations": tuple(np.degrees(VLP.elevations))}, "degrees"),
+        ({"azimuth_offsets": (0.0,)}, "azimuth_offsets"),
+        ({"azimuth_offsets": (math.inf,) * 32}, "inf"),
+        ({"azimuth_step": -0.01}, "azimuth_step"),
+        ({"azimuth_step": math.nan}, "azimuth_step"),
+        ({"azimuth_step": 0.0031}, "full turn"),
+        ({"rate": 0.0}, "rate"),
+        ({"range_min": -1.0}, "range_min"),
+        ({"range_max": 0.1}, "range_max"),
+        ({"range_noise": -0.01}, "range_noise"),
+        ({"range_step": 0.0}, "range_step"),
+        ({"divergence": math.nan}, "divergence"),
+        ({"reach": 0.0}, "reach"),
+        ({"height": -2.0}, "height"),
+        ({"origins": ((0.0, 0.0, 0.0),)}, "origins"),
+        ({"origins": ((0.0, 0.0, math.nan),) * 32}, "NaN"),
+    ],
+)
+def test_impossible_lidars_are_refused(change: dict, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        replace(VLP, **change)
+
+
+# --- ranges ---
+
+
+def test_ranges_without_noise_are_those_of_geometry() -> None:
+    image = scan(Scene(FLAT, threads=1), EXACT, T, rng())
+    for layer in range(8):
+        seen = image.range[layer][image.range[layer] > 0]
+        np.testing.assert_allclose(
+            seen, -1.9 / math.sin(EXACT.elevations[layer]), atol=0.01 + 0.02 * (layer > 4)
+        )
+    assert (image.range[20:] == 0).all()  # the horizon, and the sky
+    assert (image.object[20:] == -1).all()
+    assert (image.material[20:] == 255).all()
+    assert (image.intensity[20:] == 0).all()
+
+
+def test_the_noise_is_as_strong_as_told() -> None:
+    scene, part = to_the_front(20.0, Material.PLASTER_LIGHT)
+    for sigma in (0.01, 0.05):
+        spec = replace(VLP, range_noise=sigma)
+        errors = []
+        for seed in range(5):
+            image = scan(scene, spec, np.eye(4), rng(seed))
+            errors.append(image.range[part] - 20 / spec.directions()[part][..., 0])
+        assert np.std(errors) == pytest.approx(sigma, rel=0.15)
+        assert abs(np.mean(errors)) < sigma / 10 + 1e-3
+
+
+def test_weak_returns_are_less_exact() -> None:
+    spread = {}
+    for material in (Material.PLASTER_LIGHT, Material.ASPHALT):
+        scene, part = to_the_front(42.0, material)
+        image = scan(scene, VLP, np.eye(4), rng())
+        error = (image.range[part] - 42 / VLP.directions()[part][..., 0])[image.range[part] > 0]
+        spread[material] = error.std()
+    assert spread[Material.ASPHALT] > 1.1 * spread[Material.PLASTER_LIGHT]
+
+
+def test_ranges_and_intensities_are_whole_steps() -> None:
+    image = scan(street(), VLP, T, rng())
+    steps = image.range.astype(np.float64) / VLP.range_step
+    np.testing.assert_allclose(steps, np.round(steps), atol=0.01)
+    np.testing.assert_allclose(image.intensity * 255, np.round(image.intensity * 255), atol=1e-4)
+    assert image.intensity.min() >= 0
+    assert image.intensity.max() <= 1
+
+
+def test_nothing_is_reported_nearer_or_farther_than_the_sensor_can() -> None:
+    spec = replace(VLP, range_min=3.0, range_max=12.0)
+    image = scan(street(), spec, T, rng())
+    seen = image.range[image.range > 0]
+    assert seen.min() >= 3
+    assert seen.max() <= 12
+    assert not (image.object == OWN).any()
+
+
+def test_the_own_vehicle_is_seen_unless_it_is_too_near() -> None:
+    image = scan(street(), VLP, T, rng())
+    own = image.object == OWN
+    assert own.any()
+    assert (image.material[own] == Material.OWN_VEHICLE).all()
+    assert image.range[own].max() < 3
+
+
+def test_points_are_the_inverse_of_the_range_image() -> None:
+    for spec in (VLP, LIDARS["dual-vlp-32c"]):
+        image = scan(street(), spec, T, rng())
+        found = returns(image, spec)
+        np.testing.assert_array_equal(points(image, spec), found.points)
+        assert found.points.dtype == np.float32
+        again = np.zeros(spec.shape, np.float32)
+        way = (
+            found.points[:, :3] - np.array(spec.origins or [(0, 0, 0)] * spec.layers, np.float32)[found.ring]
+        )
+        again[found.ring, found.azimuth] = np.linalg.norm(way, axis=1)
+        np.testing.assert_allclose(again, image.range, atol=2e-5)
+        np.testing.assert_allclose(
+            way / np.linalg.norm(way, axis=1)[:, None],
+            spec.directions()[found.ring, found.azimuth],
+            atol=2e-6,
+        )
+        np.testing.assert_array_equal(found.points[:, 3], image.intensity[found.ring, found.azimuth])
+        np.testing.assert_array_equal(found.object, image.object[image.range > 0])
+        np.testing.assert_array_equal(found.material, image.material[image.range > 0])
+        np.testing.assert_allclose(
+            found.time, ((found.azimuth + 0.5) / spec.azimuths - 0.5) / spec.rate, atol=1e-12
+        )
+    with pytest.raises(ValueError, match="shape"):
+        points(scan(street(), VLP, T, rng()), LIDARS["vls-128"])
+
+
+def test_edges_are_mixed_only_by_beams_that_are_wide() -> None:
+    scene = Scene(
+        merge(
+            [
+                wall([[x, y, -5], [x, y + 1, -5]], 10, Material.PLASTER_LIGHT)
+                for x, ys in ((10.0, range(-30, 30, 2)), (10.4, range(-31, 30, 2)))
+                for y in map(float, ys)
+            ]
+        ),
+        threads=1,
+    )
+
+    def between(spec: LidarSpec) -> float:
+        image = scan(scene, spec, np.eye(4), rng())
+        ahead = (
+            (image.range > 0) & (np.abs(spec.directions()[..., 1]) < 0.7) & (spec.directions()[..., 0] > 0)
+        )
+        depth = image.range[ahead] * spec.directions()[ahead][:, 0]
+        return ((depth > 10.06) & (depth < 10.34)).mean()
+
+    assert between(replace(VLP, divergence=0.0)) == 0
+    assert 0.005 < between(VLP) < 0.2
+    assert between(replace(VLP, divergence=0.0015)) < between(VLP)
+
+
+# --- losses and strengths ---
+
+
+def seen(material: Material, distance: float, weather: Weather = CLEAR) -> float:
+    scene, part = to_the_front(distance, material)
+    return float((scan(scene, VLP, np.eye(4), rng(), weather=weather).range[part] > 0.9 * distance).mean())
+
+
+def test_returns_get_lost_with_distance_and_darkness() -> None:
+    for material in (Material.PAINT_BLACK, Material.ASPHALT, Material.PLASTER_LIGHT):
+        shares = [seen(material, distance) for distance in (5, 20, 40, 60, 90, 120, 190)]
+        assert shares[0] == 1
+        assert all(a >= b - 0.05 for a, b in zip(shares, shares[1:], strict=False))
+        assert shares[-1] < 0.1
+    assert seen(Material.SIGN, 190) == 1
+
+
+def test_a_black_car_partly_vanishes_where_it_does_not_face_the_sensor() -> None:
+    def share(material: Material, distance: float) -> float:
+        oblique = wall([[distance - 20, -20, -40], [distance + 20, 20, -40]], 80, material)
+        image = scan(Scene(oblique, threads=1), VLP, np.eye(4), rng())
+        return float((image.range[10:26, 885:915] > 0).mean())
+
+    assert share(Material.PAINT_BLACK, 10) == 1
+    assert share(Material.PAINT_BLACK, 40) < 0.1 < 0.95 < share(Material.PAINT_LIGHT, 40)
+
+
+def ground_reach(material: Material, weather: Weather = CLEAR) -> float:
+    """How far away the ground is still seen by half of the rays [m]."""
+    scene = Scene(FLAT.painted(material), threads=1)
+    image = scan(scene, VLP, T, rng(), weather=weather)
+    share = (image.range > 0).mean(axis=1)
+    return float(-1.9 / np.tan(VLP.elevations[int(np.nonzero(share > 0.5)[0].max())]))
+
+
+def test_dry_asphalt_is_seen_for_some_thirty_metres_and_wet_asphalt_is_not() -> None:
+    assert 20 < ground_reach(Material.ASPHALT) < 45
+    assert ground_reach(Material.ASPHALT) <= ground_reach(Material.WORN_ASPHALT) < 60
+    assert ground_reach(Material.ASPHALT, Weather(wet=1.0)) < 0.8 * ground_reach(Material.ASPHALT)
+    assert ground_reach(Material.WET_ASPHALT) == ground_reach(Material.ASPHALT, Weather(wet=1.0))
+
+
+def test_a_wet_road_returns_less() -> None:
+    shares = [
+        (scan(street(), VLP, T, rng(), weather=Weather(wet=wet)).range > 0).mean() for wet in (0, 0.5, 1)
+    ]
+    assert shares[0] > shares[1] > shares[2]
+
+
+def test_fog_and_rain_hide_what_is_far_and_return_light_from_close_by() -> None:
+    clear = scan(street(), VLP, T, rng())
+    assert not ((clear.range > 0) & (clear.material == 255)).any()
+    drops = {}
+    for weather in (Weather(rain=5), Weather(rain=25), Weather(fog=100.0), Weather(fog=30.0)):
+        image = scan(street(), VLP, T, rng(), weather=weather)
+        air = (image.range > 0) & (image.material == 255)
+        assert (image.object[air] == -1).all()
+        drops[weather] = air.mean()
+        assert np.median(image.range[air]) < 10
+        assert (image.range > 20).mean() <= (clear.range > 20).mean()
+    rain, downpour, haze, fog = drops.values()
+    assert 0 < rain < downpour < 0.1 < fog
+    assert haze < fog
+    assert seen(Material.BRICK, 60) > 0.9 > 0.1 > seen(Material.BRICK, 60, Weather(fog=60.0))
+
+
+def test_impossible_weather_is_refused() -> None:
+    for weather in (Weather(rain=-1), Weather(rain=math.nan), Weather(fog=0), Weather(wet=1.5)):
+        with pytest.raises(ValueError, match="rain|fog|wet"):
+            scan(street(), VLP, T, rng(), weather=weather)
+
+
+def test_strengths_are_in_the_ranges_of_real_scans() -> None:
+    def middle(material: Material) -> float:
+        image = scan(room(material, 8.0), VLP, np.eye(4), rng())
+        return float(np.median(image.intensity[image.range > 0]) * 255)
+
+    assert 3 < middle(Material.ASPHALT) < 15
+    assert 15 < middle(Material.BRICK) < 45
+    assert 35 < middle(Material.PLASTER_LIGHT) < 80
+    assert middle(Material.PAINT_BLACK) < 8
+    for material in (Material.SIGN, Material.PLATE, Material.HIGH_VIS):
+        assert middle(material) > 100
+    image = scan(Scene(FLAT, threads=1), VLP, T, rng())
+    road = np.median(image.intensity[1:5][image.range[1:5] > 0]) * 255
+    assert 3 <= road <= 20
+
+
+def test_patches_of_a_surface_stay_as_they_are() -> None:
+    one, other = (scan(room(Material.ASPHALT, 6.0), VLP, np.eye(4), rng(seed)) for seed in (1, 2))
+    both = (one.range > 0) & (other.range > 0)
+    assert 0.3 < np.corrcoef(one.intensity[both], other.intensity[both])[0, 1] < 0.999
+
+
+# --- motion ---
+
+
+def test_a_sensor_at_rest_sees_what_one_of_no_speed_sees() -> None:
+    still = scan(street(), VLP, T, rng(3))
+    for kind in ({"velocity": (0, 0, 0)}, {"velocity": (1e-7, 0, 0)}, {"yaw_rate": 1e-9}):
+        again = scan(street(), VLP, T, rng(3), **kind)
+        close = np.isclose(still.range, again.range, atol=0.009) & (still.object == again.object)
+        assert close.mean() > 0.999
+
+
+def test_driving_shifts_each_column_by_the_way_driven_so_far() -> None:
+    scene = room(Material.PLASTER_LIGHT, 15.0)
+    velocity = np.array([12.0, -3.0, 0.0])
+    image = scan(scene, EXACT, np.eye(4), rng(), velocity=velocity)
+    found = returns(image, EXACT)
+    world = found.points[:, :3] + velocity * found.time[:, None]  # deskewed
+    np.testing.assert_allclose(np.abs(world).max(axis=1), 15, atol=0.03)
+    raw = np.abs(found.points[:, :3]).max(axis=1)
+    assert np.abs(raw - 15).max() > 0.3  # and without that they do not fit
+
+
+def test_turning_turns_each_column() -> None:
+    scene = room(Material.PLASTER_LIGHT, 15.0)
+    found = returns(scan(scene, EXACT, np.eye(4), rng(), yaw_rate=1.0), EXACT)
+    cosine, sine = np.cos(found.time), np.sin(found.time)
+    x, y, z = found.points[:, :3].T
+    world = np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
+    np.testing.assert_allclose(np.abs(world).max(axis=1), 15, atol=0.03)
+
+
+# --- determinism and bad input ---
+
+
+def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads() -> None:
+    scenes = []
+    for threads in (1, 2):
+        base = street()
+        scene = Scene(base._static.mesh, threads=threads)
+        scene.place([box([4, 4, 0], [8, 6, 2], Material.CAR_GLASS)])
+        scenes.append(scene)
+    for kind in ({}, {"velocity": (5, 1, 0), "weather": Weather(rain=10, wet=1)}):
+        images = [scan(scene, VLP, T, rng(9), **kind) for scene in (*scenes, scenes[0])]
+        for other in images[1:]:
+            for a, b in zip(images[0], other, strict=True):
+                np.testing.assert_array_equal(a, b)
+    assert (scan(scenes[0], VLP, T, rng(1)).range != scan(scenes[0], VLP, T, rng(2)).range).any()
+
+
+def test_an_empty_world_returns_nothing() -> None:
+    image = scan(Scene(empty(), threads=1), VLP, T, rng())
+    assert isinstance(image, RangeImage)
+    assert (image.range == 0).all()
+    assert points(image, VLP).shape == (0, 4)
+
+
+def test_bad_input_is_refused_with_a_reason() -> None:
+    scene = Scene(empty(), threads=1)
+    with pytest.raises(ValueError, match="T_world_sensor"):
+        scan(scene, VLP, np.eye(3), rng())
+    with pytest.raises(ValueError, match="velocity"):
+        scan(scene, VLP, T, rng(), velocity=(1, 2))
+    with pytest.raises(ValueError, match="velocity"):
+        scan(scene, VLP, T, rng(), velocity=(1, 2, math.nan))
+    with pytest.raises(ValueError, match="yaw_rate"):
+        scan(scene, VLP, T, rng(), yaw_rate=math.inf)

@@ -1,0 +1,125 @@
+"""Which drive a sample is from, and with which lidar."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ogm.simulation.plan import MOUNTS, SPLITS, Mount, Plan, moment, mount_of, only, random
+
+PLAN = Plan(seed=3)
+
+
+def test_the_default_is_the_papers_recipe() -> None:
+    assert Plan().counts == {"training": 10_000, "validation": 1_000, "test": 100, "sequences": 0}
+    assert sum(mount.share for mount in MOUNTS if mount.lidar == "vlp-32c") == pytest.approx(0.85)
+
+
+def test_ten_drives_of_a_thousand_seconds_half_of_them_clockwise() -> None:
+    moments = [moment(PLAN, "training", i) for i in range(10_000)]
+    assert len({(one.scenario, one.time) for one in moments}) == 10_000
+    assert [sum(one.scenario == k for one in moments) for k in range(10)] == [1000] * 10
+    assert len({one.traffic for one in moments}) == 10
+    assert sum(one.clockwise for one in moments) == 5_000
+    assert len({one.town for one in moments}) == 1
+    assert min(one.time for one in moments) == 20
+    assert max(one.time for one in moments) < 1200
+    within = [b.time - a.time for a, b in zip(moments, moments[1:], strict=False) if a.scenario == b.scenario]
+    assert set(within) == {1.0}
+
+
+def test_a_longer_data_set_goes_on_with_new_drives() -> None:
+    later = moment(PLAN, "training", 10_000)
+    assert later.scenario == 10
+    assert later.traffic not in {moment(PLAN, "training", 10 * k).traffic for k in range(10)}
+
+
+def test_validation_is_the_same_town_and_test_another() -> None:
+    train, valid, test = (moment(PLAN, split, 0) for split in SPLITS[:3])
+    assert train.town == valid.town != test.town
+    assert len({train.traffic, valid.traffic, test.traffic}) == 3
+    assert moment(replace(PLAN, seed=4), "training", 0).town != train.town
+
+
+def test_sequences_are_ten_seconds_at_ten_hertz() -> None:
+    piece = [moment(PLAN, "sequences", i) for i in range(200)]
+    assert {one.scenario for one in piece[:100]} == {0}
+    assert {one.scenario for one in piece[100:]} == {1}
+    np.testing.assert_allclose(np.diff([one.time for one in piece[:100]]), 0.1)
+    mixed = replace(PLAN, mounts=(Mount("vlp-32c"), Mount("hdl-32e", 1.0, (1.5, 2.5), (0, 0.4), 0.05)))
+    assert len({mount_of(mixed, "sequences", i) for i in range(100)}) == 1
+    assert len({mount_of(mixed, "sequences", 100 * i) for i in range(20)}) > 5
+
+
+def test_mounts_come_by_their_shares_and_in_their_bounds() -> None:
+    draws = [mount_of(PLAN, "training", i) for i in range(2000)]
+    for mount in MOUNTS:
+        got = sum(one is mount for one, _ in draws) / len(draws)
+        assert got == pytest.approx(mount.share, abs=4 * np.sqrt(mount.share / len(draws)))
+    for mount, (height, forward, roll, pitch) in draws:
+        low, high = mount.height or (1.9, 1.9)
+        assert low <= height <= high
+        assert mount.forward[0] <= forward <= mount.forward[1]
+        assert max(abs(roll), abs(pitch)) <= mount.tilt
+
+
+def test_random_numbers_belong_to_one_sample_and_purpose() -> None:
+    keys = [(p, s, i, k) for p in (PLAN, Plan(seed=4)) for s in SPLITS for i in (0, 1) for k in (0, 1)]
+    assert len({random(*key).integers(2**60) for key in keys}) == len(keys)
+    assert random(PLAN, "test", 5, 0).integers(2**60) == random(PLAN, "test", 5, 0).integers(2**60)
+
+
+def test_plans_go_through_json() -> None:
+    plan = Plan(seed=9, truth="hd", mounts=(Mount("os1-64", 2.0, (1.5, 1.6)), *only("vlp-32c")))
+    assert Plan.from_dict(json.loads(json.dumps(plan.as_dict()))) == plan
+    with pytest.raises(ValueError, match="other settings.*colour"):
+        Plan.from_dict(plan.as_dict() | {"colour": "red"})
+
+
+def test_only_the_counts_of_a_plan_may_grow() -> None:
+    assert replace(PLAN, samples=20).grown(replace(PLAN, test=200)) == replace(PLAN, test=200)
+    with pytest.raises(ValueError, match="begun with truth = hd, got aimed"):
+        PLAN.grown(replace(PLAN, truth="hd"))
+    with pytest.raises(ValueError, match="begun with mounts = 1 x hdl-32e, got 0.8 x vlp-32c"):
+        PLAN.grown(replace(PLAN, mounts=only("hdl-32e")))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"samples": -1}, "samples must be a whole number"),
+        ({"seed": 1.5}, "seed must be a whole number"),
+        ({"samples": 0, "validation": 0, "test": 0}, "would be empty"),
+        ({"truth": "drawn"}, '"aimed" or "hd"'),
+        ({"mounts": ()}, "mounts are empty"),
+        ({"town_size": 3.0}, "town_size must be in 240 ... 1000 m"),
+        ({"bad_weather": 1.2}, "bad_weather is a share"),
+        ({"in_motion": float("nan")}, "in_motion is a share"),
+    ],
+)
+def test_impossible_plans_are_told(wrong: dict, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Plan(**wrong)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [
+        ({"share": 0.0}, "share of vlp-32c"),
+        ({"height": (2.0, 1.0)}, "height of vlp-32c must be two numbers, rising"),
+        ({"height": (0.0, 1.0)}, "height of vlp-32c"),
+        ({"forward": (-9.0, 1.0)}, "forward of vlp-32c"),
+        ({"tilt": 1.0}, "tilt of vlp-32c"),
+    ],
+)
+def test_impossible_mounts_are_told(wrong: dict, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Mount("vlp-32c", **wrong)
+
+
+def test_unknown_splits_and_numbers_are_told() -> None:
+    with pytest.raises(ValueError, match="split must be one of"):
+        moment(PLAN, "train", 0)
+    with pytest.raises(ValueError, match="counted from 0"):
+        moment(PLAN, "training", -1)

@@ -1,0 +1,231 @@
+"""Data sets on disk: what was written is read, and what is damaged is told."""
+
+import json
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, pack, unpack
+from ogm.simulation.store import FORMAT, OBJECTS, SHARD, Damaged, Store
+
+Make = Callable[[object, str, int], Sample]
+
+
+@pytest.fixture
+def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> Store:
+    """Two shards of training samples, the second of three; validation planned but not made."""
+    store = Store.create(
+        tmp_path / "data", {"seed": 7}, {"training": 13, "validation": 4}, beams, {"ogm": "0"}
+    )
+    store.write("training", 0, [make_sample(None, "training", i) for i in range(10)])
+    store.write("training", 1, [make_sample(None, "training", i) for i in range(10, 13)])
+    return store
+
+
+def assert_same(a: Sample, b: Sample) -> None:
+    for name in ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+    np.testing.assert_array_equal(a.truth.state, b.truth.state)
+    for name in ("beams", "yaw_rate", "stamp", "split", "index", "scenario", "weather"):
+        assert getattr(a, name) == getattr(b, name), name
+
+
+def test_what_was_written_is_read(store: Store, make_sample: Make) -> None:
+    split = Store.open(store.path)["training"]
+    assert len(split) == 13
+    for i in (0, 1, 9, 10, 12):
+        assert_same(split[i], make_sample(None, "training", i))
+    assert_same(split[-1], split[12])
+    assert [one.index for one in split[4:12:3]] == [4, 7, 10]
+
+
+def test_points_are_range_times_direction(make_sample: Make) -> None:
+    for i in (0, 1):
+        sample = make_sample(None, "training", i)
+        where = np.nonzero(sample.steps)
+        expected = (
+            sample.range[where][:, None] * sample.beams.directions[where] + sample.beams.origins[where[0]]
+        )
+        np.testing.assert_allclose(sample.points[:, :3], expected, atol=2e-5)
+        np.testing.assert_allclose(sample.points[:, 3], sample.intensity[where])
+        np.testing.assert_array_equal(sample.ring, where[0])
+        np.testing.assert_array_equal(sample.column, where[1])
+        turn = (where[1] + 0.5) / sample.beams.columns - 0.5
+        np.testing.assert_allclose(sample.time, turn / sample.beams.rate, rtol=1e-5)
+        assert sample.points.dtype == np.float32
+        assert sample.range.max() <= 65535 * RANGE_STEP
+
+
+def test_beams_turn_the_way_their_step_says(beams: tuple[Beams, ...]) -> None:
+    clockwise = beams[0].directions[0]
+    assert clockwise[0, 0] > 0.9
+    assert clockwise[1, 1] < 0
+    np.testing.assert_allclose(np.linalg.norm(clockwise, axis=-1), 1, atol=1e-6)
+    assert Beams.from_dict(json.loads(json.dumps(beams[0].as_dict()))) == beams[0]
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 65535), min_size=1, max_size=40), st.integers(1, 3), st.integers(0, 5))
+def test_unpack_takes_back_what_pack_did(ranges: list[int], layers: int, over: int) -> None:
+    steps = np.tile(np.array(ranges, np.uint16), (layers, 1))
+    intensities = np.where(steps > 0, steps % 251, 0).astype(np.uint8)
+    planes = pack(steps, intensities, steps.size + over)
+    again = unpack(planes, steps.shape)
+    np.testing.assert_array_equal(again[0], steps)
+    np.testing.assert_array_equal(again[1], intensities)
+    assert not planes[:, steps.size :].any()
+
+
+def test_packed_walls_are_small_numbers() -> None:
+    """A wall at some distance: but for the first return, the high bytes are zero, the low ones few."""
+    steps = (5000 + np.random.default_rng(0).integers(-7, 8, (1, 200))).astype(np.uint16)
+    low, high, _ = pack(steps, np.zeros_like(steps, np.uint8), 200)
+    assert high[1:].max() == 0
+    assert low[1:].max() <= 29
+
+
+def test_only_finished_samples_can_be_read(store: Store) -> None:
+    assert store["training"].finished.tolist() == list(range(13))
+    assert store["validation"].finished.tolist() == []
+    with pytest.raises(ValueError, match="has not been made yet.*--resume"):
+        store["validation"][0]
+    with pytest.raises(IndexError, match="4 samples"):
+        store["validation"][4]
+    with pytest.raises(KeyError, match="no split 'rain'"):
+        store["rain"]
+
+
+def test_a_data_set_grows_and_does_not_shrink(store: Store, make_sample: Make) -> None:
+    grown = Store.create(store.path, {}, {"training": 21, "validation": 4}, store.beams, {})
+    assert grown["training"].finished.tolist() == list(range(13))
+    assert_same(grown["training"][12], make_sample(None, "training", 12))
+    grown.write("training", 2, [make_sample(None, "training", 20)])
+    assert grown["training"].finished.tolist() == [*range(13), 20]
+    with pytest.raises(ValueError, match="21 samples of training planned, got 5"):
+        Store.create(store.path, {}, {"training": 5, "validation": 4}, store.beams, {})
+    with pytest.raises(ValueError, match="other lidars"):
+        Store.create(store.path, {}, {"training": 21, "validation": 4}, store.beams[:1], {})
+
+
+def test_a_shard_is_written_whole(store: Store, make_sample: Make) -> None:
+    with pytest.raises(ValueError, match="wants samples 10 to 12"):
+        store.write("training", 1, [make_sample(None, "training", 10)])
+
+
+def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
+    """The facts are written last: a writer that was killed before leaves none."""
+    (store.path / "training" / "facts" / "c" / "0" / "0").unlink()
+    assert Store.open(store.path)["training"].finished.tolist() == [10, 11, 12]
+
+
+@pytest.mark.parametrize("name", ["returns", "truth", "objects", "facts"])
+@pytest.mark.parametrize("damage", ["flip", "cut", "gone"])
+def test_damage_is_told_with_the_way_out(store: Store, name: str, damage: str) -> None:
+    if (name, damage) == ("facts", "gone"):
+        return  # then the shard has not been made: see below
+    (file,) = (path for path in (store.path / "training" / name / "c" / "0").rglob("*") if path.is_file())
+    content = bytearray(file.read_bytes())
+    if damage == "flip":
+        content[40] ^= 255
+    else:
+        del content[len(content) // 2 :]
+    file.write_bytes(content)
+    if damage == "gone":
+        file.unlink()
+    with pytest.raises(Damaged, match=rf"training in .*{name} damaged on disk") as told:
+        [Store.open(store.path)["training"][i] for i in range(SHARD)]
+    marker = str(told.value).split("`rm ")[1].split("`")[0]
+    Path(marker).unlink()
+    assert Store.open(store.path)["training"].finished.tolist() == [10, 11, 12]
+
+
+def test_a_missing_array_is_told(store: Store) -> None:
+    (store.path / "training" / "truth" / "zarr.json").unlink()
+    with pytest.raises(Damaged, match="truth is missing"):
+        store["training"][0]
+
+
+def test_what_is_no_data_set_is_told(tmp_path: Path, store: Store, beams: tuple[Beams, ...]) -> None:
+    with pytest.raises(FileNotFoundError, match="holds no data set; `ogm simulate"):
+        Store.open(tmp_path / "nowhere")
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(ValueError, match="is a file"):
+        Store.open(tmp_path / "file")
+    foreign = tmp_path / "foreign"
+    foreign.mkdir()
+    (foreign / "zarr.json").write_text('{"zarr_format": 3, "node_type": "group", "attributes": {}}')
+    with pytest.raises(ValueError, match="is no data set"):
+        Store.open(foreign)
+    text = (store.path / "zarr.json").read_text()
+    (store.path / "zarr.json").write_text(text.replace(FORMAT, "ogm.samples/99"))
+    with pytest.raises(ValueError, match="has the format ogm.samples/99, this version of ogm reads"):
+        Store.open(store.path)
+    holds = tmp_path / "holds"
+    holds.mkdir()
+    (holds / "thesis.tex").write_text("dear")
+    with pytest.raises(ValueError, match="holds other files"):
+        Store.create(holds, {}, {"training": 1}, beams, {})
+    assert [file.name for file in holds.iterdir()] == ["thesis.tex"]
+
+
+def test_what_a_killed_writer_left_is_swept(store: Store) -> None:
+    left = store.path / "training" / "truth" / "c" / "0" / "0" / "0.abc.partial"
+    left.write_bytes(b"half")
+    assert store.sweep() == 1
+    assert not left.exists()
+    assert store.sweep() == 0
+
+
+def test_splits_go_to_other_processes(store: Store) -> None:
+    split = store["training"]
+    _ = split[3]
+    assert_same(pickle.loads(pickle.dumps(split))[3], split[3])
+
+
+def test_describe_counts_what_is_there(store: Store) -> None:
+    facts = store.describe()
+    assert facts["training"] == "13 samples (7 small, 6 tall)"
+    assert facts["validation"] == "0 of 4 samples"
+    assert "kB per sample" in facts["size"]
+    assert "seed 7" in facts["plan"]
+
+
+def test_as_many_objects_fit_as_are_listed(tmp_path: Path, beams: tuple, make_sample: Make) -> None:
+    from dataclasses import replace
+
+    store = Store.create(tmp_path / "crowd", {}, {"test": 1}, beams, {})
+    crowd = np.zeros(OBJECTS + 40, OBJECT)
+    crowd["x"], crowd["length"] = np.arange(len(crowd)), 1
+    store.write("test", 0, [replace(make_sample(None, "test", 0), objects=crowd)])
+    np.testing.assert_array_equal(store["test"][0].objects["x"], np.arange(OBJECTS))
+
+
+def test_labels_fit_their_column() -> None:
+    assert len(LABELS) == len(set(LABELS)) < 256
+
+
+def test_reading_needs_neither_open3d_nor_dask(store: Store) -> None:
+    code = f"""
+import sys
+for name in ("open3d", "dask", "distributed", "shapely", "matplotlib"):
+    sys.modules[name] = None
+from ogm.simulation.store import Store
+sample = Store.open({str(store.path)!r})["training"][5]
+print(len(sample.points), sample.truth.state.shape)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith("(624, 624)\n")
+
+
+def test_a_missing_zarr_is_told(tmp_path: Path, beams: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    with pytest.raises(ImportError, match=r'pip install "ogm-toolkit\[sim\]"'):
+        Store.create(tmp_path / "data", {}, {"training": 1}, beams, {})

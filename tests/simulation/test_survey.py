@@ -1,0 +1,353 @@
+"""How the simulator looks at the truth: laws of sight on small scenes, and both ways of looking compared."""
+
+import numpy as np
+import pytest
+
+from ogm import GridSpec
+from ogm.pose import pose
+from ogm.simulation import aims, below
+from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.mesh import Mesh, box, cylinder, empty, merge, quads
+from ogm.simulation.scene import Scene
+from ogm.simulation.survey import KINDS, Aim, aimed_directions, aimed_truth, hd_truth, look_down
+from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Kind, Truth, boxes_seen_from
+
+SPEC = GridSpec.centered(20.48, 20.48, 0.16)  # 128 x 128 cells: 10 m around the sensor
+VIEW = (np.deg2rad(-25.0), np.deg2rad(15.0))
+SENSOR = pose(0, 0, 1.9)
+BLIND = 1.9 / np.tan(-VIEW[0])  # [m] radius around the sensor that it cannot see the ground in
+
+
+def rectangle(x0, x1, y0, y1, z, material) -> Mesh:
+    return quads([[(x0, y0, z), (x1, y0, z), (x1, y1, z), (x0, y1, z)]], material)
+
+
+PLANE = rectangle(-40, 40, -40, 40, 0.0, Material.ASPHALT)
+
+
+def rays(layers: int = 1000, azimuths: int = 1400) -> np.ndarray:
+    """Return the directions of an HD lidar."""
+    up, around = np.linspace(*VIEW, layers)[:, None], np.linspace(0, 2 * np.pi, azimuths, endpoint=False)
+    parts = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0 * around
+    return np.stack(parts, axis=-1).astype(np.float32)
+
+
+RAYS = rays()
+
+
+class Looks:
+    """Both ways of looking at one scene from one pose."""
+
+    def __init__(self, *things: Mesh, ground: Mesh = PLANE, T: np.ndarray = SENSOR, **known) -> None:
+        self.scene, self.T, self.known = Scene(merge([ground, *things]), threads=1), T, known
+        self.below = look_down(Scene(ground, threads=1), T, SPEC)
+
+    def hd(self, **known) -> Truth:
+        return hd_truth(self.scene, self.below, self.T, RAYS, SPEC, **self.known, **known)
+
+    def aimed(self, **known) -> Truth:
+        return aimed_truth(self.scene, self.below, self.T, VIEW, SPEC, **self.known, **known)
+
+    def both(self) -> list[Truth]:
+        return [self.hd(), self.aimed()]
+
+
+x, y = np.broadcast_arrays(*SPEC.cell_centers)
+RADIUS = np.hypot(x, y)
+SEEN = RADIUS > BLIND + 0.12
+
+
+# --- Sight ------------------------------------------------------------------------------------------
+
+
+def test_an_open_plane_is_free_but_for_the_blind_ring() -> None:
+    for truth in Looks().both():
+        assert (truth.state[SEEN] == FREE).all()
+        assert (truth.state[BLIND - 0.12 > RADIUS] == UNKNOWN).all()
+
+
+def test_a_wall_shadows_what_is_behind_it() -> None:
+    wall = box((5.0, -3.0, 0.0), (5.2, 3.0, 5.0), Material.BRICK)
+    shadow = (x > 5.5) & (np.abs(y) < 3.0 / 5.0 * x - 0.3)
+    front = (np.abs(y) < 2.8) & (np.abs(x - 5.0) < 0.08)
+    clear = SEEN & (x < 4.8)
+    for truth in Looks(wall).both():
+        assert (truth.state[shadow] == UNKNOWN).all()
+        assert (truth.state[front] == OCCUPIED).all()
+        assert (truth.state[clear] == FREE).all()
+
+
+def test_a_low_wall_hides_only_what_lies_in_its_shadow() -> None:
+    wall = box((5.0, -6.0, 0.0), (5.1, 6.0, 0.6), Material.STONE)
+    end = 5.0 * 1.9 / (1.9 - 0.6)  # where the ray over its top meets the ground
+    behind = (np.abs(y) < 4) & (x > 5.3)
+    for truth in Looks(wall).both():
+        assert (truth.state[behind & (x < end - 0.2)] == UNKNOWN).all()
+        assert (truth.state[behind & (x > end + 0.4)] == FREE).all()
+
+
+def test_a_bridge_does_not_block() -> None:
+    deck = box((4.0, -40.0, 4.5), (8.0, 40.0, 5.0), Material.CONCRETE)
+    for truth, open_sky in zip(Looks(deck).both(), Looks().both(), strict=True):
+        np.testing.assert_array_equal(truth.state, open_sky.state)
+
+
+def test_clearance_decides_whether_an_overhang_blocks() -> None:
+    deck = Looks(box((5.0, -3.0, 1.75), (8.0, 3.0, 2.1), Material.CONCRETE))
+    for low, high in ((deck.hd(), deck.hd(clearance=1.7)), (deck.aimed(), deck.aimed(clearance=1.7))):
+        assert np.count_nonzero(low.state == OCCUPIED) > 30
+        assert np.count_nonzero(high.state == OCCUPIED) == 0
+
+
+def kerb(rise: float, turn: float) -> tuple[Mesh, Mesh]:
+    """Make a road with a kerb 6 m ahead of which the upright face shows, and the sidewalk behind it."""
+    line = 5.03
+    road = rectangle(-40, line, -40, 40, 0.0, Material.ASPHALT)
+    walk = rectangle(line, 40, -40, 40, rise, Material.PAVING)
+    face = quads([[(line, -40, 0), (line, 40, 0), (line, 40, rise), (line, -40, rise)]], Material.KERB)
+    T = pose(yaw=turn)
+    return merge([road, walk]).moved(T), face.moved(T)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, np.pi / 4, 2.0])
+def test_a_kerb_is_one_unbroken_line(turn: float) -> None:
+    ground, face = kerb(0.12, turn)
+    far = np.cos(turn) * x + np.sin(turn) * y - 5.03  # [m] beyond the kerb's line
+    for truth in Looks(face, ground=ground).both():
+        occupied = truth.state == OCCUPIED
+        assert np.abs(far[occupied]).max() <= 0.115
+        along = (np.cos(turn) * y - np.sin(turn) * x)[occupied]
+        assert np.diff(np.sort(along)).max() < 0.33
+        # those cells through the middle of which it runs are all there
+        assert occupied[(np.abs(far) < 0.06) & (RADIUS < 9)].mean() > 0.97
+        assert (truth.state[SEEN & (np.abs(far) > 0.12)] == FREE).all()
+
+
+def test_a_dropped_kerb_is_none() -> None:
+    ground, face = kerb(0.02, 0.3)
+    for truth in Looks(face, ground=ground).both():
+        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+        assert (truth.state[SEEN] == FREE).mean() > 0.999
+
+
+def test_a_kerb_on_a_slope_is_found_and_the_slope_is_not() -> None:
+    for rise, wanted in ((0.12, True), (0.02, False)):
+        ground, face = kerb(rise, 0.3)
+        hill = pose(pitch=-np.arctan(0.08), roll=0.03)
+        for truth in Looks(face.moved(hill), ground=ground.moved(hill)).both():
+            assert bool(np.count_nonzero(truth.state == OCCUPIED) > 80) is wanted
+
+
+def test_a_step_seen_from_above_only_is_free() -> None:
+    ground, face = kerb(-0.12, 0.0)  # the road lies lower beyond: its face looks away
+    for truth in Looks(face, ground=ground).both():
+        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+
+
+def test_poles_and_fences_are_seen_and_seen_through() -> None:
+    poles = [
+        cylinder(
+            (6 * np.cos(a), 6 * np.sin(a), 0), (6 * np.cos(a), 6 * np.sin(a), 4), 0.04, Material.METAL_POLE
+        )
+        for a in np.arange(12) * np.pi / 6 + 0.05
+    ]
+    for truth in Looks(*poles).both():
+        for a in np.arange(12) * np.pi / 6 + 0.05:
+            near = np.hypot(x - 6 * np.cos(a), y - 6 * np.sin(a)) < 0.16
+            assert (truth.state[near] == OCCUPIED).any()
+        assert (truth.state[SEEN & (RADIUS > 6.3)] == FREE).mean() > 0.95
+
+
+def test_grass_may_be_driven_over_and_a_hedge_not() -> None:
+    tufts = box((5.0, -2.0, 0.0), (6.0, 0.0, 0.12), Material.FOLIAGE)
+    hedge = box((5.0, 0.5, 0.0), (6.0, 2.0, 1.0), Material.FOLIAGE)
+    for truth in Looks(tufts, hedge).both():
+        assert (truth.state[(np.abs(x - 5.5) < 0.4) & (np.abs(y + 1.0) < 0.8)] == FREE).all()
+        assert (truth.state[(np.abs(x - 5.0) < 0.08) & (np.abs(y - 1.25) < 0.6)] == OCCUPIED).all()
+
+
+def test_ground_beyond_a_crest_is_unknown() -> None:
+    up = quads([[(3, -40, 0), (6, -40, 0.8), (6, 40, 0.8), (3, 40, 0)]], Material.ASPHALT)
+    down = quads([[(6, -40, 0.8), (9, -40, -1), (9, 40, -1), (6, 40, 0.8)]], Material.ASPHALT)
+    ground = merge([rectangle(-40, 3, -40, 40, 0, Material.ASPHALT), up, down])
+    for truth in Looks(ground=ground).both():
+        assert (truth.state[(x > 6.4) & (x < 8.8) & (np.abs(y) < 5)] == UNKNOWN).all()
+        assert (truth.state[(x > 4.5) & (x < 5.8) & (np.abs(y) < 5)] == FREE).all()
+        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+
+
+def test_turning_scene_and_sensor_together_leaves_the_truth_unchanged() -> None:
+    ground, face = kerb(0.12, 0.4)
+    things = [face, box((-6.03, -3.07, 0), (-4.1, 1.03, 2.6), Material.PAINT_LIGHT)]
+    here = Looks(*things, ground=ground)
+    T = pose(120.0, -80.0, 6.0, yaw=2.3, pitch=0.05)
+    there = Looks(*(thing.moved(T) for thing in things), ground=ground.moved(T), T=T @ SENSOR)
+    for one, other in zip(here.both(), there.both(), strict=True):
+        assert (one.state == other.state).mean() > 0.999  # rounding moves hits on edges of cells
+
+
+def test_the_truth_is_in_the_frame_of_a_tilted_sensor() -> None:
+    tilted = SENSOR @ pose(pitch=0.06, roll=-0.04)
+    wall = box((5.0, -3.0, 0.0), (5.2, 3.0, 5.0), Material.BRICK).moved(pose(yaw=0.2))
+    levelled, leaning = Looks(wall), Looks(wall, T=tilted)
+    for one, other in zip(levelled.both(), leaning.both(), strict=True):
+        assert abs(one.shares().occupied - other.shares().occupied) < 0.002
+        assert abs(one.shares().free - other.shares().free) < 0.05
+
+
+def test_cells_beyond_the_end_of_the_world_are_ignored() -> None:
+    island = rectangle(-40, 5.0, -40, 40, 0.0, Material.GRASS)
+    for truth in Looks(ground=island).both():
+        assert (truth.state[x > 5.2] == IGNORE).all()
+        assert (truth.state[SEEN & (x < 4.9)] == FREE).all()
+        assert not truth.ignored[x < 4.9].any()
+
+
+# --- Both ways --------------------------------------------------------------------------------------
+
+
+def test_both_ways_agree_where_both_know() -> None:
+    ground, face = kerb(0.12, 0.3)
+    car = box((-2.2, -0.9, 0.3), (2.2, 0.9, 2.5), Material.PAINT_DARK).moved(pose(-6, 2, 0, yaw=0.5))
+    hd, aimed = Looks(face, car, ground=ground).both()
+    known = hd.known & aimed.known
+    assert known.mean() > 0.6
+    assert (hd.state == aimed.state)[known].mean() > 0.998
+    assert (hd.known == aimed.known).mean() > 0.985
+
+
+def test_participants_are_filled_by_their_returns_in_the_input() -> None:
+    van = box((-2.2, -0.9, 0.0), (2.2, 0.9, 2.6), Material.PAINT_DARK)
+    place = pose(6, 3, 0, yaw=0.5)
+    looks = Looks(own=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
+    looks.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.OWN_VEHICLE))
+    boxes = boxes_seen_from(np.linalg.inv(SENSOR), [place], [[4.4, 1.8, 2.6]])
+    inside = np.abs(np.cos(0.5) * (x - 6) + np.sin(0.5) * (y - 3)) < 2.0
+    inside &= np.abs(np.cos(0.5) * (y - 3) - np.sin(0.5) * (x - 6)) < 0.7
+    for look in (looks.hd, looks.aimed):
+        full, partial = (look(boxes=boxes, returns=np.array([n])).state for n in (50, 49))
+        assert (full[inside] == OCCUPIED).all()
+        assert (partial[inside] == UNKNOWN).any()
+        assert (partial == OCCUPIED).sum() > 15
+        assert (full[(np.abs(x) < 2.2) & (np.abs(y) < 0.8)] == IGNORE).all()
+
+
+def test_results_do_not_depend_on_threads_or_on_earlier_calls() -> None:
+    ground, face = kerb(0.12, 0.3)
+    glass = box((4, 2, 0.2), (6, 3, 1.5), Material.CAR_GLASS)
+    looks = Looks(face, glass, ground=ground)
+    first = looks.both()
+    again = looks.both()
+    looks.scene = Scene(merge([ground, face, glass]), threads=2)
+    for one, two, three in zip(first, again, looks.both(), strict=True):
+        np.testing.assert_array_equal(one.state, two.state)
+        np.testing.assert_array_equal(one.state, three.state)
+
+
+# --- Pieces -----------------------------------------------------------------------------------------
+
+
+def test_every_material_has_a_kind() -> None:
+    for material in Material:
+        assert (KINDS[material] == Kind.GROUND) == (material in GROUND)
+    assert KINDS[Material.KERB] == Kind.STEP
+    assert KINDS[Material.OWN_VEHICLE] == KINDS[255] == Kind.OTHER
+    assert KINDS[Material.BRICK] == Kind.OBSTACLE
+
+
+def test_the_look_down_finds_ground_steps_and_holes() -> None:
+    ground, _ = kerb(0.12, 0.0)
+    found = look_down(Scene(ground), SENSOR, SPEC)
+    np.testing.assert_allclose(found.z, np.where(x < 5.03, -1.9, -1.78), atol=1e-4)
+    step = np.abs(x - 5.03) < 0.1
+    np.testing.assert_allclose(found.rise[step], 0.12, atol=1e-4)
+    np.testing.assert_allclose(found.ground[step], -1.9, atol=1e-4)
+    assert (found.rise[np.abs(x - 5.03) > 0.3] < 1e-4).all()
+    torn = Scene(
+        merge(
+            [
+                rectangle(-40, 3.0, -40, 40, 0.0, Material.SOIL),
+                rectangle(3.15, 40, -40, 40, 0.0, Material.SOIL),
+            ]
+        )
+    )
+    torn_z = look_down(torn, SENSOR, SPEC).z
+    np.testing.assert_allclose(torn_z, -1.9, atol=1e-4)
+    nothing = look_down(Scene(empty()), SENSOR, SPEC)
+    assert np.isnan(nothing.z).all()
+    assert np.isnan(nothing.ground).all()
+    assert (nothing.rise == 0).all()
+
+
+def test_a_slope_is_no_step() -> None:
+    hill = PLANE.moved(pose(pitch=-np.arctan(0.3), roll=0.2))
+    found = look_down(Scene(hill), SENSOR, SPEC)
+    assert found.rise.max() < 1e-3
+    np.testing.assert_array_equal(found.ground, found.z)
+
+
+def test_rays_aim_at_the_chosen_points_within_the_field_of_view() -> None:
+    z = np.full(SPEC.shape, -1.9, np.float32)
+    chosen = np.zeros(SPEC.shape, bool)
+    chosen[100, 30] = chosen[64, 64] = chosen[10, 10] = True  # the second is under the sensor
+    z[10, 10] = np.nan
+    directions = aimed_directions(z, SPEC, Aim(0.4, 0.25, -0.25), VIEW, chosen)
+    cx, cy = SPEC.cell_centers
+    target = np.array([cx[100, 0] + 0.04, cy[0, 30] - 0.04, -1.5])
+    np.testing.assert_allclose(directions, [target / np.linalg.norm(target)], atol=1e-6)
+
+
+def test_kernels_do_the_same_uncompiled() -> None:
+    spec = GridSpec.centered(3.2, 3.2, 0.16)
+    z = np.random.default_rng(0).uniform(-2, -1.5, spec.shape).astype(np.float32)
+    z[3, 4] = np.nan
+    fast, slow = ([np.empty_like(z), np.empty_like(z)] for _ in range(2))
+    below._steps(z, *fast, 0.05)
+    below._steps.py_func(z, *slow, 0.05)
+    np.testing.assert_array_equal(fast, slow)
+    line = z[:, 4]
+    assert [below._step_at(line, i) for i in range(20)] == [
+        below._step_at.py_func(line, i) for i in range(20)
+    ]
+    numbers = (z, z > -1.8, spec.resolution, *spec.origin, 0.3, 0.1, -0.2, -0.9, 0.5)
+    rays = [np.zeros((z.size, 3), np.float32) for _ in range(2)]
+    assert aims._aim(rays[0], *numbers) == aims._aim.py_func(rays[1], *numbers) > 50
+    np.testing.assert_allclose(*rays, rtol=1e-6)
+
+
+def test_no_ray_leaves_the_field_of_view() -> None:
+    z = np.full(SPEC.shape, -1.9, np.float32)
+    chosen = np.ones(SPEC.shape, bool)
+    for aim in (Aim(0.0), Aim(1.2), Aim(3.0, 0.4, 0.4)):
+        sine = aimed_directions(z, SPEC, aim, VIEW, chosen)[:, 2]
+        assert sine.min() >= np.sin(VIEW[0]) - 1e-6
+        assert sine.max() <= np.sin(VIEW[1]) + 1e-6
+
+
+def test_a_pose_that_is_none_is_refused() -> None:
+    looks = Looks()
+    for call in (
+        lambda: look_down(looks.scene, np.eye(3), SPEC),
+        lambda: hd_truth(looks.scene, looks.below, 2 * np.eye(4), RAYS, SPEC),
+        lambda: aimed_truth(looks.scene, looks.below, np.full((4, 4), np.nan), VIEW, SPEC),
+    ):
+        with pytest.raises(ValueError, match="T_world_sensor"):
+            call()
+
+
+def test_a_look_down_on_other_cells_is_refused() -> None:
+    looks = Looks()
+    other = GridSpec.centered(10.24, 10.24, 0.16)
+    for call in (
+        lambda: hd_truth(looks.scene, looks.below, SENSOR, RAYS, other),
+        lambda: aimed_truth(looks.scene, looks.below, SENSOR, VIEW, other),
+    ):
+        with pytest.raises(ValueError, match=r"below.*\(128, 128\).*\(64, 64\)"):
+            call()
+
+
+@pytest.mark.parametrize("view", [(0.3, -0.3), (-2.0, 0.2), (float("nan"), 0.2)])
+def test_an_impossible_field_of_view_is_refused(view: tuple) -> None:
+    looks = Looks()
+    with pytest.raises(ValueError, match="elevations"):
+        aimed_truth(looks.scene, looks.below, SENSOR, view, SPEC)

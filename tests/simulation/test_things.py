@@ -1,0 +1,518 @@
+import inspect
+
+import numpy as np
+import open3d as o3d
+import pytest
+import shapely
+from numpy.testing import assert_array_equal
+from shapely import Polygon
+
+from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Mesh, merge
+from ogm.simulation.town import buildings, furniture, plants
+from ogm.simulation.town.buildings import STYLES, building, split_front
+
+LINE = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.3], [10.0, 2.0, 0.5]])
+LENGTH = 6.0 + np.hypot(4.0, 2.0)
+PIECES = {
+    "gate": lambda rng: furniture.gate(4.0, rng),
+    "guard_rail": lambda rng: furniture.guard_rail(LINE),
+    "low_wall": lambda rng: furniture.low_wall(LINE, rng),
+    "fence": lambda rng: furniture.fence(LINE, rng),
+    "gantry": lambda rng: furniture.gantry(14.0, rng),
+    "bridge": lambda rng: furniture.bridge(20.0, 4.0, rng),
+} | {
+    name: getattr(furniture, name)
+    for name in furniture.__all__
+    if list(inspect.signature(getattr(furniture, name)).parameters) == ["rng"]
+}
+ON_A_POINT = sorted(set(PIECES) - {"guard_rail", "low_wall", "fence", "gantry", "bridge"})
+PLANTS = {
+    "tree": plants.tree,
+    "bush": plants.bush,
+    "hedge": lambda rng: plants.hedge(LINE, rng),
+    "grass": lambda rng: plants.grass_tufts(shapely.box(0, 0, 20, 5), level, rng),
+}
+
+
+def level(x, y):
+    return np.zeros(np.shape(x))
+
+
+def hill(x, y):
+    return 3.0 + 0.06 * np.asarray(x) + 0.03 * np.asarray(y)
+
+
+def first_hits(mesh, origins, directions):
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(o3d.core.Tensor(mesh.vertices), o3d.core.Tensor(mesh.triangles))
+    rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=1).astype(np.float32)
+    answer = scene.cast_rays(o3d.core.Tensor(rays), nthreads=1)
+    distance, triangle = answer["t_hit"].numpy(), answer["primitive_ids"].numpy().astype(np.int64)
+    hit = np.isfinite(distance)
+    material = np.full(len(hit), 255)
+    material[hit] = mesh.material[triangle[hit]]
+    return distance, material
+
+
+def plot(width, depth):
+    return Polygon([(0, 0), (width, 0), (width, depth), (0, depth)])  # the street lies below it
+
+
+def houses(style, count=4, height_at=hill):
+    rng = np.random.default_rng(3)
+    lot = shapely.box(0, 0, 30.0 * count, 40)
+    footprints = split_front(lot, [[0, 0], [30.0 * count, 0]], style, rng)
+    return [(footprint, building(footprint, style, height_at, rng)) for footprint in footprints]
+
+
+def sound(mesh: Mesh):
+    assert np.isfinite(mesh.vertices).all()
+    assert mesh.vertices.dtype == np.float32
+    assert mesh.triangles.max() < len(mesh.vertices)
+    assert len(mesh.triangles) == len(mesh.material)
+    assert set(mesh.material.tolist()) <= {int(m) for m in M}
+
+
+# All things
+
+
+@pytest.mark.parametrize("make", [*PIECES.values(), *PLANTS.values()], ids=[*PIECES, *PLANTS])
+def test_same_generator_same_thing_other_generator_another(make):
+    first, again = make(np.random.default_rng(5)), make(np.random.default_rng(5))
+    for a, b in zip(first, again, strict=True):
+        assert_array_equal(a, b)
+    if make is not PIECES["guard_rail"]:
+        others = [make(np.random.default_rng(seed)).vertices for seed in range(6, 12)]
+        assert any(v.shape != first.vertices.shape or not np.array_equal(v, first.vertices) for v in others)
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_same_generator_same_house(style):
+    for (_, a), (_, b) in zip(houses(style), houses(style), strict=True):
+        assert_array_equal(a.vertices, b.vertices)
+        assert_array_equal(a.material, b.material)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_global_random_state_is_not_used(seed):
+    with pytest.raises(TypeError):
+        plants.tree()
+    before = np.random.get_state()[1].copy()  # noqa: NPY002
+    plants.tree(np.random.default_rng(seed))
+    furniture.sign(np.random.default_rng(seed))
+    assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
+
+
+# Houses
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_houses_stand_in_the_ground_on_their_footprint(style):
+    for footprint, mesh in houses(style):
+        sound(mesh)
+        corners = np.array(footprint.exterior.coords)
+        assert mesh.vertices[:, 2].min() < hill(*corners.T).min() - 0.3
+        assert mesh.vertices[:, 2].max() > hill(*corners.T).max() + 2.0
+        low = mesh.vertices[mesh.vertices[:, 2] < hill(*corners.T).max() + 1.5]
+        away = shapely.distance(footprint, shapely.points(low[:, :2].astype(float)))
+        assert away.max() < 2.2  # steps at most
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_houses_stay_within_their_budget(style):
+    small = [0]
+    for footprint, mesh in houses(style, count=8):
+        assert len(mesh.triangles) <= (1000 if footprint.area < 170 else 2600)
+        small += [len(mesh.triangles)] if footprint.area < 170 else []
+    assert np.median(small) <= 700
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_walls_stop_rays_at_eye_level(style):
+    for footprint, mesh in houses(style, height_at=level):
+        if M.METAL_SHEET in mesh.material and mesh.vertices[:, 2].min() > 1 or footprint.area < 60:
+            continue
+        ring = np.array(footprint.exterior.coords)
+        a, b = ring[0], ring[1]
+        out = np.array([b[1] - a[1], a[0] - b[0]]) / np.linalg.norm(b - a)
+        at = a + np.linspace(0.1, 0.9, 40)[:, None] * (b - a)
+        origins = np.column_stack([at + 4 * out, np.full(40, 1.5)])
+        distance, _ = first_hits(mesh, origins, np.append(-out, 0.0)[None])
+        if (distance > 20).mean() > 0.5:  # a filling station or an open pavilion
+            assert style in ("arterial", "park")
+            continue
+        stopped = distance < 4 + 1.7
+        assert stopped.mean() > 0.5  # all but a passage
+        assert distance.min() > 4 - 2.3
+
+
+def test_windows_are_set_back_and_doors_are_there():
+    footprint = plot(14, 11)
+    for seed in range(12):
+        mesh = building(footprint, "suburb", level, np.random.default_rng(seed))
+        panes = mesh.triangles[mesh.material == M.WINDOW]
+        middle = mesh.vertices[panes].mean(axis=1)
+        normal = mesh.normals[mesh.material == M.WINDOW]
+        at_front = (np.abs(normal[:, 1]) > 0.9) & (middle[:, 1] < 1.5) & (middle[:, 2] < 2.5)
+        assert (middle[at_front, 1] > 0.03).all()
+        assert len(panes) >= 8
+        assert M.WOOD in mesh.material
+
+
+def test_passages_are_open_below_three_metres():
+    found = 0
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        mesh = building(plot(16, 12), "centre", hill, rng)
+        x = np.linspace(0.2, 15.8, 79)
+        open_at = np.ones(len(x), bool)
+        for z in (0.3, 1.0, 2.0, 3.0):
+            start = np.column_stack([x, np.full_like(x, -5), hill(x, -5.0) + z])
+            way = np.array([0.0, 1.0, 0.03])
+            distance, _ = first_hits(mesh, start, way[None])
+            open_at &= ~np.isfinite(distance)
+        if open_at.any():
+            found += 1
+            assert 2.8 <= open_at.sum() * 0.2 <= 4.2
+            assert np.ptp(np.flatnonzero(open_at)) == open_at.sum() - 1  # one way, in one piece
+    assert 4 <= found <= 30
+
+
+@pytest.mark.parametrize("style", ["centre", "suburb", "arterial"])
+def test_what_stands_out_hangs_above_two_and_a_half_metres(style):
+    balconies = 0
+    for seed in range(25):
+        rng = np.random.default_rng(seed)
+        mesh = building(plot(18, 12), style, hill, rng)
+        corners = mesh.vertices[mesh.triangles]
+        before = corners[..., 1].max(axis=1) < -0.32
+        stone = (mesh.material == M.STONE) & (corners[..., 2].max(axis=1) < hill(9, 0) + 2)
+        assert (corners[before & stone, 1] > -2.2).all()  # steps
+        hanging = corners[before & ~stone]
+        above = hanging[..., 2] - hill(hanging[..., 0], hanging[..., 1])
+        assert (above > 2.5).all()
+        balconies += len(hanging) > 0
+    assert balconies > 3
+
+
+def test_front_tells_which_side_has_the_door():
+    footprint = plot(5, 6)
+    for k, front in enumerate([[[0, -5], [5, -5]], [[9, 0], [9, 6]], [[5, 20], [0, 20]], [[-3, 6], [-3, 0]]]):
+        garage = building(footprint, "suburb", level, np.random.default_rng(0), front=front)
+        door = garage.vertices[garage.triangles[garage.material == M.METAL_SHEET]].mean(axis=1)
+        door = door[(door[:, 2] < 1.5) & (door[:, 2] > 0.5)]
+        side = [door[:, 1] < 1, door[:, 0] > 4, door[:, 1] > 5, door[:, 0] < 1][k]
+        assert len(door)
+        assert side.all()
+
+
+@pytest.mark.parametrize("style", STYLES)
+def test_courtyards_slopes_and_odd_outlines_are_built(style):
+    court = Polygon([(0, 0), (40, 0), (40, 35), (0, 35)], [[(12, 12), (28, 12), (28, 24), (12, 24)]])
+    outlines = [
+        court,
+        Polygon([(0, 0), (9, 1), (12, 8), (5, 12), (-2, 7)]),
+        Polygon([(0, 0), (20, 0), (20, 5), (12, 5), (12, 15), (0, 15)]).reverse(),
+        shapely.Point(50, 50).buffer(7, quad_segs=4),
+        shapely.box(0, 0, 2.1, 2.0),
+        shapely.box(0, 0, 30, 1.4),
+        Polygon([(0, 0), (10, 0), (4, 7)]),
+    ]
+    for outline in outlines:
+        for seed in range(2):
+            mesh = building(outline, style, lambda x, y: 0.2 * x - 0.1 * y, np.random.default_rng(seed))
+            sound(mesh)
+    distance, _ = first_hits(
+        building(court, "industrial", level, np.random.default_rng(0)),
+        np.array([[20, 18, 50.0]]),
+        np.array([[0, 0, -1.0]]),
+    )
+    assert np.isinf(distance).all()  # the courtyard is open to the sky
+
+
+def test_impossible_footprints_are_refused():
+    rng = np.random.default_rng(0)
+    for wrong in (
+        Polygon(),
+        shapely.box(0, 0, 1, 1),
+        shapely.box(0, 0, 100, 0.5),
+        Polygon([(0, 0), (9, 9), (9, 0), (0, 9)]),
+        shapely.LineString([(0, 0), (1, 1)]),
+    ):
+        with pytest.raises(ValueError, match="footprint must"):
+            building(wrong, "centre", level, rng)
+    with pytest.raises(ValueError, match="style must be one of"):
+        building(shapely.box(0, 0, 9, 9), "castle", level, rng)
+    with pytest.raises(ValueError, match="front must be"):
+        building(shapely.box(0, 0, 9, 9), "centre", level, rng, front=[[1, 1], [1, 1]])
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("angle", [0.0, 130.0])
+def test_footprints_lie_in_the_lot_apart_and_face_the_street(style, angle):
+    lot = Polygon([(0, 0), (90, 0), (86, 37), (30, 45), (2, 30)])
+    lot = shapely.affinity.rotate(lot, angle, origin=(0, 0))
+    front = np.array(lot.exterior.coords)[:2]
+    street = shapely.LineString(front)
+    made = 0
+    for seed in range(8):
+        footprints = split_front(lot, front, style, np.random.default_rng(seed))
+        made += len(footprints)
+        for k, footprint in enumerate(footprints):
+            assert footprint.is_valid
+            assert footprint.exterior.is_ccw
+            assert footprint.difference(lot.buffer(0.1)).area < 1e-6
+            edge = np.diff(np.array(footprint.exterior.coords)[:2], axis=0)[0]
+            turn = front[1] - front[0]
+            assert edge @ turn > 0.9 * np.linalg.norm(edge) * np.linalg.norm(turn)
+            assert all(footprint.intersection(other).area < 0.5 for other in footprints[:k])
+    assert made
+    if style == "centre":
+        assert min(street.distance(f) for f in footprints) < 3
+
+
+def test_a_lot_too_small_stays_empty():
+    rng = np.random.default_rng(0)
+    for style in STYLES:
+        assert split_front(shapely.box(0, 0, 3, 2), [[0, 0], [3, 0]], style, rng) == []
+        assert split_front(Polygon(), [[0, 0], [3, 0]], style, rng) == []
+    with pytest.raises(ValueError, match="front must be"):
+        split_front(shapely.box(0, 0, 30, 20), [[0, 0], [0, 0]], "centre", rng)
+    with pytest.raises(ValueError, match="style must be"):
+        split_front(shapely.box(0, 0, 30, 20), [[0, 0], [9, 0]], "village", rng)
+
+
+def test_any_rectangle_of_a_lot_can_be_split():
+    rng = np.random.default_rng(1)
+    for _ in range(40):
+        width, depth = rng.uniform(3, 80), rng.uniform(3, 60)
+        style = STYLES[rng.integers(len(STYLES))]
+        for footprint in split_front(shapely.box(0, 0, width, depth), [[width, 0], [0, 0]], style, rng):
+            sound(building(footprint, style, hill, rng))
+
+
+# Plants
+
+
+def crown_hits(mesh, rng):
+    leaves = mesh.vertices[mesh.triangles[mesh.material == M.FOLIAGE]].reshape(-1, 3)
+    middle = np.median(leaves, axis=0)
+    half = np.ptp(np.percentile(leaves, [3, 97], axis=0), axis=0) / 2
+    angle = rng.uniform(0, 2 * np.pi, 800)
+    way = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    side = np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    off = 0.6 * rng.uniform(-1, 1, (2, 800, 1))
+    target = middle + off[0] * half[0] * side + off[1] * half[2] * np.array([0, 0, 1.0])
+    distance, _ = first_hits(mesh, target - 40 * way, way)
+    return np.isfinite(distance).mean()
+
+
+def test_a_ray_through_a_crown_is_stopped_with_a_probability_of_half_to_nine_tenths():
+    rng = np.random.default_rng(0)
+    stopped = [crown_hits(plants.tree(np.random.default_rng(seed)), rng) for seed in range(40)]
+    assert min(stopped) > 0.45
+    assert max(stopped) < 0.92
+    assert 0.6 < np.mean(stopped) < 0.8
+
+
+def test_trees_are_rooted_within_budget_and_of_many_sizes():
+    heights = []
+    for seed in range(60):
+        tree = plants.tree(np.random.default_rng(seed))
+        sound(tree)
+        assert set(tree.material.tolist()) == {M.FOLIAGE, M.BARK}
+        assert 250 <= len(tree.triangles) <= 700
+        assert tree.vertices[:, 2].min() == pytest.approx(-plants.SUNK)
+        foot = tree.vertices[tree.vertices[:, 2] < 0.1]
+        assert np.linalg.norm(foot[:, :2], axis=1).max() < 6
+        heights.append(tree.vertices[:, 2].max())
+    assert min(heights) < 6
+    assert max(heights) > 10
+
+
+@pytest.mark.parametrize("clearance", [0.0, 2.5, 4.5])
+def test_no_leaf_hangs_below_the_clearance(clearance):
+    for seed in range(20):
+        tree = plants.tree(np.random.default_rng(seed), clearance=clearance)
+        leaves = tree.vertices[tree.triangles[tree.material == M.FOLIAGE]]
+        assert leaves[..., 2].min() > clearance - 1e-4
+        assert len(tree.triangles) <= 700
+    with pytest.raises(ValueError, match="clearance must lie"):
+        plants.tree(np.random.default_rng(0), clearance=20.0)
+
+
+def test_bushes_are_loose_and_stand_on_the_ground():
+    rng = np.random.default_rng(0)
+    for seed in range(30):
+        bush = plants.bush(np.random.default_rng(seed))
+        assert len(bush.triangles) <= 150
+        leaves = bush.vertices[bush.triangles[bush.material == M.FOLIAGE]]
+        assert 0 <= leaves[..., 2].min() < 0.4
+        assert 0.5 < leaves[..., 2].max() < 3.0
+        assert 0.5 < crown_hits(bush, rng) < 0.98
+
+
+def test_hedges_are_rough_and_nearly_closed():
+    for seed in range(10):
+        hedge = plants.hedge(LINE, np.random.default_rng(seed))
+        assert len(hedge.triangles) < 36 * LENGTH
+        x = np.linspace(0.5, 5.5, 200)
+        starts = np.column_stack([x, np.full(200, -5.0), 0.05 * x + 0.5])
+        distance, material = first_hits(hedge, starts, np.array([[0.0, 1.0, 0.0]]))
+        assert np.isfinite(distance).all()
+        assert (material == M.FOLIAGE).all()
+        assert 0.015 < distance.std() < 0.4
+        assert distance.min() > 3.5
+
+
+def test_grass_grows_in_its_polygon_on_its_ground():
+    lawn = Polygon([(0, 0), (30, 0), (0, 20)])
+    tufts = plants.grass_tufts(lawn, hill, np.random.default_rng(0), density=2.0)
+    assert (tufts.material == M.GRASS).all()
+    assert abs(len(tufts.triangles) / 2 - 600) < 80
+    above = tufts.vertices[:, 2] - hill(*tufts.vertices[:, :2].T)
+    assert above.min() > -0.1
+    assert above.max() < 0.5
+    away = shapely.distance(lawn, shapely.points(tufts.vertices[:, :2].astype(float)))
+    assert away.max() < 0.5
+    assert len(plants.grass_tufts(Polygon(), hill, np.random.default_rng(0)).triangles) == 0
+    with pytest.raises(ValueError, match="density"):
+        plants.grass_tufts(lawn, hill, np.random.default_rng(0), density=-1.0)
+
+
+# Furniture
+
+
+@pytest.mark.parametrize("name", ON_A_POINT)
+def test_furniture_stands_on_its_foot(name):
+    for seed in range(12):
+        mesh = PIECES[name](np.random.default_rng(seed))
+        sound(mesh)
+        z = mesh.vertices[:, 2]
+        assert -0.5 <= z.min() <= 0.0
+        assert 0.3 < z.max() < 11
+        assert len(mesh.triangles) <= (240 if name == "bike_rack" else 130)
+        assert not set(mesh.material.tolist()) & {M.ASPHALT, M.PAVING, M.GRASS, M.OWN_VEHICLE}
+
+
+@pytest.mark.parametrize("name", ["lamp", "traffic_light", "sign"])
+def test_poles_are_thin(name):
+    for seed in range(15):
+        mesh = PIECES[name](np.random.default_rng(seed))
+        y = np.linspace(-2, 2, 801)
+        starts = np.column_stack([np.full(801, 5.0), y, np.full(801, 1.6 if name == "lamp" else 0.4)])
+        distance, _ = first_hits(mesh, starts, np.array([[-1.0, 0.0, 0.0]]))
+        blocked = np.isfinite(distance).sum() * 0.005
+        assert 0.04 < blocked < 0.2
+
+
+@pytest.mark.parametrize("name", ["lamp", "traffic_light", "gantry", "bridge"])
+def test_what_reaches_over_the_road_is_higher_than_four_and_a_half_metres(name):
+    for seed in range(20):
+        mesh = PIECES[name](np.random.default_rng(seed))
+        y = np.abs(mesh.vertices[:, 1])
+        road = y > 0.65 if name in ("lamp", "traffic_light") else y < {"gantry": 6.5, "bridge": 8.0}[name]
+        assert (mesh.vertices[road, 2] > 4.5).all()
+        if name in ("gantry", "bridge"):
+            assert road.any()
+            starts = np.stack(np.meshgrid(-30.0, np.linspace(-6, 6, 25), [0.5, 2.0, 4.4]), -1).reshape(-1, 3)
+            assert np.isinf(first_hits(mesh, starts, np.array([[1.0, 0.0, 0.0]]))[0]).all()
+
+
+def test_lamps_and_mast_arms_reach_to_the_road_on_their_right():
+    for make in (furniture.lamp, furniture.traffic_light):
+        reach = [make(np.random.default_rng(seed)).vertices[:, 1] for seed in range(30)]
+        assert min(y.min() for y in reach) < -1.0
+        assert max(y.max() for y in reach) < 0.7
+
+
+@pytest.mark.parametrize("name", ["sign", "gantry", "shelter", "barrier"])
+def test_signs_are_retroreflective_on_the_front_only(name):
+    seen = 0
+    for seed in range(20):
+        mesh = PIECES[name](np.random.default_rng(seed))
+        plates = mesh.vertices[mesh.triangles[mesh.material == M.SIGN]].reshape(-1, 3)
+        if not len(plates):
+            continue
+        low, high = plates.min(axis=0), plates.max(axis=0)
+        y, z = (
+            g.ravel() for g in np.meshgrid(np.linspace(low[1], high[1], 40), np.linspace(low[2], high[2], 40))
+        )
+        front = np.column_stack([np.full(1600, 30.0), y, z])
+        behind = np.column_stack([np.full(1600, -30.0), y, z])
+        ahead = np.array([[-1.0, 0.0, 0.0]])
+        assert (first_hits(mesh, front, ahead)[1] == M.SIGN).sum() > 20
+        assert not (first_hits(mesh, behind, -ahead)[1] == M.SIGN).any()
+        seen += 1
+    assert seen > 5
+
+
+def test_fences_let_rays_through_but_not_all():
+    stopped = []
+    for seed in range(40):
+        fence = furniture.fence(LINE, np.random.default_rng(seed))
+        sound(fence)
+        assert len(fence.triangles) <= 26 * LENGTH + 20
+        x = np.linspace(0.1, 5.9, 700)
+        z = np.random.default_rng(0).uniform(0.1, 0.75, 700) + 0.05 * x
+        starts = np.column_stack([x, np.full(700, -5.0), z])
+        distance, _ = first_hits(fence, starts, np.array([[0.0, 1.0, 0.0]]))
+        stopped.append(np.isfinite(distance).mean())
+        assert np.nanmax(np.where(np.isfinite(distance), np.abs(distance - 5), np.nan)) < 0.2
+    assert 0.03 < min(stopped) < 0.2
+    assert np.mean(np.array(stopped) < 0.8) > 0.7
+    assert max(stopped) > 0.9  # a screen of boards
+
+
+def test_fences_follow_the_ground():
+    steep = np.array([[0, 0, 0], [10, 0, 2.0], [20, 0, 1.0]])
+    for make in (
+        furniture.fence,
+        furniture.low_wall,
+        plants.hedge,
+        lambda line, rng: furniture.guard_rail(line),
+    ):
+        mesh = make(steep, np.random.default_rng(1))
+        ground = np.interp(mesh.vertices[:, 0], steep[:, 0], steep[:, 2])
+        assert (mesh.vertices[:, 2] - ground).min() < -0.1
+        assert 0.3 < (mesh.vertices[:, 2] - ground).max() < 2.6
+
+
+def test_a_line_without_length_is_refused():
+    rng = np.random.default_rng(0)
+    bad = [
+        np.zeros((2, 3)),
+        [[0, 0, 0]],
+        [[0, 0], [1, 1]],
+        [[0, 0, 0], [0, 0, 5]],
+        [[0, 0, 0], [np.nan, 1, 0]],
+    ]
+    for make in (
+        furniture.fence,
+        furniture.low_wall,
+        plants.hedge,
+        lambda line, rng: furniture.guard_rail(line),
+    ):
+        for line in bad:
+            with pytest.raises(ValueError, match="line must be"):
+                make(line, rng)
+        sound(make([[0, 0, 0], [0, 0, 0], [0.3, 0, 0]], rng))
+    for make in (furniture.gantry, furniture.gate):
+        with pytest.raises(ValueError, match="width of a"):
+            make(0.0, rng)
+    with pytest.raises(ValueError, match="a bridge is"):
+        furniture.bridge(2.0, 0.0, rng)
+
+
+def test_pieces_can_be_merged_and_moved():
+    town = merge([make(np.random.default_rng(0)) for make in PIECES.values()])
+    sound(town)
+    assert len(town.triangles) > 500
+    assert buildings.__all__ == ["STYLES", "building", "split_front"]
+
+
+def test_signs_and_shelters_keep_off_the_road():
+    for seed in range(40):
+        assert furniture.sign(np.random.default_rng(seed)).vertices[:, 1].min() > -0.6
+        assert furniture.shelter(np.random.default_rng(seed)).vertices[:, 1].min() > -0.6

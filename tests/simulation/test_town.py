@@ -1,0 +1,268 @@
+"""Towns: closed ground, lanes that lead on and stay free, kerbs and grades as streets have them."""
+
+import hashlib
+
+import numpy as np
+import open3d
+import pytest
+from open3d import core
+
+from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.mesh import Mesh
+from ogm.simulation.town import Lane, Town, build_town
+from ogm.simulation.town.network import make_network
+
+SIZE = 240.0
+CLEARANCE = 4.4  # [m] above a lane
+
+
+@pytest.fixture(scope="module")
+def town() -> Town:
+    return build_town(3, SIZE)
+
+
+def fingerprint(town: Town) -> str:
+    arrays = [*town.mesh, town.height, town.bays, *(lane.points for lane in town.lanes), *town.walkways]
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    digest.update(repr([(lane.successors, lane.junction, lane.phase) for lane in town.lanes]).encode())
+    digest.update(repr((town.loop, town.counter_loop)).encode())
+    return digest.hexdigest()
+
+
+def scene(mesh: Mesh, kept: np.ndarray | None = None) -> "open3d.t.geometry.RaycastingScene":
+    triangles = mesh.triangles if kept is None else np.ascontiguousarray(mesh.triangles[kept])
+    result = open3d.t.geometry.RaycastingScene(nthreads=1)
+    result.add_triangles(core.Tensor(mesh.vertices), core.Tensor(triangles))
+    return result
+
+
+def cast(
+    scene: "open3d.t.geometry.RaycastingScene", origins: np.ndarray, directions: np.ndarray
+) -> np.ndarray:
+    rays = np.concatenate([origins, np.broadcast_to(directions, origins.shape)], axis=1)
+    return scene.cast_rays(core.Tensor(rays.astype(np.float32)), nthreads=1)["t_hit"].numpy()
+
+
+def strips(lane: Lane) -> list[np.ndarray]:
+    """Lines along a lane, from its right to its left edge."""
+    ahead = np.gradient(lane.points[:, :2], axis=0)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1) / np.linalg.norm(ahead, axis=1, keepdims=True)
+    half = 0.45 * min(lane.width, 3.0)
+    return [
+        np.column_stack([lane.points[:, :2] + offset * left, lane.points[:, 2]])
+        for offset in np.linspace(-half, half, 7)
+    ]
+
+
+def length(town: Town, trip: tuple[int, ...]) -> float:
+    return sum(town.lanes[k].length for k in trip)
+
+
+def turning(town: Town, trip: tuple[int, ...]) -> float:
+    """The area that a trip goes round; negative clockwise."""
+    x, y = np.concatenate([town.lanes[k].points[:, :2] for k in trip]).T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+
+
+def test_no_ray_falls_through_the_ground(town: Town) -> None:
+    rng = np.random.default_rng(1)
+    xy = rng.uniform(-SIZE / 2 + 0.01, SIZE / 2 - 0.01, (200_000, 2))
+    fallen = cast(scene(town.ground), np.column_stack([xy, np.full(len(xy), 100.0)]), np.array([0.0, 0, -1]))
+    assert np.isfinite(fallen).all()
+    # The raster says the same height, but for the cells that a kerb passes through.
+    difference = abs(100.0 - fallen - town.ground_height(xy[:, 0], xy[:, 1]))
+    assert np.median(difference) < 0.005
+    assert (difference > 0.03).mean() < 0.03
+    assert difference.max() < 0.3
+
+
+def test_ground_is_made_of_ground_and_lies_flat(town: Town) -> None:
+    assert set(np.unique(town.ground.material)) <= {int(m) for m in GROUND}
+    steep = abs(town.ground.normals[:, 2])
+    area = np.linalg.norm(
+        np.cross(
+            *(
+                town.ground.vertices[town.ground.triangles[:, k]]
+                - town.ground.vertices[town.ground.triangles[:, 0]]
+                for k in (1, 2)
+            )
+        ),
+        axis=1,
+    )
+    assert area[(steep < 0.85)].sum() < 0.005 * area.sum()
+
+
+def test_same_seed_same_town_to_the_bit(town: Town) -> None:
+    assert fingerprint(build_town(3, SIZE)) == fingerprint(town)
+
+
+def test_another_seed_draws_other_streets() -> None:
+    networks = [make_network(SIZE, np.random.default_rng(seed)) for seed in (3, 4)]
+    one, other = (np.concatenate([street.line for street in network.streets]) for network in networks)
+    gap = np.linalg.norm(one[:, None] - other[None], axis=2).min(axis=1)
+    assert np.median(gap) > 1.0
+    assert len({network.styles for network in networks}) == 2
+
+
+def test_roads_climb_but_never_too_steeply(town: Town) -> None:
+    grades = []
+    for lane in town.lanes:
+        run = np.linalg.norm(np.diff(lane.points[:, :2], axis=0), axis=1)
+        grades.append(np.max(abs(np.diff(lane.points[:, 2])) / run))
+    assert max(grades) < 0.09
+    assert max(grades) > 0.03
+
+
+def test_lanes_lie_on_the_road(town: Town) -> None:
+    points = np.concatenate([lane.points for lane in town.lanes])
+    assert abs(points[:, 2] - town.ground_height(points[:, 0], points[:, 1])).max() < 0.05
+
+
+def test_roads_are_crowned(town: Town) -> None:
+    """At the right edge of a lane the road lies lower than at its left edge, towards the middle of the road."""
+    falls = []
+    for lane in town.lanes:
+        if lane.junction >= 0 or lane.length < 20 or lane.speed > 16:
+            continue
+        right, left = strips(lane)[0][5:-5], strips(lane)[-1][5:-5]
+        fall = town.ground_height(*left[:, :2].T) - town.ground_height(*right[:, :2].T)
+        falls.append(float(fall.mean()))
+    assert np.mean(falls) > 0.01
+
+
+def test_kerbs_stand_8_to_16_cm_high_where_they_are_not_let_down(town: Town) -> None:
+    kerb = town.mesh.triangles[town.mesh.material == Material.KERB]
+    corners = town.mesh.vertices[kerb].astype(np.float64)
+    heights = []
+    for k in range(3):
+        a, b = corners[:, k], corners[:, (k + 1) % 3]
+        upright = (a[:, :2] == b[:, :2]).all(axis=1)
+        heights.append(abs(a[upright, 2] - b[upright, 2]))
+    height = np.concatenate(heights)
+    assert height.max() < 0.16
+    assert 0.08 < np.median(height) < 0.15
+    assert (height > 0.08).mean() > 0.8
+    assert (abs(town.mesh.normals[town.mesh.material == Material.KERB][:, 2]) < 0.05).all()
+
+
+def test_every_lane_leads_on_from_its_very_end(town: Town) -> None:
+    for lane in town.lanes:
+        assert lane.successors
+        for k in lane.successors:
+            following = town.lanes[k]
+            assert np.linalg.norm(following.points[0] - lane.points[-1]) < 0.01
+            out, on = (np.diff(p[:, :2], axis=0) for p in (lane.points[-2:], following.points[:2]))
+            bend = np.arccos(np.clip(out[0] @ on[0] / np.linalg.norm(out) / np.linalg.norm(on), -1, 1))
+            assert bend < np.deg2rad(20)
+
+
+def test_lanes_are_smooth_and_finely_sampled(town: Town) -> None:
+    for lane in town.lanes:
+        step = np.diff(lane.points[:, :2], axis=0)
+        size = np.linalg.norm(step, axis=1)
+        assert size.max() < 1.6
+        angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))
+        assert abs(np.diff(angle)).max(initial=0.0) < np.deg2rad(30)
+
+
+def test_lanes_of_one_phase_do_not_cross(town: Town) -> None:
+    """Lanes that may be driven at once start at the same arm, or belong to a ring that yields."""
+    for k, lane in enumerate(town.lanes):
+        for other in town.lanes[k + 1 :]:
+            if (
+                lane.junction < 0
+                or lane.junction != other.junction
+                or lane.phase < 0
+                or lane.phase != other.phase
+            ):
+                continue
+            assert np.linalg.norm(lane.points[0] - other.points[0]) < 12
+
+
+@pytest.mark.parametrize("name", ["loop", "counter_loop"])
+def test_round_trips_close(town: Town, name: str) -> None:
+    trip = getattr(town, name)
+    for k, following in zip(trip, [*trip[1:], trip[0]], strict=True):
+        assert following in town.lanes[k].successors
+    assert len(set(trip)) == len(trip)
+    assert length(town, trip) >= 600
+    assert turning(town, trip) * (-1 if name == "loop" else 1) > 0
+
+
+def test_nothing_stands_on_a_lane_or_hangs_low_over_it(town: Town) -> None:
+    solid = ~np.isin(town.mesh.material, [int(m) for m in GROUND])
+    things = scene(town.mesh, solid)
+    for lane in town.lanes:
+        for strip in strips(lane):
+            above = cast(things, strip + [0, 0, 0.05], np.array([0.0, 0, 1]))
+            assert above.min() > CLEARANCE
+            for height in (0.05, 0.3, 1.0, 2.5, 4.0):
+                ahead = cast(things, strip[:-1] + [0, 0, height], np.diff(strip, axis=0))
+                assert ahead.min() > 1.0
+
+
+def test_bays_leave_the_lanes_free(town: Town) -> None:
+    points = np.concatenate([lane.points[:, :2] for lane in town.lanes])
+    half = np.concatenate([np.full(len(lane.points), lane.width / 2) for lane in town.lanes])
+    assert len(town.bays) > 20
+    for x, y, z, yaw, long, wide in town.bays:
+        c, s = np.cos(yaw), np.sin(yaw)
+        u, v = ((points - [x, y]) @ np.array([[c, -s], [s, c]])).T
+        inside = (abs(u) < long / 2) & (abs(v) < wide / 2 + half - 0.35)
+        assert not inside.any(), (x, y)
+        assert abs(z - town.ground_height(x, y)) < 0.01
+
+
+def test_a_car_fits_into_every_bay(town: Town) -> None:
+    solid = ~np.isin(town.mesh.material, [int(m) for m in GROUND])
+    solid &= ~np.isin(town.mesh.material, [Material.KERB, Material.FOLIAGE])  # twigs may touch a roof
+    things = scene(town.mesh, solid)
+    for x, y, z, yaw, long, wide in town.bays:
+        ahead = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+        side = np.array([-ahead[1], ahead[0], 0.0])
+        start = np.array([[x, y, z + h] for h in (0.6, 1.2)])
+        for across in (-0.3, 0.0, 0.3):
+            origins = start - 0.38 * long * ahead + across * wide * side
+            assert cast(things, origins, 0.76 * long * ahead).min() > 1.0, (x, y)
+
+
+def test_walkways_lie_on_the_ground_and_off_the_houses(town: Town) -> None:
+    assert len(town.walkways) > 20
+    walls = np.isin(town.mesh.material, [Material.BRICK, Material.PLASTER_LIGHT, Material.PLASTER_DARK])
+    houses = scene(town.mesh, walls)
+    blocked = total = 0
+    for line in town.walkways:
+        assert abs(line[:, 2] - town.ground_height(line[:, 0], line[:, 1])).max() < 0.01
+        hits = cast(houses, line[:-1] + [0, 0, 1.0], np.diff(line, axis=0)) < 1.0
+        blocked, total = blocked + int(hits.sum()), total + len(hits)
+    assert blocked < 0.01 * total
+
+
+def test_a_town_has_many_surfaces_and_things(town: Town) -> None:
+    count = np.bincount(town.mesh.material, minlength=len(Material))
+    for material in (
+        Material.ASPHALT, Material.WORN_ASPHALT, Material.PAVING, Material.GRASS, Material.MARKING, Material.KERB,
+        Material.WINDOW, Material.FOLIAGE, Material.BARK, Material.METAL_POLE, Material.SIGN,
+    ):  # fmt: skip
+        assert count[material] > 0, material.name
+    assert len({style for _, style in town.districts}) >= 3
+    assert len({lane.speed for lane in town.lanes if lane.junction < 0}) >= 2
+
+
+def test_the_height_is_clamped_at_the_edge(town: Town) -> None:
+    edge = SIZE / 2
+    assert float(town.ground_height(edge + 50, 0.0)) == float(town.ground_height(edge, 0.0))
+
+
+@pytest.mark.parametrize("size", [0.0, -10.0, 239.0, 5000.0, np.nan, np.inf])
+def test_impossible_sizes_are_refused(size: float) -> None:
+    with pytest.raises(ValueError, match="size must be"):
+        build_town(1, size)
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, True, "a"])
+def test_impossible_seeds_are_refused(seed: object) -> None:
+    with pytest.raises(ValueError, match="seed must be"):
+        build_town(seed)  # type: ignore[arg-type]

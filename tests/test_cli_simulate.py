@@ -1,0 +1,169 @@
+"""``ogm simulate``, as a person uses it."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from ogm.cli import app
+from ogm.simulation.store import FORMAT, Store
+
+TINY = ("--samples", 1, "--validation", 1, "--town-size", 240, "--lidar", "hdl-32e")
+
+
+def ogm(*words: object) -> "subprocess.CompletedProcess":
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A training and a validation sample of a small town, with the pictures and the export."""
+    folder = tmp_path_factory.mktemp("simulate")
+    result = ogm("simulate", folder / "data", *TINY, "--workers", 1, "--export", folder / "paper")
+    assert result.exit_code == 0, result.output
+    assert "2 samples: about" in result.output
+    assert "kB each" in result.output
+    assert "contact-sheet.png" in result.output
+    return folder / "data"
+
+
+def test_it_makes_samples_a_contact_sheet_and_an_export(data: Path) -> None:
+    store = Store.open(data)
+    assert len(store["training"][0].points) > 5_000
+    assert store["validation"][0].lidar == "hdl-32e"
+    assert (data / "contact-sheet.png").stat().st_size > 20_000
+    names = {str(path.relative_to(data.parent)) for path in (data.parent / "paper").rglob("*.*")}
+    assert names == {
+        f"paper/{kind}_{part}/0000000001{end}"
+        for part in ("train", "valid")
+        for kind, end in (("input", ".pcd"), ("label", ".png"))
+    }
+
+
+def test_two_workers_make_the_same_bytes(data: Path, tmp_path: Path) -> None:
+    result = ogm("simulate", tmp_path / "two", *TINY, "--workers", 2)
+    assert result.exit_code == 0, result.output
+    assert contents(tmp_path / "two") == contents(data)
+
+
+def test_nothing_of_time_or_place_is_kept(data: Path) -> None:
+    attributes = json.loads((data / "zarr.json").read_text())["attributes"]
+    assert attributes["format"] == FORMAT
+    assert set(attributes) == {"format", "plan", "splits", "lidars", "range_step", "labels", "versions"}
+    assert attributes["plan"]["samples"] == 1
+
+
+def test_info_describes_a_data_set(data: Path) -> None:
+    result = ogm("info", data)
+    assert result.exit_code == 0, result.output
+    assert "1 samples (1 hdl-32e)" in result.output
+    assert "kB per sample" in result.output
+    assert "town_size 240" in result.output
+
+
+def test_resume_makes_what_is_missing(data: Path) -> None:
+    before = contents(data)
+    (data / "training" / "facts" / "c" / "0" / "0").unlink()
+    (data / "contact-sheet.png").unlink()
+    result = ogm("simulate", data, "--resume", "--workers", 1)
+    assert result.exit_code == 0, result.output
+    assert "1 samples: about" in result.output
+    assert contents(data) == before
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ((), "give a folder for the data set, or --preview"),
+        (("--resume",), "want the data set's folder"),
+        (("--export", "x", "--preview", "x.png"), "want the data set's folder"),
+        (("{data}",), "holds a data set already; --resume"),
+        (("{data}", "--resume", "--seed", 2), "begun with seed = 1, got 2"),
+        (("{data}", "--resume", "--lidar", "os1-64"), "begun with mounts = 1 x hdl-32e, got 1 x os1-64"),
+        (("{data}", "--resume", "--truth", "hd"), "begun with truth = aimed, got hd"),
+        (("{new}", "--resume"), "no data set to go on with"),
+        (("{other}", "--samples", 1), "holds other files"),
+        (("{new}", "--samples", -1), "samples must be a whole number"),
+        (("{new}", "--samples", 0), "would be empty"),
+        (("{new}", "--samples", 1, "--lidar", "vlp-99"), "there is no lidar 'vlp-99'"),
+        (("{new}", "--samples", 1, "--town-size", 3), "town_size must be in 240 ... 1000 m"),
+        (("{new}", "--samples", 1, "--workers", 0), "workers must be in 1 ..."),
+        (("{new}", "--samples", 1, "--bad-weather", 2), "bad_weather is a share"),
+        (("--preview", "{new}.jpg"), "saved as .png"),
+        (("{file}", "--samples", 1), "is a file"),
+    ],
+)
+def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, says: str) -> None:
+    other, file = tmp_path / "other", tmp_path / "file"
+    other.mkdir()
+    (other / "thesis.tex").write_text("dear")
+    file.write_text("x")
+    names = {"data": data, "new": tmp_path / "new", "other": other, "file": file}
+    before = contents(data)
+    result = ogm("simulate", *(str(word).format(**names) for word in words))
+    assert result.exit_code == 2, result.output
+    assert says in result.output
+    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
+    assert contents(data) == before
+    assert [path.name for path in other.iterdir()] == ["thesis.tex"]
+
+
+def test_another_version_and_damage_are_told(data: Path, tmp_path: Path) -> None:
+    import shutil
+
+    old, hurt = tmp_path / "old", tmp_path / "hurt"
+    shutil.copytree(data, old)
+    (old / "zarr.json").write_text((old / "zarr.json").read_text().replace(FORMAT, "ogm.samples/0"))
+    for words in (("info", old), ("simulate", old, "--resume")):
+        result = ogm(*words)
+        assert result.exit_code == 2
+        assert "has the format ogm.samples/0, this version of ogm reads" in result.output
+    shutil.copytree(data, hurt)
+    file = hurt / "training/truth/c/0/0/0"
+    file.write_bytes(file.read_bytes()[:-30])
+    result = ogm("simulate", hurt, "--resume", "--workers", 1)
+    assert result.exit_code == 2
+    assert "sample 0 of training" in result.output
+    assert f"rm {hurt}/training/facts/c/0/0" in result.output.replace("\n", "")
+
+
+def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "ogm.cli", "simulate", str(tmp_path / "data"), *map(str, TINY)]
+    with subprocess.Popen(
+        words, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "200"}
+    ) as child:
+        while not (tmp_path / "data" / "zarr.json").exists():
+            time.sleep(0.05)
+            assert child.poll() is None
+        time.sleep(0.5)
+        child.send_signal(signal.SIGINT)
+        _, said = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert f"`ogm simulate {tmp_path / 'data'} --resume` goes on" in said.replace("\n", " ")
+    assert "Traceback" not in said
+
+
+def test_preview_draws_a_sample_and_its_town(tmp_path: Path) -> None:
+    result = ogm("simulate", "--preview", tmp_path / "p.png", "--town-size", 240, "--lidar", "hdl-32e")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "p.png").stat().st_size > 50_000
+    assert (tmp_path / "p-town.png").stat().st_size > 200_000
+
+
+def test_help_has_an_example() -> None:
+    result = ogm("simulate", "--help")
+    assert "Example:  ogm simulate data/ --samples 20 --seed 1" in result.output

@@ -1,0 +1,541 @@
+"""Truth grids: the rules on small grids drawn by hand, crops, boxes, and real recordings."""
+
+import io
+import lzma
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm import EvidentialGrid, GridSpec
+from ogm.pose import inverse, pose
+from ogm.truth import (
+    CANVAS,
+    FREE,
+    IGNORE,
+    OCCUPIED,
+    UNKNOWN,
+    Kind,
+    Truth,
+    boxes_seen_from,
+    cells_in_box,
+    count_returns,
+    height_above_ground,
+    settle,
+    tally,
+    tally_points,
+    tally_rays,
+    truth_from_points,
+    truth_grid,
+)
+from ogm.truth import state as states
+
+SMALL = GridSpec.centered(7.0, 7.0, 1.0)  # 7 x 7 cells of 1 m around (0, 0)
+PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+LETTERS = " .#x"  # unknown, free, occupied, ignore
+
+
+def draw(truth: Truth) -> list[str]:
+    """Return the grid as one sees it: row 0 is ahead, the first letter is left."""
+    return ["".join(LETTERS[state] for state in row[::-1]) for row in truth.state[::-1]]
+
+
+def truth_of(hits: list[tuple], **known) -> Truth:
+    """Judge hits given as (x, y, kind, height)."""
+    x, y, kind, height = np.array(hits or np.empty((0, 4)), float).T
+    return truth_grid(x, y, kind.astype(int), height, SMALL, **known)
+
+
+def random_truth(seed: int = 0, spec: GridSpec = SMALL) -> Truth:
+    return Truth(spec, np.random.default_rng(seed).integers(0, 4, spec.shape).astype(np.uint8))
+
+
+# --- Rules ------------------------------------------------------------------------------------------
+
+
+def test_a_street_with_a_wall_looks_as_drawn() -> None:
+    road = [(x, y, Kind.GROUND, 0.0) for x in range(-3, 3) for y in (-1, 0, 1)]
+    wall = [(3, y, Kind.OBSTACLE, 1.0) for y in range(-3, 2)]
+    assert draw(truth_of(road + wall)) == [
+        "  #####",
+        "  ...  ",
+        "  ...  ",
+        "  ...  ",
+        "  ...  ",
+        "  ...  ",
+        "  ...  ",
+    ]
+
+
+def test_nothing_is_known_without_hits() -> None:
+    assert (truth_of([]).state == UNKNOWN).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "height", "state"),
+    [
+        (Kind.GROUND, 0.0, FREE),
+        (Kind.GROUND, -0.3, FREE),
+        (Kind.GROUND, 1.9, FREE),
+        (Kind.GROUND, 2.5, UNKNOWN),  # the deck of a bridge says nothing about the road below
+        (Kind.OBSTACLE, 0.02, UNKNOWN),
+        (Kind.OBSTACLE, 0.05, OCCUPIED),
+        (Kind.OBSTACLE, 1.99, OCCUPIED),
+        (Kind.OBSTACLE, 2.0, UNKNOWN),
+        (Kind.PLANT, 0.1, FREE),
+        (Kind.PLANT, 0.3, OCCUPIED),
+        (Kind.PLANT, 3.0, UNKNOWN),
+        (Kind.STEP, 0.02, UNKNOWN),
+        (Kind.STEP, 0.12, OCCUPIED),
+        (Kind.OTHER, 1.0, UNKNOWN),
+    ],
+)
+def test_kind_and_height_decide(kind: Kind, height: float, state: int) -> None:
+    truth = truth_of([(1, 2, kind, height)])
+    assert truth.state[SMALL.index(1, 2)] == state
+    assert np.count_nonzero(truth.state) == (state != UNKNOWN)
+
+
+def test_occupied_wins_over_free_in_any_order() -> None:
+    hits = [(0, 0, Kind.GROUND, 0.0), (0.3, 0.3, Kind.STEP, 0.12), (0.2, 0, Kind.GROUND, 0.0)]
+    for k in range(3):
+        assert truth_of(hits[k:] + hits[:k]).state[3, 3] == OCCUPIED
+
+
+def test_a_bridge_does_not_block() -> None:
+    road = [(x, 0, Kind.GROUND, 0.0) for x in range(-3, 4)]
+    bridge = [(1, y, Kind.OBSTACLE, 4.5) for y in range(-3, 4)]
+    assert (truth_of(road + bridge).state == truth_of(road).state).all()
+
+
+def test_hits_outside_the_grid_count_for_nothing() -> None:
+    outside = [(3.5, 0, Kind.OBSTACLE, 1.0), (-3.51, 0, Kind.GROUND, 0.0), (0, 1e9, Kind.OBSTACLE, 1.0)]
+    assert (truth_of(outside).state == UNKNOWN).all()
+
+
+BOX = [1.0, 1.0, 0.0, 3.0, 2.0]  # covers the middles of x 0..2, y 0..2
+
+
+def test_a_participant_with_enough_returns_is_filled() -> None:
+    ground = [(1, 1, Kind.GROUND, 0.0)]
+    assert draw(truth_of(ground, boxes=[BOX], returns=[50])) == [
+        "       ",
+        " ###   ",
+        " ###   ",
+        " ###   ",
+        "       ",
+        "       ",
+        "       ",
+    ]
+
+
+def test_a_participant_with_fewer_returns_is_occupied_where_hit() -> None:
+    hits = [(0, 0, Kind.OBSTACLE, 0.5), (1, 1, Kind.GROUND, 0.0)]
+    assert (truth_of(hits, boxes=[BOX], returns=[49]).state == truth_of(hits).state).all()
+    filled = truth_of(hits, boxes=[BOX], returns=[49], min_returns=49)
+    assert np.count_nonzero(filled.state == OCCUPIED) == 9
+
+
+def test_cells_under_the_own_vehicle_are_ignored() -> None:
+    truth = truth_of([(0, 0, Kind.OBSTACLE, 0.5)], own=[0, 0, 0, 2.2, 0.8], boxes=[BOX], returns=[99])
+    assert (truth.state[2:5, 3] == IGNORE).all()
+    assert truth.ignored.sum() == 3
+
+
+def test_turning_hits_and_boxes_by_a_quarter_turns_the_truth() -> None:
+    rng = np.random.default_rng(1)
+    hits = [
+        (x, y, k, h)
+        for x, y, k, h in zip(
+            *rng.uniform(-3, 3, (2, 40)), rng.integers(0, 5, 40), rng.uniform(-1, 3, 40), strict=True
+        )
+    ]
+    turned = [(-y, x, k, h) for x, y, k, h in hits]
+    box = [1.0, -1.2, 0.4, 3.0, 1.5]
+    truth = truth_of(hits, boxes=[box], returns=[60], own=[0, 0, 0, 1.1, 2])
+    other = truth_of(
+        turned, boxes=[[1.2, 1.0, 0.4 + np.pi / 2, 3.0, 1.5]], returns=[60], own=[0, 0, np.pi / 2, 1.1, 2]
+    )
+    np.testing.assert_array_equal(np.rot90(truth.state, 1), other.state)
+
+
+def test_shares_sum_to_one_and_count_cells() -> None:
+    truth = Truth(GridSpec(1.0, (2, 2), (0, 0)), np.array([[0, 1], [2, 3]], np.uint8))
+    assert truth.shares() == (0.25, 0.25, 0.25, 0.25)
+
+
+def test_the_grid_is_dogmatic_where_known_and_vacuous_elsewhere() -> None:
+    truth = random_truth()
+    grid = truth.grid
+    EvidentialGrid(grid.spec, grid.mass)  # checks
+    np.testing.assert_array_equal(grid.free, truth.state == FREE)
+    np.testing.assert_array_equal(grid.occupied, truth.state == OCCUPIED)
+    np.testing.assert_array_equal(grid.unknown == 0, truth.known)
+
+
+def test_cells_beyond_the_world_are_ignored_unless_hit() -> None:
+    seen = np.array([[0, 1], [2, 0]], np.uint8)
+    truth = settle(seen, GridSpec(1.0, (2, 2), (0, 0)), beyond=np.array([[True, True], [True, False]]))
+    assert truth.state.tolist() == [[IGNORE, FREE], [OCCUPIED, UNKNOWN]]
+
+
+# --- Rays -------------------------------------------------------------------------------------------
+
+
+def test_rays_and_points_give_the_same_tally() -> None:
+    rng = np.random.default_rng(3)
+    count = 20_000
+    directions = rng.normal(size=(count, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    distance = rng.uniform(0.1, 8, count).astype(np.float32)
+    distance[:50], distance[50:60] = np.inf, np.nan
+    code = rng.integers(0, 256, count).astype(np.uint8)
+    kinds = rng.integers(0, len(Kind), 256).astype(np.uint8)
+    ground = rng.uniform(-2, -1, SMALL.shape).astype(np.float32)
+    ground[0, 0] = np.nan
+    rise = rng.uniform(0, 0.1, SMALL.shape).astype(np.float32)
+
+    fast, uncompiled = np.zeros((2, *SMALL.shape), np.uint8)
+    hits = (distance, directions, code, kinds, ground, rise)
+    tally_rays(fast, *hits, SMALL)
+    tally._tally_rays.py_func(uncompiled, *hits, SMALL.resolution, *SMALL.origin, 0.05, 0.25, 2.0)
+    np.testing.assert_array_equal(fast, uncompiled)
+
+    x, y, z = (distance[:, None].astype(float) * directions)[60:].T
+    kind, inside = kinds[code[60:]], SMALL.contains(x, y)
+    x, y, z, kind = x[inside], y[inside], z[inside], kind[inside]
+    height = z - ground[SMALL.index(x, y)]
+    known = height < 2.0
+    height = np.where(kind == Kind.STEP, rise[SMALL.index(x, y)], height)
+    slow = np.zeros(SMALL.shape, np.uint8)
+    tally_points(slow, x[known], y[known], kind[known], height[known], SMALL)
+    np.testing.assert_array_equal(fast, slow)
+    assert set(np.unique(fast)) >= {0, 3}
+
+
+def test_a_tally_may_be_built_up_in_parts() -> None:
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(-3, 3, (2, 60))
+    kind, height = rng.integers(0, 5, 60), rng.uniform(0, 3, 60)
+    seen = np.zeros(SMALL.shape, np.uint8)
+    for part in np.array_split(rng.permutation(60), 7):
+        tally_points(seen, x[part], y[part], kind[part], height[part], SMALL)
+    np.testing.assert_array_equal(settle(seen, SMALL).state, truth_grid(x, y, kind, height, SMALL).state)
+
+
+# --- Crops ------------------------------------------------------------------------------------------
+
+
+def test_a_crop_without_a_turn_is_a_cut() -> None:
+    truth = random_truth(spec=CANVAS)
+    cut = truth.crop(PAPER)
+    np.testing.assert_array_equal(cut.state, truth.state[56:-56, 136:-136])
+    np.testing.assert_array_equal(truth.crop(CANVAS).state, truth.state)
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3, -1])
+def test_a_crop_turned_by_quarters_is_the_turned_array(quarters: int) -> None:
+    truth = random_truth(spec=CANVAS)
+    turned = truth.crop(CANVAS, yaw=quarters * np.pi / 2)
+    np.testing.assert_array_equal(turned.state, np.rot90(truth.state, quarters))
+
+
+def test_a_crop_moves_cells_along_with_points() -> None:
+    truth = Truth(SMALL, np.zeros(SMALL.shape, np.uint8))
+    truth.state[SMALL.index(2.0, 0.0)] = OCCUPIED
+    yaw, dx, dy = np.deg2rad(37.0), 0.3, -0.7
+    there = truth.crop(SMALL.refined(5), yaw, dx, dy)
+    ix, iy = np.nonzero(there.state == OCCUPIED)
+    x, y = there.spec.cell_centers
+    middle = pose(dx, dy, yaw=yaw)[:2] @ [2.0, 0.0, 0.0, 1.0]
+    np.testing.assert_allclose((x[ix, 0].mean(), y[0, iy].mean()), middle, atol=0.05)
+    assert abs(len(ix) - 25) <= 3
+
+
+@given(st.floats(-10, 10))
+@settings(max_examples=40, deadline=None)
+def test_the_canvas_covers_the_papers_grid_at_any_turn(yaw: float) -> None:
+    canvas = Truth(CANVAS, np.full(CANVAS.shape, FREE, np.uint8))
+    assert (canvas.crop(PAPER, yaw).state == FREE).all()
+
+
+def test_what_a_crop_does_not_cover_is_ignored_never_unknown() -> None:
+    crop = Truth(PAPER, np.full(PAPER.shape, FREE, np.uint8)).crop(PAPER, yaw=np.pi / 4)
+    assert set(np.unique(crop.state)) == {FREE, IGNORE}
+    x, y = PAPER.cell_centers
+    c = np.sqrt(0.5)
+    inside = PAPER.contains(c * (x + y), c * (y - x))
+    np.testing.assert_array_equal(crop.state == FREE, inside)
+
+
+def test_the_crop_does_the_same_uncompiled() -> None:
+    truth = random_truth()
+    numbers = (SMALL.resolution, *SMALL.origin) * 2 + (np.cos(0.4), np.sin(0.4), 0.3, -0.2)
+    out = np.empty(SMALL.shape, np.uint8)
+    states._crop.py_func(out, truth.state, *numbers)
+    np.testing.assert_array_equal(out, truth.crop(SMALL, 0.4, 0.3, -0.2).state)
+
+
+def test_turning_there_and_back_keeps_most_cells() -> None:
+    state = np.zeros(CANVAS.shape, np.uint8)
+    state[200:300, 250:400] = FREE
+    state[220:240, 260:300] = OCCUPIED
+    truth = Truth(CANVAS, state)
+    back = truth.crop(CANVAS, 0.7).crop(PAPER, -0.7)
+    assert (back.state == truth.crop(PAPER).state).mean() > 0.995
+
+
+def test_a_mirror_exchanges_left_and_right() -> None:
+    truth = truth_of([(2, 3, Kind.OBSTACLE, 1.0), (0, -2, Kind.GROUND, 0.0)])
+    mirrored = truth_of([(2, -3, Kind.OBSTACLE, 1.0), (0, 2, Kind.GROUND, 0.0)])
+    np.testing.assert_array_equal(truth.mirrored().state, mirrored.state)
+    lopsided = random_truth(spec=GridSpec(1.0, (3, 4), (0.0, 1.0)))
+    assert lopsided.mirrored().spec.extent == (0, 3, -5, -1)
+    np.testing.assert_array_equal(lopsided.mirrored().mirrored().state, lopsided.state)
+
+
+# --- Boxes ------------------------------------------------------------------------------------------
+
+
+@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-4, 4), st.floats(0.3, 5), st.floats(0.3, 3))
+@settings(max_examples=50, deadline=None)
+def test_a_box_covers_the_cells_whose_middles_it_holds(x, y, yaw, length, width) -> None:
+    spec = SMALL.refined(4)
+    covered = np.zeros(spec.shape, bool)
+    covered[cells_in_box([x, y, yaw, length, width], spec)] = True
+    cx, cy = np.broadcast_arrays(*spec.cell_centers)
+    middles = np.stack([cx, cy, 0 * cx, 0 * cx + 1]).reshape(4, -1)
+    u, v = (inverse(pose(x, y, yaw=yaw)) @ middles)[:2]
+    expected = ((np.abs(u) <= length / 2) & (np.abs(v) <= width / 2)).reshape(spec.shape)
+    extra = covered & ~expected
+    assert not (expected & ~covered).any()
+    assert extra.sum() <= 1
+    assert not extra.any() or covered[spec.index(x, y)]
+
+
+def test_a_box_too_small_for_any_middle_covers_one_cell() -> None:
+    assert np.array(cells_in_box([0.4, 0.4, 0.3, 0.1, 0.1], SMALL)).ravel().tolist() == [3, 3]
+
+
+def test_a_box_beyond_the_grid_covers_nothing() -> None:
+    for box in ([9, 0, 0, 2, 2], [-9, -9, 1, 2, 2]):
+        assert len(cells_in_box(box, SMALL)[0]) == 0
+
+
+def test_returns_are_counted_in_turned_boxes() -> None:
+    T = pose(4.0, -2.0, 0.5, yaw=0.6)
+    inside = np.random.default_rng(0).uniform((-2, -0.9, 0), (2, 0.9, 1.5), (70, 3))
+    outside = inside + np.array([0, 2.0, 0])
+    points = np.concatenate([inside, outside]) @ T[:3, :3].T + T[:3, 3]
+    flat = [4.0, -2.0, 0.6, 4.0, 1.8]
+    assert count_returns(points, [flat]).tolist() == [70]
+    high = points + [0, 0, 5.0]
+    assert count_returns(high, [flat]).tolist() == [70]
+    assert count_returns(high, [[*flat, 0.5, 2.0]]).tolist() == [0]
+    assert count_returns(points, [[*flat, 0.5, 2.0], [*flat, 8, 9]]).tolist() == [70, 0]
+    assert count_returns(np.full((3, 3), np.nan), [flat]).tolist() == [0]
+    assert count_returns(points, np.empty((0, 5))).tolist() == []
+
+
+def test_boxes_are_seen_from_the_sensor() -> None:
+    T_world_sensor = pose(10, 5, 1.9, yaw=1.0)
+    T_sensor_object = pose(7, 3, -1.9, yaw=0.3)
+    boxes = boxes_seen_from(inverse(T_world_sensor), [T_world_sensor @ T_sensor_object], [[4.0, 1.8, 1.5]])
+    np.testing.assert_allclose(boxes, [[7, 3, 0.3, 4.0, 1.8, -1.9, -0.4]], atol=1e-12)
+    assert boxes_seen_from(np.eye(4), np.empty((0, 4, 4)), np.empty((0, 3))).shape == (0, 7)
+
+
+def test_a_box_seen_from_a_tilted_sensor_holds_all_its_corners_in_height() -> None:
+    tilted = pose(0, 0, 1.9, pitch=0.1, roll=-0.05)
+    box = boxes_seen_from(inverse(tilted), [pose(10, 0, 0)], [[4.0, 2.0, 1.5]])[0]
+    corners = np.array([(10 + x, y, z) for x in (-2, 2) for y in (-1, 1) for z in (0, 1.5)])
+    z = (np.c_[corners, np.ones(8)] @ inverse(tilted).T)[:, 2]
+    np.testing.assert_allclose(box[5:], (z.min(), z.max()), atol=1e-9)
+
+
+# --- Bad input --------------------------------------------------------------------------------------
+
+GOOD = {"x": np.zeros(3), "y": np.zeros(3), "kind": np.zeros(3, int), "height": np.zeros(3)}
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "says"),
+    [
+        ({"x": np.zeros(4)}, ValueError, r"one number per hit.*\(4,\)"),
+        ({"x": np.zeros((3, 1))}, ValueError, r"x must have shape \(N,\)"),
+        ({"x": np.zeros(3, complex)}, TypeError, "x must be a float array"),
+        ({"y": np.array([0, np.nan, 0])}, ValueError, "1 of 3 are not; drop"),
+        ({"height": np.array([np.inf, np.nan, 0])}, ValueError, "2 of 3"),
+        ({"kind": np.zeros(3)}, TypeError, "kind must be an integer"),
+        ({"kind": np.array([0, 5, 0])}, ValueError, r"kind must lie in 0\.\.4"),
+        ({"kind": np.array([0, -1, 0])}, ValueError, r"kind must lie in 0\.\.4"),
+        ({"clearance": 0.1}, ValueError, "heights must obey"),
+        ({"obstacle_height": float("nan")}, ValueError, "heights must obey"),
+        ({"boxes": [BOX]}, ValueError, "boxes need returns"),
+        ({"boxes": [BOX], "returns": [1, 2]}, ValueError, r"returns must have shape \(1,\)"),
+        ({"boxes": [BOX], "returns": [50.0]}, TypeError, "returns must be integers"),
+        ({"boxes": [BOX[:4]], "returns": [50]}, ValueError, r"\(B, 5\) or \(B, 7\)"),
+        ({"boxes": [[0, 0, np.nan, 1, 1]], "returns": [50]}, ValueError, "boxes must be finite"),
+        ({"boxes": [[0, 0, 0, 0, 1]], "returns": [50]}, ValueError, "above 0 m"),
+        ({"own": [0, 0, 0, 1]}, ValueError, "own must hold"),
+    ],
+)
+def test_what_cannot_be_judged_is_refused(change: dict, error: type, says: str) -> None:
+    with pytest.raises(error, match=says):
+        truth_grid(**{**GOOD, "spec": SMALL, **change})
+
+
+def test_no_boxes_are_boxes_too() -> None:
+    truth_grid(**GOOD, spec=SMALL, boxes=[], returns=np.zeros(0, int))
+
+
+@pytest.mark.parametrize(
+    ("state", "error", "says"),
+    [
+        (np.zeros((7, 7)), TypeError, "uint8.*float64"),
+        ([[0] * 7] * 7, TypeError, "list"),
+        (np.zeros((7, 6), np.uint8), ValueError, r"\(7, 6\)"),
+        (np.full((7, 7), 4, np.uint8), ValueError, "got 4"),
+    ],
+)
+def test_states_that_are_none_are_refused(state, error: type, says: str) -> None:
+    with pytest.raises(error, match=says):
+        Truth(SMALL, state)
+
+
+def test_a_crop_refuses_a_yaw_that_is_no_number() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        random_truth().crop(SMALL, yaw=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: count_returns(np.zeros((3, 2)), [BOX]), r"points must have shape"),
+        (lambda: count_returns(np.zeros((3, 3)), [BOX[:3]]), r"boxes must hold"),
+        (lambda: boxes_seen_from(np.eye(4), [np.eye(4)], np.ones((2, 3))), "as many"),
+        (lambda: truth_from_points(np.zeros((3, 2)), np.zeros(3, int), SMALL), "points must have shape"),
+        (lambda: truth_from_points(np.zeros((3, 3)), np.zeros(2, int), SMALL), "one per point"),
+        (lambda: height_above_ground(np.zeros(3), np.zeros(3, bool)), "xyz must have shape"),
+        (lambda: height_above_ground(np.zeros((3, 3)), np.zeros(3, int)), "is_ground must be 3 booleans"),
+    ],
+)
+def test_wrong_shapes_are_refused(call, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        call()
+
+
+# --- Recordings -------------------------------------------------------------------------------------
+
+
+def slope(x, y):
+    return 0.08 * x - 0.05 * y - 1.7
+
+
+def test_height_above_ground_follows_a_slope() -> None:
+    rng = np.random.default_rng(0)
+    xy = rng.uniform(-20, 20, (4000, 2))
+    lifted = np.where(rng.random(4000) < 0.3, rng.uniform(0.1, 2, 4000), 0.0)
+    xyz = np.column_stack([xy, slope(*xy.T) + lifted])
+    error = height_above_ground(xyz, lifted == 0) - lifted
+    assert np.abs(error).max() < 0.12
+    assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+def test_height_far_from_any_ground_is_not_known() -> None:
+    xyz = np.array([[0, 0, -1.7], [0.2, 0, -0.7], [30, 0, 0.0]])
+    height = height_above_ground(xyz, np.array([True, False, False]))
+    np.testing.assert_allclose(height, [0, 1.0, np.nan], atol=1e-9)
+    assert np.isnan(height_above_ground(xyz, np.zeros(3, bool))).all()
+
+
+def test_recorded_cells_are_known_only_where_points_are() -> None:
+    rng = np.random.default_rng(0)
+    xy = np.concatenate([rng.uniform((-3, -1), (1, 1), (100, 2)), [[3, 0], [3, 1], [np.nan, 0]]])
+    points = np.column_stack([xy, slope(*xy.T), np.zeros(103)]).astype(np.float32)
+    points[100:102, 2] += (1.0, 4.0)  # a post, and a branch above
+    kind = np.array([Kind.GROUND] * 100 + [Kind.OBSTACLE] * 3)
+    truth = truth_from_points(points, kind, SMALL)
+    holding = np.zeros(SMALL.shape, bool)
+    holding[SMALL.index(*xy[:100].T)] = True
+    np.testing.assert_array_equal(truth.state == FREE, holding)
+    assert truth.state[6, 3] == OCCUPIED
+    assert truth.known.sum() == holding.sum() + 1
+
+
+def test_a_recorded_box_counts_its_own_returns_without_ground() -> None:
+    ground = np.column_stack([np.random.default_rng(0).uniform(-3, 3, (400, 2)), np.full(400, -1.7)])
+    body = np.random.default_rng(1).uniform((0, 0.2, -1.4), (0.2, 1.8, -0.5), (50, 3))
+    points, kind = np.concatenate([ground, body]), np.array([0] * 400 + [1] * 50)
+    box = [[*BOX, -1.7, -0.2]]
+    assert np.count_nonzero(truth_from_points(points, kind, SMALL, boxes=box).state == OCCUPIED) == 9
+    fewer = truth_from_points(points[:-1], kind[:-1], SMALL, boxes=box)
+    assert np.count_nonzero(fewer.state == OCCUPIED) < 9
+
+
+def kinds_of(classes: np.ndarray, ground: tuple, plants: tuple, other: tuple) -> np.ndarray:
+    kind = np.full(len(classes), Kind.OBSTACLE, int)
+    for group, value in ((ground, Kind.GROUND), (plants, Kind.PLANT), (other, Kind.OTHER)):
+        kind[np.isin(classes, group)] = value
+    return kind
+
+
+@pytest.mark.parametrize(
+    ("name", "ground", "plants", "other"),
+    [
+        ("semantic_kitti/0", (9, 10, 11, 12, 17), (15,), (0,)),
+        ("nuscenes/25611", (0, 1), (4,), (10,)),
+    ],
+)
+def test_a_labelled_scan_makes_a_plausible_truth(real, name, ground, plants, other) -> None:
+    path = real(f"labelled_range_images/{name}.npy.xz")
+    image = np.load(io.BytesIO(lzma.decompress(path.read_bytes()))).reshape(-1, 6)
+    image = image[image[:, 4] > 3.0]
+    kind = kinds_of(image[:, 5].astype(int), ground, plants, other)
+    truth = truth_from_points(image[:, :3], kind, PAPER, own=[0, 0, 0, 4.5, 1.9])
+    shares = truth.shares()
+    assert 0.02 < shares.free < 0.3
+    assert 0.002 < shares.occupied < 0.1
+    # where only ground was labelled, the cell is free; what stands on the ground makes cells occupied
+    hits = np.zeros((*PAPER.shape, 5), bool)
+    inside = PAPER.contains(image[:, 0], image[:, 1])
+    hits[(*PAPER.index(*image[inside, :2].T), kind[inside])] = True
+    only_ground = hits[..., Kind.GROUND] & ~hits[..., Kind.OBSTACLE] & ~hits[..., Kind.PLANT] & ~truth.ignored
+    assert (truth.state[only_ground] == FREE).all()
+    nothing = ~hits.any(axis=2) & ~truth.ignored
+    assert (truth.state[nothing] == UNKNOWN).all()
+
+
+def test_vehicles_of_argoverse_become_occupied(real) -> None:
+    feather = pytest.importorskip("pyarrow.feather")
+    from ogm import read_points
+    from ogm.geometric import ground_height, local_ground
+
+    path = real("argoverse2_adcf/sensors/lidar/*.feather")
+    points = read_points(path, "argoverse")
+    rows = feather.read_table(real("argoverse2_adcf/annotations.feather")).to_pylist()
+    rows = [row for row in rows if row["timestamp_ns"] == int(path.stem)]
+    boxes = []
+    for row in rows:
+        yaw = 2 * np.arctan2(row["qz"], row["qw"])
+        bottom = row["tz_m"] - row["height_m"] / 2
+        size = (row["length_m"], row["width_m"])
+        boxes.append([row["tx_m"], row["ty_m"], yaw, *size, bottom, bottom + row["height_m"]])
+    boxes = np.array(boxes)
+    coarse = GridSpec(1.0, (100, 100), (-50.0, -50.0))
+    xyz = points[:, :3]
+    near = (np.abs(xyz[:, :2]) < 49).all(axis=1) & (np.abs(xyz[:, 1]) + np.abs(xyz[:, 0]) > 3.5)
+    xyz = xyz[near]
+    high = xyz[:, 2] - ground_height(local_ground(xyz, coarse, (0.0, 0.0, -0.33)), coarse, xyz)
+    kind = np.where(high < 0.15, Kind.GROUND, Kind.OBSTACLE)
+    returns = count_returns(xyz[kind == Kind.OBSTACLE], boxes)
+    truth = truth_from_points(
+        xyz, kind, PAPER, height=lambda *_: high, boxes=boxes, own=[1.4, 0, 0, 4.9, 2.0]
+    )
+    dense = boxes[(returns >= 50) & PAPER.contains(boxes[:, 0], boxes[:, 1])]
+    assert len(dense) >= 5
+    for box in dense:
+        state = truth.state[cells_in_box(box, PAPER)]
+        assert (state[state != IGNORE] == OCCUPIED).all()
+    assert 0.015 < truth.shares().free < 0.1  # one scan leaves gaps between its layers
