@@ -6,11 +6,12 @@ return, which is what Velodyne's calibrated intensities are up to 100.
 
 import math
 
+import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ogm.simulation.kernels import uniform
-from ogm.simulation.materials import Material
+from ogm.simulation.materials import GROUND, Material
 
 __all__ = ["receive", "reflect"]
 
@@ -24,8 +25,13 @@ PULSE = 0.6  # [m] returns closer together than this melt into one
 SMEAR = 2.5  # [m] returns closer together than this may do so
 SMEARED = 0.15  # share of those that do
 SPECKLE = 0.18  # standard deviation of the logarithm of one return's strength
+LOST = (
+    0.015  # share of the returns of anything but the ground that are missing for no reason that can be seen
+)
 WAVER = 0.3  # standard deviation of the detection threshold, of itself
 FOLIAGE, NOTHING = int(Material.FOLIAGE), 255
+_GROUND = np.zeros(256, np.bool_)
+_GROUND[[*GROUND, NOTHING]] = True
 
 
 @njit(cache=True, nogil=True)
@@ -106,6 +112,8 @@ def receive(
     shift: NDArray,
     limits: tuple[float, float, float],
     noise: tuple[float, float, float],
+    bias: NDArray,
+    gain: NDArray,
     air: tuple[float, float, float],
     seed: int,
     ranges: NDArray,
@@ -130,6 +138,8 @@ def receive(
         [m]; see `LidarSpec`.
     noise : (range_noise, range_step, divergence)
         [m], [m], [rad].
+    bias, gain : (layers,) float64
+        Fixed error of the range [m] and factor of the strength, see `LidarSpec.errors`.
     air : (extinction, drops, depth)
         [1/m]; expected number of returns from the air on a free ray; their mean distance [m].
     seed : int
@@ -186,6 +196,7 @@ def receive(
         m, owner = material[source], thing[source]
         if m == FOLIAGE:  # leaves fill part of the beam
             p *= 0.1 + 0.9 * uniform(8 * i, seed + 2)
+        p *= gain[layer]
         # air: it dims, and sometimes returns light itself
         if extinction > 0:
             p *= math.exp(-2 * extinction * min(d, 1e4))
@@ -197,6 +208,8 @@ def receive(
         # is it seen?
         threshold = 100 * (d / reach) ** 2
         lost = not near <= d <= far or p < threshold * (1 + WAVER * _normal(4 * i + 3, seed + 2))
+        if not _GROUND[m] and uniform(8 * i + 4, seed + 2) < LOST:
+            lost = True
         if m == NOTHING and d < far:  # drops that are seen at all are so by definition
             lost = False
         if lost or p <= 0:
@@ -206,7 +219,7 @@ def receive(
         c = max(1.0 * cosine[source], 0.05)
         footprint = 0.03 * d * divergence * math.sqrt(1 - c * c) / c
         error = math.sqrt(sigma * sigma * (1 + threshold / p) + footprint * footprint)
-        measured = round((d + error * _normal(i, seed + 3)) / step) * step
+        measured = round((d + bias[layer] + error * _normal(i, seed + 3)) / step) * step
         if not near <= measured <= far:
             ranges[i], intensities[i], materials[i], things[i] = 0, 0, NOTHING, -1
             continue

@@ -159,6 +159,7 @@ def _report(spec: LidarSpec, T: NDArray[np.float64], hits: Hits, weather: Weathe
         shift,
         (spec.range_min, spec.range_max, spec.reach),
         (spec.range_noise, spec.range_step, spec.divergence),
+        *spec.errors,
         _air(weather),
         seed,
         image.range.reshape(-1),

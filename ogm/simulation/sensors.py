@@ -35,7 +35,11 @@ class LidarSpec:
         Where half the returns of a matt white target seen head-on are lost [m]. What reflects a share R of
         that is lost at reach * sqrt(R).
     range_noise : float
-        Standard deviation of the range of a strong return [m].
+        Standard deviation of the range of a strong return from shot to shot [m].
+    range_bias : float
+        Standard deviation of the fixed error of each layer [m]. A data sheet's "accuracy" holds both.
+    gain_spread : float
+        Standard deviation of the logarithm of each layer's fixed gain.
     range_step : float
         Ranges are whole multiples of this [m].
     divergence : float
@@ -44,6 +48,8 @@ class LidarSpec:
         Usual height of the sensor above the ground [m].
     origins : tuple of (x, y, z)
         Where the beams of each layer start in the sensor frame [m]; empty for (0, 0, 0).
+    unit : int
+        Which sensor of this kind: another one has other fixed errors and gains.
 
     Raises
     ------
@@ -58,12 +64,15 @@ class LidarSpec:
     rate: float = 10.0
     range_min: float = 0.7
     range_max: float = 200.0
-    reach: float = 145.0
-    range_noise: float = 0.01
+    reach: float = 185.0
+    range_noise: float = 0.005
+    range_bias: float = 0.012
+    gain_spread: float = 0.25
     range_step: float = 0.004
     divergence: float = 0.003
     height: float = 1.9
     origins: tuple[tuple[float, float, float], ...] = ()
+    unit: int = 0
 
     def __post_init__(self) -> None:
         if not self.elevations:
@@ -92,6 +101,8 @@ class LidarSpec:
             "range_max": (self.range_max, self.range_min, 2000),
             "reach": (self.reach, 1, 5000),
             "range_noise": (self.range_noise, 0, 1),
+            "range_bias": (self.range_bias, 0, 1),
+            "gain_spread": (self.gain_spread, 0, 2),
             "range_step": (self.range_step, 1e-5, 1),
             "divergence": (self.divergence, 0, 0.1),
             "height": (self.height, 0.05, 20),
@@ -134,6 +145,12 @@ class LidarSpec:
     def times(self) -> NDArray[np.float64]:
         """When each column fires [s], (azimuths,); 0 is the middle of the turn."""
         return ((np.arange(self.azimuths) + 0.5) / self.azimuths - 0.5) / self.rate
+
+    @cached_property
+    def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Fixed range error [m] and gain of each layer of this unit, (layers,) each."""
+        draws = np.random.default_rng([self.unit, self.layers]).standard_normal((2, self.layers))
+        return self.range_bias * draws[0], np.exp(self.gain_spread * draws[1])
 
     def directions(self) -> NDArray[np.float32]:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
@@ -240,8 +257,8 @@ LIDARS: dict[str, LidarSpec] = {
             2 * math.pi / 1085,
             rate=20.0,
             range_max=100.0,
-            reach=130.0,
-            range_noise=0.012,
+            reach=165.0,
+            range_noise=0.004,
             range_step=0.002,
         ),
         LidarSpec(
@@ -251,8 +268,8 @@ LIDARS: dict[str, LidarSpec] = {
             2 * math.pi / 2083,
             range_min=0.9,
             range_max=120.0,
-            reach=140.0,
-            range_noise=0.012,
+            reach=180.0,
+            range_noise=0.008,
             range_step=0.002,
             divergence=0.002,
             height=1.73,
@@ -263,8 +280,8 @@ LIDARS: dict[str, LidarSpec] = {
             (0.0,) * 128,
             math.radians(0.2),
             range_max=245.0,
-            reach=240.0,
-            range_noise=0.015,
+            reach=305.0,
+            range_noise=0.008,
         ),
         LidarSpec(
             "os1-64",
@@ -272,8 +289,8 @@ LIDARS: dict[str, LidarSpec] = {
             _radians([(3.16, 1.05, -1.05, -3.16)[k % 4] for k in range(64)]),
             2 * math.pi / 1024,
             range_max=120.0,
-            reach=130.0,
-            range_noise=0.02,
+            reach=165.0,
+            range_noise=0.012,
             range_step=0.003,
             divergence=0.0023,
         ),

@@ -15,7 +15,7 @@ from ogm.simulation.scene import OWN, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
 
 VLP = LIDARS["vlp-32c"]
-EXACT = replace(VLP, range_noise=0.0, divergence=0.0)
+EXACT = replace(VLP, range_noise=0.0, range_bias=0.0, gain_spread=0.0, divergence=0.0)
 FLAT = box([-300, -300, -1], [300, 300, 0], Material.ASPHALT)
 T = pose(0, 0, 1.9)
 
@@ -139,7 +139,7 @@ def test_a_pair_looks_up_and_down_alike_from_two_places() -> None:
     np.testing.assert_allclose(np.sort(pair.elevations), -np.sort(pair.elevations)[::-1], atol=1e-12)
     heights = np.array(pair.origins)[:, 2]
     assert (heights == 0).sum() == (heights == -0.119).sum() == 32
-    exact = replace(pair, range_noise=0.0, divergence=0.0)
+    exact = replace(pair, range_noise=0.0, range_bias=0.0, gain_spread=0.0, divergence=0.0)
     cloud = points(scan(Scene(FLAT, threads=1), exact, T, rng()), exact)
     np.testing.assert_allclose(cloud[:, 2], -1.9, atol=2e-3)
 
@@ -205,11 +205,12 @@ def test_ranges_without_noise_are_those_of_geometry() -> None:
 def test_the_noise_is_as_strong_as_told() -> None:
     scene, part = to_the_front(20.0, Material.PLASTER_LIGHT)
     for sigma in (0.01, 0.05):
-        spec = replace(VLP, range_noise=sigma)
+        spec = replace(VLP, range_noise=sigma, range_bias=0.0)
         errors = []
         for seed in range(5):
             image = scan(scene, spec, np.eye(4), rng(seed))
-            errors.append(image.range[part] - 20 / spec.directions()[part][..., 0])
+            error = image.range[part] - 20 / spec.directions()[part][..., 0]
+            errors.extend(error[image.range[part] > 0])
         assert np.std(errors) == pytest.approx(sigma, rel=0.15)
         assert abs(np.mean(errors)) < sigma / 10 + 1e-3
 
@@ -218,10 +219,23 @@ def test_weak_returns_are_less_exact() -> None:
     spread = {}
     for material in (Material.PLASTER_LIGHT, Material.ASPHALT):
         scene, part = to_the_front(42.0, material)
-        image = scan(scene, VLP, np.eye(4), rng())
+        image = scan(scene, replace(VLP, range_bias=0.0), np.eye(4), rng())
         error = (image.range[part] - 42 / VLP.directions()[part][..., 0])[image.range[part] > 0]
         spread[material] = error.std()
     assert spread[Material.ASPHALT] > 1.1 * spread[Material.PLASTER_LIGHT]
+
+
+def test_layers_and_units_have_errors_and_gains_of_their_own() -> None:
+    bias, gain = VLP.errors
+    assert bias.shape == gain.shape == (VLP.layers,)
+    assert 0.5 * VLP.range_bias < bias.std() < 1.5 * VLP.range_bias
+    assert np.log(gain).std() == pytest.approx(VLP.gain_spread, rel=0.5)
+    np.testing.assert_array_equal(replace(VLP, unit=0).errors[0], bias)
+    assert not np.array_equal(replace(VLP, unit=1).errors[0], bias)
+    scene, part = to_the_front(20.0, Material.PLASTER_LIGHT)
+    shots = np.array([scan(scene, VLP, np.eye(4), rng(seed)).range[part] for seed in range(4)])
+    errors = np.where(shots > 0, shots - 20 / VLP.directions()[part][..., 0], np.nan)
+    np.testing.assert_allclose(np.nanmean(errors, axis=(0, 2)), bias[part[0]], atol=0.002)
 
 
 def test_ranges_and_intensities_are_whole_steps() -> None:
@@ -313,10 +327,10 @@ def seen(material: Material, distance: float, weather: Weather = CLEAR) -> float
 def test_returns_get_lost_with_distance_and_darkness() -> None:
     for material in (Material.PAINT_BLACK, Material.ASPHALT, Material.PLASTER_LIGHT):
         shares = [seen(material, distance) for distance in (5, 20, 40, 60, 90, 120, 190)]
-        assert shares[0] == 1
+        assert shares[0] > 0.95  # a few are lost at random
         assert all(a >= b - 0.05 for a, b in zip(shares, shares[1:], strict=False))
         assert shares[-1] < 0.1
-    assert seen(Material.SIGN, 190) == 1
+    assert seen(Material.SIGN, 190) > 0.95
 
 
 def test_a_black_car_partly_vanishes_where_it_does_not_face_the_sensor() -> None:
@@ -325,7 +339,7 @@ def test_a_black_car_partly_vanishes_where_it_does_not_face_the_sensor() -> None
         image = scan(Scene(oblique, threads=1), VLP, np.eye(4), rng())
         return float((image.range[10:26, 885:915] > 0).mean())
 
-    assert share(Material.PAINT_BLACK, 10) == 1
+    assert share(Material.PAINT_BLACK, 8) > 0.9
     assert share(Material.PAINT_BLACK, 40) < 0.1 < 0.95 < share(Material.PAINT_LIGHT, 40)
 
 
@@ -365,7 +379,7 @@ def test_fog_and_rain_hide_what_is_far_and_return_light_from_close_by() -> None:
     rain, downpour, haze, fog = drops.values()
     assert 0 < rain < downpour < 0.1 < fog
     assert haze < fog
-    assert seen(Material.BRICK, 60) > 0.9 > 0.1 > seen(Material.BRICK, 60, Weather(fog=60.0))
+    assert seen(Material.PLASTER_LIGHT, 60) > 0.9 > 0.1 > seen(Material.PLASTER_LIGHT, 60, Weather(fog=60.0))
 
 
 def test_impossible_weather_is_refused() -> None:
@@ -380,8 +394,8 @@ def test_strengths_are_in_the_ranges_of_real_scans() -> None:
         return float(np.median(image.intensity[image.range > 0]) * 255)
 
     assert 3 < middle(Material.ASPHALT) < 15
-    assert 15 < middle(Material.BRICK) < 45
-    assert 35 < middle(Material.PLASTER_LIGHT) < 80
+    assert 5 < middle(Material.BRICK) < 25
+    assert 25 < middle(Material.PLASTER_LIGHT) < 60
     assert middle(Material.PAINT_BLACK) < 8
     for material in (Material.SIGN, Material.PLATE, Material.HIGH_VIS):
         assert middle(material) > 100
