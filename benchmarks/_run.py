@@ -37,7 +37,10 @@ from ogm.files import atomic_write  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PICTURES = ROOT / "benchmarks" / "results", ROOT / "docs" / "pictures"
 DATA = Path(os.environ.get("OGM_DATA", ROOT.parent / "shared" / "data" / "real"))  # see benchmarks/README.md
-PACKAGES = ("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "shapely", "torch", "pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp")
+PACKAGES = (
+    *("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "shapely", "torch"),
+    *("pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp"),
+)
 SLOW = 0.3  # [s] a call that takes longer is not repeated within a round
 BURST = 0.05  # [s] how long a quick call is repeated within a round
 MOST = 10  # calls per round

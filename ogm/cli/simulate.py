@@ -59,6 +59,10 @@ def simulate(
     in_motion: Annotated[
         float | None, typer.Option(help="Share of samples that the own motion distorts. [default: 0]")
     ] = None,
+    towns: Annotated[
+        int | None,
+        typer.Option(help="Towns for training and validation; that of the test is another. [default: 1]"),
+    ] = None,
     town_size: Annotated[float | None, typer.Option(help="Side of the towns [m]. [default: 480]")] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine. [default: what cores and memory allow]")
@@ -110,6 +114,7 @@ def simulate(
         "mounts": None if lidar is None else only(lidar),
         "bad_weather": bad_weather,
         "in_motion": in_motion,
+        "towns": towns,
         "town_size": town_size,
     }
     plan = replace(plan, **{name: value for name, value in given.items() if value is not None})

@@ -6,6 +6,7 @@ versions of the libraries, whoever else makes samples at the same time.
 
 from collections import OrderedDict
 from collections.abc import Hashable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple, TypeVar
@@ -15,12 +16,12 @@ from numpy.typing import NDArray
 
 from ogm.pose import inverse, pose
 from ogm.simulation.plan import Plan, moment, mount_of, random
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, Weather
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
 from ogm.truth import CANVAS, Truth, boxes_seen_from
 
 try:
-    from ogm.simulation.lidar import CLEAR, scan
+    from ogm.simulation.lidar import CLEAR, Weather, scan
     from ogm.simulation.scene import Scene
     from ogm.simulation.survey import aimed_truth, hd_truth, look_down
     from ogm.simulation.town import Town, build_town
@@ -119,7 +120,8 @@ def look(plan: Plan, split: str, index: int) -> Look:
     world.scene.place([one.mesh.moved(one.pose) for one in near], own)
     mount, (height, forward, roll, pitch) = mount_of(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
-    return Look(world, frame, near, LIDARS[mount.lidar], T_vehicle_sensor, frame.ego @ T_vehicle_sensor)
+    spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
+    return Look(world, frame, near, spec, T_vehicle_sensor, frame.ego @ T_vehicle_sensor)
 
 
 def sample(plan: Plan, split: str, index: int) -> Sample:
@@ -160,7 +162,7 @@ def sample(plan: Plan, split: str, index: int) -> Sample:
         split=split,
         index=index,
         scenario=at.scenario,
-        weather=Weather(*weather),
+        weather=weather,
     )
 
 
@@ -217,7 +219,7 @@ def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.hypot(*(a[:2, 3] - b[:2, 3])))
 
 
-def _weather(plan: Plan, rng: np.random.Generator) -> Any:
+def _weather(plan: Plan, rng: np.random.Generator) -> Weather:
     """Draw the weather: clear, or, in a share of the samples, rain, fog or a road that is still wet."""
     bad, kind, strength = rng.random(3)
     if bad >= plan.bad_weather:

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ogm.simulation.plan import Plan
+from ogm.simulation.plan import Plan, moment
 from ogm.simulation.sample import Beams, Sample
 from ogm.simulation.store import SHARD, Store
 
@@ -85,6 +85,7 @@ def begin(
 
 def jobs(store: Store) -> list[Job]:
     """Say which shards are still to be made, those of one town after each other."""
+    plan = Plan.from_dict(store.plan)
     todo = []
     for name in ("training", "validation", "sequences", "test"):
         split = store[name]
@@ -93,7 +94,9 @@ def jobs(store: Store) -> list[Job]:
             part = made[shard * SHARD : (shard + 1) * SHARD]
             if not part.all():
                 todo.append(Job(name, shard, len(part)))
-    return todo
+    towns = [moment(plan, job.split, job.shard * SHARD).town for job in todo]
+    order = {town: k for k, town in enumerate(dict.fromkeys(towns))}
+    return [job for _, job in sorted(zip(towns, todo, strict=True), key=lambda pair: order[pair[0]])]
 
 
 def workers_that_fit() -> int:

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.pose import check_pose
 from ogm.simulation.echo import receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
+from ogm.simulation.sample import Weather
 from ogm.simulation.scene import Hits, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
 
@@ -23,24 +24,6 @@ __all__ = [
     "returns",
     "scan",
 ]
-
-
-class Weather(NamedTuple):
-    """What is in the air and on the road.
-
-    Attributes
-    ----------
-    rain : float
-        Rate [mm/h].
-    fog : float
-        Meteorological visibility [m]; inf for none.
-    wet : float
-        How wet the ground is, from 0, dry, to 1: asphalt as `Material.WET_ASPHALT`.
-    """
-
-    rain: float = 0.0
-    fog: float = math.inf
-    wet: float = 0.0
 
 
 CLEAR = Weather()

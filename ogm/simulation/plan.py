@@ -103,6 +103,9 @@ class Plan:
         Share [0, 1] of the samples in rain, in fog or on wet roads.
     in_motion : float
         Share [0, 1] of the samples that the own motion distorts during the turn (rolling shutter).
+    towns : int
+        Towns that training and validation drive through in turn; the paper has one. The test's is always
+        another.
     town_size : float
         Side of the towns [m].
     hd_layers : int
@@ -118,16 +121,19 @@ class Plan:
     mounts: tuple[Mount, ...] = MOUNTS
     bad_weather: float = 0.0
     in_motion: float = 0.0
+    towns: int = 1
     town_size: float = 480.0
     hd_layers: int = 3000
 
     def __post_init__(self) -> None:
-        for name in ("seed", "samples", "validation", "test", "sequences", "hd_layers"):
+        for name in ("seed", "samples", "validation", "test", "sequences", "towns", "hd_layers"):
             value = getattr(self, name)
             if value != int(value) or value < 0:
                 raise ValueError(f"{name} must be a whole number from 0 on, got {value}")
         if not sum(self.counts.values()):
             raise ValueError("the data set would be empty: ask for at least one sample")
+        if not 1 <= self.towns <= DRIVES:
+            raise ValueError(f"towns must be in 1 ... {DRIVES}, the number of drives, got {self.towns}")
         if self.truth not in ("aimed", "hd"):
             raise ValueError(f'truth must be "aimed" or "hd", got {self.truth!r}')
         low, high = TOWN_SIZES
@@ -215,7 +221,6 @@ def moment(plan: Plan, split: str, index: int) -> Moment:
         raise ValueError(f"split must be one of {', '.join(SPLITS)}, got {split!r}")
     if index < 0:
         raise ValueError(f"samples are counted from 0, got {index}")
-    town = _integer(plan.seed, 1 if split == "test" else 0)
     number = SPLITS.index(split)
     if split == "sequences":
         scenario, frame = divmod(index, SEQUENCE)
@@ -225,6 +230,7 @@ def moment(plan: Plan, split: str, index: int) -> Moment:
         run, second = divmod(rest, RUN)
         scenario = DRIVES * lap + run % DRIVES
         time = WARM_UP + run // DRIVES * RUN + second
+    town = _integer(plan.seed, 1) if split == "test" else _integer(plan.seed, 0, scenario % plan.towns)
     return Moment(town, _integer(plan.seed, 2, number, scenario), scenario % 2 == 0, scenario, float(time))
 
 

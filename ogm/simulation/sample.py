@@ -47,7 +47,7 @@ class Weather(NamedTuple):
     fog : float
         Meteorological visibility [m], inf for clear air.
     wet : float
-        Share of the ground that is wet [0, 1].
+        How wet the ground is, from 0, dry, to 1: asphalt as `ogm.simulation.materials.Material.WET_ASPHALT`.
     """
 
     rain: float = 0.0

@@ -123,3 +123,17 @@ def test_unknown_splits_and_numbers_are_told() -> None:
         moment(PLAN, "train", 0)
     with pytest.raises(ValueError, match="counted from 0"):
         moment(PLAN, "training", -1)
+
+
+def test_drives_take_turns_through_several_towns_and_never_the_tests() -> None:
+    plan = Plan(towns=3)
+    towns = [moment(plan, "training", 10 * run).town for run in range(20)]
+    assert len(set(towns)) == 3
+    assert towns[:3] == towns[3:6]
+    assert towns[0] == moment(Plan(), "training", 0).town  # the first one is the paper's only one
+    assert moment(plan, "validation", 0).town == towns[0]
+    tests = {moment(plan, "test", k).town for k in range(0, 200, 10)}
+    assert len(tests) == 1
+    assert tests.isdisjoint(towns)
+    with pytest.raises(ValueError, match="towns"):
+        Plan(towns=0)

@@ -1,0 +1,224 @@
+"""What a simulated sample costs beyond its rays, whether two workers use two cores, how fast a data set is read.
+
+    python benchmarks/simulation.py [--moments N] [--samples N] [--quick] [--store DATA]
+
+All on two cores, unlike the other benchmarks. Writes benchmarks/results/simulation.json and
+docs/pictures/simulation.png.
+"""
+
+import os
+
+os.environ["OGM_CORES"] = "2"  # before _run, which pins to one core otherwise
+
+from _run import PICTURES, RESULTS, caption, environment, write_json  # noqa: E402
+
+# isort: split
+import argparse  # noqa: E402
+import statistics  # noqa: E402
+import tempfile  # noqa: E402
+import time  # noqa: E402
+from concurrent.futures import ProcessPoolExecutor  # noqa: E402
+from dataclasses import replace  # noqa: E402
+from multiprocessing import get_context  # noqa: E402
+from pathlib import Path  # noqa: E402
+from typing import Any  # noqa: E402
+
+import numpy as np  # noqa: E402
+import open3d  # noqa: E402
+
+from ogm.simulation import dataset, farm  # noqa: E402
+from ogm.simulation.dataset import Look, look, sample  # noqa: E402
+from ogm.simulation.mesh import merge  # noqa: E402
+from ogm.simulation.plan import Plan, only  # noqa: E402
+from ogm.simulation.sensors import hd_directions  # noqa: E402
+from ogm.simulation.store import Store  # noqa: E402
+from ogm.simulation.traffic import own_vehicle  # noqa: E402
+
+CORES = (1, 2)
+NOTE = (
+    "'rays alone' is Open3D casting the sample's 57,600 + 5,400,000 rays at one scene that holds the town and the "
+    "traffic, arrays and scene ready, everything else left out. A whole sample places traffic, scans, finds the "
+    "ground below, casts, fills the truth grid, compresses and writes it."
+)
+
+
+def rays_of(here: Look) -> tuple[Any, Any]:
+    """Return the scene of a moment in one piece, and the rays of a paper's sample, for Open3D itself."""
+    T = here.T_world_sensor
+    meshes = [one.mesh.moved(one.pose) for one in here.objects] + [own_vehicle().moved(here.frame.ego)]
+    whole = merge([here.world.town.mesh, *meshes])
+    scene = open3d.t.geometry.RaycastingScene(nthreads=2)
+    scene.add_triangles(open3d.core.Tensor(whole.vertices), open3d.core.Tensor(whole.triangles))
+    directions = np.concatenate(
+        [here.spec.directions().reshape(-1, 3), hd_directions(here.spec).reshape(-1, 3)]
+    )
+    rays = np.empty((len(directions), 6), np.float32)
+    rays[:, :3] = T[:3, 3]
+    rays[:, 3:] = directions @ T[:3, :3].T.astype(np.float32)
+    return scene, open3d.core.Tensor(rays)
+
+
+def cost(plan: Plan, moments: int, repeats: int, folder: Path) -> dict[str, Any]:
+    """Time whole samples of both modes beside their rays alone, moment by moment."""
+    dataset.threads_per_sample(2)
+    times: dict[str, list[float]] = {"rays alone": [], "hd": [], "aimed": []}
+    plans = {mode: replace(plan, truth=mode) for mode in ("hd", "aimed")}
+    for k in range(moments):
+        index = 10 * k  # another drive each time
+        scene, rays = rays_of(look(plan, "training", index))
+        rounds: dict[str, list[float]] = {name: [] for name in times}
+        counts = {"training": index + 1}
+        stores = {
+            mode: Store.create(folder / f"{mode}{k}", {}, counts, dataset.lidars(one), dataset.versions())
+            for mode, one in plans.items()
+        }
+        for _ in range(repeats + 1):  # the first round is to warm up
+            start = time.perf_counter()
+            scene.cast_rays(rays, 2)
+            rounds["rays alone"].append(time.perf_counter() - start)
+            for mode, one in plans.items():
+                start = time.perf_counter()
+                made = sample(one, "training", index)
+                stores[mode].write("training", k, [made])
+                rounds[mode].append(time.perf_counter() - start)
+        for name, values in rounds.items():
+            times[name].append(statistics.median(values[1:]))
+        print(k, {name: round(values[-1], 3) for name, values in times.items()}, flush=True)
+    ratios = {mode: [a / b for a, b in zip(times[mode], times["rays alone"], strict=True)] for mode in plans}
+    return {
+        "seconds, median": {name: round(statistics.median(values), 3) for name, values in times.items()},
+        "times the rays alone, median": {m: round(statistics.median(r), 3) for m, r in ratios.items()},
+        "times the rays alone, worst moment": {m: round(max(r), 3) for m, r in ratios.items()},
+        "moments": moments,
+        "repeats": repeats,
+    }
+
+
+def made(workers: int, cores: int, plan: Plan, folder: str) -> tuple[float, float]:
+    """Return samples per second once the towns stand, and bytes per sample."""
+    os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:cores]))
+    store = farm.begin(folder, plan, dataset.lidars(plan), dataset.versions())
+    events = farm.make(store, plan, sample, dataset.threads_per_sample, workers=workers)
+    next(events)  # the estimate: towns stand, kernels are compiled
+    start, size = time.perf_counter(), 0
+    for event in events:
+        size += event.size
+    return plan.samples / (time.perf_counter() - start), size / plan.samples
+
+
+def scaling(plan: Plan, samples: int, folder: Path) -> dict[str, Any]:
+    """Make the same data set on one core, and by two workers on two, and compare the files."""
+    plan = replace(plan, samples=samples, validation=0, test=0)
+    rates = {}
+    for workers in CORES:
+        target = folder / f"by{workers}"
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            rates[workers], size = pool.submit(made, workers, workers, plan, str(target)).result()
+        print(f"{workers} worker(s): {rates[workers]:.2f} samples/s", flush=True)
+    files = [sorted(p.relative_to(folder / f"by{w}") for p in (folder / f"by{w}").rglob("*")) for w in CORES]
+    same = files[0] == files[1] and all(
+        (folder / "by1" / name).read_bytes() == (folder / "by2" / name).read_bytes()
+        for name in files[0]
+        if (folder / "by1" / name).is_file()
+    )
+    return {
+        "samples": samples,
+        "samples per second by one worker on one core": round(rates[1], 3),
+        "samples per second by two workers on two": round(rates[2], 3),
+        "gain": round(rates[2] / rates[1], 3),
+        "bytes per sample": round(size),
+        "the same bytes": same,
+    }
+
+
+def read(path: str, first: int, step: int) -> tuple[int, float]:
+    """Decode every step-th training sample to points and truth; return their number and the seconds."""
+    split = Store.open(path)["training"]
+    points, truth = split[first].points, split[first].truth  # compiles, opens
+    del points, truth
+    start = time.perf_counter()
+    total = 0
+    for index in range(first, len(split), step):
+        one = split[index]
+        total += len(one.points) + one.truth.state.size
+    return len(range(first, len(split), step)), time.perf_counter() - start
+
+
+def reading(path: Path) -> dict[str, float]:
+    """Read a data set with one process, then with two at once."""
+    rates = {}
+    for count in CORES:
+        with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
+            list(pool.map(read, [str(path)] * count, [0] * count, [10**9] * count))  # processes stand
+            results = list(pool.map(read, [str(path)] * count, range(count), [count] * count))
+        rates[f"samples per second, {count} process{'es' if count > 1 else ''}"] = round(
+            sum(number / seconds for number, seconds in results), 1
+        )
+    return rates
+
+
+def picture(record: dict[str, Any], path: Path) -> None:
+    """Draw the three answers."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2))
+    times = record["one sample"]["seconds, median"]
+    gains = [
+        record["two workers"][f"samples per second by {k}"]
+        for k in ("one worker on one core", "two workers on two")
+    ]
+    rates = list(record["reading"].values())
+    for axis, names, values, title in (
+        (axes[0], list(times), list(times.values()), "one sample on two cores [s]"),
+        (axes[1], ["1 worker", "2 workers"], gains, "made [samples/s]"),
+        (axes[2], ["1 process", "2 processes"], rates, "read [samples/s]"),
+    ):
+        bars = axis.bar(names, values, color=["#c9c9c9", "#1b7837", "#1b7837"][-len(values) :])
+        axis.bar_label(bars, fmt="%.3g", fontsize=9)
+        axis.set_title(title, fontsize=10)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.text(0.01, 0.01, caption(record), fontsize=6, color="#555555")
+    figure.tight_layout(rect=(0, 0.04, 1, 1))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument(
+        "--moments", type=int, default=6, help="moments of which samples are timed (default 6)"
+    )
+    parser.add_argument("--repeats", type=int, default=3, help="times each (default 3)")
+    parser.add_argument("--samples", type=int, default=80, help="made to compare workers (default 80)")
+    parser.add_argument("--store", type=Path, help="data set to read (default: the one made for the workers)")
+    parser.add_argument("--quick", action="store_true", help="two moments, twenty samples; not worth quoting")
+    parser.add_argument("--out", type=Path, default=RESULTS / "simulation.json", help="where the figures go")
+    parser.add_argument(
+        "--picture", type=Path, default=PICTURES / "simulation.png", help="where the picture goes"
+    )
+    options = parser.parse_args()
+    moments, repeats, samples = (
+        (2, 1, 20) if options.quick else (options.moments, options.repeats, options.samples)
+    )
+
+    record = environment()
+    plan = Plan(mounts=only("vlp-32c"))
+    with tempfile.TemporaryDirectory() as folder:
+        record["one sample"] = cost(plan, moments, repeats, Path(folder))
+        record["two workers"] = scaling(Plan(), samples, Path(folder))
+        store = options.store or Path(folder) / "by2"
+        record["reading"] = reading(store)
+    record["note"] = NOTE
+    write_json(options.out, record)
+    picture(record, options.picture)
+    for name in ("one sample", "two workers", "reading"):
+        print(f"{name}: {record[name]}")
+    print(f"wrote {options.out} and {options.picture}")
+
+
+if __name__ == "__main__":
+    main()
