@@ -68,11 +68,11 @@ class Mount:
 # Four samples in five as in the paper; the others so that a network can be trained for more than one car.
 MOUNTS = (
     Mount("vlp-32c", 0.80),
-    Mount("vlp-32c", 0.05, (1.55, 2.4), (-0.4, 0.4), 0.03),
-    Mount("hdl-32e", 0.05, (1.55, 2.2), (-0.4, 0.4), 0.03),
-    Mount("hdl-64e", 0.04, (1.6, 2.1), (-0.4, 0.4), 0.03),
-    Mount("os1-64", 0.04, (1.6, 2.2), (-0.4, 0.4), 0.03),
-    Mount("vls-128", 0.02, (1.6, 2.2), (-0.4, 0.4), 0.03),
+    Mount("vlp-32c", 0.05, (1.7, 2.4), (-0.4, 0.4), 0.03),
+    Mount("hdl-32e", 0.05, (1.7, 2.2), (-0.4, 0.4), 0.03),
+    Mount("hdl-64e", 0.04, (1.7, 2.1), (-0.4, 0.4), 0.03),
+    Mount("os1-64", 0.04, (1.7, 2.2), (-0.4, 0.4), 0.03),
+    Mount("vls-128", 0.02, (1.7, 2.2), (-0.4, 0.4), 0.03),
 )
 
 

@@ -1,4 +1,5 @@
 import inspect
+from functools import partial
 
 import numpy as np
 import open3d as o3d
@@ -353,6 +354,19 @@ def test_bushes_are_loose_and_stand_on_the_ground():
         assert 0.5 < crown_hits(bush, rng) < 0.98
 
 
+def test_tall_enclosures_hide_what_is_behind_them():
+    starts = np.column_stack([np.linspace(1, 7, 61), np.full(61, -3.0), np.full(61, 1.25)])
+    for make in (
+        partial(plants.hedge, lowest=1.6),
+        partial(furniture.low_wall, lowest=1.5),
+        furniture.screen,
+    ):
+        for seed in range(5):
+            piece = make(LINE, np.random.default_rng(seed))
+            distance, _ = first_hits(piece, starts, np.array([[0.0, 1.0, 0.0]]))
+            assert np.isfinite(distance).mean() > 0.9
+
+
 def test_hedges_are_rough_and_nearly_closed():
     for seed in range(10):
         hedge = plants.hedge(LINE, np.random.default_rng(seed))
@@ -470,6 +484,7 @@ def test_fences_follow_the_ground():
     for make in (
         furniture.fence,
         furniture.low_wall,
+        furniture.screen,
         plants.hedge,
         lambda line, rng: furniture.guard_rail(line),
     ):
@@ -491,6 +506,7 @@ def test_a_line_without_length_is_refused():
     for make in (
         furniture.fence,
         furniture.low_wall,
+        furniture.screen,
         plants.hedge,
         lambda line, rng: furniture.guard_rail(line),
     ):

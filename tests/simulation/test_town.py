@@ -68,7 +68,8 @@ def turning(town: Town, trip: tuple[int, ...]) -> float:
 
 def test_no_ray_falls_through_the_ground(town: Town) -> None:
     rng = np.random.default_rng(1)
-    xy = rng.uniform(-SIZE / 2 + 0.01, SIZE / 2 - 0.01, (200_000, 2))
+    edge = -float(town.corner[0]) - 0.01
+    xy = rng.uniform(-edge, edge, (200_000, 2))
     fallen = cast(scene(town.ground), np.column_stack([xy, np.full(len(xy), 100.0)]), np.array([0.0, 0, -1]))
     assert np.isfinite(fallen).all()
     # The raster says the same height, but for the cells that a kerb passes through.
@@ -203,6 +204,18 @@ def test_nothing_stands_on_a_lane_or_hangs_low_over_it(town: Town) -> None:
                 assert ahead.min() > 1.0
 
 
+def test_most_streets_are_closed_by_what_stands_beside_them(town: Town) -> None:
+    """From the height of a lidar the view to the side mostly ends at houses, hedges and walls."""
+    everything = scene(town.mesh)
+    reach = []
+    for lane in (town.lanes[k] for k in town.loop):
+        ahead = np.gradient(lane.points[:, :2], axis=0)
+        across = np.column_stack([-ahead[:, 1], ahead[:, 0], 0 * ahead[:, 0]])
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        reach += [cast(everything, lane.points + [0, 0, 1.9], side * across) for side in (-1, 1)]
+    assert 0.55 < np.mean(np.concatenate(reach) < 30) < 0.97
+
+
 def test_bays_leave_the_lanes_free(town: Town) -> None:
     points = np.concatenate([lane.points[:, :2] for lane in town.lanes])
     half = np.concatenate([np.full(len(lane.points), lane.width / 2) for lane in town.lanes])
@@ -252,8 +265,16 @@ def test_a_town_has_many_surfaces_and_things(town: Town) -> None:
 
 
 def test_the_height_is_clamped_at_the_edge(town: Town) -> None:
-    edge = SIZE / 2
+    edge = -float(town.corner[0])
     assert float(town.ground_height(edge + 50, 0.0)) == float(town.ground_height(edge, 0.0))
+
+
+def test_every_lane_is_50_m_from_the_end_of_the_ground(town: Town) -> None:
+    points = np.concatenate([lane.points[:, :2] for lane in town.lanes])
+    end = float(town.height_step) * (len(town.height) - 1) / 2
+    assert np.allclose(town.corner, -end)
+    assert np.abs(town.ground.vertices[:, :2]).max(axis=0) == pytest.approx([end, end])
+    assert end - abs(points).max() > 50
 
 
 @pytest.mark.parametrize("size", [0.0, -10.0, 239.0, 5000.0, np.nan, np.inf])

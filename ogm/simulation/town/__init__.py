@@ -22,6 +22,9 @@ __all__ = ["Lane", "Town", "build_town"]
 HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
 ATTEMPTS = 20  # draws of streets
 SMALLEST, LARGEST = 240.0, 1000.0  # [m]
+APRON = (
+    25.0  # [m] ground and backs of houses beyond the square, so that no street is near the end of the ground
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,7 @@ class Town:
     seed : int
         What it was drawn from.
     size : float
-        Its edge [m].
+        Its edge [m]; ground, and houses beside the outermost streets, reach 25 m beyond it.
     mesh : Mesh
         Everything that stands still.
     ground : Mesh
@@ -83,7 +86,8 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     seed : int
         Any number >= 0; the same seed and size give the same town, bit for bit.
     size : float
-        Edge of the square that the town fills [m], 240 to 1000.
+        Edge of the square that the streets fill [m], 240 to 1000; the ground reaches 25 m beyond it, and from
+        every lane at least 50 m.
 
     Raises
     ------
@@ -97,11 +101,12 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     size = float(size)
     draws = [np.random.default_rng([int(seed), k]) for k in range(6)]
     network, draft, loops = _streets(int(seed), size)
-    plan = make_plan(size, network, draft, draws[1])
+    extent = size + 2 * APRON
+    plan = make_plan(extent, network, draft, draws[1])
     lots = fill_blocks(plan, draws[4])
     terrain = _terrain(plan, draws[2])
-    ground, kerbs = cover(size, plan.road, plan.zones, plan.lines, terrain, plan.drops)
-    raster = height_raster(surface(ground), size, HEIGHT_STEP)
+    ground, kerbs = cover(extent, plan.road, plan.zones, plan.lines, terrain, plan.drops)
+    raster = height_raster(surface(ground), extent, HEIGHT_STEP)
     things = furnish(plan, lots, raster, draws[5])
     lanes = [replace(lane, points=_raise(lane.points, terrain)) for lane in draft.lanes]
     bays = np.array([(b.x, b.y, 0.0, b.yaw, b.length, b.width) for b in plan.bays]).reshape(-1, 6)
@@ -130,14 +135,23 @@ def _streets(seed: int, size: float) -> tuple[Network, Draft, list[tuple[int, ..
         network = make_network(size, np.random.default_rng([seed, 0, attempt]))
         draft = make_lanes(network)
         shows = [_sight(network, draft, k) for k in range(len(draft.lanes))]
+        worth = [_worth(show) for show in shows]
         rng = np.random.default_rng([seed, 3, attempt])
-        loops = [round_trip(draft.lanes, shows, sense, rng, 5.0 * size) for sense in (-1.0, 1.0)]
+        loops = [round_trip(draft.lanes, shows, worth, sense, rng, 5.0 * size) for sense in (-1.0, 1.0)]
         if all(loops):
             return network, draft, loops
     raise RuntimeError(
         f"found no streets with round trips of {SHORTEST:g} m for seed {seed} and size {size:g} m "
         f"in {ATTEMPTS} draws; try another seed or a larger size"
     )
+
+
+def _worth(show: str) -> float:
+    """Say what a metre of a trip is worth: most streets of a trip run between houses."""
+    kind, _, district = show.partition(" ")
+    if kind == "arterial" or district in ("industrial", "park"):
+        return 0.1
+    return 1.4 if district == "centre" else 1.0
 
 
 def _terrain(plan: Plan, rng: np.random.Generator) -> Terrain:

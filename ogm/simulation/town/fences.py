@@ -7,7 +7,7 @@ from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, box, loft, merge, quads, sheet
 from ogm.simulation.town.plants import SUNK, resampled
 
-__all__ = ["bars", "fence", "gate", "guard_rail", "low_wall"]
+__all__ = ["bars", "fence", "gate", "guard_rail", "low_wall", "screen"]
 
 M = Material
 
@@ -38,14 +38,20 @@ def fence(line: ArrayLike, rng: np.random.Generator) -> Mesh:
         return _mesh_fence(line, rng.uniform(1.0, 2.2), rng)
     if kind < 0.9:
         return _rails(line, rng.uniform(0.9, 1.3))
-    return _boards(line, rng.uniform(1.6, 2.0))
+    return _boards(line, rng.uniform(1.6, 2.0), M.WOOD)
 
 
-def low_wall(line: ArrayLike, rng: np.random.Generator) -> Mesh:
-    """Build a garden wall along a line (M, 3): 0.4 to 1.9 m high, 0.2 to 0.4 m thick, some with a coping."""
+def screen(line: ArrayLike, rng: np.random.Generator, material: Material = M.WOOD) -> Mesh:
+    """Build a closed fence of boards or metal sheets along a line (M, 3), 1.6 to 2.0 m high."""
+    return _boards(line, rng.uniform(1.6, 2.0), material)
+
+
+def low_wall(line: ArrayLike, rng: np.random.Generator, *, lowest: float = 0.4) -> Mesh:
+    """Build a garden wall along a line (M, 3): `lowest` to 1.9 m high, 0.2 to 0.4 m thick, some with a coping."""
     points, side = resampled(line, 3.0)
     material = rng.choice([M.BRICK, M.STONE, M.CONCRETE, M.PLASTER_LIGHT])
-    height = rng.uniform(0.4, 1.0) if rng.random() < 0.6 else rng.uniform(1.4, 1.9)
+    low = lowest < 1.0 and rng.random() < 0.6
+    height = rng.uniform(lowest, 1.0) if low else rng.uniform(max(lowest, 1.4), 1.9)
     half = rng.uniform(0.1, 0.2)
     edge, down, up = half * side, np.array([0, 0, 2 * SUNK]), np.array([0, 0, height])
     shape = [points - edge - down, points + edge - down, points + edge + up, points - edge + up]
@@ -154,11 +160,11 @@ def _rails(line: ArrayLike, height: float) -> Mesh:
     return quads(np.concatenate([*rails, _crossed(points, side, height, 0.05)]), M.WOOD)
 
 
-def _boards(line: ArrayLike, height: float) -> Mesh:
+def _boards(line: ArrayLike, height: float, material: Material) -> Mesh:
     """Build a closed screen of boards set to and fro."""
     feet, ahead = _along(line, 0.2)
     points, side = resampled(line, 2.0)
     turn = 0.02 * (-1.0) ** np.arange(len(feet))[:, None]
     left = np.stack([-ahead[:, 1], ahead[:, 0], ahead[:, 2]], axis=1)
     boards = _uprights(feet + turn * left, 0.04, height, 0.105 * ahead)
-    return quads(np.concatenate([boards, _crossed(points, side, height, 0.045)]), M.WOOD)
+    return quads(np.concatenate([boards, _crossed(points, side, height, 0.045)]), material)

@@ -104,9 +104,11 @@ def _row(lot: Polygon, rng: np.random.Generator) -> Placed:
 
 def _detached(lot: Polygon, rng: np.random.Generator) -> Placed:
     """Set houses apart in gardens, with garages beside them."""
+    if rng.random() < 0.35:
+        return _terraces(lot, rng)
     x0, y0, x1, y1 = lot.bounds
     placed: Placed = []
-    setback = rng.uniform(3.0, 6.5)
+    setback = rng.uniform(1.0, 4.5)
     x = x0 + rng.uniform(1.0, 3.0)
     while x1 - x > 8:
         width = min(rng.uniform(8.5, 13.0), x1 - x - 1.5)
@@ -122,11 +124,26 @@ def _detached(lot: Polygon, rng: np.random.Generator) -> Placed:
             shape = shape.difference(_rectangle(x + 0.6 * width, y - 1, width, 1 + rng.uniform(1.2, 3.0)))
         placed.append((shape, 35.0))
         x += width
-        if rng.random() < 0.6:
-            gap = rng.choice([0.0, rng.uniform(0.8, 2.0)])
-            placed.append((_rectangle(x + gap, y + rng.uniform(0.0, 4.0), rng.uniform(3.0, 6.0), 6.0), 15.0))
-            x += gap + 6.0
-        x += rng.uniform(2.5, 6.0)
+        if rng.random() < 0.75:
+            gap, wide = rng.choice([0.0, 0.0, rng.uniform(0.8, 1.6)]), rng.uniform(3.0, 6.0)
+            placed.append((_rectangle(x + gap, y + rng.uniform(0.0, 4.0), wide, 6.0), 15.0))
+            x += gap + wide
+        x += rng.uniform(1.0, 3.5)
+    return placed
+
+
+def _terraces(lot: Polygon, rng: np.random.Generator) -> Placed:
+    """Set rows of narrow houses behind small front gardens."""
+    x0, y0, x1, y1 = lot.bounds
+    placed: Placed = []
+    x, y = x0 + rng.uniform(0.3, 1.5), y0 + rng.uniform(0.8, 4.0)
+    width, depth = rng.uniform(6.6, 8.5), min(rng.uniform(9.0, 11.5), y1 - y - 1.0)
+    left = int(rng.integers(4, 9))  # houses to come in this row
+    while x1 - x > width + 0.3 and depth > 5:
+        placed.append((_rectangle(x, y + rng.choice([0.0, 0.0, 0.8]), width, depth), 35.0))
+        x, left = x + width, left - 1
+        if left == 0:
+            x, left = x + rng.uniform(2.0, 4.0), int(rng.integers(4, 9))
     return placed
 
 
@@ -134,10 +151,10 @@ def _halls(lot: Polygon, rng: np.random.Generator) -> Placed:
     """Set halls behind yards, with an office at the front of some."""
     x0, y0, x1, y1 = lot.bounds
     placed: Placed = []
-    x = x0 + rng.uniform(2.0, 6.0)
+    x = x0 + rng.uniform(1.0, 4.0)
     while x1 - x > 12:
         width = min(rng.uniform(20.0, 55.0), x1 - x - 2)
-        y = y0 + rng.uniform(5.0, 16.0)
+        y = y0 + rng.choice([rng.uniform(1.5, 5.0), rng.uniform(5.0, 10.0)])
         depth = min(rng.uniform(18.0, 40.0), y1 - y - 2)
         if depth < 8:
             break
@@ -147,7 +164,7 @@ def _halls(lot: Polygon, rng: np.random.Generator) -> Placed:
         if rng.random() < 0.4:
             placed.append((_rectangle(x + 1, y - 4.5, 9.0, 4.5), 30.0))
         placed.append((shape, 80.0))
-        x += width + rng.uniform(6.0, 14.0)
+        x += width + rng.uniform(4.0, 10.0)
     return placed
 
 
@@ -158,7 +175,7 @@ def _large(lot: Polygon, rng: np.random.Generator) -> Placed:
     x = x0 + rng.uniform(1.0, 5.0)
     while x1 - x > 10:
         width = min(rng.uniform(16.0, 42.0), x1 - x - 1)
-        y = y0 + rng.choice([rng.uniform(2.0, 5.0), rng.uniform(6.0, 14.0)])
+        y = y0 + rng.choice([rng.uniform(0.5, 4.0), rng.uniform(4.0, 9.0)])
         depth = min(rng.uniform(12.0, 24.0), y1 - y - 1)
         if depth < 7:
             break
@@ -169,7 +186,7 @@ def _large(lot: Polygon, rng: np.random.Generator) -> Placed:
                 _rectangle(x + at * width, y - 1, 0.25 * width, 1 + rng.uniform(1.5, 4.0))
             )
         placed.append((shape, 60.0))
-        x += width + rng.uniform(4.0, 14.0)
+        x += width + rng.uniform(3.0, 9.0)
     return placed
 
 

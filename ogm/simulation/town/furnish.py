@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import shapely
+import shapely.ops
 from numpy.typing import NDArray
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
@@ -24,6 +25,8 @@ __all__ = ["HEADROOM", "Yard", "furnish"]
 
 M = Material
 HEADROOM = 4.6  # [m] nothing over a road is lower
+# Share of the fronts that hide what is behind them.
+CLOSED = {"suburb": 0.68, "industrial": 0.55, "arterial": 0.3}
 _SPOTS = np.array(
     [
         [1, 0, 0],
@@ -129,7 +132,7 @@ def furnish(plan: Plan, lots: list[Lot], height: Raster, rng: np.random.Generato
     for k, street in enumerate(plan.network.streets):
         _street(plan, k, street, yard, tall, bushes, rng)
     for lot in lots:
-        _lot(lot, yard, trees, bushes, rng)
+        _lot(lot, yard, trees, tall, bushes, rng)
     _islands(plan, yard, tall, bushes, rng)
     _woods(plan, lots, yard, trees, bushes, rng)
     return yard.meshes
@@ -211,7 +214,7 @@ def _street(
             (f.planter, 1.5 if street.district == "centre" else 0.0, 0.8, 0.7),
             (f.advert_column, 0.8 if busy else 0.1, 0.9, 0.8),
             (f.cafe, 2.0 if street.district == "centre" else 0.0, walk - 0.9, 1.0),
-            (partial(_pick, bushes), 4.0 if profile.verge > 0 else 0.0, profile.verge / 2, 0.6),
+            (partial(_pick, bushes), 1.0 if profile.verge > 0 else 0.0, profile.verge / 2, 0.6),
         ]
         for maker, rate, back, radius in wanted:
             for _ in range(rng.poisson(rate * max(0.0, end - begin) / 100)):
@@ -250,12 +253,21 @@ def _spans(plan: Plan, yard: Yard, rng: np.random.Generator) -> None:
         yard.add(piece.moved(T))
 
 
-def _lot(lot: Lot, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.random.Generator) -> None:
+def _lot(
+    lot: Lot,
+    yard: Yard,
+    trees: list[Mesh],
+    tall: list[Mesh],
+    bushes: list[Mesh],
+    rng: np.random.Generator,
+) -> None:
     if lot.use == "houses":
         _fences(lot, yard, rng)
         if lot.style == "suburb":
-            _scatter(lot.shape, yard, trees, 1 / 130, 1.2, rng)
-            _scatter(lot.shape, yard, bushes, 1 / 70, 0.7, rng)
+            near = LineString(lot.front).buffer(9.0)  # no low crowns beside the street
+            _scatter(shapely.intersection(lot.shape, near), yard, tall, 1 / 120, 1.2, rng)
+            _scatter(shapely.difference(lot.shape, near), yard, trees, 1 / 130, 1.2, rng)
+            _scatter(lot.shape, yard, bushes, 1 / 120, 0.7, rng)
             _pieces(lot.shape, yard, [(f.bin_, 1 / 250, 0.6), (f.bench, 1 / 700, 1.0)], rng)
         elif lot.style == "industrial":
             wanted = [
@@ -273,11 +285,11 @@ def _lot(lot: Lot, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.ra
                 (f.sign, 1 / 600, 0.3),
             ]
             _pieces(lot.shape, yard, wanted, rng)
-            _scatter(lot.shape, yard, trees, 1 / 300, 1.5, rng)
+            _scatter(lot.shape, yard, tall, 1 / 250, 1.5, rng)
     elif lot.use == "square":
         middle = lot.shape.centroid
         yard.put(f.monument(rng), middle.x, middle.y, rng.uniform(0, 6), 4.0)
-        _scatter(lot.shape, yard, trees, 1 / 110, 2.0, rng)
+        _scatter(lot.shape, yard, tall, 1 / 110, 2.0, rng)
         wanted = [
             (f.bench, 1 / 90, 1.1),
             (f.planter, 1 / 120, 0.8),
@@ -288,8 +300,11 @@ def _lot(lot: Lot, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.ra
         ]
         _pieces(lot.shape, yard, wanted, rng)
     elif lot.use == "car park":
-        _scatter(lot.shape.difference(lot.shape.buffer(-1.6)), yard, trees, 1 / 25, 0.8, rng)
-        _scatter(lot.shape.difference(lot.shape.buffer(-1.6)), yard, bushes, 1 / 8, 0.6, rng)
+        _scatter(lot.shape.difference(lot.shape.buffer(-1.6)), yard, tall, 1 / 30, 0.8, rng)
+        if rng.random() < 0.5:
+            _edge(lot, yard, 0.8, rng)
+        else:
+            _scatter(lot.shape.difference(lot.shape.buffer(-1.6)), yard, bushes, 1 / 12, 0.6, rng)
     elif lot.use == "works":
         for part in polygons(lot.shape.buffer(-1.0).simplify(0.3))[:1]:
             for side in shapely.get_parts(shapely.difference(part.exterior, yard.blocked)):
@@ -307,6 +322,7 @@ def _lot(lot: Lot, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.ra
             rng,
         )
     else:
+        _edge(lot, yard, 0.6, rng)
         open_ground = shapely.difference(lot.shape, shapely.union_all(lot.gaps))
         _scatter(open_ground.buffer(-1.5), yard, trees, 1 / 95, 1.8, rng)
         _scatter(open_ground.buffer(-1.0), yard, bushes, 1 / 80, 0.9, rng)
@@ -320,38 +336,79 @@ def _lot(lot: Lot, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.ra
         yard.add(plants.grass_tufts(open_ground.buffer(-1), yard.height, rng, density=0.35))
 
 
+def _edge(lot: Lot, yard: Yard, share: float, rng: np.random.Generator) -> None:
+    """Tall hedges and walls along a share of a lot's outline."""
+    ways = shapely.union_all([*lot.gaps, shapely.intersection(yard.blocked, lot.shape)]).buffer(0.35)
+    for part in polygons(lot.shape.buffer(-0.8).simplify(0.3))[:1]:
+        ring = part.exterior
+        for at in np.arange(0.0, ring.length - 8.0, 16.0):
+            piece = shapely.ops.substring(ring, at, min(at + 16.0, ring.length - 1.0))
+            hides, kind = rng.random() < share, rng.uniform(0.0, 0.6)
+            for line in shapely.get_parts(shapely.difference(piece, ways)):
+                if hides and line.length > 1.6:
+                    points = yard.line(np.array(line.segmentize(2.5).coords))
+                    _enclose(points, lot.style, kind, hides, yard, rng)
+
+
 def _fences(lot: Lot, yard: Yard, rng: np.random.Generator) -> None:
-    """Hedges, fences and walls along the front and between neighbours, open at driveways and paths."""
-    if lot.style not in ("suburb", "industrial"):
+    """Hedges, walls and fences along the front, between neighbours and between houses; open at ways."""
+    if lot.style not in CLOSED:
         return
     along = lot.front[1] - lot.front[0]
     width = float(np.linalg.norm(along))
     along = along / width
     ways = shapely.union_all(lot.gaps).buffer(0.35)
     solid = shapely.union_all([ways, shapely.intersection(yard.blocked, lot.shape)])
+    inside = lot.shape.buffer(-0.55)
+    closed = CLOSED[lot.style]
+    back = _behind(lot) + 2.0
+
+    def stand(line: LineString, share: float) -> None:
+        """Build one kind of enclosure along a line, one that hides what is behind it with that probability."""
+        kind, hides = rng.random(), rng.random() < share
+        for part in shapely.get_parts(shapely.intersection(line, inside).difference(solid)):
+            if part.length >= 1.2:
+                points = yard.line(np.array(shapely.segmentize(part, 2.5).coords))
+                _enclose(points, lot.style, kind, hides, yard, rng)
+
     at = 0.0
     while at < width - 4:
         to = min(width, at + rng.uniform(14, 24))
-        kind = rng.random()
-        start, stop = lot.front[0] + along * (at + 0.6), lot.front[0] + along * (to - 0.6)
-        lines = [LineString([start + 0.7 * lot.inward, stop + 0.7 * lot.inward])]
+        to = width if width - to < 5 else to
+        start, stop = lot.front[0] + along * (at + 0.3), lot.front[0] + along * (to - 0.3)
+        stand(LineString([start + 0.7 * lot.inward, stop + 0.7 * lot.inward]), closed)
         if lot.style == "suburb":
-            lines.append(LineString([stop + 1.2 * lot.inward, stop + rng.uniform(6, 26) * lot.inward]))
-        inside = lot.shape.buffer(-0.55)
-        for line in lines:
-            for part in shapely.get_parts(shapely.intersection(line, inside).difference(solid)):
-                if part.length < 1.6:
-                    continue
-                points = yard.line(np.array(shapely.segmentize(part, 2.5).coords))
-                if lot.style == "industrial":
-                    yard.add(f.fence(points, rng))
-                elif kind < 0.35:
-                    yard.add(plants.hedge(points, rng))
-                elif kind < 0.65:
-                    yard.add(f.fence(points, rng))
-                elif kind < 0.85:
-                    yard.add(f.low_wall(points, rng))
+            stand(LineString([stop + 1.2 * lot.inward, stop + rng.uniform(6, 26) * lot.inward]), 0.5)
+        stand(LineString([start + back * lot.inward, stop + back * lot.inward]), 0.85)
         at = to
+
+
+def _behind(lot: Lot) -> float:
+    """How far behind the front the houses of a lot stand, in the middle [m]."""
+    return float(
+        np.median([((np.array(h.exterior.coords) - lot.front[0]) @ lot.inward).min() for h in lot.houses])
+    )
+
+
+def _enclose(
+    points: NDArray, style: str, kind: float, hides: bool, yard: Yard, rng: np.random.Generator
+) -> None:
+    """Build a hedge, wall or fence along points on the ground, or nothing."""
+    if hides and kind < 0.42:
+        yard.add(plants.hedge(points, rng, lowest=1.5))
+    elif hides and kind < 0.7:
+        yard.add(f.low_wall(points, rng, lowest=1.5))
+    elif hides:
+        yard.add(f.screen(points, rng, M.METAL_SHEET if style == "industrial" else M.WOOD))
+    elif style != "suburb":
+        if kind < 0.75:
+            yard.add(f.fence(points, rng))
+    elif kind < 0.25:
+        yard.add(plants.hedge(points, rng))
+    elif kind < 0.6:
+        yard.add(f.fence(points, rng))
+    elif kind < 0.85:
+        yard.add(f.low_wall(points, rng))
 
 
 def _scatter(
@@ -401,5 +458,8 @@ def _woods(
     rest = shapely.union_all([block.shape for block in plan.blocks]).difference(
         shapely.union_all(used).buffer(0.5)
     )
-    _scatter(rest.buffer(-1.5), yard, trees, 1 / 140, 1.5, rng)
-    _scatter(rest.buffer(-1.0), yard, bushes, 1 / 160, 0.9, rng)
+    inner = shapely.box(*(np.array([-1, -1, 1, 1]) * (plan.size / 2 - 30.0)))
+    near, far = shapely.intersection(rest, inner), shapely.difference(rest, inner)
+    _scatter(near.buffer(-1.5), yard, trees, 1 / 140, 1.5, rng)
+    _scatter(near.buffer(-1.0), yard, bushes, 1 / 200, 0.9, rng)
+    _scatter(far.buffer(-1.5), yard, trees, 1 / 260, 1.5, rng)  # hardly seen

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads, sheet, wall
-from ogm.simulation.town.fences import bars, fence, gate, guard_rail, low_wall
+from ogm.simulation.town.fences import bars, fence, gate, guard_rail, low_wall, screen
 from ogm.simulation.town.plants import bush
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "low_wall",
     "monument",
     "planter",
+    "screen",
     "shelter",
     "sign",
     "skip",

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 __all__ = ["MARGIN", "bent_grid", "broad_line", "chains_of", "dead_ends", "grid_edges", "thinned"]
 
-MARGIN = 35.0  # [m] from the outermost street to the edge of the town
+MARGIN = 35.0  # [m] from the outermost street to the edge of the square
 Edges = list[tuple[int, int]]
 
 

@@ -44,7 +44,7 @@ def look_of(style: str, outline: Polygon, rng: np.random.Generator) -> Look:
         old = rng.random() < 0.6
         wall = int(rng.choice([light, dark, brick, stone], p=[0.45, 0.25, 0.2, 0.1]))
         shop = rng.random() < 0.6
-        storeys = int(rng.integers(3, 6)) if area > 60 else int(rng.integers(1, 4))
+        storeys = int(rng.integers(3, 7)) if area > 60 else int(rng.integers(1, 4))
         window = (
             (u(1.0, 1.35), u(0.5, 0.85), u(2.3, 2.7)) if old else (u(1.3, 2.0), u(0.8, 0.95), u(2.15, 2.3))
         )
@@ -58,7 +58,7 @@ def look_of(style: str, outline: Polygon, rng: np.random.Generator) -> Look:
         )  # fmt: skip
     if style == "suburb":
         hut = area < 40
-        storeys = 1 if hut else int(rng.choice([1, 2, 2, 3] if area > 150 else [1, 1, 2]))
+        storeys = 1 if hut else int(rng.choice([2, 2, 2, 3] if area > 150 else [1, 2, 2, 2]))
         wall = int(rng.choice([light, dark, brick, wood], p=[0.6, 0.15, 0.18, 0.07]))
         return Look(
             storeys, u(2.4, 2.6) if hut else u(2.7, 2.9), u(2.6, 2.8), 0.0 if hut else u(0.1, 0.7),

@@ -18,8 +18,8 @@ __all__ = ["Lot", "fill_blocks"]
 
 M = Material
 DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m]
-SETBACK = {"centre": 0.0, "suburb": 2.5, "industrial": 3.0, "arterial": 2.0, "park": 2.0}  # [m] at least
-OPEN_SPACE = {"centre": 0.10, "suburb": 0.05, "industrial": 0.25, "arterial": 0.35, "park": 0.3}  # car parks
+SETBACK = {"centre": 0.0, "suburb": 1.2, "industrial": 2.0, "arterial": 1.0, "park": 2.0}  # [m] at least
+OPEN_SPACE = {"centre": 0.05, "suburb": 0.03, "industrial": 0.12, "arterial": 0.15, "park": 0.2}  # car parks
 
 
 class Lot(NamedTuple):
@@ -106,7 +106,7 @@ def _along(plan: Plan, block: Block, square: bool, rng: np.random.Generator) -> 
             use, square = "square", False
         elif width > 26 and rng.random() < OPEN_SPACE[style]:
             use = "car park"
-        elif rng.random() < 0.04:
+        elif rng.random() < 0.03:
             use = "works"
         lot = Lot(use, style, free[0], front, inward, [], [])
         if use == "houses":

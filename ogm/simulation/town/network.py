@@ -171,15 +171,16 @@ def make_network(size: float, rng: np.random.Generator) -> Network:
 def _districts(m: int, faces: NDArray, rng: np.random.Generator) -> tuple[str, ...]:
     """Place a dense centre, a park beside it, industry in a corner, suburbs elsewhere."""
     if m == 2:
-        return tuple(str(s) for s in rng.permutation(["centre", "park", "industrial", "suburb"]))
+        quiet = "park" if rng.random() < 0.5 else "industrial"
+        return tuple(str(s) for s in rng.permutation(["centre", "centre", "suburb", quiet]))
     styles = np.full(m * m, "suburb", dtype=object)
     far = np.linalg.norm(faces - rng.uniform(-0.12, 0.12, 2) * np.ptp(faces), axis=1)
     order = np.argsort(far, kind="stable")
-    dense = max(2, round(m * m * rng.uniform(0.25, 0.4)))
+    dense = max(2, round(m * m * rng.uniform(0.4, 0.52)))
     styles[order[:dense]] = "centre"
     corner = faces[order[-1 - int(rng.integers(2))]]
     near = np.argsort(np.linalg.norm(faces - corner, axis=1), kind="stable")
-    styles[near[: max(2, round(m * m * rng.uniform(0.15, 0.25)))]] = "industrial"
+    styles[near[: max(2, round(m * m * rng.uniform(0.1, 0.16)))]] = "industrial"
     green = [int(k) for k in order[dense - 1 :] if styles[k] != "industrial"]
     styles[rng.choice(green[: len(green) // 2 + 1])] = "park"
     return tuple(str(s) for s in styles)
@@ -227,8 +228,8 @@ def _streets(
 
 
 _CHOICES = {
-    "centre": ["main", "main", "avenue", "oneway", "narrow"],
-    "suburb": ["residential", "residential", "green", "avenue"],
+    "centre": ["main", "avenue", "oneway", "narrow", "narrow", "residential"],
+    "suburb": ["residential", "residential", "residential", "narrow", "green", "avenue"],
     "industrial": ["industrial"],
     "park": ["green", "avenue"],
 }
@@ -248,7 +249,7 @@ def _one_way(
         if PROFILES[kinds[k]].back == 0 and not _reachable(chains, kinds, heads):
             chains[k].reverse()
             if not _reachable(chains, kinds, heads):
-                kinds[k] = "main"
+                kinds[k] = "residential"
 
 
 def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> bool:

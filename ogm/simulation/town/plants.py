@@ -118,7 +118,7 @@ def bush(rng: np.random.Generator) -> Mesh:
     return merge([stems, _cards(rng, centers, np.sqrt(area * rng.uniform(0.5, 1.5, count)), lowest=0.0)])
 
 
-def hedge(line: ArrayLike, rng: np.random.Generator) -> Mesh:
+def hedge(line: ArrayLike, rng: np.random.Generator, *, lowest: float = 0.8) -> Mesh:
     """Grow a clipped hedge along a line: an uneven core, and leaves that stand out of it.
 
     Parameters
@@ -126,7 +126,9 @@ def hedge(line: ArrayLike, rng: np.random.Generator) -> Mesh:
     line : (M, 3) array
         Points on the ground along the hedge's middle [m].
     rng : Generator
-        Chooses height (0.8 to 2.1 m), width (0.5 to 1.0 m) and unevenness.
+        Chooses height (`lowest` to 2.1 m), width (0.5 to 1.0 m) and unevenness.
+    lowest : float
+        Height of the lowest hedge [m].
 
     Returns
     -------
@@ -135,7 +137,7 @@ def hedge(line: ArrayLike, rng: np.random.Generator) -> Mesh:
     """
     points, side = resampled(line, 0.7)
     n = len(points)
-    height, half = rng.uniform(0.8, 2.1), rng.uniform(0.25, 0.5)
+    height, half = rng.uniform(lowest, 2.1), rng.uniform(0.25, 0.5)
     bulge = half * rng.uniform(0.5, 0.95, (n, 4))
     crest = height * rng.uniform(0.82, 0.97, (n, 2))
     lift = np.column_stack([np.full(n, -SUNK), crest[:, 0], crest[:, 1], np.full(n, -SUNK)])

@@ -7,11 +7,16 @@ from ogm.simulation.town.lanes import Lane
 __all__ = ["SHORTEST", "round_trip"]
 
 SHORTEST = 600.0  # [m]
-TRIES = 4000  # random drives, of which the best is taken
+TRIES = 12000  # random drives, of which the best is taken
 
 
 def round_trip(
-    lanes: list[Lane], kinds: list[str], sense: float, rng: np.random.Generator, longest: float
+    lanes: list[Lane],
+    kinds: list[str],
+    worth: list[float],
+    sense: float,
+    rng: np.random.Generator,
+    longest: float,
 ) -> tuple[int, ...]:
     """Find a closed trip of at least 600 m that sees many kinds of street.
 
@@ -21,12 +26,14 @@ def round_trip(
         All lanes.
     kinds : list of str
         What a trip over each lane shows: kind of street and district, or "roundabout"; "" for nothing.
+    worth : list of float
+        What a metre of each lane is worth.
     sense : float
         1 for counter-clockwise, -1 for clockwise.
     rng : np.random.Generator
         Draws the trips that are tried.
     longest : float
-        Longer trips are no better [m].
+        Trips worth more metres than this are no better.
 
     Returns
     -------
@@ -47,9 +54,10 @@ def round_trip(
         if area * sense <= 0:
             continue
         seen = {kinds[k] for k in found if kinds[k]}
-        worth = 150.0 * len(seen) + 300.0 * ("roundabout" in seen) + min(length, longest)
-        if worth > best[0]:
-            best = worth, found
+        metres = min(sum(lengths[k] * worth[k] for k in found), longest)
+        total = 100.0 * len(seen) + 300.0 * ("roundabout" in seen) + metres
+        if total > best[0]:
+            best = total, found
     return best[1]
 
 
@@ -58,14 +66,18 @@ def _wander(lanes: list[Lane], start: int, rng: np.random.Generator) -> tuple[in
     trip, crossed, choice = [start], set(), rng.random(200)
     for draw in choice:
         here = lanes[trip[-1]]
-        following = here.successors[int(draw * len(here.successors))]
+        ways = [
+            k
+            for k in here.successors
+            if k == start
+            or (k not in trip and (lanes[k].junction == here.junction or lanes[k].junction not in crossed))
+        ]
+        if not ways:
+            return ()
+        following = ways[int(draw * len(ways))]
         if following == start:
             return tuple(trip)
         lane = lanes[following]
-        if following in trip or (
-            lane.junction >= 0 and lane.junction != here.junction and lane.junction in crossed
-        ):
-            return ()
         if lane.junction >= 0:
             crossed.add(lane.junction)
         trip.append(following)
