@@ -7,6 +7,8 @@ import shapely
 from numpy.typing import ArrayLike, NDArray
 from shapely import Polygon
 
+from ogm.simulation.town.overlay import area, polygons
+
 __all__ = ["STYLES", "check_style", "front_first", "split_front"]
 
 STYLES = ("centre", "suburb", "industrial", "arterial", "park")
@@ -53,11 +55,10 @@ def split_front(lot: Polygon, front: ArrayLike, style: str, rng: np.random.Gener
     kept: list[Polygon] = []
     taken = Polygon()
     for shape, smallest in _PLACERS[style](local, rng):
-        pieces = shapely.get_parts(shape.intersection(local).difference(taken))
-        pieces = [piece for piece in pieces if isinstance(piece, Polygon) and piece.area > 0]
+        pieces = polygons(area(shape.intersection(local)).difference(taken))
         if not pieces:
             continue
-        piece = max(pieces, key=lambda p: p.area).simplify(0.05)
+        piece = pieces[0].simplify(0.05)
         piece = Polygon(piece.exterior)
         if piece.area < smallest or piece.buffer(-1.0).is_empty:
             continue

@@ -15,10 +15,10 @@ from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import furniture as f
 from ogm.simulation.town import plants
 from ogm.simulation.town.buildings import building
-from ogm.simulation.town.ground import polygons
 from ogm.simulation.town.layout import Plan
 from ogm.simulation.town.lots import Lot
 from ogm.simulation.town.network import Street
+from ogm.simulation.town.overlay import area, inside, polygons
 from ogm.simulation.town.terrain import FIELD, Raster, mask
 
 __all__ = ["HEADROOM", "Yard", "furnish"]
@@ -307,7 +307,7 @@ def _lot(
             _scatter(lot.shape.difference(lot.shape.buffer(-1.6)), yard, bushes, 1 / 12, 0.6, rng)
     elif lot.use == "works":
         for part in polygons(lot.shape.buffer(-1.0).simplify(0.3))[:1]:
-            for side in shapely.get_parts(shapely.difference(part.exterior, yard.blocked)):
+            for side in shapely.get_parts(shapely.difference(part.exterior, area(yard.blocked))):
                 if side.length > 1.6:
                     yard.add(f.fence(yard.line(np.array(side.segmentize(3.0).coords)), rng))
         _pieces(
@@ -338,7 +338,7 @@ def _lot(
 
 def _edge(lot: Lot, yard: Yard, share: float, rng: np.random.Generator) -> None:
     """Tall hedges and walls along a share of a lot's outline."""
-    ways = shapely.union_all([*lot.gaps, shapely.intersection(yard.blocked, lot.shape)]).buffer(0.35)
+    ways = shapely.union_all([*lot.gaps, area(shapely.intersection(yard.blocked, lot.shape))]).buffer(0.35)
     for part in polygons(lot.shape.buffer(-0.8).simplify(0.3))[:1]:
         ring = part.exterior
         for at in np.arange(0.0, ring.length - 8.0, 16.0):
@@ -358,15 +358,15 @@ def _fences(lot: Lot, yard: Yard, rng: np.random.Generator) -> None:
     width = float(np.linalg.norm(along))
     along = along / width
     ways = shapely.union_all(lot.gaps).buffer(0.35)
-    solid = shapely.union_all([ways, shapely.intersection(yard.blocked, lot.shape)])
-    inside = lot.shape.buffer(-0.55)
+    solid = shapely.union_all([ways, area(shapely.intersection(yard.blocked, lot.shape))])
+    room = shapely.difference(lot.shape.buffer(-0.55), solid)
     closed = CLOSED[lot.style]
     back = _behind(lot) + 2.0
 
     def stand(line: LineString, share: float) -> None:
         """Build one kind of enclosure along a line, one that hides what is behind it with that probability."""
         kind, hides = rng.random(), rng.random() < share
-        for part in shapely.get_parts(shapely.intersection(line, inside).difference(solid)):
+        for part in inside(line, room):
             if part.length >= 1.2:
                 points = yard.line(np.array(shapely.segmentize(part, 2.5).coords))
                 _enclose(points, lot.style, kind, hides, yard, rng)
@@ -433,8 +433,8 @@ def _points(shape: BaseGeometry, density: float, rng: np.random.Generator) -> li
     x0, y0, x1, y1 = shape.bounds
     count = rng.poisson((x1 - x0) * (y1 - y0) * density)
     x, y = rng.uniform(x0, x1, count), rng.uniform(y0, y1, count)
-    inside = shapely.contains_xy(shape, x, y)
-    return [(float(px), float(py)) for px, py in zip(x[inside], y[inside], strict=True)]
+    within = shapely.contains_xy(shape, x, y)
+    return [(float(px), float(py)) for px, py in zip(x[within], y[within], strict=True)]
 
 
 def _islands(plan: Plan, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.random.Generator) -> None:

@@ -14,14 +14,13 @@ import open3d
 import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, empty
 from ogm.simulation.town.terrain import Drop, Raster, Terrain
 
-__all__ = ["Zone", "cover", "height_raster", "polygons", "surface"]
+__all__ = ["Zone", "cover", "height_raster", "surface"]
 
 TILE = 4.0  # [m] of the grid that cuts the ground
 
@@ -144,9 +143,3 @@ def surface(ground: Mesh) -> Mesh:
     """Return the triangles that one may stand on."""
     stand = np.isin(ground.material, [int(m) for m in GROUND])
     return Mesh(ground.vertices, ground.triangles[stand], ground.material[stand])
-
-
-def polygons(shape: BaseGeometry) -> list[Polygon]:
-    """Return the polygons of a geometry, largest first."""
-    parts = [part for part in shapely.get_parts(shape) if isinstance(part, Polygon) and part.area > 0]
-    return sorted(parts, key=lambda part: -part.area)

@@ -9,9 +9,10 @@ from shapely import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from ogm.simulation.materials import Material
-from ogm.simulation.town.ground import Zone, polygons
+from ogm.simulation.town.ground import Zone
 from ogm.simulation.town.lanes import HEAD, ISLAND, KERB_RADIUS, RING, Draft
 from ogm.simulation.town.network import Network, Street
+from ogm.simulation.town.overlay import area, polygons
 from ogm.simulation.town.terrain import Drop
 
 __all__ = ["Bay", "Block", "Plan", "make_plan"]
@@ -150,7 +151,7 @@ def _corridor(network: Network, road: BaseGeometry, size: float) -> BaseGeometry
     whole = shapely.union_all(parts).buffer(4.0).buffer(-4.0)
     filled = shapely.union_all([Polygon(part.exterior) for part in polygons(road) if part.area < 0] + [whole])
     frame = shapely.box(-size / 2, -size / 2, size / 2, size / 2)
-    return shapely.intersection(filled, frame).simplify(0.02)
+    return area(shapely.intersection(filled, frame)).simplify(0.02)
 
 
 def _spans(plan: Plan, rng: np.random.Generator) -> None:

@@ -10,8 +10,9 @@ from shapely.geometry.base import BaseGeometry
 
 from ogm.simulation.materials import Material
 from ogm.simulation.town.buildings import split_front
-from ogm.simulation.town.ground import Zone, polygons
+from ogm.simulation.town.ground import Zone
 from ogm.simulation.town.layout import Bay, Block, Plan
+from ogm.simulation.town.overlay import area, polygons
 from ogm.simulation.town.terrain import Drop
 
 __all__ = ["Lot", "fill_blocks"]
@@ -95,7 +96,7 @@ def _along(plan: Plan, block: Block, square: bool, rng: np.random.Generator) -> 
             style = "arterial"
         depth = DEPTH[style]
         strip = Polygon([a, b, b + depth * inward, a + depth * inward])
-        free = polygons(shapely.intersection(block.shape, strip).difference(taken))
+        free = polygons(area(shapely.intersection(block.shape, strip)).difference(taken))
         if not free or free[0].area < 60:
             continue
         taken = taken.union(free[0])
