@@ -379,6 +379,7 @@ GOOD = {"x": np.zeros(3), "y": np.zeros(3), "kind": np.zeros(3, int), "height": 
         ({"boxes": [[0, 0, np.nan, 1, 1]], "returns": [50]}, ValueError, "boxes must be finite"),
         ({"boxes": [[0, 0, 0, 0, 1]], "returns": [50]}, ValueError, "above 0 m"),
         ({"own": [0, 0, 0, 1]}, ValueError, "own must hold"),
+        ({"own": []}, ValueError, "own must be one box"),
     ],
 )
 def test_what_cannot_be_judged_is_refused(change: dict, error: type, says: str) -> None:
@@ -419,9 +420,11 @@ def test_a_crop_refuses_a_yaw_that_is_no_number() -> None:
         (lambda: truth_from_points(np.zeros((3, 3)), np.zeros(2, int), SMALL), "one per point"),
         (lambda: height_above_ground(np.zeros(3), np.zeros(3, bool)), "xyz must have shape"),
         (lambda: height_above_ground(np.zeros((3, 3)), np.zeros(3, int)), "is_ground must be 3 booleans"),
+        (lambda: height_above_ground(np.full((3, 3), np.nan), np.ones(3, bool)), "xyz holds NaN"),
+        (lambda: height_above_ground(np.zeros((3, 3)), np.ones(3, bool), resolution=0.0), "resolution must"),
     ],
 )
-def test_wrong_shapes_are_refused(call, says: str) -> None:
+def test_wrong_points_are_refused(call, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         call()
 

@@ -96,14 +96,20 @@ def simulate(
         raise ValueError("give a folder for the data set, or --preview PICTURE.png to look at one sample")
     if preview is not None and preview.suffix.lower() != ".png":
         raise ValueError(f"a picture is saved as .png, got --preview {preview}")
+    if preview is not None and not preview.parent.is_dir():
+        raise FileNotFoundError(
+            f"there is no folder {preview.parent} for --preview {preview.name}; create it first"
+        )
+    if export is not None and export.exists() and not export.is_dir():
+        raise ValueError(f"--export writes a folder, but {export} is a file")
     from ogm.simulation.plan import Plan, only
+    from ogm.simulation.store import Store
 
     before = _before(path, resume)
     plan = before or Plan()
     if before is None and samples is not None:
-        plan = replace(plan, samples=samples)
-    if before is None:
-        plan = replace(plan, validation=plan.samples // 10, test=plan.samples // 100)
+        validation = samples // 10 if validation is None else validation
+        test = samples // 100 if test is None else test
     given: dict[str, Any] = {
         "seed": seed,
         "samples": samples,
@@ -121,8 +127,9 @@ def simulate(
     if before is not None:
         plan = plan.grown(before)
     if preview is not None:
-        from ogm.simulation import studio
+        from ogm.simulation import dataset, studio
 
+        dataset.lidars(plan)  # or the complaint that there is no such lidar, before a town is built
         town = preview.with_name(f"{preview.stem}-town.png")
         with complaints.status("building a town ..."):
             studio.preview(preview, town, plan)
@@ -133,10 +140,9 @@ def simulate(
         store = _make(path, plan, workers, scheduler)
         _finish(store, path, export)
     except KeyboardInterrupt:
-        complaints.print(
-            f"ogm: interrupted; finished shards are whole: `ogm simulate {path} --resume` goes on",
-            markup=False,
-        )
+        way = f"finished shards are whole: `ogm simulate {path} --resume` goes on"
+        said = way if Store.exists(path) else "the data set was not begun yet"
+        complaints.print(f"ogm: interrupted; {said}", markup=False)
         raise typer.Exit(130) from None
 
 
@@ -145,7 +151,7 @@ def _before(path: Path | None, resume: bool) -> "Plan | None":
     from ogm.simulation.plan import Plan
     from ogm.simulation.store import Store
 
-    if path is None or not (path / "zarr.json").exists():
+    if path is None or not Store.exists(path):
         if resume:
             raise FileNotFoundError(
                 errno.ENOENT, "no data set to go on with; leave out --resume to begin one", str(path)
@@ -172,18 +178,20 @@ def _make(path: Path, plan: "Plan", workers: int | None, scheduler: str | None) 
     )
     columns = (TextColumn("simulating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     status = complaints.status("building the town and measuring a sample ...")
-    with closing(events), status, Progress(*columns, console=complaints, transient=True) as progress:
-        task = progress.add_task("", total=todo)
-        for event in events:
-            if isinstance(event, farm.Made):
-                progress.advance(task, event.job.samples)
-            else:
-                status.stop()
-                complaints.print(_said(event, crew), markup=False)
+    with closing(events):
+        with status:
+            estimate = next(events, None)
+        if isinstance(estimate, farm.Estimate):
+            complaints.print(_said(estimate), markup=False)
+        with Progress(*columns, console=complaints, transient=True) as progress:
+            task = progress.add_task("", total=todo)
+            for event in events:
+                if isinstance(event, farm.Made):
+                    progress.advance(task, event.job.samples)
     return store
 
 
-def _said(estimate: "Estimate", workers: int) -> str:
+def _said(estimate: "Estimate") -> str:
     """Put an estimate in words."""
     minutes = estimate.seconds / 60
     time = (
@@ -193,7 +201,7 @@ def _said(estimate: "Estimate", workers: int) -> str:
         if minutes < 120
         else f"{minutes / 60:.1f} h"
     )
-    by = f"{workers} worker{'s' if workers > 1 else ''}"
+    by = f"{estimate.workers} worker{'s' if estimate.workers > 1 else ''}"
     return (
         f"{estimate.samples} samples: about {time} with {by} ({estimate.per_sample:.2f} s each), "
         f"{estimate.size / 1e6:.0f} MB ({estimate.size / estimate.samples / 1e3:.0f} kB each)"

@@ -86,9 +86,14 @@ def threads_per_sample(count: int) -> None:
 
 
 @lru_cache(maxsize=1)
+def _town(seed: int, size: float) -> Town:
+    return build_town(seed, size)
+
+
+@lru_cache(maxsize=1)
 def world_of(seed: int, size: float) -> World:
     """Build a town, or take the one that was built last."""
-    town = build_town(seed, size)
+    town = _town(seed, size)
     return World(town, Scene(town.mesh, threads=_threads), Scene(town.ground, threads=_threads))
 
 
@@ -146,6 +151,7 @@ def sample(plan: Plan, split: str, index: int) -> Sample:
         velocity=here.frame.ego_velocity if moves else np.zeros(3),
         yaw_rate=here.frame.ego_yaw_rate if moves else 0.0,
         weather=weather,
+        coats=[(at.traffic << 20) + one.track for one in here.objects],
     )
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
     return Sample(

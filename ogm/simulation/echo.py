@@ -6,12 +6,11 @@ return, which is what Velodyne's calibrated intensities are up to 100.
 
 import math
 
-import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from ogm.simulation.kernels import uniform
-from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.materials import Material
 
 __all__ = ["receive", "reflect"]
 
@@ -30,8 +29,6 @@ LOST = (
 )
 WAVER = 0.3  # standard deviation of the detection threshold, of itself
 FOLIAGE, NOTHING = int(Material.FOLIAGE), 255
-_GROUND = np.zeros(256, np.bool_)
-_GROUND[[*GROUND, NOTHING]] = True
 
 
 @njit(cache=True, nogil=True)
@@ -57,6 +54,7 @@ def reflect(
     thing: NDArray,
     cosine: NDArray,
     optics: NDArray,
+    coats: NDArray,
     strength: NDArray,
 ) -> None:
     """Fill in how strong the return of each ray would be if nothing disturbed it.
@@ -71,6 +69,8 @@ def reflect(
         As `Hits`.
     optics : (materials, 5) float32
         As `ogm.simulation.materials.table`.
+    coats : (K,) int64
+        A number for each moving thing, which says how bright its own coat of each material is.
     strength : (N,) float32
         Filled; 0 where nothing is hit.
     """
@@ -91,7 +91,7 @@ def reflect(
             patch += 0.7 * _normal(_patch(wx, wy, wz, COARSE), 128 + m)
             spread += VARIETY
         else:  # one coat of paint per thing
-            patch = _normal(thing[i] + 2, m)
+            patch = _normal(coats[thing[i]] if thing[i] >= 0 else 0, m)
         share = min(1.0, reflectivity * math.exp(spread * patch))
         c = min(max(cosine[i], 1e-3), 1.0)
         matt = share * (c + ROUGH * (1 - specular) * (1 - c * c))
@@ -115,6 +115,7 @@ def receive(
     bias: NDArray,
     gain: NDArray,
     air: tuple[float, float, float],
+    steady: NDArray,
     seed: int,
     ranges: NDArray,
     intensities: NDArray,
@@ -142,6 +143,9 @@ def receive(
         Fixed error of the range [m] and factor of the strength, see `LidarSpec.errors`.
     air : (extinction, drops, depth)
         [1/m]; expected number of returns from the air on a free ray; their mean distance [m].
+    steady : (256,) bool
+        Materials whose returns are never lost for no reason: ground, and nothing. An argument and no constant,
+        because compiled kernels are cached by the text of this file alone.
     seed : int
         Of everything random.
     ranges, intensities : (layers * columns,) float32; materials : uint8; things : int32
@@ -208,7 +212,7 @@ def receive(
         # is it seen?
         threshold = 100 * (d / reach) ** 2
         lost = not near <= d <= far or p < threshold * (1 + WAVER * _normal(4 * i + 3, seed + 2))
-        if not _GROUND[m] and uniform(8 * i + 4, seed + 2) < LOST:
+        if not steady[m] and uniform(i, seed + 5) < LOST:
             lost = True
         if m == NOTHING and d < far:  # drops that are seen at all are so by definition
             lost = False

@@ -112,6 +112,8 @@ def export(
     """
     count = 0
     for split, part in FOLDERS.items():
+        if split not in store.counts:
+            continue
         samples = store[split]
         finished = samples.finished
         if not len(finished):

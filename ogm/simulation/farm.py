@@ -55,12 +55,15 @@ class Estimate(NamedTuple):
         [byte]
     per_sample : float
         Seconds on one worker, measured.
+    workers : int
+        That will make them.
     """
 
     samples: int
     seconds: float
     size: float
     per_sample: float
+    workers: int
 
 
 def begin(
@@ -68,7 +71,8 @@ def begin(
 ) -> Store:
     """Begin a data set, or open one that was begun by the same plan, to go on with it.
 
-    Whatever a killed run left half written is removed.
+    Whatever a killed run left half written is removed. Where other versions of libraries go on, the data set
+    names all that made it.
 
     Raises
     ------
@@ -76,11 +80,20 @@ def begin(
         If the folder holds something else, or the data set was begun by another plan.
     """
     path = Path(path)
-    if (path / "zarr.json").exists():
-        plan = plan.grown(Plan.from_dict(Store.open(path).plan))
+    if Store.exists(path):
+        before = Store.open(path)
+        plan = plan.grown(Plan.from_dict(before.plan))
+        versions = {name: _added(before.versions.get(name), one) for name, one in versions.items()}
     store = Store.create(path, plan.as_dict(), plan.counts, beams, versions)
     store.sweep()
     return store
+
+
+def _added(before: str | None, version: str) -> str:
+    """Return the versions that made a data set so far, and this one."""
+    if before is None or version in before.split(", "):
+        return before or version
+    return f"{before}, {version}"
 
 
 def jobs(store: Store) -> list[Job]:
@@ -222,7 +235,7 @@ def _estimate(measured: list[tuple[float, float]], todo: list[Job], workers: int
             f"{count} samples need about {size / 1e9:.2f} GB, {store.path} has {left / 1e9:.2f} GB left; "
             "free some, or ask for fewer samples"
         )
-    return Estimate(count, count * seconds / workers, size, seconds)
+    return Estimate(count, count * seconds / workers, size, seconds, workers)
 
 
 def _with_dask(
@@ -233,7 +246,15 @@ def _with_dask(
 
     with _client(workers, scheduler) as client:
         crew = list(client.ncores())
-        trials = [client.submit(work.measure, todo[0], workers=[one], pure=False) for one in crew]
+        if not crew:
+            raise OSError(
+                f"the scheduler {scheduler} has no workers; start some with `dask worker {scheduler}`"
+            )
+        # A worker that dies comes back under another address: its trial may then be run by any.
+        trials = [
+            client.submit(work.measure, todo[0], workers=[one], allow_other_workers=True, pure=False)
+            for one in crew
+        ]
         measured = [future.result() for future in as_completed(trials, loop=client.loop)]
         yield _estimate(measured, todo, len(crew), store)
         queue = iter(todo)

@@ -10,7 +10,7 @@ from ogm.pose import check_pose
 from ogm.simulation.echo import receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
 from ogm.simulation.sample import Weather
-from ogm.simulation.scene import Hits, Scene
+from ogm.simulation.scene import NOTHING, Hits, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
 
 __all__ = [
@@ -27,6 +27,8 @@ __all__ = [
 
 
 CLEAR = Weather()
+_STEADY = np.zeros(256, np.bool_)  # materials whose returns are never lost for no reason
+_STEADY[[*GROUND, NOTHING]] = True
 
 
 class RangeImage(NamedTuple):
@@ -59,6 +61,7 @@ def scan(
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     yaw_rate: float = 0.0,
     weather: Weather = CLEAR,
+    coats: ArrayLike | None = None,
 ) -> RangeImage:
     """Let a lidar turn once.
 
@@ -75,6 +78,9 @@ def scan(
     yaw_rate : float
         About the sensor's z axis, to the left [rad/s].
     weather : Weather
+    coats : (K,) integers, optional
+        One for each moving thing of the scene: the same number is the same paint, in any scan. By default
+        their places in the list.
 
     Returns
     -------
@@ -97,7 +103,12 @@ def scan(
         hits = scene.cast(*_moving_rays(spec, T, motion, yaw_rate), salt=seed % 2**31)
     else:
         hits = scene.cast(T, rays, salt=seed % 2**31)
-    return _report(spec, T, hits, weather, seed)
+    paint = np.arange(scene.things) if coats is None else np.asarray(coats)
+    if paint.shape != (scene.things,) or (paint.size and paint.dtype.kind not in "iu"):
+        raise ValueError(
+            f"coats must be one integer for each of the {scene.things} things in the scene, got {coats!r}"
+        )
+    return _report(spec, T, hits, weather, paint.astype(np.int64), seed)
 
 
 def _moving_rays(
@@ -118,11 +129,13 @@ def _moving_rays(
     return origins.reshape(-1, 3).astype(np.float32), directions.reshape(-1, 3).astype(np.float32)
 
 
-def _report(spec: LidarSpec, T: NDArray[np.float64], hits: Hits, weather: Weather, seed: int) -> RangeImage:
+def _report(
+    spec: LidarSpec, T: NDArray[np.float64], hits: Hits, weather: Weather, coats: NDArray[np.int64], seed: int
+) -> RangeImage:
     """Turn what the rays hit into what the lidar reports."""
     count = spec.layers * spec.azimuths
     strength = np.empty(count, np.float32)
-    reflect(spec.directions().reshape(-1, 3), T, *hits, _optics(weather.wet), strength)
+    reflect(spec.directions().reshape(-1, 3), T, *hits, _optics(weather.wet), coats, strength)
     image = RangeImage(
         np.empty(spec.shape, np.float32),
         np.empty(spec.shape, np.float32),
@@ -144,6 +157,7 @@ def _report(spec: LidarSpec, T: NDArray[np.float64], hits: Hits, weather: Weathe
         (spec.range_noise, spec.range_step, spec.divergence),
         *spec.errors,
         _air(weather),
+        _STEADY,
         seed,
         image.range.reshape(-1),
         image.intensity.reshape(-1),

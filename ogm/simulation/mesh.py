@@ -143,9 +143,12 @@ def cylinder(
     sides: int = 8,
     caps: bool = True,
 ) -> Mesh:
-    """Make a cylinder or, with another `end_radius`, a cone between two points [m]."""
+    """Make a cylinder or, with another `end_radius`, a cone between two points [m], which must differ."""
     start, end = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    axis = (end - start) / np.linalg.norm(end - start)
+    length = np.linalg.norm(end - start)
+    if not length > 0:
+        raise ValueError(f"a cylinder needs two points apart from each other, got {start} and {end}")
+    axis = (end - start) / length
     side = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
     angles = 2 * np.pi * np.arange(sides) / sides

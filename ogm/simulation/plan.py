@@ -128,14 +128,19 @@ class Plan:
     def __post_init__(self) -> None:
         for name in ("seed", "samples", "validation", "test", "sequences", "towns", "hd_layers"):
             value = getattr(self, name)
-            if value != int(value) or value < 0:
-                raise ValueError(f"{name} must be a whole number from 0 on, got {value}")
+            if not (isinstance(value, int | float | np.integer) and value >= 0 and value % 1 == 0):
+                raise ValueError(f"{name} must be a whole number from 0 on, got {value!r}")
+            object.__setattr__(self, name, int(value))
+        object.__setattr__(self, "mounts", tuple(self.mounts))
+        object.__setattr__(self, "town_size", float(self.town_size))
         if not sum(self.counts.values()):
             raise ValueError("the data set would be empty: ask for at least one sample")
         if not 1 <= self.towns <= DRIVES:
             raise ValueError(f"towns must be in 1 ... {DRIVES}, the number of drives, got {self.towns}")
         if self.truth not in ("aimed", "hd"):
             raise ValueError(f'truth must be "aimed" or "hd", got {self.truth!r}')
+        if self.hd_layers < 1:
+            raise ValueError(f"hd_layers must be at least 1, got {self.hd_layers}")
         low, high = TOWN_SIZES
         if not low <= self.town_size <= high:
             raise ValueError(f"town_size must be in {low:g} ... {high:g} m, got {self.town_size}")
@@ -231,7 +236,9 @@ def moment(plan: Plan, split: str, index: int) -> Moment:
         scenario = DRIVES * lap + run % DRIVES
         time = WARM_UP + run // DRIVES * RUN + second
     town = _integer(plan.seed, 1) if split == "test" else _integer(plan.seed, 0, scenario % plan.towns)
-    return Moment(town, _integer(plan.seed, 2, number, scenario), scenario % 2 == 0, scenario, float(time))
+    # both ways round by turns, in every town
+    way = scenario + (scenario // plan.towns if plan.towns % 2 == 0 else 0)
+    return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
 
 
 def mount_of(plan: Plan, split: str, index: int) -> tuple[Mount, tuple[float, float, float, float]]:

@@ -84,6 +84,18 @@ class Beams:
     rate: float
     origin: tuple[tuple[float, float, float], ...]
 
+    def __post_init__(self) -> None:
+        layers = len(self.elevation)
+        if not layers == len(self.azimuth) == len(self.origin) or layers == 0:
+            raise ValueError(
+                f"elevation, azimuth and origin of {self.name} must be as many and at least one, "
+                f"got {layers}, {len(self.azimuth)} and {len(self.origin)}"
+            )
+        if self.columns < 1 or not self.rate > 0:
+            raise ValueError(
+                f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}"
+            )
+
     @property
     def shape(self) -> tuple[int, int]:
         """Layers and columns of a range image."""
@@ -130,8 +142,8 @@ class Beams:
         """Make from what `as_dict` returned."""
         return cls(
             str(numbers["name"]),
-            tuple(numbers["elevation"]),
-            tuple(numbers["azimuth"]),
+            tuple(map(float, numbers["elevation"])),
+            tuple(map(float, numbers["azimuth"])),
             float(numbers["step"]),
             int(numbers["columns"]),
             float(numbers["rate"]),
@@ -271,6 +283,8 @@ def pack(steps: NDArray[np.uint16], intensities: NDArray[np.uint8], rays: int) -
     (3, rays) uint8
         The low byte, the high byte, and the intensity of each ray, layer by layer.
     """
+    if rays < steps.size:
+        raise ValueError(f"a range image of {steps.shape} does not fit into {rays} rays")
     planes = np.zeros((3, rays), np.uint8)
     _pack(np.ascontiguousarray(steps), planes)
     planes[2, : steps.size] = np.where(steps > 0, intensities, 0).ravel()
@@ -308,6 +322,8 @@ def unpack(planes: NDArray[np.uint8], shape: tuple[int, int]) -> tuple[NDArray[n
     steps : (layers, columns) uint16
     intensities : (layers, columns) uint8
     """
+    if planes.shape[1] < shape[0] * shape[1]:
+        raise ValueError(f"{planes.shape[1]} rays are too few for a range image of {shape}")
     steps = np.zeros(shape, np.uint16)
     _unpack(planes, steps)
     return steps, planes[2, : steps.size].reshape(shape)

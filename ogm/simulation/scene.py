@@ -25,6 +25,7 @@ PASSES = 3  # panes of glass that a ray goes through at most
 SMALL = 4096  # rays that are not worth waking another thread for
 SKIN = np.float32(1e-3)  # [m] a ray goes on this far behind the glass it has passed
 _ZERO = np.zeros(1, np.float32)
+_DTYPES = [np.dtype(name) for name in ("float32", "uint8", "int32", "float32")]  # of Hits
 
 
 class Hits(NamedTuple):
@@ -77,6 +78,7 @@ class Scene:
         self.threads = threads or len(os.sched_getaffinity(0))
         self._static = _Shape(static, np.full(len(static.triangles), STATIC, np.int32), self.threads)
         self._moving = _Shape(empty(), np.zeros(0, np.int32), self.threads)
+        self._things = 0
         self._parts: list[Mesh] = []
         self._boxes: list[Mesh] = []
         self._nearest = np.empty((ROWS, SECTORS), np.float32)
@@ -98,6 +100,7 @@ class Scene:
         own : Mesh, optional
             The vehicle that carries the sensor, in the world frame.
         """
+        self._things = len(meshes)
         parts = [*meshes] if own is None else [*meshes, own]
         numbers = [*range(len(meshes))] if own is None else [*range(len(meshes)), OWN]
         counts = [len(part.triangles) for part in parts]
@@ -106,6 +109,11 @@ class Scene:
         self._parts = [part for part in parts if len(part.triangles)]
         self._boxes = [_box_around(part) for part in self._parts]
         self._nearest_origin = None
+
+    @property
+    def things(self) -> int:
+        """Moving things that are in place, the own vehicle not counted."""
+        return self._things
 
     def cast(
         self,
@@ -138,7 +146,7 @@ class Scene:
         Raises
         ------
         TypeError
-            If `directions` are not float32.
+            If `directions` are not float32, or `out` has other types than `Hits.room` gives.
         ValueError
             If shapes do not fit.
         """
@@ -147,6 +155,8 @@ class Scene:
         hits = Hits.room(count) if out is None else out
         if any(column.shape != (count,) for column in hits):
             raise ValueError(f"out must hold {count} rays, got {[column.shape for column in hits]}")
+        if [column.dtype for column in hits] != _DTYPES:
+            raise TypeError(f"out must be of the types of Hits.room, got {[str(c.dtype) for c in hits]}")
         nearest = self._look_around(aim[0])
         for start in range(0, count, BATCH):
             job = _Batch(start, min(BATCH, count - start), aim)
@@ -286,6 +296,17 @@ def _tensor(array: NDArray) -> "open3d.core.Tensor":
 
 def _check(mesh: Mesh) -> None:
     """Refuse a mesh that Open3D would crash on."""
+    for name, columns, dtype in (
+        ("vertices", 3, "float32"),
+        ("triangles", 3, "uint32"),
+        ("material", 0, "uint8"),
+    ):
+        array = getattr(mesh, name)
+        if array.dtype != dtype or array.shape[1:] != (columns,) * (columns > 0):
+            shape = f"(N, {columns})" if columns else "(N,)"
+            raise TypeError(
+                f"the mesh's {name} must be {dtype} of shape {shape}, got {array.dtype} of shape {array.shape}"
+            )
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("the mesh has vertices that are NaN or inf")
     if len(mesh.triangles) and mesh.triangles.max() >= len(mesh.vertices):

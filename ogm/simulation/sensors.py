@@ -53,6 +53,8 @@ class LidarSpec:
 
     Raises
     ------
+    TypeError
+        If elevations, offsets or origins are no tuples.
     ValueError
         If the numbers describe no lidar that could exist.
     """
@@ -75,6 +77,12 @@ class LidarSpec:
     unit: int = 0
 
     def __post_init__(self) -> None:
+        for name in ("elevations", "azimuth_offsets", "origins"):
+            if not isinstance(getattr(self, name), tuple):
+                got = type(getattr(self, name)).__name__
+                raise TypeError(f"{self.name}: {name} must be a tuple, one entry per layer, got {got}")
+        if isinstance(self.unit, bool) or not isinstance(self.unit, (int, np.integer)) or self.unit < 0:
+            raise ValueError(f"{self.name}: unit must be a whole number >= 0, got {self.unit!r}")
         if not self.elevations:
             raise ValueError(f"{self.name}: elevations are empty; a lidar has at least one layer")
         _check_finite(self.name, "elevations", self.elevations)

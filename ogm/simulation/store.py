@@ -26,7 +26,9 @@ versions of the libraries that made them; no date and no machine, so that the sa
 """
 
 import json
+import operator
 import os
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
@@ -40,7 +42,9 @@ from ogm.truth import CANVAS, Truth
 __all__ = ["FORMAT", "SHARD", "Damaged", "Split", "Store"]
 
 FORMAT = "ogm.samples/1"
+BEGUN = "ogm.samples/begun"  # what a data set says of itself until all its arrays stand
 SHARD = 10  # samples per shard: they become whole together
+MOST = 1_000_000  # samples of a split
 OBJECTS = 160  # rows for objects per sample; of more, the first are kept
 _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four times as long
 _COLUMNS = tuple(OBJECT.names or ())
@@ -102,7 +106,8 @@ class Split(Sequence[Sample]):
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
-        i = int(index) + (len(self) if index < 0 else 0)
+        i = operator.index(index)
+        i += len(self) if i < 0 else 0
         if not 0 <= i < len(self):
             raise IndexError(f"{self.name} has {len(self)} samples, there is no number {index}")
         row = self._shard("facts", i // SHARD)[i % SHARD]
@@ -111,6 +116,12 @@ class Split(Sequence[Sample]):
                 f"sample {i} of {self.name} has not been made yet: go on with `ogm simulate {self.path} --resume`"
             )
         value = dict(zip(FACTS, row.tolist(), strict=True))
+        if not (
+            0 <= value["lidar"] < len(self.beams)
+            and 0 <= value["objects"] <= OBJECTS
+            and np.isfinite(value["scenario"])
+        ):
+            raise self._damaged("facts", i, "it has impossible numbers")
         beams = self.beams[int(value["lidar"])]
         steps, intensities = unpack(self._read("returns", i), beams.shape)
         state = self._read("truth", i)
@@ -145,8 +156,14 @@ class Split(Sequence[Sample]):
     @property
     def facts(self) -> NDArray[np.float64]:
         """What is known of every sample beside its arrays, (n, columns `FACTS`); zeros where it is not made."""
-        shards = [self._shard("facts", shard) for shard in range(-(-len(self) // SHARD))]
-        return np.concatenate([np.zeros((0, len(FACTS))), *shards])
+        facts = np.zeros((len(self), len(FACTS)))
+        self._array("facts")  # or the complaint that it is missing
+        folder = self.path / self.name / "facts" / "c"
+        names = [file.name for file in folder.iterdir()] if folder.is_dir() else []
+        for shard in sorted(int(name) for name in names if name.isdecimal()):
+            if shard * SHARD < len(self):
+                facts[shard * SHARD : (shard + 1) * SHARD] = self._shard("facts", shard)
+        return facts
 
     @property
     def finished(self) -> NDArray[np.int64]:
@@ -163,11 +180,23 @@ class Split(Sequence[Sample]):
             self._small[key] = rows
         return self._small[key]
 
-    def _read(self, name: str, index: int | slice) -> NDArray[Any]:
+    def _array(self, name: str) -> Any:
+        """Open an array, once, and see that it is as `_grow` makes it: kernels trust its shape."""
         if name not in self._arrays:
-            self._arrays[name] = _opened(self.path / self.name / name)
+            path = self.path / self.name / name
+            array, (shape, kind) = _opened(path), _layout(_rays(self.beams))[name]
+            if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
+                raise Damaged(
+                    f"{path} holds {array.dtype} of {array.shape}, wanted {kind} of {(len(self), *shape)}: "
+                    "the data set is not whole; make it anew in a new folder"
+                )
+            self._arrays[name] = array
+        return self._arrays[name]
+
+    def _read(self, name: str, index: int | slice) -> NDArray[Any]:
+        array = self._array(name)
         try:
-            return self._arrays[name][index]
+            return array[index]
         except (ValueError, RuntimeError, TypeError, EOFError) as error:  # what zarr and its codecs raise
             first = index if isinstance(index, int) else index.start
             raise self._damaged(name, first, str(error)) from error
@@ -188,7 +217,9 @@ class Store:
         self.plan: dict[str, Any] = dict(attributes["plan"])
         self.versions: dict[str, str] = dict(attributes["versions"])
         self.beams = tuple(Beams.from_dict(one) for one in attributes["lidars"])
-        self.counts: dict[str, int] = dict(attributes["splits"])
+        self.counts = _counts(attributes["splits"])
+        if not self.beams:
+            raise ValueError("it names no lidars")
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> "Store":
@@ -203,7 +234,7 @@ class Store:
         """
         path = Path(path)
         try:
-            text = (path / "zarr.json").read_text()
+            text = (path / "zarr.json").read_bytes()
         except FileNotFoundError:
             raise FileNotFoundError(f"{path} holds no data set; `ogm simulate {path}` makes one") from None
         except NotADirectoryError:
@@ -211,14 +242,35 @@ class Store:
         try:
             attributes = json.loads(text)["attributes"]
             found = attributes["format"]
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"{path} is no data set that `ogm simulate` made ({error!r})") from error
+        if found == BEGUN:
+            raise FileNotFoundError(
+                f"{path} holds no data set yet: making it was stopped at once; `ogm simulate {path}` begins again"
+            )
         if found != FORMAT:
             raise ValueError(
                 f"{path} has the format {found}, this version of ogm reads {FORMAT}; "
                 "make the data set anew, or use the version that made it"
             )
-        return cls(path, attributes)
+        try:
+            return cls(path, attributes)
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
+            raise Damaged(
+                f"{path / 'zarr.json'} does not say what `ogm simulate` writes ({error!r}); "
+                "restore the file, or make the data set anew in a new folder"
+            ) from error
+
+    @classmethod
+    def exists(cls, path: str | os.PathLike[str]) -> bool:
+        """Say whether `open` finds something, be it to complain about; not what a killed `create` left."""
+        try:
+            cls.open(path)
+        except FileNotFoundError:
+            return False
+        except ValueError:
+            return True
+        return True
 
     @classmethod
     def create(
@@ -247,11 +299,11 @@ class Store:
         ValueError
             If the folder holds something else, or a split would shrink.
         """
-        path = Path(path)
+        path, counts = Path(path), _counts(counts)
         zarr = _zarr()
         if path.is_file():
             raise ValueError(f"{path} is a file; give a new or empty folder")
-        if (path / "zarr.json").exists():
+        if cls.exists(path):
             before = cls.open(path)
             for name, count in before.counts.items():
                 if counts.get(name, 0) < count:
@@ -267,14 +319,16 @@ class Store:
                 )
             root = zarr.open_group(path, mode="r+")
         else:
-            if path.is_dir() and any(path.iterdir()):
+            if (path / "zarr.json").exists():  # made by a `create` that was killed
+                for name in counts:
+                    shutil.rmtree(path / name, ignore_errors=True)
+            elif path.is_dir() and any(path.iterdir()):
                 raise ValueError(f"{path} holds other files; give a new or empty folder")
             path.mkdir(parents=True, exist_ok=True)
-            root = zarr.create_group(path, zarr_format=3)
-        rays = max(one.shape[0] * one.shape[1] for one in beams)
+            root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
         for name, count in counts.items():
-            _grow(root, name, count, rays)
-        # Last: what has no format is no data set yet, and is begun again.
+            _grow(root, name, count, _rays(beams))
+        # Last: until then it is no data set, and is begun again.
         root.attrs.put(
             {
                 "format": FORMAT,
@@ -317,7 +371,7 @@ class Store:
         if [one.index for one in samples] != list(range(first, first + wanted)):
             raise ValueError(f"shard {shard} of {split} wants samples {first} to {first + wanted - 1}")
         numbers = {one: k for k, one in enumerate(self.beams)}
-        rays = max(one.shape[0] * one.shape[1] for one in self.beams)
+        rays = _rays(self.beams)
         facts = np.zeros((wanted, len(FACTS)))
         objects = np.zeros((wanted, OBJECTS, len(_COLUMNS)), np.float32)
         for k, one in enumerate(samples):
@@ -330,17 +384,27 @@ class Store:
             "objects": objects,
             "facts": facts,
         }
-        size, zarr = 0, _zarr()
+        size = 0
         for name, values in columns.items():
             folder = self.path / split / name
-            with zarr.config.set({"array.write_empty_chunks": True}):
-                _opened(folder, "r+")[first : first + wanted] = values
-            size += (folder / "c" / str(shard) / "/".join(["0"] * (values.ndim - 1))).stat().st_size
+            file = folder / "c" / str(shard) / "/".join(["0"] * (values.ndim - 1))
+            with _zarr().config.set({"array.write_empty_chunks": True}):
+                array = _opened(folder, "r+")
+                try:
+                    array[first : first + wanted] = values
+                except (ValueError, RuntimeError, TypeError, EOFError):
+                    # Zarr reads what stands there before it writes; where that is damaged, it has to go.
+                    if not file.exists():
+                        raise
+                    file.unlink()
+                    array[first : first + wanted] = values
+            size += file.stat().st_size
         return size
 
     def sweep(self) -> int:
         """Remove what a killed writer left behind; return how many files. Nobody may be writing."""
         left = [path for name in self.counts for path in (self.path / name).rglob("*.partial")]
+        left += self.path.glob("*.partial")
         for path in left:
             path.unlink()
         return len(left)
@@ -377,10 +441,43 @@ def _zarr() -> Any:
 
 
 def _opened(path: Path, mode: str = "r") -> Any:
+    zarr = _zarr()
     try:
-        return _zarr().open_array(path, mode=mode)
+        return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
-        raise Damaged(f"{path} is missing: the data set is not whole") from error
+        raise Damaged(
+            f"{path} is missing: the data set is not whole; make it anew in a new folder"
+        ) from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:  # what zarr raises of odd metadata
+        raise Damaged(
+            f"{path} is no array that can be read ({error}): the data set is not whole; "
+            "make it anew in a new folder"
+        ) from error
+
+
+def _counts(splits: Mapping[str, int]) -> dict[str, int]:
+    """Return the samples of each split, or raise ValueError where they make no sense."""
+    for name, count in splits.items():
+        if not name.isidentifier():
+            raise ValueError(f"a split's name is a word, got {name!r}")
+        if not isinstance(count, int) or not 0 <= count <= MOST:
+            raise ValueError(f"a split holds 0 to {MOST:,} samples, got {count!r} of {name}")
+    return dict(splits)
+
+
+def _rays(beams: Sequence[Beams]) -> int:
+    """Return the rays of the lidar that has most."""
+    return max(one.shape[0] * one.shape[1] for one in beams)
+
+
+def _layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return the shape and the type of a sample in each array."""
+    return {
+        "returns": ((3, rays), "uint8"),
+        "truth": (CANVAS.shape, "uint8"),
+        "objects": ((OBJECTS, len(_COLUMNS)), "float32"),
+        "facts": ((len(FACTS),), "float64"),
+    }
 
 
 def _grow(root: Any, name: str, count: int, rays: int) -> None:
@@ -389,12 +486,7 @@ def _grow(root: Any, name: str, count: int, rays: int) -> None:
 
     group = root.require_group(name)
     whole = {"compressors": [ZstdCodec(level=_LEVEL), Crc32cCodec()], "filters": None, "fill_value": 0}
-    for array, shape, kind in (
-        ("returns", (3, rays), "uint8"),
-        ("truth", CANVAS.shape, "uint8"),
-        ("objects", (OBJECTS, len(_COLUMNS)), "float32"),
-        ("facts", (len(FACTS),), "float64"),
-    ):
+    for array, (shape, kind) in _layout(rays).items():
         if array in group:
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))

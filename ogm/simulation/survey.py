@@ -76,7 +76,8 @@ def hd_truth(
 ) -> Truth:
     """Look around with an HD lidar.
 
-    Cells without ground, beyond the end of the world, become `IGNORE` unless something was hit in them.
+    Cells without ground, beyond the end of the world, become `IGNORE`: nobody knows how high above ground what is
+    hit in them would be. Only the box of a traffic participant makes them `OCCUPIED`.
 
     Parameters
     ----------

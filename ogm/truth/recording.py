@@ -37,6 +37,11 @@ def height_above_ground(
     -------
     (N,) float64
         [m]; NaN where there is no ground near.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, or a number is not finite or impossible.
     """
     xyz, is_ground = np.asarray(xyz, np.float64), np.asarray(is_ground)
     if xyz.ndim != 2 or xyz.shape[1] < 3:
@@ -45,6 +50,10 @@ def height_above_ground(
         raise ValueError(
             f"is_ground must be {len(xyz)} booleans, got {is_ground.dtype} of shape {is_ground.shape}"
         )
+    if not np.isfinite(xyz[:, :3]).all():
+        raise ValueError("xyz holds NaN or inf; drop those points first")
+    if not (0 < resolution < np.inf and reach >= 0):
+        raise ValueError(f"resolution must be above 0 m and reach 0 m or more, got {resolution}, {reach}")
     if not is_ground.any():
         return np.full(len(xyz), np.nan)
     corner = xyz[:, :2].min(axis=0) - 0.5 * resolution

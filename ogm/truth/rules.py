@@ -117,6 +117,10 @@ def settle(
         for box in boxes[returns >= min_returns]:
             state[cells_in_box(box, spec)] = OCCUPIED
     if own is not None:
+        if np.size(own) == 0:
+            raise ValueError(
+                "own must be one box (x, y, yaw, length, width), got an empty array; None for no box"
+            )
         state[cells_in_box(check_boxes(np.asarray(own)[None], "own")[0], spec)] = IGNORE
     return Truth(spec, state)
 

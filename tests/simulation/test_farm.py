@@ -172,6 +172,15 @@ def test_impossible_numbers_of_workers_are_told(
         next(make(store, PLAN, make_sample, nothing, workers=workers))
 
 
+def test_other_versions_that_go_on_are_named(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
+) -> None:
+    begin(tmp_path / "data", PLAN, beams, {"ogm": "0", "numpy": "2"})
+    for _ in range(2):
+        begin(tmp_path / "data", PLAN, beams, {"ogm": "1", "numpy": "2"})
+    assert Store.open(tmp_path / "data").versions == {"ogm": "0, 1", "numpy": "2"}
+
+
 def test_an_unreachable_scheduler_is_told(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,20 +195,23 @@ def test_two_workers_make_the_same_bytes_though_one_dies(
 ) -> None:
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
     cloudpickle.register_pickle_by_value(sys.modules[make_sample.__module__])
-    first = tmp_path / "died"
+    died = tmp_path / "died"
+    died.mkdir()
 
     def dies_once(plan: Plan, split: str, index: int) -> Sample:
-        if (split, index) == ("training", 14):
-            try:
-                first.touch(exist_ok=False)
-            except FileExistsError:
-                pass
-            else:
-                os.kill(os.getpid(), signal.SIGKILL)
+        for name in ("0", "14"):  # while the first sample is measured, and in the middle
+            if (split, index) == ("training", int(name)):
+                try:
+                    (died / name).touch(exist_ok=False)
+                except FileExistsError:
+                    pass
+                else:
+                    os.kill(os.getpid(), signal.SIGKILL)
         return make_sample(plan, split, index)
 
     store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
     events = list(make(store, PLAN, dies_once, nothing, workers=2))
-    assert first.exists()
+    assert {file.name for file in died.iterdir()} == {"0", "14"}
     assert isinstance(events[0], Estimate)
+    assert events[0].workers == 2
     assert contents(tmp_path / "data") == whole

@@ -179,11 +179,19 @@ def test_the_hd_lidar_has_the_same_field_of_view() -> None:
         ({"height": -2.0}, "height"),
         ({"origins": ((0.0, 0.0, 0.0),)}, "origins"),
         ({"origins": ((0.0, 0.0, math.nan),) * 32}, "NaN"),
+        ({"unit": -1}, "unit"),
+        ({"unit": 1.5}, "unit"),
     ],
 )
 def test_impossible_lidars_are_refused(change: dict, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         replace(VLP, **change)
+
+
+def test_beams_that_are_no_tuples_are_refused() -> None:
+    for name in ("elevations", "azimuth_offsets", "origins"):
+        with pytest.raises(TypeError, match=f"{name} must be a tuple"):
+            replace(VLP, **{name: list(getattr(VLP, name))})
 
 
 # --- ranges ---
@@ -476,3 +484,22 @@ def test_bad_input_is_refused_with_a_reason() -> None:
         scan(scene, VLP, T, rng(), velocity=(1, 2, math.nan))
     with pytest.raises(ValueError, match="yaw_rate"):
         scan(scene, VLP, T, rng(), yaw_rate=math.inf)
+
+
+def test_a_thing_keeps_its_paint_whatever_its_place_in_the_list() -> None:
+    parts = [wall([[6, y, 0], [6, y + 2, 0]], 3, Material.PAINT_MEDIUM) for y in (-4.0, 0.0, 4.0)]
+    scene = Scene(FLAT, threads=1)
+
+    def brightness(order: list[int], coats: list[int] | None) -> list[float]:
+        scene.place([parts[k] for k in order])
+        image = scan(scene, VLP, T, rng(), coats=coats)
+        return [float(np.median(image.intensity[image.object == order.index(k)])) for k in range(3)]
+
+    coats = [11, 500_000, 7]
+    first = brightness([0, 1, 2], coats)
+    np.testing.assert_allclose(brightness([2, 0, 1], [coats[k] for k in (2, 0, 1)]), first, atol=0.02)
+    assert len(set(first)) > 1
+    with pytest.raises(ValueError, match="coats"):
+        brightness([0, 1, 2], [1, 2])
+    with pytest.raises(ValueError, match="coats"):
+        brightness([0, 1, 2], [1.5, 2.5, 3.5])  # type: ignore[list-item]

@@ -137,3 +137,12 @@ def test_drives_take_turns_through_several_towns_and_never_the_tests() -> None:
     assert tests.isdisjoint(towns)
     with pytest.raises(ValueError, match="towns"):
         Plan(towns=0)
+
+
+@pytest.mark.parametrize("towns", [1, 2, 3, 4, 5, 10])
+def test_every_town_is_driven_both_ways(towns: int) -> None:
+    plan = Plan(towns=towns)
+    drives = {moment(plan, "training", 10 * run)[:3] for run in range(10)}
+    ways = {(drive[0], drive[2]) for drive in drives}
+    assert sum(way for *_, way in drives) == 5
+    assert len(ways) == (2 * towns if towns <= 5 else towns)

@@ -254,3 +254,28 @@ def test_bad_input_is_refused_with_a_reason() -> None:
         scene.cast(np.diag([2.0, 1, 1, 1]), rays)
     with pytest.raises(ValueError, match="out"):
         scene.cast([0, 0, 0], rays, out=Hits.room(3))
+    wide = Hits.room(len(rays))._replace(distance=np.empty(len(rays)))
+    with pytest.raises(TypeError, match="out must be of the types"):
+        scene.cast([0, 0, 0], rays, out=wide)
+
+
+def test_a_cylinder_between_a_point_and_itself_is_refused() -> None:
+    with pytest.raises(ValueError, match="two points apart"):
+        cylinder([1, 2, 3], [1, 2, 3], 0.1, Material.METAL_POLE)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"vertices": PLANE.vertices.astype(np.float64)}, "vertices must be float32"),
+        ({"vertices": PLANE.vertices[:, :2]}, r"vertices .* \(N, 3\)"),
+        ({"triangles": PLANE.triangles.astype(np.int64)}, "triangles must be uint32"),
+        ({"material": PLANE.material.astype(np.int64)}, "material must be uint8"),
+        ({"material": PLANE.material[:, None]}, r"material .* \(N,\)"),
+    ],
+)
+def test_meshes_of_other_types_are_refused(change: dict, says: str) -> None:
+    with pytest.raises(TypeError, match=says):
+        Scene(PLANE._replace(**change), threads=1)
+    with pytest.raises(TypeError, match=says):
+        Scene(PLANE, threads=1).place([PLANE._replace(**change)])

@@ -5,6 +5,7 @@ import pickle
 import subprocess
 import sys
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ogm.simulation import store as store_module
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, pack, unpack
 from ogm.simulation.store import FORMAT, OBJECTS, SHARD, Damaged, Store
 
@@ -125,11 +127,14 @@ def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
     assert Store.open(store.path)["training"].finished.tolist() == [10, 11, 12]
 
 
-@pytest.mark.parametrize("name", ["returns", "truth", "objects", "facts"])
-@pytest.mark.parametrize("damage", ["flip", "cut", "gone"])
-def test_damage_is_told_with_the_way_out(store: Store, name: str, damage: str) -> None:
-    if (name, damage) == ("facts", "gone"):
-        return  # then the shard has not been made: see below
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    # Without its facts a shard has not been made: see above.
+    sorted(
+        set(product(("returns", "truth", "objects", "facts"), ("flip", "cut", "gone"))) - {("facts", "gone")}
+    ),
+)
+def test_damage_is_told_with_the_way_out(store: Store, make_sample: Make, name: str, damage: str) -> None:
     (file,) = (path for path in (store.path / "training" / name / "c" / "0").rglob("*") if path.is_file())
     content = bytearray(file.read_bytes())
     if damage == "flip":
@@ -144,6 +149,9 @@ def test_damage_is_told_with_the_way_out(store: Store, name: str, damage: str) -
     marker = str(told.value).split("`rm ")[1].split("`")[0]
     Path(marker).unlink()
     assert Store.open(store.path)["training"].finished.tolist() == [10, 11, 12]
+    store.write("training", 0, [make_sample(None, "training", i) for i in range(10)])
+    for i in range(SHARD):
+        assert_same(Store.open(store.path)["training"][i], make_sample(None, "training", i))
 
 
 def test_a_missing_array_is_told(store: Store) -> None:
@@ -173,6 +181,82 @@ def test_what_is_no_data_set_is_told(tmp_path: Path, store: Store, beams: tuple[
     with pytest.raises(ValueError, match="holds other files"):
         Store.create(holds, {}, {"training": 1}, beams, {})
     assert [file.name for file in holds.iterdir()] == ["thesis.tex"]
+
+
+def test_what_a_killed_create_left_is_begun_again(
+    tmp_path: Path, beams: tuple, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "begun"
+    grow = store_module._grow
+
+    def killed(root: object, name: str, count: int, rays: int) -> None:
+        if name == "test":
+            raise KeyboardInterrupt
+        grow(root, name, count, rays)
+
+    monkeypatch.setattr(store_module, "_grow", killed)
+    with pytest.raises(KeyboardInterrupt):
+        Store.create(path, {}, {"training": 3, "test": 1}, beams[:1], {})
+    with pytest.raises(FileNotFoundError, match="`ogm simulate .*` begins again"):
+        Store.open(path)
+    assert not Store.exists(path)
+    monkeypatch.undo()
+    again = Store.create(path, {}, {"training": 13, "test": 1}, beams, {})
+    assert Store.exists(path)
+    assert len(again["training"].finished) == 0
+    fresh = Store.create(tmp_path / "fresh", {}, {"training": 13, "test": 1}, beams, {})
+    files = [sorted(file for file in one.path.rglob("*") if file.is_file()) for one in (again, fresh)]
+    assert [file.read_bytes() for file in files[0]] == [file.read_bytes() for file in files[1]]
+
+
+LIDAR = {
+    "name": "x",
+    "elevation": [0.1],
+    "azimuth": [0.0],
+    "step": 0.1,
+    "columns": 5,
+    "rate": 10.0,
+    "origin": [[0, 0, 0]],
+}
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [
+        {"splits": {"../data/training": 13}},
+        {"splits": {"training": -1}},
+        {"splits": {"training": "13"}},
+        {"splits": {"training": 10**15}},
+        {"splits": {"training": 14}},
+        {"splits": ["training"]},
+        {"plan": 3},
+        {"versions": None},
+        {"lidars": []},
+        {"lidars": "abc"},
+        {"lidars": [LIDAR | {"columns": 10**6}]},
+        {"lidars": [LIDAR | {"columns": -5}]},
+        {"lidars": [LIDAR | {"columns": 600, "origin": []}]},
+        {"lidars": [LIDAR | {"columns": 600, "azimuth": [0.0, 0.0]}]},
+        {"lidars": [LIDAR | {"columns": 600, "elevation": ["up"], "rate": 1.0}]},
+        {"lidars": [LIDAR | {"columns": 600, "rate": 0.0}]},
+        {"lidars": [LIDAR | {"columns": 600}]},  # samples name the second of the lidars, and there is one
+    ],
+)
+def test_attributes_with_nonsense_are_told(store: Store, nonsense: dict) -> None:
+    file = store.path / "zarr.json"
+    text = json.loads(file.read_text())
+    text["attributes"] |= nonsense
+    file.write_text(json.dumps(text))
+    with pytest.raises(Damaged):
+        Store.open(store.path)["training"][1]
+
+
+def test_a_range_image_needs_as_many_rays(make_sample: Make) -> None:
+    steps = make_sample(None, "training", 0).steps
+    with pytest.raises(ValueError, match="does not fit into 359 rays"):
+        pack(steps, steps.astype(np.uint8), 359)
+    with pytest.raises(ValueError, match="359 rays are too few"):
+        unpack(np.zeros((3, 359), np.uint8), steps.shape)
 
 
 def test_what_a_killed_writer_left_is_swept(store: Store) -> None:

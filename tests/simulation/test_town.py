@@ -11,6 +11,7 @@ from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import Lane, Town, build_town
 from ogm.simulation.town.network import make_network
+from ogm.simulation.traffic import Traffic
 
 SIZE = 240.0
 CLEARANCE = 4.4  # [m] above a lane
@@ -251,6 +252,29 @@ def test_walkways_lie_on_the_ground_and_off_the_houses(town: Town) -> None:
         hits = cast(houses, line[:-1] + [0, 0, 1.0], np.diff(line, axis=0)) < 1.0
         blocked, total = blocked + int(hits.sum()), total + len(hits)
     assert blocked < 0.01 * total
+
+
+def edges_hit(things: "open3d.t.geometry.RaycastingScene", mesh: Mesh) -> bool:
+    """Whether an edge of a mesh runs through something."""
+    corners = mesh.vertices[mesh.triangles]
+    begin, way = corners.reshape(-1, 3), (np.roll(corners, -1, axis=1) - corners).reshape(-1, 3)
+    return bool((cast(things, begin, way) < 1.0).any())
+
+
+def test_participants_keep_clear_of_what_stands_still(town: Town) -> None:
+    """Vehicles always; of pedestrians few brush a pole or a bin."""
+    solid = ~np.isin(town.mesh.material, [*map(int, GROUND), Material.KERB, Material.FOLIAGE])
+    things = scene(town.mesh, solid)
+    traffic = Traffic(town, 11, clockwise=True)
+    walking = []
+    for time in (5.0, 35.0, 95.0):
+        for one in traffic.at(time).objects:
+            if one.label == "pedestrian":
+                walking.append(edges_hit(things, one.mesh.moved(one.pose)))
+            elif time < 6 or one.track < 1000:
+                assert not edges_hit(things, one.mesh.moved(one.pose)), (one.label, one.pose[:3, 3])
+    assert len(walking) > 60
+    assert np.mean(walking) < 0.06
 
 
 def test_a_town_has_many_surfaces_and_things(town: Town) -> None:

@@ -218,6 +218,19 @@ def test_seeds_and_directions_differ(village, traffic):
 
 
 @pytest.mark.parametrize("clockwise", [True, False])
+def test_the_yaw_rate_is_the_turn_to_the_left(village, clockwise):
+    traffic, dt = Traffic(village, 7, clockwise=clockwise), 0.05
+    rates = []
+    for time in np.arange(1.0, 60.0, 0.7):
+        before, now, after = (traffic.at(time + k * dt) for k in (-1, 0, 1))
+        turned = np.linalg.inv(before.ego) @ after.ego
+        rates.append((now.ego_yaw_rate, np.arctan2(turned[1, 0], turned[0, 0]) / (2 * dt)))
+    told, found = np.array(rates).T
+    np.testing.assert_allclose(told, found, atol=0.01)
+    assert told.mean() * (-1 if clockwise else 1) > 0.02
+
+
+@pytest.mark.parametrize("clockwise", [True, False])
 def test_the_own_vehicle_drives_round_the_right_way(village, clockwise):
     traffic = Traffic(village, 7, clockwise=clockwise)
     places = np.array([traffic.at(t).ego[:2, 3] for t in np.arange(0, 300, 1.0)])

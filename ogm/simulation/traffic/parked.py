@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from ogm.simulation.traffic.bodies import Body
 
-__all__ = ["HeightAt", "park", "stand"]
+__all__ = ["HeightAt", "frames", "overlap", "park", "stand"]
 
 HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
@@ -166,7 +166,7 @@ def _keep_clear(
 def _rim(
     x: NDArray[np.float64], y: NDArray[np.float64], yaw: NDArray[np.float64], size: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return points (N, 22, 2) round each box."""
+    """Return points (N, 20, 2) round each box."""
     t = np.linspace(-0.5, 0.5, 9)
     edge = np.concatenate([np.stack([t, t * 0 + s], axis=1) for s in (-0.5, 0.5)] + [[[-0.5, 0], [0.5, 0]]])
     local = edge[None] * size[:, None, :2]
