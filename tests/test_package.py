@@ -113,3 +113,26 @@ def test_readme_figures_are_the_measured_ones() -> None:
                     f"{100 * scores[f'{kind} {what}']:.1f}" for what in ("precision", "recall", "F1")
                 )
                 assert who == "flat_ground" or row in text, (name, who, kind)
+
+
+def test_the_simulators_figures_are_the_measured_ones() -> None:
+    """docs/simulation.md holds what the benchmarks last wrote, and says where it falls short of what is wanted."""
+    text = (ROOT / "docs/simulation.md").read_text()
+    results = ROOT / "benchmarks/results"
+    table = text[text.index("<!-- realism -->") : text.index("<!-- /realism -->")]
+    rows = [line for line in table.splitlines() if line.startswith("|")]
+    measured = (results / "realism.md").read_text().splitlines()
+    assert len(rows) > 25
+    assert [row for row in rows if row not in measured] == []
+    modes = json.loads((results / "truth_modes.json").read_text())["against the reference"]
+    for what in ("free found", "occupied found", "occupied called free"):
+        shares = (f"{100 * modes[mode][what]:.1f} %" for mode in ("hd", "aimed"))
+        assert f"| {what} | {' | '.join(shares)} |" in text
+    cost = json.loads((results / "simulation.json").read_text())
+    times, ratios = cost["one sample"]["seconds, median"], cost["one sample"]["times the rays alone, median"]
+    assert f"in one scene) | {times['rays alone']:.2f} s |" in text
+    assert f"written to disk | {times['hd']:.2f} s |" in text
+    assert f"(worst) | {ratios['hd']:.2f} (" in text
+    assert f"gain of the second | {cost['two workers']['gain']:.2f} |" in text
+    assert f"lidars | {cost['two workers']['bytes per sample']:,} |" in text
+    assert f"two processes | {cost['reading']['samples per second, 2 processes']:.0f} per second" in text
