@@ -224,6 +224,8 @@ def main() -> None:
     )
 
     record = environment()
+    if options.store:
+        record["command"] = record["command"].replace(str(options.store), options.store.name)
     plan = Plan(mounts=only("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))
