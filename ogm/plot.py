@@ -14,7 +14,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Panel", "masses", "points", "probability", "save_picture", "show", "unknown"]
+__all__ = ["Panel", "cells", "dots", "masses", "points", "probability", "save_picture", "show", "unknown"]
 
 GREEN, RED, BLACK = (0.10, 0.80, 0.20), (0.93, 0.16, 0.16), (0.0, 0.0, 0.0)
 LEGEND = {"free": GREEN, "occupied": RED, "unknown": BLACK}
@@ -49,24 +49,68 @@ def _bytes(colours: NDArray) -> NDArray[np.uint8]:
     return np.round(255 * np.clip(colours, 0, 1)).astype(np.uint8)
 
 
+def cells(
+    colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
+) -> Panel:
+    """Show a colour for every cell.
+
+    Parameters
+    ----------
+    colours : (nx, ny, 3) float array
+        Red, green, blue [0, 1] of each cell of `spec`, or of finer cells of the same area.
+    spec : GridSpec
+    title : str
+    legend : dict of str to (red, green, blue)
+    """
+    return Panel(_upright(_bytes(colours)), spec, title, legend)
+
+
+def dots(
+    xyz: NDArray,
+    colours: NDArray,
+    spec: GridSpec,
+    title: str,
+    legend: dict[str, tuple[float, float, float]],
+) -> Panel:
+    """Show points from above, each in a colour of its own, on cells half as wide as those of `spec`.
+
+    Parameters
+    ----------
+    xyz : (N, 3 or more) float array
+        x, y, z [m] in the frame of `spec`. Where several fall into a cell, the highest is shown.
+    colours : (N, 3) float array
+        Red, green, blue [0, 1].
+    spec : GridSpec
+        The area to show.
+    title : str
+    legend : dict of str to (red, green, blue)
+    """
+    fine = spec.refined(2)
+    image = np.full((*fine.shape, 3), 0.08)
+    order = np.argsort(xyz[:, 2], kind="stable")  # the highest of a cell is drawn last
+    order = order[fine.contains(xyz[order, 0], xyz[order, 1])]
+    image[fine.index(xyz[order, 0], xyz[order, 1])] = colours[order]
+    return cells(image, spec, title, legend)
+
+
 def masses(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show belief: green free, red occupied, black unknown, mixed by their masses."""
     colours = grid.free[..., None] * np.array(GREEN) + grid.occupied[..., None] * np.array(RED)
-    return Panel(_upright(_bytes(colours)), grid.spec, title or "belief", LEGEND)
+    return cells(colours, grid.spec, title or "belief", LEGEND)
 
 
 def probability(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the expected probability of occupied: white 0, grey 1/2 (also where nothing is known), black 1."""
     grey = np.repeat(1 - grid.probability[..., None], 3, axis=-1)
     legend = {"P(occupied) = 0": (1.0, 1.0, 1.0), "1/2": (0.5, 0.5, 0.5), "1": (0.0, 0.0, 0.0)}
-    return Panel(_upright(_bytes(grey)), grid.spec, title or "probability of occupied", legend)
+    return cells(grey, grid.spec, title or "probability of occupied", legend)
 
 
 def unknown(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the mass of unknown: black 0, yellow 1 (matplotlib's "inferno")."""
     colours = _colour_map("inferno", grid.unknown * 0.92)
     legend = {f"unknown = {u:g}": tuple(_colour_map("inferno", np.array([u * 0.92]))[0]) for u in (0, 0.5, 1)}
-    return Panel(_upright(_bytes(colours)), grid.spec, title or "unknown", legend)
+    return cells(colours, grid.spec, title or "unknown", legend)
 
 
 def points(
@@ -84,22 +128,18 @@ def points(
     ground_z : float, optional
         Height of the ground in that frame [m]; by default the median of the points.
     """
-    fine = spec.refined(2)
-    image = np.full((*fine.shape, 3), 0.08)
     cloud = cloud[np.isfinite(cloud[:, :3]).all(axis=1)]
-    cloud = cloud[fine.contains(cloud[:, 0], cloud[:, 1])]
-    cloud = cloud[np.argsort(cloud[:, 2], kind="stable")]  # the highest of a cell is drawn last
+    cloud = cloud[spec.contains(cloud[:, 0], cloud[:, 1])]
     base = float(np.median(cloud[:, 2])) if ground_z is None and len(cloud) else (ground_z or 0.0)
     low, high = -0.5, 3.5
     colours = _colour_map("turbo", 0.12 + 0.85 * (cloud[:, 2] - base - low) / (high - low))
-    image[fine.index(cloud[:, 0], cloud[:, 1])] = colours
     legend = {
         f"{height:g} m": tuple(
             _colour_map("turbo", np.array([0.12 + 0.85 * (height - low) / (high - low)]))[0]
         )
         for height in (0, 1, 2, 3)
     }
-    return Panel(_upright(_bytes(image)), spec, title or "points by height", legend)
+    return dots(cloud, colours, spec, title or "points by height", legend)
 
 
 def _colour_map(name: str, values: NDArray) -> NDArray[np.float64]:

@@ -85,3 +85,17 @@ def test_save_picture_is_atomic_and_says_what_it_wants(tmp_path: Path, ell: Evid
     with pytest.raises(FileNotFoundError, match="no folder"):
         plot.save_picture(tmp_path / "none" / "a.png", ell)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_cells_and_dots_put_front_up_and_left_left_and_show_the_highest() -> None:
+    spec = GridSpec.centered(length=4.0, width=2.0, resolution=1.0)
+    colours = np.zeros((*spec.shape, 3))
+    colours[3, 1] = 1, 0, 0  # front left
+    image = plot.cells(colours, spec, "", {}).image
+    assert image[0, 0].tolist() == [255, 0, 0]
+    assert np.count_nonzero(image) == 1
+    xyz = np.array([[1.9, 0.9, 2.0], [1.9, 0.9, 1.0], [9.0, 0.0, 5.0]])
+    image = plot.dots(xyz, np.eye(3), spec, "", {}).image
+    assert image.shape == (8, 4, 3)
+    assert image[0, 0].tolist() == [255, 0, 0]  # the higher of the two; the third is outside
+    assert (image.reshape(-1, 3)[1:] == image[1, 1]).all()

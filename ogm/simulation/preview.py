@@ -15,7 +15,7 @@ from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
 from ogm.simulation.sample import Sample
 from ogm.simulation.store import Store
-from ogm.truth import IGNORE, Truth
+from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
 
 __all__ = ["COLOURS", "Camera", "contact_sheet", "materials_panel", "sample_panels", "truth_panel"]
 
@@ -91,12 +91,10 @@ SKY = np.array([0.72, 0.82, 0.93])
 
 def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
     """Show a truth grid: green free, red occupied, black unknown, grey to be ignored."""
-    panel = plot.masses(truth.grid, title)
-    image = panel.image.copy()
-    ignored = truth.state[::-1, ::-1] == IGNORE
-    image[ignored] = np.round(255 * np.array(GREY))
-    legend = panel.legend | ({"ignored": GREY} if ignored.any() else {})
-    return panel._replace(image=image, legend=legend)
+    colours = np.empty((4, 3))
+    colours[[FREE, OCCUPIED, UNKNOWN, IGNORE]] = *plot.LEGEND.values(), GREY
+    legend = plot.LEGEND | ({"ignored": GREY} if truth.ignored.any() else {})
+    return plot.cells(colours[truth.state], truth.spec, title, legend)
 
 
 def sample_panels(sample: Sample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
@@ -120,17 +118,11 @@ def materials_panel(
     spec : GridSpec
     title : str
     """
-    fine = spec.refined(2)
     colours = np.zeros((256, 3))
     for colour, members in KINDS.values():
         colours[list(members)] = colour
-    inside = fine.contains(points[:, 0], points[:, 1])
-    points, material = points[inside], material[inside]
-    order = np.argsort(points[:, 2], kind="stable")  # the highest of a cell is drawn last
-    image = np.full((*fine.shape, 3), 0.08)
-    image[fine.index(points[order, 0], points[order, 1])] = colours[material[order]]
     legend = {name: colour for name, (colour, _) in KINDS.items()}
-    return plot.Panel(np.round(255 * image[::-1, ::-1]).astype(np.uint8), spec, title, legend)
+    return plot.dots(points, colours[material], spec, title, legend)
 
 
 def contact_sheet(path: str | os.PathLike[str], store: Store, *, most: int = 24, columns: int = 6) -> int:
