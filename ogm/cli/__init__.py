@@ -11,6 +11,7 @@ from ogm.cli.console import out
 from ogm.cli.info import info
 from ogm.cli.maps import demo, map_
 from ogm.cli.simulate import simulate
+from ogm.cli.train import export, train
 
 __all__ = ["app", "main"]
 
@@ -26,6 +27,8 @@ app = typer.Typer(
 app.command(epilog="Example:  ogm demo --out /tmp")(demo)
 app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")(map_)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
+app.command(epilog="Example:  ogm train data/ --model lite --out runs/lite")(train)
+app.command(epilog="Example:  ogm export lite --out lite.onnx")(export)
 app.command(epilog="Example:  ogm info scan.pcd")(info)
 
 

@@ -3,7 +3,9 @@
 import statistics
 import time
 from enum import StrEnum
+from functools import partial
 from importlib.resources import as_file, files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -28,6 +30,7 @@ class Model(StrEnum):
     ray = "ray"
     height_band = "height-band"
     released = "height-band-released"
+    lite = "lite"
 
 
 def _model(
@@ -47,6 +50,11 @@ def _model(
             GridSpec(2 * spec.resolution, (spec.shape[0] // 2, spec.shape[1] // 2), spec.origin)
         )
     T = None if position is None else pose(*position)
+    if name is Model.lite:
+        from ogm.deep import DeepISM
+
+        load = partial(DeepISM.load, name, spec=spec, sensor_height=height, T_vehicle_sensor=T)
+        return load(points_in="sensor" if position is None else "vehicle")
     model = RayISM if name is Model.ray else HeightBandISM
     return model(spec, height, T_vehicle_sensor=T, points_in="sensor" if position is None else "vehicle")
 
@@ -89,7 +97,7 @@ def demo(
         Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")
     ] = Path("."),
 ) -> None:
-    """Map the shipped road scan (Velodyne VLS-128) and draw it: points, the paper's baseline, the ray model."""
+    """Map the shipped road scan (Velodyne VLS-128) and draw it: points, two geometric models, the learned one."""
     from ogm import plot, read_scan
     from ogm.grid import GridSpec
 
@@ -98,7 +106,14 @@ def demo(
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
     table = _table(f"One scan on {spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m")
     grids = {}
-    for name, title in ((Model.height_band, "height band (paper's baseline)"), (Model.ray, "RayISM")):
+    models = {Model.height_band: "height band (paper's baseline)", Model.ray: "RayISM"}
+    if find_spec("torch") and find_spec("safetensors"):
+        models[Model.lite] = "deep (lite)"
+    else:
+        complaints.print(
+            'the learned model is left out: `pip install "ogm-toolkit[deep]"` adds it', markup=False
+        )
+    for name, title in models.items():
         ism = _model(name, spec, DEMO_HEIGHT, None)
         with out.status("compiling kernels (once per environment) ..."):
             _grid(ism, scan.points, None)

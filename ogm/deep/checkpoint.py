@@ -1,0 +1,141 @@
+"""A trained network on disk: NAME.safetensors holds the weights, NAME.json what they are for and where they come from.
+
+Nothing is unpickled, and nothing is believed: sizes and names must be those that the description asks for.
+"""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+
+from ogm.deep.network import Network, NetworkConfig
+from ogm.files import atomic_write
+from ogm.grid import GridSpec
+
+__all__ = ["FORMAT", "load_network", "save_network"]
+
+FORMAT = "ogm.network/1"
+_MOST = 2**20  # [bytes] of a description
+
+
+def save_network(path: str | os.PathLike[str], network: Network, facts: Mapping[str, Any]) -> Path:
+    """Write a network's weights and description, each in one step.
+
+    Parameters
+    ----------
+    path : path
+        Of the weights; ends in ``.safetensors``. The description stands beside it, ending in ``.json``.
+    network : Network
+    facts : mapping
+        What else there is to say, as JSON holds it: provenance, recipe, results.
+
+    Returns
+    -------
+    Path
+        Of the weights.
+    """
+    path = _named(path)
+    weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
+    spec = network.spec
+    description = {
+        "format": FORMAT,
+        "network": asdict(network.config),
+        "spec": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
+        "parameters": sum(value.numel() for value in network.parameters()),
+        **facts,
+    }
+    with atomic_write(path) as file:
+        file.write(save(weights, {"format": FORMAT}))
+    with atomic_write(path.with_suffix(".json"), "w") as file:
+        json.dump(description, file, indent=1)
+        file.write("\n")
+    return path
+
+
+def load_network(path: str | os.PathLike[str]) -> tuple[Network, dict[str, Any]]:
+    """Read a network that `save_network` wrote.
+
+    Returns
+    -------
+    network : Network
+        In evaluation mode, on the CPU.
+    description : dict
+        All of the JSON file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If one of the two files is not there.
+    ValueError
+        If a file is damaged, foreign, or does not fit the other.
+    """
+    path = _named(path)
+    beside = path.with_suffix(".json")
+    for file in (path, beside):
+        if not file.is_file():
+            raise FileNotFoundError(
+                f"{file} is not there; a network is two files, {path.name} and {beside.name}; `ogm train` writes them"
+            )
+    try:
+        if beside.stat().st_size > _MOST:
+            raise ValueError(f"it has {beside.stat().st_size} bytes")
+        description = json.loads(beside.read_bytes())
+        found = description["format"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ValueError(f"{beside} is no description of a network ({error!r})") from error
+    if found != FORMAT:
+        raise ValueError(f"{beside} has the format {found!r}, this version of ogm reads {FORMAT}")
+    try:
+        place = description["spec"]
+        spec = GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"]))
+        config = NetworkConfig.from_dict(description["network"])
+        _plausible(config)
+        network = Network(config, spec)
+    except (ValueError, KeyError, TypeError, RuntimeError, OverflowError) as error:
+        raise ValueError(f"{beside} describes no network that can be made: {error}") from error
+    wanted = network.state_dict()
+    try:
+        with safe_open(path, "pt") as file:
+            names = set(file.keys())
+            if names != set(wanted):
+                odd = sorted(names ^ set(wanted))
+                raise ValueError(
+                    f"{path} does not hold the weights that {beside.name} asks for: {len(odd)} names differ, "
+                    f"such as {odd[0]}"
+                )
+            for name, value in wanted.items():
+                shape = file.get_slice(name).get_shape()
+                if list(shape) != list(value.shape):
+                    raise ValueError(f"{path} has {name} of shape {shape}, wanted {list(value.shape)}")
+            weights = {name: file.get_tensor(name) for name in wanted}
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} is not a whole file of weights (.safetensors): {error}") from error
+    for name, value in weights.items():
+        if value.is_floating_point() and not torch.isfinite(value).all():
+            raise ValueError(f"{path} has weights that are NaN or infinite, in {name}")
+    network.load_state_dict(weights)
+    return network.eval(), description
+
+
+def _plausible(config: NetworkConfig) -> None:
+    """Refuse sizes that would fill the memory before the weights are looked at."""
+    sizes = [config.pillar, config.up, *(n for block in config.blocks for n in block)]
+    if not all(type(n) is int and 0 < n <= 4096 for n in sizes) or not 0 < len(config.blocks) <= 8:
+        raise ValueError(f"sizes of blocks must be whole numbers from 1 to 4096, got {config.blocks}")
+    if config.join not in ("add", "concatenate") or config.evidence not in ("softplus", "relu"):
+        raise ValueError(f"got join {config.join!r} and evidence {config.evidence!r}")
+    if len(config.scale) != 9 or len(config.z_range) != 2:
+        raise ValueError("scale has 9 numbers and z_range 2")
+
+
+def _named(path: str | os.PathLike[str]) -> Path:
+    path = Path(path)
+    if path.suffix != ".safetensors":
+        raise ValueError(f"weights are kept as .safetensors, got {path}")
+    return path

@@ -1,0 +1,233 @@
+"""A network as one ONNX file, from the points' features to belief masses, for use without torch.
+
+The file holds the network with its normalisation folded in, for one scan at a time and any number of points::
+
+    import onnxruntime
+    session = onnxruntime.InferenceSession("ogm.onnx")
+    (mass,) = session.run(["mass"], {"features": features, "cells": cells})
+
+What the three arrays are is told in the file itself, as the documentation of its inputs and outputs and as
+metadata: ``format``, ``spec``, ``z_range``, ``network``, ``features``, ``cells`` and ``mass``.
+"""
+
+import json
+import os
+import warnings
+from dataclasses import asdict
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from ogm.deep.network import Network, fused
+from ogm.deep.pillars import FEATURES, Pillars
+from ogm.files import atomic_write
+
+__all__ = ["FORMAT", "export_onnx", "onnx_inputs", "run_onnx"]
+
+FORMAT = "ogm.network.onnx/1"
+_OPSET = 18  # the first whose scatter knows a maximum
+_PIP = 'pip install "ogm-toolkit[onnx]"'
+_EXPECTED = (  # what torch says of itself while it exports
+    (FutureWarning, r"`isinstance\(treespec, LeafSpec\)` is deprecated"),
+    (UserWarning, r"# The axis name: points will not be used"),
+)
+
+
+def export_onnx(network: Network, path: str | os.PathLike[str]) -> dict[str, str]:
+    """Write a network as ONNX.
+
+    Parameters
+    ----------
+    network : Network
+        As `ogm.deep.checkpoint.load_network` returns it.
+    path : path
+        Of the file, ending in ``.onnx``; it appears when it is whole.
+
+    Returns
+    -------
+    dict
+        Names and values that describe the file, for people.
+
+    Raises
+    ------
+    ValueError
+        If `path` does not end in ``.onnx``.
+    ImportError
+        If the packages for the export are absent; the message holds the pip command that adds them.
+
+    Notes
+    -----
+    The file's inputs are ``features`` (N, 9) float32 and ``cells`` (N,) int64, its output is ``mass`` (nx, ny, 2)
+    float32. In place of the maximum over segments, which ONNX lacks, the points' features are scattered onto a
+    canvas of zeros by their maximum. The features come from a ReLU, so this is the same, and needs no order of the
+    points.
+    """
+    path = Path(path)
+    if path.suffix != ".onnx":
+        raise ValueError(f"an ONNX file is named .onnx, got {path}")
+    _package("onnxscript")  # torch needs it
+    onnx = _package("onnx")
+    with atomic_write(path) as file:
+        model = _model(network)
+        onnx.checker.check_model(model, full_check=True)
+        data = model.SerializeToString()
+        file.write(data)
+    spec = network.spec
+    return {
+        "features": f"(points, {FEATURES}) float32",
+        "cells": "(points,) int64",
+        "mass": f"({spec.shape[0]}, {spec.shape[1]}, 2) float32: free, occupied",
+        "grid": f"{spec.length:g} x {spec.width:g} m, cells of {spec.resolution:g} m",
+        "size": f"{len(data) / 1e6:.1f} MB, opset {_OPSET}",
+    }
+
+
+def onnx_inputs(pillars: Pillars) -> dict[str, NDArray[Any]]:
+    """Return what an exported network takes, from one scan's pillars.
+
+    Parameters
+    ----------
+    pillars : Pillars
+        Of one scan, from `ogm.deep.pillars.pillarize` with the spec and the heights of the network.
+
+    Returns
+    -------
+    dict
+        ``features`` (N, 9) float32 and ``cells`` (N,) int64.
+    """
+    if pillars.batch != 1:
+        raise ValueError(f"an exported network takes one scan at a time, got a batch of {pillars.batch}")
+    cells = torch.repeat_interleave(pillars.cells, pillars.lengths)
+    return {"features": pillars.features.cpu().numpy(), "cells": cells.cpu().numpy()}
+
+
+def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float32]:
+    """Run an exported network once, by ONNX Runtime on the CPU: the twin of `Network`.
+
+    It opens the file at each call. For many scans keep a session, as the head of this module does.
+
+    Parameters
+    ----------
+    path : path
+        Of a file that `export_onnx` wrote.
+    pillars : Pillars
+        Of one scan.
+
+    Returns
+    -------
+    (nx, ny, 2) float32 array
+        Belief masses free, occupied.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file is damaged or foreign, or the pillars are of more than one scan.
+    ImportError
+        If ONNX Runtime is absent; the message holds the pip command that adds it.
+    """
+    path = Path(path)
+    runtime = _package("onnxruntime")
+    inputs = onnx_inputs(pillars)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is not there; `ogm export` writes such files")
+    try:
+        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors have no other parent
+        raise ValueError(f"{path} is no whole ONNX file: {error}") from error
+    found = session.get_modelmeta().custom_metadata_map.get("format")
+    if found != FORMAT:
+        raise ValueError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}")
+    (mass,) = session.run(["mass"], inputs)
+    return mass
+
+
+class _Masses(nn.Module):
+    """From the points to belief masses, of operations that ONNX has."""
+
+    def __init__(self, network: Network) -> None:
+        super().__init__()
+        self.network = fused(network).cpu()
+
+    def forward(self, features: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
+        pillar, (nx, ny) = self.network.pillar, self.network.spec.shape
+        x = torch.relu(pillar.linear(features * pillar.scale))
+        canvas = x.new_zeros(nx * ny, x.shape[1])
+        canvas = canvas.scatter_reduce(0, cells[:, None].expand(-1, x.shape[1]), x, "amax")
+        canvas = canvas.view(1, nx, ny, -1).permute(0, 3, 1, 2)
+        evidence = self.network.evidence(canvas)[0]
+        return evidence / (evidence.sum(-1, keepdim=True) + 2)  # Sec. II: b = e / S
+
+
+def _model(network: Network) -> Any:
+    """Return the ONNX model, told in words and rid of what torch notes down of the machine."""
+    points = torch.export.Dim("points")
+    with warnings.catch_warnings():
+        for category, message in _EXPECTED:
+            warnings.filterwarnings("ignore", message, category)
+        program = torch.onnx.export(
+            _Masses(network).eval(),
+            (torch.zeros(7, FEATURES), torch.arange(7)),  # any number but 0 and 1, which torch takes as fixed
+            dynamo=True,
+            verbose=False,
+            opset_version=_OPSET,
+            input_names=["features", "cells"],
+            output_names=["mass"],
+            dynamic_shapes={"features": {0: points}, "cells": {0: points}},
+        )
+    model = program.model_proto
+    del model.metadata_props[:], model.graph.metadata_props[:]
+    for part in (*model.graph.node, *model.graph.value_info, *model.graph.initializer):
+        del part.metadata_props[:]  # paths of the machine, among others
+        part.doc_string = ""
+    words = _words(network)
+    for value in (*model.graph.input, *model.graph.output):
+        del value.metadata_props[:]
+        value.doc_string = words[value.name]
+    model.graph.name = "ogm"
+    model.doc_string = "One lidar scan to an evidential grid map."
+    for name, text in words.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = name, text
+    return model
+
+
+def _words(network: Network) -> dict[str, str]:
+    """Return the metadata of a file: what the network is, and what its inputs and outputs mean."""
+    spec, (low, high) = network.spec, network.config.z_range
+    nx, ny = spec.shape
+    return {
+        "format": FORMAT,
+        "spec": json.dumps({"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}),
+        "z_range": json.dumps([low, high]),
+        "network": json.dumps(asdict(network.config)),
+        "features": (
+            "Of each point: x, y, z [m], intensity [0, 1]; x, y, z less the mean of all points in the point's cell "
+            "[m]; x, y less the middle of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
+            f"on the ground below it. Only points with {low} <= z < {high}, on the grid, finite, and not of the own "
+            "vehicle; in any order."
+        ),
+        "cells": (
+            f"The cell of each point: ix * {ny} + iy, where ix = floor((x - ({spec.origin[0]})) / {spec.resolution}) "
+            f"in 0 ... {nx - 1} and iy = floor((y - ({spec.origin[1]})) / {spec.resolution}) in 0 ... {ny - 1}."
+        ),
+        "mass": (
+            "Belief masses of each cell, [ix, iy, state]: free, then occupied. Unknown is 1 less both. "
+            "Evidence is 2 * mass / unknown."
+        ),
+    }
+
+
+def _package(name: str) -> ModuleType:
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(f"ONNX needs the package {name}, which is missing ({error}): {_PIP}") from error

@@ -1,0 +1,257 @@
+"""A trained network as an inverse sensor model: the same door as the geometric ones."""
+
+import logging
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.deep.checkpoint import load_network
+from ogm.deep.network import Network, fused
+from ogm.deep.pillars import Box, Pillars, collate, pillarize, pillarize_torch
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import check_pose
+
+__all__ = ["SHIPPED", "DeepISM", "weights_of"]
+
+_log = logging.getLogger(__name__)
+
+SHIPPED = ("lite",)  # weights in the package
+
+
+@contextmanager
+def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
+    """Return the file of weights that is meant by a name, a run's folder, or a file.
+
+    Raises
+    ------
+    FileNotFoundError
+        If `source` is none of them.
+    """
+    if str(source) in SHIPPED:
+        with as_file(files("ogm") / "data") as folder:
+            yield folder / f"{source}.safetensors"
+        return
+    path = Path(source)
+    if path.is_dir():
+        path = path / "best.safetensors"
+    elif path.suffix != ".safetensors":
+        raise FileNotFoundError(
+            f"there are no weights {str(source)!r}: give {' or '.join(map(repr, SHIPPED))}, which come with the "
+            "package, or the .safetensors file or the folder that `ogm train` wrote"
+        )
+    yield path
+
+
+class DeepISM:
+    """An inverse sensor model learned from simulated scans (van Kempen et al. 2021).
+
+    One scan in, one evidential grid out, without memory from scan to scan::
+
+        deep = DeepISM.load("lite", sensor_height=1.9)
+        grid = deep(points)
+
+    Parameters
+    ----------
+    network : Network
+        As `ogm.deep.checkpoint.load_network` returns it.
+    spec : GridSpec, optional
+        The grid to fill, in the vehicle's frame. By default that of the training, around the sensor; another needs the
+        same resolution, and far beyond the training's ranges the network only guesses.
+    sensor_height : float
+        Of the sensor above the ground below it [m].
+    T_vehicle_sensor : (4, 4) array, optional
+        How the sensor is mounted; by default the vehicle frame is the sensor's.
+    points_in : {"sensor", "vehicle"}
+        The frame of the points.
+    own_box : (x_min, x_max, y_min, y_max), optional
+        Returns in this rectangle of the vehicle frame are the own vehicle's and left out [m]; by default 2.5 m to
+        the front and the rear of the sensor and 1.1 m to its sides, as in training.
+    device : str or torch.device
+        Where the network runs.
+    compile : bool
+        Let ``torch.compile`` make the network faster; its first call takes a minute.
+    description : mapping, optional
+        What the weights' JSON says; `seen` in it are the ranges of the training data.
+
+    Notes
+    -----
+    Points are normalised as in training: heights are counted from the ground below the sensor, and x and y from the
+    sensor. The grid lies around the sensor, in the vehicle's axes. Intensities are in [0, 1], Velodyne's calibrated
+    value / 255; without them (three columns, or all 0) the model works, as trained on a tenth of its samples, less
+    well. Scans of many more points than any in training are thinned at random, always alike. A scan unlike the
+    training data is answered, and logged as a warning, once for each reason.
+
+    Raises
+    ------
+    ValueError
+        If a height, pose or box makes no sense.
+    """
+
+    def __init__(
+        self,
+        network: Network,
+        spec: GridSpec | None = None,
+        sensor_height: float = 1.9,
+        T_vehicle_sensor: ArrayLike | None = None,
+        points_in: Literal["sensor", "vehicle"] = "sensor",
+        own_box: Sequence[float] | None = None,
+        device: str | torch.device = "cpu",
+        compile: bool = False,
+        description: Mapping[str, Any] | None = None,
+    ) -> None:
+        T = np.eye(4) if T_vehicle_sensor is None else check_pose(T_vehicle_sensor, "T_vehicle_sensor")
+        if not 0 < sensor_height < 100:
+            raise ValueError(f"sensor_height must be above ground and below 100 m, got {sensor_height}")
+        if points_in not in ("sensor", "vehicle"):
+            raise ValueError(f'points_in must be "sensor" or "vehicle", got {points_in!r}')
+        x, y, z = (float(value) for value in T[:3, 3])
+        box = (x - 2.5, x + 2.5, y - 1.1, y + 1.1) if own_box is None else tuple(map(float, own_box))
+        if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
+            raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {own_box}")
+        self.device = torch.device(device)
+        origin = network.spec.origin
+        place = GridSpec(network.spec.resolution, network.spec.shape, (origin[0] + x, origin[1] + y))
+        self._spec = place if spec is None else spec
+        self._place = network.spec  # the same cells, seen from the sensor
+        if spec is not None and spec != place:
+            self._place = GridSpec(spec.resolution, spec.shape, (spec.origin[0] - x, spec.origin[1] - y))
+            network = network.on(self._place)
+        self.network = fused(network).to(self.device)
+        self.description = dict(description or {})
+        self._T = (T if points_in == "sensor" else np.eye(4)).copy()  # to the ground below the sensor
+        self._T[:3, 3] = (0, 0, sensor_height) if points_in == "sensor" else (-x, -y, sensor_height - z)
+        self._box: Box = (box[0] - x, box[1] - x, box[2] - y, box[3] - y)
+        self._warned: set[str] = set()
+        self._seen = {name: tuple(value) for name, value in self.description.get("seen", {}).items()}
+        low, high = self._seen.get("height", (0.0, np.inf))
+        if not low - 0.1 <= sensor_height <= high + 0.1:
+            self._warn(
+                "height", f"sensor_height {sensor_height:g} m, but in training {low:.2f} to {high:.2f} m"
+            )
+        self._evidence = torch.compile(self.network.evidence) if compile else self.network.evidence
+
+    @classmethod
+    def load(
+        cls,
+        source: str | os.PathLike[str] = "lite",
+        *,
+        spec: GridSpec | None = None,
+        sensor_height: float = 1.9,
+        T_vehicle_sensor: ArrayLike | None = None,
+        points_in: Literal["sensor", "vehicle"] = "sensor",
+        own_box: Sequence[float] | None = None,
+        device: str | torch.device = "cpu",
+        compile: bool = False,
+    ) -> Self:
+        """Load weights: those that come with the package by name, or a file or a run that `ogm train` wrote.
+
+        Parameters
+        ----------
+        source : "lite", or path
+            A ``.safetensors`` file with its ``.json`` beside it, or a run's folder, whose best weights are meant.
+        spec, sensor_height, T_vehicle_sensor, points_in, own_box, device, compile
+            As of the class.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there are no such weights.
+        ValueError
+            If the files are damaged or foreign.
+        """
+        with weights_of(source) as path:
+            network, description = load_network(path)
+        return cls(
+            network,
+            spec,
+            sensor_height,
+            T_vehicle_sensor,
+            points_in,
+            own_box,
+            device,
+            compile,
+            description,
+        )
+
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that the model fills, in the vehicle's frame."""
+        return self._spec
+
+    def __call__(self, points: NDArray[np.floating[Any]]) -> EvidentialGrid:
+        """Map one scan to its evidential grid.
+
+        Parameters
+        ----------
+        points : (N, 4) or (N, 3) float array
+            x, y, z [m], intensity [0, 1]. Points that are NaN or infinite are left out.
+        """
+        return self.batch([points])[0]
+
+    @torch.inference_mode()
+    def batch(self, scans: Sequence[NDArray[np.floating[Any]]]) -> list[EvidentialGrid]:
+        """Map some scans at once, which is faster on an accelerator."""
+        if not scans:
+            return []
+        nx, ny = self._place.shape
+        pillars = collate([self._pillars(points) for points in scans], nx * ny)
+        evidence = self._evidence(self.network.canvas(pillars))
+        mass = evidence / (evidence.sum(-1, keepdim=True) + 2)  # Sec. II: b = e / S
+        return [EvidentialGrid.trusted(self._spec, one) for one in mass.cpu().numpy()]
+
+    def _pillars(self, points: NDArray[np.floating[Any]]) -> Pillars:
+        """Normalise a scan as the training data was."""
+        most = self._seen.get("points", (0, np.inf))[1]
+        if len(points) > 1.2 * most:
+            self._warn(
+                "points",
+                f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that",
+            )
+            keep = np.random.default_rng(0).random(len(points)) < most / len(points)
+            points = points[keep]
+        options = (self._place, self.network.config.z_range, self._box)
+        if self.device.type == "cpu":
+            pillars = pillarize(points, *options, self._T)
+        else:
+            pillars = pillarize(points[:0], *options, self._T)  # checks the type and the shape
+            columns = torch.zeros(len(points), 4)
+            columns[:, : min(4, points.shape[1])] = torch.from_numpy(np.asarray(points, np.float32))[:, :4]
+            T = torch.from_numpy(self._T).float().to(self.device)
+            pillars = pillarize_torch(columns.to(self.device), *options, T)
+        self._compare(pillars)
+        return pillars
+
+    def _compare(self, pillars: Pillars) -> None:
+        """Warn of a scan that is unlike those in training."""
+        features = pillars.features
+        if len(features) == 0:
+            self._warn("empty", "a scan without points on the grid: all is unknown, or nearly so")
+            return
+        least, most = float(features[:, 3].min()), float(features[:, 3].max())
+        if most > 1 or least < 0:
+            raise ValueError(
+                f"intensities must lie in [0, 1], got {least:g} ... {most:g}; divide them by their greatest value"
+            )
+        if most == 0 and "seen" in self.description:
+            self._warn("intensity", "a scan without intensities: the model works less well")
+        near = features[:: max(1, len(features) // 2000), :3]
+        near = near[(near[:, :2] ** 2).sum(1) < 15**2]
+        if len(near) > 100:
+            lowest = float(near[:, 2].kthvalue(len(near) // 10 + 1)[0])
+            if abs(lowest) > 0.5:
+                self._warn(
+                    "ground",
+                    f"the ground near the sensor seems to lie at {lowest:+.1f} m instead of 0: is sensor_height right?",
+                )
+
+    def _warn(self, reason: str, text: str) -> None:
+        if reason not in self._warned:
+            self._warned.add(reason)
+            _log.warning("unlike the training data: %s", text)

@@ -1,0 +1,307 @@
+"""The network: pillar features, a 2-D convolutional backbone, and a head that gives evidence for every cell.
+
+Two sizes of one idea. `PAPER` is PointPillars as van Kempen et al. 2021 describe it (Sec. III): three blocks of
+convolutions at 1/2, 1/4 and 1/8 of the resolution, each brought back to 1/2 and joined. `LITE` is made for
+processors without an accelerator: fewer channels, one block more for context, and a pyramid that merges by
+addition. In both the last convolution makes the four cells of each 2 x 2 square at once, so that the result has
+the full resolution of the grid.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import nn
+from torch.nn.functional import conv2d, interpolate, pixel_shuffle, relu, softplus
+from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
+
+from ogm.deep.pillars import FEATURES, Pillars
+from ogm.grid import GridSpec
+
+__all__ = ["LITE", "PAPER", "Network", "NetworkConfig", "fused"]
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes and choices of a network; JSON holds them beside the weights.
+
+    Parameters
+    ----------
+    pillar : int
+        Features of a pillar.
+    blocks : tuple of (channels, convolutions)
+        One per scale 1/2, 1/4, 1/8, ...; the first convolution of each halves the resolution.
+    join : "concatenate" or "add"
+        How the scales meet at 1/2: each brought up by a transposed convolution and concatenated (PointPillars), or
+        from the coarsest down, each added to the next finer one.
+    up : int
+        Channels of each scale when they meet by concatenation.
+    bearings : bool
+        Tell the network at every cell how far and in which direction the sensor is.
+    evidence : "softplus" or "relu"
+        What makes the head's numbers evidence. ReLU is the paper's; it leaves cells without gradient.
+    dropout : float
+        Share of the blocks' activations left out in training.
+    scale : tuple of 9 floats
+        The pillars' features are divided by these [the features' units].
+    z_range : (float, float)
+        Heights above the ground that are looked at [m].
+    """
+
+    pillar: int
+    blocks: tuple[tuple[int, int], ...]
+    join: Literal["concatenate", "add"]
+    up: int = 128
+    bearings: bool = False
+    evidence: Literal["softplus", "relu"] = "softplus"
+    dropout: float = 0.0
+    scale: tuple[float, ...] = (1.0,) * FEATURES
+    z_range: tuple[float, float] = (-3.0, 8.0)
+
+    @classmethod
+    def from_dict(cls, numbers: dict[str, object]) -> "NetworkConfig":
+        """Make from JSON, where tuples have become lists."""
+        tuples = {name: _tuple(value) for name, value in numbers.items()}
+        return cls(**tuples)  # type: ignore[arg-type]
+
+    @property
+    def stride(self) -> int:
+        """Both sides of the grid must be whole multiples of this many cells."""
+        return 2 ** len(self.blocks)
+
+
+PAPER = NetworkConfig(
+    pillar=64, blocks=((64, 4), (128, 6), (256, 6)), join="concatenate", dropout=0.1, z_range=(-1.2, 2.8)
+)
+LITE = NetworkConfig(
+    pillar=16,
+    blocks=((32, 2), (48, 3), (80, 3), (112, 4)),
+    join="add",
+    bearings=True,
+    scale=(40.0, 28.0, 2.0, 0.5, 0.05, 0.05, 0.3, 0.08, 0.08),
+)
+
+
+class Network(nn.Module):
+    """Pillars in, evidence for free and occupied out.
+
+    Parameters
+    ----------
+    config : NetworkConfig
+        `LITE`, `PAPER`, or your own.
+    spec : GridSpec
+        The grid it is trained on. The weights do not depend on its size.
+
+    Raises
+    ------
+    ValueError
+        If the spec's cells cannot be halved as often as the network does.
+    """
+
+    def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
+        super().__init__()
+        if any(n % config.stride for n in spec.shape):
+            up = tuple(-(-n // config.stride) * config.stride for n in spec.shape)
+            raise ValueError(
+                f"the network halves the grid {len(config.blocks)} times, so both sides must be multiples of "
+                f"{config.stride} cells, got {spec.shape}; use {up} cells"
+            )
+        self.config, self.spec = config, spec
+        channels = [size for size, _ in config.blocks]
+        self.pillar = PillarFeatures(config.pillar, config.scale)
+        self.bearings = nn.Conv2d(4, channels[1], 1) if config.bearings else None
+        self.blocks = nn.ModuleList(
+            _block(before, size, count, config.dropout)
+            for before, (size, count) in zip([config.pillar, *channels], config.blocks, strict=False)
+        )
+        if config.join == "concatenate":
+            self.join: nn.Module = Concatenate(channels, config.up)
+            last = config.up * len(channels)
+        else:
+            self.join = Add(channels)
+            last = channels[0]
+        self.head = nn.Conv2d(last, 2 * 4, 3, padding=1)
+        if config.evidence == "softplus":  # begin near what is usual: much free, little occupied
+            with torch.no_grad():
+                self.head.bias.copy_(torch.tensor([2.0] * 4 + [-1.0] * 4))
+        if config.bearings:
+            self.register_buffer("around", _bearings(spec), persistent=False)
+
+    def on(self, spec: GridSpec) -> "Network":
+        """Return the same network for another grid of the same resolution.
+
+        Raises
+        ------
+        ValueError
+            If the resolution differs, or the cells cannot be halved as often as the network does.
+        """
+        if spec.resolution != self.spec.resolution:
+            raise ValueError(
+                f"the network was trained on cells of {self.spec.resolution} m, got {spec.resolution} m; "
+                "train another, or use that resolution"
+            )
+        network = Network(self.config, spec)
+        network.load_state_dict(self.state_dict())
+        return network.train(self.training)
+
+    def forward(self, pillars: Pillars) -> torch.Tensor:
+        """Return evidence, (batch, nx, ny, 2) float32, at least 0; states last, free before occupied."""
+        return self.evidence(self.canvas(pillars))
+
+    def canvas(self, pillars: Pillars) -> torch.Tensor:
+        """Return the pillars' features on the grid, (batch, channels, nx, ny); 0 where no point is."""
+        nx, ny = self.spec.shape
+        features = self.pillar(pillars.features, pillars.lengths)
+        canvas = features.new_zeros(pillars.batch * nx * ny, features.shape[1])
+        canvas.index_copy_(0, pillars.cells, features)
+        return canvas.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # in memory: channels last
+
+    def evidence(self, canvas: torch.Tensor) -> torch.Tensor:
+        """Return evidence (batch, nx, ny, 2) from the canvas."""
+        scales = []
+        x = canvas
+        for k, block in enumerate(self.blocks):
+            x = block[0](x)
+            if k == 1 and self.bearings is not None:
+                x = x + self.bearings(self.around)
+            x = block[1:](x)
+            scales.append(x)
+        x = pixel_shuffle(self._head(self.join(scales)), 2)
+        x = x.permute(0, 2, 3, 1).float()  # the one change from channels first to states last
+        return softplus(x) if self.config.evidence == "softplus" else relu(x)
+
+    def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
+        """Apply the head to parts side by side: convolved one by one and added, they need not be copied together."""
+        sizes = [part.shape[1] for part in parts]
+        x = conv2d(parts[0], self.head.weight[:, : sizes[0]], self.head.bias, padding=1)
+        for part, weight in zip(
+            parts[1:], self.head.weight[:, sizes[0] :].split(sizes[1:], dim=1), strict=True
+        ):
+            x += conv2d(part, weight, padding=1)
+        return x
+
+
+class PillarFeatures(nn.Module):
+    """The paper's pillar feature net: a linear layer for each point, and the largest of each pillar's."""
+
+    def __init__(self, channels: int, scale: tuple[float, ...]) -> None:
+        super().__init__()
+        self.linear = nn.Linear(FEATURES, channels, bias=False)
+        self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01)
+        self.register_buffer("scale", 1 / torch.tensor(scale), persistent=False)
+
+    def forward(self, features: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
+        """Return (P, channels) from (N, 9) features of points sorted by pillar, and the pillars' lengths."""
+        if len(features) < 2 and self.training:  # no statistics of one point
+            x = nn.functional.batch_norm(
+                self.linear(features * self.scale), self.norm.running_mean, self.norm.running_var,
+                self.norm.weight, self.norm.bias, eps=1e-3,
+            )  # fmt: skip
+        else:
+            x = self.norm(self.linear(features if self.scale is None else features * self.scale))
+        if len(features) == 0:
+            return x
+        return torch.segment_reduce(relu(x), "max", lengths=lengths, unsafe=True)
+
+
+class Concatenate(nn.Module):
+    """PointPillars' neck: every scale to 1/2 by a transposed convolution, then side by side."""
+
+    def __init__(self, channels: list[int], up: int) -> None:
+        super().__init__()
+        self.ups = nn.ModuleList(
+            nn.Sequential(
+                nn.ConvTranspose2d(size, up, 2**k, 2**k, bias=False), _norm(up), nn.ReLU(inplace=True)
+            )
+            for k, size in enumerate(channels)
+        )
+
+    def forward(self, scales: list[torch.Tensor]) -> list[torch.Tensor]:
+        """Return one (batch, up, nx / 2, ny / 2) per scale, to be seen side by side."""
+        return [up(x) for up, x in zip(self.ups, scales, strict=True)]
+
+
+class Add(nn.Module):
+    """A pyramid from the coarsest scale down: enlarge, add to the next finer scale, convolve."""
+
+    def __init__(self, channels: list[int]) -> None:
+        super().__init__()
+        pairs = list(zip(channels[:-1], channels[1:], strict=True))
+        self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in pairs)
+        self.merge = nn.ModuleList(_layer(fine, fine) for fine, _ in pairs)
+
+    def forward(self, scales: list[torch.Tensor]) -> list[torch.Tensor]:
+        """Return a single (batch, channels of the finest scale, nx / 2, ny / 2)."""
+        x = scales[-1]
+        for k in reversed(range(len(scales) - 1)):
+            x = interpolate(self.lateral[k](x), scale_factor=2.0, mode="bilinear", align_corners=False)
+            x += scales[k]
+            x = self.merge[k](x)
+        return [x]
+
+
+class ConvReLU(nn.Module):
+    """A convolution and its ReLU in one go, where oneDNN computes; else one after the other."""
+
+    def __init__(self, conv: nn.Conv2d) -> None:
+        super().__init__()
+        self.conv = conv
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return an array of the convolution's shape."""
+        conv = self.conv
+        plain = x.device.type != "cpu" or x.dtype != torch.float32 or torch.is_grad_enabled() or not _ONEDNN
+        if plain or torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
+            return relu(conv(x), inplace=True)
+        numbers = conv.padding, conv.stride, conv.dilation, conv.groups
+        return torch.ops.mkldnn._convolution_pointwise(x, conv.weight, conv.bias, *numbers, "relu", [], None)
+
+
+_ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
+
+
+def _norm(channels: int) -> nn.BatchNorm2d:
+    return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01)
+
+
+def _layer(before: int, after: int, stride: int = 1, dropout: float = 0.0) -> nn.Sequential:
+    layers = [nn.Conv2d(before, after, 3, stride, 1, bias=False), _norm(after), nn.ReLU(inplace=True)]
+    return nn.Sequential(*layers, *([nn.Dropout(dropout)] if dropout else []))
+
+
+def _block(before: int, after: int, count: int, dropout: float) -> nn.Sequential:
+    return nn.Sequential(
+        _layer(before, after, 2, dropout), *(_layer(after, after, 1, dropout) for _ in range(count - 1))
+    )
+
+
+def _bearings(spec: GridSpec) -> torch.Tensor:
+    """Return for each 4 x 4 cells: distance / 40 m and its logarithm, and the direction, (1, 4, nx / 4, ny / 4)."""
+    x, y = (torch.from_numpy(axis).float() for axis in spec.cell_centers)
+    x, y = x.view(-1, 4, 1).mean(1), y.view(1, -1, 4).mean(2)
+    r = torch.sqrt(x**2 + y**2).clamp(min=spec.resolution)
+    around = torch.stack([r / 40, torch.log(r / 10), x / r, y / r])
+    return around[None].contiguous(memory_format=torch.channels_last)
+
+
+def fused(network: Network) -> Network:
+    """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
+    import copy
+
+    result = copy.deepcopy(network).eval()
+    for module in result.modules():
+        if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
+            transposed = isinstance(module[0], nn.ConvTranspose2d)
+            module[0] = fuse_conv_bn_eval(module[0], module[1], transpose=transposed)
+            module[1] = nn.Identity()
+            if not transposed:
+                module[0], module[2] = ConvReLU(module[0]), nn.Identity()
+    pillar = result.pillar
+    pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
+    pillar.linear.weight.data *= pillar.scale
+    pillar.scale, pillar.norm = None, nn.Identity()
+    return result.to(memory_format=torch.channels_last)
+
+
+def _tuple(value: object) -> object:
+    return tuple(_tuple(one) for one in value) if isinstance(value, list) else value

@@ -1,0 +1,488 @@
+"""Training: one loop, to be read from top to bottom.
+
+A run is a folder. ``best.safetensors`` and ``best.json`` are the averaged weights with the lowest validation loss,
+``state.pt`` all that is needed to go on after a kill, ``log.csv`` the learning curve, ``epoch-NNN.png`` fixed
+validation samples.
+"""
+
+import csv
+import importlib.metadata
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from lightning.fabric import Fabric
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import Tensor
+from torch.utils.data import DataLoader
+
+from ogm.deep import losses
+from ogm.deep.checkpoint import save_network
+from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, Samples, Scenes, Shuffled, join
+from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
+from ogm.evidence import evidence_to_mass
+from ogm.files import atomic_write
+from ogm.grid import GridSpec
+
+__all__ = [
+    "LITE_RECIPE",
+    "LOSSES",
+    "PAPER_RECIPE",
+    "Recipe",
+    "Scores",
+    "train",
+    "usual_precision",
+    "usual_workers",
+    "validate",
+]
+
+LOSSES: dict[
+    str, Callable[[Tensor, Tensor, float], Tensor]
+] = {  # evidence, target, strength -> loss per cell
+    "reverse-kl": losses.reverse_kl,
+    "squares-printed": lambda e, y, _: losses.sum_of_squares(e, y, "paper"),
+    "squares-released": lambda e, y, _: losses.sum_of_squares(e, y, "released"),
+    "log": lambda e, y, _: losses.log_loss(e, y),
+    "digamma": lambda e, y, _: losses.digamma_loss(e, y),
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides how a network is trained; kept beside its weights.
+
+    Parameters
+    ----------
+    network : NetworkConfig
+    epochs : int
+        Times that every sample is seen.
+    batch : int
+        Samples per step and process.
+    loss : str
+        A name of `LOSSES`.
+    strength : float
+        Evidence of a known cell, E of `ogm.deep.losses.reverse_kl`.
+    uniform_kl : float
+        Final weight of the divergence from the uniform Dirichlet, reached after 10 epochs.
+    occupied_weight : float
+        Weight of occupied cells in the loss; the paper's is 100.
+    learning_rate, weight_decay : float
+        Of AdamW.
+    warmup : int
+        Steps in which the learning rate grows from 0.
+    final_rate : float
+        Share of the learning rate that is left at the end of its cosine; 1 keeps it constant.
+    clip : float
+        Largest norm of the gradient.
+    average : float
+        Decay per step of the exponential moving average of the weights; 0 keeps the last ones.
+    augmentation : Augmentation
+    most_pillars, most_points : int
+        The paper's limits, if above 0.
+    seed : int
+    """
+
+    network: NetworkConfig
+    epochs: int = 10
+    batch: int = 8
+    loss: str = "reverse-kl"
+    strength: float = 10.0
+    uniform_kl: float = 0.0
+    occupied_weight: float = 1.0
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    warmup: int = 100
+    final_rate: float = 0.01
+    clip: float = 1.0
+    average: float = 0.998
+    augmentation: Augmentation = Augmentation()
+    most_pillars: int = 0
+    most_points: int = 0
+    seed: int = 0
+
+
+LITE_RECIPE = Recipe(LITE)
+PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are their code's
+    replace(PAPER, evidence="relu"),
+    epochs=100,
+    batch=5,
+    loss="squares-printed",
+    uniform_kl=1.0,
+    occupied_weight=100.0,
+    learning_rate=1e-4,
+    weight_decay=0.0,
+    warmup=0,
+    final_rate=1.0,
+    clip=math.inf,
+    average=0.0,
+    augmentation=ROTATION,
+    most_pillars=10_000,
+    most_points=100,
+)
+
+
+def usual_workers() -> int:
+    """Return how many processes should prepare samples here: half the cores, 12 at most."""
+    return min(12, max(1, len(os.sched_getaffinity(0)) // 2 if hasattr(os, "sched_getaffinity") else 1))
+
+
+def usual_precision(accelerator: str = "auto") -> str:
+    """Return how to compute: bfloat16 where the accelerator has it, else float32."""
+    cuda = (
+        accelerator in ("auto", "cuda", "gpu")
+        and torch.cuda.is_available()
+        and torch.cuda.is_bf16_supported()
+    )
+    return "bf16-mixed" if cuda else "32-true"
+
+
+class Scores(NamedTuple):
+    """How a network does on some samples; all cells of all samples count alike.
+
+    Attributes
+    ----------
+    loss : float
+        Mean of the recipe's loss.
+    kl : float
+        Mean of KL[prediction || truth] at the recipe's strength, divided by it, whatever the loss.
+    free, occupied : float
+        Intersection over union of cells called free, or occupied: the larger evidence, where the two together are
+        above 1/2 of the recipe's strength.
+    """
+
+    loss: float
+    kl: float
+    free: float
+    occupied: float
+
+
+def train(
+    training: Samples,
+    validation: Samples,
+    spec: GridSpec,
+    out: Path,
+    recipe: Recipe,
+    *,
+    resume: bool = False,
+    accelerator: str = "auto",
+    devices: int = 1,
+    nodes: int = 1,
+    precision: Any = "32-true",
+    workers: int = 1,
+    save_every: float = 120.0,
+    picture_every: int = 1,
+    facts: Mapping[str, Any] | None = None,
+    progress: bool = True,
+) -> Path:
+    """Train a network and return the path of its best weights.
+
+    Parameters
+    ----------
+    training, validation : Samples
+        Splits of a data set. The weights are chosen by `validation`.
+    spec : GridSpec
+        The network's grid, around the sensor.
+    out : Path
+        The run's folder.
+    recipe : Recipe
+    resume : bool
+        Go on where a run with the same recipe stopped in `out`; begin if there is none.
+    accelerator, devices, nodes, precision
+        As Lightning Fabric takes them.
+    workers : int
+        Processes that prepare samples, beside each training process.
+    save_every : float
+        Time between saved states [s].
+    picture_every : int
+        Epochs between pictures of validation samples; 0 draws none.
+    facts : mapping, optional
+        Provenance to keep beside the weights.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    ValueError
+        If a split is empty, the grid does not suit the network, `out` holds another run, or a recipe's number makes
+        no sense.
+    FloatingPointError
+        If the loss is not finite; the batch is saved in the run's folder.
+    MemoryError
+        If the memory does not suffice.
+    """
+    _check(training, validation, recipe, out, resume)
+    fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision)
+    fabric.launch()
+    torch.manual_seed(recipe.seed)
+    network = Network(recipe.network, spec).to(memory_format=torch.channels_last)
+    average = Network(recipe.network, spec).to(memory_format=torch.channels_last)
+    average.load_state_dict(network.state_dict())
+    optimizer = torch.optim.AdamW(
+        network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay, fused=False
+    )
+    model, optimizer = fabric.setup(network, optimizer)
+    average = average.to(fabric.device).eval()
+
+    options = {"z_range": recipe.network.z_range, "seed": recipe.seed}
+    limits = {"most_pillars": recipe.most_pillars, "most_points": recipe.most_points}
+    scenes = Scenes(training, spec, recipe.augmentation, **options, **limits)  # type: ignore[arg-type]
+    checks = Scenes(validation, spec, PLAIN, **options, **limits)  # type: ignore[arg-type]
+    order = Shuffled(len(scenes), recipe.seed, fabric.global_rank, fabric.world_size)
+    loader: DataLoader[Batch] = DataLoader(
+        scenes,
+        recipe.batch,
+        sampler=order,
+        num_workers=workers,
+        collate_fn=join,
+        drop_last=True,
+        prefetch_factor=4 if workers else None,
+    )
+    per_epoch = len(training) // fabric.world_size // recipe.batch
+    total = per_epoch * recipe.epochs
+
+    out.mkdir(parents=True, exist_ok=True)
+    step, best = 0, math.inf
+    if resume and (out / "state.pt").exists():
+        step, best = _restore(out / "state.pt", recipe, network, average, optimizer)
+
+    def keep() -> None:
+        if fabric.is_global_zero:
+            _store(out / "state.pt", recipe, network, average, optimizer, step, best)
+
+    saved, shown = time.monotonic(), (time.monotonic(), step)
+    recent: list[float] = []
+    with _bar(progress and fabric.is_global_zero, total, step) as show:
+        try:
+            while step < total:
+                order.epoch, order.skip = step // per_epoch, step % per_epoch * recipe.batch
+                for batch in loader:
+                    for group in optimizer.param_groups:
+                        group["lr"] = _rate(recipe, step, total)
+                    pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
+                    loss = _loss(model(pillars), state, recipe, step / per_epoch)
+                    value = float(loss.detach())
+                    if not math.isfinite(value):
+                        raise _nothing(out, batch, value, step)
+                    optimizer.zero_grad()
+                    fabric.backward(loss)
+                    if math.isfinite(recipe.clip):
+                        fabric.clip_gradients(model, optimizer, max_norm=recipe.clip)
+                    optimizer.step()
+                    step += 1
+                    _follow(average, network, min(recipe.average, step / (step + 10)))
+                    recent = [*recent[-99:], value]
+                    show(step, loss=sum(recent) / len(recent), epoch=step / per_epoch)
+                    if time.monotonic() - saved > save_every:
+                        keep()
+                        saved = time.monotonic()
+                # An epoch is over
+                if fabric.is_global_zero:
+                    scores = validate(average, checks, recipe, fabric.device, step / per_epoch)
+                    speed = (
+                        (step - shown[1]) * recipe.batch * fabric.world_size / (time.monotonic() - shown[0])
+                    )
+                    epoch = step // per_epoch
+                    _log(out / "log.csv", epoch, step, sum(recent) / len(recent), scores, speed)
+                    show(step, scores=scores)
+                    if scores.loss < best:
+                        best = scores.loss
+                        result = {"epoch": epoch, "step": step, "validation": scores._asdict()}
+                        save_network(out / "best.safetensors", average, _facts(recipe, facts, result))
+                    if picture_every and epoch % picture_every == 0:
+                        _picture(out / f"epoch-{epoch:03d}.png", average, checks, fabric.device)
+                    keep()
+                    saved = time.monotonic()
+                shown = (time.monotonic(), step)
+                fabric.barrier()
+        except KeyboardInterrupt:
+            keep()
+            raise
+        except (torch.OutOfMemoryError, RuntimeError) as error:
+            if not isinstance(error, torch.OutOfMemoryError) and "alloc" not in str(error):
+                raise
+            raise MemoryError(
+                f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
+            ) from error
+    return out / "best.safetensors"
+
+
+@torch.no_grad()
+def validate(
+    network: Network,
+    scenes: Scenes,
+    recipe: Recipe,
+    device: torch.device | str = "cpu",
+    epoch: float = math.inf,
+) -> Scores:
+    """Score a network on samples."""
+    network.eval()
+    loss = kl = 0.0
+    cells = 0
+    counts = np.zeros((3, 3))
+    for i in range(len(scenes)):
+        batch = scenes[i]
+        evidence, state = network(batch.pillars.to(device)), batch.state.to(device)
+        target, valid = losses.targets(state)
+        count = int(valid.sum())
+        loss += count * float(_loss(evidence, state, recipe, epoch))
+        kl += count * float(losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid))
+        cells += count
+        called = torch.where(evidence.sum(-1) > recipe.strength / 2, 1 + evidence.argmax(-1), 0)
+        counts += np.bincount((3 * state[valid] + called[valid]).cpu().numpy(), minlength=9).reshape(3, 3)
+    iou = np.diag(counts) / np.maximum(counts.sum(0) + counts.sum(1) - np.diag(counts), 1)
+    return Scores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
+
+
+def _loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:
+    """Return the mean over the cells that count, of the recipe's loss."""
+    target, valid = losses.targets(state)
+    loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
+    if recipe.uniform_kl:
+        loss = loss + recipe.uniform_kl * losses.annealing(epoch) * losses.uniform_kl(evidence, target)
+    weight = (
+        None if recipe.occupied_weight == 1 else losses.class_weights(target, occupied=recipe.occupied_weight)
+    )
+    return losses.masked_mean(loss, valid, weight)
+
+
+def _rate(recipe: Recipe, step: int, total: int) -> float:
+    """Return the learning rate: linear up, then a cosine down to its final share."""
+    up = min(1.0, (step + 1) / recipe.warmup) if recipe.warmup else 1.0
+    cosine = 0.5 * (1 + math.cos(math.pi * step / total))
+    return recipe.learning_rate * up * (recipe.final_rate + (1 - recipe.final_rate) * cosine)
+
+
+@torch.no_grad()
+def _follow(average: Network, network: Network, decay: float) -> None:
+    for mine, its in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mine.is_floating_point():
+            mine.lerp_(its, 1 - decay)
+        else:
+            mine.copy_(its)
+
+
+def _store(
+    path: Path, recipe: Recipe, network: Network, average: Network, optimizer: Any, step: int, best: float
+) -> None:
+    state = {
+        "recipe": repr(recipe),
+        "network": network.state_dict(),
+        "average": average.state_dict(),
+        "optimizer": optimizer.state_dict(),
+        "step": step,
+        "best": best,
+    }
+    with atomic_write(path) as file:
+        torch.save(state, file)
+
+
+def _restore(
+    path: Path, recipe: Recipe, network: Network, average: Network, optimizer: Any
+) -> tuple[int, float]:
+    try:
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        if state["recipe"] != repr(recipe):
+            raise ValueError("it was begun with another recipe; give the same options, or another --out")
+        network.load_state_dict(state["network"])
+        average.load_state_dict(state["average"])
+        optimizer.load_state_dict(state["optimizer"])
+        return int(state["step"]), float(state["best"])
+    except Exception as error:  # whatever torch makes of a foreign or damaged file
+        raise ValueError(f"cannot resume from {path}: {error}") from error
+
+
+def _nothing(out: Path, batch: Batch, value: float, step: int) -> FloatingPointError:
+    path = out / f"batch-{step}.npz"
+    with atomic_write(path) as file:
+        np.savez_compressed(
+            file,
+            features=batch.pillars.features.numpy(),
+            lengths=batch.pillars.lengths.numpy(),
+            cells=batch.pillars.cells.numpy(),
+            state=batch.state.numpy(),
+            numbers=np.array(batch.numbers),
+        )
+    return FloatingPointError(
+        f"the loss became {value} at step {step}; the batch is in {path}; resume from the last state with a smaller "
+        "--learning-rate"
+    )
+
+
+def _log(path: Path, epoch: int, step: int, loss: float, scores: Scores, speed: float) -> None:
+    """Append a row to the learning curve."""
+    row = {"epoch": epoch, "step": step, "training_loss": loss, **scores._asdict(), "samples_per_s": speed}
+    new = not path.exists()
+    with open(path, "a", newline="") as file:
+        writer = csv.DictWriter(file, list(row))
+        if new:
+            writer.writeheader()
+        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
+
+
+def _facts(recipe: Recipe, facts: Mapping[str, Any] | None, result: Mapping[str, Any]) -> dict[str, Any]:
+    versions = {name: importlib.metadata.version(name) for name in ("torch", "lightning", "numpy")}
+    return {"recipe": asdict(recipe), "result": dict(result), "versions": versions, **(facts or {})}
+
+
+@torch.no_grad()
+def _picture(path: Path, network: Network, scenes: Scenes, device: torch.device | str) -> None:
+    """Show two fixed samples: points, truth, and what the network says."""
+    from ogm.grid import EvidentialGrid
+    from ogm.plot import Panel, masses, points, save_picture
+    from ogm.truth import Truth
+
+    panels: list[Panel] = []
+    for i in sorted({0, len(scenes) // 2}):
+        batch = scenes[i]
+        evidence = network(batch.pillars.to(device))[0].cpu().numpy()
+        grid = EvidentialGrid.trusted(scenes.spec, evidence_to_mass(evidence))
+        panels += [
+            points(batch.pillars.features[:, :4].numpy(), scenes.spec, f"sample {i}", 0.0),
+            masses(Truth(scenes.spec, batch.state[0].numpy()).grid, "truth"),
+            masses(grid, "network"),
+        ]
+    save_picture(path, *panels)
+
+
+@contextmanager
+def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
+    columns = (
+        TextColumn("epoch {task.fields[epoch]:.1f}"),
+        BarColumn(),
+        TextColumn("loss {task.fields[loss]:.4f}  {task.fields[scores]}"),
+        TimeRemainingColumn(elapsed_when_finished=True, compact=True),
+    )
+    with Progress(*columns, disable=not visible) as bar:
+        task = bar.add_task("training", total=total, completed=done, loss=math.nan, epoch=0.0, scores="")
+
+        def show(step: int, scores: Scores | None = None, **fields: float) -> None:
+            said = {}
+            if scores is not None:
+                said["scores"] = (
+                    f"validation {scores.loss:.4f}, IoU free {scores.free:.2f} occupied {scores.occupied:.2f}"
+                )
+            bar.update(task, completed=step, **fields, **said)  # type: ignore[arg-type]
+
+        yield show
+
+
+def _check(training: Samples, validation: Samples, recipe: Recipe, out: Path, resume: bool) -> None:
+    if recipe.loss not in LOSSES:
+        raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {recipe.loss!r}")
+    if recipe.epochs < 1 or recipe.batch < 1:
+        raise ValueError(f"epochs and batch must be at least 1, got {recipe.epochs} and {recipe.batch}")
+    if not (recipe.learning_rate > 0 and recipe.strength > 0):
+        raise ValueError("learning_rate and strength must be greater than 0")
+    if len(training) < recipe.batch:
+        raise ValueError(f"{len(training)} training samples are fewer than one batch of {recipe.batch}")
+    if len(validation) == 0:
+        raise ValueError("there are no validation samples to choose the weights by")
+    if not resume and (out / "state.pt").exists():
+        raise ValueError(f"{out} holds a run already; go on with --resume, or give another --out")

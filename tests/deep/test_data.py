@@ -1,0 +1,132 @@
+import numpy as np
+import pytest
+
+from ogm.deep.data import OWN_BOX, PLAIN, ROTATION, Augmentation, Scenes, Shuffled, augment, join
+from ogm.truth import FREE, IGNORE, OCCUPIED
+
+
+def states_at(points, state, spec):
+    ix, iy = spec.index(points[:, 0], points[:, 1])
+    inside = spec.contains(points[:, 0], points[:, 1])
+    return state[ix[inside], iy[inside]], inside
+
+
+def only(**shares):
+    return Augmentation(**{**PLAIN.__dict__, **shares})
+
+
+def test_plain_changes_nothing_but_counts_heights_from_the_ground(scenes, small):
+    points, state = augment(scenes[0], small, PLAIN, np.random.default_rng(0))
+    np.testing.assert_allclose(points[:, :2], scenes[0].points[:, :2], atol=1e-5)
+    np.testing.assert_allclose(points[:, 2], scenes[0].points[:, 2] + 1.8, atol=1e-5)
+    np.testing.assert_array_equal(points[:, 3], scenes[0].points[:, 3])
+    np.testing.assert_array_equal(state, scenes[0].truth.crop(small).state)
+
+
+@pytest.mark.parametrize("how", [ROTATION, only(mirror=1.0), only(turn=1.0, mirror=1.0)])
+@pytest.mark.parametrize("seed", range(5))
+def test_points_and_truth_turn_together(scenes, small, how, seed):
+    points, state = augment(scenes[1], small, how, np.random.default_rng(seed))
+    assert not np.allclose(points[:, 1], scenes[1].points[:, 1])
+    wall = points[points[:, 3] > 0.5]
+    at_wall, _ = states_at(wall, state, small)
+    assert (at_wall == OCCUPIED).mean() > 0.7  # a turned wall of one cell is cut by the cells' corners
+    at_ground, _ = states_at(points[points[:, 3] < 0.5], state, small)
+    assert (at_ground == FREE).mean() > 0.9
+
+
+def test_turning_makes_no_cell_unknown_or_ignored(scenes, small):
+    for seed in range(5):
+        _, state = augment(scenes[0], small, ROTATION, np.random.default_rng(seed))
+        assert not (state == IGNORE).any()
+
+
+def test_truth_stays_when_only_the_sensor_is_disturbed(scenes, small):
+    how = Augmentation(
+        turn=0, mirror=0, no_intensity=0, layers=1, points=1, noise=0.05, height=0.1, tilt=0.01
+    )
+    points, state = augment(scenes[0], small, how, np.random.default_rng(3))
+    np.testing.assert_array_equal(state, scenes[0].truth.crop(small).state)
+    assert 0.3 * len(scenes[0].points) < len(points) < len(scenes[0].points)
+
+
+def test_range_noise_moves_points_along_their_rays(scenes, small):
+    points, _ = augment(scenes[0], small, only(noise=0.05), np.random.default_rng(1))
+    before = scenes[0].points[:, :3]
+    points[:, 2] -= 1.8
+    r = np.linalg.norm(before, axis=1)
+    along = np.einsum("ij,ij->i", points[:, :3], before) / r
+    assert 0.001 < np.std(along - r) < 0.05
+    np.testing.assert_allclose(points[:, :3], before * (along / r)[:, None], atol=1e-4)
+
+
+def test_tilt_changes_heights_alone(scenes, small):
+    points, _ = augment(scenes[0], small, only(tilt=0.02), np.random.default_rng(2))
+    before = scenes[0].points
+    np.testing.assert_allclose(points[:, :2], before[:, :2], atol=1e-5)
+    design = np.column_stack([before[:, :2], np.ones(len(before))])
+    change = points[:, 2] - before[:, 2]
+    fit, *_ = np.linalg.lstsq(design, change, rcond=None)
+    np.testing.assert_allclose(design @ fit, change, atol=1e-4)
+    assert np.abs(fit[:2]).max() > 1e-4
+
+
+def test_intensities_stay_in_their_range(scenes, small):
+    for seed in range(8):
+        points, _ = augment(scenes[0], small, only(gain=2.0), np.random.default_rng(seed))
+        assert points[:, 3].min() >= 0
+        assert points[:, 3].max() <= 1
+    points, _ = augment(scenes[0], small, only(no_intensity=1.0), np.random.default_rng(0))
+    assert not points[:, 3].any()
+
+
+def test_a_sample_is_not_changed_by_being_read(scenes, small):
+    before = scenes[2].points.copy()
+    augment(scenes[2], small, Augmentation(), np.random.default_rng(0))
+    np.testing.assert_array_equal(scenes[2].points, before)
+
+
+def test_the_key_says_the_disturbance(scenes, small):
+    one, other = (Scenes(scenes, small, Augmentation(), seed=4) for _ in range(2))
+    assert one[3, 5].pillars.features.equal(other[3, 5].pillars.features)
+    now, later = one[3, 5].pillars.features, one[4, 5].pillars.features
+    assert now.shape != later.shape or not now.equal(later)
+
+
+def test_returns_of_the_own_vehicle_are_left_out(scenes, small):
+    features = Scenes(scenes, small)[0].pillars.features
+    x0, x1, y0, y1 = OWN_BOX
+    inside = (features[:, 0] > x0) & (features[:, 0] < x1) & (features[:, 1] > y0) & (features[:, 1] < y1)
+    assert not inside.any()
+
+
+def test_the_limits_are_kept(scenes, small):
+    pillars = Scenes(scenes, small, most_pillars=50, most_points=3)[0].pillars
+    assert len(pillars.lengths) == 50
+    assert pillars.lengths.max() == 3
+    assert pillars.lengths.sum() == len(pillars.features)
+
+
+def test_joined_batches_keep_their_order(scenes, small):
+    data = Scenes(scenes, small)
+    batch = join([data[3], data[1]])
+    assert batch.numbers == [3, 1]
+    assert batch.state.shape == (2, *small.shape)
+    second = batch.pillars.cells >= small.shape[0] * small.shape[1]
+    assert (batch.pillars.cells[second] - small.shape[0] * small.shape[1]).equal(data[1].pillars.cells)
+
+
+def test_an_epoch_sees_every_sample_once_on_all_processes_together():
+    ranks = [Shuffled(12, 7, rank, 3) for rank in range(3)]
+    seen = [i for order in ranks for _, i in order]
+    assert sorted(seen) == list(range(12))
+    ranks[0].epoch = 1
+    assert [i for _, i in ranks[0]] != seen[:4]
+
+
+def test_an_epoch_goes_on_where_it_stopped():
+    order = Shuffled(10, 7)
+    whole = list(order)
+    order.skip = 6
+    assert list(order) == whole[6:]
+    assert len(order) == 4

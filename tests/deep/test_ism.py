@@ -1,0 +1,177 @@
+import logging
+
+import numpy as np
+import pytest
+import torch
+
+from ogm.deep import DeepISM, Network
+from ogm.deep.checkpoint import save_network
+from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm.pose import pose
+
+
+@pytest.fixture
+def network(tiny, small):
+    torch.manual_seed(0)
+    return Network(tiny, small).eval()
+
+
+@pytest.fixture
+def cloud(scenes):
+    return scenes[0].points
+
+
+def test_it_goes_through_the_common_door(network, cloud, small):
+    ism = DeepISM(network, None, 1.8)
+    assert isinstance(ism, InverseSensorModel)
+    grid = ism(cloud)
+    assert grid.spec == ism.spec == small
+    EvidentialGrid(grid.spec, grid.mass)  # masses they are
+    assert grid.mass.dtype == np.float32
+    assert 0 < grid.unknown.min() <= grid.unknown.max() < 1
+
+
+def test_the_mass_is_the_evidence_over_the_strength(network, cloud, small):
+    from ogm.deep.pillars import pillarize
+
+    raised = cloud + np.array([0, 0, 1.8, 0], np.float32)
+    with torch.no_grad():
+        evidence = network(pillarize(raised, small, own_box=(-2.5, 2.5, -1.1, 1.1)))[0].numpy()
+    expected = evidence / (evidence.sum(-1, keepdims=True) + 2)
+    np.testing.assert_allclose(DeepISM(network, None, 1.8)(cloud).mass, expected, atol=1e-5)
+
+
+def test_a_batch_is_its_scans_one_by_one(network, scenes):
+    ism = DeepISM(network, None, 1.8)
+    clouds = [scene.points for scene in scenes[:3]]
+    for alone, together in zip(map(ism, clouds), ism.batch(clouds), strict=True):
+        np.testing.assert_allclose(alone.mass, together.mass, atol=1e-5)
+    assert ism.batch([]) == []
+
+
+def test_the_frame_of_the_points_does_not_matter(network, cloud):
+    T = pose(1.2, 0.3, 1.9, yaw=0.7)
+    in_sensor = DeepISM(network, None, 1.8, T)
+    in_vehicle = DeepISM(network, None, 1.8, T, points_in="vehicle")
+    moved = cloud.copy()
+    moved[:, :3] = cloud[:, :3] @ T[:3, :3].T.astype(np.float32) + T[:3, 3].astype(np.float32)
+    a, b = in_sensor(cloud), in_vehicle(moved)
+    assert a.spec == b.spec
+    assert np.abs(a.mass - b.mass).mean() < 1e-3  # points on the edges of cells may change cell
+
+
+def test_the_grid_lies_around_the_sensor(network, small):
+    ism = DeepISM(network, None, 1.8, pose(1.5, -0.5, 1.8))
+    assert ism.spec.origin == pytest.approx((small.origin[0] + 1.5, small.origin[1] - 0.5))
+    assert ism.spec.shape == small.shape
+
+
+def test_a_mount_without_turn_changes_the_place_alone(network, cloud):
+    np.testing.assert_allclose(
+        DeepISM(network, None, 1.8)(cloud).mass,
+        DeepISM(network, None, 1.8, pose(1.5, -0.5, 1.8))(cloud).mass,
+        atol=1e-6,
+    )
+
+
+def test_another_grid_is_filled_with_the_same_beliefs(network, cloud, small):
+    wide = GridSpec.centered(length=2 * small.length, width=small.width, resolution=small.resolution)
+    a, b = DeepISM(network, None, 1.8)(cloud), DeepISM(network, wide, 1.8)(cloud)
+    assert b.spec == wide
+    part = b.mass[small.shape[0] // 2 : -small.shape[0] // 2]
+    inner = (slice(12, -12), slice(None))  # what is far from the edge that one of them does not have
+    assert np.abs(a.mass[inner] - part[inner]).mean() < 0.01
+
+
+def test_grids_that_do_not_suit_the_network_are_refused(network, small):
+    with pytest.raises(ValueError, match="cells of 0.64 m"):
+        DeepISM(network, GridSpec.centered(length=10.24, width=10.24, resolution=0.32))
+    with pytest.raises(ValueError, match="multiples of 8 cells"):
+        DeepISM(network, GridSpec.centered(length=9 * 0.64, width=8 * 0.64, resolution=0.64))
+
+
+def test_points_that_are_not_finite_are_left_out(network, cloud, caplog):
+    ism = DeepISM(network, None, 1.8)
+    worse = np.concatenate([cloud, np.full((3, 4), np.nan, np.float32), np.full((2, 4), np.inf, np.float32)])
+    np.testing.assert_array_equal(ism(cloud).mass, ism(worse).mass)
+    assert "dropped 5 of" in caplog.text
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_scans_of_nothing_are_answered(network, cloud, count):
+    grid = DeepISM(network, None, 1.8)(cloud[:count])
+    assert np.isfinite(grid.mass).all()
+
+
+def test_scans_without_intensities_are_answered(network, cloud):
+    dark = cloud.copy()
+    dark[:, 3] = 0
+    ism = DeepISM(network, None, 1.8)
+    np.testing.assert_array_equal(ism(cloud[:, :3]).mass, ism(dark).mass)
+
+
+def test_intensities_on_another_scale_are_refused(network, cloud):
+    with pytest.raises(ValueError, match=r"intensities must lie in \[0, 1\]"):
+        DeepISM(network, None, 1.8)(cloud * np.array([1, 1, 1, 255], np.float32))
+
+
+def test_a_scan_unlike_those_of_training_is_said_once(network, cloud, caplog):
+    seen = {"height": [1.7, 1.9], "points": [100, len(cloud) // 2]}
+    ism = DeepISM(network, None, 3.5, description={"seen": seen})
+    dark = cloud[:, :3]
+    with caplog.at_level(logging.WARNING):
+        for _ in range(3):
+            ism(dark)
+    said = [record.getMessage() for record in caplog.records]
+    for reason in ("sensor_height 3.5", "points", "without intensities", "the ground near the sensor"):
+        assert sum(reason in line for line in said) == 1, reason
+
+
+def test_thinned_scans_are_always_thinned_alike(network, cloud):
+    ism = DeepISM(network, None, 1.8, description={"seen": {"points": [100, len(cloud) // 2]}})
+    np.testing.assert_array_equal(ism(cloud).mass, ism(cloud).mass)
+
+
+def test_a_scan_as_those_of_training_is_not_remarked(network, cloud, caplog):
+    seen = {"height": [1.7, 1.9], "points": [100, 2 * len(cloud)]}
+    DeepISM(network, None, 1.8, description={"seen": seen})(cloud)
+    assert not caplog.records
+
+
+def test_weights_are_loaded_from_a_run_or_a_file(network, cloud, tmp_path):
+    save_network(tmp_path / "best.safetensors", network, {})
+    expected = DeepISM(network, None, 1.8)(cloud).mass
+    for source in (tmp_path, tmp_path / "best.safetensors", str(tmp_path)):
+        np.testing.assert_allclose(DeepISM.load(source, sensor_height=1.8)(cloud).mass, expected, atol=1e-6)
+
+
+def test_names_that_are_no_weights_say_what_is(tmp_path):
+    with pytest.raises(FileNotFoundError, match="'lite'"):
+        DeepISM.load("litte")
+    with pytest.raises(FileNotFoundError, match="ogm train"):
+        DeepISM.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"sensor_height": -1.0}, "sensor_height"),
+        ({"points_in": "map"}, "points_in"),
+        ({"own_box": (1, 0, 0, 0)}, "own_box"),
+        ({"T_vehicle_sensor": np.ones((4, 4))}, "T_vehicle_sensor"),
+    ],
+)
+def test_mounts_that_make_no_sense_are_refused(network, change, match):
+    with pytest.raises(ValueError, match=match):
+        DeepISM(network, **change)
+
+
+@pytest.mark.parametrize("points", [np.zeros((3, 2), np.float32), np.zeros(4, np.float32)])
+def test_shapes_that_are_no_points_are_refused(network, points):
+    with pytest.raises(ValueError, match="points must have shape"):
+        DeepISM(network)(points)
+
+
+def test_whole_numbers_are_no_points(network):
+    with pytest.raises(TypeError, match="float array"):
+        DeepISM(network)(np.zeros((3, 4), int))
