@@ -284,7 +284,7 @@ def train(
                         saved = time.monotonic()
                 # An epoch is over
                 if fabric.is_global_zero:
-                    scores = validate(average, checks, recipe, fabric.device, step / per_epoch)
+                    scores = validate(average, checks, recipe, fabric.device)
                     speed = (
                         (step - shown[1]) * recipe.batch * fabric.world_size / (time.monotonic() - shown[0])
                     )
@@ -314,14 +314,8 @@ def train(
 
 
 @torch.no_grad()
-def validate(
-    network: Network,
-    scenes: Scenes,
-    recipe: Recipe,
-    device: torch.device | str = "cpu",
-    epoch: float = math.inf,
-) -> Scores:
-    """Score a network on samples."""
+def validate(network: Network, scenes: Scenes, recipe: Recipe, device: torch.device | str = "cpu") -> Scores:
+    """Score a network on samples, by the loss as it is after all annealing, so that epochs can be compared."""
     network.eval()
     loss = kl = 0.0
     cells = 0
@@ -331,7 +325,7 @@ def validate(
         evidence, state = network(batch.pillars.to(device)), batch.state.to(device)
         target, valid = losses.targets(state)
         count = int(valid.sum())
-        loss += count * float(_loss(evidence, state, recipe, epoch))
+        loss += count * float(_loss(evidence, state, recipe, math.inf))
         kl += count * float(losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid))
         cells += count
         called = torch.where(evidence.sum(-1) > recipe.strength / 2, 1 + evidence.argmax(-1), 0)

@@ -1,69 +1,78 @@
-"""A small world to learn from: flat ground, a wall, a box, and a lidar of 16 layers."""
+"""A small world to learn from: flat ground, a wall across the way, and a lidar of 16 layers."""
 
-from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ogm.deep.network import NetworkConfig
 from ogm.grid import GridSpec
-from ogm.truth import FREE, OCCUPIED, UNKNOWN, Truth
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.store import SHARD, Store
+from ogm.truth import CANVAS, FREE, OCCUPIED, UNKNOWN, Truth
 
-HEIGHT = 1.8
+HEIGHT, LAYERS = 1.8, 16
+BEAMS = Beams(
+    "test-16",
+    elevation=tuple(np.radians(np.linspace(-25, 3, LAYERS))),
+    azimuth=(np.pi,) * LAYERS,
+    step=-2 * np.pi / 240,
+    columns=240,
+    rate=10.0,
+    origin=((0.0, 0.0, 0.0),) * LAYERS,
+)
 
 
-@dataclass(frozen=True)
-class Scene:
-    points: np.ndarray
-    ring: np.ndarray
-    truth: Truth
-    T_vehicle_sensor: np.ndarray
-
-
-def scene(number: int) -> Scene:
-    """A wall across the way at a distance of its own; all before it is free, all behind it unknown."""
-    rng = np.random.default_rng(number)
-    distance = rng.uniform(6, 11)
-    elevation = np.radians(np.linspace(-25, 3, 16))[:, None]
-    azimuth = np.linspace(-np.pi, np.pi, 240, endpoint=False)[None]
-    x, y, z = (
-        np.cos(elevation) * np.cos(azimuth),
-        np.cos(elevation) * np.sin(azimuth),
-        np.sin(elevation) + 0 * azimuth,
-    )
-    ground = np.where(z < 0, -HEIGHT / np.minimum(z, -1e-9), np.inf)
-    wall = np.where(x > 0, distance / np.maximum(x, 1e-9), np.inf)
+def scene(number: int, split: str = "training") -> Sample:
+    """A wall at a distance of its own; all before it is free, all behind it unknown."""
+    distance = np.random.default_rng([number, len(split)]).uniform(6, 11)
+    x, _, z = np.moveaxis(BEAMS.directions.astype(np.float64), -1, 0)
+    with np.errstate(divide="ignore"):
+        ground, wall = np.where(z < 0, -HEIGHT / z, np.inf), np.where(x > 0, distance / x, np.inf)
     r = np.minimum(ground, wall)
-    hit = r < 30
-    intensity = np.where(wall < ground, 0.6, 0.1)
-    points = np.stack([r * x, r * y, r * z, intensity], -1)[hit].astype(np.float32)
-    canvas = GridSpec.centered(length=51.2, width=51.2, resolution=0.64)
-    cx, _ = canvas.cell_centers
+    steps = np.where(r < 30, r / RANGE_STEP, 0).astype(np.uint16)
+    cx, _ = CANVAS.cell_centers
     state = np.where(cx < distance - 0.32, FREE, np.where(cx < distance + 0.32, OCCUPIED, UNKNOWN))
-    state = np.broadcast_to(state, canvas.shape).astype(np.uint8)
     T = np.eye(4)
     T[2, 3] = HEIGHT
-    return Scene(points, np.nonzero(hit)[0], Truth(canvas, np.ascontiguousarray(state)), T)
+    return Sample(
+        beams=BEAMS,
+        steps=steps,
+        intensities=np.where(steps > 0, np.where(wall < ground, 150, 25), 0).astype(np.uint8),
+        truth=Truth(CANVAS, np.ascontiguousarray(np.broadcast_to(state, CANVAS.shape).astype(np.uint8))),
+        objects=np.zeros(0, OBJECT),
+        T_world_sensor=np.eye(4),
+        T_vehicle_sensor=T,
+        velocity=np.zeros(3),
+        yaw_rate=0.0,
+        stamp=0.0,
+        split=split,
+        index=number,
+        scenario=0,
+    )
 
 
 @pytest.fixture(scope="session")
-def scenes() -> list[Scene]:
+def scenes() -> list[Sample]:
     return [scene(number) for number in range(12)]
 
 
 @pytest.fixture(scope="session")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of ten samples in each of two parts."""
+    path = tmp_path_factory.mktemp("data") / "walls"
+    made = Store.create(path, {"seed": 1}, {"training": SHARD, "validation": SHARD}, [BEAMS], {"ogm": "test"})
+    for split in ("training", "validation"):
+        made.write(split, 0, [scene(k, split) for k in range(SHARD)])
+    return path
+
+
+@pytest.fixture(scope="session")
 def small() -> GridSpec:
-    return GridSpec.centered(
-        length=30.72, width=20.48, resolution=0.64
-    )  # 48 x 32 cells; any turn stays on the canvas
+    return GridSpec.centered(length=30.72, width=20.48, resolution=0.64)  # 48 x 32 cells
 
 
 @pytest.fixture(scope="session")
 def tiny() -> NetworkConfig:
-    return NetworkConfig(
-        pillar=8,
-        blocks=((8, 1), (8, 1), (8, 1)),
-        join="add",
-        bearings=True,
-        scale=(15, 10, 2, 0.5, 0.2, 0.2, 0.3, 0.3, 0.3),
-    )
+    scale = (15.0, 10.0, 2.0, 0.5, 0.2, 0.2, 0.3, 0.3, 0.3)
+    return NetworkConfig(pillar=8, blocks=((8, 1), (8, 1), (8, 1)), join="add", bearings=True, scale=scale)

@@ -37,6 +37,16 @@ def change(path: Path, how: Callable[[dict[str, Any]], Any]) -> None:
     beside.write_text(json.dumps(description))
 
 
+def guarded(config: Any, spec: GridSpec) -> Network:
+    """Make a network, but none that would fill the memory."""
+    size = max(config.pillar, config.up, *(n for n, _ in config.blocks))
+    count = sum(n for _, n in config.blocks)
+    weightless = torch.empty(0).device.type == "meta"
+    assert count <= 1000, "too many layers would have been made"
+    assert size <= 256 or weightless, "a huge network would have been made"
+    return Network(config, spec)
+
+
 class Trap:
     """Makes a file when it is unpickled."""
 
@@ -209,15 +219,20 @@ def test_another_format_is_refused(saved: Path, found: Any) -> None:
 def test_a_network_that_cannot_be_is_refused_before_it_is_made(
     saved: Path, part: str, value: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def huge(config: Any, *_: Any) -> Network:
-        """Keep the test's machine alive where the loader does not."""
-        assert sum(n for _, n in config.blocks) < 100, "a huge network would have been made"
-        assert max(config.pillar, config.up) <= 4096, "a huge network would have been made"
-        return Network(config, *_)
-
-    monkeypatch.setattr("ogm.deep.checkpoint.Network", huge)
+    monkeypatch.setattr("ogm.deep.checkpoint.Network", guarded)
     change(saved, lambda description: description["network"].update({part: value}))
     with pytest.raises(ValueError, match="describes no network that can be made"):
+        load_network(saved)
+
+
+@pytest.mark.parametrize("join", ["add", "concatenate"])
+def test_a_huge_network_is_refused_before_it_fills_the_memory(
+    saved: Path, join: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ogm.deep.checkpoint.Network", guarded)
+    huge = {"blocks": [[4096, 30], [4096, 30]], "up": 4096, "pillar": 4096, "join": join}
+    change(saved, lambda description: description["network"].update(huge))
+    with pytest.raises(ValueError, match="describes no network|does not hold the weights"):
         load_network(saved)
 
 

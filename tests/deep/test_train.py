@@ -50,7 +50,7 @@ def test_training_learns(go, recipe, tmp_path):
     path = go(recipe=replace(recipe, epochs=24), picture_every=24)
     rows = curve(tmp_path / "run")
     assert [row["epoch"] for row in rows] == list(range(1, 25))
-    assert rows[-1]["loss"] < 0.4 * rows[0]["loss"]
+    assert rows[-1]["loss"] < 0.5 * rows[0]["loss"]
     assert rows[-1]["free"] > 0.75
     network, description = load_network(path)
     assert description["result"]["validation"]["loss"] == pytest.approx(

@@ -1,0 +1,98 @@
+"""``ogm train``, as a person uses it."""
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from click.testing import Result
+from typer.testing import CliRunner
+
+from ogm.cli import app
+from ogm.deep import DeepISM
+
+SMALL = (
+    "--length",
+    30.72,
+    "--width",
+    20.48,
+    "--resolution",
+    0.64,
+    "--workers",
+    0,
+    "--accelerator",
+    "cpu",
+    "--batch",
+    5,
+)
+
+
+def ogm(*words: object) -> Result:
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_train_writes_weights_that_can_be_used(store: Path, scenes: list, tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    result = ogm("train", store, "--out", run, "--epochs", 2, *SMALL)
+    assert result.exit_code == 0, result.output
+    assert {file.name for file in run.iterdir()} == {
+        *("best.json", "best.safetensors", "epoch-001.png", "epoch-002.png", "log.csv", "state.pt")
+    }
+    with open(run / "log.csv") as file:
+        assert [row["epoch"] for row in csv.DictReader(file)] == ["1", "2"]
+    said = json.loads((run / "best.json").read_text())
+    assert said["data"]["samples"] == {"training": 10, "validation": 10}
+    assert said["seen"]["height"] == [1.8, 1.8]
+    assert said["recipe"]["batch"] == 5
+    assert DeepISM.load(run, sensor_height=1.8)(scenes[0].points).spec.shape == (48, 32)
+
+
+def test_an_interrupt_is_saved_and_says_how_to_go_on(
+    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ogm.deep import train
+
+    steps = []
+
+    def loss(*args: object) -> torch.Tensor:
+        steps.append(1)
+        if len(steps) == 2:
+            raise KeyboardInterrupt
+        return kept(*args)
+
+    kept = train._loss
+    monkeypatch.setattr(train, "_loss", loss)
+    arguments = ("train", store, "--out", tmp_path / "run", "--epochs", 1, *SMALL)
+    result = ogm(*arguments)
+    assert result.exit_code == 130
+    assert "--resume" in result.output
+    assert torch.load(tmp_path / "run" / "state.pt", weights_only=True)["step"] == 1
+    again = ogm(*arguments)
+    assert again.exit_code == 2
+    assert "--resume" in again.output
+    assert ogm(*arguments, "--resume").exit_code == 0
+
+
+def test_missing_parts_are_complained_about(store: Path, tmp_path: Path) -> None:
+    result = ogm("train", tmp_path / "nothing", "--out", tmp_path / "run")
+    assert result.exit_code == 2
+    assert "ogm simulate" in result.output
+    assert not (tmp_path / "run").exists()
+    result = ogm(
+        "train", store, "--out", tmp_path / "run", "--length", 30.08, "--width", 20.48, "--resolution", 0.64
+    )
+    assert result.exit_code == 2
+    assert "multiples of 16 cells" in result.output
