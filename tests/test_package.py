@@ -54,7 +54,7 @@ def test_import_contracts_hold() -> None:
 def test_every_public_name_is_documented() -> None:
     import importlib
 
-    for room in ("evidence", "pose", "files", "grid", "io", "geometric", "plot"):
+    for room in ("evidence", "pose", "files", "grid", "io", "geometric", "plot", "metrics", "deep"):
         module = importlib.import_module(f"ogm.{room}")
         for name in module.__all__:
             value = getattr(module, name)

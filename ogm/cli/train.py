@@ -1,6 +1,7 @@
 """``ogm train`` and ``ogm export``: a data set to a network's weights, and those to ONNX."""
 
 import logging
+import os
 import warnings
 from dataclasses import replace
 from enum import StrEnum
@@ -123,7 +124,8 @@ def train(
     except FloatingPointError as error:
         complaints.print(f"ogm: {error}", markup=False)
         raise typer.Exit(1) from None
-    out.print(f"weights {path}   curve {folder / 'log.csv'}", markup=False)
+    if os.environ.get("LOCAL_RANK", "0") == "0":  # Lightning starts this command once per device
+        out.print(f"weights {path}   curve {folder / 'log.csv'}", markup=False)
 
 
 @tidy

@@ -4,6 +4,7 @@ Nothing is unpickled, and nothing is believed: sizes and names must be those tha
 """
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -44,17 +45,17 @@ def save_network(path: str | os.PathLike[str], network: Network, facts: Mapping[
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
     spec = network.spec
     description = {
+        **facts,
         "format": FORMAT,
         "network": asdict(network.config),
         "spec": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
         "parameters": sum(value.numel() for value in network.parameters()),
-        **facts,
     }
+    text = json.dumps(description, indent=1)  # before anything is written: facts may not be JSON
     with atomic_write(path) as file:
         file.write(save(weights, {"format": FORMAT}))
     with atomic_write(path.with_suffix(".json"), "w") as file:
-        json.dump(description, file, indent=1)
-        file.write("\n")
+        file.write(text + "\n")
     return path
 
 
@@ -96,10 +97,10 @@ def load_network(path: str | os.PathLike[str]) -> tuple[Network, dict[str, Any]]
         spec = GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"]))
         config = NetworkConfig.from_dict(description["network"])
         _plausible(config)
-        network = Network(config, spec)
-    except (ValueError, KeyError, TypeError, RuntimeError, OverflowError) as error:
+        with torch.device("meta"):  # its names and shapes, without memory for them
+            wanted = Network(config, spec).state_dict()
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError) as error:
         raise ValueError(f"{beside} describes no network that can be made: {error}") from error
-    wanted = network.state_dict()
     try:
         with safe_open(path, "pt") as file:
             names = set(file.keys())
@@ -117,8 +118,13 @@ def load_network(path: str | os.PathLike[str]) -> tuple[Network, dict[str, Any]]
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} is not a whole file of weights (.safetensors): {error}") from error
     for name, value in weights.items():
-        if value.is_floating_point() and not torch.isfinite(value).all():
+        if value.dtype != wanted[name].dtype:
+            raise ValueError(f"{path} has {name} as {value.dtype}, wanted {wanted[name].dtype}")
+        if not torch.isfinite(value).all():
             raise ValueError(f"{path} has weights that are NaN or infinite, in {name}")
+        if name.endswith("running_var") and (value < 0).any():
+            raise ValueError(f"{path} has a variance below 0, in {name}")
+    network = Network(config, spec)
     network.load_state_dict(weights)
     return network.eval(), description
 
@@ -128,10 +134,17 @@ def _plausible(config: NetworkConfig) -> None:
     sizes = [config.pillar, config.up, *(n for block in config.blocks for n in block)]
     if not all(type(n) is int and 0 < n <= 4096 for n in sizes) or not 0 < len(config.blocks) <= 8:
         raise ValueError(f"sizes of blocks must be whole numbers from 1 to 4096, got {config.blocks}")
+    if any(count > 64 for _, count in config.blocks):
+        raise ValueError(f"a block has at most 64 convolutions, got {config.blocks}")
     if config.join not in ("add", "concatenate") or config.evidence not in ("softplus", "relu"):
         raise ValueError(f"got join {config.join!r} and evidence {config.evidence!r}")
     if len(config.scale) != 9 or len(config.z_range) != 2:
         raise ValueError("scale has 9 numbers and z_range 2")
+    low, high = config.z_range
+    if not (-math.inf < low < high < math.inf and all(0 < s < math.inf for s in config.scale)):
+        raise ValueError(f"z_range must rise and scale be above 0, got {config.z_range} and {config.scale}")
+    if not 0 <= config.dropout < 1:
+        raise ValueError(f"dropout must be in [0, 1), got {config.dropout}")
 
 
 def _named(path: str | os.PathLike[str]) -> Path:

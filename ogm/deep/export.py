@@ -56,7 +56,7 @@ def export_onnx(network: Network, path: str | os.PathLike[str]) -> dict[str, str
     Raises
     ------
     ValueError
-        If `path` does not end in ``.onnx``.
+        If `path` does not end in ``.onnx``, or the network went through `ogm.deep.network.fused` before.
     ImportError
         If the packages for the export are absent; the message holds the pip command that adds them.
 
@@ -153,11 +153,13 @@ class _Masses(nn.Module):
 
     def __init__(self, network: Network) -> None:
         super().__init__()
+        if isinstance(network.pillar.norm, nn.Identity):
+            raise ValueError("the network is fused already: give the one that load_network returns")
         self.network = fused(network).cpu()
 
     def forward(self, features: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
-        pillar, (nx, ny) = self.network.pillar, self.network.spec.shape
-        x = torch.relu(pillar.linear(features * pillar.scale))
+        nx, ny = self.network.spec.shape
+        x = torch.relu(self.network.pillar.linear(features))  # the features' scale is in the fused weights
         canvas = x.new_zeros(nx * ny, x.shape[1])
         canvas = canvas.scatter_reduce(0, cells[:, None].expand(-1, x.shape[1]), x, "amax")
         canvas = canvas.view(1, nx, ny, -1).permute(0, 3, 1, 2)

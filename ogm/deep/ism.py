@@ -203,7 +203,7 @@ class DeepISM:
         nx, ny = self._place.shape
         pillars = collate([self._pillars(points) for points in scans], nx * ny)
         evidence = self._evidence(self.network.canvas(pillars))
-        mass = evidence / (evidence.sum(-1, keepdim=True) + 2)  # Sec. II: b = e / S
+        mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
         return [EvidentialGrid.trusted(self._spec, one) for one in mass.cpu().numpy()]
 
     def _pillars(self, points: NDArray[np.floating[Any]]) -> Pillars:

@@ -106,6 +106,8 @@ class Network(nn.Module):
                 f"the network halves the grid {len(config.blocks)} times, so both sides must be multiples of "
                 f"{config.stride} cells, got {spec.shape}; use {up} cells"
             )
+        if config.bearings and len(config.blocks) < 2:
+            raise ValueError(f"bearings join at the second block, got {len(config.blocks)} block")
         self.config, self.spec = config, spec
         channels = [size for size, _ in config.blocks]
         self.pillar = PillarFeatures(config.pillar, config.scale)
@@ -201,7 +203,7 @@ class PillarFeatures(nn.Module):
             x = self.norm(self.linear(features if self.scale is None else features * self.scale))
         if len(features) == 0:
             return x
-        return torch.segment_reduce(relu(x), "max", lengths=lengths, unsafe=True)
+        return torch.segment_reduce(relu(x, inplace=True), "max", lengths=lengths, unsafe=True)
 
 
 class Concatenate(nn.Module):

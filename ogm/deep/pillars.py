@@ -122,7 +122,7 @@ def pillarize_torch(
     ix, iy = (
         torch.floor((xyz[:, axis].double() - spec.origin[axis]) / spec.resolution).long() for axis in (0, 1)
     )
-    x, y, z = xyz.unbind(1)
+    x, y, z = xyz.double().unbind(1)  # the limits are compared as the kernel does
     keep = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny) & (z >= z_range[0]) & (z < z_range[1])
     keep &= ~((x > own_box[0]) & (x < own_box[1]) & (y > own_box[2]) & (y < own_box[3]))
     cell, order = torch.sort((ix * ny + iy)[keep], stable=True)
@@ -190,7 +190,8 @@ def _checked(points: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         raise ValueError(
             f"points must have shape (N, 4) [x, y, z, intensity] (or at least 3 columns), got {points.shape}"
         )
-    return np.ascontiguousarray(points, np.float32)
+    with np.errstate(over="ignore"):  # what is too far away for float32 becomes infinite, and is left out
+        return np.ascontiguousarray(points, np.float32)
 
 
 @njit(cache=True, nogil=True)

@@ -108,7 +108,7 @@ class Recipe:
     seed: int = 0
 
 
-LITE_RECIPE = Recipe(LITE)
+LITE_RECIPE = Recipe(LITE, epochs=6, batch=4)  # that of the shipped weights
 PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are their code's
     replace(PAPER, evidence="relu"),
     epochs=100,

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from ogm.deep.export import FORMAT, export_onnx, onnx_inputs, run_onnx
-from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
+from ogm.deep.network import LITE, PAPER, Network, NetworkConfig, fused
 from ogm.deep.pillars import Pillars, collate, pillarize
 from ogm.grid import GridSpec
 
@@ -126,6 +126,12 @@ def test_a_cell_off_the_grid_is_refused(exported: tuple[Network, Path]) -> None:
 def test_only_names_that_end_in_onnx_are_written(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"named \.onnx"):
         export_onnx(trained(NETWORKS["small"]), tmp_path / "lite.pt")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_fused_network_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="load_network"):
+        export_onnx(fused(trained(NETWORKS["small"])), tmp_path / "lite.onnx")
     assert not list(tmp_path.iterdir())
 
 

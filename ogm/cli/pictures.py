@@ -1,0 +1,133 @@
+"""Pictures of an evaluation: every metric of every model over the frames, and some frames to look at."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ogm.files import atomic_write
+from ogm.metrics import METRICS, Evaluation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ogm.plot import Panel
+
+__all__ = ["frames_picture", "metrics_picture"]
+
+SHOWN = (
+    "kl_e10", "kl_e1_scaled", "kl_e1", "legacy_kl",
+    "iou_free", "iou_occupied", "iou_unknown", "auroc_unknown",
+    "ece", "ece_relative", "false_free", "missed_occupied",
+)  # fmt: skip
+COLOURS = ("#2c5f9e", "#e08214", "#1b7837", "#7b3294", "#b2182b", "#8c8c8c", "#35978f", "#543005")
+
+
+def metrics_picture(
+    path: str | Path, result: Evaluation, title: str, shown: Sequence[str] = SHOWN, note: str = ""
+) -> None:
+    """Draw a box per model for each metric: quartiles over frames, whiskers from 5 % to 95 %, the mean as a dot.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.png``.
+    result : Evaluation
+    title, note : str
+        Above and below the picture.
+    shown : sequence of str
+        Names of metrics.
+    """
+    columns, rows = 4, -(-len(shown) // 4)
+    width, height = max(13.0, 3.4 * len(result.models)), 3.1 * rows + 1.1
+    figure = _figure(width, height)
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    figure.subplots_adjust(0.6 / width, 0.9 / height, 1 - 0.2 / width, 1 - 0.75 / height, 0.2, 0.45)
+    for axis in axes[len(shown) :]:
+        axis.set_axis_off()
+    for axis, metric in zip(axes, shown, strict=False):
+        labels = [fill(name, 9) for name in result.models]
+        for place, name in enumerate(result.models):
+            colour, values = COLOURS[place % len(COLOURS)], result.of(name, metric)
+            values = values[~np.isnan(values)]
+            if not len(values):
+                axis.text(place, 0.5, "no value", ha="center", transform=axis.get_xaxis_transform())
+                continue
+            axis.boxplot(
+                values,
+                positions=[place],
+                widths=0.6,
+                whis=(5, 95),
+                showfliers=False,
+                patch_artist=True,
+                boxprops={"facecolor": colour, "alpha": 0.55, "edgecolor": colour},
+                medianprops={"color": "black"},
+                whiskerprops={"color": colour},
+                capprops={"color": colour},
+            )
+            mean = values.mean()
+            axis.plot(place, mean, "o", color="black", markersize=4)
+            labels[place] = f"{mean:.3f}\n{labels[place]}"
+        heading, better, _ = METRICS[metric]
+        axis.set_title(f"{heading}  ({better} is better)" if better else heading, fontsize=10)
+        axis.set_xlim(-0.6, len(result.models) - 0.4)
+        axis.set_ylim(bottom=0)
+        axis.set_xticks(range(len(labels)), labels, fontsize=8)
+        axis.grid(axis="y", color="0.9")
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+    figure.suptitle(title, fontsize=12, y=1 - 0.15 / height, va="top")
+    figure.text(0.5, 0.05 / height, note, fontsize=7, color="0.35", ha="center")
+    _save(figure, path)
+
+
+def frames_picture(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]], title: str) -> None:
+    """Draw frames below each other, each a row of panels of the same kinds.
+
+    Parameters
+    ----------
+    path : path
+        Ends in ``.png``.
+    rows : sequence of (str, panels)
+        A frame's name and its pictures.
+    title : str
+    """
+    from matplotlib.patches import Patch
+
+    columns = len(rows[0][1])
+    first = rows[0][1][0].spec
+    width, height = 2.6, 2.6 * first.length / first.width
+    across, down = width * columns + 0.4, (height + 0.3) * len(rows) + 1.0
+    figure = _figure(across, down)
+    axes = figure.subplots(len(rows), columns, squeeze=False)
+    figure.subplots_adjust(0.35 / across, 0.5 / down, 1 - 0.05 / across, 1 - 0.7 / down, 0.02, 0.3 / height)
+    legends: dict[str, Any] = {}
+    for row, (name, panels) in zip(axes, rows, strict=True):
+        for axis, panel in zip(row, panels, strict=True):
+            x0, x1, y0, y1 = panel.spec.extent
+            axis.imshow(panel.image, extent=(y1, y0, x0, x1), interpolation="antialiased")
+            axis.set_title(panel.title, fontsize=8, parse_math=False)
+            axis.set_xticks([])
+            axis.set_yticks([])
+            legends |= panel.legend
+        row[0].set_ylabel(name, fontsize=9, parse_math=False)
+    handles = [Patch(facecolor=c, edgecolor="0.6", label=label) for label, c in legends.items()]
+    figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=9)
+    figure.suptitle(title, fontsize=11, y=1 - 0.1 / down, va="top")
+    _save(figure, path)
+
+
+def _figure(width: float, height: float) -> "Figure":
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: "Figure", path: str | Path) -> None:
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=110)

@@ -1,0 +1,529 @@
+"""Laws of the metrics, and their slow twins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ogm.evidence import dirichlet_kl, evidence_to_mass
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.metrics import (
+    METRICS,
+    auroc,
+    auroc_of_histograms,
+    bootstrap_mean,
+    bootstrap_ratio,
+    called,
+    density,
+    evaluate,
+    kernels,
+    kl_from_truth,
+    kl_to_truth,
+    legacy_kl,
+    model_for,
+    paired,
+    same_cells,
+    score,
+    tally,
+)
+from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
+
+SPEC = GridSpec.centered(length=7, width=7, resolution=1)
+
+
+def random_grid(seed: int, shape: tuple[int, ...] = (7, 7)) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Masses of all kinds, also vacuous and nearly dogmatic ones, and states."""
+    rng = np.random.default_rng(seed)
+    evidence = rng.gamma(0.3, 20, (*shape, 2)) * (rng.random((*shape, 2)) < 0.8)
+    mass = (evidence / (evidence.sum(axis=-1, keepdims=True) + 2)).astype(np.float32)
+    return mass, rng.choice(4, size=shape, p=[0.4, 0.3, 0.2, 0.1]).astype(np.uint8)
+
+
+def alphas(mass: NDArray, state: NDArray, strength: float) -> tuple[NDArray, NDArray]:
+    """Parameters of the grid's densities and of the truth's, the plain way."""
+    mass = mass.astype(np.float64)
+    rest = np.maximum(1 - mass.sum(axis=-1, keepdims=True), 2e-5)
+    truth = np.stack([state == FREE, state == OCCUPIED], axis=-1) * strength
+    return 1 + 2 * mass / rest, 1.0 + truth
+
+
+def dogmatic(state: NDArray[np.uint8]) -> NDArray[np.float32]:
+    return np.stack([state == FREE, state == OCCUPIED], axis=-1).astype(np.float32)
+
+
+# Divergences
+
+
+@pytest.mark.parametrize("strength", [0.5, 1.0, 10.0, 1000.0])
+def test_divergences_are_those_of_the_exact_function(strength: float) -> None:
+    mass, state = random_grid(1, (40, 40))
+    alpha, truth = alphas(mass, state, strength)
+    cells, known = density(mass), state != IGNORE
+    for fast, exact in (
+        (kl_to_truth(cells, state, strength), dirichlet_kl(alpha, truth)),
+        (kl_from_truth(cells, state, strength), dirichlet_kl(truth, alpha)),
+    ):
+        assert np.isnan(fast[~known]).all()
+        np.testing.assert_allclose(fast[known], exact[known], rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "state", "strength", "value"),
+    [
+        ((0, 0), FREE, 1.0, 0.30685281944),
+        ((1, 0), UNKNOWN, 1.0, 0.19314718056),
+        ((1, 0), OCCUPIED, 1.0, 1.0),
+        ((0, 0), OCCUPIED, 10.0, 7.6021047272),
+        ((10, 0), FREE, 1.0, 0.886566274057),
+        ((0.5, 0.5), UNKNOWN, 1.0, 0.0484172947105),
+        ((0, 1000), OCCUPIED, 999.0, 4.99334082534e-7),
+    ],
+)
+def test_divergence_has_the_value_of_sixty_digits(
+    evidence: tuple[float, float], state: int, strength: float, value: float
+) -> None:
+    mass = np.array(evidence)[None] / (sum(evidence) + 2)
+    found = kl_to_truth(density(mass), np.array([state], np.uint8), strength)
+    np.testing.assert_allclose(found, value, rtol=1e-7, atol=1e-8)
+
+
+def test_a_dogmatic_cell_counts_as_evidence_of_1e5() -> None:
+    mass, state = np.array([[1.0, 0.0], [1.0, 0.0]], np.float32), np.array([FREE, OCCUPIED], np.uint8)
+    alpha, truth = np.array([[1 + 1e5, 1.0]] * 2), np.array([[11.0, 1.0], [1.0, 11.0]])
+    found = kl_to_truth(density(mass), state, 10.0)
+    np.testing.assert_allclose(found, dirichlet_kl(alpha, truth), rtol=1e-7)
+    assert 8 < found[0] < 9
+    assert 115 < found[1] < 130
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, 2.0, float("nan")])
+def test_evidence_is_scaled_down_or_not_at_all(scale: float) -> None:
+    with pytest.raises(ValueError, match="scale must be in"):
+        density(np.zeros((1, 2)), scale=scale)
+
+
+def test_numbers_out_of_range_are_told() -> None:
+    with pytest.raises(ValueError, match="min_unknown must be in"):
+        density(np.zeros((1, 2)), min_unknown=0.0)
+    with pytest.raises(ValueError, match="strength is the evidence of the truth"):
+        kl_to_truth(density(np.zeros((1, 2))), np.zeros(1, np.uint8), 0.0)
+    with pytest.raises(ValueError, match="strength is the evidence of the truth"):
+        kl_from_truth(density(np.zeros((1, 2))), np.zeros(1, np.uint8), np.inf)
+
+
+def test_legacy_divergence_is_that_of_keras() -> None:
+    evidence, state = np.array([[0.6, 0.4], [0.4, 0.6]]), np.array([OCCUPIED, UNKNOWN], np.uint8)
+    assert legacy_kl(evidence, state).mean() == pytest.approx(0.45814305, abs=1e-8)
+
+
+def test_legacy_divergence_is_blind_to_false_claims() -> None:
+    _, state = random_grid(2)
+    everything_is_both = legacy_kl(np.ones((7, 7, 2)), state)
+    nothing = legacy_kl(np.zeros((7, 7, 2)), state)
+    assert np.nanmax(everything_is_both) < 1e-5
+    np.testing.assert_allclose(nothing[(state == FREE) | (state == OCCUPIED)], 16.118, atol=1e-3)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_special_functions_of_the_table_are_the_special_functions(compiled: bool) -> None:
+    from scipy.special import digamma, gammaln
+
+    look_up = kernels.look_up if compiled else kernels.look_up.py_func
+    x = np.concatenate([[1.0, 2.0, 2.0 - 1e-16, 4.0, 2e5], 1 + np.logspace(-9, 5.3, 300)])
+    found = np.array([look_up(float(one), kernels.table()) for one in x])
+    np.testing.assert_allclose(found[:, 0], gammaln(x), rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(found[:, 1], digamma(x), rtol=0, atol=2e-10)
+
+
+# Counts
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_counts_are_sums_of_what_every_cell_says(compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not compiled:
+        for name in ("look_up", "_density"):
+            monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
+        monkeypatch.setattr("ogm.metrics.counts.count_cells", kernels.count_cells.py_func)
+    mass, state = random_grid(3, (15, 12))
+    counts = tally(mass, state)
+    cells, weak = density(mass), density(mass, scale=0.1)
+    evidence = np.stack([cells.free, cells.occupied], axis=-1)
+    call, rest = called(mass), 1 - mass.sum(axis=-1, dtype=np.float64)
+    likelier = np.where(mass[..., 0] > mass[..., 1], FREE, np.where(mass[..., 1] > mass[..., 0], OCCUPIED, 0))
+    for truth in (UNKNOWN, FREE, OCCUPIED):
+        here = state == truth
+        assert counts.cells[truth] == here.sum()
+        np.testing.assert_allclose(counts.mass[truth], mass[here].sum(axis=0, dtype=np.float64))
+        for k, (shape, strength) in enumerate([(cells, 1.0), (cells, 10.0), (weak, 1.0)]):
+            expected = kl_to_truth(shape, state, strength)[here].sum()
+            assert counts.to_truth[k, truth] == pytest.approx(expected, rel=1e-9, abs=1e-7)
+        for k, strength in enumerate([1.0, 10.0]):
+            expected = kl_from_truth(cells, state, strength)[here].sum()
+            assert counts.from_truth[k, truth] == pytest.approx(expected, rel=1e-9, abs=1e-7)
+        assert counts.legacy[truth] == pytest.approx(legacy_kl(evidence, state)[here].sum(), rel=1e-9)
+        assert counts.calls[truth].tolist() == np.bincount(call[here], minlength=3).tolist()
+        assert counts.likelier[truth].tolist() == np.bincount(likelier[here], minlength=3).tolist()
+        assert counts.claims[truth].tolist() == (mass[here] > 0.5).sum(axis=0).tolist()
+    known = (state == FREE) | (state == OCCUPIED)
+    p, y = mass[known][:, 1] + rest[known] / 2, state[known] == OCCUPIED
+    assert counts.squared[0] == pytest.approx(((p - y) ** 2).sum())
+    both = mass[known].sum(axis=-1, dtype=np.float64)
+    relative = np.where(both > 0, mass[known][:, 1] / np.where(both > 0, both, 1), 0.5)
+    assert counts.squared[1] == pytest.approx(((relative - y) ** 2).sum())
+    everywhere, sure = np.ones_like(y), call[known] != UNKNOWN
+    for k, (kept, claimed) in enumerate([(everywhere, p), (sure, p), (everywhere, relative)]):
+        place = np.minimum((claimed[kept] * 15).astype(int), 14)
+        assert counts.reliability[k, :, 0].tolist() == np.bincount(place, minlength=15).tolist()
+        np.testing.assert_allclose(counts.reliability[k, :, 1], np.bincount(place, claimed[kept], 15))
+        np.testing.assert_allclose(counts.reliability[k, :, 2], np.bincount(place, y[kept], 15))
+
+
+def test_a_perfect_map_is_perfect() -> None:
+    _, state = random_grid(4)
+    scores = score(tally(dogmatic(state), state))
+    ones = (
+        "iou_free",
+        "iou_occupied",
+        "iou_unknown",
+        "iou_free_known",
+        "iou_occupied_known",
+        "auroc_unknown",
+    )
+    assert [scores[name] for name in ones] == [1.0] * len(ones)
+    for name in (
+        "ece",
+        "ece_called",
+        "ece_relative",
+        "brier",
+        "brier_relative",
+        "false_free",
+        "missed_occupied",
+        "false_occupied",
+    ):
+        assert scores[name] == 0.0
+    assert scores["legacy_kl"] < 1e-5
+
+
+def test_relative_probability_does_not_feel_how_strong_evidence_is() -> None:
+    """What is right with evidence 10 has P(occupied) = 1/12 at best: an error of calibration by convention."""
+    _, state = random_grid(12)
+    for strength in (1.0, 10.0):
+        scores = score(tally(evidence_to_mass(strength * dogmatic(state)), state))
+        assert scores["ece"] == pytest.approx(1 / (strength + 2), rel=1e-6)
+        assert scores["ece_relative"] == scores["brier_relative"] == 0.0
+
+
+@pytest.mark.parametrize(("metric", "strength"), [("kl_e1", 1.0), ("kl_e10", 10.0)])
+def test_the_truth_with_its_own_evidence_has_no_divergence(metric: str, strength: float) -> None:
+    _, state = random_grid(5)
+    scores = score(tally(evidence_to_mass(strength * dogmatic(state)), state))
+    assert scores[metric] == pytest.approx(0.0, abs=1e-6)
+    assert scores[f"{metric}_reverse"] == pytest.approx(0.0, abs=1e-6)
+    if metric == "kl_e10":
+        assert scores["kl_e1_scaled"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_vacuous_grid_scores_as_one_that_says_nothing() -> None:
+    _, state = random_grid(6)
+    kept = state[state != IGNORE]
+    known = np.mean(kept != UNKNOWN)
+    scores = score(tally(np.zeros((7, 7, 2), np.float32), state))
+    assert scores["kl_e10"] == pytest.approx(known * (10 - np.log(11)))
+    assert scores["kl_e1"] == pytest.approx(known * (1 - np.log(2)))
+    assert scores["iou_unknown"] == pytest.approx(1 - known)
+    assert scores["iou_free"] == scores["iou_occupied"] == scores["iou_occupied_known"] == 0.0
+    assert scores["auroc_unknown"] == 0.5
+    assert scores["brier"] == 0.25
+    assert scores["mean_unknown"] == 1.0
+    assert scores["missed_occupied"] == 1.0
+    assert np.isnan(scores["ece_called"])
+
+
+def test_hand_drawn_cells_are_counted_by_hand() -> None:
+    state = np.array([[FREE, FREE, FREE], [OCCUPIED, OCCUPIED, UNKNOWN], [UNKNOWN, IGNORE, IGNORE]], np.uint8)
+    mass = np.array(
+        [
+            [[0.9, 0.0], [0.3, 0.1], [0.0, 0.8]],
+            [[0.0, 0.9], [0.625, 0.125], [0.0, 0.0]],
+            [[0.75, 0.0], [0.0, 1.0], [1.0, 0.0]],
+        ],
+        np.float32,
+    )
+    counts = tally(mass, state)
+    assert counts.calls.tolist() == [[1, 1, 0], [1, 1, 1], [0, 1, 1]]
+    scores = score(counts)
+    assert scores["iou_free"] == pytest.approx(1 / 5)
+    assert scores["iou_occupied"] == pytest.approx(1 / 3)
+    assert scores["iou_unknown"] == pytest.approx(1 / 3)
+    assert scores["iou_free_known"] == pytest.approx(2 / 4)
+    assert scores["iou_occupied_known"] == pytest.approx(1 / 3)
+    assert scores["false_free"] == scores["missed_occupied"] == 0.5
+    assert scores["false_occupied"] == pytest.approx(1 / 3)
+    # unknown of unknown cells: 1.0, 0.25; of known ones: 0.1, 0.6, 0.2, 0.1, 0.25
+    assert scores["auroc_unknown"] == pytest.approx((5 + 3.5) / 10)
+    # P(occupied) of known cells: 0.05, 0.4, 0.9, 0.95, 0.25, of which 0.95 and 0.25 are occupied
+    assert scores["ece"] == pytest.approx((0.05 + 0.4 + 0.9 + 0.05 + 0.75) / 5)
+    assert scores["ece_called"] == pytest.approx((0.05 + 0.9 + 0.05 + 0.75) / 4)
+    assert scores["brier"] == pytest.approx((0.05**2 + 0.4**2 + 0.9**2 + 0.05**2 + 0.75**2) / 5)
+
+
+def test_a_call_is_the_state_with_most_mass_and_ties_are_cautious() -> None:
+    mass = np.array([[0.5, 0.1], [0.1, 0.5], [0.5, 0.5], [0.5, 0.0], [0.25, 0.375], [0.2, 0.2]])
+    assert called(mass).tolist() == [FREE, OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
+
+
+def test_evidence_of_one_never_calls_a_cell_known() -> None:
+    """The released baseline has no mass above 1/3: by most mass, it calls all cells unknown."""
+    _, state = random_grid(7)
+    scores = score(tally(evidence_to_mass(dogmatic(state)), state))
+    assert scores["iou_free"] == scores["iou_occupied"] == 0.0
+    assert scores["iou_free_known"] == scores["iou_occupied_known"] == scores["auroc_unknown"] == 1.0
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_scores_know_no_place_and_no_ignored_cells(seed: int) -> None:
+    mass, state = random_grid(seed)
+    scores = score(tally(mass, state))
+    other = mass.copy()
+    other[state == IGNORE] = [0.3, 0.6]
+    for same in (score(tally(other, state)), score(tally(mass[::-1, ::-1], state[::-1, ::-1]))):
+        assert same == pytest.approx(scores, nan_ok=True)
+
+
+def test_exchanging_free_and_occupied_exchanges_their_scores() -> None:
+    mass, state = random_grid(8)
+    swap = np.array([UNKNOWN, OCCUPIED, FREE, IGNORE], np.uint8)
+    one, other = score(tally(mass, state)), score(tally(mass[..., ::-1], swap[state]))
+    for a, b in (
+        ("iou_free", "iou_occupied"),
+        ("mean_free", "mean_occupied"),
+        ("kl_e10", "kl_e10"),
+        ("ece",) * 2,
+    ):
+        assert one[a] == pytest.approx(other[b])
+        assert one[b] == pytest.approx(other[a])
+
+
+@pytest.mark.parametrize(
+    ("states", "without"),
+    [
+        ((UNKNOWN, FREE), {"iou_occupied_known", "false_free", "missed_occupied"}),
+        ((FREE, OCCUPIED), {"auroc_unknown"}),
+        ((UNKNOWN,), {"iou_free_known", "ece", "ece_called", "ece_relative", "brier", "false_free"}),
+        ((IGNORE,), set(METRICS)),
+    ],
+)
+def test_what_has_no_cell_to_look_at_is_nan_and_not_zero(states: tuple[int, ...], without: set[str]) -> None:
+    state = np.resize(np.array(states, np.uint8), (7, 7))
+    mass = np.zeros((7, 7, 2), np.float32)
+    mass[..., 0] = 0.7
+    scores = score(tally(mass, state))
+    assert tuple(scores) == tuple(METRICS)
+    assert without <= {name for name, value in scores.items() if np.isnan(value)}
+
+
+def test_pooled_counts_are_those_of_all_cells_together() -> None:
+    (a, a_state), (b, b_state) = random_grid(9), random_grid(10)
+    both = score(tally(np.concatenate([a, b]), np.concatenate([a_state, b_state])))
+    assert score(tally(a, a_state).plus(tally(b, b_state))) == pytest.approx(both)
+
+
+@pytest.mark.parametrize(
+    ("mass", "state", "says"),
+    [
+        (np.zeros((3, 3, 2)), np.zeros((3, 4), np.uint8), "crop the truth"),
+        (np.zeros((3, 3, 3)), np.zeros((3, 3), np.uint8), "crop the truth"),
+        (np.zeros((3, 3, 2)), np.zeros((3, 3)), "state must be uint8"),
+        (np.zeros((3, 3, 2)), np.full((3, 3), 4, np.uint8), "up to 4"),
+        (np.full((3, 3, 2), np.nan), np.zeros((3, 3), np.uint8), "NaN or inf"),
+    ],
+)
+def test_what_are_no_masses_or_states_is_refused(mass: NDArray, state: NDArray, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        tally(mass, state)
+
+
+# Ranking
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    values=st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=40),
+)
+def test_auroc_is_the_share_of_pairs_in_order(values: list[tuple[int, bool]]) -> None:
+    number, positive = np.array([v for v, _ in values], float), np.array([p for _, p in values])
+    pairs = [(a > b) + 0.5 * (a == b) for a in number[positive] for b in number[~positive]]
+    assert auroc(number, positive) == pytest.approx(np.mean(pairs) if pairs else np.nan, nan_ok=True)
+
+
+def test_auroc_of_the_counts_is_the_exact_one() -> None:
+    mass, state = random_grid(11, (60, 60))
+    kept = state != IGNORE
+    exact = auroc((1 - mass.sum(axis=-1))[kept], state[kept] == UNKNOWN)
+    assert score(tally(mass, state))["auroc_unknown"] == pytest.approx(exact, abs=1e-4)
+    assert 0.4 < exact < 0.6
+
+
+def test_auroc_needs_both_kinds() -> None:
+    assert np.isnan(auroc_of_histograms(np.array([1, 2]), np.array([0, 0])))
+
+
+# Pairs of models
+
+
+def test_wins_ties_and_losses_are_counted_in_the_better_direction() -> None:
+    rng = np.random.default_rng(0)
+    a, b = np.array([1.0, 2.0, 3.0, np.nan, 5.0]), np.array([2.0, 2.0, 2.0, 1.0, 6.0])
+    one = paired(a, b, "lower", rng)
+    assert (one.frames, one.wins, one.ties, one.losses) == (4, 2, 1, 1)
+    other = paired(a, b, "higher", rng)
+    assert (other.wins, other.ties, other.losses) == (1, 1, 2)
+    assert one.difference.value == pytest.approx(-0.25)
+    assert one.ratio.value == pytest.approx(11 / 12)
+    assert one.ratio.low < 11 / 12 < one.ratio.high
+
+
+def test_bootstrap_finds_the_standard_error() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.normal(3.0, 1.0, 400)
+    interval = bootstrap_mean(values, rng)
+    assert interval.value == pytest.approx(values.mean())
+    assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
+
+
+def test_bootstrap_is_paired_and_repeats_with_its_seed() -> None:
+    values = np.random.default_rng(2).gamma(1.0, 1.0, 50)
+    exact = bootstrap_ratio(0.4 * values, values, np.random.default_rng(3))
+    assert exact == pytest.approx((0.4, 0.4, 0.4))
+    one, again = (bootstrap_mean(values, np.random.default_rng(4)) for _ in range(2))
+    assert one == again
+
+
+def test_bootstrap_without_values_is_nan() -> None:
+    rng = np.random.default_rng(5)
+    assert np.isnan(bootstrap_mean(np.full(3, np.nan), rng)).all()
+    assert np.isnan(bootstrap_ratio([1.0, 2.0], [0.0, 0.0], rng)).all()
+    with pytest.raises(ValueError, match="one value per frame"):
+        paired([1.0], [1.0, 2.0], "lower", rng)
+    with pytest.raises(ValueError, match='better must be "lower" or "higher"'):
+        paired([1.0], [1.0], "", rng)
+    with pytest.raises(ValueError, match="resamples must be at least 1"):
+        bootstrap_mean([1.0], rng, resamples=0)
+
+
+# Models over samples
+
+
+@dataclass
+class Scan:
+    """A sample: its points say how much mass of free to give to all cells."""
+
+    points: NDArray[np.float32]
+    truth: Truth
+    T_vehicle_sensor: NDArray[np.float64]
+
+
+@dataclass
+class Flat:
+    """A model that calls all cells free, with a mass that grows with the points and its height."""
+
+    spec: GridSpec
+    height: float = 1.0
+
+    def __call__(self, points: NDArray[np.float32]) -> EvidentialGrid:
+        mass = np.zeros((*self.spec.shape, 2), np.float32)
+        mass[..., 0] = len(points) * self.height / 100
+        return EvidentialGrid(self.spec, mass)
+
+
+def scans() -> list[Scan]:
+    wide = GridSpec.centered(length=9, width=9, resolution=1)
+    result = []
+    for k, height in enumerate((1.0, 2.0, 1.0)):
+        T = np.eye(4)
+        T[:3, 3] = [0.4, 0.1 * k, height]
+        _, state = random_grid(20 + k, wide.shape)
+        result.append(Scan(np.zeros((10 * (k + 1), 4), np.float32), Truth(wide, state), T))
+    return result
+
+
+def test_evaluation_has_every_model_in_every_frame() -> None:
+    samples = scans()
+    result = evaluate({"flat": Flat(SPEC), "high": Flat(SPEC, 3.0)}, samples)
+    assert (result.models, result.frames, result.spec) == (("flat", "high"), 3, SPEC)
+    for k, sample in enumerate(samples):
+        state = sample.truth.crop(SPEC).state
+        expected = score(tally(Flat(SPEC, 3.0)(sample.points).mass, state))
+        assert {m: result.of("high", m)[k] for m in METRICS} == pytest.approx(expected, nan_ok=True)
+        np.testing.assert_allclose(result.truth[k], np.bincount(state.ravel(), minlength=4) / 49)
+    np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.2, 0.3], rtol=1e-6)
+    assert result.macro("flat")["mean_free"] == pytest.approx(0.2)
+    assert result.micro("flat")["mean_free"] == pytest.approx(
+        (result.of("flat", "mean_free") @ (1 - result.truth[:, 3])) / (1 - result.truth[:, 3]).sum()
+    )
+
+
+def test_comparison_says_who_wins() -> None:
+    result = evaluate({"flat": Flat(SPEC), "high": Flat(SPEC, 3.0)}, scans())
+    compared = result.compare("high", "flat", np.random.default_rng(0))
+    assert set(compared) == {name for name, metric in METRICS.items() if metric.better}
+    assert (compared["false_free"].wins, compared["false_free"].ties, compared["false_free"].losses) == (
+        0,
+        1,
+        2,
+    )
+    assert result.interval("high", "kl_e10", np.random.default_rng(0)).value == result.macro("high")["kl_e10"]
+    with pytest.raises(KeyError, match="no model 'deep' here, only flat, high"):
+        result.of("deep", "ece")
+    with pytest.raises(KeyError, match="no metric 'iou'"):
+        result.of("flat", "iou")
+
+
+def test_a_model_is_made_for_every_change_of_the_mount_without_its_shift() -> None:
+    seen = []
+
+    def model(T: NDArray[np.float64]) -> Flat:
+        seen.append(T)
+        return Flat(SPEC, T[2, 3])
+
+    samples = scans()
+    result = evaluate({"flat": model}, [samples[0], *samples])
+    assert [T[:3, 3].tolist() for T in seen] == [[0, 0, 1], [0, 0, 2], [0, 0, 1]]
+    np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.1, 0.4, 0.3], rtol=1e-6)
+    assert samples[1].T_vehicle_sensor[0, 3] == 0.4
+    assert model_for(model, samples[1]).height == 2.0
+
+
+def test_coarser_cells_of_the_same_area_are_repeated() -> None:
+    coarse = GridSpec.centered(length=8, width=4, resolution=2)
+    mass = np.random.default_rng(0).dirichlet([1, 1, 1], coarse.shape)[..., :2].astype(np.float32)
+    fine = same_cells(EvidentialGrid(coarse, mass), coarse.refined(2))
+    assert fine.spec == coarse.refined(2)
+    for ix, iy in np.ndindex(8, 4):
+        assert fine.mass[ix, iy].tolist() == mass[ix // 2, iy // 2].tolist()
+    assert same_cells(fine, fine.spec) is fine
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        GridSpec.centered(length=8, width=8, resolution=1),
+        GridSpec.centered(length=6, width=6, resolution=1),
+        GridSpec.centered(length=7, width=7, resolution=1, center=(1, 0)),
+        GridSpec.centered(length=7, width=7, resolution=7),
+    ],
+)
+def test_grids_of_other_areas_are_refused_and_both_are_named(spec: GridSpec) -> None:
+    with pytest.raises(ValueError, match=r"7 x 7 cells of 1 m over .*, but judged are .* cells of"):
+        same_cells(Flat(SPEC)(np.zeros((0, 4), np.float32)), spec)
+
+
+def test_nothing_to_judge_is_told() -> None:
+    with pytest.raises(ValueError, match="no models to judge"):
+        evaluate({}, scans())
+    with pytest.raises(ValueError, match="no samples to judge"):
+        evaluate({"flat": Flat(SPEC)}, [])
