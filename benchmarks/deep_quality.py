@@ -24,7 +24,7 @@ from _run import PICTURES, RESULTS, caption, environment, write_json
 # isort: split
 import argparse
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,8 +35,9 @@ from ogm import GridSpec
 from ogm.cli.evaluate import models_of, weights_facts
 from ogm.cli.pictures import metrics_picture
 from ogm.cli.report import print_tables, report
-from ogm.metrics import Evaluation, evaluate
+from ogm.metrics import Evaluation, evaluate, model_for, same_cells
 from ogm.simulation.store import Store
+from ogm.truth import MIN_RETURNS, OCCUPIED, cells_in_box
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 MODELS = ("height-band", "height-band-released", "ray")
@@ -96,6 +97,35 @@ def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dic
     ]
 
 
+def what_is_missed(models: Mapping[str, Any], samples: Iterable[Any]) -> dict[str, Any]:
+    """Split the false-free cells by what stands there: traffic participants of 50 returns and more, or all else.
+
+    All else is what does not move, half of it lines one cell wide (kerbs, fences, walls seen along), and the
+    participants of fewer returns.
+    """
+    counts = {
+        name: np.zeros((2, 3)) for name in models
+    }  # participants, all else: cells, free, called occupied
+    for sample in samples:
+        state = sample.truth.crop(PAPER).state
+        there = np.zeros(PAPER.shape, bool)
+        for one in sample.objects[sample.objects["returns"] >= MIN_RETURNS]:
+            there[cells_in_box([one[key] for key in ("x", "y", "yaw", "length", "width")], PAPER)] = True
+        for name, model in models.items():
+            mass = same_cells(model_for(model, sample)(sample.points), PAPER).mass
+            for row, cells in enumerate((there & (state == OCCUPIED), ~there & (state == OCCUPIED))):
+                free, occupied = mass[cells].T
+                most = (occupied > free) & (occupied > 1 - free - occupied)
+                counts[name][row] += len(free), (free > 0.5).sum(), most.sum()
+    return {
+        name: {
+            kind: {"cells": int(cells), "false free": free / cells, "called occupied": called / cells}
+            for kind, (cells, free, called) in zip(("participants", "all else"), table, strict=True)
+        }
+        for name, table in counts.items()
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", type=Path, help="data set that `ogm simulate` made")
@@ -135,6 +165,9 @@ def main() -> None:
         "bootstrap seed": SEED,
         "note": NOTE,
         "wanted": wanted(result, found, deep),
+        "occupied cells by what stands there, pooled": what_is_missed(
+            models, (part[k] for k in numbers.tolist())
+        ),
     }
     record |= {key: value for key, value in found.items() if key not in ("format", "versions")}
     print_tables(result, found, f"{options.split}, {result.frames} frames")
@@ -142,6 +175,11 @@ def main() -> None:
         print(
             f"{'met   ' if row['met'] else 'MISSED'} {row['what']}: {row['value']} (wanted {row['wanted']})"
         )
+    for name, kinds in record["occupied cells by what stands there, pooled"].items():
+        said = (
+            f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items()
+        )
+        print(f"{name:22} {'   '.join(said)}")
     write_json(options.out, record)
     title = (
         f"{options.split}, {result.frames} frames: quartiles and 5 to 95 % over frames; dot and number: mean"

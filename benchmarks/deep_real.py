@@ -4,7 +4,8 @@
 
 Nothing is tuned on these recordings, and no model was trained on any. They cannot be shipped: benchmarks/README.md
 says which and where they go; what is not there is left out, and the output says so. Writes
-benchmarks/results/deep_real.json and docs/pictures/deep_real*.png.
+benchmarks/results/deep_real.json, docs/pictures/deep_real.png and deep_real_scores.png; pictures of scans that may
+not be passed on with the project go to runs/deep_real/.
 """
 
 from _run import DATA, OURS, PEER, PICTURES, RESULTS, TWIN, caption, environment, write_json
@@ -19,6 +20,7 @@ import logging
 import lzma
 from collections.abc import Callable, Mapping
 from functools import cached_property
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -118,6 +120,16 @@ def rows(boxes: list[Box]) -> NDArray[np.float64]:
     """Turn boxes as ground.py reads them into rows of numbers."""
     numbers = [(*b.bottom[:2], b.yaw, b.length, b.width, b.bottom[2], b.bottom[2] + b.height) for b in boxes]
     return np.array(numbers, float).reshape(-1, 7)
+
+
+def free_scans() -> list[Scene]:
+    """Read the scans whose licence is the project's own, Apache-2.0: nothing is annotated in them."""
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        found = [scene("VLS-128, no intensities", read_scan(path, axes=("+y", "-x", "+z")).points)]
+    path = DATA / "autoware_apache2" / "test.pcd.xz"
+    if path.is_file():
+        found.append(scene("64 layers, constant intensity", read_scan(path, intensity_max=255).points))
+    return found
 
 
 # --- Argoverse 2: two VLP-32C, boxes, a map ---------------------------------------------------------
@@ -447,6 +459,15 @@ def judge_boxes(one: Scene, grids: Mapping[str, EvidentialGrid]) -> list[dict[st
             }
         )
     return result
+
+
+def compact(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Keep of a judged box what is worth reading."""
+    kept = {
+        name: {key: round(one[key], 3) for key in ("occupied", "free", "free in the core")}
+        for name, one in row["models"].items()
+    }
+    return {**row, "models": kept}
 
 
 PAIRS = ((RAY, BAND), (DEEP, BAND), (DEEP, RAY), (BARE, DEEP))
@@ -869,7 +890,13 @@ def main() -> None:
         "--picture",
         type=Path,
         default=PICTURES / "deep_real.png",
-        help="where the pictures go: this and more",
+        help="where the pictures go that show scans which may be passed on; and, with _scores, the figures",
+    )
+    parser.add_argument(
+        "--galleries",
+        type=Path,
+        default=Path("runs/deep_real"),
+        help="folder for pictures of all other scans: their licences are not the project's",
     )
     options = parser.parse_args()
 
@@ -921,7 +948,7 @@ def main() -> None:
             {"name": one.name, "points": len(one.points), "sensor height [m]": round(one.height, 3)}
             for one in scenes
         ]
-        record["each box"][group] = judged
+        record["each box"][group] = [compact(row) for row in judged]
         if judged:
             record["boxes"][group] = sum_up(judged, names)
         if group not in MORE[:2]:
@@ -957,14 +984,23 @@ def main() -> None:
     write_json(options.out, record)
     stem = options.picture.with_suffix("")
     written = [options.out]
-    for suffix, chosen, title in (
-        ("", [rows_of[group] for group in FIRST if group in rows_of], "Real scans"),
-        ("_more", [rows_of[group] for group in MORE if group in rows_of], "More real scans"),
-        ("_labelled", labelled_rows, "Labelled real scans"),
+    for path, chosen, title in (
+        (options.picture, [Shown(one.name, one, run(models, one)) for one in free_scans()], "Real scans"),
+        (
+            options.galleries / "first.png",
+            [rows_of[group] for group in FIRST if group in rows_of],
+            "Real scans",
+        ),
+        (
+            options.galleries / "more.png",
+            [rows_of[group] for group in MORE if group in rows_of],
+            "More real scans",
+        ),
+        (options.galleries / "labelled.png", labelled_rows, "Labelled real scans"),
     ):
         if chosen:
-            written.append(stem.with_name(f"{stem.name}{suffix}.png"))
-            gallery(chosen, title, record, written[-1])
+            written.append(path)
+            gallery(chosen, title, record, path)
     written.append(stem.with_name(f"{stem.name}_scores.png"))
     chart(record, written[-1])
     print(f"\nwrote {', '.join(str(path) for path in written)}")

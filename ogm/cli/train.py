@@ -164,20 +164,11 @@ def _whole(store: "Store", name: str) -> list[int]:
 
 def _provenance(store: "Store", splits: dict[str, list[int]]) -> dict[str, Any]:
     """Return what the weights' description says of the data."""
-    from ogm.simulation.store import FACTS
-
-    facts = store["training"].facts[splits["training"]]
-    heights = facts[:, FACTS.index("T_vehicle_sensor_23")]
-    points = facts[:, FACTS.index("returns")]
     return {
         "data": {
             "plan": store.plan,
             "samples": {name: len(numbers) for name, numbers in splits.items()},
             "versions": store.versions,
-        },
-        "seen": {
-            "height": [float(heights.min()), float(heights.max())],
-            "points": [int(points.min()), int(points.max())],
         },
     }
 

@@ -164,6 +164,31 @@ class Scenes(Dataset[Batch]):
         return Batch(pillars, torch.from_numpy(state)[None], [i])
 
 
+def seen_in(scenes: Scenes, count: int = 100) -> dict[str, tuple[float, float]]:
+    """Return what a network trained on some scenes has seen: ranges over up to `count` of them, evenly spread.
+
+    Returns
+    -------
+    dict
+        ``height``: of the sensor above ground [m]. ``points``: in a scan. ``intensity``: a scan's mean on the grid,
+        widened by two standard deviations of the augmentation's factor.
+    """
+    numbers = np.unique(np.linspace(0, len(scenes) - 1, count).astype(int))
+    rows = []
+    for i in numbers.tolist():
+        sample = scenes.samples[i]
+        pillars = pillarize(sample.points, scenes.spec, (-np.inf, np.inf), OWN_BOX)
+        mean = float(pillars.features[:, 3].mean()) if len(pillars.features) else 0.0
+        rows.append((float(sample.T_vehicle_sensor[2, 3]), len(sample.points), mean))
+    low, high = np.min(rows, axis=0).tolist(), np.max(rows, axis=0).tolist()
+    factor = float(np.exp(2 * scenes.augmentation.gain))
+    return {
+        "height": (low[0], high[0]),
+        "points": (low[1], high[1]),
+        "intensity": (low[2] / factor, high[2] * factor),
+    }
+
+
 class Shuffled(Sampler[tuple[int, int]]):
     """The order of an epoch: every sample once, the share of this process, from a position on."""
 

@@ -71,8 +71,8 @@ class DeepISM:
     points_in : {"sensor", "vehicle"}
         The frame of the points.
     own_box : (x_min, x_max, y_min, y_max), optional
-        Returns in this rectangle of the vehicle frame are the own vehicle's and left out [m]; by default 2.5 m to
-        the front and the rear of the sensor and 1.1 m to its sides, as in training.
+        The own vehicle, in the vehicle frame [m]: returns in it are left out, its cells are unknown. By default 2.5 m
+        to the front and the rear of the sensor and 1.1 m to its sides, as in training.
     device : str or torch.device
         Where the network runs.
     compile : bool
@@ -84,9 +84,10 @@ class DeepISM:
     -----
     Points are normalised as in training: heights are counted from the ground below the sensor, and x and y from the
     sensor. The grid lies around the sensor, in the vehicle's axes. Intensities are in [0, 1], Velodyne's calibrated
-    value / 255; without them (three columns, or all 0) the model works, as trained on a tenth of its samples, less
-    well. Scans of many more points than any in training are thinned at random, always alike. A scan unlike the
-    training data is answered, and logged as a warning, once for each reason.
+    value / 255. They may be missing (three columns, or all 0), as in a tenth of the training's scans, and are left
+    out where their mean is outside what training saw: other makers calibrate otherwise. Scans of many more points
+    than any in training are thinned at random, always alike. A scan unlike the training data is answered, and logged
+    as a warning, once for each reason.
 
     Raises
     ------
@@ -128,6 +129,8 @@ class DeepISM:
         self._T = (T if points_in == "sensor" else np.eye(4)).copy()  # to the ground below the sensor
         self._T[:3, 3] = (0, 0, sensor_height) if points_in == "sensor" else (-x, -y, sensor_height - z)
         self._box: Box = (box[0] - x, box[1] - x, box[2] - y, box[3] - y)
+        (x0, x1), (y0, y1) = self._spec.index(box[:2], box[2:])
+        self._own = slice(max(x0, 0), max(x1 + 1, 0)), slice(max(y0, 0), max(y1 + 1, 0))
         self._warned: set[str] = set()
         self._seen = {name: tuple(value) for name, value in self.description.get("seen", {}).items()}
         low, high = self._seen.get("height", (0.0, np.inf))
@@ -204,6 +207,9 @@ class DeepISM:
         pillars = collate([self._pillars(points) for points in scans], nx * ny)
         evidence = self._evidence(self.network.canvas(pillars))
         mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
+        mass[:, self._own[0], self._own[1]] = (
+            0  # under the own vehicle nothing was learned: its cells are ignored
+        )
         return [EvidentialGrid.trusted(self._spec, one) for one in mass.cpu().numpy()]
 
     def _pillars(self, points: NDArray[np.floating[Any]]) -> Pillars:
@@ -239,8 +245,14 @@ class DeepISM:
             raise ValueError(
                 f"intensities must lie in [0, 1], got {least:g} ... {most:g}; divide them by their greatest value"
             )
-        if most == 0 and "seen" in self.description:
-            self._warn("intensity", "a scan without intensities: the model works less well")
+        low, high = self._seen.get("intensity", (0.0, 1.0))
+        mean = float(features[:, 3].mean())
+        if most > 0 and not low <= mean <= high:
+            self._warn(
+                "intensity",
+                f"intensities of {mean:.3f} on average, but in training {low:.3f} to {high:.3f}: they are left out",
+            )
+            features[:, 3] = 0
         near = features[:: max(1, len(features) // 2000), :3]
         near = near[(near[:, :2] ** 2).sum(1) < 15**2]
         if len(near) > 100:

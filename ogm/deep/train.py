@@ -25,7 +25,7 @@ from torch.utils.data import DataLoader
 
 from ogm.deep import losses
 from ogm.deep.checkpoint import save_network
-from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, Samples, Scenes, Shuffled, join
+from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, Samples, Scenes, Shuffled, join, seen_in
 from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
 from ogm.evidence import evidence_to_mass
 from ogm.files import atomic_write
@@ -248,6 +248,7 @@ def train(
     total = per_epoch * recipe.epochs
 
     out.mkdir(parents=True, exist_ok=True)
+    facts = {"seen": seen_in(scenes), **(facts or {})}
     step, best = 0, math.inf
     if resume and (out / "state.pt").exists():
         step, best = _restore(out / "state.pt", recipe, network, average, optimizer)
@@ -256,8 +257,9 @@ def train(
         if fabric.is_global_zero:
             _store(out / "state.pt", recipe, network, average, optimizer, step, best)
 
-    saved, shown = time.monotonic(), (time.monotonic(), step)
+    saved, began = time.monotonic(), (time.monotonic(), step)
     recent: list[float] = []
+    whole = True  # network, average and step belong together
     with _bar(progress and fabric.is_global_zero, total, step) as show:
         try:
             while step < total:
@@ -265,6 +267,9 @@ def train(
                 for batch in loader:
                     for group in optimizer.param_groups:
                         group["lr"] = _rate(recipe, step, total)
+                    torch.manual_seed(
+                        (recipe.seed * total + step) * fabric.world_size + fabric.global_rank
+                    )  # dropout
                     pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
                     loss = _loss(model(pillars), state, recipe, step / per_epoch)
                     value = float(loss.detach())
@@ -274,9 +279,11 @@ def train(
                     fabric.backward(loss)
                     if math.isfinite(recipe.clip):
                         fabric.clip_gradients(model, optimizer, max_norm=recipe.clip)
+                    whole = False
                     optimizer.step()
                     step += 1
                     _follow(average, network, min(recipe.average, step / (step + 10)))
+                    whole = True
                     recent = [*recent[-99:], value]
                     show(step, loss=sum(recent) / len(recent), epoch=step / per_epoch)
                     if time.monotonic() - saved > save_every:
@@ -286,7 +293,7 @@ def train(
                 if fabric.is_global_zero:
                     scores = validate(average, checks, recipe, fabric.device)
                     speed = (
-                        (step - shown[1]) * recipe.batch * fabric.world_size / (time.monotonic() - shown[0])
+                        (step - began[1]) * recipe.batch * fabric.world_size / (time.monotonic() - began[0])
                     )
                     epoch = step // per_epoch
                     _log(out / "log.csv", epoch, step, sum(recent) / len(recent), scores, speed)
@@ -299,10 +306,11 @@ def train(
                         _picture(out / f"epoch-{epoch:03d}.png", average, checks, fabric.device)
                     keep()
                     saved = time.monotonic()
-                shown = (time.monotonic(), step)
+                began = (time.monotonic(), step)
                 fabric.barrier()
         except KeyboardInterrupt:
-            keep()
+            if whole:  # else the state of some seconds or minutes ago is the one to go on from
+                keep()
             raise
         except (torch.OutOfMemoryError, RuntimeError) as error:
             if not isinstance(error, torch.OutOfMemoryError) and "alloc" not in str(error):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from ogm.deep.data import OWN_BOX, PLAIN, ROTATION, Augmentation, Scenes, Shuffled, augment, join
+from ogm.deep.data import OWN_BOX, PLAIN, ROTATION, Augmentation, Scenes, Shuffled, augment, join, seen_in
 from ogm.truth import FREE, IGNORE, OCCUPIED
 
 
@@ -130,3 +130,13 @@ def test_an_epoch_goes_on_where_it_stopped():
     order.skip = 6
     assert list(order) == whole[6:]
     assert len(order) == 4
+
+
+def test_what_was_seen_is_told(scenes, small):
+    seen = seen_in(Scenes(scenes, small, only(gain=0.3)))
+    assert seen["height"] == (pytest.approx(1.8), pytest.approx(1.8))
+    assert seen["points"][0] == min(len(sample.points) for sample in scenes)
+    low, high = seen["intensity"]
+    means = [float(Scenes(scenes, small)[i].pillars.features[:, 3].mean()) for i in range(len(scenes))]
+    assert low == pytest.approx(min(means) * np.exp(-0.6), rel=1e-3)
+    assert high == pytest.approx(max(means) * np.exp(0.6), rel=1e-3)

@@ -28,7 +28,8 @@ def test_it_goes_through_the_common_door(network, cloud, small):
     assert grid.spec == ism.spec == small
     EvidentialGrid(grid.spec, grid.mass)  # masses they are
     assert grid.mass.dtype == np.float32
-    assert 0 < grid.unknown.min() <= grid.unknown.max() < 1
+    assert 0 < grid.unknown.min() < 1
+    assert grid.at(0.0, 0.0).unknown == 1  # under the own vehicle
 
 
 def test_the_mass_is_the_evidence_over_the_strength(network, cloud, small):
@@ -38,6 +39,8 @@ def test_the_mass_is_the_evidence_over_the_strength(network, cloud, small):
     with torch.no_grad():
         evidence = network(pillarize(raised, small, own_box=(-2.5, 2.5, -1.1, 1.1)))[0].numpy()
     expected = evidence / (evidence.sum(-1, keepdims=True) + 2)
+    x, y = small.cell_centers
+    expected[(abs(x) < 2.5 + 0.32) & (abs(y) < 1.1 + 0.32)] = 0  # the own vehicle, its edge's cells whole
     np.testing.assert_allclose(DeepISM(network, None, 1.8)(cloud).mass, expected, atol=1e-5)
 
 
@@ -123,8 +126,18 @@ def test_a_scan_unlike_those_of_training_is_said_once(network, cloud, caplog):
         for _ in range(3):
             ism(dark)
     said = [record.getMessage() for record in caplog.records]
-    for reason in ("sensor_height 3.5", "points", "without intensities", "the ground near the sensor"):
+    for reason in ("sensor_height 3.5", "a scan of", "the ground near the sensor"):
         assert sum(reason in line for line in said) == 1, reason
+
+
+def test_intensities_of_another_calibration_are_left_out(network, cloud, caplog):
+    dark = cloud.copy()
+    dark[:, 3] = 0
+    ism = DeepISM(network, None, 1.8, description={"seen": {"intensity": [0.01, 0.02]}})
+    for _ in range(2):
+        np.testing.assert_array_equal(ism(cloud).mass, ism(dark).mass)
+    assert len([record for record in caplog.records if "intensities of" in record.getMessage()]) == 1
+    assert cloud[:, 3].any()  # the caller's points stay as they are
 
 
 def test_thinned_scans_are_always_thinned_alike(network, cloud):
@@ -133,7 +146,7 @@ def test_thinned_scans_are_always_thinned_alike(network, cloud):
 
 
 def test_a_scan_as_those_of_training_is_not_remarked(network, cloud, caplog):
-    seen = {"height": [1.7, 1.9], "points": [100, 2 * len(cloud)]}
+    seen = {"height": [1.7, 1.9], "points": [100, 2 * len(cloud)], "intensity": [0.0, 1.0]}
     DeepISM(network, None, 1.8, description={"seen": seen})(cloud)
     assert not caplog.records
 

@@ -74,11 +74,13 @@ class Interrupted(list):
         return super().__getitem__(i)
 
 
-def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, scenes, tmp_path):
-    whole = go("whole")
+@pytest.mark.parametrize("dropout", [0.0, 0.1])
+def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, scenes, tmp_path, dropout):
+    recipe = replace(recipe, network=replace(recipe.network, dropout=dropout))
+    whole = go("whole", recipe=recipe)
     with pytest.raises(KeyboardInterrupt):
-        go("stopped", training=Interrupted(scenes[:8], 13))  # in the second epoch
-    stopped = go("stopped", resume=True)
+        go("stopped", recipe=recipe, training=Interrupted(scenes[:8], 13))  # in the second epoch
+    stopped = go("stopped", recipe=recipe, resume=True)
     for name, value in torch.load(tmp_path / "whole" / "state.pt", weights_only=True)["network"].items():
         other = torch.load(tmp_path / "stopped" / "state.pt", weights_only=True)["network"][name]
         assert value.equal(other), name
