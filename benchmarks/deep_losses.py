@@ -75,7 +75,9 @@ def main() -> None:
     models, seconds = {}, {}
     for name in options.only:
         recipe = replace(Recipe(LITE, epochs=options.epochs, batch=4), **RECIPES[name])
-        folder = options.runs / name.replace(" ", "-").replace(",", "")
+        folder = (
+            options.runs / f"{options.samples}x{options.epochs}" / name.replace(" ", "-").replace(",", "")
+        )
         start = time.perf_counter()
         path = folder / "best.safetensors"
         if not (folder / "done").exists():
@@ -88,8 +90,8 @@ def main() -> None:
                 resume=True,
                 picture_every=0,
             )
-            (folder / "done").touch()
-        seconds[name] = time.perf_counter() - start
+            (folder / "done").write_text(f"{time.perf_counter() - start:.1f}")
+        seconds[name] = float((folder / "done").read_text())
         network, _ = load_network(path)
         models[name] = lambda T, network=network: DeepISM(network, None, float(T[2, 3]))
     result = evaluate(models, (store["validation"][i] for i in judged))

@@ -36,7 +36,7 @@ def one_line(error: BaseException) -> str:
     """Say an error in one line."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
         return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
     return " ".join(str(error).split()) or type(error).__name__
 

@@ -104,7 +104,8 @@ def models_of(names: Sequence[str], spec: "GridSpec") -> dict[str, "InverseSenso
     models: dict[str, InverseSensorModel | ModelFor] = {}
     for name in names:
         path = Path(name)  # of a run, best.safetensors and so on go by the run's name
-        shown = path.parent.name if path.stem == "best" and path.parent.name else path.stem
+        shown = path.name.removesuffix(".safetensors")
+        shown = path.parent.name if shown == "best" and path.parent.name else shown
         shown = name if name in GEOMETRIC else shown
         if shown in models:
             shown = name  # two runs have each a best.safetensors

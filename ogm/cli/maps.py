@@ -1,13 +1,12 @@
 """``ogm demo`` and ``ogm map``: scans to evidential grids."""
 
+import math
 import statistics
 import time
-from enum import StrEnum
-from functools import partial
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.progress import track
@@ -24,22 +23,16 @@ if TYPE_CHECKING:
 DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
 
 
-class Model(StrEnum):
-    """Sensor models by their names on the command line."""
-
-    ray = "ray"
-    height_band = "height-band"
-    released = "height-band-released"
-    lite = "lite"
+RAY, HEIGHT_BAND, RELEASED, LITE = "ray", "height-band", "height-band-released", "lite"
 
 
 def _model(
-    name: Model, spec: "GridSpec", height: float, position: tuple[float, float, float] | None
+    name: str, spec: "GridSpec", height: float, position: tuple[float, float, float] | None
 ) -> "InverseSensorModel":
     from ogm.geometric import HeightBandISM, RayISM
     from ogm.pose import pose
 
-    if name is Model.released:
+    if name == RELEASED:
         from ogm.grid import GridSpec
 
         if position is not None or spec.shape[0] % 2 or spec.shape[1] % 2:
@@ -50,13 +43,18 @@ def _model(
             GridSpec(2 * spec.resolution, (spec.shape[0] // 2, spec.shape[1] // 2), spec.origin)
         )
     T = None if position is None else pose(*position)
-    if name is Model.lite:
-        from ogm.deep import DeepISM
+    frame: Literal["sensor", "vehicle"] = "sensor" if position is None else "vehicle"
+    if name in (RAY, HEIGHT_BAND):
+        model = RayISM if name == RAY else HeightBandISM
+        return model(spec, height, T_vehicle_sensor=T, points_in=frame)
+    if name != LITE and not Path(name).exists():
+        raise ValueError(
+            f"there is no sensor model {name!r}: give {RAY}, {HEIGHT_BAND}, {RELEASED}, {LITE}, or weights that "
+            "`ogm train` wrote (a file or a run's folder)"
+        )
+    from ogm.deep import DeepISM
 
-        load = partial(DeepISM.load, name, spec=spec, sensor_height=height, T_vehicle_sensor=T)
-        return load(points_in="sensor" if position is None else "vehicle")
-    model = RayISM if name is Model.ray else HeightBandISM
-    return model(spec, height, T_vehicle_sensor=T, points_in="sensor" if position is None else "vehicle")
+    return DeepISM.load(name, spec=spec, sensor_height=height, T_vehicle_sensor=T, points_in=frame)
 
 
 def _grid(ism: "InverseSensorModel", points: object, missing: object) -> "EvidentialGrid":
@@ -106,9 +104,9 @@ def demo(
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
     table = _table(f"One scan on {spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m")
     grids = {}
-    models = {Model.height_band: "height band (paper's baseline)", Model.ray: "RayISM"}
+    models = {HEIGHT_BAND: "height band (paper's baseline)", RAY: "RayISM"}
     if find_spec("torch") and find_spec("safetensors"):
-        models[Model.lite] = "deep (lite)"
+        models[LITE] = "deep (lite)"
     else:
         complaints.print(
             'the learned model is left out: `pip install "ogm-toolkit[deep]"` adds it', markup=False
@@ -133,7 +131,12 @@ def map_(
     scans: Annotated[
         list[Path], typer.Argument(help="Scans: .pcd .bin .pcd.bin .ply .las .laz .npy .feather (.xz, .gz)")
     ],
-    ism: Annotated[Model, typer.Option(help="Sensor model.")] = Model.ray,
+    ism: Annotated[
+        str,
+        typer.Option(
+            help="Sensor model: ray, height-band, height-band-released, lite, or weights that `ogm train` wrote."
+        ),
+    ] = RAY,
     axes: Annotated[
         str,
         typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z."),
@@ -168,14 +171,14 @@ def map_(
     names = [_stem(path) for path in scans]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
-    if ism is Model.released and sensor_height is not None:
+    if ism == RELEASED and sensor_height is not None:
         raise ValueError("height-band-released has a mount of 1.61 m built in; leave out --sensor-height")
     if out_path is None and picture is None:
         out_path, picture = Path(), Path()
     grids = _outputs(out_path, names, ".npz", "--out")
     pictures = _outputs(picture, names, ".png", "--picture")
     table, failed = _table(f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution} m, {ism}"), []
-    warm = False
+    warm, last = False, math.nan
     for path, name, grid_path, picture_path in track(
         list(zip(scans, names, grids, pictures, strict=True)),
         "mapping",
@@ -185,8 +188,9 @@ def map_(
     ):
         try:
             scan = read_scan(path, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
-            height = 1.61 if ism is Model.released else _height(scan.points, sensor_height, sensor_position)
-            model = _model(ism, spec, height, sensor_position)
+            height = 1.61 if ism == RELEASED else _height(scan.points, sensor_height, sensor_position)
+            if height != last:
+                model, last = _model(ism, spec, height, sensor_position), height
             if not warm:
                 _grid(model, scan.points, scan.missing)  # compiles, or loads what was compiled before
                 warm = True
@@ -195,7 +199,7 @@ def map_(
                 grid.save(grid_path)
             if picture_path is not None:
                 cloud = plot.points(scan.points, grid.spec, path.name)
-                plot.save_picture(picture_path, cloud, grid, titles=["", str(ism)])
+                plot.save_picture(picture_path, cloud, grid, titles=["", ism])
             _row(table, name, len(scan.points), grid, seconds)
         except (ValueError, TypeError, OSError) as error:
             if len(scans) == 1:

@@ -57,7 +57,7 @@ def train(
     length: Annotated[float, typer.Option(help="Extent of the grid along x [m].")] = 81.92,
     width: Annotated[float, typer.Option(help="Extent of the grid along y [m].")] = 56.32,
     resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
-    accelerator: Annotated[str, typer.Option(help="cpu, cuda, mps or auto.")] = "auto",
+    accelerator: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
     devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
     nodes: Annotated[int, typer.Option(help="Machines; start the command on each, as Lightning asks.")] = 1,
     precision: Annotated[
@@ -73,9 +73,7 @@ def train(
     Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and state.pt
     every two minutes, from which --resume goes on.
     """
-    from torch.utils.data import Subset
-
-    from ogm.deep import train as training
+    from ogm.deep import train as training  # first: it says what to install if torch is missing
     from ogm.deep.network import PAPER
     from ogm.grid import GridSpec
     from ogm.simulation.store import Store
@@ -95,9 +93,17 @@ def train(
     }
     recipe = replace(recipe, **{name: value for name, value in given.items() if value is not None})
     folder = Path("runs") / model.value if out_folder is None else out_folder
+    from torch.utils.data import Subset
+
+    if seed is not None and seed < 0:
+        raise ValueError(f"--seed must be at least 0, got {seed}")
     store = Store.open(data)
     splits = {name: _whole(store, name) for name in ("training", "validation")}
     if samples is not None:
+        if not 1 <= samples <= len(splits["training"]):
+            raise ValueError(
+                f"--samples must be 1 to {len(splits['training'])}, which are there, got {samples}"
+            )
         splits["training"] = splits["training"][:samples]
     _quiet()
     try:
@@ -116,10 +122,9 @@ def train(
             facts=_provenance(store, splits),
         )
     except KeyboardInterrupt:
-        complaints.print(
-            f"ogm: interrupted; the run is saved: the same command with --resume goes on in {folder}",
-            markup=False,
-        )
+        saved = "the run is saved: the same command with --resume goes on"
+        said = saved if (folder / "state.pt").exists() else "nothing was saved yet"
+        complaints.print(f"ogm: interrupted; {said} in {folder}", markup=False)
         raise typer.Exit(130) from None
     except FloatingPointError as error:
         complaints.print(f"ogm: {error}", markup=False)

@@ -1,6 +1,12 @@
 """Deep inverse sensor models: pillars, network, losses, training, and the model that goes through the common door."""
 
-from ogm.deep.ism import DeepISM
-from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
+try:
+    from ogm.deep.ism import DeepISM
+    from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
+except ImportError as error:
+    raise ImportError(
+        f'the deep models lack a package ({error}): pip install "ogm-toolkit[deep]"; '
+        "on a machine without an NVIDIA GPU install PyTorch's CPU build first"
+    ) from error
 
 __all__ = ["LITE", "PAPER", "DeepISM", "Network", "NetworkConfig"]

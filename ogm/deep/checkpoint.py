@@ -124,9 +124,20 @@ def load_network(path: str | os.PathLike[str]) -> tuple[Network, dict[str, Any]]
             raise ValueError(f"{path} has weights that are NaN or infinite, in {name}")
         if name.endswith("running_var") and (value < 0).any():
             raise ValueError(f"{path} has a variance below 0, in {name}")
+    _check_seen(description.get("seen", {}), beside)
     network = Network(config, spec)
     network.load_state_dict(weights)
     return network.eval(), description
+
+
+def _check_seen(seen: object, path: Path) -> None:
+    """Refuse ranges of the training data that are none: they decide what is done with a scan."""
+    fine = isinstance(seen, dict) and set(seen) <= {"height", "points", "intensity"}
+    for pair in seen.values() if isinstance(seen, dict) else ():
+        numbers = isinstance(pair, list) and len(pair) == 2 and all(type(n) in (int, float) for n in pair)
+        fine = fine and numbers and -math.inf < pair[0] <= pair[1] < math.inf
+    if not fine:
+        raise ValueError(f"{path} says of the scans seen in training what are no ranges: {seen}")
 
 
 def _plausible(config: NetworkConfig) -> None:

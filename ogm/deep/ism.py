@@ -25,6 +25,17 @@ _log = logging.getLogger(__name__)
 SHIPPED = ("lite",)  # weights in the package
 
 
+def _device(name: str | torch.device) -> torch.device:
+    try:
+        device = torch.device(name)
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ValueError(f"there is no device {str(name)!r} here ({error}); use cpu") from error
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f"the network runs on cpu and cuda, got {str(name)!r}")
+    return device
+
+
 @contextmanager
 def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
     """Return the file of weights that is meant by a name, a run's folder, or a file.
@@ -86,8 +97,9 @@ class DeepISM:
     sensor. The grid lies around the sensor, in the vehicle's axes. Intensities are in [0, 1], Velodyne's calibrated
     value / 255. They may be missing (three columns, or all 0), as in a tenth of the training's scans, and are left
     out where their mean is outside what training saw: other makers calibrate otherwise. Scans of many more points
-    than any in training are thinned at random, always alike. A scan unlike the training data is answered, and logged
-    as a warning, once for each reason.
+    than any in training are thinned at random, always alike. A scan of less than a tenth of the points of the sparsest
+    in training, or of none, says nothing: all its cells are unknown. What is unlike the training data is logged as a
+    warning, once for each reason.
 
     Raises
     ------
@@ -116,7 +128,7 @@ class DeepISM:
         box = (x - 2.5, x + 2.5, y - 1.1, y + 1.1) if own_box is None else tuple(map(float, own_box))
         if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
             raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {own_box}")
-        self.device = torch.device(device)
+        self.device = _device(device)
         origin = network.spec.origin
         place = GridSpec(network.spec.resolution, network.spec.shape, (origin[0] + x, origin[1] + y))
         self._spec = place if spec is None else spec
@@ -130,7 +142,8 @@ class DeepISM:
         self._T[:3, 3] = (0, 0, sensor_height) if points_in == "sensor" else (-x, -y, sensor_height - z)
         self._box: Box = (box[0] - x, box[1] - x, box[2] - y, box[3] - y)
         (x0, x1), (y0, y1) = self._spec.index(box[:2], box[2:])
-        self._own = slice(max(x0, 0), max(x1 + 1, 0)), slice(max(y0, 0), max(y1 + 1, 0))
+        there = box[0] < box[1] and box[2] < box[3]
+        self._own = slice(max(x0, 0), max(x1 + there, 0)), slice(max(y0, 0), max(y1 + there, 0))
         self._warned: set[str] = set()
         self._seen = {name: tuple(value) for name, value in self.description.get("seen", {}).items()}
         low, high = self._seen.get("height", (0.0, np.inf))
@@ -204,24 +217,27 @@ class DeepISM:
         if not scans:
             return []
         nx, ny = self._place.shape
-        pillars = collate([self._pillars(points) for points in scans], nx * ny)
-        evidence = self._evidence(self.network.canvas(pillars))
+        pillars = [self._pillars(points) for points in scans]
+        evidence = self._evidence(self.network.canvas(collate(pillars, nx * ny)))
         mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
-        mass[:, self._own[0], self._own[1]] = (
-            0  # under the own vehicle nothing was learned: its cells are ignored
-        )
+        # Nothing was learned of the cells under the own vehicle, nor of scans without points: nobody knows.
+        mass[:, self._own[0], self._own[1]] = 0
+        for number, scan in enumerate(pillars):
+            if self._too_few(scan):
+                mass[number] = 0
         return [EvidentialGrid.trusted(self._spec, one) for one in mass.cpu().numpy()]
 
     def _pillars(self, points: NDArray[np.floating[Any]]) -> Pillars:
         """Normalise a scan as the training data was."""
         most = self._seen.get("points", (0, np.inf))[1]
+        if len(points) > 1.2 * most and points.ndim == 2 and points.dtype.kind == "f":
+            points = points[np.isfinite(points).all(axis=1)]
         if len(points) > 1.2 * most:
             self._warn(
                 "points",
                 f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that",
             )
-            keep = np.random.default_rng(0).random(len(points)) < most / len(points)
-            points = points[keep]
+            points = points[np.random.default_rng(0).random(len(points)) < most / len(points)]
         options = (self._place, self.network.config.z_range, self._box)
         if self.device.type == "cpu":
             pillars = pillarize(points, *options, self._T)
@@ -234,11 +250,15 @@ class DeepISM:
         self._compare(pillars)
         return pillars
 
+    def _too_few(self, pillars: Pillars) -> bool:
+        """Say whether a scan has less than a tenth of the points of the sparsest in training."""
+        return len(pillars.features) <= 0.1 * self._seen.get("points", (0.0, 0.0))[0]
+
     def _compare(self, pillars: Pillars) -> None:
         """Warn of a scan that is unlike those in training."""
         features = pillars.features
-        if len(features) == 0:
-            self._warn("empty", "a scan without points on the grid: all is unknown, or nearly so")
+        if self._too_few(pillars):
+            self._warn("few", f"a scan with {len(features)} points on the grid: all cells are unknown")
             return
         least, most = float(features[:, 3].min()), float(features[:, 3].max())
         if most > 1 or least < 0:

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from lightning.fabric import Fabric
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 from torch.utils.data import DataLoader
@@ -30,6 +29,11 @@ from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
 from ogm.evidence import evidence_to_mass
 from ogm.files import atomic_write
 from ogm.grid import GridSpec
+
+try:
+    from lightning.fabric import Fabric
+except ImportError as error:
+    raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
 
 __all__ = [
     "LITE_RECIPE",
@@ -193,7 +197,8 @@ def train(
         The run's folder.
     recipe : Recipe
     resume : bool
-        Go on where a run with the same recipe stopped in `out`; begin if there is none.
+        Go on where a run with the same recipe, grid, data and number of processes stopped in `out`; the learning rate
+        and the clipping may be others. Begin if there is none.
     accelerator, devices, nodes, precision
         As Lightning Fabric takes them.
     workers : int
@@ -218,7 +223,12 @@ def train(
         If the memory does not suffice.
     """
     _check(training, validation, recipe, out, resume)
-    fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision)
+    if accelerator == "auto":  # Lightning would take others, for which torch lacks segment_reduce
+        accelerator = "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision)
+    except (RuntimeError, ValueError) as error:  # Lightning's, if there is no such accelerator
+        raise ValueError(f"cannot train on {devices} x {accelerator} here: {error}") from error
     fabric.launch()
     torch.manual_seed(recipe.seed)
     network = Network(recipe.network, spec).to(memory_format=torch.channels_last)
@@ -246,24 +256,36 @@ def train(
     )
     per_epoch = len(training) // fabric.world_size // recipe.batch
     total = per_epoch * recipe.epochs
+    if per_epoch == 0:
+        raise ValueError(
+            f"{len(training)} training samples are fewer than {fabric.world_size} batches of {recipe.batch}, "
+            "one per process"
+        )
+    setup = {
+        "recipe": repr(replace(recipe, learning_rate=0.0, clip=0.0)),  # these two may change on the way
+        "spec": repr(spec),
+        "samples": f"{len(training)} for training, {len(validation)} for validation",
+        "processes": str(fabric.world_size),
+    }
 
     out.mkdir(parents=True, exist_ok=True)
     facts = {"seen": seen_in(scenes), **(facts or {})}
-    step, best = 0, math.inf
+    step, judged, best = 0, 0, math.inf
     if resume and (out / "state.pt").exists():
-        step, best = _restore(out / "state.pt", recipe, network, average, optimizer)
+        step, judged, best = _restore(out / "state.pt", setup, network, average, optimizer)
 
     def keep() -> None:
         if fabric.is_global_zero:
-            _store(out / "state.pt", recipe, network, average, optimizer, step, best)
+            numbers = {"step": step, "judged": judged, "best": best}
+            _store(out / "state.pt", setup, network, average, optimizer, numbers)
 
     saved, began = time.monotonic(), (time.monotonic(), step)
     recent: list[float] = []
     whole = True  # network, average and step belong together
     with _bar(progress and fabric.is_global_zero, total, step) as show:
         try:
-            while step < total:
-                order.epoch, order.skip = step // per_epoch, step % per_epoch * recipe.batch
+            while judged < recipe.epochs:
+                order.epoch, order.skip = judged, (step - judged * per_epoch) * recipe.batch
                 for batch in loader:
                     for group in optimizer.param_groups:
                         group["lr"] = _rate(recipe, step, total)
@@ -273,7 +295,7 @@ def train(
                     pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
                     loss = _loss(model(pillars), state, recipe, step / per_epoch)
                     value = float(loss.detach())
-                    if not math.isfinite(value):
+                    if not _finite_everywhere(fabric, value):
                         raise _nothing(out, batch, value, step)
                     optimizer.zero_grad()
                     fabric.backward(loss)
@@ -290,13 +312,12 @@ def train(
                         keep()
                         saved = time.monotonic()
                 # An epoch is over
+                epoch = judged + 1
                 if fabric.is_global_zero:
+                    seconds = time.monotonic() - began[0]
+                    speed = (step - began[1]) * recipe.batch * fabric.world_size / seconds
                     scores = validate(average, checks, recipe, fabric.device)
-                    speed = (
-                        (step - began[1]) * recipe.batch * fabric.world_size / (time.monotonic() - began[0])
-                    )
-                    epoch = step // per_epoch
-                    _log(out / "log.csv", epoch, step, sum(recent) / len(recent), scores, speed)
+                    _log(out / "log.csv", epoch, step, sum(recent) / max(len(recent), 1), scores, speed)
                     show(step, scores=scores)
                     if scores.loss < best:
                         best = scores.loss
@@ -304,8 +325,9 @@ def train(
                         save_network(out / "best.safetensors", average, _facts(recipe, facts, result))
                     if picture_every and epoch % picture_every == 0:
                         _picture(out / f"epoch-{epoch:03d}.png", average, checks, fabric.device)
-                    keep()
-                    saved = time.monotonic()
+                judged = epoch
+                keep()
+                saved = time.monotonic()
                 began = (time.monotonic(), step)
                 fabric.barrier()
         except KeyboardInterrupt:
@@ -313,7 +335,8 @@ def train(
                 keep()
             raise
         except (torch.OutOfMemoryError, RuntimeError) as error:
-            if not isinstance(error, torch.OutOfMemoryError) and "alloc" not in str(error):
+            memory = "alloc" in str(error) or "DataLoader worker" in str(error)  # the kernel killed it
+            if not (isinstance(error, torch.OutOfMemoryError) or memory):
                 raise
             raise MemoryError(
                 f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
@@ -370,32 +393,46 @@ def _follow(average: Network, network: Network, decay: float) -> None:
             mine.copy_(its)
 
 
+def _finite_everywhere(fabric: Fabric, value: float) -> bool:
+    """Say whether the loss is finite on every process, so that all stop where one must."""
+    finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
+    return bool(fabric.all_reduce(finite, reduce_op="mean") == 1)
+
+
 def _store(
-    path: Path, recipe: Recipe, network: Network, average: Network, optimizer: Any, step: int, best: float
+    path: Path,
+    setup: Mapping[str, str],
+    network: Network,
+    average: Network,
+    optimizer: Any,
+    numbers: Mapping[str, float],
 ) -> None:
     state = {
-        "recipe": repr(recipe),
+        "setup": dict(setup),
         "network": network.state_dict(),
         "average": average.state_dict(),
         "optimizer": optimizer.state_dict(),
-        "step": step,
-        "best": best,
+        **numbers,
     }
     with atomic_write(path) as file:
         torch.save(state, file)
 
 
 def _restore(
-    path: Path, recipe: Recipe, network: Network, average: Network, optimizer: Any
-) -> tuple[int, float]:
+    path: Path, setup: Mapping[str, str], network: Network, average: Network, optimizer: Any
+) -> tuple[int, int, float]:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-        if state["recipe"] != repr(recipe):
-            raise ValueError("it was begun with another recipe; give the same options, or another --out")
+        for name, wanted in setup.items():
+            if state["setup"][name] != wanted:
+                raise ValueError(
+                    f"it was begun with another {name}: {state['setup'][name]}, now {wanted}; give the same options "
+                    "and data, or another --out"
+                )
         network.load_state_dict(state["network"])
         average.load_state_dict(state["average"])
         optimizer.load_state_dict(state["optimizer"])
-        return int(state["step"]), float(state["best"])
+        return int(state["step"]), int(state["judged"]), float(state["best"])
     except Exception as error:  # whatever torch makes of a foreign or damaged file
         raise ValueError(f"cannot resume from {path}: {error}") from error
 
@@ -412,8 +449,8 @@ def _nothing(out: Path, batch: Batch, value: float, step: int) -> FloatingPointE
             numbers=np.array(batch.numbers),
         )
     return FloatingPointError(
-        f"the loss became {value} at step {step}; the batch is in {path}; resume from the last state with a smaller "
-        "--learning-rate"
+        f"the loss became {value} at step {step}; the batch is in {path}; --resume with a smaller "
+        "--learning-rate goes on from the last saved state"
     )
 
 

@@ -7,6 +7,7 @@ Every metric leaves out the cells that the truth ignores. A metric without a cel
 >>> result = evaluate({"ray": ray, "deep": deep}, samples)      # many, paired        # doctest: +SKIP
 """
 
+from ogm.evidence import dirichlet_kl
 from ogm.metrics.counts import METRICS, Metric, Tally, called, score, tally
 from ogm.metrics.divergence import (
     MIN_UNKNOWN,
@@ -36,6 +37,7 @@ __all__ = [
     "bootstrap_ratio",
     "called",
     "density",
+    "dirichlet_kl",
     "evaluate",
     "kl_from_truth",
     "kl_to_truth",

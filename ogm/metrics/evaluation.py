@@ -16,7 +16,7 @@ __all__ = ["Evaluation", "ModelFor", "evaluate", "model_for", "same_cells"]
 ModelFor = Callable[[NDArray[np.float64]], InverseSensorModel]  # (4, 4) pose of the sensor -> its model
 
 
-class Labelled(Protocol):
+class Sample(Protocol):
     """A scan with its truth: the simulator's samples are such."""
 
     @property
@@ -52,6 +52,19 @@ class Evaluation:
     values: dict[str, NDArray[np.float64]]
     pooled: tuple[Tally, ...]
     truth: NDArray[np.float64]
+
+    def __str__(self) -> str:
+        """Tabulate the means over frames: a row per metric, a column per model."""
+        means = {model: self.macro(model) for model in self.models}
+        width = max(12, *(len(model) + 2 for model in self.models))
+        lines = [
+            f"{'mean of ' + str(self.frames) + ' frames':22}" + "".join(f"{m:>{width}}" for m in self.models)
+        ]
+        lines += [
+            f"{metric:22}" + "".join(f"{means[m][metric]:>{width}.4f}" for m in self.models)
+            for metric in self.values
+        ]
+        return "\n".join(lines)
 
     @property
     def frames(self) -> int:
@@ -89,7 +102,7 @@ class Evaluation:
 
 def evaluate(
     models: Mapping[str, InverseSensorModel | ModelFor],
-    samples: Iterable[Labelled],
+    samples: Iterable[Sample],
     spec: GridSpec | None = None,
 ) -> Evaluation:
     """Judge models on the same samples.
@@ -164,7 +177,7 @@ def same_cells(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
     return EvidentialGrid.trusted(spec, grid.mass.repeat(factor, axis=0).repeat(factor, axis=1))
 
 
-def model_for(model: InverseSensorModel | ModelFor, sample: Labelled) -> InverseSensorModel:
+def model_for(model: InverseSensorModel | ModelFor, sample: Sample) -> InverseSensorModel:
     """Return a model for how a sample's sensor is mounted: itself, or what the function makes, see `evaluate`."""
     return _Mounted(model)(sample)
 

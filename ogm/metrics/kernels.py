@@ -63,7 +63,7 @@ def densities(mass: Any, scale: float, min_unknown: float, places: Any, out: Any
     out : (5, N) float64
     """
     for k in range(mass.shape[0]):
-        free, occupied = float(mass[k, 0]), float(mass[k, 1])
+        free, occupied = max(float(mass[k, 0]), 0.0), max(float(mass[k, 1]), 0.0)
         factor = 2.0 * scale / max(1.0 - free - occupied, min_unknown)
         out[0, k], out[1, k] = free * factor, occupied * factor
         out[2, k], out[3, k], out[4, k] = _density(out[0, k], out[1, k], places)
@@ -113,7 +113,7 @@ def count_cells(
         truth = state[k]
         if truth > 2:
             continue
-        free, occupied = float(mass[k, 0]), float(mass[k, 1])
+        free, occupied = max(float(mass[k, 0]), 0.0), max(float(mass[k, 1]), 0.0)
         unknown = 1.0 - free - occupied
         cells[truth] += 1.0
         masses[truth, 0] += free

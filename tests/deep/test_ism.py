@@ -102,8 +102,11 @@ def test_points_that_are_not_finite_are_left_out(network, cloud, caplog):
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_scans_of_nothing_are_answered(network, cloud, count):
-    grid = DeepISM(network, None, 1.8)(cloud[:count])
-    assert np.isfinite(grid.mass).all()
+    seen = {"height": [1.7, 1.9], "points": [100, 9000], "intensity": [0.0, 1.0]}
+    ism = DeepISM(network, None, 1.8, description={"seen": seen})
+    for grid in (ism(cloud[:count]), ism.batch([cloud, cloud[:count]])[1]):
+        assert (grid.unknown == 1).all()  # a dead sensor sees no free road
+    assert ism.batch([cloud, cloud[:count]])[0].unknown.min() < 1
 
 
 def test_scans_without_intensities_are_answered(network, cloud):
@@ -149,6 +152,15 @@ def test_a_scan_as_those_of_training_is_not_remarked(network, cloud, caplog):
     seen = {"height": [1.7, 1.9], "points": [100, 2 * len(cloud)], "intensity": [0.0, 1.0]}
     DeepISM(network, None, 1.8, description={"seen": seen})(cloud)
     assert not caplog.records
+
+
+def test_without_own_vehicle_no_cell_is_blank(network, cloud):
+    assert DeepISM(network, None, 1.8, own_box=(0, 0, 0, 0))(cloud).unknown.max() < 1
+
+
+def test_devices_that_are_not_there_are_refused(network):
+    with pytest.raises(ValueError, match="use cpu"):
+        DeepISM(network, device="warp")
 
 
 def test_weights_are_loaded_from_a_run_or_a_file(network, cloud, tmp_path):

@@ -97,10 +97,34 @@ def test_a_run_is_not_overwritten(go):
         go()
 
 
-def test_another_recipe_does_not_resume(go, recipe):
+def test_another_recipe_or_data_does_not_resume(go, recipe, scenes):
     go()
     with pytest.raises(ValueError, match="another recipe"):
-        go(resume=True, recipe=replace(recipe, learning_rate=1e-3))
+        go(resume=True, recipe=replace(recipe, weight_decay=0.5))
+    with pytest.raises(ValueError, match="another samples"):
+        go(resume=True, training=scenes[:7])
+
+
+def test_a_run_goes_on_with_another_learning_rate(go, recipe, scenes, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        go(training=Interrupted(scenes[:8], 13))
+    go(resume=True, recipe=replace(recipe, learning_rate=1e-4))
+    assert len(curve(tmp_path / "run")) == 2
+
+
+def test_an_epoch_is_judged_even_if_its_judgement_was_interrupted(go, monkeypatch, tmp_path):
+    from ogm.deep import train as module
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    whole = go("whole")
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "validate", stop)
+        with pytest.raises(KeyboardInterrupt):
+            go("stopped")
+    assert go("stopped", resume=True).read_bytes() == whole.read_bytes()
+    assert [row["epoch"] for row in curve(tmp_path / "stopped")] == [1, 2]
 
 
 def test_a_hostile_state_is_not_unpickled(go, tmp_path):
