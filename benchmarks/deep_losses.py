@@ -1,6 +1,6 @@
 """Which loss trains the better network? The same network, samples, order and steps for each, judged on validation.
 
-    python benchmarks/deep_losses.py DATA [--samples 400] [--epochs 10] [--frames 100] [--only NAME ...]
+    python benchmarks/deep_losses.py DATA [--samples 200] [--epochs 10] [--frames 100] [--only NAME ...]
 
 DATA is a data set of `ogm simulate`. To keep it to minutes per loss the grid has cells of 0.32 m (256 x 176) and a
 small part of the samples is used: the order of the losses is the result, not the level. Writes
@@ -36,7 +36,6 @@ from ogm.simulation.store import Store  # noqa: E402
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.32)
 RECIPES: dict[str, dict[str, Any]] = {
     "reverse KL": {},
-    "reverse KL, ReLU": {"network": replace(LITE, evidence="relu")},
     "squares as printed": {"loss": "squares-printed", "uniform_kl": 1.0},
     "squares as released": {"loss": "squares-released", "uniform_kl": 1.0},
     "squares as released, occupied x 100": {
@@ -60,13 +59,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("data", type=Path)
-    parser.add_argument("--samples", type=int, default=400)
+    parser.add_argument("--samples", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=10)
     parser.add_argument("--frames", type=int, default=100, help="validation samples for the judgement")
     parser.add_argument("--runs", type=Path, default=Path("runs/losses"), help="folder of the trainings")
     parser.add_argument("--only", nargs="+", choices=RECIPES, default=list(RECIPES))
     options = parser.parse_args()
     record = environment()
+    record["command"] = f"python benchmarks/deep_losses.py {options.data.name}"
     store = Store.open(options.data)
     # Spread over all drives; weights are chosen by other validation samples than those of the judgement.
     chosen = np.linspace(0, len(store["training"]) - 1, options.samples).astype(int).tolist()

@@ -1,5 +1,7 @@
 """The front door: what ``import ogm`` costs and loads, and that the house's walls stand."""
 
+import hashlib
+import inspect
 import json
 import re
 import subprocess
@@ -58,7 +60,7 @@ def test_every_public_name_is_documented() -> None:
         module = importlib.import_module(f"ogm.{room}")
         for name in module.__all__:
             value = getattr(module, name)
-            if callable(value):
+            if inspect.isclass(value) or inspect.isroutine(value):
                 assert value.__doc__, f"ogm.{room}.{name} has no docstring"
 
 
@@ -136,3 +138,66 @@ def test_the_simulators_figures_are_the_measured_ones() -> None:
     assert f"gain of the second | {cost['two workers']['gain']:.2f} |" in text
     assert f"lidars | {cost['two workers']['bytes per sample']:,} |" in text
     assert f"two processes | {cost['reading']['samples per second, 2 processes']:.0f} per second" in text
+
+
+def test_the_deep_models_figures_are_the_measured_ones() -> None:
+    """docs/deep.md, the model card and the README hold what the benchmarks last wrote, of the weights that ship."""
+    results = ROOT / "benchmarks/results"
+    page, card, front = ((ROOT / name).read_text() for name in ("docs/deep.md", "docs/lite.md", "README.md"))
+    record = {
+        name: json.loads((results / f"deep_{name}.json").read_text())
+        for name in ("quality", "real", "speed", "losses")
+    }
+    shipped = (ROOT / "ogm/data/lite.safetensors").read_bytes()
+    assert record["quality"]["weights"]["sha256"] == hashlib.sha256(shipped).hexdigest()
+    assert record["quality"]["data"]["split"] == "test"
+
+    means = {name: one["macro"] for name, one in record["quality"]["models"].items()}
+    for metric in (
+        "kl_e10",
+        "kl_e1",
+        "iou_free",
+        "iou_occupied",
+        "auroc_unknown",
+        "ece",
+        "ece_relative",
+        "false_free",
+    ):
+        cells = []
+        for name in ("height-band", "height-band-released", "ray", "lite"):
+            one = means[name][metric]
+            cells.append(f"{one['value']:.3f} ± {(one['high'] - one['low']) / 2:.3f}")
+        assert " | ".join(cells) in page, metric
+    for metric in ("kl_e10", "iou_free", "iou_occupied", "auroc_unknown", "false_free"):
+        values = {name: f"{means[name][metric]['value']:.3f}" for name in means}
+        assert f"| {values['height-band']} | {values['ray']} | {values['lite']} |" in front, metric
+        assert f"| {values['lite']} | {values['ray']} | {values['height-band']} |" in card, metric
+    for row in record["quality"]["wanted"]:
+        said = "met" if row["met"] else "**missed**"
+        assert f"| {row['what']} | {row['wanted']} | {row['value']:.3f} | {said} |" in page
+    boxes = record["real"]["boxes"]["all, each place once"]["models"]
+    for what in ("occupied", "free"):
+        shares = [
+            f"{100 * boxes[n][what]['mean over objects']:.1f} %"
+            for n in ("HeightBandISM", "RayISM", "DeepISM")
+        ]
+        assert " | ".join(shares) in page
+        assert " | ".join(shares) in front
+    lite = record["speed"]["summary"]["lite"]
+    assert f"{lite['scans per second']:.1f} per second" in page
+    assert f"{lite['scans per second']:.1f} scans per second" in front
+    for name, scores in record["losses"]["scores"].items():
+        assert re.search(rf"\| \**{re.escape(name)}\** \| {scores['kl_e10']['value']:.3f} ", page), name
+    assert "LOSSES_SETUP" not in page
+    assert not re.search(r"<!-- (\w+) -->\s*<!-- /\1 -->", page)  # tables that were not filled
+
+
+def test_the_deep_page_runs() -> None:
+    import doctest
+
+    assert (
+        doctest.testfile(
+            str(ROOT / "docs/deep.md"), module_relative=False, optionflags=doctest.ELLIPSIS
+        ).failed
+        == 0
+    )

@@ -200,3 +200,37 @@ def test_shapes_that_are_no_points_are_refused(network, points):
 def test_whole_numbers_are_no_points(network):
     with pytest.raises(TypeError, match="float array"):
         DeepISM(network)(np.zeros((3, 4), int))
+
+
+def test_the_shipped_weights_read_a_real_scan(caplog):
+    from importlib.resources import as_file, files
+
+    from ogm import read_points
+
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        points = read_points(path, axes=("+y", "-x", "+z"))
+    deep = DeepISM.load("lite", sensor_height=1.98)
+    assert set(deep.description["seen"]) == {"height", "points", "intensity"}
+    grid = deep(points)
+    assert not caplog.records  # within what training saw
+    assert grid.spec.shape == (512, 352)
+    assert grid.at(20, 5).free > 0.7  # the lane ahead
+    assert grid.at(10, 9.2).occupied > 0.5  # its left border
+    assert grid.at(-1.0, 15.0).unknown > 0.7  # behind that border
+    assert deep(points[:0]).unknown.min() == 1
+
+
+def test_the_map_command_knows_the_shipped_weights(tmp_path):
+    from importlib.resources import as_file, files
+
+    from typer.testing import CliRunner
+
+    from ogm.cli import app
+
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        words = ["map", str(path), "--axes", "+y,-x,+z", "--ism", "lite", "--sensor-height", "1.98"]
+        result = CliRunner().invoke(app, [*words, "--out", str(tmp_path / "o.npz")])
+    assert result.exit_code == 0, result.output
+    assert EvidentialGrid.load(tmp_path / "o.npz").at(20, 5).free > 0.7
+    result = CliRunner().invoke(app, ["map", "scan.pcd", "--ism", "lightning"])
+    assert result.exit_code == 2
