@@ -3,8 +3,8 @@
     python benchmarks/deep_real.py [--weights lite|PATH|none] [--quick]
 
 No model was trained on these recordings and no weights were chosen by them; one rule of the deep model, about
-intensities of another calibration, was added after a look at them (docs/deep.md). They cannot be shipped: benchmarks/README.md
-says which and where they go; what is not there is left out, and the output says so. Writes
+intensities of another calibration, was added after a look at them (docs/deep.md). They cannot be shipped:
+benchmarks/README.md says which and where they go; what is not there is left out, and the output says so. Writes
 benchmarks/results/deep_real.json, docs/pictures/deep_real.png and deep_real_scores.png; pictures of scans that may
 not be passed on with the project go to runs/deep_real/.
 """
