@@ -28,7 +28,8 @@ from torch.utils.data import Subset  # noqa: E402
 from ogm import GridSpec  # noqa: E402
 from ogm.deep import LITE, DeepISM  # noqa: E402
 from ogm.deep.checkpoint import load_network  # noqa: E402
-from ogm.deep.train import Recipe, train  # noqa: E402
+from ogm.deep.recipe import Recipe  # noqa: E402
+from ogm.deep.train import train  # noqa: E402
 from ogm.files import atomic_write  # noqa: E402
 from ogm.metrics import METRICS, Evaluation, evaluate  # noqa: E402
 from ogm.simulation.store import Store  # noqa: E402

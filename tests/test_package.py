@@ -175,6 +175,15 @@ def test_the_deep_models_figures_are_the_measured_ones() -> None:
     for row in record["quality"]["wanted"]:
         said = "met" if row["met"] else "**missed**"
         assert f"| {row['what']} | {row['wanted']} | {row['value']:.3f} | {said} |" in page
+    for kind in ("participants", "thick", "thin"):
+        for what in ("false free", "called occupied"):
+            found = record["quality"]["occupied cells by what stands there, pooled"]
+            shares = [f"{100 * one[kind][what]:.1f} %" for one in found.values()]
+            assert " | ".join(shares) in page, (kind, what)
+    for weight, scores in record["quality"][
+        "occupied cells weighed more, 20 validation frames, pooled"
+    ].items():
+        assert f"| x {weight} | {' | '.join(f'{value:.3f}' for value in scores.values())} |" in page, weight
     boxes = record["real"]["boxes"]["all, each place once"]["models"]
     for what in ("occupied", "free"):
         shares = [

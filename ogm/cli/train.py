@@ -73,16 +73,17 @@ def train(
     Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and state.pt
     every two minutes, from which --resume goes on.
     """
-    from ogm.deep import train as training  # first: it says what to install if torch is missing
+    from ogm.deep import recipe as recipes  # first: it says what to install if torch is missing
+    from ogm.deep import train as training
     from ogm.deep.network import PAPER
     from ogm.grid import GridSpec
     from ogm.simulation.store import Store
 
     spec = GridSpec.centered(length=length, width=width, resolution=resolution)
     recipe = {
-        Preset.lite: training.LITE_RECIPE,
-        Preset.paper: training.Recipe(PAPER),
-        Preset.published: training.PAPER_RECIPE,
+        Preset.lite: recipes.LITE_RECIPE,
+        Preset.paper: recipes.Recipe(PAPER),
+        Preset.published: recipes.PAPER_RECIPE,
     }[model]
     given: dict[str, Any] = {
         "epochs": epochs,

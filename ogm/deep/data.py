@@ -14,24 +14,23 @@ from numba import njit
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, Sampler
 
-from ogm.deep.pillars import Pillars, collate, limited, pillarize
+from ogm.deep.pillars import OWN_BOX, Pillars, collate, limited, pillarize
 from ogm.grid import GridSpec
 from ogm.truth import Truth
 
 __all__ = [
-    "OWN_BOX",
     "PLAIN",
     "ROTATION",
     "Augmentation",
     "Batch",
     "Sample",
+    "Samples",
     "Scenes",
     "Shuffled",
     "augment",
     "join",
+    "seen_in",
 ]
-
-OWN_BOX = (-2.5, 2.5, -1.1, 1.1)  # [m] around the sensor: the own vehicle's returns
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import Network, fused
-from ogm.deep.pillars import Box, Pillars, collate, pillarize, pillarize_torch
+from ogm.deep.pillars import OWN_BOX, Box, Pillars, collate, pillarize, pillarize_torch
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import check_pose
 
@@ -87,7 +87,7 @@ class DeepISM:
     device : str or torch.device
         Where the network runs.
     compile : bool
-        Let ``torch.compile`` make the network faster; its first call takes a minute.
+        Let ``torch.compile`` make the network faster; its first call takes half a minute and wants a C++ compiler.
     description : mapping, optional
         What the weights' JSON says; `seen` in it are the ranges of the training data.
 
@@ -125,7 +125,8 @@ class DeepISM:
         if points_in not in ("sensor", "vehicle"):
             raise ValueError(f'points_in must be "sensor" or "vehicle", got {points_in!r}')
         x, y, z = (float(value) for value in T[:3, 3])
-        box = (x - 2.5, x + 2.5, y - 1.1, y + 1.1) if own_box is None else tuple(map(float, own_box))
+        around = (OWN_BOX[0] + x, OWN_BOX[1] + x, OWN_BOX[2] + y, OWN_BOX[3] + y)
+        box = around if own_box is None else tuple(map(float, own_box))
         if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
             raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {own_box}")
         self.device = _device(device)

@@ -20,6 +20,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ogm.evidence import dirichlet_kl
+from ogm.truth import FREE, IGNORE, OCCUPIED
 
 __all__ = [
     "Loss",
@@ -36,8 +37,6 @@ __all__ = [
 ]
 
 Loss = Callable[[Tensor, Tensor], Tensor]
-
-FREE, OCCUPIED, IGNORE = 1, 2, 3  # states of a cell in a truth, as in ogm.truth
 
 _CHUNK = 32768  # cells at a time on a CPU, so that intermediate results stay near its cores
 

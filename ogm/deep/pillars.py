@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["FEATURES", "Box", "Pillars", "collate", "limited", "pillarize", "pillarize_torch"]
+__all__ = ["FEATURES", "OWN_BOX", "Box", "Pillars", "collate", "limited", "pillarize", "pillarize_torch"]
 
 _log = logging.getLogger(__name__)
 
@@ -23,6 +23,7 @@ FEATURES = (
     9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's middle
 )
 Box = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max [m]
+OWN_BOX: Box = (-2.5, 2.5, -1.1, 1.1)  # [m] around the sensor: the own vehicle, in training and by default
 _NOWHERE: Box = (0.0, 0.0, 0.0, 0.0)
 
 

@@ -12,20 +12,20 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from torch import Tensor
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
 from ogm.deep.checkpoint import save_network
-from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, Samples, Scenes, Shuffled, join, seen_in
-from ogm.deep.network import LITE, PAPER, Network, NetworkConfig
+from ogm.deep.data import PLAIN, Batch, Samples, Scenes, Shuffled, join, seen_in
+from ogm.deep.network import Network
+from ogm.deep.recipe import LOSSES, Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.files import atomic_write
 from ogm.grid import GridSpec
@@ -36,100 +36,12 @@ except ImportError as error:
     raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
 
 __all__ = [
-    "LITE_RECIPE",
-    "LOSSES",
-    "PAPER_RECIPE",
-    "Recipe",
     "Scores",
     "train",
     "usual_precision",
     "usual_workers",
     "validate",
 ]
-
-LOSSES: dict[
-    str, Callable[[Tensor, Tensor, float], Tensor]
-] = {  # evidence, target, strength -> loss per cell
-    "reverse-kl": losses.reverse_kl,
-    "squares-printed": lambda e, y, _: losses.sum_of_squares(e, y, "paper"),
-    "squares-released": lambda e, y, _: losses.sum_of_squares(e, y, "released"),
-    "log": lambda e, y, _: losses.log_loss(e, y),
-    "digamma": lambda e, y, _: losses.digamma_loss(e, y),
-}
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """All that decides how a network is trained; kept beside its weights.
-
-    Parameters
-    ----------
-    network : NetworkConfig
-    epochs : int
-        Times that every sample is seen.
-    batch : int
-        Samples per step and process.
-    loss : str
-        A name of `LOSSES`.
-    strength : float
-        Evidence of a known cell, E of `ogm.deep.losses.reverse_kl`.
-    uniform_kl : float
-        Final weight of the divergence from the uniform Dirichlet, reached after 10 epochs.
-    occupied_weight : float
-        Weight of occupied cells in the loss; the paper's is 100.
-    learning_rate, weight_decay : float
-        Of AdamW.
-    warmup : int
-        Steps in which the learning rate grows from 0.
-    final_rate : float
-        Share of the learning rate that is left at the end of its cosine; 1 keeps it constant.
-    clip : float
-        Largest norm of the gradient.
-    average : float
-        Decay per step of the exponential moving average of the weights; 0 keeps the last ones.
-    augmentation : Augmentation
-    most_pillars, most_points : int
-        The paper's limits, if above 0.
-    seed : int
-    """
-
-    network: NetworkConfig
-    epochs: int = 10
-    batch: int = 8
-    loss: str = "reverse-kl"
-    strength: float = 10.0
-    uniform_kl: float = 0.0
-    occupied_weight: float = 1.0
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-2
-    warmup: int = 100
-    final_rate: float = 0.01
-    clip: float = 1.0
-    average: float = 0.998
-    augmentation: Augmentation = Augmentation()
-    most_pillars: int = 0
-    most_points: int = 0
-    seed: int = 0
-
-
-LITE_RECIPE = Recipe(LITE, epochs=6, batch=4)  # that of the shipped weights
-PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are their code's
-    replace(PAPER, evidence="relu"),
-    epochs=100,
-    batch=5,
-    loss="squares-printed",
-    uniform_kl=1.0,
-    occupied_weight=100.0,
-    learning_rate=1e-4,
-    weight_decay=0.0,
-    warmup=0,
-    final_rate=1.0,
-    clip=math.inf,
-    average=0.0,
-    augmentation=ROTATION,
-    most_pillars=10_000,
-    most_points=100,
-)
 
 
 def usual_workers() -> int:
@@ -235,7 +147,7 @@ def train(
     average = Network(recipe.network, spec).to(memory_format=torch.channels_last)
     average.load_state_dict(network.state_dict())
     optimizer = torch.optim.AdamW(
-        network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay, fused=False
+        network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay
     )
     model, optimizer = fabric.setup(network, optimizer)
     average = average.to(fabric.device).eval()
@@ -288,12 +200,12 @@ def train(
                 order.epoch, order.skip = judged, (step - judged * per_epoch) * recipe.batch
                 for batch in loader:
                     for group in optimizer.param_groups:
-                        group["lr"] = _rate(recipe, step, total)
+                        group["lr"] = learning_rate(recipe, step, total)
                     torch.manual_seed(
                         (recipe.seed * total + step) * fabric.world_size + fabric.global_rank
                     )  # dropout
                     pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
-                    loss = _loss(model(pillars), state, recipe, step / per_epoch)
+                    loss = mean_loss(model(pillars), state, recipe, step / per_epoch)
                     value = float(loss.detach())
                     if not _finite_everywhere(fabric, value):
                         raise _nothing(out, batch, value, step)
@@ -356,32 +268,13 @@ def validate(network: Network, scenes: Scenes, recipe: Recipe, device: torch.dev
         evidence, state = network(batch.pillars.to(device)), batch.state.to(device)
         target, valid = losses.targets(state)
         count = int(valid.sum())
-        loss += count * float(_loss(evidence, state, recipe, math.inf))
+        loss += count * float(mean_loss(evidence, state, recipe, math.inf))
         kl += count * float(losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid))
         cells += count
         called = torch.where(evidence.sum(-1) > recipe.strength / 2, 1 + evidence.argmax(-1), 0)
         counts += np.bincount((3 * state[valid] + called[valid]).cpu().numpy(), minlength=9).reshape(3, 3)
     iou = np.diag(counts) / np.maximum(counts.sum(0) + counts.sum(1) - np.diag(counts), 1)
     return Scores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
-
-
-def _loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:
-    """Return the mean over the cells that count, of the recipe's loss."""
-    target, valid = losses.targets(state)
-    loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
-    if recipe.uniform_kl:
-        loss = loss + recipe.uniform_kl * losses.annealing(epoch) * losses.uniform_kl(evidence, target)
-    weight = (
-        None if recipe.occupied_weight == 1 else losses.class_weights(target, occupied=recipe.occupied_weight)
-    )
-    return losses.masked_mean(loss, valid, weight)
-
-
-def _rate(recipe: Recipe, step: int, total: int) -> float:
-    """Return the learning rate: linear up, then a cosine down to its final share."""
-    up = min(1.0, (step + 1) / recipe.warmup) if recipe.warmup else 1.0
-    cosine = 0.5 * (1 + math.cos(math.pi * step / total))
-    return recipe.learning_rate * up * (recipe.final_rate + (1 - recipe.final_rate) * cosine)
 
 
 @torch.no_grad()
@@ -438,6 +331,10 @@ def _restore(
 
 
 def _nothing(out: Path, batch: Batch, value: float, step: int) -> FloatingPointError:
+    if math.isfinite(value):
+        return FloatingPointError(
+            f"the loss of another process is not finite at step {step}; see its message"
+        )
     path = out / f"batch-{step}.npz"
     with atomic_write(path) as file:
         np.savez_compressed(

@@ -73,8 +73,8 @@ def test_an_interrupt_is_saved_and_says_how_to_go_on(
             raise KeyboardInterrupt
         return kept(*args)
 
-    kept = train._loss
-    monkeypatch.setattr(train, "_loss", loss)
+    kept = train.mean_loss
+    monkeypatch.setattr(train, "mean_loss", loss)
     arguments = ("train", store, "--out", tmp_path / "run", "--epochs", 1, *SMALL)
     result = ogm(*arguments)
     assert result.exit_code == 130
@@ -96,3 +96,10 @@ def test_missing_parts_are_complained_about(store: Path, tmp_path: Path) -> None
     )
     assert result.exit_code == 2
     assert "multiples of 16 cells" in result.output
+
+
+def test_the_command_knows_every_loss() -> None:
+    from ogm.cli.train import LossName
+    from ogm.deep.recipe import LOSSES
+
+    assert [name.value for name in LossName] == list(LOSSES)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ogm.deep.data import OWN_BOX, PLAIN, ROTATION, Augmentation, Scenes, Shuffled, augment, join, seen_in
+from ogm.deep.data import PLAIN, ROTATION, Augmentation, Scenes, Shuffled, augment, join, seen_in
+from ogm.deep.pillars import OWN_BOX
 from ogm.truth import FREE, IGNORE, OCCUPIED
 
 

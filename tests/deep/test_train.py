@@ -9,7 +9,8 @@ import torch
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER, NetworkConfig
-from ogm.deep.train import LOSSES, PAPER_RECIPE, Recipe, train
+from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
+from ogm.deep.train import train
 
 
 @pytest.fixture(autouse=True)
@@ -148,11 +149,22 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_batch(go, recipe, tmp_pat
         assert len(batch["numbers"]) == 4
 
 
+def test_only_the_process_whose_loss_it_was_keeps_its_batch(scenes, small, tmp_path):
+    from ogm.deep.data import Scenes
+    from ogm.deep.train import _nothing
+
+    batch = Scenes(scenes, small)[0]
+    assert "another process" in str(_nothing(tmp_path, batch, 0.5, 3))
+    assert not list(tmp_path.iterdir())
+    assert "nan" in str(_nothing(tmp_path, batch, math.nan, 3))
+    assert [file.name for file in tmp_path.iterdir()] == ["batch-3.npz"]
+
+
 def test_too_little_memory_says_what_to_lower(go, monkeypatch):
     def full(*_):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    monkeypatch.setattr("ogm.deep.train._loss", full)
+    monkeypatch.setattr("ogm.deep.train.mean_loss", full)
     with pytest.raises(MemoryError, match="--batch"):
         go()
 

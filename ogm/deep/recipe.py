@@ -1,0 +1,116 @@
+"""Recipes: all that decides how a network is trained, as values; ours and the paper's."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from ogm.deep import losses
+from ogm.deep.data import ROTATION, Augmentation
+from ogm.deep.network import LITE, PAPER, NetworkConfig
+
+__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "Recipe", "learning_rate", "mean_loss"]
+
+LOSSES: dict[
+    str, Callable[[Tensor, Tensor, float], Tensor]
+] = {  # evidence, target, strength -> loss per cell
+    "reverse-kl": losses.reverse_kl,
+    "squares-printed": lambda e, y, _: losses.sum_of_squares(e, y, "paper"),
+    "squares-released": lambda e, y, _: losses.sum_of_squares(e, y, "released"),
+    "log": lambda e, y, _: losses.log_loss(e, y),
+    "digamma": lambda e, y, _: losses.digamma_loss(e, y),
+}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """All that decides how a network is trained; kept beside its weights.
+
+    Parameters
+    ----------
+    network : NetworkConfig
+    epochs : int
+        Times that every sample is seen.
+    batch : int
+        Samples per step and process.
+    loss : str
+        A name of `LOSSES`.
+    strength : float
+        Evidence of a known cell, E of `ogm.deep.losses.reverse_kl`.
+    uniform_kl : float
+        Final weight of the divergence from the uniform Dirichlet, reached after 10 epochs.
+    occupied_weight : float
+        Weight of occupied cells in the loss; the paper's is 100.
+    learning_rate, weight_decay : float
+        Of AdamW.
+    warmup : int
+        Steps in which the learning rate grows from 0.
+    final_rate : float
+        Share of the learning rate that is left at the end of its cosine; 1 keeps it constant.
+    clip : float
+        Largest norm of the gradient.
+    average : float
+        Decay per step of the exponential moving average of the weights; 0 keeps the last ones.
+    augmentation : Augmentation
+    most_pillars, most_points : int
+        The paper's limits, if above 0.
+    seed : int
+    """
+
+    network: NetworkConfig
+    epochs: int = 10
+    batch: int = 8
+    loss: str = "reverse-kl"
+    strength: float = 10.0
+    uniform_kl: float = 0.0
+    occupied_weight: float = 1.0
+    learning_rate: float = 2e-3
+    weight_decay: float = 1e-2
+    warmup: int = 100
+    final_rate: float = 0.01
+    clip: float = 1.0
+    average: float = 0.998
+    augmentation: Augmentation = Augmentation()
+    most_pillars: int = 0
+    most_points: int = 0
+    seed: int = 0
+
+
+LITE_RECIPE = Recipe(LITE, epochs=6, batch=4)  # that of the shipped weights
+PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are their code's
+    replace(PAPER, evidence="relu"),
+    epochs=100,
+    batch=5,
+    loss="squares-printed",
+    uniform_kl=1.0,
+    occupied_weight=100.0,
+    learning_rate=1e-4,
+    weight_decay=0.0,
+    warmup=0,
+    final_rate=1.0,
+    clip=math.inf,
+    average=0.0,
+    augmentation=ROTATION,
+    most_pillars=10_000,
+    most_points=100,
+)
+
+
+def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:
+    """Return the mean over the cells that count, of the recipe's loss."""
+    target, valid = losses.targets(state)
+    loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
+    if recipe.uniform_kl:
+        loss = loss + recipe.uniform_kl * losses.annealing(epoch) * losses.uniform_kl(evidence, target)
+    weight = (
+        None if recipe.occupied_weight == 1 else losses.class_weights(target, occupied=recipe.occupied_weight)
+    )
+    return losses.masked_mean(loss, valid, weight)
+
+
+def learning_rate(recipe: Recipe, step: int, total: int) -> float:
+    """Return the learning rate: linear up, then a cosine down to its final share."""
+    up = min(1.0, (step + 1) / recipe.warmup) if recipe.warmup else 1.0
+    cosine = 0.5 * (1 + math.cos(math.pi * step / total))
+    return recipe.learning_rate * up * (recipe.final_rate + (1 - recipe.final_rate) * cosine)
