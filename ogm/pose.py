@@ -4,12 +4,15 @@
 ``T_map_vehicle @ T_vehicle_sensor = T_map_sensor``.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-__all__ = ["check_pose", "interpolate", "inverse", "pose", "transform_points"]
+__all__ = ["Trajectory", "check_pose", "interpolate", "inverse", "pose", "transform_points"]
 
+_LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 _TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
 
 
@@ -56,10 +59,10 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
         raise ValueError(f"{name} must be a 4x4 transform, got shape {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} holds NaN or inf: {array.tolist()}")
-    if not np.allclose(array[3], [0, 0, 0, 1], atol=1e-9):
+    if not (np.abs(array[3] - _LAST_ROW) <= 1e-9).all():
         raise ValueError(f"the last row of {name} must be (0, 0, 0, 1), got {array[3].tolist()}")
     R = array[:3, :3]
-    error = float(np.abs(R.T @ R - np.eye(3)).max())
+    error = float(np.abs(R.T @ R - _IDENTITY).max())
     if error > _TOLERANCE or np.linalg.det(R) < 0:
         raise ValueError(
             f"{name} must be rigid (a rotation and a shift): R'R departs from the identity by {error:.2g} and "
@@ -129,9 +132,7 @@ def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[n
         )
     for k, one in enumerate(T):
         check_pose(one, name=f"poses[{k}]")
-    if not (np.diff(t) > 0).all():
-        k = int(np.argmin(np.diff(t)))
-        raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")
+    _check_increasing(t)
     if times.size and not (times.min() >= t[0] and times.max() <= t[-1]):
         raise ValueError(
             f"times must lie in [{t[0]}, {t[-1]}] s, got [{times.min()}, {times.max()}]; poses are not extrapolated"
@@ -141,3 +142,64 @@ def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[n
     for axis in range(3):
         result[..., axis, 3] = np.interp(times, t, T[:, axis, 3])
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Poses with the times they were taken at.
+
+    Parameters
+    ----------
+    stamps : (K,) float
+        Times [s], strictly increasing; K is at least 1.
+    poses : (K, 4, 4) float
+        ``T_map_sensor`` (or ``T_map_vehicle``) at those times.
+
+    Raises
+    ------
+    ValueError
+        If the counts differ, a stamp is not finite, the stamps do not increase, or a pose is not rigid.
+    """
+
+    stamps: NDArray[np.float64]
+    poses: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        t, T = np.array(self.stamps, np.float64), np.array(self.poses, np.float64)
+        if t.ndim != 1 or not len(t) or T.shape != (len(t), 4, 4):
+            raise ValueError(
+                f"stamps (K,) and poses (K, 4, 4) must agree and K be at least 1, got {t.shape} and {T.shape}"
+            )
+        if not np.isfinite(t).all():
+            raise ValueError(f"stamps must be finite [s], stamps[{int(np.argmin(np.isfinite(t)))}] is not")
+        _check_increasing(t)
+        for k, one in enumerate(T):
+            check_pose(one, name=f"poses[{k}]")
+        object.__setattr__(self, "stamps", t)
+        object.__setattr__(self, "poses", T)
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def at(self, stamps: ArrayLike) -> NDArray[np.float64]:
+        """Return the poses at some times, `interpolate`-d: (4, 4) for one time, (M, 4, 4) for M.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside the trajectory: poses are never extrapolated.
+        """
+        if len(self) == 1:
+            times = np.asarray(stamps, np.float64)
+            if not (times == self.stamps[0]).all():
+                raise ValueError(
+                    f"the trajectory knows one time only, {self.stamps[0]} s, asked for {times.tolist()}"
+                )
+            return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
+        return interpolate(self.stamps, self.poses, stamps)
+
+
+def _check_increasing(t: NDArray[np.float64]) -> None:
+    if not (np.diff(t) > 0).all():
+        k = int(np.argmin(np.diff(t)))
+        raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")

@@ -1,0 +1,160 @@
+"""What comes in: scans with their poses and times, checked before a map changes."""
+
+import logging
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.fusion.window import Window, affine_between, meet, samples_per_axis
+from ogm.grid import EvidentialGrid
+from ogm.pose import check_pose, inverse
+
+__all__ = ["Arrival", "Log", "PoseJump"]
+
+SLACK = 1.0  # [m] by which a pose may be off without being called a jump
+TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is called a jump
+LONG_GAP = 60.0  # [s] without a scan after which a word is said
+MOST_GAP = 86_400.0  # [s] after which stamps are taken to be no seconds
+
+_log = logging.getLogger(__name__)
+
+
+class PoseJump(ValueError):
+    """A pose further from the last one than a vehicle gets: a glitch of GNSS, or a closed loop."""
+
+
+class Arrival(NamedTuple):
+    """A scan that may be fused.
+
+    Attributes
+    ----------
+    T_map_vehicle : (4, 4) float64
+    elapsed : float
+        Time since the last scan [s]; below 0 for a late one.
+    stamp : float or None
+    corner : (int, int)
+        Where the window moves to.
+    affine : (2, 3) float64
+        From its cells to those of the grid.
+    samples : int
+        Points per cell and axis at which the grid is looked up.
+    """
+
+    T_map_vehicle: NDArray[np.float64]
+    elapsed: float
+    stamp: float | None
+    corner: tuple[int, int]
+    affine: NDArray[np.float64]
+    samples: int
+
+
+class Log:
+    """The last scan that a map accepted, and what the next one must meet.
+
+    Parameters
+    ----------
+    max_speed : float
+        Of the vehicle [m/s].
+    max_delay : float
+        By which a scan may be older than the map [s].
+    needs_stamps : bool
+        Whether the map forgets in time, so that a scan without a stamp is refused.
+    """
+
+    def __init__(self, max_speed: float, max_delay: float, needs_stamps: bool) -> None:
+        if not max_speed > 0:
+            raise ValueError(
+                f"max_speed must be greater than 0 m/s, got {max_speed}; infinity allows every jump"
+            )
+        if not (max_delay >= 0 and math.isfinite(max_delay)):
+            raise ValueError(f"max_delay must be 0 s or more and finite, got {max_delay}")
+        self.max_speed, self.max_delay, self.needs_stamps = float(max_speed), float(max_delay), needs_stamps
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget that there were scans."""
+        self.stamp: float | None = None
+        self.T_map_vehicle: NDArray[np.float64] | None = None
+        self.scans = 0
+
+    def check(
+        self,
+        window: Window,
+        grid: EvidentialGrid,
+        T_map_sensor: ArrayLike,
+        stamp: float | None,
+        T_vehicle_sensor: ArrayLike | None,
+        reliability: float,
+    ) -> Arrival:
+        """Say what a scan is, or why it cannot be fused; nothing is changed."""
+        if not isinstance(grid, EvidentialGrid):
+            raise TypeError(
+                f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
+                "points first"
+            )
+        if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
+            raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
+        T = vehicle = check_pose(T_map_sensor, "T_map_sensor")
+        if T_vehicle_sensor is not None:
+            vehicle = T @ inverse(check_pose(T_vehicle_sensor, "T_vehicle_sensor"))
+        time = self._time(stamp)
+        elapsed = 0.0 if time is None or self.stamp is None else time - self.stamp
+        if elapsed < -self.max_delay:
+            raise ValueError(
+                f"stamp {time} s is {-elapsed:.6g} s older than the map ({self.stamp} s), allowed are "
+                f"{self.max_delay:g} s; sort the scans, set max_delay, or call reset() if the clock was put back"
+            )
+        if elapsed > MOST_GAP:
+            raise ValueError(
+                f"stamp {time} follows {self.stamp}: a gap of {elapsed:.4g} s; are the stamps in seconds? "
+                "Call reset() to begin a new drive"
+            )
+        if time is not None:
+            self._check_jump(vehicle, abs(elapsed))
+        if elapsed > LONG_GAP:
+            _log.warning("no scan for %.1f s: the map has aged by as much", elapsed)
+        corner = window.corner_around(vehicle) if elapsed >= 0 else window.corner
+        spec = window.spec_at(corner)
+        affine = affine_between(spec, grid.spec, T)
+        if not meet(affine, spec, grid.spec):
+            x0, x1, y0, y1 = grid.spec.extent
+            raise ValueError(
+                f"the grid, x {x0:g} to {x1:g} m and y {y0:g} to {y1:g} m around a sensor at ({T[0, 3]:g}, {T[1, 3]:g}) "
+                "m, has no cell in the map's window; is T_map_sensor the pose of the grid's own frame?"
+            )
+        return Arrival(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid.spec))
+
+    def accept(self, arrival: Arrival) -> None:
+        """Take a scan as the last one, unless it came late."""
+        self.scans += 1
+        if arrival.elapsed >= 0:
+            self.stamp, self.T_map_vehicle = arrival.stamp, arrival.T_map_vehicle
+
+    def _time(self, stamp: float | None) -> float | None:
+        if stamp is None:
+            if self.needs_stamps or self.stamp is not None:
+                raise ValueError(
+                    "stamp is missing: a map that forgets must know when a scan was taken [s]; give stamp=..., or make "
+                    "the mapper with half_life=float('inf') and give no stamp at all"
+                )
+            return None
+        time = float(stamp)
+        if not math.isfinite(time):
+            raise ValueError(f"stamp must be a finite time [s], got {stamp}")
+        return time
+
+    def _check_jump(self, vehicle: NDArray[np.float64], seconds: float) -> None:
+        if self.T_map_vehicle is None or math.isinf(self.max_speed):
+            return
+        before = self.T_map_vehicle
+        way = float(np.hypot(*(vehicle[:2, 3] - before[:2, 3])))
+        R = before[:3, :3].T @ vehicle[:3, :3]
+        turn = math.acos(min(max((np.trace(R) - 1) / 2, -1.0), 1.0))
+        if way > self.max_speed * seconds + SLACK or turn > TURN_RATE * seconds + TURN_SLACK:
+            raise PoseJump(
+                f"the pose jumps by {way:.3g} m and {math.degrees(turn):.3g} degrees in {seconds:.3g} s (allowed: "
+                f"{self.max_speed:g} m/s): leave the scan out if it is a glitch, call reset() after a closed loop, "
+                "or set max_speed"
+            )
