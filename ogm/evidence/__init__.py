@@ -52,7 +52,7 @@ from ogm.evidence.probability import (
     probability_to_mass,
 )
 from ogm.evidence.proportional import murphy, pcr5, pcr6, pcr6_plus
-from ogm.evidence.rules import dempster, dubois_prade, yager
+from ogm.evidence.rules import dempster, dubois_prade, normalized_cautious, yager
 from ogm.evidence.subjective import (
     averaging,
     belief_constraint,
@@ -110,6 +110,7 @@ __all__ = [
     "multiplication",
     "murphy",
     "nonspecificity",
+    "normalized_cautious",
     "pcr5",
     "pcr6",
     "pcr6_plus",

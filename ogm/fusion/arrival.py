@@ -96,7 +96,7 @@ class Log:
             )
         if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
             raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
-        T = vehicle = check_pose(T_map_sensor, "T_map_sensor")
+        T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may go on writing into it
         if T_vehicle_sensor is not None:
             vehicle = T @ inverse(check_pose(T_vehicle_sensor, "T_vehicle_sensor"))
         time = self._time(stamp)
@@ -121,8 +121,9 @@ class Log:
         if not meet(affine, spec, grid.spec):
             x0, x1, y0, y1 = grid.spec.extent
             raise ValueError(
-                f"the grid, x {x0:g} to {x1:g} m and y {y0:g} to {y1:g} m around a sensor at ({T[0, 3]:g}, {T[1, 3]:g}) "
-                "m, has no cell in the map's window; is T_map_sensor the pose of the grid's own frame?"
+                f"the grid, x {x0:g} to {x1:g} m and y {y0:g} to {y1:g} m around a sensor at "
+                f"({T[0, 3]:g}, {T[1, 3]:g}) m, has no cell in the map's window; is T_map_sensor the pose of "
+                "the grid's own frame?"
             )
         return Arrival(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid.spec))
 

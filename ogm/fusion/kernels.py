@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 __all__ = [
+    "CAUTIOUS",
     "CUMULATIVE",
     "DEMPSTER",
     "YAGER",
@@ -20,7 +21,7 @@ __all__ = [
     "log_odds_of",
 ]
 
-DEMPSTER, YAGER, CUMULATIVE = 0, 1, 2
+DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
 
 _jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 
@@ -57,7 +58,7 @@ def evidential_update(
     samples : int
         Points per cell and axis at which the scan is looked up; their mean counts.
     rule : int
-        `DEMPSTER`, `YAGER` or `CUMULATIVE`.
+        `DEMPSTER`, `YAGER`, `CUMULATIVE` or `CAUTIOUS`.
     keep_free, keep_occupied : float
         What ageing leaves of the beliefs, or of the evidence if `evidence`, [0, 1].
     evidence, observed : bool
@@ -104,8 +105,10 @@ def evidential_update(
                 _dempster(m, c, z[2 * a : 2 * b], one, limit)
             elif rule == YAGER:
                 _yager(m, c, z[2 * a : 2 * b], one, limit)
-            else:
+            elif rule == CUMULATIVE:
                 _cumulative(m, c, z[2 * a : 2 * b], one, limit)
+            else:
+                _cautious(m, c, z[2 * a : 2 * b], one, limit)
         z[:] = 0
 
 
@@ -185,6 +188,20 @@ def _cumulative(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
         occupied = half * (o + p) if both else (o * v + p * u) / total
         known = free + occupied
         scale = min(one, limit / known) if known > 0 else one
+        m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
+
+
+@_jit
+def _cautious(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
+    least = np.float32(1e-6)  # an unknown as good as zero, as the plain rule reads it
+    for k in range(m.size // 2):
+        f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
+        u, v = max(one - (f + o), least), max(one - (g + p), least)
+        c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
+        # Both sides times u v: max(f / u, g / v) is max(f v, g u)
+        free, occupied = max(f * v, g * u), max(o * v, p * u)
+        known = free + occupied
+        scale = min(one / (known + u * v), limit / known)
         m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
 
 

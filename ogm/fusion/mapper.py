@@ -11,9 +11,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.evidence import cumulative, dempster, discount, discount_evidence, yager
+from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
 from ogm.fusion.arrival import Arrival, Log
-from ogm.fusion.kernels import CUMULATIVE, DEMPSTER, YAGER, evidential_update, gather
+from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, evidential_update, gather
 from ogm.fusion.warp import Method, view_of
 from ogm.fusion.window import Kind, Window
 from ogm.grid import EvidentialGrid, GridSpec
@@ -22,7 +22,12 @@ __all__ = ["EvidentialMapper", "Forget", "Rule"]
 
 Rule = Callable[[Any, Any], Any]
 Forget = Literal["everywhere", "observed"]
-_FAST: dict[Rule, int] = {dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE}
+_FAST: dict[Rule, int] = {
+    dempster: DEMPSTER,
+    yager: YAGER,
+    cumulative: CUMULATIVE,
+    normalized_cautious: CAUTIOUS,
+}
 
 
 class EvidentialMapper:

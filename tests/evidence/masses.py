@@ -83,6 +83,7 @@ RULES = {
     "disjunctive": Laws(True, False, False, open_world=True),
     "cautious": Laws(True, False, True, open_world=True),
     "bold": Laws(True, False, True, open_world=True),
+    "normalized_cautious": Laws(True, True, True),
     "pcr5": Laws(False, True, False),
     "pcr6": Laws(False, True, False),
     "pcr6_plus": Laws(False, True, False),

@@ -371,3 +371,14 @@ def test_count_masses_are_yagers_rule_on_simple_masses(
     sources = [[0, 1 - false]] * hits + [[1 - miss, 0]] * passes + [[0, 0]]
     expected = evidence.yager(np.array(sources, float), axis=0)
     same(evidence.counts_to_mass(np.array(float(hits)), np.array(float(passes)), miss, false), expected)
+
+
+@laws
+@given(masses=arrays_of_masses(3, least_unknown=1))
+def test_the_normalized_cautious_rule_takes_the_greatest_evidence(masses: Any) -> None:
+    stack = np.stack(masses)
+    expected = evidence.mass_to_evidence(stack).max(axis=0)
+    found = evidence.normalized_cautious(stack, axis=0)
+    np.testing.assert_allclose(found, evidence.evidence_to_mass(expected), atol=tolerance(found))
+    chain = evidence.normalized_cautious(evidence.normalized_cautious(masses[0], masses[1]), masses[2])
+    np.testing.assert_allclose(chain, found, atol=20 * tolerance(found))

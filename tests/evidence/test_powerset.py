@@ -13,7 +13,8 @@ from ogm.evidence import powerset
 
 laws = settings(max_examples=30, deadline=None)
 # For two sources PCR5, PCR6 and PCR6+ are one rule; belief constraint fusion is Dempster's rule.
-GENERAL = {name: name for name in RULES} | {
+# The normalised cautious rule is the general cautious one, closed.
+GENERAL = {name: name for name in RULES if name != "normalized_cautious"} | {
     "pcr6": "pcr5",
     "pcr6_plus": "pcr5",
     "belief_constraint": "dempster",
@@ -28,7 +29,7 @@ def random_masses(states: int, shape: tuple, dtype: Any = np.float64, seed: int 
     return (weights / weights.sum(-1, keepdims=True)).astype(dtype)
 
 
-@pytest.mark.parametrize("name", [name for name in RULES if name not in ("bold", "cumulative_epistemic")])
+@pytest.mark.parametrize("name", [name for name in GENERAL if name not in ("bold", "cumulative_epistemic")])
 @laws
 @given(masses=arrays_of_masses(2))
 def test_binary_rules_are_the_general_ones(name: str, masses: Any) -> None:
@@ -48,6 +49,16 @@ def test_epistemic_fusion_is_the_general_cumulative_one_maximised() -> None:
     fused = powerset.to_pair(powerset.cumulative(powerset.from_pair(a), powerset.from_pair(b)))
     np.testing.assert_allclose(
         evidence.cumulative_epistemic(a, b), evidence.maximize_uncertainty(fused), atol=1e-12
+    )
+
+
+@laws
+@given(masses=arrays_of_masses(2))
+def test_the_normalized_cautious_rule_is_the_general_one_closed(masses: Any) -> None:
+    a, b = (evidence.discount(mass, 0.9) for mass in masses)
+    general = powerset.to_triple(powerset.cautious(powerset.from_pair(a), powerset.from_pair(b)))
+    np.testing.assert_allclose(
+        evidence.normalized_cautious(a, b), evidence.close_world(general), atol=20 * tolerance(a)
     )
 
 

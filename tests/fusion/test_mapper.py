@@ -1,0 +1,465 @@
+"""Laws of the maps: what driving, waiting and looking do to them."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm.evidence import (
+    averaging,
+    close_world,
+    conflict_direction,
+    conjunctive,
+    contextual_discount,
+    cumulative,
+    dempster,
+    discount,
+    discount_evidence,
+    mass_to_evidence,
+    normalized_cautious,
+    pcr5,
+    weighted,
+    yager,
+)
+from ogm.fusion import BinaryBayesMapper, EvidentialMapper
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import pose
+
+SPEC = GridSpec.centered(length=12.8, width=9.6, resolution=0.2)  # 64 x 48
+FOREVER = math.inf
+FAST = {
+    "dempster": dempster,
+    "yager": yager,
+    "cumulative": cumulative,
+    "cautious": normalized_cautious,
+}
+
+
+def noise(spec: GridSpec, seed: int = 0) -> EvidentialGrid:
+    """Return a grid of arbitrary masses, a third of its cells vacuous."""
+    rng = np.random.default_rng(seed)
+    mass = rng.dirichlet([0.7, 0.7, 0.7], size=spec.shape)[..., :2]
+    mass[rng.random(spec.shape) < 1 / 3] = 0
+    return EvidentialGrid(spec, mass.astype(np.float32))
+
+
+def uniform(spec: GridSpec, free: float, occupied: float) -> EvidentialGrid:
+    return EvidentialGrid(spec, np.full((*spec.shape, 2), (free, occupied), np.float32))
+
+
+def cut(grid: EvidentialGrid, spec: GridSpec) -> np.ndarray:
+    """Return the masses that a larger grid of the same lattice has on the cells of `spec`; vacuous outside it."""
+    di = round((spec.origin[0] - grid.spec.origin[0]) / spec.resolution)
+    dj = round((spec.origin[1] - grid.spec.origin[1]) / spec.resolution)
+    out = np.zeros((*spec.shape, 2), np.float32)
+    i, j = np.indices(spec.shape)
+    a, b = i + di, j + dj
+    inside = (a >= 0) & (b >= 0) & (a < grid.spec.shape[0]) & (b < grid.spec.shape[1])
+    out[inside] = grid.mass[a[inside], b[inside]]
+    return out
+
+
+def test_the_first_scan_at_the_identity_pose_is_the_map():
+    grid = noise(SPEC)
+    mapper = EvidentialMapper(SPEC, min_unknown=0)
+    mapper.update(grid, np.eye(4), stamp=0)
+    assert mapper.spec == SPEC
+    np.testing.assert_allclose(mapper.grid.mass, grid.mass, atol=1e-7)
+    np.testing.assert_allclose(mapper.view().mass, grid.mass, atol=1e-7)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.4, 2.0, math.pi / 2])
+@pytest.mark.parametrize("discounting", [discount, discount_evidence])
+@pytest.mark.parametrize("forget", ["everywhere", "observed"])
+@pytest.mark.parametrize("name", FAST)
+def test_the_compiled_pass_equals_its_slow_twin(name, forget, discounting, yaw):
+    rule = FAST[name]
+    options = {"half_life": (0.7, 1.5), "forget": forget, "discounting": discounting}
+    fast = EvidentialMapper(SPEC, rule, **options)
+    slow = EvidentialMapper(SPEC, lambda a, b: rule(a, b), **options)
+    for k in range(7):
+        for mapper in (fast, slow):
+            T = pose(1.37 * k, -0.91 * k, yaw=yaw + 0.1 * k)
+            mapper.update(noise(SPEC, k), T, stamp=0.4 * k, reliability=0.9)
+    assert fast.spec == slow.spec
+    np.testing.assert_allclose(fast.grid.mass, slow.grid.mass, atol=2e-6)
+    np.testing.assert_allclose(fast.conflict, slow.conflict, atol=2e-6)
+
+
+@pytest.mark.parametrize("rule", [pcr5, averaging, weighted, lambda a, b: close_world(conjunctive(a, b))])
+def test_any_rule_of_two_masses_works(rule):
+    mapper = EvidentialMapper(SPEC, rule, half_life=FOREVER, min_unknown=0)
+    for k in range(3):
+        mapper.update(noise(SPEC, k), np.eye(4))
+    expected = rule(
+        rule(rule(np.zeros_like(noise(SPEC).mass), noise(SPEC, 0).mass), noise(SPEC, 1).mass),
+        noise(SPEC, 2).mass,
+    )
+    np.testing.assert_allclose(mapper.grid.mass, expected, atol=1e-5)
+
+
+def test_update_is_age_then_combine_and_conflict_is_kept_by_direction():
+    a, b = noise(SPEC, 1), noise(SPEC, 2)
+    mapper = EvidentialMapper(SPEC, half_life=(1.0, 3.0), min_unknown=0, conflict_half_life=0.5)
+    mapper.update(a, np.eye(4), stamp=0)
+    mapper.update(b, np.eye(4), stamp=0.5)
+    # belief in free halves in 1 s: the source is unreliable if the cell is occupied
+    aged = contextual_discount(a.mass, 0.5 ** (0.5 / 3), 0.5**0.5)
+    np.testing.assert_allclose(mapper.grid.mass, dempster(aged, b.mass), atol=1e-6)
+    expected = conflict_direction(aged, b.mass)
+    np.testing.assert_allclose(mapper.conflict, expected, atol=1e-6)
+    mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=1.5)  # two half-lives of the conflict
+    np.testing.assert_allclose(mapper.conflict, expected / 4, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "mapper_of", [lambda: EvidentialMapper(SPEC, half_life=FOREVER), lambda: BinaryBayesMapper(SPEC)]
+)
+def test_driving_a_thousand_steps_changes_nothing_that_is_still_in_view(mapper_of):
+    """No diffusion: contents are moved by whole cells, and a vacuous scan says nothing."""
+    mapper = mapper_of()
+    mapper.update(noise(SPEC), np.eye(4), stamp=0)
+    first = mapper.grid
+    rng = np.random.default_rng(0)
+    x = y = yaw = 0.0
+    nothing = EvidentialGrid.vacuous(SPEC)
+    lowest, highest = np.zeros(2), np.zeros(2)
+    for k in range(1, 1001):
+        x, y = 1.3 * math.sin(0.0137 * k), 0.9 * math.sin(0.0211 * k)  # steps of millimetres to centimetres
+        yaw += rng.normal(0, 0.02)
+        mapper.update(nothing, pose(x, y, yaw=yaw), stamp=0.1 * k)
+        lowest, highest = np.minimum(lowest, (x, y)), np.maximum(highest, (x, y))
+    kept = cut(first, mapper.spec)
+    margin = (
+        np.ceil((highest - lowest) / SPEC.resolution).astype(int) + 1
+    )  # rows and columns that left the view
+    inside = (slice(margin[0], -margin[0]), slice(margin[1], -margin[1]))
+    np.testing.assert_allclose(mapper.grid.mass[inside], kept[inside], atol=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.25, 0.25)), min_size=1, max_size=8)
+)
+def test_the_ring_buffer_equals_a_map_of_the_whole_world(steps):
+    """A rolling window holds what a fixed map large enough for the drive does, as far as it never left the view."""
+    world = GridSpec(0.2, (512, 512), (SPEC.origin[0] - 224 * 0.2, SPEC.origin[1] - 232 * 0.2))
+    rolling = EvidentialMapper(SPEC, max_speed=FOREVER)
+    fixed = EvidentialMapper(world, window="fixed", max_speed=FOREVER)
+    seen = np.zeros(world.shape, bool)  # cells of the world that have been in view without a break
+    x = y = yaw = 0.0
+    for k, (dx, dy, turn) in enumerate(steps):
+        x, y, yaw = x + dx, y + dy, yaw + turn
+        for mapper in (rolling, fixed):
+            mapper.update(noise(SPEC, k), pose(x, y, yaw=yaw), stamp=0.1 * k)
+        i, j = (round((a - b) / 0.2) for a, b in zip(rolling.spec.origin, world.origin, strict=True))
+        view = np.zeros(world.shape, bool)
+        view[i : i + SPEC.shape[0], j : j + SPEC.shape[1]] = True
+        seen = view if k == 0 else seen & view
+    mask = seen[i : i + SPEC.shape[0], j : j + SPEC.shape[1]]
+    np.testing.assert_allclose(rolling.grid.mass[mask], cut(fixed.grid, rolling.spec)[mask], atol=1e-6)
+
+
+def test_moving_the_vehicle_and_not_the_world_moves_nothing_in_the_map():
+    """A wall and a yard, seen from a thousand poses with yaw and sub-cell shifts, stay where they are to a cell."""
+    x, y = SPEC.cell_centers
+
+    def seen_from(T: np.ndarray) -> EvidentialGrid:
+        world_x = T[0, 0] * x + T[0, 1] * y + T[0, 3]
+        world_y = T[1, 0] * x + T[1, 1] * y + T[1, 3]
+        wall = (np.abs(world_x - 2.0) < 0.5) & (world_y < 1.0)
+        mass = np.where(wall[..., None], (0.0, 0.6), (0.4, 0.0)).astype(np.float32)
+        return EvidentialGrid(SPEC, mass)
+
+    mapper = EvidentialMapper(SPEC, half_life=2.0)
+    for k in range(1000):
+        T = pose(0.7 * math.sin(0.011 * k), 0.5 * math.cos(0.017 * k), yaw=0.013 * k)
+        mapper.update(seen_from(T), T, stamp=0.1 * k)
+    wx, wy = mapper.spec.cell_centers
+    depth = np.minimum(0.5 - np.abs(wx - 2.0), 1.0 - wy)  # [m] into the wall, below 0 outside it
+    near = np.hypot(wx, wy) < 3.5  # never out of view
+    grid = mapper.grid
+    assert (grid.occupied[near & (depth > 0.2)] > 0.9).all()
+    assert (grid.free[near & (depth < -0.2)] > 0.9).all()
+
+
+@pytest.mark.parametrize("rate", [5, 10, 20])
+@pytest.mark.parametrize("discounting", [discount, discount_evidence])
+def test_forgetting_does_not_depend_on_the_rate(rate, discounting):
+    mapper = EvidentialMapper(SPEC, half_life=(2.0, 1.0), discounting=discounting, min_unknown=0)
+    mapper.update(uniform(SPEC, 0.5, 0.3), np.eye(4), stamp=0)
+    for k in range(1, 2 * rate + 1):
+        mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=k / rate)
+    free, occupied = mapper.grid.mass[3, 4]
+    if discounting is discount:
+        assert free == pytest.approx(0.25, abs=1e-5)
+        assert occupied == pytest.approx(0.075, abs=1e-5)
+    else:  # evidence 5 and 3, of which a half and a quarter are left
+        total = 2 + 2.5 + 0.75
+        assert (free, occupied) == (
+            pytest.approx(2.5 / total, abs=1e-5),
+            pytest.approx(0.75 / total, abs=1e-5),
+        )
+
+
+def test_steady_state_of_dempster_with_a_simple_mass():
+    """T = (1 - r) (1 - m) / (1 - r (1 - m)): 0.0411 for m = 0.7 and r = 0.9 a step."""
+    half_life = 0.1 * math.log(0.5) / math.log(0.9)
+    mapper = EvidentialMapper(SPEC, half_life=half_life, min_unknown=0)
+    for k in range(200):
+        mapper.update(uniform(SPEC, 0, 0.7), np.eye(4), stamp=0.1 * k)
+    expected = (1 - 0.9) * (1 - 0.7) / (1 - 0.9 * (1 - 0.7))
+    np.testing.assert_allclose(mapper.grid.unknown, expected, atol=1e-5)
+
+
+def test_steady_state_of_cumulative_fusion_with_evidence_that_fades():
+    """e = e_m / (1 - r), so u = 2 / (2 + e) = 1 / 6 for e_m = 1 and r = 0.9."""
+    half_life = 0.1 * math.log(0.5) / math.log(0.9)
+    mapper = EvidentialMapper(SPEC, cumulative, half_life, discounting=discount_evidence, min_unknown=0)
+    for k in range(300):
+        mapper.update(uniform(SPEC, 1 / 3, 0), np.eye(4), stamp=0.1 * k)
+    np.testing.assert_allclose(mapper.grid.unknown, 1 / 6, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_a_vacuous_scan_only_ages_the_map(name):
+    mapper = EvidentialMapper(SPEC, FAST[name], half_life=2.0, min_unknown=0)
+    mapper.update(noise(SPEC), np.eye(4), stamp=0)
+    before = mapper.grid.mass
+    mapper.update(EvidentialGrid.vacuous(SPEC), pose(0.05, 0.03, yaw=0.7), stamp=1.0)
+    np.testing.assert_allclose(mapper.grid.mass, discount(before, 0.5**0.5), atol=1e-6)
+
+
+def test_only_what_is_observed_is_forgotten_if_so_wanted():
+    mapper = EvidentialMapper(SPEC, half_life=1.0, forget="observed", min_unknown=0)
+    mapper.update(uniform(SPEC, 0.4, 0.4), np.eye(4), stamp=0)
+    half = np.zeros((*SPEC.shape, 2), np.float32)
+    half[:32] = 0.1, 0.0
+    mapper.update(EvidentialGrid(SPEC, half), np.eye(4), stamp=1)
+    np.testing.assert_allclose(mapper.grid.mass[32:], 0.4, atol=1e-6)
+    expected = dempster(np.array([0.2, 0.2]), np.array([0.1, 0.0]))
+    np.testing.assert_allclose(mapper.grid.mass[:32], np.broadcast_to(expected, (32, 48, 2)), atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["dempster", "cumulative", "cautious"])
+def test_order_does_not_matter_where_the_rule_promises_it(name):
+    order = np.random.default_rng(3).permutation(6)
+    maps = []
+    for sequence in (range(6), order):
+        mapper = EvidentialMapper(SPEC, FAST[name], FOREVER, min_unknown=0)
+        for k in sequence:
+            mapper.update(noise(SPEC, int(k)), np.eye(4))
+        maps.append(mapper.grid.mass)
+    np.testing.assert_allclose(*maps, atol=5e-5)
+
+
+def test_the_same_scan_again_adds_nothing_to_a_cautious_map():
+    """Scans of one place are no independent witnesses: a weak hint does not become certainty by being repeated."""
+    cautious, dempster_ = (EvidentialMapper(SPEC, rule, FOREVER) for rule in (normalized_cautious, dempster))
+    for _ in range(20):
+        for mapper in (cautious, dempster_):
+            mapper.update(uniform(SPEC, 0.15, 0.0), np.eye(4))
+    np.testing.assert_allclose(cautious.grid.free, 0.15, atol=1e-6)
+    assert dempster_.grid.free.min() > 0.95
+
+
+def test_order_matters_for_yager():
+    a, b, c = (uniform(SPEC, *m) for m in ((0.8, 0.1), (0.1, 0.8), (0.6, 0.2)))
+    maps = []
+    for sequence in ((a, b, c), (c, b, a)):
+        mapper = EvidentialMapper(SPEC, yager, FOREVER)
+        for grid in sequence:
+            mapper.update(grid, np.eye(4))
+        maps.append(mapper.grid.mass)
+    assert np.abs(maps[0] - maps[1]).max() > 0.05
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_certainty_is_bounded_and_the_map_changes_its_mind(name):
+    mapper = EvidentialMapper(SPEC, FAST[name], FOREVER, min_unknown=0.02)
+    for _ in range(500):
+        mapper.update(uniform(SPEC, 0, 0.7), np.eye(4))
+    assert mapper.grid.unknown.min() >= 0.02 - 1e-6
+    scans = 0
+    while (mapper.grid.probability > 0.5).any():
+        mapper.update(uniform(SPEC, 0.7, 0), np.eye(4))
+        scans += 1
+        assert scans < 60
+    if name == "dempster":  # P(occupied) falls below 1/2 once (1 - 0.7)^n < about 0.02
+        assert scans == math.ceil(math.log(0.02) / math.log(0.3))
+
+
+def test_ten_thousand_scans_stay_masses():
+    mapper = EvidentialMapper(SPEC, half_life=1.0)
+    grids = [noise(SPEC, k) for k in range(7)]
+    for k in range(10_000):
+        mapper.update(grids[k % 7], pose(0.31 * k, -0.17 * k, yaw=0.01 * k), stamp=0.1 * k)
+    mass = mapper.grid.mass
+    assert np.isfinite(mass).all()
+    assert mass.min() >= 0
+    assert mass.sum(axis=-1).max() <= 0.98 + 1e-6
+    assert mapper.scans == 10_000
+
+
+def test_a_late_scan_counts_as_what_ageing_would_have_left_of_it():
+    a, b = noise(SPEC, 1), noise(SPEC, 2)
+    mapper = EvidentialMapper(SPEC, half_life=1.0, min_unknown=0)
+    mapper.update(a, np.eye(4), stamp=10.0)
+    mapper.update(b, np.eye(4), stamp=9.6)
+    assert mapper.stamp == 10.0
+    np.testing.assert_allclose(mapper.grid.mass, dempster(a.mass, discount(b.mass, 0.5**0.4)), atol=1e-6)
+
+
+def test_a_late_scan_does_not_scroll_the_window_back():
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(noise(SPEC, 1), pose(5.0), stamp=10.0)
+    origin = mapper.spec.origin
+    mapper.update(noise(SPEC, 2), pose(3.0), stamp=9.9)
+    assert mapper.spec.origin == origin
+    np.testing.assert_array_equal(mapper.T_map_vehicle, pose(5.0))
+
+
+def test_two_sensors_that_look_both_ways_make_one_map():
+    """A sensor on the roof and one at the tail, turned round, at the same moment: nothing ages, no jump."""
+    front = GridSpec(0.2, (30, 40), (0.0, -4.0))
+    tail = pose(-1.5, 0.2, yaw=math.pi)
+    T_map_vehicle = pose(7.3, -2.2, yaw=0.6)
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(uniform(front, 0.8, 0), T_map_vehicle, stamp=3)
+    mapper.update(uniform(front, 0, 0.8), T_map_vehicle @ tail, stamp=3, T_vehicle_sensor=tail)
+    view = mapper.view()
+    assert view.at(x=3.0, y=1.0).free == pytest.approx(0.8, abs=1e-5)
+    assert view.at(x=-4.0, y=1.0).occupied == pytest.approx(0.8, abs=1e-5)
+    np.testing.assert_allclose(mapper.T_map_vehicle, T_map_vehicle, atol=1e-12)
+
+
+@pytest.mark.parametrize("resolution", [0.05, 0.1, 0.4, 0.8])
+def test_scans_of_other_cells_fill_the_same_area(resolution):
+    other = GridSpec.centered(length=6.4, width=4.8, resolution=resolution)
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(uniform(other, 0.6, 0.1), np.eye(4), stamp=0)
+    x, y = mapper.spec.cell_centers
+    inside = (np.abs(x) < 3.2) & (np.abs(y) < 2.4)
+    np.testing.assert_allclose(
+        mapper.grid.mass[inside], np.broadcast_to((0.6, 0.1), (inside.sum(), 2)), atol=1e-6
+    )
+    assert not mapper.grid.mass[~inside].any()
+
+
+def test_finer_scans_are_averaged_over_the_map_cell():
+    fine = GridSpec(0.1, (128, 96), SPEC.origin)
+    mass = np.zeros((*fine.shape, 2), np.float32)
+    mass[::2, ::2] = 0.0, 0.8  # one of four
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(EvidentialGrid(fine, mass), np.eye(4), stamp=0)
+    np.testing.assert_allclose(mapper.grid.occupied, 0.2, atol=1e-6)
+
+
+def test_an_unreliable_sensor_counts_for_less():
+    a, b = noise(SPEC, 1), noise(SPEC, 2)
+    mapper = EvidentialMapper(SPEC, half_life=FOREVER, min_unknown=0)
+    mapper.update(a, np.eye(4))
+    mapper.update(b, np.eye(4), reliability=0.3)
+    np.testing.assert_allclose(mapper.grid.mass, dempster(a.mass, discount(b.mass, 0.3)), atol=1e-6)
+
+
+def test_memory_is_that_of_one_window_however_far_one_drives():
+    mapper = EvidentialMapper(SPEC)
+    for k in range(50):
+        mapper.update(noise(SPEC, k % 3), pose(1e3 * k), stamp=100.0 * k)
+    assert mapper.grid.mass.nbytes == SPEC.shape[0] * SPEC.shape[1] * 8
+
+
+def test_far_from_the_origin_cells_are_still_told_apart():
+    """UTM coordinates: what matters is what lies around the vehicle."""
+    near, far = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
+    for k in range(5):
+        T = pose(0.33 * k, 0.17 * k, yaw=0.1 * k)
+        near.update(noise(SPEC, k), T, stamp=0.1 * k)
+        T[:2, 3] += 2_000_000 * 0.2, 25_000_000 * 0.2
+        far.update(noise(SPEC, k), T, stamp=0.1 * k)
+    assert (
+        np.mean(np.abs(near.grid.mass - far.grid.mass) > 1e-5) < 0.001
+    )  # cells whose middle lies on an edge
+
+
+def test_the_map_keeps_its_own_copy_of_a_pose():
+    T = pose(1.0)
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(noise(SPEC), T, stamp=0)
+    T[0, 3] = 100.0
+    mapper.update(noise(SPEC), pose(1.1), stamp=0.1)
+    assert mapper.T_map_vehicle[0, 3] == 1.1
+
+
+def test_the_view_turns_with_the_vehicle_and_the_map_does_not():
+    mapper = EvidentialMapper(GridSpec.centered(length=16, width=16, resolution=0.2), half_life=FOREVER)
+    wall = np.zeros((*SPEC.shape, 2), np.float32)
+    wall[55:58, :] = 0, 0.8  # across the road, 4.6 m ahead
+    mapper.update(EvidentialGrid(SPEC, wall), np.eye(4), stamp=0)
+    mapper.update(EvidentialGrid.vacuous(SPEC), pose(yaw=0.25), stamp=0.1)
+    assert mapper.grid.at(x=4.9, y=0.1).occupied == pytest.approx(0.8, abs=1e-5)
+    left, right = math.cos(0.25) * 4.9, -math.sin(0.25) * 4.9
+    assert mapper.view().at(x=left, y=right).occupied == pytest.approx(0.8, abs=1e-5)
+    assert mapper.view(SPEC).spec == SPEC
+
+
+def test_conflict_shows_where_something_came_and_where_it_left():
+    mapper = EvidentialMapper(SPEC)
+    street = np.full((*SPEC.shape, 2), (0.7, 0.0), np.float32)
+    for k in range(10):
+        scan = street.copy()
+        scan[4 * k : 4 * k + 8, 20:26] = 0.0, 0.7  # a car that drives forward
+        mapper.update(EvidentialGrid(SPEC, scan), np.eye(4), stamp=0.1 * k)
+    came, left = mapper.conflict[..., 0], mapper.conflict[..., 1]
+    assert came[40:44, 20:26].min() > 0.5
+    assert left[32:36, 20:26].min() > 0.2
+    assert came[46:, :].max() == 0
+    assert mapper.conflict[:, :18].max() == 0
+    np.testing.assert_allclose(mapper.conflict_view(SPEC), mapper.conflict)
+
+
+def test_a_fixed_window_stays_and_takes_what_falls_into_it():
+    yard = GridSpec(0.2, (40, 30), (3.1, -2.7))
+    mapper = EvidentialMapper(yard, window="fixed", half_life=FOREVER)
+    mapper.update(uniform(SPEC, 0.5, 0), pose(0, 0), stamp=0)
+    mapper.update(uniform(SPEC, 0.5, 0), pose(3.0, 0), stamp=1)
+    assert mapper.spec == yard
+    assert mapper.grid.at(x=3.2, y=0.0).free == pytest.approx(0.75)
+    assert mapper.grid.at(x=7.0, y=0.0).free == pytest.approx(0.5)
+    assert mapper.grid.at(x=10.0, y=0.0).unknown == 1
+
+
+def test_reset_begins_anew():
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(noise(SPEC), pose(4.0), stamp=100)
+    mapper.reset()
+    assert (mapper.stamp, mapper.T_map_vehicle, mapper.scans) == (None, None, 0)
+    mapper.update(noise(SPEC, 1), np.eye(4), stamp=0)
+    fresh = EvidentialMapper(SPEC)
+    fresh.update(noise(SPEC, 1), np.eye(4), stamp=0)
+    np.testing.assert_array_equal(mapper.grid.mass, fresh.grid.mass)
+
+
+def test_a_tilted_vehicle_shortens_the_road_as_the_road_is_shortened():
+    """On a slope of 10 degrees, what is 6 m ahead along the road is 6 cos(10 deg) m ahead on the map."""
+    scan = np.zeros((*SPEC.shape, 2), np.float32)
+    x, _ = SPEC.cell_centers
+    scan[np.abs(x[:, 0] - 6.0) < 0.15] = 0, 0.8
+    mapper = EvidentialMapper(SPEC)
+    mapper.update(EvidentialGrid(SPEC, scan), pose(pitch=math.radians(10)), stamp=0)
+    rows = np.flatnonzero(mapper.grid.occupied[:, 24] > 0.5)
+    assert abs(mapper.spec.cell_centers[0][rows, 0].mean() - 6 * math.cos(math.radians(10))) < 0.1
+
+
+def test_evidence_of_the_map_adds_up_under_cumulative_fusion():
+    mapper = EvidentialMapper(SPEC, cumulative, FOREVER, min_unknown=0)
+    grids = [noise(SPEC, k) for k in range(4)]
+    for grid in grids:
+        mapper.update(grid, np.eye(4))
+    total = sum(mass_to_evidence(grid.mass.astype(np.float64)) for grid in grids)
+    found = mass_to_evidence(mapper.grid.mass.astype(np.float64))
+    few = total.sum(axis=-1) < 50
+    np.testing.assert_allclose(found[few], total[few], rtol=1e-3, atol=1e-4)

@@ -1,0 +1,178 @@
+"""What maps refuse, in words that help, and that a refusal changes nothing; and the two errors of a known peer."""
+
+import logging
+import math
+
+import numpy as np
+import pytest
+
+from ogm.evidence import conjunctive, dempster, probability_to_mass
+from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import pose
+
+SPEC = GridSpec.centered(length=6.4, width=4.8, resolution=0.2)
+NAN_POSE = np.full((4, 4), np.nan)
+
+
+def uniform(free: float = 0.4, occupied: float = 0.1) -> EvidentialGrid:
+    return EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (free, occupied), np.float32))
+
+
+@pytest.fixture(params=[EvidentialMapper, lambda spec: BinaryBayesMapper(spec, half_life=2.0)])
+def mapper(request):
+    one = request.param(SPEC)
+    one.update(uniform(), pose(1.0, 2.0), stamp=10.0)
+    return one
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "words"),
+    [
+        ({"T_map_sensor": NAN_POSE}, ValueError, "T_map_sensor holds NaN or inf"),
+        ({"T_map_sensor": np.eye(3)}, ValueError, "T_map_sensor must be a 4x4 transform, got shape"),
+        ({"T_map_sensor": np.diag([1.0, -1.0, 1.0, 1.0])}, ValueError, "must be rigid"),
+        ({"T_map_sensor": 1.1 * np.eye(4)}, ValueError, "the last row of T_map_sensor"),
+        ({"T_map_sensor": pose(1.0, 2.0, roll=-math.pi / 2)}, PoseJump, "jumps by 0 m and 90 degrees"),
+        ({"T_map_sensor": pose(31.0, 2.0)}, PoseJump, "jumps by 30 m and 0 degrees in 0.1 s"),
+        ({"T_vehicle_sensor": NAN_POSE}, ValueError, "T_vehicle_sensor holds NaN or inf"),
+        ({"stamp": math.nan}, ValueError, "stamp must be a finite time"),
+        ({"stamp": None}, ValueError, "stamp is missing"),
+        ({"stamp": 9.0}, ValueError, "1 s older than the map"),
+        ({"stamp": 1.1e11}, ValueError, "are the stamps in seconds"),
+        ({"reliability": 1.5}, ValueError, r"reliability must be a number in \[0, 1\], got 1.5"),
+        ({"reliability": math.nan}, ValueError, "reliability must be"),
+        ({"grid": np.zeros((32, 24, 2))}, TypeError, "updated with an EvidentialGrid, got ndarray"),
+        (
+            {"grid": EvidentialGrid.vacuous(GridSpec(0.2, (20, 20), (500.0, 0.0)))},
+            ValueError,
+            "has no cell in the map's window; is T_map_sensor the pose of the grid's own frame",
+        ),
+    ],
+)  # fmt: skip
+def test_a_refused_scan_changes_nothing(mapper, arguments, error, words):
+    before = mapper.grid.mass, mapper.spec, mapper.stamp, mapper.scans
+    given = {"grid": uniform(), "T_map_sensor": pose(1.05, 2.0), "stamp": 10.1} | arguments
+    with pytest.raises(error, match=words):
+        mapper.update(given.pop("grid"), given.pop("T_map_sensor"), **given)
+    np.testing.assert_array_equal(mapper.grid.mass, before[0])
+    assert (mapper.spec, mapper.stamp, mapper.scans) == before[1:]
+    mapper.update(uniform(), pose(1.05, 2.0), stamp=10.1)  # and life goes on
+
+
+def test_a_camera_pose_is_told_apart_from_a_map_pose():
+    with pytest.raises(ValueError, match="a pose leans by 90 degrees.*poses of a camera"):
+        EvidentialMapper(SPEC).update(uniform(), pose(roll=math.pi / 2), stamp=0)
+
+
+def test_a_closed_loop_is_refused_until_reset(mapper):
+    with pytest.raises(PoseJump, match=r"call reset\(\) after a closed loop"):
+        mapper.update(uniform(), pose(200.0), stamp=10.1)
+    mapper.reset()
+    mapper.update(uniform(), pose(200.0), stamp=10.2)
+    assert mapper.spec.contains(200.0, 0.0)
+
+
+def test_repeated_stamps_are_scans_of_one_moment(mapper):
+    before = mapper.grid.mass
+    mapper.update(EvidentialGrid.vacuous(SPEC), pose(1.0, 2.0), stamp=10.0)
+    np.testing.assert_allclose(mapper.grid.mass, before, atol=1e-6)
+
+
+def test_a_long_gap_ages_the_map_and_is_said(mapper, caplog):
+    with caplog.at_level(logging.WARNING):
+        mapper.update(EvidentialGrid.vacuous(SPEC), pose(1.0, 2.0), stamp=310.0)
+    assert "no scan for 300.0 s" in caplog.text
+    assert mapper.grid.unknown.min() > 0.999
+
+
+def test_without_forgetting_no_stamps_are_needed_but_not_half_of_them():
+    mapper = EvidentialMapper(SPEC, half_life=math.inf)
+    mapper.update(uniform(), pose())
+    mapper.update(uniform(), pose(500.0))  # without time there is no speed
+    mapper.update(uniform(), pose(500.0), stamp=3.0)
+    with pytest.raises(ValueError, match="stamp is missing"):
+        mapper.update(uniform(), pose(500.0))
+
+
+def test_a_rule_that_fails_leaves_the_map_as_it_was():
+    def moody(a, b):
+        if b.any() and a.any():
+            raise RuntimeError("no")
+        return dempster(a, b)
+
+    mapper = EvidentialMapper(SPEC, moody)
+    mapper.update(uniform(), pose(), stamp=0)
+    before = mapper.grid.mass, mapper.conflict
+    with pytest.raises(RuntimeError):
+        mapper.update(uniform(), pose(1.0), stamp=0.1)
+    np.testing.assert_array_equal(mapper.grid.mass, before[0])
+    np.testing.assert_array_equal(mapper.conflict, before[1])
+    assert mapper.spec == SPEC
+
+
+def test_a_rule_that_gives_no_masses_is_named():
+    mapper = EvidentialMapper(SPEC, conjunctive)
+    with pytest.raises(ValueError, match=r"rule conjunctive must return masses.*close_world"):
+        mapper.update(uniform(), pose(), stamp=0)
+    mapper = EvidentialMapper(SPEC, lambda a, b: a + b + 0.7)
+    with pytest.raises(ValueError, match="mass"):
+        mapper.update(uniform(), pose(), stamp=0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"half_life": 0.0}, "half_life must be greater than 0 s"),
+        ({"half_life": math.nan}, "half_life must be greater than 0 s"),
+        ({"half_life": (1.0, 2.0, 3.0)}, "one number or two"),
+        ({"forget": "never"}, "forget must be one of everywhere, observed, got 'never'"),
+        ({"window": "tumbling"}, "window must be one of rolling, fixed"),
+        ({"min_unknown": 1.0}, r"min_unknown must be in \[0, 1\)"),
+        ({"min_unknown": -0.1}, r"min_unknown must be in \[0, 1\)"),
+        ({"conflict_half_life": -1.0}, "conflict_half_life must be 0 s or more"),
+        ({"max_speed": 0.0}, "max_speed must be greater than 0"),
+        ({"max_delay": math.inf}, "max_delay must be 0 s or more and finite"),
+        ({"discounting": dempster}, "discounting must be discount or discount_evidence"),
+    ],
+)
+def test_bad_options_are_named(options, words):
+    with pytest.raises(ValueError, match=words):
+        EvidentialMapper(SPEC, **options)
+
+
+def test_a_rule_must_be_a_function():
+    with pytest.raises(TypeError, match="rule must be a function of two masses"):
+        EvidentialMapper(SPEC, "dempster")
+
+
+def test_a_map_without_scans_has_no_view():
+    for mapper in (EvidentialMapper(SPEC), BinaryBayesMapper(SPEC)):
+        with pytest.raises(ValueError, match="seen no scan yet"):
+            mapper.view()
+        assert mapper.view(T_map_vehicle=pose(3.0)).unknown.min() == 1.0
+
+
+def test_a_blind_sensor_does_not_weaken_what_another_saw():
+    """Ignorance is not conflict. A peer turns P = 1/2 of a blind sensor into m(O) = m(F), and 0.77 falls to 0.73."""
+    seen = 0.6 * probability_to_mass(np.full(SPEC.shape, 0.95), np.zeros(SPEC.shape))
+    mapper = EvidentialMapper(SPEC, half_life=math.inf)
+    mapper.update(EvidentialGrid(SPEC, seen.astype(np.float32)), pose())
+    before = mapper.grid
+    mapper.update(EvidentialGrid.vacuous(SPEC), pose())
+    np.testing.assert_allclose(mapper.grid.mass, before.mass, atol=1e-6)
+    np.testing.assert_allclose(mapper.grid.unknown, 0.4, atol=1e-5)
+
+
+def test_there_is_no_jump_where_conflict_grows():
+    """A peer switches to unknown at a conflict of 0.9: fusing 0.99 with 0.10 gives 0.917, with 0.09 it gives 0.540."""
+    fused = []
+    for p in np.linspace(0.02, 0.2, 181):
+        mapper = EvidentialMapper(SPEC, half_life=math.inf, min_unknown=0)
+        for probability in (0.99, p):
+            mass = probability_to_mass(np.full(SPEC.shape, probability), np.zeros(SPEC.shape))
+            mapper.update(EvidentialGrid(SPEC, mass.astype(np.float32)), pose())
+        fused.append(float(mapper.grid.probability[0, 0]))
+    steps = np.diff(fused)
+    assert (steps > 0).all()
+    assert steps.max() < 0.04

@@ -1,0 +1,179 @@
+"""Laws of resampling: masses stay masses, and what is mixed is said."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm.fusion import coarsen, refine, warp
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import inverse, pose
+
+SPEC = GridSpec.centered(length=8, width=6, resolution=0.25)  # 32 x 24
+WIDE = GridSpec.centered(length=16, width=16, resolution=0.25)
+METHODS = ("area", "nearest", "cautious")
+
+
+def noise(spec: GridSpec = SPEC, seed: int = 0) -> EvidentialGrid:
+    rng = np.random.default_rng(seed)
+    mass = rng.dirichlet([0.6, 0.6, 0.6], size=spec.shape)[..., :2]
+    return EvidentialGrid(spec, mass.astype(np.float32))
+
+
+def total(grid: EvidentialGrid) -> np.ndarray:
+    """Return free and occupied, summed over the area [m^2]."""
+    return grid.mass.sum(axis=(0, 1), dtype=np.float64) * grid.spec.resolution**2
+
+
+poses = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-math.pi, math.pi)).map(
+    lambda p: pose(p[0], p[1], yaw=p[2])
+)
+
+
+@settings(max_examples=30, deadline=None)
+@given(poses, st.sampled_from(METHODS), st.sampled_from([0.1, 0.25, 0.4]))
+def test_masses_stay_masses(T, method, resolution):
+    spec = GridSpec.centered(length=8, width=8, resolution=resolution)
+    mass = warp(noise(), spec, T, method).mass
+    EvidentialGrid(spec, mass)  # checks
+    assert mass.dtype == np.float32
+
+
+@settings(max_examples=30, deadline=None)
+@given(poses, st.sampled_from([0.1, 0.25, 0.4, 1.0]))
+def test_area_weights_keep_the_total_mass(T, resolution):
+    spec = GridSpec.centered(length=16, width=16, resolution=resolution)
+    np.testing.assert_allclose(total(warp(noise(), spec, T, "area")), total(noise()), rtol=2e-5)
+
+
+def test_areas_are_those_of_polygons():
+    """Against shapely: every weight of a turned, shifted, coarser cell."""
+    shapely = pytest.importorskip("shapely", reason="the oracle for areas comes with the extra [sim]")
+    source = GridSpec(0.25, (6, 5), (-0.7, -0.6))
+    spec = GridSpec(0.4, (5, 6), (-1.0, -1.2))
+    T = pose(0.13, -0.08, yaw=0.55)
+    cells = {}
+    for index in np.ndindex(source.shape):
+        x, y = (source.origin[a] + 0.25 * index[a] for a in (0, 1))
+        corners = np.array([[x, y], [x + 0.25, y], [x + 0.25, y + 0.25], [x, y + 0.25]])
+        cells[index] = shapely.Polygon(corners @ T[:2, :2].T + T[:2, 3])
+    grid = noise(source)
+    found = warp(grid, spec, T, "area")
+    for index in np.ndindex(spec.shape):
+        x, y = (spec.origin[a] + 0.4 * index[a] for a in (0, 1))
+        cell = shapely.box(x, y, x + 0.4, y + 0.4)
+        expected = (
+            sum(cell.intersection(p).area * grid.mass[k].astype(float) for k, p in cells.items()) / 0.16
+        )
+        np.testing.assert_allclose(found.mass[index], expected, atol=1e-6)
+
+
+def test_a_shift_by_a_part_of_a_cell_is_bilinear():
+    grid = noise(WIDE)
+    found = warp(grid, SPEC, pose(0.25 * 0.3, 0.25 * -0.4), "area").mass
+    m = grid.mass[16 - 1 : 16 + 33, 20 - 1 : 20 + 25]  # SPEC's cells, and one around
+    expected = 0.7 * (0.6 * m[1:-1, 1:-1] + 0.4 * m[1:-1, 2:]) + 0.3 * (0.6 * m[:-2, 1:-1] + 0.4 * m[:-2, 2:])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_identity_changes_nothing(method):
+    np.testing.assert_allclose(warp(noise(), SPEC, np.eye(4), method).mass, noise().mass, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_quarter_turns_move_cells_and_whole(method):
+    square = GridSpec.centered(length=6, width=6, resolution=0.25)
+    grid = noise(square)
+    turned = warp(grid, square, pose(yaw=math.pi / 2), method)
+    x, y = 1.6, -0.9
+    there, here = turned.at(x=-y, y=x), grid.at(x=x, y=y)  # x forward becomes y left
+    assert there.free == pytest.approx(here.free, abs=1e-5)
+    assert there.occupied == pytest.approx(here.occupied, abs=1e-5)
+    back = warp(turned, square, inverse(pose(yaw=math.pi / 2)), method)
+    np.testing.assert_allclose(back.mass, grid.mass, atol=1e-5)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_outside_all_is_unknown(method):
+    grid = EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (0.6, 0.2), np.float32))
+    found = warp(grid, WIDE, np.eye(4), method)
+    x, y = WIDE.cell_centers
+    outside = (np.abs(x) > 4) | (np.abs(y) > 3)
+    assert not found.mass[outside].any()
+    np.testing.assert_allclose(
+        found.mass[~outside], np.broadcast_to((0.6, 0.2), ((~outside).sum(), 2)), atol=1e-6
+    )
+
+
+def test_nearest_mixes_nothing():
+    values = noise().mass.reshape(-1, 2)
+    found = warp(noise(), SPEC, pose(0.3, 0.1, yaw=0.8), "nearest").mass.reshape(-1, 2)
+    known = found[found.any(axis=1)]
+    assert len(known) > 300
+    assert (np.abs(known[:, None] - values[None]).sum(axis=-1).min(axis=1) == 0).all()
+
+
+def test_cautious_turns_what_is_mixed_into_ignorance_and_nothing_else():
+    mass = np.zeros((*SPEC.shape, 2), np.float32)
+    mass[:16], mass[16:] = (0.9, 0.0), (0.0, 0.9)
+    edge = EvidentialGrid(SPEC, mass)
+    half = pose(0.125)  # the edge falls into the middle of cells
+    mixed, cautious = (warp(edge, SPEC, half, method) for method in ("area", "cautious"))
+    np.testing.assert_allclose(mixed.mass[16], np.broadcast_to((0.45, 0.45), (24, 2)), atol=1e-6)
+    np.testing.assert_allclose(cautious.unknown[16], 1.0, atol=1e-6)
+    np.testing.assert_allclose(cautious.mass[2:16], mixed.mass[2:16], atol=1e-6)
+    torn = EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), 0.4, np.float32))  # dissonance of the cells' own
+    np.testing.assert_allclose(warp(torn, SPEC, half, "cautious").mass[1:], 0.4, atol=1e-5)
+
+
+def test_warping_again_and_again_blurs_by_the_law_of_random_steps():
+    """Shifts by half a cell, n times: a standard deviation of sqrt(n / 4) cells. This is why maps scroll instead."""
+    line = GridSpec(1.0, (61, 1), (-30.5, -0.5))
+    mass = np.zeros((61, 1, 2), np.float32)
+    mass[30, 0, 1] = 1
+    grid = EvidentialGrid(line, mass)
+    for k in range(10):
+        grid = warp(grid, line, pose(0.5 if k % 2 else -0.5), "area")
+    x = np.arange(-30, 31)
+    spread = float(np.sqrt((grid.occupied[:, 0] * x**2).sum()))
+    assert spread == pytest.approx(math.sqrt(10 / 4), abs=1e-3)
+    assert grid.occupied.max() == pytest.approx(0.246, abs=1e-3)
+
+
+def test_coarsening_keeps_means_or_the_worst_case():
+    mass = np.zeros((4, 4, 2), np.float32)
+    mass[..., 0] = 0.8
+    mass[0, 1] = 0.1, 0.7
+    grid = EvidentialGrid(GridSpec(0.5, (4, 4), (1.0, 2.0)), mass)
+    mean, occupied, cautious = (coarsen(grid, 2, reduce) for reduce in ("mean", "occupied", "cautious"))
+    assert mean.spec == GridSpec(1.0, (2, 2), (1.0, 2.0))
+    np.testing.assert_allclose(mean.mass[0, 0], (0.625, 0.175), atol=1e-6)
+    np.testing.assert_allclose(occupied.mass[0, 0], (0.3, 0.7), atol=1e-6)
+    np.testing.assert_allclose(cautious.mass[0, 0], (0.1, 0.7), atol=1e-6)
+    for grid_ in (mean, occupied, cautious):
+        EvidentialGrid(grid_.spec, grid_.mass)
+        np.testing.assert_allclose(grid_.mass[1, 1], (0.8, 0.0), atol=1e-6)
+
+
+def test_refining_and_coarsening_give_back_the_grid():
+    fine = refine(noise(), 3)
+    assert fine.spec.shape == (96, 72)
+    np.testing.assert_allclose(coarsen(fine, 3).mass, noise().mass, atol=1e-6)
+
+
+def test_bad_arguments_are_named():
+    with pytest.raises(ValueError, match="method must be one of area, nearest, cautious, got 'bilinear'"):
+        warp(noise(), SPEC, np.eye(4), "bilinear")
+    with pytest.raises(ValueError, match="reduce must be one of"):
+        coarsen(noise(), 2, "max")
+    with pytest.raises(ValueError, match="32 x 24 cells are no whole blocks of 5 x 5"):
+        coarsen(noise(), 5)
+    with pytest.raises(ValueError, match="factor must be a positive whole number"):
+        coarsen(noise(), 0)
+    with pytest.raises(ValueError, match="T_to_from must be rigid"):
+        warp(noise(), SPEC, np.diag([2.0, 2.0, 2.0, 1.0]))
+    with pytest.raises(ValueError, match="leans by 90 degrees"):
+        warp(noise(), SPEC, pose(roll=math.pi / 2))
