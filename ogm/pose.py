@@ -124,8 +124,7 @@ def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[n
         If the stamps do not increase, the counts differ, or a time lies outside: poses are never
         extrapolated.
     """
-    t, times = np.asarray(stamps, np.float64), np.asarray(at, np.float64)
-    T = np.asarray(poses, np.float64)
+    t, T = np.asarray(stamps, np.float64), np.asarray(poses, np.float64)
     if t.ndim != 1 or len(t) < 2 or T.shape != (len(t), 4, 4):
         raise ValueError(
             f"stamps (K,) and poses (K, 4, 4) must agree and K be at least 2, got {t.shape} and {T.shape}"
@@ -133,10 +132,21 @@ def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[n
     for k, one in enumerate(T):
         check_pose(one, name=f"poses[{k}]")
     _check_increasing(t)
+    return _interpolate(t, T, at)
+
+
+def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:
+    """Do what `interpolate` does for stamps and poses that were checked; only those around the times are used."""
+    times = np.asarray(at, np.float64)
     if times.size and not (times.min() >= t[0] and times.max() <= t[-1]):
         raise ValueError(
             f"times must lie in [{t[0]}, {t[-1]}] s, got [{times.min()}, {times.max()}]; poses are not extrapolated"
         )
+    if times.size:
+        first = max(int(np.searchsorted(t, times.min(), "right")) - 1, 0)
+        last = min(int(np.searchsorted(t, times.max(), "left")), len(t) - 1)
+        first = min(first, len(t) - 2)
+        t, T = t[first : max(last, first + 1) + 1], T[first : max(last, first + 1) + 1]
     result = np.broadcast_to(np.eye(4), (*times.shape, 4, 4)).copy()
     result[..., :3, :3] = Slerp(t, Rotation.from_matrix(T[:, :3, :3]))(times).as_matrix()
     for axis in range(3):
@@ -196,7 +206,7 @@ class Trajectory:
                     f"the trajectory knows one time only, {self.stamps[0]} s, asked for {times.tolist()}"
                 )
             return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
-        return interpolate(self.stamps, self.poses, stamps)
+        return _interpolate(self.stamps, self.poses, stamps)
 
 
 def _check_increasing(t: NDArray[np.float64]) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.pose import check_pose, interpolate, inverse, pose, transform_points
+from ogm.pose import Trajectory, check_pose, interpolate, inverse, pose, transform_points
 
 angles = st.floats(-1.5, 1.5)
 lengths = st.floats(-100, 100)
@@ -67,3 +67,46 @@ def test_interpolate_refuses(stamps: list, at: float, says: str) -> None:
 def test_transform_points_refuses_wrong_shapes() -> None:
     with pytest.raises(ValueError, match="N, 3 or more"):
         transform_points(np.eye(4), np.zeros((3, 2)))
+
+
+def test_a_trajectory_tells_its_poses_and_those_between() -> None:
+    trajectory = Trajectory([1, 2, 4], [pose(0), pose(2, yaw=1), pose(4, yaw=1)])
+    assert len(trajectory) == 3
+    np.testing.assert_allclose(trajectory.at(trajectory.stamps), trajectory.poses, atol=1e-12)
+    np.testing.assert_allclose(trajectory.at(1.5), pose(1, yaw=0.5), atol=1e-12)
+    assert trajectory.at([1.5, 3.0]).shape == (2, 4, 4)
+    with pytest.raises(ValueError, match="not extrapolated"):
+        trajectory.at(4.1)
+
+
+def test_a_trajectory_keeps_its_own_copy() -> None:
+    stamps, poses = np.array([0.0, 1.0]), np.array([pose(0), pose(1)])
+    trajectory = Trajectory(stamps, poses)
+    stamps[0], poses[0] = -5, np.nan
+    assert trajectory.stamps[0] == 0
+    np.testing.assert_array_equal(trajectory.poses[0], np.eye(4))
+
+
+def test_a_trajectory_of_one_pose_knows_one_time() -> None:
+    trajectory = Trajectory([3.0], [pose(1, 2)])
+    np.testing.assert_array_equal(trajectory.at(3.0), pose(1, 2))
+    np.testing.assert_array_equal(trajectory.at([3.0, 3.0]), [pose(1, 2)] * 2)
+    with pytest.raises(ValueError, match="one time only"):
+        trajectory.at([3.0, 3.1])
+
+
+@pytest.mark.parametrize(
+    ("stamps", "poses", "says"),
+    [
+        ([], np.zeros((0, 4, 4)), "at least 1"),
+        ([0.0, 1.0], [np.eye(4)], "agree"),
+        ([0.0, np.nan], [np.eye(4)] * 2, r"stamps\[1\] is not"),
+        ([0.0, 0.0], [np.eye(4)] * 2, "increase"),
+        ([1.0, 0.0], [np.eye(4)] * 2, "increase"),
+        ([0.0, 1.0], [np.eye(4), np.diag([2.0, 2, 2, 1])], r"poses\[1\] must be rigid"),
+        ([0.0], [np.full((4, 4), np.nan)], "NaN"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused(stamps: list, poses: list, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Trajectory(stamps, poses)

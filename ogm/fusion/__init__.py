@@ -7,7 +7,21 @@
 
 from ogm.fusion.arrival import PoseJump
 from ogm.fusion.bayes import BinaryBayesMapper
+from ogm.fusion.deskew import deskew, extended
+from ogm.fusion.egomotion import EgoMotion
 from ogm.fusion.mapper import EvidentialMapper
+from ogm.fusion.odometry import odometry
 from ogm.fusion.warp import coarsen, refine, warp
 
-__all__ = ["BinaryBayesMapper", "EvidentialMapper", "PoseJump", "coarsen", "refine", "warp"]
+__all__ = [
+    "BinaryBayesMapper",
+    "EgoMotion",
+    "EvidentialMapper",
+    "PoseJump",
+    "coarsen",
+    "deskew",
+    "extended",
+    "odometry",
+    "refine",
+    "warp",
+]

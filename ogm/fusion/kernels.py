@@ -22,6 +22,7 @@ __all__ = [
 ]
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
+HAIR = 1e-6  # of a cell, so that rounding does not decide where middles of cells fall on edges of others
 
 _jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 
@@ -310,8 +311,8 @@ def _look_up(
     mx, my = scan.shape[0], scan.shape[1]
     said = scan.reshape(-1)
     du, dv = affine[0, 1], affine[1, 1]
-    u0 = affine[0, 0] * (i + 0.5) + affine[0, 1] * 0.5 + affine[0, 2]
-    v0 = affine[1, 0] * (i + 0.5) + affine[1, 1] * 0.5 + affine[1, 2]
+    u0 = affine[0, 0] * (i + 0.5) + affine[0, 1] * 0.5 + affine[0, 2] + HAIR
+    v0 = affine[1, 0] * (i + 0.5) + affine[1, 1] * 0.5 + affine[1, 2] + HAIR
     if samples == 1:
         low, high = _span(u0, du, mx, 0.0, 0, ny)
         low, high = _span(v0, dv, my, 0.0, low, high)

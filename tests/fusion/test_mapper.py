@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from ogm.evidence import (
@@ -140,6 +140,7 @@ def test_driving_a_thousand_steps_changes_nothing_that_is_still_in_view(mapper_o
 
 
 @settings(max_examples=25, deadline=None)
+@example([(0.0, 1.5, 0.0)])
 @given(
     st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.25, 0.25)), min_size=1, max_size=8)
 )

@@ -1,0 +1,196 @@
+"""De-skewing: points of a sweep that the motion bent, as if all had been measured at one moment."""
+
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from ogm.pose import Trajectory, interpolate, inverse
+
+__all__ = ["deskew", "extended"]
+
+_SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
+
+
+def deskew(
+    points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp: float
+) -> NDArray[np.float32]:
+    """Move each point to where the sensor would have seen it at `stamp`.
+
+    A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its
+    poses the trajectory goes on a straight line and turns on the shortest arc, as `ogm.pose.interpolate` has
+    it. That is right for what stands; what moves by itself stays bent by its own motion.
+
+    Parameters
+    ----------
+    points : (N, 3 or more) float
+        x, y, z [m] in the sensor's frame as the sensor measured them, each from where it then was; what stands
+        behind x, y, z is kept.
+    time : (N,) float
+        When each was measured [s], counted from `stamp`, as `ogm.io.Scan.time` is.
+    trajectory : Trajectory
+        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. See `extended` where it
+        ends before.
+    stamp : float
+        The moment [s] that the result is seen from, inside the trajectory.
+
+    Returns
+    -------
+    (N, 3 or more) float32
+        In the sensor's frame at `stamp`. Points that are not finite stay so.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a time is not finite, or a time lies outside the trajectory: poses are never
+        extrapolated here.
+    """
+    cloud, times = np.asarray(points), np.asarray(time, np.float64)
+    if cloud.ndim != 2 or cloud.shape[1] < 3:
+        raise ValueError(f"points must have shape (N, 3 or more), got {cloud.shape}")
+    if times.shape != (len(cloud),):
+        raise ValueError(f"time must have shape ({len(cloud)},), one per point, got {times.shape}")
+    if not np.isfinite(times).all():
+        raise ValueError(f"time must be finite [s], time[{int(np.argmin(np.isfinite(times)))}] is not")
+    knots = trajectory.stamps - stamp  # counted from the stamp: no digits are lost to a clock's 1.7e9 s
+    first, last = min(times.min(initial=0.0), 0.0), max(times.max(initial=0.0), 0.0)
+    if not (first >= knots[0] - _SLACK and last <= knots[-1] + _SLACK):
+        raise ValueError(
+            f"the points were measured {first:+.4f} ... {last:+.4f} s about their stamp, {float(stamp)!r} s, but the "
+            f"trajectory knows {knots[0]:+.4f} ... {knots[-1]:+.4f} s; take one that is longer, or "
+            "ogm.fusion.deskew.extended(trajectory, seconds), which goes on as it ended"
+        )
+    result = cloud.astype(np.float32)
+    if len(knots) > 1:
+        # The stretch that matters, seen from the sensor at `stamp`.
+        low = max(int(np.searchsorted(knots, first, "right")) - 1, 0)
+        high = min(max(int(np.searchsorted(knots, last, "left")) + 1, 2), len(knots))
+        low = min(low, high - 2)
+        stretch, poses = trajectory.stamps[low:high], trajectory.poses[low:high]
+        seen = inverse(interpolate(stretch, poses, np.clip(stamp, stretch[0], stretch[-1]))) @ poses
+        turns = Rotation.from_matrix(np.swapaxes(seen[:-1, :3, :3], 1, 2) @ seen[1:, :3, :3]).as_rotvec()
+        _deskew(cloud[:, :3].astype(np.float64), times, knots[low:high], seen, turns, result)
+    return result
+
+
+@numba.njit(cache=True)
+def _deskew(
+    xyz: NDArray, time: NDArray, knots: NDArray, poses: NDArray, turns: NDArray, result: NDArray
+) -> None:
+    """Write ``T(time[n]) @ xyz[n]`` to ``result[n, :3]``.
+
+    Between knots k and k + 1, a share s of the way, ``T = (R_k exp(s w_k), t_k + s (t_k+1 - t_k))`` where w_k
+    is ``turns[k]``, the rotation vector from one to the next [rad]. The exponential is Rodrigues' formula:
+    ``exp(s w) p = p + sin(a) u x p + (1 - cos(a)) u x (u x p)`` with the angle ``a = s |w|`` and ``u = w / |w|``.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+    time, knots : (N,), (K,) float64
+        [s] on one clock; K is at least 2.
+    poses : (K, 4, 4) float64
+    turns : (K - 1, 3) float64
+    result : (N, 3 or more) float32
+    """
+    k = 0
+    for n in range(len(time)):
+        t = min(max(time[n], knots[0]), knots[-1])
+        # Neighbours were measured at about the same time: the search starts where the last one ended.
+        while k > 0 and t < knots[k]:
+            k -= 1
+        while k < len(knots) - 2 and t > knots[k + 1]:
+            k += 1
+        share = (t - knots[k]) / (knots[k + 1] - knots[k])
+        x, y, z = xyz[n, 0], xyz[n, 1], xyz[n, 2]
+        wx, wy, wz = turns[k, 0], turns[k, 1], turns[k, 2]
+        angle = np.sqrt(wx * wx + wy * wy + wz * wz)
+        if angle > 0:
+            ux, uy, uz = wx / angle, wy / angle, wz / angle
+            sine, versine = np.sin(share * angle), 2 * np.sin(0.5 * share * angle) ** 2
+            cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
+            x += sine * cx + versine * (uy * cz - uz * cy)
+            y += sine * cy + versine * (uz * cx - ux * cz)
+            z += sine * cz + versine * (ux * cy - uy * cx)
+        T, U = poses[k], poses[k + 1]
+        for i in range(3):
+            shift = T[i, 3] + share * (U[i, 3] - T[i, 3])
+            result[n, i] = T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + shift
+
+
+def extended(trajectory: Trajectory, seconds: float) -> Trajectory:
+    """Let a trajectory begin earlier and end later, moving on as it did at its ends.
+
+    The sensor keeps its velocity and its turn, as felt on board, of the first and the last stretch: on a
+    circle it stays on the circle. For the last scan of a drive, some of whose points were measured after its
+    stamp, and for the first.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        At least two poses.
+    seconds : float
+        How much earlier and later [s]; a scan's duration.
+
+    Returns
+    -------
+    Trajectory
+        With one pose more at each end, or more where `seconds` exceeds the stretch that it goes on from.
+
+    Raises
+    ------
+    ValueError
+        If the trajectory has one pose only, or `seconds` is negative or not finite.
+    """
+    if len(trajectory) < 2:
+        raise ValueError(
+            "the trajectory knows one time only: it says nothing about the motion; give two poses"
+        )
+    if not 0 <= seconds < np.inf:
+        raise ValueError(f"seconds must be 0 or more, got {seconds}")
+    t, T = trajectory.stamps, trajectory.poses
+    before_t, before_T = _go_on(t[1], t[0], T[1], T[0], -seconds)
+    after_t, after_T = _go_on(t[-2], t[-1], T[-2], T[-1], seconds)
+    return Trajectory(
+        np.concatenate([before_t[::-1], t, after_t]), np.concatenate([before_T[::-1], T, after_T])
+    )
+
+
+def _go_on(
+    t0: float, t1: float, T0: NDArray[np.float64], T1: NDArray[np.float64], seconds: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return stamps and poses after (t1, T1), up to `seconds` on, spaced as t0 and t1 are at most."""
+    count = int(np.ceil(round(seconds / (t1 - t0), 9)))
+    stamps = t1 + seconds * np.arange(1, count + 1) / max(count, 1)
+    step = _twist(inverse(T0) @ T1)
+    poses = [T1 @ _rigid(step * ((t - t1) / (t1 - t0))) for t in stamps]
+    return stamps, np.array(poses).reshape(-1, 4, 4)
+
+
+def _twist(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the constant motion (shift (3,), turn (3,)) that reaches a pose in one unit of time."""
+    turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    return np.concatenate([np.linalg.solve(_bend(turn), T[:3, 3]), turn])
+
+
+def _rigid(twist: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the pose that a constant motion (shift, turn) reaches in one unit of time."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix()
+    T[:3, 3] = _bend(twist[3:]) @ twist[:3]
+    return T
+
+
+def _bend(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return V, the mean of ``exp(s w)`` over s from 0 to 1 (Sola et al. 2018, arXiv 1812.01537, SE(3))."""
+    angle = float(np.linalg.norm(turn))
+    x, y, z = turn
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if angle < 1e-4:  # next terms: angle**3 / 24 and angle**4 / 120, below rounding
+        return np.eye(3) + cross / 2 + cross @ cross / 6
+    return (
+        np.eye(3)
+        + (2 * np.sin(angle / 2) ** 2 / angle**2) * cross
+        + ((angle - np.sin(angle)) / angle**3) * (cross @ cross)
+    )

@@ -1,0 +1,378 @@
+"""The vehicle's own motion on the plane, from wheels, gyro and fixes: an unscented filter and its smoother."""
+
+import logging
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from ogm.pose import Trajectory, check_pose
+
+__all__ = ["EgoMotion", "Motion"]
+
+log = logging.getLogger(__name__)
+
+_X, _Y, _YAW, _SPEED, _YAW_RATE = range(5)
+_LONGEST = (
+    0.25  # [s] of one prediction: longer ones are made of several, for the noise turns with the vehicle
+)
+
+
+class Motion(NamedTuple):
+    """States of the vehicle over time.
+
+    Attributes
+    ----------
+    stamps : (K,) float64
+        [s], increasing.
+    states : (K, 5) float64
+        x, y [m] and yaw [rad] in the map, speed along the vehicle's x axis [m/s], yaw rate [rad/s]. The yaw
+        goes on beyond pi: it does not jump.
+    covariances : (K, 5, 5) float64
+        Of those, in the same units.
+    """
+
+    stamps: NDArray[np.float64]
+    states: NDArray[np.float64]
+    covariances: NDArray[np.float64]
+
+    def trajectory(self) -> Trajectory:
+        """Return ``T_map_vehicle`` at each stamp, on the plane: z, roll and pitch are 0."""
+        poses = np.broadcast_to(np.eye(4), (len(self.stamps), 4, 4)).copy()
+        cosine, sine = np.cos(self.states[:, _YAW]), np.sin(self.states[:, _YAW])
+        poses[:, 0, 0] = poses[:, 1, 1] = cosine
+        poses[:, 0, 1], poses[:, 1, 0] = -sine, sine
+        poses[:, :2, 3] = self.states[:, :2]
+        return Trajectory(self.stamps, poses)
+
+
+class _Node(NamedTuple):
+    """One step of the filter, as the smoother needs it."""
+
+    stamp: float
+    x: NDArray[np.float64]  # after all measurements of that stamp
+    P: NDArray[np.float64]
+    foreseen: NDArray[np.float64]  # before them, from the node before
+    P_foreseen: NDArray[np.float64]
+    C: NDArray[np.float64]  # (5, 5) covariance of the node before with what was foreseen from it
+
+
+class EgoMotion:
+    """Where the vehicle is and how it moves, from measurements as they come.
+
+    The state is x, y, yaw, speed and yaw rate, at constant turn rate and velocity between measurements
+    (CTRV; Schubert et al., FUSION 2008). The filter is the unscented one (Wan and van der Merwe 2000, by
+    filterpy). Measurements have their own stamps, and any number may share one; each is accepted, or refused
+    where it is less likely than `gate` allows.
+
+    A filter that is lost refuses what is right. So the `patience`-th measurement of one kind that would be
+    refused in a row is believed: all covariances are doubled until it passes the gate. `smoothed` sees no bridge
+    there: what was estimated before stays where it was.
+
+    The filter remembers every stamp for `smoothed`: about 1 kB each.
+
+    Parameters
+    ----------
+    stamp : float
+        When it begins [s].
+    T_map_vehicle : (4, 4) array, optional
+        Where; by default the map begins there. Only x, y and yaw are taken.
+    speed, yaw_rate : float
+        [m/s], [rad/s], then.
+    deviation : 5 float
+        How well x, y [m], yaw [rad], speed [m/s] and yaw rate [rad/s] are known then, 1 sigma each, above 0.
+        A heading that nobody knows has pi / 2.
+    acceleration : float
+        By how much the speed changes within a second, 1 sigma [m/s^2]; the change grows with the root of
+        time, so it does not matter how often there are measurements.
+    yaw_acceleration : float
+        The same of the yaw rate [rad/s^2].
+    gate : float
+        Share of right measurements that are accepted, below 1; 1 accepts all there are.
+    patience : int
+        See above; at least 1.
+    tolerance : float
+        By how much a stamp may lie before the last one [s]; it then counts as equal.
+    longest_gap : float
+        Time between two measurements [s] above which a stamp is taken for a mistake.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite or out of its range, or `T_map_vehicle` is no rigid transform.
+    ImportError
+        If filterpy is not there.
+    """
+
+    def __init__(
+        self,
+        stamp: float,
+        T_map_vehicle: ArrayLike | None = None,
+        *,
+        speed: float = 0.0,
+        yaw_rate: float = 0.0,
+        deviation: Sequence[float] = (0.01, 0.01, 0.001, 10.0, 0.5),
+        acceleration: float = 1.5,
+        yaw_acceleration: float = 0.5,
+        gate: float = 0.999,
+        patience: int = 5,
+        tolerance: float = 1e-3,
+        longest_gap: float = 60.0,
+    ) -> None:
+        try:
+            from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
+        except ImportError as error:
+            raise ImportError(
+                'the ego motion filter needs the package filterpy: pip install "ogm-toolkit[track]"',
+                name=error.name,
+            ) from error
+        T = check_pose(np.eye(4) if T_map_vehicle is None else T_map_vehicle, "T_map_vehicle")
+        start = [T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]), speed, yaw_rate]
+        sigmas = _deviations("deviation", deviation, 5)
+        _check_finite(stamp=stamp, speed=speed, yaw_rate=yaw_rate, tolerance=tolerance)
+        if not (0 < acceleration < math.inf and 0 < yaw_acceleration < math.inf):
+            raise ValueError(
+                f"acceleration and yaw_acceleration must be above 0, got {acceleration} and {yaw_acceleration}"
+            )
+        if not 0 < gate <= 1:
+            raise ValueError(
+                f"gate must lie in (0, 1], the share of right measurements to accept, got {gate}"
+            )
+        if patience < 1 or not tolerance >= 0 or not longest_gap > 0:
+            raise ValueError(
+                "patience must be 1 or more, tolerance 0 s or more and longest_gap above 0 s, "
+                f"got {patience}, {tolerance}, {longest_gap}"
+            )
+        # alpha 1 and kappa 0: no negative weight, so no covariance that is none, however unsure the yaw
+        self._points = MerweScaledSigmaPoints(5, 1.0, 2.0, 0.0, subtract=np.subtract)
+        self._filter = UnscentedKalmanFilter(
+            5, 1, 1.0, hx=None, fx=_move, points=self._points, x_mean_fn=_mean, residual_x=np.subtract
+        )
+        self._filter.x, self._filter.P = np.array(start, np.float64), np.diag(sigmas**2)
+        self._noise = acceleration**2, yaw_acceleration**2
+        self._gate, self._patience = gate, patience
+        self._tolerance, self._longest_gap = tolerance, longest_gap
+        self._in_a_row = dict.fromkeys(("speed", "yaw_rate", "position", "pose"), 0)
+        self.refused = dict.fromkeys(self._in_a_row, 0)
+        self._stamp = float(stamp)
+        self._nodes: list[_Node] = []
+        self._note(self._filter.x.copy(), self._filter.P.copy(), np.zeros((5, 5)))
+
+    @property
+    def stamp(self) -> float:
+        """Time of the state [s]."""
+        return self._stamp
+
+    @property
+    def state(self) -> NDArray[np.float64]:
+        """x, y [m], yaw [rad], speed [m/s], yaw rate [rad/s], (5,)."""
+        return self._filter.x.copy()
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        """Of the state, (5, 5)."""
+        return self._filter.P.copy()
+
+    def speed(self, stamp: float, value: float, deviation: float) -> bool:
+        """Take in a speed along the vehicle's x axis, as wheels tell it [m/s]; negative is backwards.
+
+        Parameters
+        ----------
+        stamp : float
+            [s]
+        value : float
+        deviation : float
+            1 sigma, above 0.
+
+        Returns
+        -------
+        bool
+            Whether it was accepted; `refused` counts those that were not. The state moves on to `stamp`
+            either way.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite or out of its range, or `stamp` lies before the last one by more than
+            `tolerance` or after it by more than `longest_gap`. Then nothing has changed.
+        """
+        return self._measure("speed", stamp, [value], _deviations("deviation", deviation, 1), [_SPEED])
+
+    def yaw_rate(self, stamp: float, value: float, deviation: float) -> bool:
+        """Take in a yaw rate, as a gyro tells it [rad/s], to the left; all else as `speed`."""
+        return self._measure("yaw_rate", stamp, [value], _deviations("deviation", deviation, 1), [_YAW_RATE])
+
+    def position(self, stamp: float, xy: ArrayLike, deviation: ArrayLike) -> bool:
+        """Take in a position in the map, as GNSS tells it: x, y [m] of the vehicle's origin.
+
+        `deviation` is 1 sigma, one number or one each; all else as `speed`.
+        """
+        return self._measure("position", stamp, xy, _deviations("deviation", deviation, 2), [_X, _Y])
+
+    def pose(self, stamp: float, pose: ArrayLike, deviation: ArrayLike) -> bool:
+        """Take in a pose in the map, as a registration tells it.
+
+        `pose` is x, y [m] and yaw [rad], or ``T_map_vehicle`` (4, 4); `deviation` is 1 sigma of x, y [m] and
+        yaw [rad]; all else as `speed`.
+        """
+        value = np.asarray(pose, np.float64)
+        if value.shape == (4, 4):
+            T = check_pose(value)
+            value = np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])])
+        return self._measure("pose", stamp, value, _deviations("deviation", deviation, 3), [_X, _Y, _YAW])
+
+    def filtered(self) -> Motion:
+        """Return the states as they were known at each stamp, from what had been measured by then."""
+        return self._motion([node.x for node in self._nodes], [node.P for node in self._nodes])
+
+    def smoothed(self) -> Motion:
+        """Return the states as they are known now, from all measurements before and after each stamp.
+
+        Rauch, Tung and Striebel's smoother on the filter's sigma points (Sarkka, IEEE TAC 2008).
+        """
+        x, P = [self._nodes[-1].x], [self._nodes[-1].P]
+        for node, after in zip(self._nodes[-2::-1], self._nodes[:0:-1], strict=True):
+            gain = np.linalg.solve(after.P_foreseen, after.C.T).T
+            x.append(node.x + gain @ (x[-1] - after.foreseen))
+            P.append(_symmetric(node.P + gain @ (P[-1] - after.P_foreseen) @ gain.T))
+        return self._motion(x[::-1], P[::-1])
+
+    def trajectory(self) -> Trajectory:
+        """Return the filtered poses, ``T_map_vehicle``: short for ``filtered().trajectory()``."""
+        return self.filtered().trajectory()
+
+    def _motion(self, states: list[NDArray[np.float64]], covariances: list[NDArray[np.float64]]) -> Motion:
+        stamps = np.array([node.stamp for node in self._nodes])
+        last = np.append(np.diff(stamps) > 0, True)  # of several nodes at one stamp
+        return Motion(stamps[last], np.array(states)[last], np.array(covariances)[last])
+
+    def _measure(
+        self, kind: str, stamp: float, value: ArrayLike, sigmas: NDArray[np.float64], rows: list[int]
+    ) -> bool:
+        z = np.asarray(value, np.float64)
+        if z.shape != (len(rows),) or not np.isfinite(z).all():
+            raise ValueError(f"a {kind} must be {len(rows)} finite numbers, got {value!r}")
+        gap = float(stamp) - self._stamp
+        if not -self._tolerance <= gap <= self._longest_gap:
+            raise ValueError(
+                f"this {kind} has the stamp {float(stamp)!r} s, {gap:+.6g} s from the last one; wanted between "
+                f"{-self._tolerance:+g} and {self._longest_gap:+g} s: sort the measurements by stamp, or begin anew "
+                "behind a gap"
+            )
+        self._advance(float(stamp))
+        if _YAW in rows:  # of all turns that mean the same, the nearest
+            k = rows.index(_YAW)
+            z = z.copy()
+            z[k] -= 2 * math.pi * round((z[k] - self._filter.x[_YAW]) / (2 * math.pi))
+        return self._update(kind, z, np.diag(sigmas**2), rows)
+
+    def _advance(self, stamp: float) -> None:
+        """Let time pass, in steps that are short enough."""
+        gap = max(stamp - self._stamp, 0.0)
+        begin, count = self._stamp, math.ceil(gap / _LONGEST)
+        for step in range(1, count + 1):
+            until = stamp if step == count else begin + gap * step / count
+            dt = until - self._stamp
+            before, yaw = self._filter.x.copy(), self._filter.x[_YAW] + 0.5 * dt * self._filter.x[_YAW_RATE]
+            sigmas = self._points.sigma_points(before, self._filter.P)
+            self._filter.Q = _noise(dt, yaw, *self._noise)
+            self._filter.predict(dt)
+            self._filter.P = _symmetric(self._filter.P)
+            moved = np.array([_move(one, dt) for one in sigmas]) - self._filter.x
+            self._stamp = until
+            self._note(
+                self._filter.x.copy(), self._filter.P.copy(), (self._points.Wc * (sigmas - before).T) @ moved
+            )
+
+    def _update(self, kind: str, z: NDArray[np.float64], R: NDArray[np.float64], rows: list[int]) -> bool:
+        limit = float(chi2.ppf(self._gate, len(rows)))
+        if self._distance(z, R, rows) > limit:
+            if self._in_a_row[kind] + 1 < self._patience:
+                self._in_a_row[kind] += 1
+                self.refused[kind] += 1
+                return False
+            log.warning(
+                "%s at %.3f s: %d in a row did not fit; the state is widened",
+                kind,
+                self.stamp,
+                self._patience,
+            )
+            before = self._filter.P.copy()
+            while self._distance(z, R, rows) > limit:
+                self._filter.P = 2 * self._filter.P
+            self._note(self._filter.x.copy(), self._filter.P.copy(), before)
+        self._in_a_row[kind] = 0
+        self._filter.sigmas_f = self._points.sigma_points(self._filter.x, self._filter.P)
+        self._filter.update(z, R, hx=lambda x: x[rows])
+        self._filter.P = _symmetric(self._filter.P)
+        self._nodes[-1] = self._nodes[-1]._replace(x=self._filter.x.copy(), P=self._filter.P.copy())
+        return True
+
+    def _distance(self, z: NDArray[np.float64], R: NDArray[np.float64], rows: list[int]) -> float:
+        """Return the squared Mahalanobis distance of a measurement from what is foreseen."""
+        away = z - self._filter.x[rows]
+        return float(away @ np.linalg.solve(self._filter.P[np.ix_(rows, rows)] + R, away))
+
+    def _note(
+        self, foreseen: NDArray[np.float64], P_foreseen: NDArray[np.float64], C: NDArray[np.float64]
+    ) -> None:
+        self._nodes.append(_Node(self._stamp, foreseen, P_foreseen, foreseen, P_foreseen, C))
+
+
+def _move(state: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+    """Return the state `dt` [s] later at constant speed and yaw rate: an arc, or a straight line.
+
+    The chord of an arc of length l and turn a is ``l sin(a / 2) / (a / 2)``, in the direction half-way.
+    """
+    x, y, yaw, speed, yaw_rate = state
+    half = 0.5 * yaw_rate * dt
+    chord = speed * dt * np.sinc(half / math.pi)
+    return np.array(
+        [x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + 2 * half, speed, yaw_rate]
+    )
+
+
+def _noise(dt: float, yaw: float, speed: float, turn: float) -> NDArray[np.float64]:
+    """Return the covariance that white accelerations add within `dt`, (5, 5).
+
+    Parameters
+    ----------
+    dt : float
+        [s]
+    yaw : float
+        Of the motion [rad].
+    speed, turn : float
+        Growth of the variance of speed [m^2/s^3] and of yaw rate [rad^2/s^3].
+    """
+    # Of one integrated twice and once (Bar-Shalom, Li, Kirubarajan 2001, eq. 6.2.2-12).
+    grown = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    along, around = np.zeros((5, 2)), np.zeros((5, 2))
+    along[_X, 0], along[_Y, 0], along[_SPEED, 1] = math.cos(yaw), math.sin(yaw), 1
+    around[_YAW, 0] = around[_YAW_RATE, 1] = 1
+    return speed * along @ grown @ along.T + turn * around @ grown @ around.T
+
+
+def _mean(sigmas: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    return weights @ sigmas
+
+
+def _symmetric(P: NDArray[np.float64]) -> NDArray[np.float64]:
+    return 0.5 * (P + P.T)
+
+
+def _deviations(name: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
+    sigmas = np.asarray(value, np.float64)
+    if sigmas.shape != (count,) and (sigmas.shape != () or count > 2):
+        raise ValueError(f"{name} must be {count} numbers, got {value!r}")
+    if not ((sigmas > 0) & (sigmas < math.inf)).all():
+        raise ValueError(f"{name} must be above 0 and finite, 1 sigma, got {value!r}")
+    return np.broadcast_to(sigmas, (count,))
+
+
+def _check_finite(**numbers: Any) -> None:
+    for name, value in numbers.items():
+        if not math.isfinite(value):
+            raise ValueError(f"{name} must be finite, got {value!r}")

@@ -1,0 +1,259 @@
+"""Poses for scans that come without: thin adapters to packages that register lidar scans."""
+
+import itertools
+import logging
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.fusion.deskew import deskew, extended
+from ogm.pose import Trajectory, inverse
+
+__all__ = ["METHODS", "follow", "odometry"]
+
+log = logging.getLogger(__name__)
+
+_FEWEST = 100  # points within range, below which no scan is registered
+_LEAF = 0.25  # [m] between the points that small-gicp registers
+_VOXEL = 1.0  # [m] side of the voxels of its map
+_NEIGHBOURS = 10  # points that tell it a surface
+_KEPT = 100  # scans for which it keeps a voxel that nobody sees
+
+_NAMES = ("scans", "stamps", "times")
+_ENDED = object()
+
+_Register = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+
+
+def odometry(
+    scans: Iterable[NDArray[Any]],
+    stamps: Iterable[float],
+    method: str = "kiss-icp",
+    times: Iterable[ArrayLike | None] | None = None,
+    *,
+    range_min: float = 2.5,
+    range_max: float = 100.0,
+) -> Trajectory:
+    """Find out how a lidar moved, from its scans alone.
+
+    Each scan is registered to a map of those before it, beginning where the last motion, if it went on, would
+    have led.
+
+    Parameters
+    ----------
+    scans : iterable of (N, 3 or more) float
+        x, y, z [m] in the sensor's frame; taken one by one, once. Points that are not finite are left out.
+    stamps : iterable of float
+        Their times [s], increasing; as many.
+    method : {"kiss-icp", "small-gicp"}
+        ``kiss-icp``: point to point, with a threshold that adapts (Vizzo et al., RA-L 2023). ``small-gicp``:
+        distribution to distribution, on a map of voxels (Koide, JOSS 2024).
+    times : iterable of (N,) float or None, optional
+        When each point was measured [s], counted from the scan's stamp, as `ogm.io.Scan.time` is; then scans
+        are de-skewed first, by the last motion. None, also for single scans, where they are de-skewed already
+        (KITTI) or nobody knows.
+    range_min, range_max : float
+        Points nearer or farther than this [m] are left out: the near ones are mostly the own vehicle's, which
+        never moves and would hold the others back.
+
+    Returns
+    -------
+    Trajectory
+        ``T_map_sensor`` at each stamp; the map is the sensor's frame at the first.
+
+    Raises
+    ------
+    ValueError
+        If there is no scan, a scan has too few points to be registered, stamps do not increase, or there are
+        not as many of them (or of `times`) as scans.
+    ImportError
+        If the package is not there.
+    """
+    known: list[float] = []
+    poses = list(
+        follow(scans, _noted(stamps, known), method, times, range_min=range_min, range_max=range_max)
+    )
+    if not poses:
+        raise ValueError("there is no scan to find poses for: got 0")
+    return Trajectory(np.array(known), np.array(poses))
+
+
+def follow(
+    scans: Iterable[NDArray[Any]],
+    stamps: Iterable[float],
+    method: str = "kiss-icp",
+    times: Iterable[ArrayLike | None] | None = None,
+    *,
+    range_min: float = 2.5,
+    range_max: float = 100.0,
+) -> Iterator[NDArray[np.float64]]:
+    """Yield ``T_map_sensor`` (4, 4) of each scan as soon as it is known; all else as `odometry`."""
+    if method not in METHODS:
+        raise ValueError(f"method must be {' or '.join(METHODS)}, got {method!r}")
+    if not 0 <= range_min < range_max:
+        raise ValueError(f"range_min must be 0 m or more and below range_max, got {range_min}, {range_max}")
+    begin = METHODS[method]
+    begin(range_max)  # a missing package is told now
+    return _followed(lambda: begin(range_max), scans, stamps, times, (range_min, range_max))
+
+
+def _followed(
+    begin: Callable[[], _Register],
+    scans: Iterable[NDArray[Any]],
+    stamps: Iterable[float],
+    times: Iterable[ArrayLike | None] | None,
+    within: tuple[float, float],
+) -> Iterator[NDArray[np.float64]]:
+    register = begin()
+    T, step = np.eye(4), np.eye(4)  # the last pose, and the last motion: T_map_last, T_before_last
+    last, lasted = 0.0, 0.0  # [s] stamp of the last scan, and time between it and the one before
+    first: tuple[NDArray[Any], NDArray[np.float64]] | None = None
+    for k, (points, stamp, given) in enumerate(_together(scans, stamps, times)):
+        if k and not stamp > last:
+            raise ValueError(f"stamps must increase, but stamps[{k - 1}]={last} is followed by {stamp}")
+        points = np.asarray(points)
+        if points.ndim != 2 or points.shape[1] < 3:
+            raise ValueError(f"scan {k} must have shape (N, 3 or more), got {points.shape}")
+        time = np.zeros(len(points)) if given is None else np.asarray(given, np.float64)
+        # The last motion goes on; where scans are missing, for longer.
+        guess = T @ _times(step, (stamp - last) / lasted) if lasted else T
+        found = _nearest(register(_cloud(points, time, step, lasted, within, k), guess))
+        if k == 0:
+            first = points, time
+        if first is not None and k == 1 and (first[1].any() or time.any()):
+            # Nobody knew the motion when these two were registered: once more, now that it is known.
+            register, step, lasted = begin(), found, stamp - last
+            register(_cloud(*first, step, lasted, within, 0), T)
+            found = _nearest(register(_cloud(points, time, step, lasted, within, 1), found))
+        if k:
+            step, lasted, first = inverse(T) @ found, stamp - last, None
+        T, last = found, stamp
+        yield T.copy()
+
+
+def _cloud(
+    points: NDArray[Any],
+    time: NDArray[np.float64],
+    step: NDArray[np.float64],
+    lasted: float,
+    within: tuple[float, float],
+    k: int,
+) -> NDArray[np.float64]:
+    """Return the points of scan `k` to register: de-skewed by the last motion, not too near or far."""
+    if not np.isfinite(time).all():
+        raise ValueError(f"the times of scan {k} must be finite [s]; give None where they are not known")
+    cloud = points[:, :3]
+    if lasted and time.any():
+        reach = float(np.abs(time).max())
+        cloud = deskew(cloud, time, extended(_last(step, lasted), reach), 0.0)
+    distance = np.linalg.norm(cloud, axis=1)
+    cloud = cloud[(distance >= within[0]) & (distance <= within[1])]  # NaN is left out
+    if len(cloud) < _FEWEST:
+        raise ValueError(
+            f"scan {k} has {len(cloud)} points between {within[0]:g} and {within[1]:g} m, wanted at least "
+            f"{_FEWEST}: leave it out"
+        )
+    return cloud.astype(np.float64)
+
+
+def _kiss_icp(range_max: float) -> _Register:
+    """Return the registration of KISS-ICP, without its own de-skewing: that answers for a scan's end."""
+    try:
+        from kiss_icp.config.parser import load_config
+        from kiss_icp.kiss_icp import KissICP
+    except ImportError as error:
+        raise _missing("kiss-icp", error) from error
+    config = load_config(None)
+    config.data.deskew = False
+    config.data.max_range = range_max
+    config.mapping.voxel_size = range_max / 100
+    config.registration.max_num_threads = 1  # with more, sums are rounded in another order each time
+    pipeline = KissICP(config)
+
+    def register(cloud: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
+        pipeline.last_delta = np.linalg.inv(pipeline.last_pose) @ guess
+        pipeline.register_frame(cloud, np.zeros(0))
+        return np.array(pipeline.last_pose, np.float64)
+
+    return register
+
+
+def _small_gicp(_range_max: float) -> _Register:
+    """Return a registration of each scan to a map of Gaussian voxels."""
+    try:
+        import small_gicp
+    except ImportError as error:
+        raise _missing("small-gicp", error) from error
+    voxels = small_gicp.GaussianVoxelMap(_VOXEL)
+    voxels.set_lru(horizon=_KEPT, clear_cycle=10)
+
+    def register(cloud: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
+        scan, _ = small_gicp.preprocess_points(cloud, _LEAF, _NEIGHBOURS)
+        T = guess
+        if len(voxels):
+            found = small_gicp.align(voxels, scan, guess)
+            T = np.array(found.T_target_source)
+            if not found.converged:
+                log.warning("small-gicp did not converge in %d steps: a pose may be off", found.iterations)
+        voxels.insert(scan, T)
+        return T
+
+    return register
+
+
+METHODS: dict[str, Callable[[float], _Register]] = {"kiss-icp": _kiss_icp, "small-gicp": _small_gicp}
+
+
+def _missing(package: str, error: ImportError) -> ImportError:
+    return ImportError(
+        f'poses by {package} need that package: pip install "ogm-toolkit[track]"', name=error.name
+    )
+
+
+def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:
+    """Return the motion of `share` steps, at constant velocity and turn."""
+    if share == 1.0:
+        return step
+    return extended(_last(step, 1.0), share).poses[-1]
+
+
+def _last(step: NDArray[np.float64], lasted: float) -> Trajectory:
+    return Trajectory(np.array([-lasted, 0.0]), np.array([inverse(step), np.eye(4)]))
+
+
+def _nearest(T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rigid pose nearest to one that many products have rounded."""
+    left, _, right = np.linalg.svd(T[:3, :3])
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = left @ right, T[:3, 3]
+    return result
+
+
+def _together(
+    scans: Iterable[NDArray[Any]], stamps: Iterable[float], times: Iterable[ArrayLike | None] | None
+) -> Iterator[tuple[NDArray[Any], float, ArrayLike | None]]:
+    """Yield scan, stamp and times, which must be as many."""
+    streams: list[Iterator[Any]] = [
+        iter(scans),
+        iter(stamps),
+        itertools.repeat(None) if times is None else iter(times),
+    ]
+    for count in itertools.count():
+        row: list[Any] = [next(stream, _ENDED) for stream in streams]
+        ended = [one is _ENDED for one in row]
+        if all(ended[:2]) and (ended[2] or times is None):
+            return
+        if any(ended):
+            raise ValueError(
+                f"scans, stamps and times, if given, must be as many, but {_NAMES[ended.index(True)]} ended after "
+                f"{count}"
+            )
+        yield row[0], float(row[1]), row[2]
+
+
+def _noted(stamps: Iterable[float], known: list[float]) -> Iterator[float]:
+    for stamp in stamps:
+        known.append(float(stamp))
+        yield stamp
