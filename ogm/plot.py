@@ -14,10 +14,22 @@ from ogm.grid import EvidentialGrid, GridSpec
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["Panel", "cells", "dots", "masses", "points", "probability", "save_picture", "show", "unknown"]
+__all__ = [
+    "Panel",
+    "cells",
+    "conflict",
+    "dots",
+    "masses",
+    "points",
+    "probability",
+    "save_picture",
+    "show",
+    "unknown",
+]
 
 GREEN, RED, BLACK = (0.10, 0.80, 0.20), (0.93, 0.16, 0.16), (0.0, 0.0, 0.0)
 LEGEND = {"free": GREEN, "occupied": RED, "unknown": BLACK}
+APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
 
 
 class Panel(NamedTuple):
@@ -111,6 +123,32 @@ def unknown(grid: EvidentialGrid, title: str = "") -> Panel:
     colours = _colour_map("inferno", grid.unknown * 0.92)
     legend = {f"unknown = {u:g}": tuple(_colour_map("inferno", np.array([u * 0.92]))[0]) for u in (0, 0.5, 1)}
     return cells(colours, grid.spec, title or "unknown", legend)
+
+
+def conflict(layers: NDArray, spec: GridSpec, title: str = "") -> Panel:
+    """Show where sources contradict each other: orange what appeared, blue what went away, black no conflict.
+
+    Parameters
+    ----------
+    layers : (nx, ny, 2) float array
+        Conflict [0, 1] of each cell of `spec`: first free -> occupied, then occupied -> free.
+    spec : GridSpec
+    title : str
+
+    Raises
+    ------
+    ValueError
+        If the layers are not of the shape of `spec`.
+    """
+    layers = np.asarray(layers)
+    if layers.shape != (*spec.shape, 2):
+        raise ValueError(
+            f"layers must be (nx, ny, 2), free -> occupied and occupied -> free, here {(*spec.shape, 2)}, "
+            f"got {layers.shape}"
+        )
+    colours = layers[..., :1] * np.array(APPEARED) + layers[..., 1:] * np.array(WENT_AWAY)
+    legend = {"appeared": APPEARED, "went away": WENT_AWAY, "no conflict": BLACK}
+    return cells(colours, spec, title or "conflict", legend)
 
 
 def points(

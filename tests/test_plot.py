@@ -44,6 +44,18 @@ def test_vacuous_is_black_and_grey_and_bright() -> None:
     assert plot.unknown(grid).image.min(axis=(0, 1))[0] > 200
 
 
+def test_conflict_tells_what_appeared_from_what_went_away() -> None:
+    layers = np.zeros((*SPEC.shape, 2), np.float32)
+    layers[SPEC.index(4.5, 1.5)] = 1, 0  # ahead, left
+    layers[SPEC.index(-1.5, -1.5)] = 0, 0.5  # behind, right
+    panel = plot.conflict(layers, SPEC)
+    assert panel.image[0, 1].tolist() == plot._bytes(np.array(panel.legend["appeared"])).tolist()
+    assert panel.image[6, 4].tolist() == plot._bytes(np.array(panel.legend["went away"]) / 2).tolist()
+    assert np.count_nonzero(panel.image.any(axis=-1)) == 2
+    with pytest.raises(ValueError, match="free -> occupied"):
+        plot.conflict(layers[..., 0], SPEC)
+
+
 def test_probability_is_white_for_free_and_black_for_occupied(ell: EvidentialGrid) -> None:
     image = plot.probability(ell).image
     assert image[0, 1].tolist() == [0, 0, 0]

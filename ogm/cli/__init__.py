@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo``, ``map``, ``simulate``, ``train``, ``evaluate``, ``export``, ``info``."""
+"""The command line: ``ogm demo``, ``map``, ``fuse``, ``simulate``, ``train``, ``evaluate``, ``export``, ``info``."""
 
 import logging
 import sys
@@ -9,6 +9,7 @@ import typer
 import ogm
 from ogm.cli.console import out
 from ogm.cli.evaluate import evaluate
+from ogm.cli.fuse import fuse
 from ogm.cli.info import info
 from ogm.cli.maps import demo, map_
 from ogm.cli.simulate import simulate
@@ -27,6 +28,9 @@ app = typer.Typer(
 )
 app.command(epilog="Example:  ogm demo --out /tmp")(demo)
 app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")(map_)
+app.command(
+    epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif"
+)(fuse)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command(epilog="Example:  ogm train data/ --model lite --out runs/lite")(train)
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)

@@ -17,36 +17,60 @@ from ogm.cli.console import complaints, one_line, out, tidy
 from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
 
 # The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
 DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
 
 
+ENDINGS = (".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")  # of scans
 RAY, HEIGHT_BAND, RELEASED, LITE = "ray", "height-band", "height-band-released", "lite"
 
 
-def _model(
-    name: str, spec: "GridSpec", height: float, position: tuple[float, float, float] | None
+def sensor_model(
+    name: str,
+    spec: "GridSpec",
+    height: float,
+    T_vehicle_sensor: "NDArray[np.float64] | None" = None,
+    points_in: Literal["sensor", "vehicle"] = "sensor",
 ) -> "InverseSensorModel":
+    """Return a sensor model by its name on the command line, or by the path of its weights.
+
+    Parameters
+    ----------
+    name : str
+    spec : GridSpec
+        The cells to fill.
+    height : float
+        Of the sensor above the ground [m].
+    T_vehicle_sensor : (4, 4) array, optional
+        How the sensor is mounted; identity by default.
+    points_in : {"sensor", "vehicle"}
+        Frame of the points.
+
+    Raises
+    ------
+    ValueError
+        If there is no such model, or it cannot fill the grid.
+    """
     from ogm.geometric import HeightBandISM, RayISM
-    from ogm.pose import pose
 
     if name == RELEASED:
         from ogm.grid import GridSpec
 
-        if position is not None or spec.shape[0] % 2 or spec.shape[1] % 2:
+        if T_vehicle_sensor is not None or spec.shape[0] % 2 or spec.shape[1] % 2:
             raise ValueError(
                 "height-band-released wants points in the sensor's frame and an even number of cells"
             )
         return HeightBandISM.as_released(
             GridSpec(2 * spec.resolution, (spec.shape[0] // 2, spec.shape[1] // 2), spec.origin)
         )
-    T = None if position is None else pose(*position)
-    frame: Literal["sensor", "vehicle"] = "sensor" if position is None else "vehicle"
     if name in (RAY, HEIGHT_BAND):
         model = RayISM if name == RAY else HeightBandISM
-        return model(spec, height, T_vehicle_sensor=T, points_in=frame)
+        return model(spec, height, T_vehicle_sensor=T_vehicle_sensor, points_in=points_in)
     if name != LITE and not Path(name).exists():
         raise ValueError(
             f"there is no sensor model {name!r}: give {RAY}, {HEIGHT_BAND}, {RELEASED}, {LITE}, or weights that "
@@ -54,10 +78,13 @@ def _model(
         )
     from ogm.deep import DeepISM
 
-    return DeepISM.load(name, spec=spec, sensor_height=height, T_vehicle_sensor=T, points_in=frame)
+    return DeepISM.load(
+        name, spec=spec, sensor_height=height, T_vehicle_sensor=T_vehicle_sensor, points_in=points_in
+    )
 
 
-def _grid(ism: "InverseSensorModel", points: object, missing: object) -> "EvidentialGrid":
+def measured(ism: "InverseSensorModel", points: object, missing: object) -> "EvidentialGrid":
+    """Map one scan; beams without a return (`Scan.missing`) reach the models that know what to make of them."""
     from ogm.geometric import RayISM
 
     if isinstance(ism, RayISM) and missing is not None:
@@ -84,7 +111,7 @@ def _timed(
     seconds = []
     for _ in range(repeats):
         start = time.perf_counter()
-        grid = _grid(ism, points, missing)
+        grid = measured(ism, points, missing)
         seconds.append(time.perf_counter() - start)
     return grid, statistics.median(seconds)
 
@@ -112,9 +139,9 @@ def demo(
             'the learned model is left out: `pip install "ogm-toolkit[deep]"` adds it', markup=False
         )
     for name, title in models.items():
-        ism = _model(name, spec, DEMO_HEIGHT, None)
+        ism = sensor_model(name, spec, DEMO_HEIGHT)
         with out.status("compiling kernels (once per environment) ..."):
-            _grid(ism, scan.points, None)
+            measured(ism, scan.points, None)
         grids[title], seconds = _timed(ism, scan.points, None, repeats=9)
         _row(table, name, len(scan.points), grids[title], seconds)
     cloud = plot.points(scan.points, spec, f"{len(scan.points)} points", -DEMO_HEIGHT)
@@ -166,9 +193,10 @@ def map_(
     """Map scans to evidential grids, one each, and draw them."""
     from ogm import plot, read_scan
     from ogm.grid import GridSpec
+    from ogm.pose import pose
 
     spec = GridSpec.centered(length=length, width=width, resolution=resolution)
-    names = [_stem(path) for path in scans]
+    names = [stem(path) for path in scans]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
     if ism == RELEASED and sensor_height is not None:
@@ -190,9 +218,11 @@ def map_(
             scan = read_scan(path, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
             height = 1.61 if ism == RELEASED else _height(scan.points, sensor_height, sensor_position)
             if height != last:
-                model, last = _model(ism, spec, height, sensor_position), height
+                T = None if sensor_position is None else pose(*sensor_position)
+                model = sensor_model(ism, spec, height, T, "sensor" if T is None else "vehicle")
+                last = height
             if not warm:
-                _grid(model, scan.points, scan.missing)  # compiles, or loads what was compiled before
+                measured(model, scan.points, scan.missing)  # compiles, or loads what was compiled before
                 warm = True
             grid, seconds = _timed(model, scan.points, scan.missing)
             if grid_path is not None:
@@ -245,11 +275,11 @@ def _height(points: object, given: float | None, position: tuple[float, float, f
     return height
 
 
-def _stem(path: Path) -> str:
+def stem(path: Path) -> str:
     """Return a scan's name without the endings that say its format."""
     name = path.name
-    if name in (".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather"):
+    if name in ENDINGS:
         return name
-    for ending in (".xz", ".gz", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather"):
+    for ending in (".xz", ".gz", *ENDINGS):
         name = name.removesuffix(ending)
     return name

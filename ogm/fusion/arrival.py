@@ -78,6 +78,7 @@ class Log:
         self.stamp: float | None = None
         self.T_map_vehicle: NDArray[np.float64] | None = None
         self.scans = 0
+        self._refused: float | None = None  # stamp of the last jump
 
     def check(
         self,
@@ -88,7 +89,7 @@ class Log:
         T_vehicle_sensor: ArrayLike | None,
         reliability: float,
     ) -> Arrival:
-        """Say what a scan is, or why it cannot be fused; nothing is changed."""
+        """Say what a scan is, or why it cannot be fused; of a jump, its time is remembered."""
         if not isinstance(grid, EvidentialGrid):
             raise TypeError(
                 f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
@@ -112,7 +113,7 @@ class Log:
                 "Call reset() to begin a new drive"
             )
         if time is not None:
-            self._check_jump(vehicle, abs(elapsed))
+            self._check_jump(vehicle, time)
         if elapsed > LONG_GAP:
             _log.warning("no scan for %.1f s: the map has aged by as much", elapsed)
         corner = window.corner_around(vehicle) if elapsed >= 0 else window.corner
@@ -146,14 +147,18 @@ class Log:
             raise ValueError(f"stamp must be a finite time [s], got {stamp}")
         return time
 
-    def _check_jump(self, vehicle: NDArray[np.float64], seconds: float) -> None:
-        if self.T_map_vehicle is None or math.isinf(self.max_speed):
+    def _check_jump(self, vehicle: NDArray[np.float64], time: float) -> None:
+        if self.T_map_vehicle is None or self.stamp is None or math.isinf(self.max_speed):
             return
         before = self.T_map_vehicle
+        # Since the last scan that was offered: a jump does not become a way by being refused for long enough.
+        offered = self.stamp if self._refused is None else max(self.stamp, self._refused)
+        seconds = abs(time - offered)
         way = float(np.hypot(*(vehicle[:2, 3] - before[:2, 3])))
         R = before[:3, :3].T @ vehicle[:3, :3]
         turn = math.acos(min(max((np.trace(R) - 1) / 2, -1.0), 1.0))
         if way > self.max_speed * seconds + SLACK or turn > TURN_RATE * seconds + TURN_SLACK:
+            self._refused = time
             raise PoseJump(
                 f"the pose jumps by {way:.3g} m and {math.degrees(turn):.3g} degrees in {seconds:.3g} s (allowed: "
                 f"{self.max_speed:g} m/s): leave the scan out if it is a glitch, call reset() after a closed loop, "

@@ -73,6 +73,15 @@ def test_a_closed_loop_is_refused_until_reset(mapper):
     assert mapper.spec.contains(200.0, 0.0)
 
 
+def test_a_jump_stays_a_jump_however_often_it_is_offered(mapper):
+    """20 m within a tenth of a second: not a way of 70 m/s because two scans were refused in between."""
+    for k in range(1, 8):
+        with pytest.raises(PoseJump, match="jumps by 20 m and 0 degrees in 0.1 s"):
+            mapper.update(uniform(), pose(21.0, 2.0), stamp=10.0 + 0.1 * k)
+    mapper.update(uniform(), pose(1.5, 2.0), stamp=10.8)  # the glitch is over
+    assert mapper.scans == 2
+
+
 def test_repeated_stamps_are_scans_of_one_moment(mapper):
     before = mapper.grid.mass
     mapper.update(EvidentialGrid.vacuous(SPEC), pose(1.0, 2.0), stamp=10.0)

@@ -1,0 +1,548 @@
+"""``ogm fuse``, as a person uses it: a small drive between four walls."""
+
+import importlib
+import io
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from PIL import Image
+from typer.testing import CliRunner
+
+from ogm.cli import animation, app, drive, mapping
+from ogm.cli.movie import palette
+from ogm.cli.route import Route
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import read_poses, write_poses
+from ogm.pose import Trajectory, inverse, pose, transform_points
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.store import Store
+from ogm.truth import CANVAS, Truth
+
+FUSE = importlib.import_module("ogm.cli.fuse")  # its function of the same name hides it
+HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
+SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
+POSES = np.array([pose(0.4 * k, 0.05 * k, yaw=0.02 * k) for k in range(FRAMES)])
+STAMPS = np.arange(FRAMES) / 10
+
+
+def ogm(*words: object) -> Result:
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def world() -> np.ndarray:
+    """Ground, and a wall across the way at x = 10 m."""
+    rng = np.random.default_rng(0)
+    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
+    ground[:, 0] = np.minimum(ground[:, 0], WALL)
+    ground[:, 2], wall[:, 0] = -HEIGHT, WALL + 0.25
+    wall[:, 2] = rng.uniform(-HEIGHT, 0.5, len(wall))
+    points = np.concatenate([ground, wall])
+    points[:, 3] = 0.5
+    return points
+
+
+def seen(T: np.ndarray) -> np.ndarray:
+    return transform_points(inverse(T), world()).astype(np.float32)
+
+
+@pytest.fixture(scope="session")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of KITTI files whose names sort wrongly as text."""
+    folder = tmp_path_factory.mktemp("drive")
+    for k, T in enumerate(POSES):
+        seen(T).tofile(folder / f"scan_{k + 5}.bin")
+    (folder / "notes.txt").write_text("not a scan")
+    return folder
+
+
+def kitti(path: Path, poses: np.ndarray = POSES, first: int | None = 5) -> Path:
+    rows = [" ".join(map(repr, T[:3].ravel().tolist())) for T in poses]
+    lines = rows if first is None else [f"{k + first} {row}" for k, row in enumerate(rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.fixture
+def poses(tmp_path: Path) -> Path:
+    return kitti(tmp_path / "poses.txt")
+
+
+def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, poses: Path) -> None:
+    write_poses(tmp_path / "tum.txt", Trajectory(STAMPS, POSES))
+    write_poses(tmp_path / "ours.csv", Trajectory(STAMPS, POSES), np.arange(FRAMES) + 5)
+    kitti(tmp_path / "plain.txt", first=None)
+    kitti(tmp_path / "whole.txt", np.concatenate([POSES[[0] * 5], POSES, POSES[-1:]]), None)
+    maps = []
+    for name, how in (
+        ("poses.txt", "by frame number"),
+        ("tum.txt", "in their order"),
+        ("ours.csv", "by frame number"),
+        ("plain.txt", "in their order"),
+        ("whole.txt", "row by frame number"),
+    ):
+        result = ogm("fuse", scans, "--poses", tmp_path / name, "--out", tmp_path / "m.npz", *SMALL)
+        assert result.exit_code == 0, result.output
+        assert how in result.output
+        assert "8 mapped, 0 skipped" in result.output
+        assert "sensor height 1.70 m" in result.output
+        maps.append(EvidentialGrid.load(tmp_path / "m.npz"))
+    assert all(one.spec == maps[0].spec for one in maps)
+    assert all(np.allclose(one.mass, maps[0].mass, atol=1e-5) for one in maps)
+    assert maps[0].at(WALL + 0.25, 1.0).occupied > 0.9
+    assert maps[0].at(7.0, 1.0).free > 0.9
+
+
+def test_poses_are_interpolated_to_the_stamps_of_the_scans(tmp_path: Path) -> None:
+    """Scans that know their time between poses that know theirs; the last scan is beyond."""
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    start = 1_700_000_000.0
+    for k in range(5):
+        stamp = start + 0.1 * k + 0.05
+        seen(pose(0.5 * (k + 0.5))).tofile(folder / f"{round(1e6 * stamp):016d}.bin")
+    known = Trajectory(start + 0.1 * np.arange(5), np.array([pose(0.5 * k) for k in range(5)]))
+    write_poses(tmp_path / "tum.txt", known)
+    result = ogm("fuse", folder, "--poses", tmp_path / "tum.txt", "--out", tmp_path / "m.npz", *SMALL,
+                 "--save-poses", tmp_path / "used.csv")  # fmt: skip
+    assert result.exit_code == 2
+    assert "4 of 5 scans have a pose" in result.output
+    assert "is skipped: nothing tells where" in result.output
+    used = read_poses(tmp_path / "used.csv")
+    assert np.allclose(used.poses[:, 0, 3], 0.5 * (np.arange(4) + 0.5), atol=1e-5)
+
+
+def test_poses_far_apart_tell_nothing_about_what_lies_between(tmp_path: Path) -> None:
+    seen(pose()).tofile(tmp_path / "1700000005000000.bin")
+    write_poses(tmp_path / "p.csv", Trajectory(1.7e9 + np.array([0.0, 10.0]), POSES[:2]))
+    result = ogm(
+        "fuse", tmp_path / "1700000005000000.bin", "--poses", tmp_path / "p.csv", "--out", tmp_path / "m.npz"
+    )
+    assert result.exit_code == 2
+    assert "at most 2 s apart" in result.output
+
+
+def test_poses_have_the_axes_of_the_scans(scans: Path, poses: Path, tmp_path: Path) -> None:
+    """The same drive by a sensor whose y points forward, and what --save-poses makes of its poses."""
+    turn = pose(yaw=np.pi / 2)  # takes forward, left, up to the file's axes
+    folder = tmp_path / "turned"
+    folder.mkdir()
+    for k, T in enumerate(POSES):
+        transform_points(turn, seen(T)).astype(np.float32).tofile(folder / f"{k + 5}.bin")
+    kitti(tmp_path / "turned.txt", POSES @ inverse(turn))
+    words = ("--out", tmp_path / "m.npz", "--sensor-height", HEIGHT, *SMALL)
+    saved = ("--save-poses", tmp_path / "used.csv")
+    masses = []
+    for folder_of, file, more in (
+        (scans, poses, ()),
+        (folder, tmp_path / "turned.txt", ("--axes", "+y,-x,+z", *saved)),
+        (folder, tmp_path / "used.csv", ("--axes", "+y,-x,+z")),
+        (folder, tmp_path / "turned.txt", ()),
+    ):
+        result = ogm("fuse", folder_of, "--poses", file, *words, *more)
+        assert result.exit_code == 0, result.output
+        masses.append(EvidentialGrid.load(tmp_path / "m.npz").mass)
+    off = [float(np.abs(mass - masses[0]).mean()) for mass in masses[1:]]
+    assert max(off[:2]) < 1e-3
+    assert off[2] > 1e-2  # the points alone, seen along the wrong axis
+
+
+def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(
+    scans: Path, poses: Path, tmp_path: Path
+) -> None:
+    movie, picture = tmp_path / "m.gif", tmp_path / "m.png"
+    result = ogm("fuse", scans, "--poses", poses, "--rate", 5, "--picture", picture, "--movie", movie, *SMALL)
+    assert result.exit_code == 0, result.output
+    assert "1.4 s" in result.output
+    with Image.open(movie) as film, Image.open(picture) as shown:
+        assert film.n_frames == FRAMES
+        assert film.info["duration"] == 200
+        assert film.info["loop"] == 0
+        assert film.size[0] <= 1600
+        assert shown.size[0] > shown.size[1]
+        film.seek(FRAMES - 1)
+        assert film.info["duration"] == 1000
+        colours = {colour for _, colour in film.convert("RGB").getcolors(2**24)}
+    assert {(26, 204, 51), (237, 41, 41)} <= colours  # free and occupied, as in `ogm.plot`
+    assert not (tmp_path / "map.npz").exists()
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".png", ".webp"])
+def test_animations_come_back_as_they_were_written(suffix: str) -> None:
+    frames = [Image.new("RGB", (21, 13), colour) for colour in ((26, 204, 51), (237, 41, 41), (0, 0, 0))]
+    frames[1].paste((240, 240, 240), (3, 4, 9, 8))
+    file = io.BytesIO()
+    film = animation.animation(file, Path(f"x{suffix}"), (21, 13), palette())
+    for frame, seconds in zip(frames, (0.1, 0.05, 1.0), strict=True):
+        film.add(frame, seconds)
+    film.close()
+    with Image.open(io.BytesIO(file.getvalue())) as read:
+        assert read.n_frames == 3
+        assert read.size == (21, 13)
+        for k, (frame, duration) in enumerate(zip(frames, (100, 50, 1000), strict=True)):
+            read.seek(k)
+            shown = np.asarray(read.convert("RGB")).astype(int)
+            assert read.info["duration"] == duration
+            assert np.abs(shown - np.asarray(frame)).max() <= (0 if suffix != ".webp" else 60)
+
+
+def test_a_film_of_many_frames_keeps_none_of_them() -> None:
+    file = io.BytesIO()
+    film = animation.animation(file, Path("x.gif"), (64, 64), palette())
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3)).astype(np.uint8)
+    film.add(Image.fromarray(noise), 0.1)
+    first = file.tell()
+    film.add(Image.fromarray(noise), 0.1)
+    assert first > 1000  # it is in the file already
+    assert file.tell() - first > 1000
+
+
+def test_damaged_scans_are_skipped_and_the_rest_goes_on(scans: Path, tmp_path: Path, poses: Path) -> None:
+    folder = tmp_path / "drive"
+    folder.mkdir()
+    for path in scans.glob("*.bin"):
+        (folder / path.name).write_bytes(path.read_bytes())
+    (folder / "scan_7.bin").write_bytes(b"xyz")
+    (folder / "scan_8.bin").write_bytes(b"")
+    result = ogm("fuse", folder, "--poses", poses, "--out", tmp_path / "m.npz", *SMALL)
+    assert result.exit_code == 2
+    assert "6 mapped, 2 skipped" in result.output
+    assert "scan_7.bin is skipped" in result.output
+    assert EvidentialGrid.load(tmp_path / "m.npz").at(WALL + 0.25, 1.0).occupied > 0.9
+
+
+def test_one_glitch_of_the_pose_is_skipped(scans: Path, tmp_path: Path) -> None:
+    off = POSES.copy()
+    off[3, 0, 3] += 500
+    result = ogm(
+        "fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL
+    )
+    assert result.exit_code == 2
+    assert "7 mapped, 1 skipped" in result.output
+    assert "scan_8.bin is skipped: the pose jumps" in result.output
+    assert not list(tmp_path.glob("*.before-jump-*"))
+
+
+def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Path, tmp_path: Path) -> None:
+    off = POSES.copy()
+    off[4:, 0, 3] += 500
+    result = ogm(
+        "fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL
+    )
+    assert result.exit_code == 2
+    assert "6 mapped, 2 skipped" in result.output
+    assert "begun anew" in result.output
+    before, after = (EvidentialGrid.load(tmp_path / name) for name in ("m.before-jump-1.npz", "m.npz"))
+    assert before.at(WALL + 0.25, 1.0).occupied > 0.9
+    assert after.at(500 + WALL + 0.25, 1.0).occupied > 0.9
+
+
+@pytest.mark.parametrize(
+    ("error", "code"), [(KeyboardInterrupt(), 130), (RuntimeError("the roof is on fire"), 2)]
+)
+def test_whatever_ends_it_half_way_the_map_so_far_is_written(
+    scans: Path, tmp_path: Path, poses: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
+) -> None:
+    real, calls = mapping.measured, []
+
+    def measured(*arguments: object) -> EvidentialGrid:
+        calls.append(arguments)
+        if len(calls) == 4:
+            raise error
+        return real(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(mapping, "measured", measured)
+    out, movie = tmp_path / "m.npz", tmp_path / "m.png"
+    result = ogm("fuse", scans, "--poses", poses, "--out", out, "--movie", movie, *SMALL)
+    assert result.exit_code == code, result.output
+    assert "after 3 scans" in result.output
+    assert "3 mapped" in result.output
+    assert EvidentialGrid.load(out).at(WALL + 0.25, 1.0).occupied > 0.5
+    with Image.open(movie) as film:
+        assert film.n_frames == 3
+
+
+def test_nothing_mapped_is_an_error_and_writes_nothing(scans: Path, tmp_path: Path, poses: Path) -> None:
+    for k in range(2):
+        (tmp_path / f"scan_{k + 5}.bin").write_bytes(b"xyz")
+    words = (
+        "--poses",
+        poses,
+        "--sensor-height",
+        HEIGHT,
+        "--out",
+        tmp_path / "m.npz",
+        "--movie",
+        tmp_path / "m.gif",
+    )
+    result = ogm("fuse", tmp_path / "scan_5.bin", tmp_path / "scan_6.bin", *words)
+    assert result.exit_code == 2
+    assert "no scan could be mapped" in result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["poses.txt", "scan_5.bin", "scan_6.bin"]
+
+
+@pytest.mark.parametrize("rule", ["yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"])
+def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
+    movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
+    words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
+    result = ogm("fuse", scans, "--poses", poses, *words, *SMALL)
+    assert result.exit_code == 0, result.output
+    grid = EvidentialGrid.load(tmp_path / "m.npz")
+    assert grid.at(WALL + 0.25, 1.0).occupied > 0.5
+    assert grid.at(7.0, 1.0).free > 0.4
+
+
+def test_a_rolling_window_holds_the_view_at_any_yaw_and_a_fixed_one_the_whole_drive() -> None:
+    spec = GridSpec.centered(length=24, width=16, resolution=0.5)
+    turned = np.array([pose(0, yaw=a) for a in np.linspace(0, 3, 4)] + [pose(100, 30)])
+    route = Route(np.arange(5.0), turned, Trajectory(np.arange(5.0), turned), "")
+    rolling, _ = FUSE._window("rolling", spec, route)
+    assert rolling.shape[0] == rolling.shape[1]
+    assert rolling.length >= np.hypot(24, 16) + 0.5
+    fixed, _ = FUSE._window("fixed", spec, route)
+    corners = np.array([(x, y, 0) for x in (-12, 12) for y in (-8, 8)], float)
+    for T in turned:
+        x, y, _ = transform_points(T, corners).T
+        assert fixed.contains(x, y).all()
+
+
+def test_a_fixed_window_maps_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:
+    result = ogm("fuse", scans, "--poses", poses, "--window", "fixed", "--out", tmp_path / "m.npz", *SMALL)
+    assert result.exit_code == 0, result.output
+    grid = EvidentialGrid.load(tmp_path / "m.npz")
+    assert grid.spec.extent[0] <= -12
+    assert grid.spec.extent[1] >= POSES[-1, 0, 3] + 12
+    assert grid.at(WALL + 0.25, 1.0).occupied > 0.9
+
+
+def test_deskewing_takes_the_own_motion_out(tmp_path: Path) -> None:
+    """At 20 m/s a scan of 0.1 s is bent by 2 m; bent scans with --deskew give the map of straight ones."""
+    bent, straight = tmp_path / "bent", tmp_path / "straight"
+    bent.mkdir()
+    straight.mkdir()
+    moving = np.array([pose(2.0 * k - 4.0) for k in range(4)])
+    points = world()[::3]
+    time = np.linspace(-0.05, 0.05, len(points))
+    for k, T in enumerate(moving):
+        now = transform_points(inverse(T), points)
+        now.astype(np.float32).tofile(straight / f"{k}.bin")
+        now[:, 0] -= 20.0 * time
+        header = "FIELDS x y z intensity time\nSIZE 4 4 4 4 8\nTYPE F F F F F\nCOUNT 1 1 1 1 1\n"
+        header += f"WIDTH {len(now)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(now)}\nDATA binary\n"
+        rows = np.empty(len(now), "f4,f4,f4,f4,f8")
+        for name, column in zip(rows.dtype.names or (), (*now.T, time), strict=True):
+            rows[name] = column
+        (bent / f"{k}.pcd").write_bytes(b"# .PCD v0.7\nVERSION 0.7\n" + header.encode() + rows.tobytes())
+    kitti(tmp_path / "p.txt", moving, 0)
+    words = ("--poses", tmp_path / "p.txt", "--sensor-height", HEIGHT, *SMALL)
+    grids = []
+    for folder, more in ((straight, ()), (bent, ("--deskew",)), (bent, ())):
+        result = ogm("fuse", folder, *words, *more, "--out", tmp_path / "m.npz")
+        assert result.exit_code == 0, result.output
+        grids.append(EvidentialGrid.load(tmp_path / "m.npz").occupied)
+    off = [float(np.abs(one - grids[0]).mean()) for one in grids[1:]]
+    assert off[0] < 0.1 * off[1]
+    result = ogm("fuse", straight, *words, "--deskew", "--out", tmp_path / "n.npz")
+    assert result.exit_code == 2
+    assert "no times; leave out --deskew" in result.output
+
+
+def test_names_are_sorted_by_their_numbers_and_counted_by_the_last() -> None:
+    names = sorted(["s2_10", "s2_9", "s2_100"], key=drive._natural)
+    assert names == ["s2_9", "s2_10", "s2_100"]
+    numbers = drive._frame_numbers(names)
+    assert numbers is not None
+    assert numbers.tolist() == [9, 10, 100]
+    assert drive._frame_numbers(["1317617735.5", "1317617736.2"]) is None  # a clock's
+    assert drive._frame_numbers(["a", "b"]) is None
+
+
+BEAMS = Beams(
+    "test-16",
+    elevation=tuple(np.radians(np.linspace(-20, 3, 16))),
+    azimuth=(np.pi,) * 16,
+    step=-2 * np.pi / 360,
+    columns=360,
+    rate=10.0,
+    origin=((0.0, 0.0, 0.0),) * 16,
+)
+
+
+def sample(index: int) -> Sample:
+    """Flat ground before a wall at x = 10 m, the vehicle 0.4 m further for each index."""
+    x, _, z = np.moveaxis(BEAMS.directions.astype(np.float64), -1, 0)
+    with np.errstate(divide="ignore"):
+        wall = np.where(x > 0, (WALL + 0.25 - 0.4 * index) / x, np.inf)
+        distance = np.minimum(np.where(z < 0, -1.9 / z, np.inf), wall)
+    steps = np.where(distance < 60, distance / RANGE_STEP, 0).astype(np.uint16)
+    return Sample(
+        beams=BEAMS,
+        steps=steps,
+        intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
+        truth=Truth(CANVAS, np.zeros(CANVAS.shape, np.uint8)),
+        objects=np.zeros(0, OBJECT),
+        T_world_sensor=pose(0.4 * index, 0, 1.9),
+        T_vehicle_sensor=pose(1.0, 0, 1.9),
+        velocity=np.zeros(3),
+        yaw_rate=0.0,
+        stamp=20 + 0.1 * index,
+        split="sequences",
+        index=index,
+        scenario=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set with a sequence of which three frames are finished."""
+    folder = tmp_path_factory.mktemp("fuse") / "data"
+    store = Store.create(folder, {"seed": 1}, {"training": 10, "sequences": 3}, [BEAMS], {"ogm": "0"})
+    store.write("sequences", 0, [sample(k) for k in range(3)])
+    return folder
+
+
+def test_a_simulated_drive_knows_its_poses_and_its_mount(data: Path, tmp_path: Path) -> None:
+    result = ogm("fuse", data, "--out", tmp_path / "m.npz", "--save-poses", tmp_path / "p.txt", *SMALL)
+    assert result.exit_code == 0, result.output
+    assert "3 mapped, 0 skipped" in result.output
+    assert EvidentialGrid.load(tmp_path / "m.npz").at(WALL + 0.25, 0.0).occupied > 0.5
+    used = read_poses(tmp_path / "p.txt")
+    assert used.stamps is not None
+    assert np.allclose(used.stamps, [20, 20.1, 20.2])
+    assert np.allclose(used.poses[:, 0, 3], [0, 0.4, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("{scans}",), "--odometry kiss-icp"),
+        (("{scans}", "--poses", "{poses}", "--odometry", "kiss-icp"), "exclude each other"),
+        (("{scans}", "--poses", "{short}"), "has 3 poses for 8 scans"),
+        (("{scans}", "--poses", "{other}"), "its frame numbers are 90 ... 97, those of the scans 5 ... 12"),
+        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "--rule must be one of dempster"),
+        (("{scans}", "--poses", "{poses}", "--ism", "magic"), "magic"),
+        (("{scans}", "--poses", "{poses}", "--window", "round"), "rolling, fixed"),
+        (("{scans}", "--odometry", "magic"), "kiss-icp, small-gicp"),
+        (("{scans}", "--poses", "{poses}", "--half-life", "-1"), "half_life"),
+        (("{scans}", "--poses", "{poses}", "--rate", "0"), "--rate must be above 0"),
+        (("{scans}", "--poses", "{poses}", "--length", "10.3"), "use 10 m or 10.5 m"),
+        (("{scans}", "--poses", "{poses}", "--out", "{folder}/none/x.npz"), "there is no folder"),
+        (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "--out writes .npz"),
+        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "--movie writes .gif, .webp, .png"),
+        (("{scans}", "--poses", "{poses}", "--picture", "{folder}/x.png", "--movie", "{folder}/x.png"), "both write"),
+        (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
+        (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
+        (("{scans}", "--calib", "{poses}"), "--calib belongs to --poses"),
+        (("{scans}", "--poses", "{camera}"), "--calib calib.txt"),
+        (("{scans}", "--poses", "{far}", "--window", "fixed"), "--window rolling, or a coarser --resolution"),
+        (("{folder}", "--poses", "{poses}"), "holds no scans"),
+        (("{scans}", "{folder}", "--poses", "{poses}"), "one folder alone"),
+        (("{scans}", "--sequence", "1"), "--sequence picks one of a data set"),
+        (("{folder}/none.bin", "--poses", "{poses}"), "--sensor-height"),
+        (("{data}", "--sequence", "7"), "0 ... 0 that"),
+        (("{data}", "--poses", "{poses}"), "knows its poses"),
+        (("{data}", "--sensor-height", "2"), "leave out --sensor-height"),
+        (("{data}", "--deskew"), "not (or not all) bent"),
+    ],
+)  # fmt: skip
+def test_errors_are_one_line_and_exit_code_2_before_the_work(
+    scans: Path, data: Path, tmp_path: Path, poses: Path, words: tuple[str, ...], says: str
+) -> None:
+    names = {"scans": scans, "folder": tmp_path, "poses": poses, "data": data}
+    names["short"] = kitti(tmp_path / "short.txt", POSES[:3], None)
+    names["other"] = kitti(tmp_path / "other.txt", first=90)
+    far = POSES.copy()
+    far[-1, :2, 3] = 1e5
+    names["far"] = kitti(tmp_path / "far.txt", far)
+    camera = POSES.copy()
+    camera[:, :3, 3] = np.arange(FRAMES)[:, None] * [0, 0, 1]
+    names["camera"] = kitti(tmp_path / "camera.txt", camera)
+    more = () if {"--out", "--picture"} & set(words) else ("--out", tmp_path / "m.npz")
+    result = ogm("fuse", *SMALL, *(word.format(**names) for word in words), *more)  # the last --length counts
+    assert result.exit_code == 2, result.output
+    assert says in result.output
+    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1, result.output
+    assert not list(tmp_path.glob("*.npz"))
+
+
+def test_a_data_set_without_sequences_says_how_to_make_one(tmp_path: Path) -> None:
+    Store.create(tmp_path / "data", {"seed": 1}, {"training": 10}, [BEAMS], {"ogm": "0"})
+    result = ogm("fuse", tmp_path / "data", "--out", tmp_path / "m.npz")
+    assert result.exit_code == 2
+    assert f"`ogm simulate {tmp_path / 'data'} --resume --sequences 1`" in result.output.replace("\n", " ")
+
+
+def test_a_folder_that_cannot_be_written_is_found_before_the_work(
+    scans: Path, poses: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(**_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(FUSE.tempfile, "TemporaryFile", refused)
+    result = ogm("fuse", scans, "--poses", poses, "--out", tmp_path / "m.npz")
+    assert result.exit_code == 2
+    assert "--out cannot write into" in result.output
+    assert "Permission denied" in result.output
+
+
+def test_a_film_without_pillow_says_how_to_get_it(
+    scans: Path, poses: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "PIL.Image", None)
+    result = ogm("fuse", scans, "--poses", poses, "--movie", tmp_path / "m.gif")
+    assert result.exit_code == 2
+    assert 'pip install "ogm-toolkit[viz]"' in result.output
+
+
+def test_six_real_scans_become_a_map_and_a_film(real: Callable[[str], Path], tmp_path: Path) -> None:
+    folder = real("kitti_odometry_00")
+    movie, out = tmp_path / "m.webp", tmp_path / "m.npz"
+    words = (
+        "--out",
+        out,
+        "--movie",
+        movie,
+        "--sensor-height",
+        1.78,
+        "--length",
+        64,
+        "--width",
+        48,
+        "--resolution",
+        0.32,
+    )
+    result = ogm("fuse", folder, "--poses", folder / "derived" / "poses_lidar_gicp.txt", *words)
+    assert result.exit_code == 0, result.output
+    assert "6 mapped, 0 skipped" in result.output
+    grid = EvidentialGrid.load(out)
+    assert grid.at(10.0, 0.0).free > 0.9  # the road ahead
+    assert 0.01 < grid.occupied.mean() < 0.1
+    with Image.open(movie) as film:
+        assert film.n_frames == 6
+
+
+def test_odometry_needs_no_poses(real: Callable[[str], Path], tmp_path: Path) -> None:
+    pytest.importorskip("kiss_icp")
+    folder = real("kitti_odometry_00")
+    saved = tmp_path / "p.csv"
+    words = ("--out", tmp_path / "m.npz", "--save-poses", saved, "--sensor-height", 1.78, *SMALL)
+    names = (folder / name for name in ("000002.bin.xz", "000000.bin", "000001.bin.xz"))
+    result = ogm("fuse", *names, "--odometry", "kiss-icp", *words)
+    assert result.exit_code == 0, result.output
+    assert "estimated by kiss-icp" in result.output
+    theirs = read_poses(folder / "derived" / "poses_lidar_gicp.txt")
+    assert np.abs(read_poses(saved).poses[:, :2, 3] - theirs.poses[:3, :2, 3]).max() < 0.2
+
+
+def test_fuse_has_help_with_an_example() -> None:
+    result = ogm("fuse", "--help")
+    assert result.exit_code == 0
+    assert "Example:  ogm fuse" in result.output
+    assert "three jumps" in result.output
