@@ -22,6 +22,9 @@ __all__ = [
 ]
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
+TINY = np.float32(
+    1e-18
+)  # added and taken away, makes zeros of numbers so small that they would slow a loop down
 HAIR = 1e-6  # of a cell, so that rounding does not decide where middles of cells fall on edges of others
 
 _jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -89,7 +92,7 @@ def evidential_update(
                 continue
             m = state[at, 2 * (a + shift) : 2 * (b + shift)]
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
-            _scale(c, left)
+            _fade(c, left)
             if ages:
                 if observed:
                     _age_observed(m, z[2 * a : 2 * b], one, kf, ko, evidence)
@@ -120,10 +123,16 @@ def _scale(numbers: Any, factor: Any) -> None:
 
 
 @_jit
+def _fade(numbers: Any, factor: Any) -> None:
+    for k in range(numbers.size):
+        numbers[k] = (numbers[k] * factor + TINY) - TINY
+
+
+@_jit
 def _age(m: Any, kf: Any, ko: Any) -> None:
     for k in range(m.size // 2):
-        m[2 * k] *= kf
-        m[2 * k + 1] *= ko
+        m[2 * k] = (m[2 * k] * kf + TINY) - TINY
+        m[2 * k + 1] = (m[2 * k + 1] * ko + TINY) - TINY
 
 
 @_jit
@@ -132,7 +141,8 @@ def _age_evidence(m: Any, one: Any, kf: Any, ko: Any) -> None:
         f, o = m[2 * k], m[2 * k + 1]
         total = max(one - (f + o), one - one) + (kf * f + ko * o)
         scale = one / total if total > 0 else one
-        m[2 * k], m[2 * k + 1] = kf * f * scale, ko * o * scale
+        m[2 * k] = (kf * f * scale + TINY) - TINY
+        m[2 * k + 1] = (ko * o * scale + TINY) - TINY
 
 
 @_jit
@@ -145,7 +155,8 @@ def _age_observed(m: Any, z: Any, one: Any, kf: Any, ko: Any, evidence: bool) ->
         if evidence:
             total = max(one - (f + o), one - one) + (free + occupied)
             total = total if total > 0 else one
-        m[2 * k], m[2 * k + 1] = free / total, occupied / total
+        m[2 * k] = (free / total + TINY) - TINY
+        m[2 * k + 1] = (occupied / total + TINY) - TINY
 
 
 @_jit
@@ -242,7 +253,7 @@ def bayes_update(
         low, high = _look_up(z, scan, affine, i, ny, samples)
         if not observed:
             for j in range(ny):
-                line[j] *= k
+                line[j] = (line[j] * k + TINY) - TINY
         for j in range(low, high):
             at = j + column if j < ny - column else j + column - ny
             said = z[2 * j]

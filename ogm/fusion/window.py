@@ -36,11 +36,17 @@ def flat(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 def affine_between(spec: GridSpec, source: GridSpec, T_to_from: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what takes cell coordinates of `spec` ("to" frame) to those of `source` ("from" frame), (2, 3)."""
-    A, b = flat(T_to_from)
-    back = np.linalg.inv(A)
-    scale = spec.resolution / source.resolution
-    shift = back @ (np.array(spec.origin) - b) - np.array(source.origin)
-    return np.column_stack([back * scale, shift / source.resolution])
+    (p, q), (r, t) = flat(T_to_from)[0].tolist()
+    det = p * t - q * r
+    x, y = (np.array(spec.origin) - T_to_from[:2, 3]).tolist()
+    scale, side = spec.resolution / source.resolution, source.resolution * det
+    u, v = source.origin
+    return np.array(
+        [
+            [t / det * scale, -q / det * scale, (t * x - q * y) / side - u / source.resolution],
+            [-r / det * scale, p / det * scale, (p * y - r * x) / side - v / source.resolution],
+        ]
+    )
 
 
 def samples_per_axis(spec: GridSpec, source: GridSpec) -> int:
@@ -50,15 +56,18 @@ def samples_per_axis(spec: GridSpec, source: GridSpec) -> int:
 
 def meet(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> bool:
     """Tell whether two grids overlap, given what `affine_between` them returned."""
-    corners = np.array([[0, 0, 1, 1], [0, 1, 0, 1], [1, 1, 1, 1]], float)
-    ours = affine @ (corners * [[spec.shape[0]], [spec.shape[1]], [1]])  # of `spec`, in cells of `source`
-    sizes = [[source.shape[0]], [source.shape[1]]]
-    theirs = np.linalg.inv(affine[:, :2]) @ (corners[:2] * sizes - affine[:, 2:])  # the other way round
+    (a, b, c), (d, e, f) = affine.tolist()
+    det = a * e - b * d
+    back = (e / det, -b / det, (b * f - e * c) / det), (-d / det, a / det, (d * c - a * f) / det)
     # Two parallelograms meet unless one lies beyond a side of the other (separating axes).
-    return all(
-        bool((sides.min(axis=1) < size).all() and (sides.max(axis=1) > 0).all())
-        for sides, size in ((ours, source.shape), (theirs, spec.shape))
-    )
+    for rows, (nx, ny), sizes in (
+        (((a, b, c), (d, e, f)), spec.shape, source.shape),
+        (back, source.shape, spec.shape),
+    ):
+        for (i, j, k), size in zip(rows, sizes, strict=True):
+            if k + min(i * nx, 0) + min(j * ny, 0) >= size or k + max(i * nx, 0) + max(j * ny, 0) <= 0:
+                return False
+    return True
 
 
 class Window:

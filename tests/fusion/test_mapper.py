@@ -304,6 +304,20 @@ def test_ten_thousand_scans_stay_masses():
     assert mapper.scans == 10_000
 
 
+@pytest.mark.parametrize("discounting", [discount, discount_evidence])
+def test_what_is_long_forgotten_does_not_slow_the_map_down(discounting):
+    """Numbers below 1e-38 are handled a hundred times as slowly: a parked car must not run into them."""
+    mapper = EvidentialMapper(SPEC, half_life=0.1, discounting=discounting)
+    mapper.update(noise(SPEC), np.eye(4), stamp=0)
+    mapper.update(noise(SPEC, 1), np.eye(4), stamp=0.1)
+    nothing = EvidentialGrid.vacuous(SPEC)
+    for k in range(1, 400):
+        mapper.update(nothing, np.eye(4), stamp=0.1 + 0.05 * k)
+        for numbers in (mapper.grid.mass, mapper.conflict):
+            assert not ((numbers > 0) & (numbers < np.finfo(np.float32).tiny)).any()
+    assert mapper.grid.mass.max() < 1e-12
+
+
 def test_a_late_scan_counts_as_what_ageing_would_have_left_of_it():
     a, b = noise(SPEC, 1), noise(SPEC, 2)
     mapper = EvidentialMapper(SPEC, half_life=1.0, min_unknown=0)
