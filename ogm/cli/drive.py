@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -52,6 +52,21 @@ class Drive:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def first(self, count: int | None) -> "Drive":
+        """Return the drive's first so many scans; all for None."""
+        if count is None:
+            return self
+        if count < 1:
+            raise ValueError(f"--first must be at least 1, got {count}")
+        numbers, poses = self.numbers, self.poses
+        if poses is not None:
+            stamps = None if poses.stamps is None else poses.stamps[:count]
+            of = None if poses.numbers is None else poses.numbers[:count]
+            poses = replace(poses, poses=poses.poses[:count], stamps=stamps, numbers=of)
+        return replace(
+            self, names=self.names[:count], numbers=None if numbers is None else numbers[:count], poses=poses
+        )
 
 
 def drive_of(

@@ -21,7 +21,15 @@ if TYPE_CHECKING:
     from ogm.grid import GridSpec
     from ogm.io import Axes
 
-RULES = ("dempster", "yager", "cumulative", "pcr6", "averaging", "weighted")  # functions of ogm.evidence
+RULES = {  # names of functions of ogm.evidence
+    "dempster": "dempster",
+    "cautious": "normalized_cautious",
+    "yager": "yager",
+    "cumulative": "cumulative",
+    "pcr6": "pcr6",
+    "averaging": "averaging",
+    "weighted": "weighted",
+}
 BAYES = "bayes"
 METHODS = ("kiss-icp", "small-gicp")
 WINDOWS = ("rolling", "fixed")
@@ -54,6 +62,7 @@ def fuse(
         float, typer.Option(help="Scans per second [Hz], where neither scans nor poses have stamps.")
     ] = 10.0,
     sequence: Annotated[int | None, typer.Option(help="Which sequence of a data set. [default: 0]")] = None,
+    first: Annotated[int | None, typer.Option(help="Map the first so many scans only. [default: all]")] = None,
     ism: Annotated[
         str, typer.Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")
     ] = RAY,
@@ -118,7 +127,7 @@ def fuse(
     _check_choices(rule, window, odometry, poses, calib, save_poses)
     _check_outputs(out_path, picture, movie, save_poses)
     spec = GridSpec.centered(length=length, width=width, resolution=resolution)
-    drive = drive_of(scans, sequence, parsed_axes(axes), intensity_max, time_unit)
+    drive = drive_of(scans, sequence, parsed_axes(axes), intensity_max, time_unit).first(first)
     if deskew and not drive.bent:
         raise ValueError(
             "--deskew: the points of this data set are not (or not all) bent by the own motion; leave it out"
@@ -295,5 +304,5 @@ def _mapper(rule: str, half_life: float | None, spec: "GridSpec", window: Any) -
 
     if rule == BAYES:
         return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window)
-    rules = {name: getattr(evidence, name) for name in RULES}
-    return EvidentialMapper(spec, rules[rule], 2.0 if half_life is None else half_life, window=window)
+    function = getattr(evidence, RULES[rule])
+    return EvidentialMapper(spec, function, 2.0 if half_life is None else half_life, window=window)

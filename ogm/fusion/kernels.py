@@ -25,6 +25,7 @@ DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
 TINY = np.float32(
     1e-18
 )  # added and taken away, makes zeros of numbers so small that they would slow a loop down
+MOVING = np.float32(1e-3)  # of conflict times occupied: below it, nothing is taken to move
 HAIR = 1e-6  # of a cell, so that rounding does not decide where middles of cells fall on edges of others
 
 _jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -42,6 +43,7 @@ def evidential_update(
     rule: int,
     keep_free: float,
     keep_occupied: float,
+    leaving: float,
     evidence: bool,
     observed: bool,
     reliability: float,
@@ -65,6 +67,9 @@ def evidential_update(
         `DEMPSTER`, `YAGER`, `CUMULATIVE` or `CAUTIOUS`.
     keep_free, keep_occupied : float
         What ageing leaves of the beliefs, or of the evidence if `evidence`, [0, 1].
+    leaving : float
+        What came may leave: occupied falls by exp(-leaving * excess), with the excess of the conflict
+        free -> occupied over occupied -> free.
     evidence, observed : bool
         Whether evidence fades, not mass; whether only cells fade of which the scan says something.
     reliability : float
@@ -77,7 +82,7 @@ def evidential_update(
     nx, ny = state.shape[0], state.shape[1] // 2
     one = np.float32(1)
     ages = keep_free != 1 or keep_occupied != 1
-    kf, ko = np.float32(keep_free), np.float32(keep_occupied)
+    kf, ko, gone = np.float32(keep_free), np.float32(keep_occupied), np.float32(leaving)
     w, limit, left = np.float32(reliability), np.float32(known_limit), np.float32(fade)
     z = np.zeros(2 * ny, np.float32)
     first = ny - column  # window cells that stand before the end of the row
@@ -92,6 +97,8 @@ def evidential_update(
                 continue
             m = state[at, 2 * (a + shift) : 2 * (b + shift)]
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
+            if gone > 0:
+                _leave(m, c, gone)
             _fade(c, left)
             if ages:
                 if observed:
@@ -126,6 +133,14 @@ def _scale(numbers: Any, factor: Any) -> None:
 def _fade(numbers: Any, factor: Any) -> None:
     for k in range(numbers.size):
         numbers[k] = (numbers[k] * factor + TINY) - TINY
+
+
+@_jit
+def _leave(m: Any, c: Any, gone: Any) -> None:
+    for k in range(m.size // 2):
+        excess = c[2 * k] - c[2 * k + 1]
+        if excess * m[2 * k + 1] > MOVING:
+            m[2 * k + 1] *= np.exp(-gone * excess)
 
 
 @_jit

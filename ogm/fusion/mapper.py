@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
 from ogm.fusion.arrival import Arrival, Log
-from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, evidential_update, gather
+from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, MOVING, YAGER, evidential_update, gather
 from ogm.fusion.warp import Method, view_of
 from ogm.fusion.window import Kind, Window
 from ogm.grid import EvidentialGrid, GridSpec
@@ -42,20 +42,26 @@ class EvidentialMapper:
         The window: relative to the vehicle if it rolls, in map coordinates if it is fixed. The measurement grids may
         have other extents and resolutions.
     rule : function
-        Combines two masses, ``rule(map, scan)``: `ogm.evidence.dempster`, `yager` and `cumulative` run as one compiled
-        pass; any other function of two (..., 2) arrays works too, ten times and more slower. Rules in an open world
-        give triples: close them, ``lambda a, b: close_world(cautious(a, b))``.
+        Combines two masses, ``rule(map, scan)``. `ogm.evidence.normalized_cautious`, `dempster`, `yager` and
+        `cumulative` run as one compiled pass; any other function of two (..., 2) arrays works too, ten times and more
+        slower. Rules in an open world give triples: close them, ``lambda a, b: close_world(conjunctive(a, b))``. The
+        default takes scans for what they are, dependent: a hint that every scan repeats, such as rays that pass over
+        a roof, does not become certainty.
     half_life : float or (free, occupied)
         Time in which belief halves [s]; infinity forgets nothing.
+    moving_half_life : float
+        The same [s] for occupied where something came, and what comes leaves: belief that a cell is occupied fades
+        this fast, in proportion to the excess of the conflict free -> occupied over occupied -> free. It takes the
+        trails away that moving things leave where no ray looks any more; infinity lets them stand.
+    conflict_half_life : float
+        Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
     discounting : {discount, discount_evidence}
         What fades: the mass (Shafer), or the evidence, which `cumulative` adds up.
     forget : {"everywhere", "observed"}
         Whether all cells fade, or only those that the present scan says something about.
     min_unknown : float
         What unknown never falls below, [0, 1), so that the map can change its mind: with Dempster's rule the number of
-        scans it takes grows with the logarithm of its inverse.
-    conflict_half_life : float
-        Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
+        scans it takes grows with the logarithm of its inverse, and at 0 it may never do so in float32.
     window : {"rolling", "fixed"}
         Follow the vehicle, or stay: for a yard, or a drive as a whole. Memory is that of one grid in both cases.
     max_speed : float
@@ -79,13 +85,14 @@ class EvidentialMapper:
     def __init__(
         self,
         spec: GridSpec,
-        rule: Rule = dempster,
+        rule: Rule = normalized_cautious,
         half_life: float | Sequence[float] = 2.0,
         *,
+        moving_half_life: float = 0.04,
+        conflict_half_life: float = 2.0,
         discounting: Callable[..., Any] = discount,
         forget: Forget = "everywhere",
         min_unknown: float = 0.02,
-        conflict_half_life: float = 0.5,
         window: Kind = "rolling",
         max_speed: float = 70.0,
         max_delay: float = 0.5,
@@ -100,14 +107,14 @@ class EvidentialMapper:
             )
         if not 0 <= min_unknown < 1:
             raise ValueError(f"min_unknown must be in [0, 1), got {min_unknown}")
+        if not moving_half_life > 0:
+            raise ValueError(f"moving_half_life must be greater than 0 s, got {moving_half_life}")
         if not conflict_half_life >= 0:
             raise ValueError(f"conflict_half_life must be 0 s or more, got {conflict_half_life}")
         self.rule, self.half_life = rule, _half_lives(half_life)
-        self.discounting, self.forget, self.min_unknown = (
-            discounting,
-            checked_forget(forget),
-            float(min_unknown),
-        )
+        self.moving_half_life = float(moving_half_life)
+        self.discounting, self.forget = discounting, checked_forget(forget)
+        self.min_unknown = float(min_unknown)
         self.conflict_half_life = float(conflict_half_life)
         self._window = Window(spec, window)
         self._log = Log(max_speed, max_delay, needs_stamps=self.half_life != (math.inf, math.inf))
@@ -257,6 +264,7 @@ class EvidentialMapper:
             arrival.samples,
             _FAST[self.rule],
             *self._kept(elapsed),
+            self._leaving(elapsed),
             self.discounting is discount_evidence,
             self.forget == "observed",
             float(reliability),
@@ -274,9 +282,13 @@ class EvidentialMapper:
             gather(mass, arrival.affine, arrival.samples, *self._window.ring, rows)
             said = scan * np.float32(reliability)
             elapsed = max(arrival.elapsed, 0.0)
-            aged = self._aged(self._mass, elapsed)
+            excess = self._conflict[..., 0] - self._conflict[..., 1]
+            moves = excess * self._mass[..., 1] > MOVING
+            stayed = self._mass.copy()
+            stayed[..., 1] *= np.where(moves, np.exp(-self._leaving(elapsed) * excess), 1)
+            aged = self._aged(stayed, elapsed)
             if self.forget == "observed":
-                aged = np.where(said.sum(axis=-1, keepdims=True) > 0, aged, self._mass)
+                aged = np.where(said.sum(axis=-1, keepdims=True) > 0, aged, stayed)
             self._mass[:] = bounded(self._combined(aged, said), self.min_unknown)
             contradicted = aged * said[..., ::-1]  # free then and occupied now, occupied then and free now
             np.maximum(self._conflict * np.float32(self._fade(elapsed)), contradicted, out=self._conflict)
@@ -288,6 +300,16 @@ class EvidentialMapper:
         """Return the shares of free and of occupied that are left after some time."""
         free, occupied = (0.5 ** (seconds / one) for one in self.half_life)
         return free, occupied
+
+    def _leaving(self, seconds: float) -> float:
+        """Return by how much the logarithm of occupied falls in some time where the excess of conflict was 1."""
+        if seconds == 0:
+            return 0.0
+        rate = math.log(2) * max(1 / self.moving_half_life - 1 / self.half_life[1], 0.0)
+        if not 0 < self.conflict_half_life < math.inf:
+            return rate * seconds
+        fading = math.log(2) / self.conflict_half_life  # the excess itself fades in the meantime
+        return rate * -math.expm1(-fading * seconds) / fading
 
     def _fade(self, seconds: float) -> float:
         """Return the share of the conflict that is left after some time; a scan of the same moment takes none."""

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from ogm import evidence as rules
 from ogm.evidence import mass_to_log_odds, mass_to_probability, plausibility_transform
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec
@@ -33,7 +34,7 @@ def test_one_scan_gives_its_own_probability():
 def test_matched_by_plausibility_it_is_dempsters_rule_without_ignorance():
     """Cobb and Shenoy: Dempster's rule adds the log-odds of the plausibility transform."""
     bayes = BinaryBayesMapper(SPEC, match="plausibility", limits=WIDE)
-    dempster = EvidentialMapper(SPEC, half_life=math.inf, min_unknown=0)
+    dempster = EvidentialMapper(SPEC, rules.dempster, math.inf, min_unknown=0)
     for k in range(4):
         for mapper in (bayes, dempster):
             mapper.update(noise(k), pose(0.3 * k, yaw=0.1 * k))
@@ -91,7 +92,7 @@ def test_only_what_is_observed_is_forgotten_if_so_wanted():
 def test_it_cannot_tell_contradicted_from_never_seen_and_the_evidential_map_can():
     never = uniform(0.0, 0.0)
     torn = [uniform(0.6, 0.0), uniform(0.0, 0.6)]
-    bayes, evidential = BinaryBayesMapper(SPEC), EvidentialMapper(SPEC, half_life=math.inf)
+    bayes, evidential = BinaryBayesMapper(SPEC), EvidentialMapper(SPEC, rules.dempster, math.inf)
     unseen = EvidentialMapper(SPEC, half_life=math.inf)
     unseen.update(never, np.eye(4))
     for grid in torn:

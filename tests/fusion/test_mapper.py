@@ -76,7 +76,7 @@ def test_the_first_scan_at_the_identity_pose_is_the_map():
 @pytest.mark.parametrize("name", FAST)
 def test_the_compiled_pass_equals_its_slow_twin(name, forget, discounting, yaw):
     rule = FAST[name]
-    options = {"half_life": (0.7, 1.5), "forget": forget, "discounting": discounting}
+    options = {"half_life": (0.7, 1.5), "moving_half_life": 0.3, "forget": forget, "discounting": discounting}
     fast = EvidentialMapper(SPEC, rule, **options)
     slow = EvidentialMapper(SPEC, lambda a, b: rule(a, b), **options)
     for k in range(7):
@@ -102,7 +102,9 @@ def test_any_rule_of_two_masses_works(rule):
 
 def test_update_is_age_then_combine_and_conflict_is_kept_by_direction():
     a, b = noise(SPEC, 1), noise(SPEC, 2)
-    mapper = EvidentialMapper(SPEC, half_life=(1.0, 3.0), min_unknown=0, conflict_half_life=0.5)
+    mapper = EvidentialMapper(
+        SPEC, dempster, (1.0, 3.0), moving_half_life=FOREVER, min_unknown=0, conflict_half_life=0.5
+    )
     mapper.update(a, np.eye(4), stamp=0)
     mapper.update(b, np.eye(4), stamp=0.5)
     # belief in free halves in 1 s: the source is unreliable if the cell is occupied
@@ -174,7 +176,7 @@ def test_moving_the_vehicle_and_not_the_world_moves_nothing_in_the_map():
         mass = np.where(wall[..., None], (0.0, 0.6), (0.4, 0.0)).astype(np.float32)
         return EvidentialGrid(SPEC, mass)
 
-    mapper = EvidentialMapper(SPEC, half_life=2.0)
+    mapper = EvidentialMapper(SPEC, dempster)
     for k in range(1000):
         T = pose(0.7 * math.sin(0.011 * k), 0.5 * math.cos(0.017 * k), yaw=0.013 * k)
         mapper.update(seen_from(T), T, stamp=0.1 * k)
@@ -208,7 +210,7 @@ def test_forgetting_does_not_depend_on_the_rate(rate, discounting):
 def test_steady_state_of_dempster_with_a_simple_mass():
     """T = (1 - r) (1 - m) / (1 - r (1 - m)): 0.0411 for m = 0.7 and r = 0.9 a step."""
     half_life = 0.1 * math.log(0.5) / math.log(0.9)
-    mapper = EvidentialMapper(SPEC, half_life=half_life, min_unknown=0)
+    mapper = EvidentialMapper(SPEC, dempster, half_life, min_unknown=0)
     for k in range(200):
         mapper.update(uniform(SPEC, 0, 0.7), np.eye(4), stamp=0.1 * k)
     expected = (1 - 0.9) * (1 - 0.7) / (1 - 0.9 * (1 - 0.7))
@@ -234,7 +236,7 @@ def test_a_vacuous_scan_only_ages_the_map(name):
 
 
 def test_only_what_is_observed_is_forgotten_if_so_wanted():
-    mapper = EvidentialMapper(SPEC, half_life=1.0, forget="observed", min_unknown=0)
+    mapper = EvidentialMapper(SPEC, dempster, 1.0, forget="observed", min_unknown=0)
     mapper.update(uniform(SPEC, 0.4, 0.4), np.eye(4), stamp=0)
     half = np.zeros((*SPEC.shape, 2), np.float32)
     half[:32] = 0.1, 0.0
@@ -264,6 +266,60 @@ def test_the_same_scan_again_adds_nothing_to_a_cautious_map():
             mapper.update(uniform(SPEC, 0.15, 0.0), np.eye(4))
     np.testing.assert_allclose(cautious.grid.free, 0.15, atol=1e-6)
     assert dempster_.grid.free.min() > 0.95
+
+
+def trail(**options) -> EvidentialMapper:
+    """Let a car drive through a free street, and look away once it has passed the middle."""
+    mapper = EvidentialMapper(SPEC, **options)
+    street = np.full((*SPEC.shape, 2), (0.7, 0.0), np.float32)
+    street[:, 40:] = 0.0, 0.8  # a wall
+    for k in range(12):
+        scan = street.copy()
+        scan[4 * k : 4 * k + 12, 20:26] = 0.0, 0.8
+        if k > 7:
+            scan[:, :30] = 0  # hidden behind something else
+        mapper.update(EvidentialGrid(SPEC, scan), np.eye(4), stamp=0.1 * k)
+    return mapper
+
+
+@pytest.mark.parametrize("name", FAST)
+def test_what_came_leaves_and_what_was_always_there_stays(name):
+    hidden = slice(30, 38), slice(20, 26)  # where the car was last seen
+    with_trail = trail(rule=FAST[name], moving_half_life=FOREVER)
+    without = trail(rule=FAST[name], moving_half_life=0.04)
+    assert with_trail.grid.occupied[hidden].max() > 0.5
+    assert without.grid.occupied[hidden].max() < 0.05
+    assert without.grid.occupied[:, 41:].min() > 0.75
+
+
+@pytest.mark.parametrize("rate", [5, 10, 20])
+@pytest.mark.parametrize("conflict_half_life", [0.3, 2.0])
+def test_what_came_leaves_alike_at_all_rates(rate, conflict_half_life):
+    """Over t seconds occupied falls by 2^-(excess h_c / ln 2 (1 - 2^(-t / h_c)) (1 / h_m - 1 / h)) beside the usual."""
+    options = {"half_life": 2.0, "moving_half_life": 0.5, "conflict_half_life": conflict_half_life}
+    mapper = EvidentialMapper(SPEC, dempster, min_unknown=0, **options)
+    mapper.update(uniform(SPEC, 0.6, 0.0), np.eye(4), stamp=0)
+    mapper.update(uniform(SPEC, 0.0, 0.9), np.eye(4), stamp=0)
+    excess, before = float(mapper.conflict[0, 0, 0]), float(mapper.grid.occupied[0, 0])
+    assert excess == pytest.approx(0.54, abs=1e-6)
+    for k in range(1, rate + 1):
+        mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=k / rate)
+    lasting = conflict_half_life / math.log(2) * (1 - 0.5 ** (1 / conflict_half_life))
+    expected = before * 0.5**0.5 * 0.5 ** (excess * lasting * (1 / 0.5 - 1 / 2.0))
+    assert mapper.grid.occupied[0, 0] == pytest.approx(expected, rel=1e-4)
+
+
+def test_what_flickers_is_not_taken_to_move():
+    """Free, occupied, free, occupied: as much conflict one way as the other, so nothing fades faster."""
+    kept = []
+    for moving in (0.04, FOREVER):
+        mapper = EvidentialMapper(SPEC, moving_half_life=moving, conflict_half_life=FOREVER)
+        for k in range(8):
+            mapper.update(uniform(SPEC, *((0.7, 0.0) if k % 2 else (0.0, 0.7))), np.eye(4), stamp=0.01 * k)
+        for k in range(8, 20):
+            mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=0.01 * k)
+        kept.append(float(mapper.grid.occupied[0, 0]))
+    assert kept[0] == pytest.approx(kept[1], rel=0.25)
 
 
 def test_order_matters_for_yager():
@@ -320,7 +376,7 @@ def test_what_is_long_forgotten_does_not_slow_the_map_down(discounting):
 
 def test_a_late_scan_counts_as_what_ageing_would_have_left_of_it():
     a, b = noise(SPEC, 1), noise(SPEC, 2)
-    mapper = EvidentialMapper(SPEC, half_life=1.0, min_unknown=0)
+    mapper = EvidentialMapper(SPEC, dempster, 1.0, min_unknown=0)
     mapper.update(a, np.eye(4), stamp=10.0)
     mapper.update(b, np.eye(4), stamp=9.6)
     assert mapper.stamp == 10.0
@@ -374,7 +430,7 @@ def test_finer_scans_are_averaged_over_the_map_cell():
 
 def test_an_unreliable_sensor_counts_for_less():
     a, b = noise(SPEC, 1), noise(SPEC, 2)
-    mapper = EvidentialMapper(SPEC, half_life=FOREVER, min_unknown=0)
+    mapper = EvidentialMapper(SPEC, dempster, FOREVER, min_unknown=0)
     mapper.update(a, np.eye(4))
     mapper.update(b, np.eye(4), reliability=0.3)
     np.testing.assert_allclose(mapper.grid.mass, dempster(a.mass, discount(b.mass, 0.3)), atol=1e-6)
@@ -422,7 +478,7 @@ def test_the_view_turns_with_the_vehicle_and_the_map_does_not():
 
 
 def test_conflict_shows_where_something_came_and_where_it_left():
-    mapper = EvidentialMapper(SPEC)
+    mapper = EvidentialMapper(SPEC, dempster, moving_half_life=FOREVER, conflict_half_life=0.5)
     street = np.full((*SPEC.shape, 2), (0.7, 0.0), np.float32)
     for k in range(10):
         scan = street.copy()
@@ -438,7 +494,7 @@ def test_conflict_shows_where_something_came_and_where_it_left():
 
 def test_a_fixed_window_stays_and_takes_what_falls_into_it():
     yard = GridSpec(0.2, (40, 30), (3.1, -2.7))
-    mapper = EvidentialMapper(yard, window="fixed", half_life=FOREVER)
+    mapper = EvidentialMapper(yard, dempster, FOREVER, window="fixed")
     mapper.update(uniform(SPEC, 0.5, 0), pose(0, 0), stamp=0)
     mapper.update(uniform(SPEC, 0.5, 0), pose(3.0, 0), stamp=1)
     assert mapper.spec == yard

@@ -139,6 +139,7 @@ def test_a_rule_that_gives_no_masses_is_named():
         ({"window": "tumbling"}, "window must be one of rolling, fixed"),
         ({"min_unknown": 1.0}, r"min_unknown must be in \[0, 1\)"),
         ({"min_unknown": -0.1}, r"min_unknown must be in \[0, 1\)"),
+        ({"moving_half_life": 0.0}, "moving_half_life must be greater than 0 s"),
         ({"conflict_half_life": -1.0}, "conflict_half_life must be 0 s or more"),
         ({"max_speed": 0.0}, "max_speed must be greater than 0"),
         ({"max_delay": math.inf}, "max_delay must be 0 s or more and finite"),
@@ -177,7 +178,7 @@ def test_there_is_no_jump_where_conflict_grows():
     """A peer switches to unknown at a conflict of 0.9: fusing 0.99 with 0.10 gives 0.917, with 0.09 it gives 0.540."""
     fused = []
     for p in np.linspace(0.02, 0.2, 181):
-        mapper = EvidentialMapper(SPEC, half_life=math.inf, min_unknown=0)
+        mapper = EvidentialMapper(SPEC, dempster, math.inf, min_unknown=0)
         for probability in (0.99, p):
             mass = probability_to_mass(np.full(SPEC.shape, probability), np.zeros(SPEC.shape))
             mapper.update(EvidentialGrid(SPEC, mass.astype(np.float32)), pose())
