@@ -62,7 +62,9 @@ def fuse(
         float, typer.Option(help="Scans per second [Hz], where neither scans nor poses have stamps.")
     ] = 10.0,
     sequence: Annotated[int | None, typer.Option(help="Which sequence of a data set. [default: 0]")] = None,
-    first: Annotated[int | None, typer.Option(help="Map the first so many scans only. [default: all]")] = None,
+    first: Annotated[
+        int | None, typer.Option(help="Map the first so many scans only. [default: all]")
+    ] = None,
     ism: Annotated[
         str, typer.Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")
     ] = RAY,

@@ -154,9 +154,9 @@ class Log:
         # Since the last scan that was offered: a jump does not become a way by being refused for long enough.
         offered = self.stamp if self._refused is None else max(self.stamp, self._refused)
         seconds = abs(time - offered)
-        way = float(np.hypot(*(vehicle[:2, 3] - before[:2, 3])))
-        R = before[:3, :3].T @ vehicle[:3, :3]
-        turn = math.acos(min(max((np.trace(R) - 1) / 2, -1.0), 1.0))
+        way = math.dist(vehicle[:2, 3].tolist(), before[:2, 3].tolist())
+        trace = float((before[:3, :3] * vehicle[:3, :3]).sum())  # of the rotation from one to the other
+        turn = math.acos(min(max((trace - 1) / 2, -1.0), 1.0))
         if way > self.max_speed * seconds + SLACK or turn > TURN_RATE * seconds + TURN_SLACK:
             self._refused = time
             raise PoseJump(

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
 from ogm.fusion.arrival import Arrival, Log
-from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, MOVING, YAGER, evidential_update, gather
+from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, evidential_update, gather
 from ogm.fusion.warp import Method, view_of
 from ogm.fusion.window import Kind, Window
 from ogm.grid import EvidentialGrid, GridSpec
@@ -283,9 +283,8 @@ class EvidentialMapper:
             said = scan * np.float32(reliability)
             elapsed = max(arrival.elapsed, 0.0)
             excess = self._conflict[..., 0] - self._conflict[..., 1]
-            moves = excess * self._mass[..., 1] > MOVING
             stayed = self._mass.copy()
-            stayed[..., 1] *= np.where(moves, np.exp(-self._leaving(elapsed) * excess), 1)
+            stayed[..., 1] *= np.exp(-self._leaving(elapsed) * np.maximum(excess, 0))
             aged = self._aged(stayed, elapsed)
             if self.forget == "observed":
                 aged = np.where(said.sum(axis=-1, keepdims=True) > 0, aged, stayed)

@@ -1,5 +1,6 @@
 """Where a map lies in the world: cells that scroll by whole numbers, and grids that are looked up through poses."""
 
+import math
 from typing import Literal, get_args
 
 import numpy as np
@@ -51,7 +52,7 @@ def affine_between(spec: GridSpec, source: GridSpec, T_to_from: NDArray[np.float
 
 def samples_per_axis(spec: GridSpec, source: GridSpec) -> int:
     """Return at how many points per cell and axis a grid of other cells is looked up: 1 unless its cells are finer."""
-    return int(np.clip(np.ceil(spec.resolution / source.resolution - 1e-6), 1, _MOST_SAMPLES))
+    return min(max(math.ceil(spec.resolution / source.resolution - 1e-6), 1), _MOST_SAMPLES)
 
 
 def meet(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> bool:
@@ -112,14 +113,15 @@ class Window:
         if self.kind == "fixed":
             return self.corner
         A, b = flat(T_map_vehicle)
-        x, y = self.given.origin
-        middle = np.array([x + self.given.length / 2, y + self.given.width / 2])
-        cells = (A @ middle + b - middle) / self.given.resolution
-        if np.abs(cells).max() > 2**52:
+        ((p, q), (r, t)), (u, v) = A.tolist(), b.tolist()
+        given = self.given
+        x, y = given.origin[0] + given.length / 2, given.origin[1] + given.width / 2
+        cells = (p * x + q * y + u - x) / given.resolution, (r * x + t * y + v - y) / given.resolution
+        if max(abs(cells[0]), abs(cells[1])) > 2**52:
             raise ValueError(
                 f"the vehicle at {b} m is too far from the map's origin for cells to be told apart"
             )
-        return int(np.floor(cells[0] + 0.5)), int(np.floor(cells[1] + 0.5))
+        return math.floor(cells[0] + 0.5), math.floor(cells[1] + 0.5)
 
     def move_to(self, corner: tuple[int, int], *arrays: NDArray[np.float32]) -> None:
         """Scroll, and clear the rows and columns of (nx, ny, ...) arrays that come into view."""
