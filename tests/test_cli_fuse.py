@@ -97,7 +97,7 @@ def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, pos
     assert all(one.spec == maps[0].spec for one in maps)
     assert all(np.allclose(one.mass, maps[0].mass, atol=1e-5) for one in maps)
     assert maps[0].at(WALL + 0.25, 1.0).occupied > 0.9
-    assert maps[0].at(7.0, 1.0).free > 0.9
+    assert maps[0].at(7.0, 1.0).free > 0.8
 
 
 def test_poses_are_interpolated_to_the_stamps_of_the_scans(tmp_path: Path) -> None:
@@ -288,7 +288,20 @@ def test_nothing_mapped_is_an_error_and_writes_nothing(scans: Path, tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["poses.txt", "scan_5.bin", "scan_6.bin"]
 
 
-@pytest.mark.parametrize("rule", ["yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"])
+@pytest.mark.parametrize("numbered", [5, None])
+def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, numbered: int | None) -> None:
+    poses = kitti(tmp_path / "poses.txt", first=numbered)
+    result = ogm("fuse", scans, "--poses", poses, "--first", 3, "--out", tmp_path / "m.npz", *SMALL)
+    assert result.exit_code == 0, result.output
+    assert "3 mapped, 0 skipped" in result.output
+    result = ogm("fuse", scans, "--poses", poses, "--first", 0, *SMALL)
+    assert result.exit_code == 2
+    assert "--first must be at least 1" in result.output
+
+
+@pytest.mark.parametrize(
+    "rule", ["dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"]
+)
 def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
     movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
     words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
@@ -426,7 +439,7 @@ def test_a_simulated_drive_knows_its_poses_and_its_mount(data: Path, tmp_path: P
         (("{scans}", "--poses", "{poses}", "--odometry", "kiss-icp"), "exclude each other"),
         (("{scans}", "--poses", "{short}"), "has 3 poses for 8 scans"),
         (("{scans}", "--poses", "{other}"), "its frame numbers are 90 ... 97, those of the scans 5 ... 12"),
-        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "--rule must be one of dempster"),
+        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "--rule must be one of cautious"),
         (("{scans}", "--poses", "{poses}", "--ism", "magic"), "magic"),
         (("{scans}", "--poses", "{poses}", "--window", "round"), "rolling, fixed"),
         (("{scans}", "--odometry", "magic"), "kiss-icp, small-gicp"),

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from ogm.io import Axes
 
 RULES = {  # names of functions of ogm.evidence
-    "dempster": "dempster",
     "cautious": "normalized_cautious",
+    "dempster": "dempster",
     "yager": "yager",
     "cumulative": "cumulative",
     "pcr6": "pcr6",
@@ -83,7 +83,7 @@ def fuse(
     ] = False,
     rule: Annotated[
         str, typer.Option(help=f"How scans are combined: {', '.join(RULES)}, or {BAYES} (log-odds).")
-    ] = "dempster",
+    ] = "cautious",
     half_life: Annotated[
         float | None,
         typer.Option(help="Time in which belief halves [s], or inf. [default: 2; bayes: inf]"),
@@ -129,7 +129,9 @@ def fuse(
     _check_choices(rule, window, odometry, poses, calib, save_poses)
     _check_outputs(out_path, picture, movie, save_poses)
     spec = GridSpec.centered(length=length, width=width, resolution=resolution)
-    drive = drive_of(scans, sequence, parsed_axes(axes), intensity_max, time_unit).first(first)
+    drive = drive_of(scans, sequence, parsed_axes(axes), intensity_max, time_unit)
+    if odometry is not None:
+        drive = drive.first(first)
     if deskew and not drive.bent:
         raise ValueError(
             "--deskew: the points of this data set are not (or not all) bent by the own motion; leave it out"
@@ -138,6 +140,7 @@ def fuse(
     model = sensor_model(ism, spec, height, drive.mount)
     route = _route(drive, poses, calib, odometry, rate, parsed_axes(axes))
     out.print(f"poses: {route.how}", markup=False, soft_wrap=True)
+    drive, route = drive.first(first), route.first(first)
     mapper = _mapper(rule, half_life, *_window(window, spec, route))
 
     base = out_path or picture or movie or Path("map.npz")

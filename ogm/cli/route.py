@@ -51,6 +51,10 @@ class Route(NamedTuple):
         """Which scans have a pose, (K,)."""
         return np.isfinite(self.stamps) & np.isfinite(self.poses).all(axis=(1, 2))
 
+    def first(self, count: int | None) -> "Route":
+        """Return what is known of the first so many scans; of all for None."""
+        return self._replace(stamps=self.stamps[:count], poses=self.poses[:count])
+
 
 def in_house_axes(poses: Poses, axes: "Axes") -> Poses:
     """Return the poses of a sensor whose x points forward and y left, as its points are read.
