@@ -62,11 +62,13 @@ FOLLOWER = np.array(
 )
 FOLLOWER_SIZE = (4.3, 1.9, 1.5)  # [m] length, width, height
 RAY, LITE = "RayISM", "DeepISM lite"
-ALONE, DEMPSTER, YAGER, CUMULATIVE = "scan alone", "Dempster", "Yager", "cumulative"
+ALONE, DEFAULT = "scan alone", "default"
+DEMPSTER, YAGER, CUMULATIVE = "Dempster", "Yager", "cumulative"
 BAYES, MATCHED = "Bayes", "Bayes, matched"
 COLOURS = {
     ALONE: TWIN,
-    DEMPSTER: OURS,
+    DEFAULT: OURS,
+    DEMPSTER: "#c0202b",
     YAGER: "#7fbf7b",
     CUMULATIVE: "#b8860b",
     BAYES: PEER,
@@ -311,22 +313,28 @@ Mapper: TypeAlias = EvidentialMapper | BinaryBayesMapper
 AnyMapper = TypeVar("AnyMapper", EvidentialMapper, BinaryBayesMapper, Mapper)
 
 
-def dempster_map() -> EvidentialMapper:
+def default_map() -> EvidentialMapper:
     """Make the mapper that users get by default, on a window that holds the view at any heading."""
-    return EvidentialMapper(MAP, dempster)
+    return EvidentialMapper(MAP)
+
+
+def plain(rule: Callable[..., Any]) -> Callable[[], EvidentialMapper]:
+    """Return maps of a rule in which what came stays as long as all else."""
+    return lambda: EvidentialMapper(MAP, rule, moving_half_life=float("inf"))
 
 
 def bayes_like_dempster() -> BinaryBayesMapper:
-    """Make a Bayes filter that forgets, reads scans and is bounded as `dempster_map` is."""
-    twin = dempster_map()
+    """Make a Bayes filter that forgets, reads scans and is bounded as the map of Dempster's rule is."""
+    twin = plain(dempster)()
     least = twin.min_unknown / (1 + twin.min_unknown)  # normalised plausibility of occupied at its most free
     return BinaryBayesMapper(MAP, twin.half_life[0], match="plausibility", limits=(least, 1 - least))
 
 
 MAPPERS: dict[str, Callable[[], Mapper]] = {
-    DEMPSTER: dempster_map,
-    YAGER: lambda: EvidentialMapper(MAP, yager),
-    CUMULATIVE: lambda: EvidentialMapper(MAP, cumulative),
+    DEFAULT: default_map,
+    DEMPSTER: plain(dempster),
+    YAGER: plain(yager),
+    CUMULATIVE: plain(cumulative),
     BAYES: lambda: BinaryBayesMapper(MAP),
     MATCHED: bayes_like_dempster,
 }
@@ -391,9 +399,9 @@ def judge_maps(
         controls = {f"poses of {name}": T for name, T in odometry.items()}
         controls["no poses"] = np.tile(np.eye(4), (len(one.poses), 1, 1))
         for name, poses in controls.items():
-            made = fuse(dempster_map, grids[RAY], case.window, one.stamps, poses)
-            now[f"{RAY}, {DEMPSTER}, {name}"] = made.view(SPEC)
-        one_scan = fuse(dempster_map, grids[RAY], [k], one.stamps, one.poses)
+            made = fuse(default_map, grids[RAY], case.window, one.stamps, poses)
+            now[f"{RAY}, {DEFAULT}, {name}"] = made.view(SPEC)
+        one_scan = fuse(default_map, grids[RAY], [k], one.stamps, one.poses)
         now[f"{RAY}, {ALONE}, through a map"] = one_scan.view(SPEC)  # what turning it there and back costs
         for name, grid in now.items():
             rows.setdefault(name, []).append(judge(grid, state))
@@ -423,6 +431,9 @@ def judge_maps(
             )
             for sensor in grids
             for first, second in (
+                (DEFAULT, ALONE),
+                (DEFAULT, BAYES),
+                (DEFAULT, DEMPSTER),
                 (DEMPSTER, ALONE),
                 (BAYES, ALONE),
                 (DEMPSTER, BAYES),
@@ -591,7 +602,7 @@ def check_poses(
     for case in cases:
         k, before = case.window[-1], case.window[:-1]
         still = ~covered(np.concatenate([inflated(one.boxes(j, k, one.moving)) for j in case.window]))
-        mapper = fuse(dempster_map, scans, before, one.stamps, one.poses)
+        mapper = fuse(default_map, scans, before, one.stamps, one.poses)
         right = contradiction(mapper, scans[k], one.poses[k], still)
         others["derived"].append(right)
         for kind, sizes in wrong_poses().items():
@@ -602,7 +613,7 @@ def check_poses(
                     float(np.mean(np.array(found) > right))
                 )
         for name, poses in odometry.items():
-            made = fuse(dempster_map, scans, before, one.stamps, poses)
+            made = fuse(default_map, scans, before, one.stamps, poses)
             others[name].append(contradiction(made, scans[k], poses[k], still))
     return {
         "mean conflict of known cells": {
@@ -677,12 +688,12 @@ def compare_poses(one: Recording, poses: NDArray[np.float64]) -> dict[str, Any]:
 def panels_of(one: Recording, case: Case, scans: Sequence[EvidentialGrid]) -> list[Panel]:
     """Show a frame: points, scan, map, conflict, reference."""
     k = case.window[-1]
-    mapper = fuse(dempster_map, scans, case.window, one.stamps, one.poses)
+    mapper = fuse(default_map, scans, case.window, one.stamps, one.poses)
     dots = GridSpec.centered(length=81.92, width=56.32, resolution=0.32)
     return [
         points(one.scenes[k].points, dots, f"{one.name}, scan {one.scenes[k].name}", ground_z=-one.height),
         masses(scans[k], "the scan alone"),
-        masses(mapper.view(SPEC), f"map of {len(case.window)} scans, Dempster"),
+        masses(mapper.view(SPEC), f"map of {len(case.window)} scans"),
         conflict_panel(mapper.conflict_view(SPEC), SPEC, "conflict"),
         reference_panel(reference(one, k, case.others).state, f"reference; other scans: {len(case.others)}"),
     ]
@@ -802,8 +813,8 @@ def _chart_maps(ax: Any, found: dict[str, Any], main_one: str) -> None:
     names = (ALONE, *MAPPERS)
     for n, name in enumerate(names):
         values = [100 * found[main_one]["maps"]["mean"][f"{RAY}, {name}"][key] for key, _ in groups]
-        places = np.arange(len(groups)) + (n - (len(names) - 1) / 2) * 0.14
-        ax.bar(places, values, 0.13, color=COLOURS[name], label=name)
+        places = np.arange(len(groups)) + (n - (len(names) - 1) / 2) * 0.12
+        ax.bar(places, values, 0.115, color=COLOURS[name], label=name)
         for place, value in zip(places, values, strict=True):
             ax.text(
                 place,
@@ -828,8 +839,8 @@ def _chart_places(ax: Any, found: dict[str, Any]) -> None:
     names = (ALONE, *MAPPERS)
     for n, which in enumerate(names):
         values = [100 * found[name]["maps"]["mean"][f"{RAY}, {which}"][key] for name, key, _ in groups]
-        places = np.arange(len(groups)) + (n - (len(names) - 1) / 2) * 0.14
-        ax.bar(places, values, 0.13, color=COLOURS[which], label=which)
+        places = np.arange(len(groups)) + (n - (len(names) - 1) / 2) * 0.12
+        ax.bar(places, values, 0.115, color=COLOURS[which], label=which)
     ticks = [f"{title}\n{name.replace(' ', chr(10), 1)}" for name, _, title in groups]
     ax.set_xticks(range(len(groups)), ticks, fontsize=8)
     ax.set_ylabel("[%]")
