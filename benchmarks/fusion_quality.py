@@ -1,6 +1,6 @@
 """What fusing over time gives, by which rule, and against the classical Bayes filter.
 
-    python benchmarks/fusion_quality.py --dev DIR [--data DIR] [--quick]
+    python benchmarks/fusion_quality.py --dev DIR [--data DIR] [--quick] [--keep]
 
 Both folders hold drives of 10 s at 10 Hz that `ogm simulate --sequences N` made, DATA in other towns than DEV. All
 rules run on DEV with several parameters; each rule's parameter is chosen there (least ghost area at the static
@@ -27,6 +27,7 @@ from _run import PICTURES, RESULTS, caption, environment, write_json
 
 # isort: split
 import argparse
+import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -253,12 +254,40 @@ def draw_moment(path: Path, part: Split, numbers: Sequence[int], note: str) -> d
     return {"drive": number, "frame": frame}
 
 
+def swept(part: Split, numbers: Sequence[int], quick: bool) -> dict[Method, dict[str, float]]:
+    """Run every rule with every parameter on the drives that choices may be made on; return mean scores."""
+    methods: list[Method] = [
+        (family, p)
+        for family, one in FAMILIES.items()
+        if not (quick and family in SLOW)
+        for p in (one.parameters[1::2] if quick and family != BASELINE[0] else one.parameters)
+    ]
+    methods = list(dict.fromkeys([(SCAN, 0.0), BASELINE, DEFAULT, PLAIN, *methods]))
+    tried: dict[Method, list[Counts]] = {method: [] for method in methods}
+    for drive in read(part, numbers, "dev"):
+        for method, one in run(drive, scans_of(drive, ray(drive)), methods).items():
+            tried[method].append(one)
+    return {
+        method: {name: float(np.nanmean(v)) for name, v in scores.items() if not np.isnan(v).all()}
+        for method, scores in tabulated(tried).items()
+    }
+
+
+def kept(path: Path) -> dict[Method, dict[str, float]]:
+    """Return what an earlier run found on the drives that choices may be made on."""
+    rows = json.loads(path.read_text())["dev sweep"]
+    return {(row.pop("family"), float(row.pop("parameter"))): row for row in rows}
+
+
 def main() -> None:
     """Measure, print the table, write the record and the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--dev", type=Path, required=True, help="drives to choose parameters on")
     parser.add_argument("--data", type=Path, help="drives to measure on (default: those of --dev)")
     parser.add_argument("--quick", action="store_true", help="one drive each, few parameters, no numpy rules")
+    parser.add_argument(
+        "--keep", action="store_true", help="measure anew, but keep the choices of the last record"
+    )
     parser.add_argument("--no-lite", action="store_true", help="without the network")
     parser.add_argument("--out", type=Path, default=RESULTS / "fusion_quality.json")
     parser.add_argument("--picture", type=Path, default=PICTURES / "fusion_quality.png")
@@ -268,25 +297,11 @@ def main() -> None:
     record["command"] = " ".join(["python benchmarks/fusion_quality.py", *words])
     rng = np.random.default_rng(SEED)
 
-    # Every rule with every parameter, on the drives that choices may be made on
     store = Store.open(options.dev)
     part = store["sequences"]
     numbers = drives(part, 1 if options.quick else None)
-    methods: list[Method] = [
-        (family, p)
-        for family, one in FAMILIES.items()
-        if not (options.quick and family in SLOW)
-        for p in (one.parameters[1::2] if options.quick and family != BASELINE[0] else one.parameters)
-    ]
-    methods = list(dict.fromkeys([(SCAN, 0.0), BASELINE, DEFAULT, PLAIN, *methods]))
-    tried: dict[Method, list[Counts]] = {method: [] for method in methods}
-    for drive in read(part, numbers, "dev"):
-        for method, one in run(drive, scans_of(drive, ray(drive)), methods).items():
-            tried[method].append(one)
-    rows = {
-        method: {name: float(np.nanmean(v)) for name, v in scores.items() if not np.isnan(v).all()}
-        for method, scores in tabulated(tried).items()
-    }
+    count = len(numbers)
+    rows = kept(options.out) if options.keep else swept(part, numbers, options.quick)
     points = chosen({method: row for method, row in rows.items() if method[0] != SCAN})
 
     # What was chosen, on the drives that nothing was chosen on
@@ -320,7 +335,7 @@ def main() -> None:
     frames = 100 * len(numbers)
     record |= {
         "definitions": __doc__,
-        "dev": {"plan": store.plan, "drives": len(tried[BASELINE])},
+        "dev": {"plan": store.plan, "drives": count},
         "judged": {"what": judged, "plan": judged_store.plan, "drives": len(numbers), "frames": frames},
         "bootstrap seed": SEED,
         "dev sweep": [
@@ -375,7 +390,7 @@ def main() -> None:
     }
     said = {
         "judged": f"{len(numbers)} {judged} drives",
-        "dev": f"{len(tried[BASELINE])} dev drives",
+        "dev": f"{count} dev drives",
     }
     curves(options.picture, ghosts, filled, sweep, points, said, caption(record))
     at = options.picture.with_name(options.picture.stem + "_moment.png")

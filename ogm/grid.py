@@ -166,7 +166,7 @@ class GridSpec:
 
     def refined(self, factor: int) -> "GridSpec":
         """Return the spec of the same area with `factor` times as many cells along each axis."""
-        if factor != int(factor) or factor < 1:
+        if not (np.isfinite(factor) and factor == int(factor) and factor >= 1):
             raise ValueError(f"factor must be a positive whole number, got {factor}")
         nx, ny = self.shape
         return GridSpec(self.resolution / factor, (nx * int(factor), ny * int(factor)), self.origin)

@@ -34,8 +34,10 @@ def test_import_ogm_is_quick() -> None:
 
 
 def test_no_wing_loads_torch_open3d_or_matplotlib() -> None:
-    code = "import sys, ogm.geometric, ogm.io, ogm.grid, ogm.evidence, ogm.pose; print(*sys.modules)"
-    assert not {"torch", "open3d", "matplotlib"} & set(run(code).split())
+    code = (
+        "import sys, ogm.geometric, ogm.fusion, ogm.io, ogm.grid, ogm.evidence, ogm.pose; print(*sys.modules)"
+    )
+    assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp"} & set(run(code).split())
 
 
 def test_the_front_door_holds_what_it_names() -> None:
@@ -56,7 +58,7 @@ def test_import_contracts_hold() -> None:
 def test_every_public_name_is_documented() -> None:
     import importlib
 
-    for room in ("evidence", "pose", "files", "grid", "io", "geometric", "plot", "metrics", "deep"):
+    for room in ("evidence", "pose", "files", "grid", "io", "geometric", "plot", "metrics", "deep", "fusion"):
         module = importlib.import_module(f"ogm.{room}")
         for name in module.__all__:
             value = getattr(module, name)

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.cli.console import one_line
 from ogm.cli.maps import ENDINGS, stem
 from ogm.io import Poses, Scan, estimate_sensor_height, read_scan
+from ogm.io.axes import rotation_to_flu
 
 if TYPE_CHECKING:
     from ogm.io import Axes
@@ -105,7 +107,10 @@ def drive_of(
         raise ValueError(
             "--sequence picks one of a data set that `ogm simulate` made; leave it out for files"
         )
+    rotation_to_flu(axes)  # refuses what are none, before any scan is read
     files = _scans_in(folders[0]) if folders else list(scans)
+    if not any(path.exists() for path in files):
+        raise FileNotFoundError(f"there is no file or folder {files[0]}")
     names = [stem(path) for path in files]
     if len(set(names)) == len(names):
         order = sorted(range(len(files)), key=lambda k: _natural(names[k]))
@@ -205,10 +210,12 @@ def estimated_height(drive: Drive) -> tuple[float, int]:
         If none of them shows enough ground.
     """
     heights: list[float] = []
+    failed = ""
     for k in range(min(len(drive), 2 * HEIGHTS)):
         try:
             one = estimate_sensor_height(drive.read(k).points)
-        except UNREADABLE:
+        except UNREADABLE as error:
+            failed = f" ({one_line(error)})"
             continue  # the mapping will complain of it
         if one is not None:
             heights.append(one)
@@ -216,7 +223,7 @@ def estimated_height(drive: Drive) -> tuple[float, int]:
             break
     if not heights:
         raise ValueError(
-            "the first scans show too little ground to tell the sensor's height (or cannot be read); "
+            f"the first scans show too little ground to tell the sensor's height, or cannot be read{failed}; "
             "give --sensor-height [m]"
         )
     return float(np.median(heights)), len(heights)

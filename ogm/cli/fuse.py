@@ -118,7 +118,7 @@ def fuse(
 
     A scan that is damaged, has no pose, or whose pose or stamp jumps is skipped with a complaint, and the exit code
     is 2. After three jumps in a row the map so far is saved as NAME.before-jump-1.npz and begins anew. Ctrl-C, or an
-    error half-way, writes what there is.
+    error half-way through the mapping, writes what there is.
     """
     from ogm.cli.drive import drive_of
     from ogm.cli.mapping import Run, map_all
@@ -126,7 +126,7 @@ def fuse(
 
     if out_path is None and picture is None and movie is None:
         out_path, picture = Path("map.npz"), Path("map.png")
-    _check_choices(rule, window, odometry, poses, calib, save_poses)
+    _check_choices(rule, window, odometry, poses, calib, save_poses, half_life)
     _check_outputs(out_path, picture, movie, save_poses)
     spec = GridSpec.centered(length=length, width=width, resolution=resolution)
     drive = drive_of(scans, sequence, parsed_axes(axes), intensity_max, time_unit)
@@ -177,6 +177,7 @@ def _check_choices(
     poses: Path | None,
     calib: Path | None,
     save_poses: Path | None,
+    half_life: float | None,
 ) -> None:
     """Refuse names that are no choices, and options that make no sense together, before any work."""
     for option, given, choices in (
@@ -190,8 +191,11 @@ def _check_choices(
         raise ValueError("--poses and --odometry exclude each other; give one")
     if calib is not None and poses is None:
         raise ValueError("--calib belongs to --poses, which is missing")
-    if save_poses is not None and poses is not None and save_poses.resolve() == poses.resolve():
-        raise ValueError(f"--save-poses would overwrite {poses}; give another name")
+    for path in filter(None, (poses, calib)):
+        if save_poses is not None and save_poses.resolve() == path.resolve():
+            raise ValueError(f"--save-poses would overwrite {path}; give another name")
+    if half_life is not None and not half_life > 0:
+        raise ValueError(f"--half-life must be greater than 0 s, got {half_life}; inf forgets nothing")
 
 
 def _check_outputs(
@@ -291,6 +295,10 @@ def _window(kind: str, spec: "GridSpec", route: "Route") -> tuple["GridSpec", An
     if kind == "rolling":
         side = 2 * math.ceil(reach / step + 1)
         return GridSpec(step, (side, side), (-side * step / 2, -side * step / 2)), kind
+    if not route.known.any():
+        raise ValueError(
+            "none of the scans has a pose, so a fixed window has no area; see how poses are matched above"
+        )
     xy = route.poses[route.known][:, :2, 3]
     low = [math.floor((one - reach) / step) for one in xy.min(axis=0)]
     high = [math.ceil((one + reach) / step) for one in xy.max(axis=0)]

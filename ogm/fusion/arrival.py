@@ -78,7 +78,7 @@ class Log:
         self.stamp: float | None = None
         self.T_map_vehicle: NDArray[np.float64] | None = None
         self.scans = 0
-        self._refused: float | None = None  # stamp of the last jump
+        self._refused: tuple[float, NDArray[np.float64]] | None = None  # stamp and pose of the last jump
 
     def check(
         self,
@@ -89,7 +89,7 @@ class Log:
         T_vehicle_sensor: ArrayLike | None,
         reliability: float,
     ) -> Arrival:
-        """Say what a scan is, or why it cannot be fused; of a jump, its time is remembered."""
+        """Say what a scan is, or why it cannot be fused; of a jump, the pose is remembered."""
         if not isinstance(grid, EvidentialGrid):
             raise TypeError(
                 f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
@@ -151,16 +151,29 @@ class Log:
         if self.T_map_vehicle is None or self.stamp is None or math.isinf(self.max_speed):
             return
         before = self.T_map_vehicle
-        # Since the last scan that was offered: a jump does not become a way by being refused for long enough.
-        offered = self.stamp if self._refused is None else max(self.stamp, self._refused)
-        seconds = abs(time - offered)
-        way = math.dist(vehicle[:2, 3].tolist(), before[:2, 3].tolist())
-        trace = float((before[:3, :3] * vehicle[:3, :3]).sum())  # of the rotation from one to the other
-        turn = math.acos(min(max((trace - 1) / 2, -1.0), 1.0))
-        if way > self.max_speed * seconds + SLACK or turn > TURN_RATE * seconds + TURN_SLACK:
-            self._refused = time
+        way, turn = _between(before, vehicle)
+        seconds = abs(time - self.stamp)
+        reachable = way <= self.max_speed * seconds + SLACK and turn <= TURN_RATE * seconds + TURN_SLACK
+        if reachable and self._refused is not None:
+            # A jump does not become a way by being refused for long enough: where the new pose goes on from the refused
+            # one rather than from the accepted one, it is still the same jump.
+            stamp, pose = self._refused
+            on_way, on_turn = _between(pose, vehicle)
+            pace, pace_on = max(seconds, 1e-3), max(abs(time - stamp), 1e-3)
+            effort = (way / self.max_speed + turn / TURN_RATE) / pace
+            reachable = effort <= (on_way / self.max_speed + on_turn / TURN_RATE) / pace_on
+        if not reachable:
+            self._refused = time, vehicle
             raise PoseJump(
-                f"the pose jumps by {way:.3g} m and {math.degrees(turn):.3g} degrees in {seconds:.3g} s (allowed: "
-                f"{self.max_speed:g} m/s): leave the scan out if it is a glitch, call reset() after a closed loop, "
-                "or set max_speed"
+                f"the pose jumps by {way:.3g} m and {math.degrees(turn):.3g} degrees since the last scan that was "
+                f"accepted, {seconds:.3g} s before (allowed: {self.max_speed:g} m/s): leave the scan out if it is a "
+                "glitch, call reset() after a closed loop, or set max_speed"
             )
+        self._refused = None
+
+
+def _between(T: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:
+    """Return how far two poses are apart in the plane [m], and by how much they are turned [rad]."""
+    trace = float((T[:3, :3] * other[:3, :3]).sum())  # of the rotation from one to the other
+    turn = math.acos(min(max((trace - 1) / 2, -1.0), 1.0))
+    return math.dist(T[:2, 3].tolist(), other[:2, 3].tolist()), turn

@@ -82,11 +82,11 @@ class BinaryBayesMapper:
     ) -> None:
         """Age the map to a new scan's time and add the scan's log-odds: `EvidentialMapper.update`."""
         arrival = self._log.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
-        self._window.move_to(arrival.corner, self._log_odds)
-        said: NDArray[np.float32] = np.empty_like(grid.mass)
-        mass = grid.mass * np.float32(reliability)
+        mass = np.ascontiguousarray(grid.mass) * np.float32(reliability)
+        said: NDArray[np.float32] = np.empty_like(mass)
         low, high = (math.log(p / (1 - p)) for p in self.limits)
         log_odds_of(mass.reshape(-1, 2), self.match == "plausibility", max(-low, high), said.reshape(-1, 2))
+        self._window.move_to(arrival.corner, self._log_odds)
         keep = 0.5 ** (abs(arrival.elapsed) / self.half_life)
         if arrival.elapsed < 0:  # late: what ageing would have left of it
             said, keep = said * np.float32(keep), 1.0
@@ -138,14 +138,7 @@ class BinaryBayesMapper:
     ) -> EvidentialGrid:
         """Return the map in the vehicle's axes: `EvidentialMapper.view`."""
         T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        return view_of(
-            self.grid,
-            self._window.given if spec is None else spec,
-            T,
-            self._window.kind,
-            spec is None,
-            method,
-        )
+        return view_of(self.grid, spec or self._window.around, T, method)
 
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map."""

@@ -11,6 +11,7 @@ from ogm.pose import Trajectory, interpolate, inverse
 
 __all__ = ["deskew", "extended"]
 
+_MOST_KNOTS = 100  # poses by which a trajectory is extended at each end
 _SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
 
 
@@ -136,7 +137,7 @@ def extended(trajectory: Trajectory, seconds: float) -> Trajectory:
     Returns
     -------
     Trajectory
-        With one pose more at each end, or more where `seconds` exceeds the stretch that it goes on from.
+        With one pose more at each end, or up to a hundred where `seconds` exceeds the stretch that it goes on from.
 
     Raises
     ------
@@ -161,7 +162,7 @@ def _go_on(
     t0: float, t1: float, T0: NDArray[np.float64], T1: NDArray[np.float64], seconds: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return stamps and poses after (t1, T1), up to `seconds` on, spaced as t0 and t1 are at most."""
-    count = int(np.ceil(round(seconds / (t1 - t0), 9)))
+    count = min(int(np.ceil(round(min(seconds / (t1 - t0), 1e6), 9))), _MOST_KNOTS)
     stamps = t1 + seconds * np.arange(1, count + 1) / max(count, 1)
     step = _twist(inverse(T0) @ T1)
     poses = [T1 @ _rigid(step * ((t - t1) / (t1 - t0))) for t in stamps]

@@ -84,7 +84,8 @@ class EgoMotion:
         [m/s], [rad/s], then.
     deviation : 5 float
         How well x, y [m], yaw [rad], speed [m/s] and yaw rate [rad/s] are known then, 1 sigma each, above 0.
-        A heading that nobody knows has pi / 2.
+        A heading that nobody knows has pi / 2; fixes much better than the way between them then want a gyro, or a
+        heading taken from the first two of them: the filter is local, and may take a wrong turn for right.
     acceleration : float
         By how much the speed changes within a second, 1 sigma [m/s^2]; the change grows with the root of
         time, so it does not matter how often there are measurements.
@@ -301,8 +302,13 @@ class EgoMotion:
                 self._patience,
             )
             before = self._filter.P.copy()
+            wider = np.zeros_like(
+                before
+            )  # what is measured alone: a jump of the position says nothing of the yaw
+            wider[rows, rows] = np.maximum(np.diag(R), np.diag(before)[rows])
             while self._distance(z, R, rows) > limit:
-                self._filter.P = 2 * self._filter.P
+                self._filter.P = self._filter.P + wider
+                wider *= 2
             self._note(self._filter.x.copy(), self._filter.P.copy(), before)
         self._in_a_row[kind] = 0
         self._filter.sigmas_f = self._points.sigma_points(self._filter.x, self._filter.P)

@@ -22,6 +22,7 @@ __all__ = ["EvidentialMapper", "Forget", "Rule"]
 
 Rule = Callable[[Any, Any], Any]
 Forget = Literal["everywhere", "observed"]
+MOVING = 50.0  # times faster than all else, what came is forgotten
 _FAST: dict[Rule, int] = {
     dempster: DEMPSTER,
     yager: YAGER,
@@ -52,7 +53,8 @@ class EvidentialMapper:
     moving_half_life : float
         The same [s] for occupied where something came, and what comes leaves: belief that a cell is occupied fades
         this fast, in proportion to the excess of the conflict free -> occupied over occupied -> free. It takes the
-        trails away that moving things leave where no ray looks any more; infinity lets them stand.
+        trails away that moving things leave where no ray looks any more; infinity lets them stand. By default a
+        fiftieth of the half-life of occupied, so that a map that forgets nothing forgets nothing.
     conflict_half_life : float
         Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
     discounting : {discount, discount_evidence}
@@ -77,9 +79,10 @@ class EvidentialMapper:
     Notes
     -----
     Stamps. A repeated stamp is a scan of the same moment (another sensor's): nothing ages. A scan that is at most
-    `max_delay` older than the map counts as what ageing would have left of it, and the window does not move back
-    for it. An older one, a missing stamp (unless nothing is ever forgotten), a gap of more than a day, NaN:
-    ValueError. A pose jump: `PoseJump`. After an error the map is as it was.
+    `max_delay` older than the map counts as what ageing would have left of it; the window does not move back for
+    it, and it says nothing about what came or went. An older one, a missing stamp (unless nothing is ever
+    forgotten), a gap of more than a day, NaN: ValueError; so is every scan after one whose stamp was wrong by hours,
+    until `reset`. A pose jump: `PoseJump`. After an error the map is as it was.
     """
 
     def __init__(
@@ -88,7 +91,7 @@ class EvidentialMapper:
         rule: Rule = normalized_cautious,
         half_life: float | Sequence[float] = 2.0,
         *,
-        moving_half_life: float = 0.04,
+        moving_half_life: float | None = None,
         conflict_half_life: float = 2.0,
         discounting: Callable[..., Any] = discount,
         forget: Forget = "everywhere",
@@ -107,17 +110,20 @@ class EvidentialMapper:
             )
         if not 0 <= min_unknown < 1:
             raise ValueError(f"min_unknown must be in [0, 1), got {min_unknown}")
-        if not moving_half_life > 0:
+        if moving_half_life is not None and not moving_half_life > 0:
             raise ValueError(f"moving_half_life must be greater than 0 s, got {moving_half_life}")
         if not conflict_half_life >= 0:
             raise ValueError(f"conflict_half_life must be 0 s or more, got {conflict_half_life}")
         self.rule, self.half_life = rule, _half_lives(half_life)
-        self.moving_half_life = float(moving_half_life)
+        self.moving_half_life = (
+            self.half_life[1] / MOVING if moving_half_life is None else float(moving_half_life)
+        )
         self.discounting, self.forget = discounting, checked_forget(forget)
         self.min_unknown = float(min_unknown)
         self.conflict_half_life = float(conflict_half_life)
+        forgets = not math.inf == self.moving_half_life == min(self.half_life)
         self._window = Window(spec, window)
-        self._log = Log(max_speed, max_delay, needs_stamps=self.half_life != (math.inf, math.inf))
+        self._log = Log(max_speed, max_delay, needs_stamps=forgets)
         self._mass = np.zeros((*spec.shape, 2), np.float32)
         self._conflict = np.zeros((*spec.shape, 2), np.float32)
 
@@ -220,14 +226,7 @@ class EvidentialMapper:
         method : {"nearest", "area", "cautious"}
         """
         T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        return view_of(
-            self.grid,
-            self._window.given if spec is None else spec,
-            T,
-            self._window.kind,
-            spec is None,
-            method,
-        )
+        return view_of(self.grid, spec or self._window.around, T, method)
 
     def conflict_view(
         self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None
@@ -235,14 +234,7 @@ class EvidentialMapper:
         """Return `conflict` in the vehicle's axes, (nx, ny, 2), by nearest cells. Arguments as for `view`."""
         T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
         layers = EvidentialGrid.trusted(self.spec, self.conflict)
-        return view_of(
-            layers,
-            self._window.given if spec is None else spec,
-            T,
-            self._window.kind,
-            spec is None,
-            "nearest",
-        ).mass
+        return view_of(layers, spec or self._window.around, T, "nearest").mass
 
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map."""
@@ -255,9 +247,10 @@ class EvidentialMapper:
         """Fuse a scan in one compiled pass over the map."""
         nx, ny = self._window.given.shape
         elapsed = max(arrival.elapsed, 0.0)
+        conflict = self._conflict if arrival.elapsed >= 0 else self._conflict.copy()
         evidential_update(
             self._mass.reshape(nx, 2 * ny),
-            self._conflict.reshape(nx, 2 * ny),
+            conflict.reshape(nx, 2 * ny),
             *self._window.ring,
             mass,
             arrival.affine,
@@ -289,6 +282,8 @@ class EvidentialMapper:
             if self.forget == "observed":
                 aged = np.where(said.sum(axis=-1, keepdims=True) > 0, aged, stayed)
             self._mass[:] = bounded(self._combined(aged, said), self.min_unknown)
+            if arrival.elapsed < 0:
+                return
             contradicted = aged * said[..., ::-1]  # free then and occupied now, occupied then and free now
             np.maximum(self._conflict * np.float32(self._fade(elapsed)), contradicted, out=self._conflict)
         except BaseException:

@@ -117,6 +117,8 @@ def _followed(
         if points.ndim != 2 or points.shape[1] < 3:
             raise ValueError(f"scan {k} must have shape (N, 3 or more), got {points.shape}")
         time = np.zeros(len(points)) if given is None else np.asarray(given, np.float64)
+        if time.shape != points.shape[:1]:
+            raise ValueError(f"times of scan {k} must be ({len(points)},) like its points, got {time.shape}")
         # The last motion goes on; where scans are missing, for longer.
         guess = T @ _times(step, (stamp - last) / lasted) if lasted else T
         found = _nearest(register(_cloud(points, time, step, lasted, within, k), guess))

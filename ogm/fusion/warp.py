@@ -3,16 +3,17 @@
 Every way keeps masses masses. They differ in what a cell that covers several others believes.
 """
 
+import math
 from typing import Any, Literal, get_args
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion.kernels import gather
-from ogm.fusion.window import Kind, affine_between
+from ogm.fusion.window import affine_between, cells_through, flat
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.pose import check_pose, inverse
+from ogm.pose import check_pose
 
 __all__ = ["Method", "Reduce", "coarsen", "refine", "view_of", "warp"]
 
@@ -35,10 +36,10 @@ def warp(
         Its x, y part counts, projected along the vertical.
     method : {"area", "nearest", "cautious"}
         "area": the mean of the cells it covers, weighted by the exact area of overlap: a mixture, right where it is
-        uncertain which cell is meant. Sums of mass times area are kept. "nearest": the cell that holds its middle;
-        nothing is mixed, but cells are lost where the new ones are coarser. "cautious": as "area", but the
-        dissonance that comes of mixing free cells with occupied ones becomes unknown. Outside `grid` all is
-        unknown.
+        uncertain which cell is meant. Sums of mass times area are kept, but for tilted poses, which shrink areas.
+        "nearest": the cell that holds its middle; nothing is mixed, but cells are lost where the new ones are coarser.
+        "cautious": as "area", but the dissonance that comes of mixing free cells with occupied ones becomes unknown.
+        Outside `grid` all is unknown.
 
     Returns
     -------
@@ -51,14 +52,7 @@ def warp(
     """
     if method not in get_args(Method):
         raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
-    affine = affine_between(spec, grid.spec, check_pose(T_to_from, "T_to_from"))
-    out = np.empty((*spec.shape, 2), np.float32)
-    source = np.ascontiguousarray(grid.mass)
-    if method == "nearest":
-        gather(source, affine, 1, 0, 0, out.reshape(spec.shape[0], -1))
-    else:
-        _overlap(source, affine, method == "cautious", out)
-    return EvidentialGrid.trusted(spec, out)
+    return _resampled(grid, spec, affine_between(spec, grid.spec, check_pose(T_to_from, "T_to_from")), method)
 
 
 def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> EvidentialGrid:
@@ -76,7 +70,7 @@ def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> Evide
     """
     if reduce not in get_args(Reduce):
         raise ValueError(f"reduce must be one of {', '.join(get_args(Reduce))}, got {reduce!r}")
-    if factor != int(factor) or factor < 1:
+    if not (math.isfinite(factor) and factor == int(factor) and factor >= 1):
         raise ValueError(f"factor must be a positive whole number, got {factor}")
     n = int(factor)
     nx, ny = grid.spec.shape
@@ -101,22 +95,33 @@ def refine(grid: EvidentialGrid, factor: int) -> EvidentialGrid:
 
 
 def view_of(
-    grid: EvidentialGrid,
-    spec: GridSpec,
-    T_map_vehicle: ArrayLike | None,
-    kind: Kind,
-    default: bool,
-    method: Method,
+    grid: EvidentialGrid, spec: GridSpec, T_map_vehicle: ArrayLike | None, method: Method
 ) -> EvidentialGrid:
-    """Return a map in the vehicle's axes; by `default` on as many cells as it has, around the vehicle."""
+    """Return a map in the vehicle's axes: every cell looks where the vehicle's plane, projected, has its middle.
+
+    This is the way back of how scans come into the map. It is not `warp` by the inverse pose, which projects along
+    the vehicle's own vertical.
+    """
     if T_map_vehicle is None:
         raise ValueError(
             "the map has seen no scan yet, so it knows no pose to be viewed from; give T_map_vehicle"
         )
-    if default and kind == "fixed":
-        (nx, ny), side = spec.shape, spec.resolution
-        spec = GridSpec(side, spec.shape, (-nx * side / 2, -ny * side / 2))
-    return warp(grid, spec, inverse(T_map_vehicle), method)
+    if method not in get_args(Method):
+        raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
+    A, b = flat(check_pose(T_map_vehicle, "T_map_vehicle"))
+    return _resampled(grid, spec, cells_through(spec, grid.spec, A, b), method)
+
+
+def _resampled(
+    grid: EvidentialGrid, spec: GridSpec, affine: NDArray[np.float64], method: Method
+) -> EvidentialGrid:
+    out = np.empty((*spec.shape, 2), np.float32)
+    source = np.ascontiguousarray(grid.mass)
+    if method == "nearest":
+        gather(source, affine, 1, 0, 0, out.reshape(spec.shape[0], -1))
+    else:
+        _overlap(source, affine, method == "cautious", out)
+    return EvidentialGrid.trusted(spec, out)
 
 
 _jit = njit(cache=True, nogil=True, error_model="numpy")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["Kind", "Window", "affine_between", "flat", "meet", "samples_per_axis"]
+__all__ = ["Kind", "Window", "affine_between", "cells_through", "flat", "meet", "samples_per_axis"]
 
 Kind = Literal["rolling", "fixed"]
 _MOST_TILT = 45.0  # [deg]
@@ -37,17 +37,19 @@ def flat(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 def affine_between(spec: GridSpec, source: GridSpec, T_to_from: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what takes cell coordinates of `spec` ("to" frame) to those of `source` ("from" frame), (2, 3)."""
-    (p, q), (r, t) = flat(T_to_from)[0].tolist()
+    A, b = flat(T_to_from)
+    (p, q), (r, t) = A.tolist()
     det = p * t - q * r
-    x, y = (np.array(spec.origin) - T_to_from[:2, 3]).tolist()
-    scale, side = spec.resolution / source.resolution, source.resolution * det
-    u, v = source.origin
-    return np.array(
-        [
-            [t / det * scale, -q / det * scale, (t * x - q * y) / side - u / source.resolution],
-            [-r / det * scale, p / det * scale, (p * y - r * x) / side - v / source.resolution],
-        ]
-    )
+    back = np.array([[t / det, -q / det], [-r / det, p / det]])
+    return cells_through(spec, source, back, -back @ b)
+
+
+def cells_through(
+    spec: GridSpec, source: GridSpec, A: NDArray[np.float64], b: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the same, (2, 3), for points of `spec` that lie at ``A p + b`` in the frame of `source`."""
+    shift = (A @ np.array(spec.origin) + b - np.array(source.origin)) / source.resolution
+    return np.column_stack([A * (spec.resolution / source.resolution), shift])
 
 
 def samples_per_axis(spec: GridSpec, source: GridSpec) -> int:
@@ -95,6 +97,14 @@ class Window:
     def spec(self) -> GridSpec:
         """The cells now, in map coordinates."""
         return self.spec_at(self.corner)
+
+    @property
+    def around(self) -> GridSpec:
+        """As many cells as the window has, in the vehicle's frame: those of a view if nobody says others."""
+        if self.kind == "rolling":
+            return self.given
+        (nx, ny), side = self.given.shape, self.given.resolution
+        return GridSpec(side, self.given.shape, (-nx * side / 2, -ny * side / 2))
 
     def spec_at(self, corner: tuple[int, int]) -> GridSpec:
         """Return the cells of a window with some corner, in map coordinates."""

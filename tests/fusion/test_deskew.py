@@ -209,3 +209,11 @@ def test_a_trajectory_goes_on_straight_and_keeps_what_it_knew() -> None:
 def test_what_cannot_be_extended_is_refused(count: int, seconds: float, says: str) -> None:
     with pytest.raises(ValueError, match=says):
         extended(drive(count), seconds)
+
+
+def test_nearly_equal_stamps_do_not_extend_a_trajectory_without_end() -> None:
+    close = Trajectory(np.array([0.0, 1e-9]), np.array([pose(), pose(1e-9)]))
+    longer = extended(close, 0.1)
+    assert len(longer) <= 202
+    assert longer.stamps[-1] == pytest.approx(0.1, abs=1e-6)
+    assert longer.poses[-1][0, 3] == pytest.approx(0.1, rel=1e-3)

@@ -327,3 +327,19 @@ def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ImportError, match="ogm-toolkit\\[track\\]"):
         EgoMotion(0.0)
+
+
+@pytest.mark.parametrize("off", [20.0, 100.0, 1000.0])
+def test_a_jump_of_the_position_leaves_heading_and_speed_alone(off: float) -> None:
+    """GNSS that is off from some time on: after some patience the filter follows, and drives on straight ahead."""
+    ego = EgoMotion(
+        0.0, speed=10.0, deviation=(0.5, 0.5, 0.02, 0.3, 0.02), acceleration=1.0, yaw_acceleration=0.2
+    )
+    for k in range(1, 300):
+        t = 0.1 * k
+        ego.speed(t, 10.0, 0.1)
+        ego.yaw_rate(t, 0.0, 0.01)
+        ego.position(t, (10.0 * t, off if k >= 200 else 0.0), 1.0)
+        assert abs(ego.state[2]) < 0.1
+        assert abs(ego.state[3] - 10.0) < 0.5
+    assert abs(ego.state[1] - off) < 3.0

@@ -1,6 +1,7 @@
 """Laws of the maps: what driving, waiting and looking do to them."""
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -437,10 +438,50 @@ def test_an_unreliable_sensor_counts_for_less():
 
 
 def test_memory_is_that_of_one_window_however_far_one_drives():
-    mapper = EvidentialMapper(SPEC)
-    for k in range(50):
-        mapper.update(noise(SPEC, k % 3), pose(1e3 * k), stamp=100.0 * k)
-    assert mapper.grid.mass.nbytes == SPEC.shape[0] * SPEC.shape[1] * 8
+    mapper, grids = EvidentialMapper(SPEC), [noise(SPEC, k) for k in range(3)]
+    mapper.update(grids[0], pose(), stamp=0.0)
+    tracemalloc.start()
+    try:
+        for k in range(1, 300):
+            mapper.update(grids[k % 3], pose(10.0 * k), stamp=1.0 * k)
+            if k == 20:
+                before = tracemalloc.get_traced_memory()[0]
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < SPEC.shape[0] * SPEC.shape[1]  # an eighth of one map
+
+
+@pytest.mark.parametrize("method", ["nearest", "area"])
+@pytest.mark.parametrize("T", [pose(3, -2, 100, pitch=0.17, yaw=0.4), pose(1, 5, -30, roll=-0.3, yaw=2.0)])
+def test_a_view_is_the_way_back_of_a_scan(T, method):
+    """What lies 4 m ahead in the scan lies 4 m ahead in the view, also on slopes and far above the map's zero."""
+    scan = np.zeros((*SPEC.shape, 2), np.float32)
+    scan[48:56, 20:28] = 0.0, 0.9  # 3.2 to 4.8 m ahead, 0.8 m to both sides
+    for mapper in (EvidentialMapper(SPEC), BinaryBayesMapper(SPEC)):
+        mapper.update(EvidentialGrid(SPEC, scan), T, stamp=0)
+        seen = mapper.view(SPEC, method=method).occupied > 0.4
+        ix, iy = np.nonzero(seen)
+        assert abs(ix.mean() - 51.5) < 0.5
+        assert abs(iy.mean() - 23.5) < 0.5
+        assert 50 < len(ix) < 80
+
+
+def test_a_map_that_forgets_nothing_keeps_what_came():
+    mapper = EvidentialMapper(SPEC, half_life=FOREVER)
+    mapper.update(uniform(SPEC, 0.5, 0.0), np.eye(4), stamp=0)
+    mapper.update(uniform(SPEC, 0.0, 0.9), np.eye(4), stamp=0.1)
+    before = mapper.grid.mass
+    mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=100)
+    np.testing.assert_allclose(mapper.grid.mass, before, atol=1e-6)
+
+
+def test_a_late_scan_says_nothing_about_what_came_or_went():
+    for rule in (normalized_cautious, lambda a, b: normalized_cautious(a, b)):
+        mapper = EvidentialMapper(SPEC, rule)
+        mapper.update(uniform(SPEC, 0.0, 0.8), np.eye(4), stamp=10.0)
+        mapper.update(uniform(SPEC, 0.8, 0.0), np.eye(4), stamp=9.8)
+        assert mapper.conflict.max() == 0
 
 
 def test_far_from_the_origin_cells_are_still_told_apart():
