@@ -68,13 +68,10 @@ def drive() -> Callable[[], tuple[NDArray[np.float64], float]]:
 
 
 def updating(mapper: Any, grid: EvidentialGrid) -> Contender:
-    ahead = drive()
+    def run(at: tuple[NDArray[np.float64], float]) -> None:
+        mapper.update(grid, at[0], stamp=at[1])
 
-    def run(_: None) -> None:
-        T, stamp = ahead()
-        mapper.update(grid, T, stamp=stamp)
-
-    return Contender(run)
+    return Contender(run, drive())
 
 
 def by_scipy(grid: EvidentialGrid) -> Contender:
@@ -84,9 +81,9 @@ def by_scipy(grid: EvidentialGrid) -> Contender:
     mass = grid.mass.copy()
     middle = np.array([SPEC.shape[0] / 2, SPEC.shape[1] / 2])
 
-    def run(_: None) -> None:
+    def run(at: tuple[NDArray[np.float64], float]) -> None:
         nonlocal mass, T_last, stamp_last
-        T, stamp = ahead()
+        T, stamp = at
         back = inverse(T_last) @ T
         shift = middle + back[:2, 3] / SPEC.resolution - back[:2, :2] @ middle
         warped = np.stack(
@@ -95,7 +92,7 @@ def by_scipy(grid: EvidentialGrid) -> Contender:
         mass = dempster(discount(warped, 0.5 ** ((stamp - stamp_last) / 2.0)), grid.mass)
         T_last, stamp_last = T, stamp
 
-    return Contender(run)
+    return Contender(run, ahead)
 
 
 def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
@@ -108,11 +105,10 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
             np.copyto(target, source)
 
     mapper = EvidentialMapper(SPEC)
-    whole, ahead = EvidentialMapper(SPEC), drive()
+    whole = EvidentialMapper(SPEC)
 
-    def stream(_: None) -> None:
-        T, stamp = ahead()
-        whole.update(ism(points), T, stamp=stamp)
+    def stream(at: tuple[NDArray[np.float64], float]) -> None:
+        whole.update(ism(points), at[0], stamp=at[1])
 
     mapper.update(grid, pose(yaw=0.3), stamp=0.0)
     fixed = mapper.grid
@@ -130,7 +126,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
         "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),
         "warp of the map, nearest": Contender(lambda _: warp(fixed, SPEC, pose(1, 2, yaw=0.4), "nearest")),
         "RayISM": Contender(lambda _: ism(points)),
-        "RayISM + update": Contender(stream),
+        "RayISM + update": Contender(stream, drive()),
     }
 
 

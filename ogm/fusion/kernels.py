@@ -88,7 +88,8 @@ def evidential_update(
     for i in range(nx):
         at = (i + row) % nx
         low, high = _look_up(z, scan, affine, i, ny, samples)
-        _scale(z[2 * low : 2 * high], w)
+        if w != 1:
+            _scale(z[2 * low : 2 * high], w)
         for part in range(2):
             a, b = (0, first) if part == 0 else (first, ny)  # cells of the window
             shift = column if part == 0 else column - ny  # to their place in the row
@@ -204,7 +205,7 @@ def _dempster(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
         known = free + occupied
         whole = known + u * v
         half = limit / (one + one)
-        scale = min(one / whole, limit / known)
+        scale = limit / max(limit * whole, known)  # 1 / whole, or limit / known where that is less
         m[2 * k] = half if whole == 0 else free * scale
         m[2 * k + 1] = half if whole == 0 else occupied * scale
 
@@ -248,7 +249,7 @@ def _cautious(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
         # Both sides times u v: max(f / u, g / v) is max(f v, g u)
         free, occupied = max(f * v, g * u), max(o * v, p * u)
         known = free + occupied
-        scale = min(one / (known + u * v), limit / known)
+        scale = limit / max(limit * (known + u * v), known)
         m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
 
 

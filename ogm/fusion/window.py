@@ -139,13 +139,12 @@ class Window:
             step = corner[axis] - self.corner[axis]
             if step == 0:
                 continue
-            start = self.corner[axis] + size if step > 0 else corner[axis]
-            entered = np.arange(start, start + min(abs(step), size)) % size
+            start = (self.corner[axis] + size if step > 0 else corner[axis]) % size
+            stop = start + min(abs(step), size)
             for array in arrays:
-                if axis == 0:
-                    array[entered] = 0
-                else:
-                    array[:, entered] = 0
+                along = array if axis == 0 else array.swapaxes(0, 1)
+                along[start:stop] = 0
+                along[: max(stop - size, 0)] = 0
         self.corner = corner
 
     def unrolled(self, array: NDArray[np.float32]) -> NDArray[np.float32]:
