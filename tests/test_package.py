@@ -203,6 +203,34 @@ def test_the_deep_models_figures_are_the_measured_ones() -> None:
     assert not re.search(r"<!-- (\w+) -->\s*<!-- /\1 -->", page)  # tables that were not filled
 
 
+def test_the_fusion_pages_figures_are_the_measured_ones() -> None:
+    """docs/fusion.md holds what the benchmarks last wrote."""
+    results = ROOT / "benchmarks/results"
+    page = (ROOT / "docs/fusion.md").read_text()
+    quality, real, speed = (
+        json.loads((results / f"fusion_{name}.json").read_text()) for name in ("quality", "real", "speed")
+    )
+    assert quality["judged"]["what"] == "test"
+    static = ("iou_occupied", "false_free", "brier", "known")
+    columns = (*((f"static_{name}", 3) for name in static), ("ghost_area", 2))
+    for maps in (quality["maps"], quality["maps behind lite"]):
+        for name in ("scan alone", "classical Bayes", "cautious, what came leaves, 0.04 s", "Dempster, 2 s"):
+            means = maps[name]["mean and 95 % interval"]
+            ratio = maps[name]["ratio to the classical filter"]["ghost_area"]
+            cells = [f"{means[key][0]:.{digits}f}" for key, digits in columns]
+            cells.append(f"{ratio[0]:.2f} ({ratio[1]:.2f} to {ratio[2]:.2f})")
+            assert f"| {' | '.join(cells)} |" in page, name
+    drive = real["recordings"]["KITTI drive 0005"]
+    for name, means in drive["maps"]["mean"].items():
+        if name.count(",") == 1:
+            cells = [f"{100 * means[key]:.1f}" for key in ("complete", "iou_occupied", "false_free", "brier")]
+            assert f"| {' | '.join(cells)} |" in page, name
+    for name in ("update, as it comes", "RayISM + update", "scipy", "update, slow twin"):
+        median = speed["times [ms]"][name]["median"]
+        assert f"| {median:.3g} | {median / speed['times [ms]']['copy']['median']:.3g} |" in page, name
+    assert not re.search(r"<!-- (\w+) -->\s*<!-- /\1 -->", page)  # tables that were not filled
+
+
 def test_the_deep_page_runs() -> None:
     import doctest
 

@@ -1,6 +1,11 @@
 """Laws of the maps: what driving, waiting and looking do to them."""
 
+import contextlib
+import io
 import math
+import os
+import subprocess
+import sys
 import tracemalloc
 
 import numpy as np
@@ -575,3 +580,41 @@ def test_evidence_of_the_map_adds_up_under_cumulative_fusion():
     found = mass_to_evidence(mapper.grid.mass.astype(np.float64))
     few = total.sum(axis=-1) < 50
     np.testing.assert_allclose(found[few], total[few], rtol=1e-3, atol=1e-4)
+
+
+def test_the_kernels_do_the_same_without_the_compiler():
+    """So that tools that read Python can follow them: one small map, all rules, compiled or not."""
+    code = """
+import numpy as np
+from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
+from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import pose
+spec = GridSpec.centered(length=2.4, width=1.6, resolution=0.2)
+rng = np.random.default_rng(0)
+grids = [EvidentialGrid(spec, rng.dirichlet([1, 1, 1], size=spec.shape)[..., :2].astype("f4")) for _ in range(3)]
+maps = [EvidentialMapper(spec, rule) for rule in (normalized_cautious, dempster, yager, cumulative)]
+maps += [EvidentialMapper(spec, forget="observed"), EvidentialMapper(spec, discounting=discount_evidence)]
+for mapper in (*maps, BinaryBayesMapper(spec, 2.0)):
+    for k, grid in enumerate(grids):
+        mapper.update(grid, pose(0.33 * k, -0.21 * k, yaw=0.2 * k), stamp=0.1 * k)
+    print(" ".join(f"{value:.5f}" for value in mapper.grid.mass[2:9:3, 1:7:2].ravel()))
+print(" ".join(f"{value:.5f}" for value in warp(grids[0], spec, pose(0.07, yaw=0.4)).mass[3:9:4, 2:6].ravel()))
+"""
+    compiled_out = io.StringIO()
+    with contextlib.redirect_stdout(compiled_out):
+        exec(code, {})
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+    )
+    results = [
+        [[float(number) for number in line.split()] for line in said.splitlines()]
+        for said in (compiled_out.getvalue(), done.stdout)
+    ]
+    assert len(results[0]) == 8
+    for compiled, plain in zip(*results, strict=True):
+        np.testing.assert_allclose(plain, compiled, atol=2e-5)
