@@ -249,7 +249,9 @@ def main() -> None:
     rounds, scans = (2, 400) if given.quick else (given.rounds, given.scans)
     found = environment()
     points = street(POINTS, sensor_height=HEIGHT)
-    times = measure(contenders(points), rounds)
+    rivals = contenders(points)
+    alone = measure({name: rivals[name] for name in ("copy", "update, as it comes")}, rounds)
+    times = measure(rivals, rounds)
     far = long_drive(points, scans)
     record = {
         "environment": found,
@@ -257,9 +259,11 @@ def main() -> None:
         "points": len(points),
         "cells": list(SPEC.shape),
         "times [ms]": {name: one._asdict() for name, one in times.items()},
+        "alone [ms]": {name: one._asdict() for name, one in alone.items()},
         "long drive": far,
         "verdicts": verdicts(times, far),
     }
+    print(f"alone, with warm caches: copy {alone['copy']}, update {alone['update, as it comes']}")
     report(record, times)
     if not given.quick:
         write_json(RESULTS / "fusion_speed.json", record)
