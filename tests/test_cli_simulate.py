@@ -147,7 +147,7 @@ def test_another_version_and_damage_are_told(data: Path, tmp_path: Path) -> None
 
 def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
     # More samples than are made before the signal comes, however busy the machine
-    many = ("--samples", 200, *TINY[2:])
+    many = ("--samples", 20, *TINY[2:], "--workers", 1)
     words = [sys.executable, "-m", "ogm.cli", "simulate", str(tmp_path / "data"), *map(str, many)]
     with subprocess.Popen(
         words, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "200"}
