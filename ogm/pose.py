@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation, Slerp
 
 __all__ = ["Trajectory", "check_pose", "interpolate", "inverse", "pose", "transform_points"]
 
@@ -33,6 +32,8 @@ def pose(
     -------
     (4, 4) float64
     """
+    from scipy.spatial.transform import Rotation  # here, so that whoever only reads points does without it
+
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
     T[:3, 3] = x, y, z
@@ -137,6 +138,8 @@ def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[n
 
 def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:
     """Do what `interpolate` does for stamps and poses that were checked; only those around the times are used."""
+    from scipy.spatial.transform import Rotation, Slerp
+
     times = np.asarray(at, np.float64)
     if times.size and not (times.min() >= t[0] and times.max() <= t[-1]):
         raise ValueError(

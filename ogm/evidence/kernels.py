@@ -5,7 +5,7 @@ scan). They give the same numbers as their namesakes in `ogm.evidence` after `di
 memory instead of dozens. They trust their input: values are not checked. A belief below zero is read as zero,
 but a sum above one is not brought back to one. NaN in a cell stays NaN in that cell; total conflict and two
 dogmatic masses (unknown of at most 4 units of rounding) give the mean. They run on one core, release the GIL,
-and their compiled code is cached on disk.
+and their compiled code is cached on disk. `agreement` and `cumulative_cell` are what other kernels build on.
 
 Importing this module loads numba; `ogm.evidence` does not import it.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-__all__ = ["cumulative", "dempster", "yager"]
+__all__ = ["agreement", "cumulative", "cumulative_cell", "dempster", "yager"]
 
 # "contract" lets a * b + c be one instruction. The flags that assume that NaN or infinity never happen stay
 # off.
@@ -140,7 +140,7 @@ def _unknown(one: Any, free: Any, occupied: Any) -> Any:
 
 
 @_jit
-def _agreement(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
+def agreement(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
     """Return (free, occupied, unknown) on which (f, o) and (g, p) agree."""
     f, o, g, p = _positive(one, f), _positive(one, o), _positive(one, g), _positive(one, p)
     u, v = _unknown(one, f, o), _unknown(one, g, p)
@@ -149,7 +149,7 @@ def _agreement(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
 
 @_jit
 def _dempster_cell(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied, unknown = _agreement(one, f, o, g, p)
+    free, occupied, unknown = agreement(one, f, o, g, p)
     surviving = free + occupied + unknown
     half = one / (one + one)
     return (
@@ -160,12 +160,13 @@ def _dempster_cell(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
 
 @_jit
 def _yager_cell(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied, _ = _agreement(one, f, o, g, p)
+    free, occupied, _ = agreement(one, f, o, g, p)
     return free, occupied
 
 
 @_jit
-def _cumulative_cell(one: Any, f: Any, o: Any, g: Any, p: Any, rounding: Any) -> Any:
+def cumulative_cell(one: Any, f: Any, o: Any, g: Any, p: Any, rounding: Any) -> Any:
+    """Return (free, occupied) of (f, o) fused with (g, p); both are dogmatic where unknown is at most `rounding`."""
     f, o, g, p = _positive(one, f), _positive(one, o), _positive(one, g), _positive(one, p)
     u, v = _unknown(one, f, o), _unknown(one, g, p)
     total = u + v * (f + o)
@@ -212,7 +213,7 @@ def _cumulative_into(a: np.ndarray, b: np.ndarray, reliability: float, out: np.n
     one, r = a.dtype.type(1), a.dtype.type(reliability)
     rounding = a.dtype.type(4 * np.finfo(a.dtype).eps)  # an unknown as good as zero
     for i in range(a.size // 2):
-        out[2 * i], out[2 * i + 1] = _cumulative_cell(
+        out[2 * i], out[2 * i + 1] = cumulative_cell(
             one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1], rounding
         )
 
@@ -222,6 +223,6 @@ def _cumulative_in_place(a: np.ndarray, b: np.ndarray, reliability: float) -> No
     one, r = a.dtype.type(1), a.dtype.type(reliability)
     rounding = a.dtype.type(4 * np.finfo(a.dtype).eps)  # an unknown as good as zero
     for i in range(a.size // 2):
-        a[2 * i], a[2 * i + 1] = _cumulative_cell(
+        a[2 * i], a[2 * i + 1] = cumulative_cell(
             one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1], rounding
         )

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from ogm.evidence.kernels import agreement, cumulative_cell
+
 __all__ = [
     "CAUTIOUS",
     "CUMULATIVE",
@@ -22,9 +24,10 @@ __all__ = [
 ]
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
-TINY = np.float32(
-    1e-18
-)  # added and taken away, makes zeros of numbers so small that they would slow a loop down
+# Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
+TINY = np.float32(1e-18)
+LEAST = np.float32(1e-6)  # what the cautious rule reads unknown as at least, as the plain one does
+DOGMATIC = np.float32(4 * 2.0**-23)  # an unknown as good as zero
 A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
 HAIR = 1e-6  # of a cell, so that rounding does not decide where middles of cells fall on edges of others
 
@@ -84,6 +87,7 @@ def evidential_update(
     kf, ko, gone = np.float32(keep_free), np.float32(keep_occupied), np.float32(leaving)
     w, limit, left = np.float32(reliability), np.float32(known_limit), np.float32(fade)
     z = np.zeros(2 * ny, np.float32)
+    plain = not (observed or evidence)
     first = ny - column  # window cells that stand before the end of the row
     for i in range(nx):
         at = (i + row) % nx
@@ -97,7 +101,6 @@ def evidential_update(
                 continue
             m = state[at, 2 * (a + shift) : 2 * (b + shift)]
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
-            plain = not (observed or evidence)
             if gone > 0 and not plain:
                 _leave(m, c, one, gone)
             if plain and gone > 0:
@@ -199,11 +202,10 @@ def _age_observed(m: Any, c: Any, z: Any, one: Any, kf: Any, ko: Any, left: Any,
 def _dempster(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
     for k in range(m.size // 2):
         f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        u, v = max(one - (f + o), one - one), max(one - (g + p), one - one)
         c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        free, occupied = f * (g + v) + u * g, o * (p + v) + u * p
+        free, occupied, unknown = agreement(one, f, o, g, p)
         known = free + occupied
-        whole = known + u * v
+        whole = known + unknown
         half = limit / (one + one)
         scale = limit / max(limit * whole, known)  # 1 / whole, or limit / known where that is less
         m[2 * k] = half if whole == 0 else free * scale
@@ -214,37 +216,27 @@ def _dempster(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
 def _yager(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
     for k in range(m.size // 2):
         f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        u, v = max(one - (f + o), one - one), max(one - (g + p), one - one)
         c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        free, occupied = f * (g + v) + u * g, o * (p + v) + u * p
-        known = free + occupied
-        scale = min(one, limit / known) if known > 0 else one
+        free, occupied, _ = agreement(one, f, o, g, p)
+        scale = limit / max(limit, free + occupied)
         m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
 
 
 @_jit
 def _cumulative(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
-    rounding = np.float32(4 * 2.0**-23)  # an unknown as good as zero
     for k in range(m.size // 2):
         f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        u, v = max(one - (f + o), one - one), max(one - (g + p), one - one)
         c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        both = u <= rounding and v <= rounding
-        total = u + v * (f + o)
-        half = one / (one + one)
-        free = half * (f + g) if both else (f * v + g * u) / total
-        occupied = half * (o + p) if both else (o * v + p * u) / total
-        known = free + occupied
-        scale = min(one, limit / known) if known > 0 else one
+        free, occupied = cumulative_cell(one, f, o, g, p, DOGMATIC)
+        scale = limit / max(limit, free + occupied)
         m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
 
 
 @_jit
 def _cautious(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
-    least = np.float32(1e-6)  # an unknown as good as zero, as the plain rule reads it
     for k in range(m.size // 2):
         f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        u, v = max(one - (f + o), least), max(one - (g + p), least)
+        u, v = max(one - (f + o), LEAST), max(one - (g + p), LEAST)
         c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
         # Both sides times u v: max(f / u, g / v) is max(f v, g u)
         free, occupied = max(f * v, g * u), max(o * v, p * u)

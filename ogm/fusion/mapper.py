@@ -214,7 +214,7 @@ class EvidentialMapper:
         *,
         method: Method = "nearest",
     ) -> EvidentialGrid:
-        """Return the map in the vehicle's axes, resampled once by `ogm.fusion.warp`.
+        """Return the map in the vehicle's axes, resampled once, in one of the ways of `ogm.fusion.warp`.
 
         Parameters
         ----------

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from ogm.files import atomic_write
 from ogm.io.rows import NAMES, OURS, WANTED, check_stamps, numbers_of, read_rows, whole_numbers
@@ -166,6 +165,8 @@ def write_poses(
     ending = path.suffix.lower()
     if ending not in (".csv", ".txt", ".tum"):
         raise ValueError(f"cannot write poses to {path}: name it .csv (ours), .txt or .tum (TUM)")
+    from scipy.spatial.transform import Rotation
+
     quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
     rows = np.column_stack([trajectory.stamps, trajectory.poses[:, :3, 3], quaternions]).tolist()
     names = list(NAMES)
@@ -208,6 +209,8 @@ def _from_quaternions(
             f"{table[k, 3:].tolist()}"
         )
     poses = np.broadcast_to(np.eye(4), (len(table), 4, 4)).copy()
+    from scipy.spatial.transform import Rotation
+
     poses[:, :3, :3] = Rotation.from_quat(table[:, 3:]).as_matrix()
     poses[:, :3, 3] = table[:, :3]
     return poses
