@@ -316,10 +316,10 @@ def test_a_rolling_window_holds_the_view_at_any_yaw_and_a_fixed_one_the_whole_dr
     spec = GridSpec.centered(length=24, width=16, resolution=0.5)
     turned = np.array([pose(0, yaw=a) for a in np.linspace(0, 3, 4)] + [pose(100, 30)])
     route = Route(np.arange(5.0), turned, Trajectory(np.arange(5.0), turned), "")
-    rolling, _ = FUSE._window("rolling", spec, route)
+    rolling = FUSE._window("rolling", spec, route)
     assert rolling.shape[0] == rolling.shape[1]
     assert rolling.length >= np.hypot(24, 16) + 0.5
-    fixed, _ = FUSE._window("fixed", spec, route)
+    fixed = FUSE._window("fixed", spec, route)
     corners = np.array([(x, y, 0) for x in (-12, 12) for y in (-8, 8)], float)
     for T in turned:
         x, y, _ = transform_points(T, corners).T

@@ -5,7 +5,7 @@ import tempfile
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import track
@@ -13,24 +13,14 @@ from rich.progress import track
 from ogm.cli.console import complaints, one_line, out, print_facts, tidy
 from ogm.cli.maps import RAY, sensor_model
 from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
+from ogm.cli.rules import BAYES, RULES, mapper_of, rolling
 
 if TYPE_CHECKING:
     from ogm.cli.drive import Drive
-    from ogm.cli.mapping import Mapper
     from ogm.cli.route import Route
     from ogm.grid import GridSpec
     from ogm.io import Axes
 
-RULES = {  # names of functions of ogm.evidence
-    "cautious": "normalized_cautious",
-    "dempster": "dempster",
-    "yager": "yager",
-    "cumulative": "cumulative",
-    "pcr6": "pcr6",
-    "averaging": "averaging",
-    "weighted": "weighted",
-}
-BAYES = "bayes"
 METHODS = ("kiss-icp", "small-gicp")
 WINDOWS = ("rolling", "fixed")
 MOST_CELLS = 2**24  # of a fixed window: 655 m x 655 m at 0.16 m
@@ -141,7 +131,7 @@ def fuse(
     route = _route(drive, poses, calib, odometry, rate, parsed_axes(axes))
     out.print(f"poses: {route.how}", markup=False, soft_wrap=True)
     drive, route = drive.first(first), route.first(first)
-    mapper = _mapper(rule, half_life, *_window(window, spec, route))
+    mapper = mapper_of(rule, _window(window, spec, route), half_life, window)  # type: ignore[arg-type]
 
     base = out_path or picture or movie or Path("map.npz")
     run = Run(drive, route, model, mapper, spec, height, (ism, rule), deskew, base)
@@ -283,18 +273,13 @@ def _ticked(numbers: "Iterable[int]", what: str) -> "Iterable[int]":
     return track(list(numbers), what, console=complaints, transient=True)
 
 
-def _window(kind: str, spec: "GridSpec", route: "Route") -> tuple["GridSpec", Any]:
-    """Return the cells of the map.
-
-    A rolling window is a square as wide as the diagonal of a scan's grid, so that the view of the vehicle is
-    complete whatever way it faces; a fixed one holds the grids of all scans.
-    """
+def _window(kind: str, spec: "GridSpec", route: "Route") -> "GridSpec":
+    """Return the cells of the map: of a rolling window, or of one that holds the grids of all scans."""
     from ogm.grid import GridSpec
 
-    step, reach = spec.resolution, math.hypot(spec.length, spec.width) / 2
     if kind == "rolling":
-        side = 2 * math.ceil(reach / step + 1)
-        return GridSpec(step, (side, side), (-side * step / 2, -side * step / 2)), kind
+        return rolling(spec)
+    step, reach = spec.resolution, math.hypot(spec.length, spec.width) / 2
     if not route.known.any():
         raise ValueError(
             "none of the scans has a pose, so a fixed window has no area; see how poses are matched above"
@@ -308,14 +293,4 @@ def _window(kind: str, spec: "GridSpec", route: "Route") -> tuple["GridSpec", An
             f"--window fixed would need {nx} x {ny} cells for a drive over {nx * step:.0f} m x {ny * step:.0f} m, at "
             f"most {MOST_CELLS} are allowed; use --window rolling, or a coarser --resolution"
         )
-    return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step)), kind
-
-
-def _mapper(rule: str, half_life: float | None, spec: "GridSpec", window: Any) -> "Mapper":
-    from ogm import evidence
-    from ogm.fusion import BinaryBayesMapper, EvidentialMapper
-
-    if rule == BAYES:
-        return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window)
-    function = getattr(evidence, RULES[rule])
-    return EvidentialMapper(spec, function, 2.0 if half_life is None else half_life, window=window)
+    return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))

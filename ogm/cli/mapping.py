@@ -25,7 +25,7 @@ from ogm.pose import Trajectory
 if TYPE_CHECKING:
     from ogm.cli.movie import Movie
 
-__all__ = ["Mapper", "Run", "map_all"]
+__all__ = ["Mapper", "Run", "levelled", "map_all"]
 
 Mapper = EvidentialMapper | BinaryBayesMapper
 JUMPS = 3  # in a row, after which the map begins anew at the new place
@@ -120,7 +120,7 @@ class Run:
         self.last = Seen(self.drive.names[k], points, grid)
 
     def _update(self, grid: EvidentialGrid, T: NDArray[np.float64], stamp: float) -> None:
-        T_map_grid = T if self.drive.mount is None else T @ _levelled(self.drive.mount)
+        T_map_grid = T if self.drive.mount is None else T @ levelled(self.drive.mount)
         try:
             self.mapper.update(grid, T_map_grid, stamp=stamp)
         except PoseJump as jump:
@@ -253,7 +253,7 @@ def shares(grid: EvidentialGrid) -> str:
     return ", ".join(f"{name} {100 * float(mass.mean()):4.1f} %" for name, mass in parts)
 
 
-def _levelled(mount: NDArray[np.float64]) -> NDArray[np.float64]:
+def levelled(mount: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what takes the levelled frame around the sensor, in which the grids lie, to the sensor's own."""
     T = np.eye(4)
     T[:3, :3] = mount[:3, :3].T

@@ -1,0 +1,91 @@
+"""Grids that other programs wrote."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.grid import EvidentialGrid, GridSpec
+
+__all__ = ["GRID_ENDINGS", "read_grid"]
+
+GRID_ENDINGS = (".npz", ".npy", ".png")
+
+
+def read_grid(path: str | os.PathLike[str], area: GridSpec) -> EvidentialGrid:
+    """Read a grid of belief masses.
+
+    Parameters
+    ----------
+    path : path
+        ``.npz`` that `EvidentialGrid.save` wrote; ``.npy`` with masses of free and occupied, (nx, ny, 2) float, index
+        (0, 0) behind on the right, as everywhere here; or ``.png`` as the paper's released code exports it: red 255
+        times the mass of occupied, green that of free, row 0 the front, column 0 the left.
+    area : GridSpec
+        What ``.npy`` and ``.png`` show, as they do not say; their cells may be coarser or finer.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is damaged, of another kind, holds no masses, or cells that are no squares on that area.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending == ".npz":
+        return EvidentialGrid.load(path)
+    if ending == ".npy":
+        mass = _array(path)
+    elif ending == ".png":
+        mass = _picture(path)
+    else:
+        raise ValueError(f"{path} is no grid that can be read; wanted {', '.join(GRID_ENDINGS)}")
+    spec = _on(area, mass.shape[:2], path)
+    try:
+        return EvidentialGrid(spec, mass)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _array(path: Path) -> NDArray[np.float32]:
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
+    if array.ndim != 3 or array.shape[-1] != 2 or array.dtype.kind != "f":
+        raise ValueError(
+            f"{path} must hold masses of free and occupied, (nx, ny, 2) float, got {array.dtype} {array.shape}"
+        )
+    return array.astype(np.float32)
+
+
+def _picture(path: Path) -> NDArray[np.float32]:
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path) as picture:
+            if picture.mode not in ("RGB", "RGBA"):
+                raise ValueError(
+                    f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}"
+                )
+            pixels = np.asarray(picture.convert("RGB"))
+    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(f"{path} is damaged or no picture: {error}") from error
+    red, green = pixels[::-1, ::-1, 0], pixels[::-1, ::-1, 1]
+    mass = np.stack([green, red], axis=-1).astype(np.float32) / 255
+    return mass / np.maximum(mass.sum(axis=-1, keepdims=True), 1)  # rounding may exceed one by a hair
+
+
+def _on(area: GridSpec, shape: tuple[int, int], path: Path) -> GridSpec:
+    """Return cells of a shape that fill an area."""
+    resolution = area.length / shape[0]
+    if not np.isclose(resolution * shape[1], area.width, rtol=1e-6):
+        raise ValueError(
+            f"{path} has {shape[0]} x {shape[1]} cells; on {area.length:g} m x {area.width:g} m they are no squares. "
+            "Save it as .npz with its own spec (EvidentialGrid.save)"
+        )
+    return GridSpec(resolution, shape, area.origin)
