@@ -1,49 +1,80 @@
 """How good a grid is: metrics of an evidential grid against the true states of its cells, paired over frames.
 
-Every metric leaves out the cells that the truth ignores. A metric without a cell to look at is NaN, never 0.
+Every metric leaves out the cells that the truth ignores. A metric without a cell to look at is NaN, never 0, and
+`reasons` says why. `METRICS` says what each is.
 
 >>> from ogm.metrics import score, tally
 >>> scores = score(tally(grid.mass, truth.state))               # one frame           # doctest: +SKIP
+>>> counts = tally(grid.mass, truth.state, distances(spec))     # curves and ranges   # doctest: +SKIP
+>>> risk_coverage(counts), by_range(counts), reasons(counts)                          # doctest: +SKIP
 >>> result = evaluate({"ray": ray, "deep": deep}, samples)      # many, paired        # doctest: +SKIP
 """
 
 from ogm.evidence import dirichlet_kl
-from ogm.metrics.counts import METRICS, Metric, Tally, called, score, tally
-from ogm.metrics.divergence import (
-    MIN_UNKNOWN,
-    Density,
-    density,
-    kl_from_truth,
-    kl_to_truth,
-    legacy_kl,
+from ogm.metrics.counts import RANGES, Tally, called, tally
+from ogm.metrics.curves import (
+    FreeSpace,
+    Intervals,
+    PrecisionRecall,
+    Reliability,
+    RiskCoverage,
+    free_space,
+    intervals,
+    precision_recall,
+    reliability,
+    risk_coverage,
 )
-from ogm.metrics.evaluation import Evaluation, ModelFor, evaluate, model_for, same_cells
+from ogm.metrics.divergence import MIN_UNKNOWN, Density, density, kl_from_truth, kl_to_truth
+from ogm.metrics.evaluation import Evaluation, ModelFor, Mounted, evaluate, model_for, same_cells
+from ogm.metrics.legacy import Published, legacy_accuracy, legacy_kl, legacy_published, legacy_unmixed
 from ogm.metrics.paired import Interval, Paired, bootstrap_mean, bootstrap_ratio, paired
-from ogm.metrics.ranking import auroc, auroc_of_histograms
+from ogm.metrics.ranges import by_range, distances
+from ogm.metrics.ranking import auroc, auroc_of_histograms, average_precision
+from ogm.metrics.scores import METRICS, Metric, reasons, score
 
 __all__ = [
     "METRICS",
     "MIN_UNKNOWN",
+    "RANGES",
     "Density",
     "Evaluation",
+    "FreeSpace",
     "Interval",
+    "Intervals",
     "Metric",
     "ModelFor",
+    "Mounted",
     "Paired",
+    "PrecisionRecall",
+    "Published",
+    "Reliability",
+    "RiskCoverage",
     "Tally",
     "auroc",
     "auroc_of_histograms",
+    "average_precision",
     "bootstrap_mean",
     "bootstrap_ratio",
+    "by_range",
     "called",
     "density",
     "dirichlet_kl",
+    "distances",
     "evaluate",
+    "free_space",
+    "intervals",
     "kl_from_truth",
     "kl_to_truth",
+    "legacy_accuracy",
     "legacy_kl",
+    "legacy_published",
+    "legacy_unmixed",
     "model_for",
     "paired",
+    "precision_recall",
+    "reasons",
+    "reliability",
+    "risk_coverage",
     "same_cells",
     "score",
     "tally",

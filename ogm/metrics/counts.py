@@ -1,107 +1,50 @@
-"""What is counted of one grid against the truth, and the scores that follow from it.
+"""What is counted of one grid against the truth.
 
 Counts add up: the scores of one frame's counts are that frame's scores, and the scores of the sum of all frames'
 counts are those of the pooled cells (micro averages).
 """
 
+from math import inf
 from operator import add
 from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.divergence import CLIP, MIN_UNKNOWN, truth_means
-from ogm.metrics.kernels import count_cells, table
-from ogm.metrics.ranking import auroc_of_histograms
+from ogm.metrics.counting import count_cells, count_ranges, look_around
+from ogm.metrics.divergence import MIN_UNKNOWN, truth_means
+from ogm.metrics.kernels import sum_divergences, table
+from ogm.metrics.legacy import CLIP
 
-__all__ = ["METRICS", "Metric", "Tally", "called", "score", "tally"]
+__all__ = ["BINS", "LEVELS", "RANGES", "Tally", "called", "tally"]
 
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
-BINS = 15  # of P(occupied), for the calibration error
+BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 SURE = 0.5  # a mass beyond this is a claim
-LEVELS = 2**16  # bins of unknown, for the AUROC
+LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
+RANGES = (
+    0.0,
+    10.0,
+    20.0,
+    30.0,
+    40.0,
+    inf,
+)  # [m] edges of bins of distance; a cell on an edge is in the farther
+RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
+LEAST = (
+    MIN_UNKNOWN / 2
+)  # floor of the probability of what is true: a dogmatic cell that is wrong costs 11.5 nats
+ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
 
 _UNKNOWN, _FREE, _OCCUPIED, _IGNORE = 0, 1, 2, 3  # states of a cell, as in ogm.truth
-
-
-class Metric(NamedTuple):
-    """What a score means.
-
-    Attributes
-    ----------
-    title : str
-        For tables and pictures.
-    better : {"lower", "higher", ""}
-        Which of two is the better one; "" where neither is.
-    says : str
-    """
-
-    title: str
-    better: str
-    says: str
-
-
-METRICS: dict[str, Metric] = {
-    "kl_e10": Metric("KL, E = 10", "lower", "mean KL[grid || truth], truth of evidence 10 [nats]"),
-    "kl_e1": Metric("KL, E = 1", "lower", "mean KL[grid || truth], truth of evidence 1 [nats]"),
-    "kl_e1_scaled": Metric(
-        "KL, E = 1, e/10",
-        "lower",
-        "the same with a tenth of the grid's evidence: 10 means sure, as in kl_e10",
-    ),
-    "kl_e10_reverse": Metric(
-        "reverse KL, E = 10", "lower", "mean KL[truth || grid], truth of evidence 10 [nats]"
-    ),
-    "kl_e1_reverse": Metric(
-        "reverse KL, E = 1", "lower", "mean KL[truth || grid], truth of evidence 1 [nats]"
-    ),
-    "legacy_kl": Metric(
-        "released code's KL", "lower", "the released code's categorical KL of clipped evidence [nats]"
-    ),
-    "iou_free": Metric(
-        "IoU free", "higher", "IoU of free cells; a cell is what has most mass, unknown included"
-    ),
-    "iou_occupied": Metric("IoU occupied", "higher", "IoU of occupied cells, likewise"),
-    "iou_unknown": Metric("IoU unknown", "higher", "IoU of unknown cells, likewise"),
-    "iou_free_known": Metric(
-        "IoU free, known", "higher", "IoU of free by P(occupied) < 1/2, on cells whose truth is known"
-    ),
-    "iou_occupied_known": Metric(
-        "IoU occupied, known", "higher", "IoU of occupied by P(occupied) > 1/2, on known cells"
-    ),
-    "auroc_unknown": Metric(
-        "AUROC unknown", "higher", "AUROC of the mass of unknown for cells whose truth is unknown"
-    ),
-    "ece": Metric("ECE", "lower", "expected calibration error of P(occupied) on known cells, 15 bins"),
-    "ece_called": Metric(
-        "ECE, called",
-        "lower",
-        "the same on those known cells that the grid does not call unknown",
-    ),
-    "ece_relative": Metric(
-        "ECE, relative",
-        "lower",
-        "the same of occupied / (free + occupied), 1/2 where both are 0",
-    ),
-    "brier": Metric("Brier", "lower", "mean squared error of P(occupied) on known cells"),
-    "brier_relative": Metric("Brier, relative", "lower", "the same of occupied / (free + occupied)"),
-    "false_free": Metric("false free", "lower", "share of occupied cells with a mass of free above 1/2"),
-    "missed_occupied": Metric(
-        "missed occupied", "lower", "share of occupied cells without a mass of occupied above 1/2"
-    ),
-    "false_occupied": Metric(
-        "false occupied", "lower", "share of free cells with a mass of occupied above 1/2"
-    ),
-    "mean_free": Metric("mean free", "", "mean mass of free"),
-    "mean_occupied": Metric("mean occupied", "", "mean mass of occupied"),
-    "mean_unknown": Metric("mean unknown", "", "mean mass of unknown"),
-}
 
 
 class Tally(NamedTuple):
     """Sums over cells; those that the truth ignores are in none of them. Add two with `plus`.
 
-    Wherever an axis is called `truth` or `call`, it has the three states 0 unknown, 1 free, 2 occupied.
+    Wherever an axis is called `truth` or `call`, it has the three states 0 unknown, 1 free, 2 occupied. A *known*
+    cell is one whose truth is free or occupied. A histogram has 4097 levels, 0, 1/4096, ..., 1; a number counts
+    at the nearest one. One tally takes 0.4 MB, most of it zeros.
 
     Attributes
     ----------
@@ -124,10 +67,34 @@ class Tally(NamedTuple):
     reliability : (3, 15, 3)
         For P(occupied) on all known cells, on those that are not called unknown, and for the relative P(occupied)
         on all known cells: in bins of it, cells, sum of P, cells that are occupied.
-    squared : (2,)
-        Sums of (P - occupied)**2 over known cells, of P(occupied) and of the relative one.
-    doubt : (2, 65536)
-        Histograms of unknown over [0, 1], of cells whose truth is known and unknown.
+    intervals : (15, 4)
+        In bins of Bel(occupied) on known cells: cells, sums of Bel(occupied) and Pl(occupied), cells that are
+        occupied.
+    squared : (3,)
+        Sums over known cells of (P - occupied)**2 for P(occupied) and for the relative one, and of the first's
+        expectation under the grid's Beta density.
+    surprise : (truth,)
+        Sums of -ln P(true state) over known cells [nats], P being at least 1e-5.
+    entropy : (truth,)
+        Sums of Shannon's entropy of P(occupied) [bit].
+    dissonance : (truth,)
+        Sums of 2 min(free, occupied).
+    doubt : (3, 4097)
+        Histograms of unknown, of known cells, of cells whose truth is unknown, and of the known ones that are
+        wrong by P(occupied); one of P = 1/2 is half wrong.
+    likely : (3, 4097)
+        Histograms of P(occupied), of free cells and of occupied ones, and the sum of P over both.
+    close : (3, 4097)
+        Histograms of P(occupied), of known cells with and without an occupied cell within one cell (their eight
+        neighbours and themselves); and occupied cells by the largest P(occupied) within one cell that is not
+        ignored.
+    clear : (2, 4097)
+        Histograms of Bel(free), of free cells and of occupied ones.
+    obstacles : (2,)
+        Groups of occupied cells that touch at a side or corner, and those of them without a cell of
+        P(occupied) > 1/2 within one cell.
+    range_calls : (ranges, truth, call), range_claims : (ranges, truth, 2), range_clear : (ranges, 2, 1025)
+        The same as `calls`, `claims` and `clear`, by the bins of `RANGES`; zeros if no distances were given.
     """
 
     cells: NDArray[np.float64]
@@ -139,8 +106,19 @@ class Tally(NamedTuple):
     likelier: NDArray[np.float64]
     claims: NDArray[np.float64]
     reliability: NDArray[np.float64]
+    intervals: NDArray[np.float64]
     squared: NDArray[np.float64]
+    surprise: NDArray[np.float64]
+    entropy: NDArray[np.float64]
+    dissonance: NDArray[np.float64]
     doubt: NDArray[np.float64]
+    likely: NDArray[np.float64]
+    close: NDArray[np.float64]
+    clear: NDArray[np.float64]
+    obstacles: NDArray[np.float64]
+    range_calls: NDArray[np.float64]
+    range_claims: NDArray[np.float64]
+    range_clear: NDArray[np.float64]
 
     def plus(self, other: Self) -> "Tally":
         """Return the counts of both."""
@@ -168,8 +146,10 @@ def called(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
     return is_free * np.uint8(_FREE) + is_occupied * np.uint8(_OCCUPIED)
 
 
-def tally(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> Tally:
-    """Count everything that the scores need of one grid.
+def tally(
+    mass: NDArray[np.floating], state: NDArray[np.uint8], distance: NDArray[np.floating] | None = None
+) -> Tally:
+    """Count everything that the scores and the curves need of one grid.
 
     Parameters
     ----------
@@ -177,6 +157,8 @@ def tally(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> Tally:
         Masses of free and occupied, as `EvidentialGrid.mass`.
     state : (nx, ny) uint8
         True states, as `Truth.state`: 0 unknown, 1 free, 2 occupied, 3 ignored.
+    distance : (nx, ny) float array, optional
+        Distances of the cells from the sensor [m], see `distances`; without them nothing is counted by range.
 
     Returns
     -------
@@ -185,34 +167,55 @@ def tally(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> Tally:
     Raises
     ------
     ValueError
-        If the shapes do not fit, a mass is NaN, or a state is none of the four.
+        If the shapes do not fit, something is no mass (NaN, below 0, a sum above 1), a state is none of the four,
+        or a distance is negative or NaN.
+    TypeError
+        If the masses are not floating numbers.
     """
     _check(mass, state)
     truths, calls = 3, 3
     cells, masses, claims = np.zeros(truths), np.zeros((truths, 2)), np.zeros((truths, 2))
     confusion, likelier = np.zeros((truths, calls)), np.zeros((truths, calls))
-    reliability, squared, doubt = np.zeros((3, BINS, 3)), np.zeros(2), np.zeros((2, LEVELS))
-    scales = np.array([1.0, STRENGTHS[0] / STRENGTHS[1]])
-    sums, logs = np.zeros((len(scales), 6, truths)), np.zeros((2, truths))
+    reliability, intervals, squared = np.zeros((3, BINS, 3)), np.zeros((BINS, 4)), np.zeros(3)
+    surprise, entropy, dissonance = np.zeros((3, truths))
+    doubt, likely, close = np.zeros((3, 3, LEVELS))
+    clear, obstacles = np.zeros((2, LEVELS)), np.zeros(2)
+    mass, state = np.ascontiguousarray(mass), np.ascontiguousarray(state)
+    near = np.zeros(state.shape, np.uint8)
+    look_around(mass, state, near, close[2], obstacles)
+    flat, states = mass.reshape(-1, 2), state.ravel()
     count_cells(
-        np.ascontiguousarray(mass.reshape(-1, 2)),
-        np.ascontiguousarray(state.ravel()),
-        scales,
-        MIN_UNKNOWN,
-        CLIP,
+        flat,
+        states,
+        near.ravel(),
+        LEAST,
         SURE,
-        table(),
         cells,
         masses,
-        sums,
-        logs,
         confusion,
         likelier,
         claims,
         reliability,
+        intervals,
         squared,
+        surprise,
+        entropy,
+        dissonance,
         doubt,
+        likely,
+        close,
+        clear,
     )
+    scales = np.array([1.0, STRENGTHS[0] / STRENGTHS[1]])
+    sums, logs = np.zeros((len(scales), 6, truths)), np.zeros((2, truths))
+    sum_divergences(flat, states, scales, MIN_UNKNOWN, CLIP, table(), sums, logs)
+    ranges = len(RANGES) - 1
+    range_calls, range_claims = np.zeros((ranges, truths, calls)), np.zeros((ranges, truths, 2))
+    range_clear = np.zeros((ranges, 2, RANGE_LEVELS))
+    if distance is not None:
+        _check_distance(distance, state)
+        far = np.ascontiguousarray(distance.ravel())
+        count_ranges(flat, states, far, np.array(RANGES), SURE, range_calls, range_claims, range_clear)
     full, weak = sums
     return Tally(
         cells=cells,
@@ -226,68 +229,57 @@ def tally(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> Tally:
         likelier=likelier,
         claims=claims,
         reliability=reliability,
+        intervals=intervals,
         squared=squared,
+        surprise=surprise,
+        entropy=entropy,
+        dissonance=dissonance,
         doubt=doubt,
+        likely=likely,
+        close=close,
+        clear=clear,
+        obstacles=obstacles,
+        range_calls=range_calls,
+        range_claims=range_claims,
+        range_clear=range_clear,
     )
 
 
-def score(counts: Tally) -> dict[str, float]:
-    """Turn counts into the scores of `METRICS`, in their order; NaN where no cell speaks for one.
-
-    See `METRICS` for what each means. The mean divergences are over all cells that are not ignored. A
-    calibration error is the mean distance of P(occupied) from how often a bin's cells are occupied, weighted by
-    cells. The AUROC takes two masses of unknown for equal that share a bin of 1/65535.
-
-    P(occupied) = occupied + unknown / 2 comes no nearer to 0 and 1 than the evidence allows: to 1/12 for an
-    evidence of 10, however sure the model is. Where evidence is bounded by convention, the relative one, occupied /
-    (free + occupied), says what the model holds likely among known cells.
-    """
-    total, known = counts.cells.sum(), counts.cells[1:].sum()
-    to_truth, from_truth = (_part(sums.sum(axis=-1), total) for sums in (counts.to_truth, counts.from_truth))
-    free, occupied = _part(counts.mass.sum(axis=0), total)
-    overlap = _overlap(counts.calls)
-    likelier = _overlap(counts.likelier[1:])
-    values = {
-        "kl_e10": to_truth[1],
-        "kl_e1": to_truth[0],
-        "kl_e1_scaled": to_truth[2],
-        "kl_e10_reverse": from_truth[1],
-        "kl_e1_reverse": from_truth[0],
-        "legacy_kl": _part(counts.legacy.sum(), total),
-        "iou_free": overlap[_FREE],
-        "iou_occupied": overlap[_OCCUPIED],
-        "iou_unknown": overlap[_UNKNOWN],
-        "iou_free_known": likelier[_FREE],
-        "iou_occupied_known": likelier[_OCCUPIED],
-        "auroc_unknown": auroc_of_histograms(counts.doubt[1], counts.doubt[0]),
-        "ece": _calibration_error(counts.reliability[0]),
-        "ece_called": _calibration_error(counts.reliability[1]),
-        "ece_relative": _calibration_error(counts.reliability[2]),
-        "brier": _part(counts.squared[0], known),
-        "brier_relative": _part(counts.squared[1], known),
-        "false_free": _part(counts.claims[_OCCUPIED, 0], counts.cells[_OCCUPIED]),
-        "missed_occupied": 1 - _part(counts.claims[_OCCUPIED, 1], counts.cells[_OCCUPIED]),
-        "false_occupied": _part(counts.claims[_FREE, 1], counts.cells[_FREE]),
-        "mean_free": free,
-        "mean_occupied": occupied,
-        "mean_unknown": 1 - free - occupied,
-    }
-    return {name: float(values[name]) for name in METRICS}
-
-
 def _check(mass: NDArray, state: NDArray) -> None:
-    if mass.ndim < 2 or mass.shape[-1] != 2 or mass.shape[:-1] != state.shape:
+    if mass.ndim != 3 or mass.shape[-1] != 2 or mass.shape[:-1] != state.shape:
         raise ValueError(
             f"mass must have shape (nx, ny, 2) and state (nx, ny) of the same cells, got {mass.shape} and "
             f"{state.shape}; crop the truth to the grid's spec"
+        )
+    if mass.dtype not in (np.float32, np.float64):
+        raise TypeError(
+            f"mass must be float32 or float64, got {mass.dtype}; convert it: mass.astype('float32')"
         )
     if state.dtype != np.uint8 or (state.size and state.max() > _IGNORE):
         raise ValueError(
             f"state must be uint8 with 0 unknown, 1 free, 2 occupied, 3 ignore, got {state.dtype} up to "
             f"{state.max() if state.size else 'nothing'}"
         )
-    if not np.isfinite(mass.sum()):
+    if not state.size:
+        return
+    least, most = float(mass.min()), float((mass[..., 0] + mass[..., 1]).max())
+    if not np.isfinite(least + most):
         raise ValueError("mass holds NaN or inf: a grid of masses has neither, see ogm.evidence.check_mass")
+    if least < -ROUNDING or most > 1 + ROUNDING:
+        raise ValueError(
+            f"masses are at least 0 and free + occupied at most 1, got {least:g} and {most:g}; evidence becomes "
+            "masses by ogm.evidence.evidence_to_mass"
+        )
+
+
+def _check_distance(distance: NDArray, state: NDArray) -> None:
+    if distance.shape != state.shape or distance.dtype.kind != "f":
+        raise ValueError(
+            f"distance must be a float array of the cells' shape {state.shape}, got {distance.dtype} "
+            f"{distance.shape}; see ogm.metrics.distances"
+        )
+    if not distance.min(initial=0.0) >= 0:
+        raise ValueError(f"distances [m] are at least 0, got {distance.min()}")
 
 
 def _to_truth(sums: NDArray, cells: NDArray, strength: float) -> NDArray[np.float64]:
@@ -312,20 +304,3 @@ def _legacy(logs: NDArray, cells: NDArray) -> NDArray[np.float64]:
     weights = np.array([[CLIP, 1.0, CLIP], [CLIP, CLIP, 1.0]])
     faint = CLIP * np.log(CLIP) * np.array([2.0, 1.0, 1.0])
     return faint * cells - (weights * logs).sum(axis=0)
-
-
-def _part(some: NDArray | float, whole: float) -> NDArray:
-    return np.asarray(some, np.float64) / (whole if whole > 0 else np.nan)
-
-
-def _overlap(confusion: NDArray) -> list[float]:
-    """Return intersection over union of every call; `confusion` may lack truths that are not looked at."""
-    skipped = 3 - len(confusion)
-    full = np.concatenate([np.zeros((skipped, 3)), confusion])
-    union = full.sum(axis=0) + full.sum(axis=1) - np.diag(full)
-    return [float(_part(full[k, k], union[k])) for k in range(3)]
-
-
-def _calibration_error(bins: NDArray) -> float:
-    count, claimed, happened = bins.T
-    return float(_part(np.abs(claimed - happened).sum(), count.sum()))

@@ -18,12 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.kernels import densities, look_up, table
+from ogm.metrics.kernels import densities, table
 
-__all__ = ["MIN_UNKNOWN", "Density", "density", "kl_from_truth", "kl_to_truth", "legacy_kl"]
+__all__ = ["MIN_UNKNOWN", "Density", "density", "kl_from_truth", "kl_to_truth"]
 
 MIN_UNKNOWN = 2e-5  # floor of unknown: evidence ends at 1e5, the most that float32 masses can tell
-CLIP = 1e-7  # Keras' epsilon
 
 _UNKNOWN, _FREE, _OCCUPIED = 0, 1, 2  # states of a cell, as in ogm.truth
 
@@ -128,44 +127,11 @@ def _excess(cells: Density) -> NDArray[np.float64]:
 
 def truth_means(strength: float) -> tuple[float, float, float]:
     """Return the expectations of ln p under Dir(1 + E, 1), for the true state and the other, and -ln B + E t'."""
+    from scipy.special import digamma  # here, as it would double the time that the import takes
+
     _check_strength(strength)
-    one, alpha, total = (look_up(x, table())[1] for x in (1.0, 1.0 + strength, 2.0 + strength))
+    one, alpha, total = (float(digamma(x)) for x in (1.0, 1.0 + strength, 2.0 + strength))
     return alpha - total, one - total, float(np.log1p(strength) + strength * (alpha - total))
-
-
-def legacy_kl(evidence: NDArray[np.floating], state: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Return what the paper's released code calls KL divergence, for every cell, without its running average.
-
-    It is Keras' categorical divergence between the truth as *evidence*, 1 for the state of a known cell and 0
-    elsewhere, and the raw evidence of the grid, both clipped to [1e-7, 1]: -ln(clip(e of the true state)) to six
-    digits. It charges 16.1 for a missing claim, nothing for an excess and nothing for a wrong one: evidence of 1
-    for both states everywhere is perfect. For comparison with the paper's figures only.
-
-    Parameters
-    ----------
-    evidence : (..., 2) float array
-        Raw evidence of free and occupied.
-    state : (...) uint8
-        True states: 0 unknown, 1 free, 2 occupied, 3 ignored.
-
-    Returns
-    -------
-    (...) float64; NaN where the truth is ignored
-
-    Notes
-    -----
-    Their code calls one metric object for the network and then, without a reset, for the baseline, so that the
-    published value of the baseline is the mean of both; this function keeps no state.
-    """
-    logs = np.log(np.clip(evidence.astype(np.float64), CLIP, 1.0))
-    free, occupied = logs[..., 0], logs[..., 1]
-    faint = CLIP * np.log(CLIP)
-    return _pick(
-        state,
-        2 * faint - CLIP * (free + occupied),
-        faint - free - CLIP * occupied,
-        faint - occupied - CLIP * free,
-    )
 
 
 def _pick(state: NDArray, unknown: NDArray, free: NDArray, occupied: NDArray) -> NDArray[np.float64]:

@@ -1,17 +1,20 @@
 """Models over many frames: every score of every model in every frame, and what follows from it."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from itertools import chain
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
-from ogm.metrics.counts import METRICS, Tally, score, tally
+from ogm.metrics.counts import Tally, tally
 from ogm.metrics.paired import Interval, Paired, bootstrap_mean, paired
+from ogm.metrics.ranges import distances
+from ogm.metrics.scores import METRICS, score
 
-__all__ = ["Evaluation", "ModelFor", "evaluate", "model_for", "same_cells"]
+__all__ = ["Evaluation", "ModelFor", "Mounted", "evaluate", "model_for", "same_cells"]
 
 ModelFor = Callable[[NDArray[np.float64]], InverseSensorModel]  # (4, 4) pose of the sensor -> its model
 
@@ -66,6 +69,56 @@ class Evaluation:
         ]
         return "\n".join(lines)
 
+    @classmethod
+    def from_counts(
+        cls,
+        models: Sequence[str],
+        spec: GridSpec,
+        frames: Iterable[tuple[Sequence[Tally], NDArray[np.floating]]],
+    ) -> Self:
+        """Build an evaluation from what was counted before: `evaluate` ends here, and so can a loop of one's own.
+
+        Parameters
+        ----------
+        models : sequence of str
+            Names, each once.
+        spec : GridSpec
+            The cells that were judged.
+        frames : iterable of (counts, truth)
+            Of each frame, the counts of every model in their order, and the shares of its cells whose truth is
+            unknown, free, occupied, ignored, (4,). Looked at once, none is kept: give an iterator where many frames
+            would not fit into memory.
+
+        Raises
+        ------
+        ValueError
+            If there is no model or no frame, a name comes twice, or the numbers of models or frames differ.
+        """
+        names = tuple(models)
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"models need names, each once, got {names}")
+        pooled: list[Tally] = []
+        rows, shares = [], []
+        for k, (counts, truth) in enumerate(frames):
+            if len(counts) != len(names) or np.shape(truth) != (4,):
+                raise ValueError(
+                    f"frame {k} has counts of {len(counts)} models and {np.shape(truth)} shares of truth, wanted "
+                    f"{len(names)} ({', '.join(names)}) and (4,)"
+                )
+            pooled = [a.plus(b) for a, b in zip(pooled, counts, strict=True)] if pooled else list(counts)
+            rows.append([list(score(one).values()) for one in counts])
+            shares.append(truth)
+        if not rows:
+            raise ValueError("no frames to build an evaluation from")
+        values = np.array(rows).transpose(2, 1, 0)
+        return cls(
+            names,
+            spec,
+            dict(zip(METRICS, values, strict=True)),
+            tuple(pooled),
+            np.array(shares, np.float64),
+        )
+
     @property
     def frames(self) -> int:
         """Number of frames."""
@@ -87,14 +140,20 @@ class Evaluation:
         """Return every metric of all frames' cells together."""
         return score(self.pooled[self.models.index(model)])
 
-    def interval(self, model: str, metric: str, rng: np.random.Generator) -> Interval:
-        """Return a metric's mean over frames with its 95 % bootstrap interval."""
-        return bootstrap_mean(self.of(model, metric), rng)
+    def interval(
+        self, model: str, metric: str, rng: np.random.Generator, groups: Sequence[str] | None = None
+    ) -> Interval:
+        """Return a metric's mean over frames with its 95 % bootstrap interval, see `bootstrap_mean`."""
+        return bootstrap_mean(self.of(model, metric), rng, groups=groups)
 
-    def compare(self, model: str, other: str, rng: np.random.Generator) -> dict[str, Paired]:
-        """Compare two models frame by frame, in every metric of which one direction is better."""
+    def compare(
+        self, model: str, other: str, rng: np.random.Generator, groups: Sequence[str] | None = None
+    ) -> dict[str, Paired]:
+        """Compare two models frame by frame, in every metric of which one direction is better, see `paired`."""
         return {
-            metric: paired(self.of(model, metric), self.of(other, metric), METRICS[metric].better, rng)
+            metric: paired(
+                self.of(model, metric), self.of(other, metric), METRICS[metric].better, rng, groups=groups
+            )
             for metric in self.values
             if METRICS[metric].better
         }
@@ -132,24 +191,21 @@ def evaluate(
     """
     if not models:
         raise ValueError("no models to judge: give at least one by its name")
-    mounted = [_Mounted(model) for model in models.values()]
-    pooled: list[Tally] = []
-    rows, shares = [], []
-    for sample in samples:
-        grids = [model(sample)(sample.points) for model in mounted]
-        if spec is None:
-            spec = grids[0].spec
-        state = sample.truth.crop(spec).state
-        counts = [tally(same_cells(grid, spec).mass, state) for grid in grids]
-        pooled = [a.plus(b) for a, b in zip(pooled, counts, strict=True)] if pooled else counts
-        rows.append([list(score(one).values()) for one in counts])
-        shares.append(np.bincount(state.ravel(), minlength=4) / state.size)
-    if spec is None:
+    mounted = [Mounted(model) for model in models.values()]
+    queue = iter(samples)
+    first = next(queue, None)
+    if first is None:
         raise ValueError("no samples to judge the models on")
-    values = np.array(rows).transpose(2, 1, 0)
-    return Evaluation(
-        tuple(models), spec, dict(zip(METRICS, values, strict=True)), tuple(pooled), np.array(shares)
-    )
+    cells = spec or mounted[0](first).spec
+    away = distances(cells)
+
+    def judged(sample: Sample) -> tuple[list[Tally], NDArray[np.float64]]:
+        grids = [model(sample)(sample.points) for model in mounted]
+        state = sample.truth.crop(cells).state
+        counts = [tally(same_cells(grid, cells).mass, state, away) for grid in grids]
+        return counts, np.bincount(state.ravel(), minlength=4) / state.size
+
+    return Evaluation.from_counts(tuple(models), cells, map(judged, chain([first], queue)))
 
 
 def same_cells(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
@@ -179,17 +235,21 @@ def same_cells(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
 
 def model_for(model: InverseSensorModel | ModelFor, sample: Sample) -> InverseSensorModel:
     """Return a model for how a sample's sensor is mounted: itself, or what the function makes, see `evaluate`."""
-    return _Mounted(model)(sample)
+    return Mounted(model)(sample)
 
 
-class _Mounted:
-    """A model and, where it is given as a function, what it made for the last mount."""
+class Mounted:
+    """A model or a function that makes one, see `evaluate`: called with a sample, it returns the sample's model.
+
+    What a function made is kept until a sample comes whose sensor is mounted otherwise.
+    """
 
     def __init__(self, model: InverseSensorModel | ModelFor) -> None:
         self.model = model
         self.T = np.full((4, 4), np.nan)
 
     def __call__(self, sample: Any) -> InverseSensorModel:
+        """Return the model for a sample."""
         if isinstance(self.model, InverseSensorModel):
             return self.model
         T = np.array(sample.T_vehicle_sensor, np.float64)

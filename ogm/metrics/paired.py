@@ -1,5 +1,6 @@
 """Two models on the same frames: who wins how often, and how sure the mean difference is."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,9 @@ class Paired(NamedTuple):
         Mean of first minus second.
     ratio : Interval
         Mean of the first over mean of the second.
+    p : float
+        Of Wilcoxon's signed rank test, two-sided, that the differences lie around 0; ties are left out. Frames
+        count as independent, see `bootstrap_mean`. NaN if all frames are ties.
     """
 
     frames: int
@@ -41,10 +45,16 @@ class Paired(NamedTuple):
     losses: int
     difference: Interval
     ratio: Interval
+    p: float
 
 
 def paired(
-    first: ArrayLike, second: ArrayLike, better: str, rng: np.random.Generator, resamples: int = RESAMPLES
+    first: ArrayLike,
+    second: ArrayLike,
+    better: str,
+    rng: np.random.Generator,
+    resamples: int = RESAMPLES,
+    groups: Sequence[str] | NDArray | None = None,
 ) -> Paired:
     """Compare two models frame by frame.
 
@@ -57,6 +67,8 @@ def paired(
     rng : numpy.random.Generator
         Draws the frames of the bootstrap.
     resamples : int
+    groups : sequence of str, optional
+        The drive of every frame, see `bootstrap_mean`.
 
     Returns
     -------
@@ -65,7 +77,7 @@ def paired(
     """
     if better not in ("lower", "higher"):
         raise ValueError(f'better must be "lower" or "higher", got {better!r}')
-    a, b = _both(first, second)
+    a, b, kept = _both(first, second, groups)
     gain = b - a if better == "lower" else a - b
     ties = np.abs(gain) <= TIE * np.maximum(np.abs(a), np.abs(b))
     return Paired(
@@ -73,16 +85,22 @@ def paired(
         wins=int((~ties & (gain > 0)).sum()),
         ties=int(ties.sum()),
         losses=int((~ties & (gain < 0)).sum()),
-        difference=bootstrap_mean(a - b, rng, resamples),
-        ratio=bootstrap_ratio(a, b, rng, resamples),
+        difference=bootstrap_mean(a - b, rng, resamples, kept),
+        ratio=bootstrap_ratio(a, b, rng, resamples, kept),
+        p=_signed_rank(gain[~ties]),
     )
 
 
-def bootstrap_mean(values: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES) -> Interval:
+def bootstrap_mean(
+    values: ArrayLike,
+    rng: np.random.Generator,
+    resamples: int = RESAMPLES,
+    groups: Sequence[str] | NDArray | None = None,
+) -> Interval:
     """Return the mean over frames with its 95 % interval: percentiles over frames drawn with replacement.
 
-    Frames count as independent of each other. Those of one drive are not quite, so that the interval is
-    rather too narrow than too wide.
+    Without groups, frames count as independent of each other. Those of one drive are not quite, so that the
+    interval is rather too narrow than too wide; with groups, whole drives are drawn.
 
     Parameters
     ----------
@@ -90,14 +108,19 @@ def bootstrap_mean(values: ArrayLike, rng: np.random.Generator, resamples: int =
         NaN is left out.
     rng : numpy.random.Generator
     resamples : int
+    groups : sequence of str, optional
+        The drive of every frame: drives are drawn with all their frames. Needs some ten drives to mean much.
     """
     kept = np.asarray(values, np.float64)
-    kept = kept[~np.isnan(kept)]
-    return bootstrap_ratio(kept, np.ones_like(kept), rng, resamples)
+    return bootstrap_ratio(kept, np.where(np.isnan(kept), np.nan, 1.0), rng, resamples, groups)
 
 
 def bootstrap_ratio(
-    first: ArrayLike, second: ArrayLike, rng: np.random.Generator, resamples: int = RESAMPLES
+    first: ArrayLike,
+    second: ArrayLike,
+    rng: np.random.Generator,
+    resamples: int = RESAMPLES,
+    groups: Sequence[str] | NDArray | None = None,
 ) -> Interval:
     """Return the ratio of two means over the same frames, with its 95 % interval, see `bootstrap_mean`.
 
@@ -107,32 +130,50 @@ def bootstrap_ratio(
         A frame that lacks one of them (NaN) is left out.
     rng : numpy.random.Generator
     resamples : int
+    groups : sequence of str, optional
+        The drive of every frame, see `bootstrap_mean`.
 
     Returns
     -------
     Interval
-        NaN if no frame is left, or where the second mean is 0.
+        NaN if no frame is left, or where the second mean is 0; without limits if one frame or drive is left.
     """
     if resamples < 1:
         raise ValueError(f"resamples must be at least 1, got {resamples}")
-    a, b = _both(first, second)
+    a, b, kept = _both(first, second, groups)
     if not len(a):
         return Interval(*[float("nan")] * 3)
+    value = float(_ratio(a.mean(), b.mean()))
+    if kept is not None:  # sums over drives: the ratio of means over their frames is that of their sums
+        _, drive = np.unique(kept, return_inverse=True)
+        a, b = (np.bincount(drive, one).astype(np.float64) for one in (a, b))
     drawn = rng.integers(len(a), size=(resamples, len(a)))
     ratios = _ratio(a[drawn].mean(axis=1), b[drawn].mean(axis=1))
     edge = (1 - LEVEL) / 2
-    if np.isnan(ratios).any():
-        return Interval(float(_ratio(a.mean(), b.mean())), float("nan"), float("nan"))
+    if len(a) < 2 or np.isnan(ratios).any():
+        return Interval(value, float("nan"), float("nan"))
     low, high = np.quantile(ratios, [edge, 1 - edge])
-    return Interval(float(_ratio(a.mean(), b.mean())), float(low), float(high))
+    return Interval(value, float(low), float(high))
 
 
-def _both(first: ArrayLike, second: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _signed_rank(differences: NDArray[np.float64]) -> float:
+    """Return the p value of Wilcoxon's signed rank test of differences without ties."""
+    from scipy import stats  # here, as it would double the time that the import takes
+
+    return float(stats.wilcoxon(differences).pvalue) if len(differences) else float("nan")
+
+
+def _both(
+    first: ArrayLike, second: ArrayLike, groups: Sequence[str] | NDArray | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray | None]:
+    """Return the values and groups of the frames that have both values."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.ndim != 1 or a.shape != b.shape:
         raise ValueError(f"both models need one value per frame, got shapes {a.shape} and {b.shape}")
+    if groups is not None and len(groups) != len(a):
+        raise ValueError(f"groups must name the drive of each of {len(a)} frames, got {len(groups)}")
     kept = ~(np.isnan(a) | np.isnan(b))
-    return a[kept], b[kept]
+    return a[kept], b[kept], None if groups is None else np.asarray(groups)[kept]
 
 
 def _ratio(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:

@@ -1,0 +1,194 @@
+"""Curves that tell more than a number, from the counts of a frame or of many, short enough to plot.
+
+All are NamedTuples of 1-D float64 arrays of one length, empty where the counts have no cell for the curve.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.metrics.areas import above, by_doubt, by_error, claims
+from ogm.metrics.counts import LEVELS, Tally
+
+__all__ = [
+    "FreeSpace",
+    "Intervals",
+    "PrecisionRecall",
+    "Reliability",
+    "RiskCoverage",
+    "free_space",
+    "intervals",
+    "precision_recall",
+    "reliability",
+    "risk_coverage",
+]
+
+POINTS = 200  # of a curve, at most
+WHICH = ("all", "called", "relative")  # rows of Tally.reliability
+
+
+class Reliability(NamedTuple):
+    """How often what is claimed happens, per bin of P(occupied) that has cells.
+
+    Attributes
+    ----------
+    claimed : (bins,)
+        Mean P(occupied).
+    happened : (bins,)
+        Share of the cells that are occupied.
+    cells : (bins,)
+    """
+
+    claimed: NDArray[np.float64]
+    happened: NDArray[np.float64]
+    cells: NDArray[np.float64]
+
+
+class Intervals(NamedTuple):
+    """Whether cells are occupied as often as belief and plausibility allow, per bin of Bel(occupied) with cells.
+
+    Attributes
+    ----------
+    belief, plausibility : (bins,)
+        Means of Bel(occupied) = m(occupied) and Pl(occupied) = 1 - m(free).
+    happened : (bins,)
+        Share of the cells that are occupied; the grid is consistent where it lies between the two.
+    cells : (bins,)
+    """
+
+    belief: NDArray[np.float64]
+    plausibility: NDArray[np.float64]
+    happened: NDArray[np.float64]
+    cells: NDArray[np.float64]
+
+
+class RiskCoverage(NamedTuple):
+    """How often the surest cells are wrong, known cells being taken by ascending mass of unknown.
+
+    Attributes
+    ----------
+    coverage : (points,)
+        Share of the known cells that are taken, ascending to 1.
+    risk : (points,)
+        Share of those that are wrong: P(occupied) beyond 1/2 on the side that is not true; P = 1/2 is half wrong.
+    oracle : (points,)
+        The risk if cells came by their error, the wrong ones last: the least possible one.
+    """
+
+    coverage: NDArray[np.float64]
+    risk: NDArray[np.float64]
+    oracle: NDArray[np.float64]
+
+
+class FreeSpace(NamedTuple):
+    """How much free space is found at what risk, known cells with Bel(free) >= threshold being taken for free.
+
+    Attributes
+    ----------
+    false_free : (points,)
+        Share of the occupied cells that are taken for free, ascending.
+    recall : (points,)
+        Share of the free cells that are.
+    threshold : (points,)
+        Of Bel(free), descending.
+    """
+
+    false_free: NDArray[np.float64]
+    recall: NDArray[np.float64]
+    threshold: NDArray[np.float64]
+
+
+class PrecisionRecall(NamedTuple):
+    """How right and how complete the claims of occupied are, known cells with P(occupied) >= threshold being claimed.
+
+    Attributes
+    ----------
+    precision : (points,)
+        Share of the claimed known cells that are right; 1 where none is claimed.
+    recall : (points,)
+        Share of the occupied cells that are found, ascending.
+    threshold : (points,)
+        Of P(occupied), descending.
+    """
+
+    precision: NDArray[np.float64]
+    recall: NDArray[np.float64]
+    threshold: NDArray[np.float64]
+
+
+def reliability(counts: Tally, which: Literal["all", "called", "relative"] = "all") -> Reliability:
+    """Return how often known cells are occupied, by bins of P(occupied).
+
+    Parameters
+    ----------
+    counts : Tally
+    which : {"all", "called", "relative"}
+        P(occupied) of all known cells, of those that are not called unknown; or occupied / (free + occupied) of
+        all.
+    """
+    if which not in WHICH:
+        raise ValueError(f"which must be one of {', '.join(WHICH)}, got {which!r}")
+    bins = counts.reliability[WHICH.index(which)]
+    cells, claimed, happened = bins[bins[:, 0] > 0].T
+    return Reliability(claimed / cells, happened / cells, cells)
+
+
+def intervals(counts: Tally) -> Intervals:
+    """Return how often known cells are occupied, against [Bel(occupied), Pl(occupied)]."""
+    cells, belief, plausibility, happened = counts.intervals[counts.intervals[:, 0] > 0].T
+    return Intervals(belief / cells, plausibility / cells, happened / cells, cells)
+
+
+def risk_coverage(counts: Tally) -> RiskCoverage:
+    """Return the risk of the surest known cells, by unknown, against how many are taken. See `RiskCoverage`.
+
+    Cells of one of the 4097 levels of unknown are taken together, in equal parts.
+    """
+    taken, wrong = by_doubt(counts)
+    total = taken[-1]
+    if total == 0:
+        return RiskCoverage(*np.zeros((3, 0)))
+    some = np.arange(1, POINTS + 1) / POINTS * total
+    risk, oracle = (np.interp(some, *ends) / some for ends in ((taken, wrong), by_error(counts)))
+    return RiskCoverage(some / total, risk, oracle)
+
+
+def free_space(counts: Tally) -> FreeSpace:
+    """Return how many free cells are found at what share of occupied ones taken for free. See `FreeSpace`."""
+    free, occupied = above(counts.clear[0]), above(counts.clear[1])
+    if free[-1] == 0 or occupied[-1] == 0:
+        return FreeSpace(*np.zeros((3, 0)))
+    false_free, recall = occupied / occupied[-1], free / free[-1]
+    shown = _thinned(np.log10(false_free + 1e-5) / 5, recall)
+    return FreeSpace(false_free[shown], recall[shown], _thresholds(LEVELS)[shown])
+
+
+def precision_recall(counts: Tally, tolerance: int = 0) -> PrecisionRecall:
+    """Return precision and recall of the claims of occupied. See `PrecisionRecall`.
+
+    Parameters
+    ----------
+    counts : Tally
+    tolerance : {0, 1}
+        In cells, diagonals included. With 1, a claimed cell is right if an occupied cell lies within one cell, and
+        an occupied cell is found if a claimed one does. Claims count for precision on known cells only; one on a
+        cell whose truth is unknown can find an occupied cell next to it, one on an ignored cell does nothing.
+    """
+    precision, recall = claims(counts, tolerance)
+    shown = _thinned(precision, recall) if len(recall) else np.zeros(0, np.intp)
+    thresholds = _thresholds(LEVELS)[: len(recall)]
+    return PrecisionRecall(precision[shown], recall[shown], thresholds[shown])
+
+
+def _thresholds(levels: int) -> NDArray[np.float64]:
+    """Return the number from which on one counts at each level or above, from the highest level down."""
+    return np.maximum((np.arange(levels)[::-1] - 0.5) / (levels - 1), 0.0)
+
+
+def _thinned(*coordinates: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Return which points of a curve to show: both ends, and between them even steps along it."""
+    steps = np.sqrt(sum(np.diff(one) ** 2 for one in coordinates))
+    along = np.concatenate([np.zeros(1), np.cumsum(steps)])
+    wanted = np.searchsorted(along, np.linspace(0, along[-1], POINTS))
+    return np.unique(np.minimum(wanted, len(along) - 1))

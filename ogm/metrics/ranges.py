@@ -1,0 +1,60 @@
+"""Scores by the distance of the cells from the sensor."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.grid import GridSpec
+from ogm.metrics.areas import free_recall, overlaps, parts
+from ogm.metrics.counts import Tally
+
+__all__ = ["by_range", "distances"]
+
+
+def distances(spec: GridSpec) -> NDArray[np.float32]:
+    """Return how far the middles of the cells are from the origin of the grid's frame, which is the sensor.
+
+    Parameters
+    ----------
+    spec : GridSpec
+
+    Returns
+    -------
+    (nx, ny) float32
+        Horizontal distance [m].
+    """
+    x, y = spec.cell_centers
+    return np.hypot(x, y).astype(np.float32)
+
+
+def by_range(counts: Tally) -> dict[str, NDArray[np.float64]]:
+    """Return the scores that matter by distance, one number per bin of `RANGES`.
+
+    Parameters
+    ----------
+    counts : Tally
+        Counted with distances.
+
+    Returns
+    -------
+    dict of str to (ranges,) float64
+        ``cells``, ``free_cells`` and ``occupied_cells`` (not ignored, truly free, truly occupied), and, as in
+        `METRICS`, ``false_free``, ``missed_occupied``, ``false_occupied``, ``iou_free``, ``iou_occupied``,
+        ``iou_unknown``, ``free_recall_1`` and ``free_recall_01`` (each bin at its own threshold, of 1025
+        levels); NaN where a bin has no cell that speaks.
+    """
+    calls, claims = counts.range_calls, counts.range_claims
+    cells = calls.sum(axis=-1)
+    overlap = np.array([overlaps(one) for one in calls])
+    return {
+        "cells": cells.sum(axis=-1),
+        "free_cells": cells[:, 1],
+        "occupied_cells": cells[:, 2],
+        "false_free": parts(claims[:, 2, 0], cells[:, 2]),
+        "missed_occupied": 1 - parts(claims[:, 2, 1], cells[:, 2]),
+        "false_occupied": parts(claims[:, 1, 1], cells[:, 1]),
+        "iou_free": overlap[:, 1],
+        "iou_occupied": overlap[:, 2],
+        "iou_unknown": overlap[:, 0],
+        "free_recall_1": np.array([free_recall(one, 0.01) for one in counts.range_clear]),
+        "free_recall_01": np.array([free_recall(one, 0.001) for one in counts.range_clear]),
+    }

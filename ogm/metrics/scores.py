@@ -1,0 +1,289 @@
+"""The scores that follow from counts, what each means, and why one is missing."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.metrics import areas
+from ogm.metrics.areas import parts
+from ogm.metrics.counts import Tally
+from ogm.metrics.ranking import (
+    auroc_of_histograms,
+    average_precision_of_histograms,
+    false_positive_rate_of_histograms,
+)
+
+__all__ = ["METRICS", "Metric", "reasons", "score"]
+
+FALSE_FREE = {"free_recall_1": 0.01, "free_recall_01": 0.001}  # the bounds of false free
+
+_UNKNOWN, _FREE, _OCCUPIED = 0, 1, 2  # states of a cell, as in ogm.truth
+
+
+class Metric(NamedTuple):
+    """What a score means.
+
+    Attributes
+    ----------
+    title : str
+        For tables and pictures.
+    better : {"lower", "higher", ""}
+        Which of two is the better one; "" where neither is.
+    says : str
+    """
+
+    title: str
+    better: str
+    says: str
+
+
+METRICS: dict[str, Metric] = {
+    "kl_e10": Metric("KL, E = 10", "lower", "mean KL[grid || truth], truth of evidence 10 [nats]"),
+    "kl_e1": Metric("KL, E = 1", "lower", "mean KL[grid || truth], truth of evidence 1 [nats]"),
+    "kl_e1_scaled": Metric(
+        "KL, E = 1, e/10",
+        "lower",
+        "the same with a tenth of the grid's evidence: 10 means sure, as in kl_e10",
+    ),
+    "iou_free": Metric(
+        "IoU free", "higher", "IoU of free cells; a cell is what has most mass, unknown included"
+    ),
+    "iou_occupied": Metric("IoU occupied", "higher", "IoU of occupied cells, likewise"),
+    "iou_unknown": Metric("IoU unknown", "higher", "IoU of unknown cells, likewise"),
+    "brier": Metric("Brier", "lower", "mean squared error of P(occupied) on known cells"),
+    "nll": Metric(
+        "NLL",
+        "lower",
+        "mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 says nothing",
+    ),
+    "false_free": Metric("false free", "lower", "share of occupied cells with a mass of free above 1/2"),
+    "missed_occupied": Metric(
+        "missed occupied", "lower", "share of occupied cells without a mass of occupied above 1/2"
+    ),
+    "false_occupied": Metric(
+        "false occupied", "lower", "share of free cells with a mass of occupied above 1/2"
+    ),
+    "missed_obstacles": Metric(
+        "missed obstacles",
+        "lower",
+        "share of the groups of touching occupied cells without P(occupied) > 1/2 anywhere within one cell",
+    ),
+    "free_recall_1": Metric(
+        "free recall at 1 %",
+        "higher",
+        "share of free cells found by the least Bel(free) that takes at most 1 % of occupied cells for free",
+    ),
+    "free_recall_01": Metric("free recall at 0.1 %", "higher", "the same for at most 0.1 %"),
+    "ap_occupied_near": Metric(
+        "AP occupied, 1 cell",
+        "higher",
+        "average precision of P(occupied) on known cells; right and found within one cell",
+    ),
+    "ap_occupied": Metric("AP occupied", "higher", "the same without tolerance"),
+    "auroc_unknown": Metric(
+        "AUROC unknown", "higher", "AUROC of the mass of unknown for cells whose truth is unknown"
+    ),
+    "aupr_unknown": Metric(
+        "AUPR unknown", "higher", "average precision of the mass of unknown for cells whose truth is unknown"
+    ),
+    "aupr_known": Metric(
+        "AUPR known", "higher", "average precision of little unknown for cells whose truth is known"
+    ),
+    "fpr95_unknown": Metric(
+        "FPR at 95 %",
+        "lower",
+        "share of known cells with as much unknown as the least that finds 95 % of the unknown cells",
+    ),
+    "aurc": Metric(
+        "AURC",
+        "lower",
+        "mean risk over coverage: share of wrong P(occupied) among known cells taken by ascending unknown",
+    ),
+    "ause": Metric("AUSE", "lower", "how much larger that is than if the wrong cells came last"),
+    "ece": Metric("ECE", "lower", "expected calibration error of P(occupied) on known cells, 15 bins"),
+    "ece_relative": Metric(
+        "ECE, relative",
+        "lower",
+        "the same of occupied / (free + occupied), 1/2 where both are 0",
+    ),
+    "ece_called": Metric(
+        "ECE, called",
+        "lower",
+        "the same on those known cells that the grid does not call unknown",
+    ),
+    "ace": Metric("ACE", "lower", "calibration error of P(occupied) on known cells, 15 bins of equal weight"),
+    "interval_violation": Metric(
+        "outside [Bel, Pl]",
+        "lower",
+        "how far the share of occupied cells lies outside [Bel, Pl], mean over 15 bins of Bel(occupied)",
+    ),
+    "brier_relative": Metric("Brier, relative", "lower", "squared error of occupied / (free + occupied)"),
+    "brier_expected": Metric(
+        "Brier, expected", "lower", "mean squared error of p drawn from the grid's Beta density, known cells"
+    ),
+    "conflict": Metric("conflict", "lower", "mean mass on the wrong state, known cells"),
+    "conflict_free": Metric("conflict free", "lower", "mean mass of free on occupied cells"),
+    "conflict_occupied": Metric("conflict occupied", "lower", "mean mass of occupied on free cells"),
+    "iou_free_known": Metric(
+        "IoU free, known", "higher", "IoU of free by P(occupied) < 1/2, on cells whose truth is known"
+    ),
+    "iou_occupied_known": Metric(
+        "IoU occupied, known", "higher", "IoU of occupied by P(occupied) > 1/2, on known cells"
+    ),
+    "map_score": Metric(
+        "MapScore", "higher", "mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 says nothing"
+    ),
+    "entropy": Metric("entropy", "", "mean Shannon entropy of P(occupied) [bit]"),
+    "dissonance": Metric("dissonance", "", "mean 2 min(free, occupied)"),
+    "mean_free": Metric("mean free", "", "mean mass of free"),
+    "mean_occupied": Metric("mean occupied", "", "mean mass of occupied"),
+    "mean_unknown": Metric("mean unknown", "", "mean mass of unknown"),
+    "kl_e10_reverse": Metric(
+        "reverse KL, E = 10", "lower", "mean KL[truth || grid], truth of evidence 10 [nats]"
+    ),
+    "kl_e1_reverse": Metric(
+        "reverse KL, E = 1", "lower", "mean KL[truth || grid], truth of evidence 1 [nats]"
+    ),
+    "legacy_kl": Metric(
+        "released code's KL", "lower", "the released code's categorical KL of clipped evidence [nats]"
+    ),
+    "legacy_accuracy": Metric(
+        "released code's accuracy", "", "what the released code calls so: share of cells called unknown"
+    ),
+}
+
+NEEDS: dict[str, tuple[str, ...]] = {
+    "iou_unknown": ("unknown",),
+    **dict.fromkeys(("iou_free", "iou_free_known"), ("free",)),
+    **dict.fromkeys(("iou_occupied", "iou_occupied_known"), ("occupied",)),
+    **dict.fromkeys(
+        ("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"),
+        ("unknown", "known"),
+    ),
+    **dict.fromkeys(
+        ("brier", "nll", "aurc", "ause", "ece", "ece_relative", "ece_called", "ace", "interval_violation"),
+        ("known",),
+    ),
+    **dict.fromkeys(("brier_relative", "brier_expected", "conflict", "map_score"), ("known",)),
+    **dict.fromkeys(("false_free", "missed_occupied", "missed_obstacles", "conflict_free"), ("occupied",)),
+    **dict.fromkeys(("false_occupied", "conflict_occupied"), ("free",)),
+    **dict.fromkeys(
+        ("free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"), ("free", "occupied")
+    ),
+}  # cells of these truths; all need some that are not ignored
+
+
+def score(counts: Tally) -> dict[str, float]:
+    """Turn counts into the scores of `METRICS`, in their order; NaN where no cell speaks for one.
+
+    See `METRICS` for what each means and `reasons` for why one is NaN. Means without another word are over all
+    cells that are not ignored; *known* cells are those whose truth is free or occupied.
+
+    Notes
+    -----
+    Calibration
+        An ECE is the mean distance of P(occupied) from how often a bin's cells are occupied, weighted by cells.
+        P(occupied) = occupied + unknown / 2 comes no nearer to 0 and 1 than the evidence allows: to 1/12 for an
+        evidence of 10, however sure the model is. Where evidence is bounded by convention, the relative one,
+        occupied / (free + occupied), says what the model holds likely among known cells. The ACE spreads cells
+        of one of the 4097 levels of P evenly over the bins that they reach into.
+    Ranking
+        AUROC, AUPR and average precision take two numbers for equal that share one of 4097 levels.
+    Selection
+        The error of a cell in the AURC and AUSE is 1 where P(occupied) is on the wrong side of 1/2, else 0, and
+        1/2 at P = 1/2. (Squared errors would favour unknown as a score by definition: P is drawn to 1/2 by it.)
+    Bounded risk
+        The threshold of free_recall is chosen on the judged cells themselves: with fewer than 1000 occupied
+        cells, at most 0.1 % means none. The pooled (micro) value has one threshold for all frames.
+    Second order
+        The expected Brier is (P - occupied)**2 + P (1 - P) / (S + 1) with S the Dirichlet strength: it is least
+        at infinite evidence and not a proper score of it (Bengs et al. 2023), hence no headline.
+    MapScore
+        Of Martin and Moravec (1996): sum over cells of 1 + log2(P_a P_b + (1 - P_a)(1 - P_b)); here for the truth
+        as b, 0 or 1 on known cells (others add 0), with P(true state) at least 1e-5. It is 1 - nll / ln 2.
+    """
+    total, known = counts.cells.sum(), counts.cells[1:].sum()
+    to_truth, from_truth = (parts(sums.sum(axis=-1), total) for sums in (counts.to_truth, counts.from_truth))
+    free, occupied = parts(counts.mass.sum(axis=0), total)
+    overlap = areas.overlaps(counts.calls)
+    known_only = np.concatenate([np.zeros((1, 3)), counts.likelier[1:]])
+    likelier = areas.overlaps(known_only)
+    doubt_known, doubt_unknown, _ = counts.doubt
+    aurc, ause = areas.risk_areas(counts)
+    squared, nll = parts(counts.squared, known), float(parts(counts.surprise.sum(), known))
+    wrong_free, wrong_occupied = counts.mass[_OCCUPIED, 0], counts.mass[_FREE, 1]
+    ece, ece_called, ece_relative = (_calibration_error(bins) for bins in counts.reliability)
+    values = {
+        "kl_e10": to_truth[1],
+        "kl_e1": to_truth[0],
+        "kl_e1_scaled": to_truth[2],
+        "iou_free": overlap[_FREE],
+        "iou_occupied": overlap[_OCCUPIED],
+        "iou_unknown": overlap[_UNKNOWN],
+        "brier": squared[0],
+        "nll": nll,
+        "false_free": parts(counts.claims[_OCCUPIED, 0], counts.cells[_OCCUPIED]),
+        "missed_occupied": 1 - parts(counts.claims[_OCCUPIED, 1], counts.cells[_OCCUPIED]),
+        "false_occupied": parts(counts.claims[_FREE, 1], counts.cells[_FREE]),
+        "missed_obstacles": parts(counts.obstacles[1], counts.obstacles[0]),
+        **{name: areas.free_recall(counts.clear, bound) for name, bound in FALSE_FREE.items()},
+        "ap_occupied_near": areas.claims_precision(counts, 1),
+        "ap_occupied": areas.claims_precision(counts, 0),
+        "auroc_unknown": auroc_of_histograms(doubt_unknown, doubt_known),
+        "aupr_unknown": average_precision_of_histograms(doubt_unknown, doubt_known),
+        "aupr_known": average_precision_of_histograms(doubt_known[::-1], doubt_unknown[::-1]),
+        "fpr95_unknown": false_positive_rate_of_histograms(doubt_unknown, doubt_known),
+        "aurc": aurc,
+        "ause": ause,
+        "ece": ece,
+        "ece_relative": ece_relative,
+        "ece_called": ece_called,
+        "ace": areas.equal_mass_error(counts),
+        "interval_violation": areas.interval_violation(counts),
+        "brier_relative": squared[1],
+        "brier_expected": squared[2],
+        "conflict": parts(wrong_free + wrong_occupied, known),
+        "conflict_free": parts(wrong_free, counts.cells[_OCCUPIED]),
+        "conflict_occupied": parts(wrong_occupied, counts.cells[_FREE]),
+        "iou_free_known": likelier[_FREE],
+        "iou_occupied_known": likelier[_OCCUPIED],
+        "map_score": 1 - nll / np.log(2),
+        "entropy": parts(counts.entropy.sum(), total),
+        "dissonance": parts(counts.dissonance.sum(), total),
+        "mean_free": free,
+        "mean_occupied": occupied,
+        "mean_unknown": 1 - free - occupied,
+        "kl_e10_reverse": from_truth[1],
+        "kl_e1_reverse": from_truth[0],
+        "legacy_kl": parts(counts.legacy.sum(), total),
+        "legacy_accuracy": parts(counts.calls[:, _UNKNOWN].sum(), total),
+    }
+    return {name: float(values[name]) for name in METRICS}
+
+
+def reasons(counts: Tally) -> dict[str, str]:
+    """Return why scores are NaN: of each metric that has no value, what is missing."""
+    there = {
+        "unknown": counts.cells[_UNKNOWN] > 0,
+        "free": counts.cells[_FREE] > 0,
+        "occupied": counts.cells[_OCCUPIED] > 0,
+        "known": counts.cells[1:].sum() > 0,
+    }
+    result = {}
+    for name, value in score(counts).items():
+        if not np.isnan(value):
+            continue
+        missing = [kind for kind in NEEDS.get(name, ()) if not there[kind]]
+        if counts.cells.sum() == 0:
+            result[name] = "the truth ignores every cell"
+        elif missing:
+            result[name] = f"the truth has no {' and no '.join(missing)} cell"
+        else:
+            result[name] = "the grid calls every known cell unknown"  # ece_called
+    return result
+
+
+def _calibration_error(bins: NDArray) -> float:
+    count, claimed, happened = bins.T
+    return float(parts(np.abs(claimed - happened).sum(), count.sum()))

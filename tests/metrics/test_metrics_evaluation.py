@@ -1,0 +1,101 @@
+"""Evaluations from counts, and what is said of two methods over many frames."""
+
+import numpy as np
+import pytest
+from plain import lattice_grid
+from scipy import stats
+
+from ogm.grid import GridSpec
+from ogm.metrics import Evaluation, Tally, bootstrap_mean, bootstrap_ratio, paired, score, tally
+
+SPEC = GridSpec.centered(length=7, width=7, resolution=1)
+EVEN = np.full(4, 0.25)
+
+
+def counts(frames: int, models: int = 2) -> list[list[Tally]]:
+    return [[tally(*lattice_grid(10 * k + m)) for m in range(models)] for k in range(frames)]
+
+
+def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
+    rows = counts(3)
+    result = Evaluation.from_counts(["a", "b"], SPEC, ((row, EVEN) for row in rows))
+    assert (result.models, result.spec, result.frames) == (("a", "b"), SPEC, 3)
+    for m, name in enumerate("ab"):
+        for k in range(3):
+            assert score(rows[k][m])["kl_e10"] == result.of(name, "kl_e10")[k]
+        together = rows[0][m].plus(rows[1][m]).plus(rows[2][m])
+        assert result.micro(name) == pytest.approx(score(together), nan_ok=True)
+    assert result.truth.tolist() == [[0.25] * 4] * 3
+
+
+@pytest.mark.parametrize(
+    ("models", "frames", "says"),
+    [
+        ([], [], "models need names, each once"),
+        (["a", "a"], [], "models need names, each once"),
+        (["a"], [], "no frames to build an evaluation from"),
+        (["a"], [(counts(1)[0], EVEN)], r"frame 0 has counts of 2 models and \(4,\) .* wanted 1 \(a\)"),
+        (["a", "b"], [(counts(1)[0], EVEN[:3])], r"\(3,\) shares of truth"),
+    ],
+)
+def test_counts_that_do_not_fit_are_refused(models: list[str], frames: list, says: str) -> None:
+    with pytest.raises(ValueError, match=says):
+        Evaluation.from_counts(models, SPEC, frames)
+
+
+def test_wilcoxon_is_that_of_scipy_and_leaves_ties_out() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(0, 1, 30), rng.normal(0.3, 1, 30)
+    for better in ("lower", "higher"):
+        assert paired(a, b, better, rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
+    equal = np.concatenate([a, np.arange(5)]), np.concatenate([b, np.arange(5)])
+    assert paired(*equal, "lower", rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
+
+
+@pytest.mark.parametrize("frames", [1, 4, 8])
+def test_wilcoxon_of_wins_alone_is_the_chance_of_a_coin(frames: int) -> None:
+    rng = np.random.default_rng(1)
+    gains = 1 + np.arange(frames)
+    assert paired(gains, np.zeros(frames), "higher", rng).p == pytest.approx(2 / 2**frames)
+
+
+def test_wilcoxon_without_a_difference_is_nan() -> None:
+    rng = np.random.default_rng(2)
+    assert np.isnan(paired([1.0, 2.0], [1.0, 2.0], "lower", rng).p)
+    assert np.isnan(paired([np.nan], [1.0], "lower", rng).p)
+
+
+def test_drives_are_drawn_whole() -> None:
+    """Frames that repeat their drive's value tell no more than one frame per drive."""
+    rng = np.random.default_rng(3)
+    drives = rng.normal(0, 1, 20)
+    groups = np.repeat([f"drive {k}" for k in range(20)], 30)
+    alone = bootstrap_mean(drives, np.random.default_rng(4))
+    whole = bootstrap_mean(np.repeat(drives, 30), np.random.default_rng(4), groups=list(groups))
+    frames = bootstrap_mean(np.repeat(drives, 30), np.random.default_rng(4))
+    # drives are sorted by name, so that it is the same draw of other drives: the widths agree, not the ends
+    assert whole.value == pytest.approx(alone.value)
+    assert whole.high - whole.low == pytest.approx(alone.high - alone.low, rel=0.1)
+    assert frames.high - frames.low < 0.3 * (whole.high - whole.low)
+
+
+def test_ratios_over_drives_weigh_their_frames() -> None:
+    a, b = np.array([1.0, 2.0, 3.0, np.nan]), np.array([2.0, 2.0, 2.0, 5.0])
+    found = bootstrap_ratio(a, b, np.random.default_rng(5), groups=["x", "x", "y", "y"])
+    assert found.value == pytest.approx(1.0)
+    assert (found.low, found.high) == pytest.approx((0.75, 1.5))
+
+
+def test_one_frame_or_drive_has_no_interval() -> None:
+    rng = np.random.default_rng(6)
+    for one in (bootstrap_mean([3.0], rng), bootstrap_mean([2.0, 4.0], rng, groups=["a", "a"])):
+        assert one.value == 3.0
+        assert np.isnan([one.low, one.high]).all()
+
+
+def test_groups_are_one_per_frame() -> None:
+    rng = np.random.default_rng(7)
+    with pytest.raises(ValueError, match="groups must name the drive of each of 2 frames, got 1"):
+        bootstrap_mean([1.0, 2.0], rng, groups=["a"])
+    with pytest.raises(ValueError, match="groups must name"):
+        paired([1.0, 2.0], [1.0, 2.0], "lower", rng, groups=["a"])

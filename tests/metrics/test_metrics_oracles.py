@@ -1,0 +1,195 @@
+"""The scores against scikit-learn, scipy, torch and the evidence algebra."""
+
+import numpy as np
+import pytest
+import torch
+from numpy.typing import NDArray
+from plain import lattice_grid
+from scipy import ndimage, stats
+from sklearn import metrics as sk
+from sklearn.calibration import calibration_curve
+
+from ogm import evidence
+from ogm.metrics import (
+    auroc,
+    average_precision,
+    called,
+    density,
+    kl_from_truth,
+    kl_to_truth,
+    precision_recall,
+    reliability,
+    score,
+    tally,
+)
+from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+
+SHAPE = (60, 50)
+
+
+@pytest.fixture(params=["lattice", "ties", "any"])
+def grid(request: pytest.FixtureRequest) -> tuple[NDArray, NDArray, float]:
+    """Masses, states, and how far a histogram may be from the exact value."""
+    mass, state = lattice_grid(5, SHAPE, coarse=256 if request.param == "ties" else 1)
+    if request.param == "any":
+        mass = np.random.default_rng(0).dirichlet([0.5, 0.4, 0.6], SHAPE)[..., :2].astype(np.float32)
+    return mass, state, 2e-3 if request.param == "any" else 1e-9
+
+
+def parts(mass: NDArray, state: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    """P(occupied) and what is true on known cells, and the unknown of all cells as float64."""
+    free, occupied = np.moveaxis(mass.astype(np.float64), -1, 0)
+    known = (state == FREE) | (state == OCCUPIED)
+    return (0.5 * (1 + occupied - free))[known], state[known] == OCCUPIED, 1 - free - occupied
+
+
+def test_ranking_of_unknown_is_that_of_scikit_learn(grid: tuple[NDArray, NDArray, float]) -> None:
+    mass, state, near = grid
+    kept = state != IGNORE
+    unknown, truth = parts(mass, state)[2][kept], state[kept] == UNKNOWN
+    scores = score(tally(mass, state))
+    false, found, _ = sk.roc_curve(truth, unknown, drop_intermediate=False)
+    for name, wanted in {
+        "auroc_unknown": sk.roc_auc_score(truth, unknown),
+        "aupr_unknown": sk.average_precision_score(truth, unknown),
+        "aupr_known": sk.average_precision_score(~truth, -unknown),
+        "fpr95_unknown": false[found >= 0.95].min(),
+    }.items():
+        assert scores[name] == pytest.approx(wanted, abs=near), name
+    assert auroc(unknown, truth) == pytest.approx(sk.roc_auc_score(truth, unknown))
+    assert average_precision(unknown, truth) == pytest.approx(sk.average_precision_score(truth, unknown))
+
+
+def test_probability_scores_are_those_of_scikit_learn(grid: tuple[NDArray, NDArray, float]) -> None:
+    mass, state, near = grid
+    p, y, _ = parts(mass, state)
+    scores = score(tally(mass, state))
+    assert scores["brier"] == pytest.approx(sk.brier_score_loss(y, p), rel=1e-6)
+    assert scores["nll"] == pytest.approx(sk.log_loss(y, np.clip(p, 1e-5, 1 - 1e-5)), abs=2e-5)
+    assert scores["ap_occupied"] == pytest.approx(sk.average_precision_score(y, p), abs=near)
+
+
+def test_reliability_is_that_of_scikit_learn() -> None:
+    mass, state = lattice_grid(6, SHAPE)
+    p, _, _ = parts(mass, state)
+    inner = (p > 0) & (p < 1) & ~np.isin(p * 15, np.arange(16))  # on edges it takes the other bin
+    mass[(state == FREE) | (state == OCCUPIED)] *= inner[:, None]
+    p, y, _ = parts(mass, state)
+    claimed, happened, cells = reliability(tally(mass, state))
+    shares, means = calibration_curve(y, p, n_bins=15)
+    np.testing.assert_allclose(happened, shares)
+    np.testing.assert_allclose(claimed, means, rtol=1e-6)
+    assert cells.sum() == len(p)
+
+
+def test_precision_and_recall_are_those_of_scikit_learn() -> None:
+    mass, state = lattice_grid(7, SHAPE, coarse=128)
+    p, y, _ = parts(mass, state)
+    precision, recall, thresholds = sk.precision_recall_curve(y, p)
+    curve = precision_recall(tally(mass, state), 0)
+    for one, two, threshold in zip(*curve, strict=True):
+        k = np.searchsorted(thresholds, threshold)
+        assert (one, two) == pytest.approx((precision[k], recall[k]))
+
+
+def test_confusion_and_overlap_are_those_of_scikit_learn(grid: tuple[NDArray, NDArray, float]) -> None:
+    mass, state, _ = grid
+    kept = state != IGNORE
+    counts, truth, call = tally(mass, state), state[kept], called(mass)[kept]
+    assert counts.calls.tolist() == sk.confusion_matrix(truth, call, labels=[0, 1, 2]).tolist()
+    scores = score(counts)
+    overlaps = sk.jaccard_score(truth, call, labels=[UNKNOWN, FREE, OCCUPIED], average=None)
+    assert [scores[f"iou_{s}"] for s in ("unknown", "free", "occupied")] == pytest.approx(overlaps.tolist())
+    assert scores["legacy_accuracy"] == pytest.approx(sk.accuracy_score(np.zeros_like(call), call))
+
+
+def test_scores_of_evidence_are_those_of_the_evidence_algebra(grid: tuple[NDArray, NDArray, float]) -> None:
+    mass, state, _ = grid
+    mass = mass.astype(np.float64)
+    kept, scores = state != IGNORE, score(tally(mass, state))
+    assert scores["entropy"] == pytest.approx(evidence.pignistic_entropy(mass[kept]).mean())
+    p = evidence.mass_to_probability(mass[kept])
+    assert scores["entropy"] == pytest.approx(stats.entropy(np.stack([p, 1 - p]), base=2).mean())
+    assert scores["dissonance"] == pytest.approx(evidence.dissonance(mass[kept]).mean())
+    known = (state == FREE) | (state == OCCUPIED)
+    truth = np.stack([state == FREE, state == OCCUPIED], axis=-1)[known].astype(np.float64)
+    assert scores["conflict"] == pytest.approx(evidence.conflict(mass[known], truth).mean())
+    appeared, gone = evidence.conflict_direction(mass[known], truth).T
+    assert scores["conflict_free"] == pytest.approx(appeared.sum() / (state == OCCUPIED).sum())
+    assert scores["conflict_occupied"] == pytest.approx(gone.sum() / (state == FREE).sum())
+    assert scores["mean_unknown"] == pytest.approx(evidence.vacuity(mass[kept]).mean(), abs=1e-12)
+
+
+def test_expected_brier_is_the_mean_over_beta_densities() -> None:
+    mass, state = lattice_grid(8, SHAPE)
+    mass = (0.99 * mass).astype(np.float64)
+    known = (state == FREE) | (state == OCCUPIED)
+    e, y = (
+        torch.from_numpy(evidence.mass_to_evidence(mass[known])),
+        torch.from_numpy(state[known] == OCCUPIED),
+    )
+    beta = torch.distributions.Beta(1 + e[:, 1], 1 + e[:, 0])
+    wanted = ((beta.mean - y.double()) ** 2 + beta.variance).mean()
+    found = score(tally(mass, state))["brier_expected"]
+    assert found == pytest.approx(wanted.item())
+    torch.manual_seed(0)
+    drawn = ((beta.sample((2000,)) - y.double()) ** 2).mean()
+    assert found == pytest.approx(drawn.item(), abs=1e-3)
+
+
+@pytest.mark.parametrize("strength", [1.0, 10.0])
+def test_divergences_are_those_of_torch(strength: float) -> None:
+    mass, state = lattice_grid(9, SHAPE)
+    kept = state != IGNORE
+    alpha = torch.from_numpy(
+        1 + np.minimum(evidence.mass_to_evidence(mass[kept].astype(float), min_unknown=2e-5), 1e5)
+    )
+    truth = np.stack([state == FREE, state == OCCUPIED], axis=-1)[kept] * strength + 1.0
+    grid, true = (torch.distributions.Dirichlet(a) for a in (alpha, torch.from_numpy(truth)))
+    cells = density(mass)
+    for found, wanted in (
+        (kl_to_truth(cells, state, strength), torch.distributions.kl_divergence(grid, true)),
+        (kl_from_truth(cells, state, strength), torch.distributions.kl_divergence(true, grid)),
+    ):
+        np.testing.assert_allclose(found[kept], wanted.numpy(), rtol=1e-6, atol=1e-6)
+    scores = score(tally(mass, state))
+    wanted = torch.distributions.kl_divergence(grid, true).mean().item()
+    assert scores[f"kl_e{strength:g}"] == pytest.approx(wanted, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("grid", "truth", "value"),
+    [
+        ((0, 0), (1, 0), 0.30685281944),
+        ((1, 0), (0, 0), 0.19314718056),
+        ((1, 0), (0, 1), 1.0),
+        ((0, 0), (10, 0), 7.6021047272),
+        ((10, 0), (1, 0), 0.886566274057),
+        ((0.5, 0.5), (0, 0), 0.0484172947105),
+        ((1000, 0), (999, 0), 4.99334082534e-7),
+    ],
+)
+def test_both_directions_have_the_values_of_sixty_digits(
+    grid: tuple[float, float], truth: tuple[float, float], value: float
+) -> None:
+    """KL[Dir(1 + grid) || Dir(1 + truth)], with either of them as the truth where it can be one."""
+    for said, true, divergence in ((grid, truth, kl_to_truth), (truth, grid, kl_from_truth)):
+        if min(true) > 0:
+            continue
+        state = np.array([FREE if true[0] else OCCUPIED if true[1] else UNKNOWN], np.uint8)
+        mass = np.array(said, np.float64)[None] / (sum(said) + 2)
+        found = divergence(density(mass), state, float(max(true)) or 1.0)
+        np.testing.assert_allclose(found, value, rtol=1e-7, atol=2e-8)
+
+
+def test_obstacles_are_the_components_that_scipy_labels() -> None:
+    rng = np.random.default_rng(10)
+    mass, _ = lattice_grid(10, SHAPE)
+    state = rng.choice(4, size=SHAPE, p=[0.4, 0.3, 0.2, 0.1]).astype(np.uint8)
+    mass *= rng.random(SHAPE)[..., None] < 0.3
+    p = np.where(state == IGNORE, 0, 0.5 * (1 + mass[..., 1] - mass[..., 0]))
+    labels, count = ndimage.label(state == OCCUPIED, np.ones((3, 3)))
+    best = ndimage.maximum(ndimage.maximum_filter(p, 3, mode="constant"), labels, np.arange(1, count + 1))
+    counts = tally(mass, state)
+    assert counts.obstacles.tolist() == [count, np.count_nonzero(best <= 0.5)]
+    assert 0 < counts.obstacles[1] < count
