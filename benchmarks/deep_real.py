@@ -15,25 +15,33 @@ from _run import DATA, OURS, PEER, PICTURES, RESULTS, TWIN, caption, environment
 import argparse
 import hashlib
 import importlib.metadata
-import io
-import json
 import logging
-import lzma
-from collections.abc import Callable, Mapping
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from ground import LABELS, OWN, Box, kitti_boxes
+from ground import GROUND, LABELS, NOTHING, OWN, kitti_drive, kitti_object, nuscenes_boxes, range_images
 from numpy.typing import NDArray
 
 from ogm import EvidentialGrid, GridSpec, read_points, read_scan
 from ogm.geometric import HeightBandISM, RayISM
-from ogm.io import estimate_sensor_height
+from ogm.io import Argoverse2Map, Objects, estimate_sensor_height, read_argoverse2, read_sustech
 from ogm.plot import Panel, cells, masses, points
-from ogm.truth import FREE, OCCUPIED, Kind, cells_in_box, count_returns, truth_from_points
+from ogm.pose import pose
+from ogm.truth import (
+    FREE,
+    OCCUPIED,
+    Kind,
+    cells_in_areas,
+    cells_in_box,
+    count_returns,
+    free_road,
+    move_boxes,
+    truth_from_points,
+)
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 DOTS = GridSpec.centered(
@@ -43,9 +51,6 @@ ENOUGH = 50  # returns that make a participant known as a whole (van Kempen et a
 ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
 CORE = 0.25  # [m] further inside a box than this, no margin of the annotation is left
 MAJORITY = 0.5  # a state is called where its mass is above this
-AROUND = 0.3  # [m] road this close to a box is not judged
-LOW, HIGH = 0.3, 2.0  # [m] returns between these heights above the map's ground hide the road behind them
-SECTOR = np.radians(0.4)  # [rad] of azimuth in which they do; a VLP-32C turns by 0.2 deg between firings
 BANDS = ((0, 10), (10, 20), (20, 30), (30, 50))  # [m] from the sensor
 RESAMPLES = 10_000
 VEHICLES = ("car", "van", "truck", "bus", "vehicle", "trailer", "tram")
@@ -117,10 +122,13 @@ def scene(name: str, xyzi: NDArray[np.float32], height: float | None = None, **k
     return Scene(name, without_own(xyzi), height, **known)
 
 
-def rows(boxes: list[Box]) -> NDArray[np.float64]:
-    """Turn boxes as ground.py reads them into rows of numbers."""
-    numbers = [(*b.bottom[:2], b.yaw, b.length, b.width, b.bottom[2], b.bottom[2] + b.height) for b in boxes]
-    return np.array(numbers, float).reshape(-1, 7)
+def boxed(
+    name: str, xyzi: NDArray[np.float32], objects: Objects, ids: Sequence[str] = (), **known: Any
+) -> Scene:
+    """Make a scene with boxes; where the set names no objects, `ids` does."""
+    kinds = tuple(label.lower() for label in objects.labels)
+    ids = tuple(ids) or objects.tracks
+    return scene(name, xyzi, boxes=objects.boxes, kinds=kinds, ids=ids, **known)
 
 
 def free_scans() -> list[Scene]:
@@ -136,46 +144,6 @@ def free_scans() -> list[Scene]:
 # --- Argoverse 2: two VLP-32C, boxes, a map ---------------------------------------------------------
 
 
-class Map:
-    """Drivable area and ground height of one Argoverse 2 log, around one pose of the vehicle."""
-
-    def __init__(self, folder: Path, T_city_sensor: NDArray[np.float64]) -> None:
-        (areas,) = folder.glob("map/log_map_archive_*.json")
-        (raster,) = folder.glob("map/*_ground_height_surface_*.npy")
-        (placing,) = folder.glob("map/*___img_Sim2_city.json")
-        self.T = T_city_sensor
-        self.raster = np.load(raster).astype(float)
-        self.placing = json.loads(placing.read_text())
-        back = np.linalg.inv(T_city_sensor)
-        self.outlines = [
-            (
-                np.array([[p["x"], p["y"], p["z"]] for p in area["area_boundary"]]) @ back[:3, :3].T
-                + back[:3, 3]
-            )[:, :2]
-            for area in json.loads(areas.read_text())["drivable_areas"].values()
-        ]
-
-    def ground(self, xyz: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the z of the ground [m, sensor's frame] at places given there; NaN where the map has none."""
-        city = xyz @ self.T[:3, :3].T + self.T[:3, 3]
-        column, row = np.floor((city[:, :2] + self.placing["t"]) * self.placing["s"]).astype(int).T
-        inside = (column >= 0) & (row >= 0) & (column < self.raster.shape[1]) & (row < self.raster.shape[0])
-        z = np.where(
-            inside, self.raster[np.where(inside, row, 0), np.where(inside, column, 0)], np.nan
-        )  # in the city
-        return xyz[:, 2] + z - city[:, 2]  # the vehicle tilts by half a degree: upright in both frames
-
-    @cached_property
-    def drivable(self) -> NDArray[np.bool_]:
-        """Cells whose middle is drivable (nx, ny)."""
-        from matplotlib.path import Path as Outline
-
-        result = np.zeros(SPEC.shape, bool)
-        for outline in self.outlines:
-            result |= Outline(outline).contains_points(middles()).reshape(SPEC.shape)
-        return result
-
-
 def middles() -> NDArray[np.float64]:
     """Return the middles of the cells, (nx * ny, 2) [m]."""
     x, y = (o + (np.arange(n) + 0.5) * SPEC.resolution for o, n in zip(SPEC.origin, SPEC.shape, strict=True))
@@ -183,104 +151,57 @@ def middles() -> NDArray[np.float64]:
 
 
 def road(
-    plan: Map, xyzi: NDArray[np.float32], height: float, lowest: float, boxes: NDArray[np.float64]
+    plan: Argoverse2Map,
+    T: NDArray[np.float64],
+    xyzi: NDArray[np.float32],
+    height: float,
+    lowest: float,
+    boxes: NDArray[np.float64],
 ) -> Road:
-    """Tell which cells are road that should be free, and which of them the sensor can see.
+    """Tell which cells are road that should be free, and which of them the sensor can see: `ogm.truth.free_road`.
 
-    Of the drivable area, cells at boxes (all of them, however few returns they have) and cells with a return
-    between `LOW` and `HIGH` are left out: something stands there. A cell is in sight if no such return lies
-    nearer in its direction, on or above the line from the sensor to the cell's ground. All models are judged
-    on the same cells, and the returns are those of both lidars; `lowest` is the tangent of the judged one's lowest
-    beam's elevation.
+    All models are judged on the same cells, and the returns are those of both lidars; `lowest` is the tangent of
+    the judged one's lowest beam's elevation. Where the map has no ground, it is taken to be as low as here.
     """
-    xyz = xyzi[:, :3].astype(float)
-    ground = plan.ground(xyz)
-    above = xyz[:, 2] - np.where(np.isnan(ground), -height, ground)
-    standing = xyz[(above > LOW) & (above < HIGH)]
-    taken = np.zeros(SPEC.shape, bool)
-    here = standing[SPEC.contains(*standing[:, :2].T)]
-    taken[SPEC.index(*here[:, :2].T)] = True
-    for box in boxes:
-        taken[cells_in_box(box + [0, 0, 0, 2 * AROUND, 2 * AROUND, 0, 0], SPEC)] = True
 
-    where = middles()
-    floor = plan.ground(np.column_stack([where, np.full(len(where), -height)]))
-    distance = np.hypot(*where.T)
-    slope = np.where(np.isnan(floor), -height, floor) / distance  # tangent of the elevation
-    sector = np.floor(np.arctan2(where[:, 1], where[:, 0]) / SECTOR).astype(int)
-    hidden = np.zeros(len(where), bool)
-    far = np.hypot(*standing[:, :2].T)
-    of = np.floor(np.arctan2(standing[:, 1], standing[:, 0]) / SECTOR).astype(int)
-    for k in np.unique(of):
-        mine, seen = of == k, np.flatnonzero(sector == k)
-        order = np.argsort(far[mine])
-        highest = np.maximum.accumulate((standing[mine, 2] / far[mine])[order])
-        nearer = np.searchsorted(far[mine][order], distance[seen]) - 1
-        hidden[seen] = (nearer >= 0) & (highest[np.maximum(nearer, 0)] >= slope[seen])
-    clear = plan.drivable & ~taken & (distance > OWN[0]).reshape(SPEC.shape)
-    in_sight = clear & ~hidden.reshape(SPEC.shape)
-    return Road(clear, in_sight, (slope < lowest).reshape(SPEC.shape), plan.outlines)
+    def ground(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        z = plan.ground(xyz, T)
+        return np.where(np.isnan(z), -height, z)
+
+    where, outlines, xyz = middles(), plan.outlines(T), xyzi[:, :3].astype(float)
+    floor = ground(np.column_stack([where, np.full(len(where), -height)])).reshape(SPEC.shape)
+    drivable = cells_in_areas(outlines, SPEC)
+    found = free_road(drivable, floor, xyz, xyz[:, 2] - ground(xyz), SPEC, boxes=boxes, own_reach=OWN[0])
+    below = floor / np.hypot(*where.T).reshape(SPEC.shape) < lowest
+    return Road(found.clear, found.in_sight, below, outlines)
 
 
 def argoverse2() -> dict[str, list[Scene]]:
     """Read the upper lidar, the lower one (upside down), and both together, seen from the upper one."""
     folder = DATA / "argoverse2_adcf"
-    paths = sorted(folder.glob("sensors/lidar/*.feather"))
-    if not paths:
+    if not folder.is_dir():
         return {}
-    import pyarrow.feather
-
-    def table(name: str) -> dict[str, list[Any]]:
-        return pyarrow.feather.read_table(folder / name).to_pydict()
-
-    mounting = table("calibration_of_another_log/egovehicle_SE3_sensor.feather")
-    poses, notes = table("city_SE3_egovehicle.feather"), table("annotations.feather")
+    log = read_argoverse2(folder)
     result: dict[str, list[Scene]] = {}
-    for path in paths:
-        sweep, stamp = read_scan(path), int(path.stem)
+    for n, (path, stamp) in enumerate(zip(log.sweeps, log.stamps, strict=True)):
+        sweep, objects = read_scan(path), log.objects(n)
         ground = estimate_sensor_height(sweep.points)
-        chosen = [n for n, at in enumerate(notes["timestamp_ns"]) if at == stamp]
-        boxes = np.array([_argoverse_box(notes, n) for n in chosen])
-        kinds = tuple(notes["category"][n].lower() for n in chosen)
-        T_city_ego = _argoverse_pose(poses, poses["timestamp_ns"].index(stamp))
         for what, sensor, rings in (
             ("upper VLP-32C", "up_lidar", (0, 32)),
             ("lower VLP-32C", "down_lidar", (32, 64)),
             ("both VLP-32C", "up_lidar", (0, 64)),
         ):
-            at = mounting["sensor_name"].index(sensor)
-            origin = np.array([mounting[key][at] for key in ("tx_m", "ty_m", "tz_m")])
+            origin = log.lidars[sensor]
             every = sweep.points - np.float32([*origin, 0])
             xyzi = every[(sweep.ring >= rings[0]) & (sweep.ring < rings[1])]
-            T = T_city_ego.copy()
-            T[:3, 3] += T[:3, :3] @ origin
-            moved = boxes - [*origin[:2], 0, 0, 0, origin[2], origin[2]]
             height = float(origin[2] + ground)
             lowest = float(np.quantile(xyzi[:, 2] / np.hypot(*xyzi[:, :2].T), 0.001))
-            way = road(Map(folder, T), without_own(every), height, lowest, moved)
-            ids = tuple(notes["track_uuid"][n] for n in chosen)
-            name = f"Argoverse 2, {what}"
-            result[name] = [
-                *result.get(name, []),
-                scene(path.stem, xyzi, height, boxes=moved, kinds=kinds, ids=ids, road=way),
-            ]
+            moved = replace(objects, boxes=move_boxes(objects.boxes, pose(*-origin)))
+            T = log.poses[stamp] @ pose(*origin)
+            way = road(log.map, T, without_own(every), height, lowest, moved.boxes)
+            one = boxed(path.stem, xyzi, moved, height=height, road=way)
+            result.setdefault(f"Argoverse 2, {what}", []).append(one)
     return result
-
-
-def _argoverse_pose(table: Mapping[str, list[Any]], n: int) -> NDArray[np.float64]:
-    from scipy.spatial.transform import Rotation
-
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat([table[key][n] for key in ("qx", "qy", "qz", "qw")]).as_matrix()
-    T[:3, 3] = [table[key][n] for key in ("tx_m", "ty_m", "tz_m")]
-    return T
-
-
-def _argoverse_box(table: Mapping[str, list[Any]], n: int) -> list[float]:
-    T = _argoverse_pose(table, n)
-    length, width, height = (table[key][n] for key in ("length_m", "width_m", "height_m"))
-    x, y, z = T[:3, 3]
-    return [x, y, np.arctan2(T[1, 0], T[0, 0]), length, width, z - height / 2, z + height / 2]
 
 
 # --- nuScenes, KITTI, SUSTechPOINTS: boxes ----------------------------------------------------------
@@ -288,71 +209,16 @@ def _argoverse_box(table: Mapping[str, list[Any]], n: int) -> list[float]:
 
 def nuscenes() -> dict[str, list[Scene]]:
     """HDL-32E: the file holds every beam; a quarter of them met the own vehicle."""
-    scenes = []
-    for path in sorted(DATA.glob("nuscenes_n015/*.json")):
-        (recording,) = path.parent.glob("*.pcd.bin")
-        content = json.loads(path.read_text())
-        names = {number: name for name, number in content["metainfo"]["categories"].items()}
-        boxes, kinds = [], []
-        for instance in content["frame"]["instances"]:
-            x, y, z, length, width, height, yaw = instance["bbox_3d"]
-            boxes.append(  # x right, y forward; z is that of the box's middle
-                [y, -x, yaw - np.pi / 2, length, width, z - height / 2, z + height / 2]
-            )
-            kinds.append(names.get(instance["bbox_label_3d"], "other"))
-        ids = tuple(str(n) for n in range(len(boxes)))
-        scenes.append(
-            scene(
-                "n015",
-                read_points(recording, axes="nuscenes"),
-                boxes=np.array(boxes),
-                kinds=tuple(kinds),
-                ids=ids,
-            )
-        )
+    scenes = [boxed(*one, ids=list(map(str, range(len(one[2]))))) for one in nuscenes_boxes()]
     return {"nuScenes, HDL-32E": scenes} if scenes else {}
 
 
 def kitti() -> dict[str, list[Scene]]:
     """HDL-64E: only objects that the front camera sees have a box, so boxes are judged, not their absence."""
-    result: dict[str, list[Scene]] = {}
-    folder = DATA / "kitti_object"
-    single = []
-    for path in sorted(folder.glob("velodyne/*.bin")):
-        lines = [line.split() for line in (folder / "label_2" / f"{path.stem}.txt").read_text().splitlines()]
-        ids = [f"{path.stem} {n}" for n in range(len(lines))]
-        single.append(_kitti(path.stem, read_points(path), lines, ids, folder / "calib" / f"{path.stem}.txt"))
-    if single:
-        result["KITTI, single scans"] = single
-    folder = DATA / "kitti_raw_0005"
-    labels = folder / "label_02_0000.txt"
-    if labels.is_file():
-        drive = []
-        lines = [line.split() for line in labels.read_text().splitlines()]
-        for path in sorted(folder.glob("*.pcd.xz")):
-            stem = path.name.split(".")[0]
-            mine = [fields for fields in lines if int(fields[0]) == int(stem)]
-            kept = [fields[2:] for fields in mine]
-            ids = [fields[1] for fields in mine]
-            drive.append(_kitti(stem, read_points(path), kept, ids, folder / "calib_2011_09_26.txt"))
-        result["KITTI, drive 0005"] = drive
-    return result
-
-
-def _kitti(
-    name: str, xyzi: NDArray[np.float32], lines: list[list[str]], ids: list[str], calibration: Path
-) -> Scene:
-    known = [
-        (box, fields[0].lower(), one)
-        for fields, one in zip(lines, ids, strict=True)
-        for box in kitti_boxes([fields], calibration)
-    ]
-    return scene(
-        name,
-        xyzi,
-        boxes=rows([box for box, _, _ in known]),
-        kinds=tuple(kind for _, kind, _ in known),
-        ids=tuple(one for _, _, one in known),
+    single = [boxed(*one, ids=[f"{one[0]} {n}" for n in range(len(one[2]))]) for one in kitti_object()]
+    drive = [boxed(*one) for one in kitti_drive()]
+    return ({"KITTI, single scans": single} if single else {}) | (
+        {"KITTI, drive 0005": drive} if drive else {}
     )
 
 
@@ -362,49 +228,24 @@ def sustech() -> dict[str, list[Scene]]:
     folder = DATA / "sustechpoints"
     for path in sorted(folder.glob("lidar/*.pcd.xz")):
         stem = path.name.split(".")[0]
-        boxes, kinds, ids = [], [], []
-        for note in json.loads((folder / "label" / f"{stem}.json").read_text()):
-            place, size, turn = (note["psr"][key] for key in ("position", "scale", "rotation"))
-            low = place["z"] - size["z"] / 2
-            boxes.append(
-                [-place["y"], place["x"], turn["z"] + np.pi / 2, size["x"], size["y"], low, low + size["z"]]
-            )
-            kinds.append(note["obj_type"].lower())
-            ids.append(note["obj_id"])
-        scenes.append(
-            scene(
-                stem,
-                read_points(path, axes="sustech"),
-                boxes=np.array(boxes),
-                kinds=tuple(kinds),
-                ids=tuple(ids),
-            )
-        )
+        objects = read_sustech(folder / "label" / f"{stem}.json")
+        scenes.append(boxed(stem, read_points(path, axes="sustech"), objects))
     return {"SUSTechPOINTS, 40 layers": scenes} if scenes else {}
 
 
 # --- Labelled range images --------------------------------------------------------------------------
 
-# Vegetation is soft; terrain (grass, soil) is ground here, as in ground.py
-PLANTS = {"SemanticKITTI": (15,), "nuScenes": (4,)}
-
 
 def labelled(name: str) -> list[Scene]:
-    """Read range images of (layers, azimuths, 6): x, y, z, intensity, range, class; and make truth of them."""
-    how, scenes = LABELS[name], []
-    for path in sorted((DATA / "labelled_range_images" / how.folder).glob("*.npy.xz")):
-        image = np.load(io.BytesIO(lzma.decompress(path.read_bytes()))).reshape(-1, 6)
-        image = image[image[:, 4] > 0]
-        forward, left, sign = how.forward_left
-        columns = (image[:, forward], sign * image[:, left], image[:, 2], image[:, 3] / how.intensity_max)
-        xyzi = np.stack(columns, 1).astype(np.float32)
-        number = image[:, 5].astype(int)
-        kind = np.full(len(number), int(Kind.OBSTACLE))
-        kind[np.isin(number, how.ground)] = Kind.GROUND
-        kind[np.isin(number, PLANTS[name])] = Kind.PLANT
-        kind[number == how.ignored] = Kind.OTHER
-        truth = truth_from_points(xyzi, kind, SPEC, own=(0.0, 0.0, 0.0, 2 * OWN[0], 2 * OWN[1]))
-        scenes.append(scene(path.name.split(".")[0], xyzi, truth=truth.state))
+    """Read range images, and make truth of them. Vegetation is soft; terrain (grass, soil) is ground here."""
+    scenes = []
+    for stem, image in range_images(LABELS[name]):
+        words = image.named()
+        kind = np.full(len(words), int(Kind.OBSTACLE))
+        for group, value in ((GROUND, Kind.GROUND), (("vegetation",), Kind.PLANT), (NOTHING, Kind.OTHER)):
+            kind[np.isin(words, group)] = value
+        truth = truth_from_points(image.points, kind, SPEC, own=(0.0, 0.0, 0.0, 2 * OWN[0], 2 * OWN[1]))
+        scenes.append(scene(stem, image.points, truth=truth.state))
     return scenes
 
 

@@ -28,24 +28,26 @@ from numpy.typing import NDArray
 from ogm import EvidentialGrid, GridSpec, read_points
 from ogm.evidence import conflict, cumulative, dempster, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper
-from ogm.geometric import RayISM, ground_height, local_ground
-from ogm.io.axes import rotation_to_flu
-from ogm.io.poses import read_poses
+from ogm.geometric import RayISM
 from ogm.metrics import called, score, tally
 from ogm.plot import Panel, cells, masses, points
 from ogm.plot import conflict as conflict_panel
 from ogm.pose import inverse, pose, transform_points
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, cells_in_box
+from ogm.recordings import open_recording, truth_from_others
+from ogm.truth import (
+    FREE,
+    MARGIN,
+    OCCUPIED,
+    boxes_over_points,
+    cells_in_box,
+    cells_in_boxes,
+    move_boxes,
+    widen_boxes,
+)
 
 MAP = GridSpec.centered(length=102.4, width=102.4, resolution=0.16)  # holds SPEC at any heading
-COARSE = GridSpec(1.0, (82, 57), SPEC.origin)  # [m] the cells that the reference's ground is estimated on
 SPAN = 10  # scans in a map: k-9 ... k
 MOVING = 1.0  # [m/s] over its whole track, from which an object moves
-MARGIN = 0.3  # [m] around boxes: what annotation and de-skewing leave outside
-GROUND = (-0.3, 0.15)  # [m] above the reference's ground: ground
-HIGH = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell not judged
-MIN_RETURNS = 3  # of one kind that make a cell of the reference known
-HALF = 0.5  # share of the scans with returns in a cell that must show the obstacle, or it came and went
 KITTI_CAR = (2.6, 1.7)  # [m] |x|, |y| of KITTI's car with what sticks out
 # Drive 0005: scan, x and y [m] of the middle of the front, heading [deg] of the car behind, read off pictures
 FOLLOWER = np.array(
@@ -121,7 +123,7 @@ class Recording(NamedTuple):
         """Return the boxes of scan n, all or some, in the sensor's frame of another scan, (B, 7)."""
         one = self.scenes[n]
         kept = [k for k, name in enumerate(one.ids) if names is None or name in names]
-        return moved(one.boxes[kept], inverse(self.poses[seen_from]) @ self.poses[n])
+        return move_boxes(one.boxes[kept], inverse(self.poses[seen_from]) @ self.poses[n])
 
 
 class Case(NamedTuple):
@@ -131,54 +133,22 @@ class Case(NamedTuple):
     others: list[int]
 
 
-class Reference(NamedTuple):
-    """What the other scans say, in the sensor's frame of the last scan of a map."""
-
-    state: NDArray[np.uint8]  # (nx, ny) as in ogm.truth; moving boxes of that scan are IGNORE
-    points: NDArray[np.float32]  # what it was made of
-
-
-def moved(boxes: NDArray[np.float64], T: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Take upright boxes (B, 7) through a transform that hardly tilts."""
-    result = boxes.copy()
-    for row in result:
-        middle = T @ [row[0], row[1], (row[5] + row[6]) / 2, 1]
-        row[5:] += middle[2] - (row[5] + row[6]) / 2
-        row[:2] = middle[:2]
-        row[2] += np.arctan2(T[1, 0], T[0, 0])
-    return result
-
-
-def inflated(boxes: NDArray[np.float64], more: float = MARGIN) -> NDArray[np.float64]:
-    """Make boxes wider and longer by a margin on every side."""
-    return boxes + [0, 0, 0, 2 * more, 2 * more, -more, more]
+def inflated(boxes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Make boxes wider and longer on every side, by what annotation and de-skewing leave outside."""
+    return widen_boxes(boxes, MARGIN)
 
 
 def covered(boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return the cells that boxes cover."""
-    result = np.zeros(SPEC.shape, bool)
-    for box in boxes:
-        result[cells_in_box(box, SPEC)] = True
-    return result
-
-
-def outside(xyzi: NDArray[np.float32], boxes: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Drop the points over the footprints of boxes."""
-    kept = np.ones(len(xyzi), bool)
-    for x, y, yaw, length, width, *_ in boxes:
-        c, s, px, py = np.cos(yaw), np.sin(yaw), xyzi[:, 0] - x, xyzi[:, 1] - y
-        kept &= (np.abs(c * px + s * py) > length / 2) | (np.abs(c * py - s * px) > width / 2)
-    return xyzi[kept]
+    return cells_in_boxes(boxes, SPEC)
 
 
 # --- Recordings -------------------------------------------------------------------------------------
 
 
-def derived_poses(folder: str, axes: str = "flu") -> NDArray[np.float64]:
-    """Read the poses that registration gave, and turn them to the axes that the points are read in."""
-    turn = np.eye(4)
-    turn[:3, :3] = rotation_to_flu(axes)
-    return turn @ read_poses(DATA / folder / "derived" / "poses_lidar_gicp.txt").poses @ turn.T
+def derived_poses(folder: str) -> NDArray[np.float64]:
+    """Read the poses that registration gave, in the axes that the points are read in."""
+    return np.array([frame.T_map_sensor for frame in open_recording(DATA / folder)])
 
 
 def recordings() -> Iterator[Recording]:
@@ -226,7 +196,7 @@ def recordings() -> Iterator[Recording]:
             folder,
             scenes,
             0.5 * np.arange(3, dtype=np.float64),
-            derived_poses(folder, "sustech"),
+            derived_poses(folder),
             cases,
             how,
             1,
@@ -259,52 +229,20 @@ def rest(count: int, first: int, last: int) -> list[int]:
 # --- Reference --------------------------------------------------------------------------------------
 
 
-def reference(one: Recording, k: int, others: Sequence[int]) -> Reference:
-    """Say what some scans know about the cells around scan k.
+def reference(one: Recording, k: int, others: Sequence[int]) -> NDArray[np.uint8]:
+    """Say what some scans know about the cells around scan k: `ogm.truth.truth_from_scans`.
 
     Their points are brought to its frame by the derived poses, without those over moving boxes (and 0.3 m around).
-    Heights are above the ground that `local_ground` finds in all of them together. A cell is
-
-    * occupied: 3 returns or more 0.3 to 2.0 m above ground, in 2 scans or more (1 where there is one), and in half
-      or more of the scans that have a return in it (else something came or went: not judged);
-    * free: 3 returns or more from the ground (-0.3 to 0.15 m), in as many scans, and none from 0.15 to 2.0 m;
-    * else unknown, which is not judged: kerbs, grass, hidden or far cells.
-
-    Cells in moving boxes of scan k itself (and 0.3 m around) are ignored.
+    Heights are above the ground that `local_ground` finds in all of them together. Cells in moving boxes of scan k
+    itself (and 0.3 m around) are ignored. Unlike the truth of `open_recording`, scan k itself is not asked.
     """
     clouds = []
     for n in others:
-        cloud = outside(one.scenes[n].points, inflated(one.boxes(n, n, one.moving)))
-        cloud = transform_points(inverse(one.poses[k]) @ one.poses[n], cloud)
-        clouds.append(cloud[COARSE.contains(cloud[:, 0], cloud[:, 1])])
-    every = np.concatenate(clouds)
-    # more points than these the estimate would thin out itself, in the order that beams have
-    chosen = np.random.default_rng(0).choice(len(every), min(len(every), 65_000), replace=False)
-    ground = local_ground(np.ascontiguousarray(every[chosen, :3]), COARSE, (0.0, 0.0, -one.height))
-    shape = SPEC.shape
-    returns, scans = (
-        np.zeros((3, *shape), int),
-        np.zeros((3, *shape), int),
-    )  # of ground, low things, high things
-    seen = np.zeros(shape, int)
-    for cloud in clouds:
-        above = cloud[:, 2] - ground_height(ground, COARSE, cloud)
-        inside = SPEC.contains(cloud[:, 0], cloud[:, 1])
-        any_here = np.zeros(shape, bool)
-        for kind, (low, high) in enumerate((GROUND, (GROUND[1], HIGH[0]), HIGH)):
-            some = cloud[inside & (above >= low) & (above < high)]
-            flat = np.ravel_multi_index(SPEC.index(some[:, 0], some[:, 1]), shape)
-            count = np.bincount(flat, minlength=shape[0] * shape[1]).reshape(shape)
-            returns[kind] += count
-            scans[kind] += count > 0
-            any_here |= count > 0
-        seen += any_here
-    enough = (returns >= MIN_RETURNS) & (scans >= one.min_scans)
-    state = np.full(shape, UNKNOWN, np.uint8)
-    state[enough[0] & (returns[1] == 0) & (returns[2] == 0)] = FREE
-    state[enough[2] & (scans[2] >= HALF * seen)] = OCCUPIED
-    state[covered(inflated(one.boxes(k, k, one.moving)))] = IGNORE
-    return Reference(state, every)
+        cloud = one.scenes[n].points
+        cloud = cloud[~boxes_over_points(cloud, inflated(one.boxes(n, n, one.moving)))]
+        clouds.append(transform_points(inverse(one.poses[k]) @ one.poses[n], cloud))
+    moving = one.boxes(k, k, one.moving)
+    return truth_from_others(clouds, one.height, SPEC, moving, min_scans=one.min_scans).state
 
 
 # --- Maps -------------------------------------------------------------------------------------------
@@ -366,7 +304,7 @@ def judge(grid: EvidentialGrid, state: NDArray[np.uint8]) -> dict[str, float]:
     occupied; ``right``: called what the reference says; ``false free of called``: of the occupied cells that are
     called anything, those called free. The others are those of `ogm.metrics.METRICS`.
     """
-    counts = tally(grid.mass, np.where(state == UNKNOWN, IGNORE, state).astype(np.uint8))
+    counts = tally(grid.mass, state)
     values = score(counts)
     known = counts.calls[1:]
     return {
@@ -389,7 +327,7 @@ def judge_maps(
     known = []
     for case in cases:
         k = case.window[-1]
-        state = reference(one, k, case.others).state
+        state = reference(one, k, case.others)
         known.append([np.count_nonzero(state == FREE), np.count_nonzero(state == OCCUPIED)])
         now: dict[str, EvidentialGrid] = {}
         for sensor, scans in grids.items():
@@ -562,7 +500,7 @@ _STATES: dict[tuple[str, int], NDArray[np.uint8]] = {}
 def trail_state(one: Recording, k: int) -> NDArray[np.uint8]:
     """Return the reference of all scans, seen from scan k."""
     if (one.name, k) not in _STATES:
-        _STATES[one.name, k] = reference(one, k, range(len(one.scenes))).state
+        _STATES[one.name, k] = reference(one, k, range(len(one.scenes)))
     return _STATES[one.name, k]
 
 
@@ -695,7 +633,7 @@ def panels_of(one: Recording, case: Case, scans: Sequence[EvidentialGrid]) -> li
         masses(scans[k], "the scan alone"),
         masses(mapper.view(SPEC), f"map of {len(case.window)} scans"),
         conflict_panel(mapper.conflict_view(SPEC), SPEC, "conflict"),
-        reference_panel(reference(one, k, case.others).state, f"reference; other scans: {len(case.others)}"),
+        reference_panel(reference(one, k, case.others), f"reference; other scans: {len(case.others)}"),
     ]
 
 

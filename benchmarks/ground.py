@@ -23,10 +23,7 @@ from _run import (
 
 # isort: split
 import argparse
-import io
-import json
-import lzma
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -36,7 +33,19 @@ from numpy.typing import NDArray
 
 from ogm import GridSpec, read_points
 from ogm.geometric import RayISM, flat_ground, ground_height, local_ground
-from ogm.io import estimate_sensor_height
+from ogm.io import (
+    NUSCENES_ELEVEN,
+    SEMANTIC_KITTI_TRAINING,
+    LabelledPoints,
+    Objects,
+    estimate_sensor_height,
+    read_kitti_calibration,
+    read_kitti_objects,
+    read_kitti_tracks,
+    read_mmdet3d,
+    read_range_image,
+)
+from ogm.truth import boxes_over_points
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 COARSE = GridSpec(1.0, (82, 57), SPEC.origin)  # [m] the cells that RayISM estimates the ground on
@@ -86,114 +95,70 @@ class Labels(NamedTuple):
     """How a set of labelled range images is to be read."""
 
     folder: str
-    ground: tuple[int, ...]
-    ignored: int
-    forward_left: tuple[int, int, int]  # column of x forward, column of y left, and the sign of the latter
+    names: Mapping[int, str]
+    axes: str
     intensity_max: float
 
 
-# Road, parking, sidewalk, other ground, terrain; road, sidewalk
 LABELS = {
-    "SemanticKITTI": Labels("semantic_kitti", (9, 10, 11, 12, 17), 0, (0, 1, 1), 1.0),
-    "nuScenes": Labels("nuscenes", (0, 1), 10, (1, 0, -1), 255.0),
+    "SemanticKITTI": Labels("semantic_kitti", SEMANTIC_KITTI_TRAINING, "kitti", 1.0),
+    "nuScenes": Labels("nuscenes", NUSCENES_ELEVEN, "nuscenes", 255.0),
 }
+GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain")
+NOTHING = ("unlabeled", "none")
+
+
+def range_images(labels: Labels) -> Iterator[tuple[str, LabelledPoints]]:
+    """Read the labelled range images that are there, each with its name."""
+    for path in sorted((DATA / "labelled_range_images" / labels.folder).glob("*.npy.xz")):
+        found = read_range_image(path, labels.names, labels.axes, intensity_max=labels.intensity_max)
+        yield path.name.split(".")[0], found
 
 
 def labelled_frames(labels: Labels) -> list[Frame]:
-    """Read range images of (layers, azimuths, 6): x, y, z, intensity, range, class."""
+    """Sort the classes of range images into ground and obstacles."""
     frames = []
-    for path in sorted((DATA / "labelled_range_images" / labels.folder).glob("*.npy.xz")):
-        image = np.load(io.BytesIO(lzma.decompress(path.read_bytes()))).reshape(-1, 6)
-        image = image[image[:, 4] > 0]
-        forward, left, sign = labels.forward_left
-        columns = (image[:, forward], sign * image[:, left], image[:, 2], image[:, 3] / labels.intensity_max)
-        kind = image[:, 5].astype(int)
-        ground = np.isin(kind, labels.ground)
-        obstacle = ~ground & (kind != labels.ignored)
-        frames.append(
-            make_frame(path.name.split(".")[0], np.stack(columns, 1).astype(np.float32), ground, obstacle)
-        )
+    for name, image in range_images(labels):
+        kind = image.named()
+        ground = np.isin(kind, GROUND)
+        frames.append(make_frame(name, image.points, ground, ~ground & ~np.isin(kind, NOTHING)))
     return frames
 
 
-class Box(NamedTuple):
-    """An object in the sensor's frame: middle of its bottom, size, heading."""
-
-    bottom: NDArray[np.float64]  # (3,) [m]
-    length: float
-    width: float
-    height: float
-    yaw: float  # [rad]
-
-    def upper_part(self, points: NDArray[np.float32]) -> NDArray[np.bool_]:
-        """Tell which points lie in the box and clear of its bottom."""
-        x, y, z = (points[:, :3] - self.bottom).T
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return (
-            (np.abs(c * x + s * y) < self.length / 2)
-            & (np.abs(c * y - s * x) < self.width / 2)
-            & (z > ABOVE_BOTTOM)
-            & (z < self.height)
-        )
-
-
-def boxed_frame(name: str, points: NDArray[np.float32], boxes: list[Box]) -> Frame:
-    """Make a frame of which only the points on objects are known."""
+def boxed_frame(name: str, points: NDArray[np.float32], objects: Objects) -> Frame:
+    """Make a frame of which only the points on objects are known: those in a box and clear of its bottom."""
     obstacle = np.zeros(len(points), bool)
-    for box in boxes:
-        obstacle |= box.upper_part(points)
+    for box in objects.boxes:
+        above = (points[:, 2] - box[5] > ABOVE_BOTTOM) & (points[:, 2] < box[6])
+        obstacle |= boxes_over_points(points, box[None]) & above
     return make_frame(name, points, np.zeros_like(obstacle), obstacle)
 
 
-def kitti_boxes(lines: list[list[str]], calibration: Path) -> list[Box]:
-    """Read KITTI's boxes, given in the rectified camera's frame: x right, y down, z forward."""
-    entries = {}
-    for line in calibration.read_text().splitlines():
-        name, _, numbers = line.replace(":", " ").partition(" ")
-        if name in ("R0_rect", "R_rect", "Tr_velo_to_cam", "Tr_velo_cam"):
-            entries[name] = np.array(numbers.split(), float)
-    rectify = next(value.reshape(3, 3) for name, value in entries.items() if name.startswith("R"))
-    T = next(value.reshape(3, 4) for name, value in entries.items() if name.startswith("Tr"))
-    rotation, shift = rectify @ T[:, :3], rectify @ T[:, 3]
-    boxes = []
-    for fields in lines:
-        if fields[0] == "DontCare":
-            continue
-        height, width, length, x, y, z, turn = map(float, fields[8:15])
-        bottom = rotation.T @ (np.array([x, y, z]) - shift)
-        ahead = rotation.T @ np.array([np.cos(turn), 0.0, -np.sin(turn)])
-        boxes.append(Box(bottom, length, width, height, float(np.arctan2(ahead[1], ahead[0]))))
-    return boxes
-
-
-def kitti_object() -> Iterator[Frame]:
+def kitti_object() -> Iterator[tuple[str, NDArray[np.float32], Objects]]:
+    """Read KITTI's single scans with their boxes."""
     folder = DATA / "kitti_object"
     for path in sorted(folder.glob("velodyne/*.bin")):
-        lines = [line.split() for line in (folder / "label_2" / f"{path.stem}.txt").read_text().splitlines()]
-        boxes = kitti_boxes(lines, folder / "calib" / f"{path.stem}.txt")
-        yield boxed_frame(path.stem, read_points(path), boxes)
+        calibration = read_kitti_calibration(folder / "calib" / f"{path.stem}.txt")
+        labels = folder / "label_2" / f"{path.stem}.txt"
+        yield path.stem, read_points(path), read_kitti_objects(labels, calibration)
 
 
-def kitti_drive() -> Iterator[Frame]:
+def kitti_drive() -> Iterator[tuple[str, NDArray[np.float32], Objects]]:
+    """Read KITTI's drive 0005 with its boxes."""
     folder = DATA / "kitti_raw_0005"
     labels = folder / "label_02_0000.txt"
-    lines = [line.split() for line in labels.read_text().splitlines()] if labels.is_file() else []
-    for path in sorted(folder.glob("*.pcd.xz")) if lines else []:
-        number = int(path.name.split(".")[0])
-        chosen = [fields[2:] for fields in lines if int(fields[0]) == number]
-        boxes = kitti_boxes(chosen, folder / "calib_2011_09_26.txt")
-        yield boxed_frame(path.name.split(".")[0], read_points(path), boxes)
+    if labels.is_file():
+        tracks = read_kitti_tracks(labels, read_kitti_calibration(folder / "calib_2011_09_26.txt"))
+        for path in sorted(folder.glob("*.pcd.xz")):
+            name = path.name.split(".")[0]
+            yield name, read_points(path), tracks[int(name)]
 
 
-def nuscenes_boxes() -> Iterator[Frame]:
+def nuscenes_boxes() -> Iterator[tuple[str, NDArray[np.float32], Objects]]:
+    """Read nuScenes' key frame with its boxes."""
     for path in sorted(DATA.glob("nuscenes_n015/*.json")):
-        (scan,) = path.parent.glob("*.pcd.bin")
-        boxes = []
-        for instance in json.loads(path.read_text())["frame"]["instances"]:
-            x, y, z, length, width, height, yaw = instance["bbox_3d"]
-            bottom = np.array([y, -x, z - height / 2])  # x right, y forward; z is that of the box's middle
-            boxes.append(Box(bottom, length, width, height, yaw - np.pi / 2))
-        yield boxed_frame("n015", read_points(scan, axes="nuscenes"), boxes)
+        content = read_mmdet3d(path)
+        yield "n015", read_points(content.frames[0].path, axes="nuscenes"), content.objects(0)
 
 
 # --- Contenders: points in, height above ground or a verdict out ------------------------------------
@@ -496,7 +461,7 @@ def main() -> None:
         "KITTI drive, 24 consecutive scans": kitti_drive,
         "nuScenes, 1 scan": nuscenes_boxes,
     }.items():
-        frames = list(read())
+        frames = [boxed_frame(*one) for one in read()]
         if not frames:
             print(f"left out: boxes of {name}: no such recording under {DATA}")
             continue

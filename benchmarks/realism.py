@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ogm import GridSpec, read_scan
 from ogm.geometric import ground_height, local_ground
-from ogm.io import estimate_sensor_height
+from ogm.io import estimate_sensor_height, read_argoverse2
 from ogm.pose import inverse, pose
 from ogm.simulation.lidar import LIDARS, LidarSpec, scan
 from ogm.simulation.scene import Scene
@@ -101,17 +101,13 @@ def columns_by_turn(
 
 def argoverse2() -> Iterator[Sweep]:
     """Both VLP-32C of one sweep, each seen from where it stands; columns from the firing times."""
-    import pyarrow.feather
-
     folder = DATA / "argoverse2_adcf"
-    file = folder / "calibration_of_another_log" / "egovehicle_SE3_sensor.feather"
-    mounting = pyarrow.feather.read_table(file).to_pydict()
-    for path in sorted(folder.glob("sensors/lidar/*.feather")):
+    log = read_argoverse2(folder) if folder.is_dir() else None
+    for path in log.sweeps if log else ():
         sweep = read_scan(path)
         ground = estimate_sensor_height(sweep.points)
         for name, first in (("up_lidar", 0), ("down_lidar", 32)):
-            at = mounting["sensor_name"].index(name)
-            origin = np.array([mounting[key][at] for key in ("tx_m", "ty_m", "tz_m")], np.float32)
+            origin = log.lidars[name].astype(np.float32)
             mine = (sweep.ring >= first) & (sweep.ring < first + 32)
             points = sweep.points[mine] * np.float32([1, 1, 1, 255])
             points[:, :3] -= origin

@@ -1,7 +1,10 @@
 """``ogm evaluate``, as a person uses it."""
 
+import csv
+import dataclasses
 import importlib
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +17,17 @@ from typer.testing import CliRunner
 from ogm.cli import app
 from ogm.deep.checkpoint import save_network
 from ogm.deep.network import Network, NetworkConfig
-from ogm.grid import GridSpec
-from ogm.metrics import METRICS
+from ogm.fusion import EvidentialMapper
+from ogm.geometric import RayISM
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.metrics import METRICS, score, tally
+from ogm.simulation.exchange import write_label
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import Store
 from ogm.truth import CANVAS, FREE, OCCUPIED, UNKNOWN, Truth
 
 MODULE = importlib.import_module("ogm.cli.evaluate")  # its function of the same name hides it
+JUDGING = importlib.import_module("ogm.cli.judging")
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 LAYERS = 16
 BEAMS = Beams(
@@ -100,21 +107,32 @@ def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(MODULE, "draw", lambda *_: None)
 
 
+def record_of(folder: Path) -> dict:
+    return json.loads((folder / "report.json").read_text())
+
+
 def test_models_are_judged_on_the_same_samples(
     data: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(MODULE, "FRAMES", 2)
+    monkeypatch.setattr(MODULE, "ROWS", 2)
     folder = tmp_path / "new" / "report"
     result = ogm("evaluate", data, "--ism", "height-band", "ray", weights, "--out", folder)
     assert result.exit_code == 0, result.output
-    for said in ("Means over validation, 4 frames", "IoU occupied", "small against ray", "ratio of means"):
+    for said in (
+        "Means over data, validation, 4 frames",
+        "IoU occupied",
+        "small against ray",
+        "ratio of means",
+    ):
         assert said in result.output
-    record = json.loads((folder / "report.json").read_text())
-    assert record["samples"] == [0, 1, 2, 3]
+    record = record_of(folder)
+    assert record["data"]["samples"] == [0, 1, 2, 3]
+    assert [frame["name"] for frame in record["frames"]] == [f"validation {k}" for k in range(4)]
     assert list(record["models"]) == ["height-band", "ray", "small"]
-    assert record["weights"]["ray"] is None
-    assert len(record["weights"]["small"]["sha256"]) == 64
-    assert record["data"] == {"plan": {"seed": 1}, "versions": {"ogm": "0"}, "split": "validation"}
+    assert record["models"]["ray"]["weights"] is None
+    assert len(record["models"]["small"]["weights"]["sha256"]) == 64
+    assert record["data"]["plan"] == {"seed": 1}
+    assert record["data"]["split"] == "validation"
     for one in record["models"].values():
         assert set(one["macro"]) == set(one["micro"]) == set(one["per frame"]) == set(METRICS)
         for metric, values in one["per frame"].items():
@@ -126,54 +144,294 @@ def test_models_are_judged_on_the_same_samples(
         "small against height-band",
         "small against ray",
     }
+    for one in record["paired"]["small against ray"].values():
+        assert one["wins"] + one["ties"] + one["losses"] == one["frames"]
     for name in ("metrics.png", "frames.png"):
         with Image.open(folder / name) as picture:
             assert min(picture.size) > 500
-    for one in record["paired"]["small against ray"].values():
-        assert one["wins"] + one["ties"] + one["losses"] == one["frames"]
+    with open(folder / "frames.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 4 * 3
+    of_ray = [float(row["iou_free"]) for row in rows if row["method"] == "ray"]
+    assert of_ray == pytest.approx(record["models"]["ray"]["per frame"]["iou_free"])
+    page = (folder / "report.html").read_text()
+    assert "validation 3" in page
+    assert "height-band" in page
 
 
 @pytest.mark.usefixtures("no_pictures")
 def test_the_released_baseline_is_judged_on_the_fine_cells(data: Path, tmp_path: Path) -> None:
     result = ogm("evaluate", data, "--ism", "height-band-released", "--out", tmp_path)
     assert result.exit_code == 0, result.output
-    record = json.loads((tmp_path / "report.json").read_text())
+    record = record_of(tmp_path)
     assert record["grid"]["shape"] == [512, 352]
     assert record["models"]["height-band-released"]["macro"]["iou_free"]["value"] == 0.0
     assert record["models"]["height-band-released"]["macro"]["ece_called"]["value"] is None
+    assert record["models"]["height-band-released"]["missing"]["ece_called"]
 
 
 @pytest.mark.usefixtures("no_pictures")
 def test_samples_are_drawn_by_the_seed_and_the_report_repeats(data: Path, tmp_path: Path) -> None:
-    def numbers(seed: int, folder: str) -> bytes:
+    def record(seed: int, folder: str) -> dict:
         words = ("--ism", "ray", "--samples", 2, "--seed", seed, "--out", tmp_path / folder)
         result = ogm("evaluate", data, *words)
         assert result.exit_code == 0, result.output
-        return (tmp_path / folder / "report.json").read_bytes()
+        return record_of(tmp_path / folder)
 
-    one, again = numbers(3, "a"), numbers(3, "b")
-    assert one == again
-    assert len(json.loads(one)["samples"]) == 2
-    drawn = {tuple(json.loads(numbers(seed, "c"))["samples"]) for seed in range(4)}
+    one, again = record(3, "a"), record(3, "b")
+    assert one["models"] == again["models"]
+    assert one["paired"] == again["paired"]
+    assert len(one["frames"]) == 2
+    drawn = {tuple(frame["name"] for frame in record(seed, "c")["frames"]) for seed in range(4)}
     assert len(drawn) > 1
+
+
+# --- Interrupted runs -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def judged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Note the number of every frame that is judged anew."""
+    seen: list[int] = []
+    save = JUDGING.Archive.save
+
+    def noting(self: object, frame: int, one: object) -> None:
+        seen.append(frame)
+        save(self, frame, one)
+
+    monkeypatch.setattr(JUDGING.Archive, "save", noting)
+    return seen
+
+
+def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+    """Let the user interrupt after some frames."""
+    tally, calls = JUDGING.tally, []
+
+    def stopping(*words: object) -> object:
+        calls.append(0)
+        if len(calls) > after:
+            raise KeyboardInterrupt
+        return tally(*words)
+
+    monkeypatch.setattr(JUDGING, "tally", stopping)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_an_interrupted_run_keeps_its_frames_and_goes_on(
+    data: Path, tmp_path: Path, judged: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("evaluate", data, "--ism", "ray", "--out", tmp_path / "a")
+    with monkeypatch.context() as patch:
+        interrupted(patch, 2)
+        result = ogm(*words)
+    assert result.exit_code == 130
+    assert "2 of 4 frames are finished and kept: repeat the command to go on" in result.output
+    assert not (tmp_path / "a" / "report.json").exists()
+    assert judged == [0, 1]
+    result = ogm(*words)
+    assert result.exit_code == 0, result.output
+    assert "2 of 4 frames are finished already" in result.output
+    assert judged == [0, 1, 2, 3]
+    assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path / "b").exit_code == 0
+    assert record_of(tmp_path / "a")["models"] == record_of(tmp_path / "b")["models"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_damaged_frame_is_judged_again(data: Path, tmp_path: Path, judged: list[int]) -> None:
+    words = ("evaluate", data, "--ism", "ray", "--out", tmp_path)
+    assert ogm(*words).exit_code == 0
+    first = record_of(tmp_path)["models"]
+    path = tmp_path / "frames" / "000002.npz"
+    path.write_bytes(path.read_bytes()[:1000])
+    del judged[:]
+    assert ogm(*words).exit_code == 0
+    assert judged == [2]
+    assert record_of(tmp_path)["models"] == first
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_frames_of_other_settings_are_not_mixed(
+    data: Path, tmp_path: Path, judged: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupted(patch, 1)
+        assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
+    result = ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "1 frames of an unfinished run with other data" in result.output
+    assert (tmp_path / "frames" / "000000.npz").exists()
+    assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 0
+    del judged[:]
+    assert (
+        ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path).exit_code == 0
+    )  # that one was finished
+    assert judged == [0, 1, 2, 3]
+
+
+# --- Folders of grids -------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> Path:
+    """Truth of three frames; the same as somebody's grids; and grids that know nothing."""
+    for name in ("truth", "perfect", "nothing"):
+        (tmp_path / name).mkdir()
+    state = np.zeros(PAPER.shape, np.uint8)
+    for k in range(3):
+        state[:] = UNKNOWN
+        state[100:300, 50:200] = FREE
+        state[300:310, 50 + 10 * k : 200] = OCCUPIED
+        truth = Truth(PAPER, state)
+        write_label(tmp_path / "truth" / f"{k}.png", truth)
+        EvidentialGrid(PAPER, truth.grid.mass * np.float32(0.95)).save(tmp_path / "perfect" / f"{k}.npz")
+        EvidentialGrid.vacuous(PAPER).save(tmp_path / "nothing" / f"{k}.npz")
+    return tmp_path
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_folders_of_grids_are_judged_by_their_frames_names(folders: Path) -> None:
+    grids = ("--grids", folders / "nothing", "--grids", folders / "perfect")
+    result = ogm("evaluate", folders / "truth", *grids, "--out", folders / "report")
+    assert result.exit_code == 0, result.output
+    record = record_of(folders / "report")
+    assert list(record["models"]) == ["nothing", "perfect"]
+    for metric in ("iou_free", "iou_occupied", "iou_unknown", "auroc_unknown"):
+        assert record["models"]["perfect"]["macro"][metric]["value"] == 1.0
+    assert record["models"]["nothing"]["macro"]["iou_free"]["value"] == 0.0
+    assert record["paired"]["perfect against nothing"]["iou_free"]["wins"] == 3
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_frames_that_do_not_pair_are_named(folders: Path) -> None:
+    (folders / "perfect" / "1.npz").rename(folders / "perfect" / "one.npz")
+    result = ogm("evaluate", folders / "truth", "--grids", folders / "perfect", "--out", folders / "report")
+    assert result.exit_code == 2
+    assert (
+        "there is no grid for 1 and 0 more of 3 frames; it has 1 of other names, one first" in result.output
+    )
+    assert not (folders / "report").exists()
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_grids_of_other_cells_are_resampled_on_request_only(folders: Path) -> None:
+    other = GridSpec.centered(length=80.0, width=50.0, resolution=0.2)
+    for k in range(3):
+        EvidentialGrid.vacuous(other).save(folders / "nothing" / f"{k}.npz")
+    words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
+    result = ogm(*words)
+    assert result.exit_code == 2
+    for said in ("400 x 250 cells of 0.2 m", "512 x 352 cells of 0.16 m", "--resample area"):
+        assert said in result.output
+    result = ogm(*words, "--resample", "nearest")
+    assert result.exit_code == 0, result.output
+    assert record_of(folders / "report")["models"]["nothing"]["macro"]["mean_unknown"]["value"] == 1.0
+
+
+def test_grids_with_nan_masses_are_refused(folders: Path) -> None:
+    mass = np.full((*PAPER.shape, 2), np.nan, np.float32)
+    (folders / "nothing" / "2.npz").unlink()
+    np.save(folders / "nothing" / "2.npy", mass)
+    result = ogm("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
+    assert result.exit_code == 2
+    assert "2.npy: mass must be" in result.output
+    assert len(list((folders / "report" / "frames").glob("*.npz"))) == 2  # what was finished is kept
+
+
+# --- Maps -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two sequences of four frames."""
+    folder = tmp_path_factory.mktemp("drive") / "data"
+    store = Store.create(folder, {"seed": 1}, {"validation": 0, "sequences": 200}, [BEAMS], {"ogm": "0"})
+    for first in (0, 100):
+        frames = [driven(first + k) for k in range(10)]
+        store.write("sequences", first // 10, frames)
+    return folder
+
+
+def driven(index: int) -> Sample:
+    """The vehicle goes 1 m forward per frame."""
+    frame = index % 100
+    one = sample("sequences", 5)
+    T = np.eye(4)
+    T[:3, 3] = [float(frame), 0.0, one.T_vehicle_sensor[2, 3]]
+    return dataclasses.replace(one, T_world_sensor=T, index=index, stamp=0.1 * frame, scenario=index // 100)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: Path, tmp_path: Path) -> None:
+    words = ("--ism", "ray", "--fused", "cautious,bayes", "--every", 3, "--out", tmp_path)
+    result = ogm("evaluate", drive, *words)
+    assert result.exit_code == 0, result.output
+    record = record_of(tmp_path)
+    assert list(record["models"]) == ["ray", "ray + cautious", "ray + bayes"]
+    names = [frame["name"] for frame in record["frames"]]
+    assert names[:2] == ["sequence 0 frame 0", "sequence 0 frame 3"]
+    assert names[-1] == "sequence 1 frame 8"
+
+    first = driven(0)
+    mount = first.T_vehicle_sensor.copy()
+    mount[:2, 3] = 0
+    model = RayISM(PAPER, mount[2, 3], T_vehicle_sensor=mount, own_box=(-2.5, 2.5, -1.1, 1.1))
+    for begin, end in ((0, 10), (100, 110)):
+        mapper = EvidentialMapper(GridSpec.centered(length=128, width=128, resolution=0.16))
+        for index in range(begin, end):
+            one = driven(index)
+            mapper.update(model(one.points), one.T_world_sensor, stamp=one.stamp)
+            name = f"sequence {index // 100} frame {index % 100}"
+            if name in names:
+                scores = score(tally(mapper.view(PAPER).mass, one.truth.crop(PAPER).state))
+                found = record["models"]["ray + cautious"]["per frame"]["brier"][names.index(name)]
+                assert found == pytest.approx(scores["brier"], rel=1e-5)
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_an_interrupted_map_is_shown_its_past_again(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("evaluate", drive, "--ism", "ray", "--fused", "dempster", "--every", 4)
+    with monkeypatch.context() as patch:
+        interrupted(patch, 5)
+        assert ogm(*words, "--out", tmp_path / "a").exit_code == 130
+    assert ogm(*words, "--out", tmp_path / "a").exit_code == 0
+    assert ogm(*words, "--out", tmp_path / "b").exit_code == 0
+    assert record_of(tmp_path / "a")["models"] == record_of(tmp_path / "b")["models"]
+
+
+# --- Errors -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        (("{nothing}",), "holds no data set; `ogm simulate"),
-        (("{file}",), "is a file; a data set is a folder"),
+        (("{nothing}",), "there is no"),
+        (("{file}",), "file"),
         (("{data}", "--split", "sequences"), "has no split 'sequences'; it has training, validation, test"),
         (("{data}", "--split", "test"), "has no sample of test"),
         (("{data}", "--split", "training"), "has no sample of training; go on with `ogm simulate"),
         (("{data}", "--samples", 5), "--samples must be in 1 ... 4"),
         (("{data}", "--samples", 0), "--samples must be in 1 ... 4"),
+        (("{data}", "--every", 0), "--every must be at least 1"),
+        (("{data}", "--frames", 0), "--frames must be at least 1"),
         (("{data}", "--ism", "rays"), "there is no model 'rays'; there are height-band"),
         (("{data}", "--ism", "{nothing}.safetensors"), "is not there"),
         (("{data}", "--ism", "{nothing}.pt"), "there are no weights"),
         (("{data}", "--ism", "{file}.safetensors"), "is not there"),
         (("{data}", "--ism", "ray", "ray"), "ray is given twice"),
         (("{data}", "--ism", "ray", "--out", "{file}"), "--out writes a folder"),
+        (("{data}", "--fused", "bayes"), "has no split 'sequences'"),
+        (
+            ("{data}", "--fused", "bayes", "--split", "validation"),
+            "--fused wants frames that follow each other",
+        ),
+        (("{data}", "--fused", "best"), "--fused knows cautious"),
+        (("{data}", "--truth", "boxes"), "--truth is for recordings"),
+        (("{data}", "--truth", "hearsay"), "--truth knows boxes"),
+        (("{data}", "--resample", "linear"), "--resample must be one of"),
+        (("{data}", "--grids", "{nothing}"), "there is no folder"),
+        (("{data}", "--grids", "{data}"), "holds no grids"),
     ],
 )
 def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, says: str) -> None:
@@ -192,3 +450,22 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
 def test_help_has_an_example() -> None:
     result = ogm("evaluate", "--help")
     assert "Example:  ogm evaluate data/ --ism height-band ray lite --out report/" in result.output
+
+
+# --- Recordings -------------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_real_drive_is_judged_by_its_boxes_and_its_other_scans(
+    real: Callable[[str], Path], tmp_path: Path
+) -> None:
+    words = ("--ism", "ray", "--fused", "cautious", "--every", 10, "--out", tmp_path)
+    result = ogm("evaluate", real("kitti_raw_0005"), *words)
+    assert result.exit_code == 0, result.output
+    record = record_of(tmp_path)
+    assert record["data"]["kind"] == "real recording"
+    assert (
+        record["models"]["ray"]["macro"]["auroc_unknown"]["value"] is None
+    )  # nobody labelled what is unknown
+    assert record["models"]["ray"]["missing"]["auroc_unknown"]
+    assert record["models"]["ray"]["macro"]["iou_free_known"]["value"] > 0.5

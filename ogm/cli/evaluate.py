@@ -1,7 +1,9 @@
-"""``ogm evaluate``: sensor models against the truth of a data set, frame by frame."""
+"""``ogm evaluate``: sensor models, maps and foreign grids against the truth, frame by frame."""
 
-import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+import shlex
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,23 +11,36 @@ import typer
 from rich.progress import track
 
 from ogm.cli.console import complaints, out, tidy
+from ogm.cli.rules import BAYES, RULES
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from ogm.grid import GridSpec, InverseSensorModel
-    from ogm.metrics import Evaluation, ModelFor
-    from ogm.simulation.store import Split, Store
+    from ogm.cli.judging import Archive
+    from ogm.cli.source import Source
+    from ogm.metrics import Evaluation
 
-GEOMETRIC = ("height-band", "height-band-released", "ray")
-OWN_BOX = (-2.5, 2.5, -1.1, 1.1)  # [m] the own vehicle around the sensor, the same for all geometric models
-FRAMES = 6  # rows of the contact sheet
+SOURCES = ("boxes", "classes", "map", "aggregated")  # what the truth of a recording can be made from
+RESAMPLING = ("area", "nearest", "cautious")
+WORST, BEST = (
+    0.5,
+    0.25,
+)  # shares of the frames in the report that are the worst, the best; the rest spread evenly
+ROWS = 6  # of the contact sheet
+HEADLINE = "kl_e10"  # by which frames are ranked; by Brier's score where all of it is missing
 
 
 @tidy
 def evaluate(
-    data: Annotated[Path, typer.Argument(help="Data set that `ogm simulate` made.", metavar="DATA")],
+    data: Annotated[
+        Path,
+        typer.Argument(
+            help="Data set that `ogm simulate` made; a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...); "
+            "or a folder of truth grids.",
+            metavar="DATA",
+        ),
+    ],
     more: Annotated[
         list[str] | None, typer.Argument(help="Further models, after --ism NAME.", metavar="[NAME]...")
     ] = None,
@@ -33,189 +48,210 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help="Models: height-band, height-band-released, ray, lite, or weights that `ogm train` wrote "
-            "(a file or a run's folder). [default: height-band ray lite]",
+            "(a file or a run's folder). [default: height-band ray lite, unless --grids are given]",
             metavar="NAME [NAME]...",
         ),
     ] = None,
-    split: Annotated[str, typer.Option(help="Part of the data set.")] = "validation",
-    samples: Annotated[
-        int | None, typer.Option(help="Samples, drawn at random from the part. [default: all]")
+    fused: Annotated[
+        str | None,
+        typer.Option(
+            help="Judge each model also fused over time, by one or more rules with commas between: "
+            f"{', '.join(RULES)}, {BAYES}.",
+            metavar="RULE[,RULE]...",
+        ),
     ] = None,
+    grids: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of grids that somebody else made (.npz, .npy, .png), by the frames' names; may be repeated."
+        ),
+    ] = None,
+    resample: Annotated[
+        str | None,
+        typer.Option(
+            help="Bring --grids of other cells onto those judged: area, nearest or cautious. [default: refuse]"
+        ),
+    ] = None,
+    split: Annotated[
+        str | None,
+        typer.Option(help="Part of a simulated data set. [default: validation; sequences with --fused]"),
+    ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            help="Of a recording: what its truth is made from, with commas between: boxes, classes, map, aggregated. "
+            "[default: all there is]",
+            metavar="WHAT[,WHAT]...",
+        ),
+    ] = None,
+    samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
+    every: Annotated[int, typer.Option(help="Judge every so manieth frame; maps are shown all.")] = 1,
+    frames: Annotated[int, typer.Option(help="Frames to look at in the report.")] = 100,
     seed: Annotated[int, typer.Option(help="Says which samples and which bootstrap draws.")] = 0,
     out_folder: Annotated[
-        Path, typer.Option("--out", help="Folder for report.json, metrics.png, frames.png.")
+        Path,
+        typer.Option(
+            "--out", help="Folder for report.html, report.json, frames.csv, metrics.png, frames.png."
+        ),
     ] = Path("report"),
 ) -> None:
-    """Judge sensor models on the same scans: how far from the truth, how well calibrated, who wins how often.
+    """Judge sensor models, maps and foreign grids on the same frames, and write a report to look at.
 
-    Cells that the truth ignores are left out. Every model is told the sensor's height and tilt and where the own
-    vehicle is, but for height-band-released, which has its own numbers built in. What stands behind +- is half
-    of the 95 % bootstrap interval of the mean over frames.
+    How far from the truth, how well calibrated, how safe, who wins how often, and where each fails. Cells that the
+    truth ignores are left out; on recordings that is every cell that nobody labelled. Every model is told the
+    sensor's height and tilt and where the own vehicle is, but for height-band-released, which has its own numbers
+    built in. With --fused, what a simulated frame cannot see is left out too, as a map may know it, and the
+    aggregated truth of a recording is made from later scans only, which no map has seen.
+    What stands behind +- is half of the 95 % bootstrap interval of the mean: over drives where there are five or
+    more, else over frames.
+
+    Finished frames are kept in the folder frames of --out: an interrupted run goes on when the command is repeated.
     """
     import numpy as np
 
-    from ogm.cli.report import print_tables, report, write_report
+    from ogm.cli.judging import Archive, judge
+    from ogm.cli.methods import Methods, methods_of
+    from ogm.cli.page import write_page
+    from ogm.cli.report import print_tables, report, versions, write_csv, write_report
+    from ogm.cli.source import source_of
     from ogm.grid import GridSpec
-    from ogm.metrics import evaluate as judge
-    from ogm.simulation.store import Store
 
-    names = [*(ism or []), *(more or [])] or ["height-band", "ray", "lite"]
+    rules = _words(fused, "--fused", (*RULES, BAYES))
+    given = _words(truth, "--truth", SOURCES)
+    if resample not in (None, *RESAMPLING):
+        raise ValueError(f"--resample must be one of {', '.join(RESAMPLING)}, got {resample}")
+    if frames < 1:
+        raise ValueError(f"--frames must be at least 1, got {frames}")
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
-    store = Store.open(data)
-    part, numbers = _samples(store, split, samples, seed)
-    models = models_of(names, spec)
+    names = [*(ism or []), *(more or [])] or ([] if grids else ["height-band", "ray", "lite"])
+    if rules and not names:
+        raise ValueError("--fused fuses the scans of models; give --ism NAME too")
+    if rules and split is None and (data / "zarr.json").exists():
+        split = "sequences"
+    source = source_of(data, spec, split, tuple(given), "maps" if rules else "scans")
+    numbers = _numbers(source, samples, every, seed)
+    methods = Methods(methods_of(names, rules, grids or [], spec), spec, resample)  # type: ignore[arg-type]
+    methods.check([source.frames[k] for k in (range(len(source.frames)) if methods.remember else numbers)])
     if out_folder.exists() and not out_folder.is_dir():
         raise ValueError(f"--out writes a folder, but {out_folder} is a file")
-    out_folder.mkdir(parents=True, exist_ok=True)
 
-    ticked = track(numbers.tolist(), "judging", console=complaints, transient=True)
-    result = judge(models, (part[k] for k in ticked), spec)
+    facts = {
+        "data": {"kind": source.kind, "name": source.name, "truth": source.says, **source.facts},
+        "methods": methods.facts(),
+        "resample": resample,
+        "versions": versions(),
+    }
+    shown = {"frames": [source.frames[k] for k in numbers], "numbers": numbers}
+    archive = Archive(
+        out_folder / "frames", facts | shown | {"grid": [spec.resolution, spec.shape, spec.origin]}
+    )
+    kept = sum(archive.load(k) is not None for k in numbers)
+    if kept:
+        complaints.print(
+            f"ogm: {kept} of {len(numbers)} frames are finished already, and are taken from {archive.folder}"
+        )
+
+    def ticked(numbers: Any) -> Any:
+        return track(numbers, "judging", console=complaints, transient=True)
+
+    try:
+        result = judge(source, numbers, methods, archive, ticked)
+    except KeyboardInterrupt:
+        done = sum(archive.load(k) is not None for k in numbers)
+        complaints.print(
+            f"ogm: interrupted; {done} of {len(numbers)} frames are finished and kept: repeat the command to go on"
+        )
+        raise typer.Exit(130) from None
     with complaints.status("writing the report ..."):
-        rng = np.random.default_rng(seed)
-        record = report(result, rng) | {
-            "weights": {name: weights_facts(given) for name, given in zip(models, names, strict=True)},
-            "data": {"plan": store.plan, "versions": store.versions, "split": split},
-            "samples": numbers.tolist(),
+        named = [source.frames[k] for k in numbers]
+        record = {
+            "title": f"{source.name}: {', '.join(methods.names)}" if len(methods.names) < 5 else source.name,
+            "command": shlex.join(["ogm", *sys.argv[1:]]),
+            "date": datetime.now(UTC).date().isoformat(),
             "seed": seed,
+            "data": facts["data"],
+            "frames": [frame._asdict() for frame in named],
+            **report(
+                result, np.random.default_rng(seed), [frame.sequence for frame in named], methods.facts()
+            ),
         }
         write_report(out_folder / "report.json", record)
-        draw(out_folder, result, models, part, numbers)
-    print_tables(result, record, f"{split}, {result.frames} frames")
-    written = "   ".join(str(out_folder / name) for name in ("report.json", "metrics.png", "frames.png"))
-    out.print(f"written {written}", markup=False, soft_wrap=True)
+        write_csv(out_folder / "frames.csv", result, [frame.name for frame in named])
+        views = {int(k): one.views for k in _pictured(result, frames) if (one := archive.load(numbers[k]))}
+        write_page(out_folder / "report.html", record, views)
+        draw(out_folder, result, source, numbers, archive)
+    archive.finish()
+    print_tables(result, record, f"{source.name}, {result.frames} frames")
+    files = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
+    out.print("written " + "   ".join(str(out_folder / name) for name in files), markup=False, soft_wrap=True)
 
 
-def models_of(names: Sequence[str], spec: "GridSpec") -> dict[str, "InverseSensorModel | ModelFor"]:
-    """Return models by their names: those of the command line, or paths of weights.
-
-    Parameters
-    ----------
-    names : sequence of str
-    spec : GridSpec
-        The cells to fill.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown or given twice.
-    FileNotFoundError
-        If there are no such weights.
-    """
-    models: dict[str, InverseSensorModel | ModelFor] = {}
-    for name in names:
-        path = Path(name)  # of a run, best.safetensors and so on go by the run's name
-        shown = path.name.removesuffix(".safetensors")
-        shown = path.parent.name if shown == "best" and path.parent.name else shown
-        shown = name if name in GEOMETRIC else shown
-        if shown in models:
-            shown = name  # two runs have each a best.safetensors
-        if shown in models:
-            raise ValueError(f"{name} is given twice; give each model once")
-        models[shown] = _geometric(name, spec) if name in GEOMETRIC else _deep(name, spec)
-    return models
+def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:
+    """Return what an option lists with commas, each once."""
+    words = [word.strip() for word in (given or "").split(",") if word.strip()]
+    for word in words:
+        if word not in choices:
+            raise ValueError(f"{option} knows {', '.join(choices)}, got {word!r}")
+    if given is not None and not words:
+        raise ValueError(f"{option} wants one or more of {', '.join(choices)}")
+    return list(dict.fromkeys(words))
 
 
-def weights_facts(name: str) -> dict[str, str] | None:
-    """Return the name and the SHA-256 of the weights that a name means; None for a geometric model."""
-    if name in GEOMETRIC:
-        return None
-    from ogm.deep.ism import weights_of
-
-    with weights_of(name) as path:
-        return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-
-
-def _geometric(name: str, spec: "GridSpec") -> "InverseSensorModel | ModelFor":
-    from ogm.geometric import HeightBandISM, RayISM
-    from ogm.grid import GridSpec
-
-    if name == "height-band-released":  # its mount is built in, its cells are twice as wide
-        nx, ny = spec.shape
-        return HeightBandISM.as_released(GridSpec(2 * spec.resolution, (nx // 2, ny // 2), spec.origin))
-    model = RayISM if name == "ray" else HeightBandISM
-
-    def of(T: "NDArray[np.float64]") -> "InverseSensorModel":
-        return model(spec, T[2, 3], T_vehicle_sensor=T, own_box=OWN_BOX)
-
-    return of
-
-
-def _deep(name: str, spec: "GridSpec") -> "ModelFor":
-    if name.isidentifier() and not Path(name).exists() and name != "lite":
-        raise ValueError(
-            f"there is no model {name!r}; there are {', '.join(GEOMETRIC)}, lite, and weights by their path"
-        )
-    from ogm.deep.checkpoint import load_network
-    from ogm.deep.ism import DeepISM, weights_of
-
-    with weights_of(name) as path:
-        network, description = load_network(path)
-
-    def of(T: "NDArray[np.float64]") -> "InverseSensorModel":
-        return DeepISM(
-            network, spec=spec, sensor_height=float(T[2, 3]), T_vehicle_sensor=T, description=description
-        )
-
-    return of
-
-
-def _samples(store: "Store", split: str, count: int | None, seed: int) -> tuple["Split", "NDArray[np.int64]"]:
-    """Return the part of the data set and the numbers of its samples to judge."""
+def _numbers(source: "Source", samples: int | None, every: int, seed: int) -> list[int]:
+    """Return the numbers of the frames to judge, ascending."""
     import numpy as np
 
-    if split not in store.counts:
-        raise ValueError(f"{store.path} has no split {split!r}; it has {', '.join(store.counts)}")
-    part = store[split]
-    numbers = part.finished
-    if not len(numbers):
-        way = f"; go on with `ogm simulate {store.path} --resume`" if len(part) else ""
-        raise ValueError(f"{store.path} has no sample of {split}{way}")
-    if count is None:
-        return part, numbers
-    if not 1 <= count <= len(numbers):
-        raise ValueError(f"--samples must be in 1 ... {len(numbers)}, what {split} has, got {count}")
-    return part, np.sort(np.random.default_rng(seed).choice(numbers, count, replace=False))
+    if every < 1:
+        raise ValueError(f"--every must be at least 1, got {every}")
+    numbers = np.arange(0, len(source.frames), every)
+    if samples is None:
+        return numbers.tolist()
+    if not 1 <= samples <= len(numbers):
+        raise ValueError(f"--samples must be in 1 ... {len(numbers)}, what {source.name} has, got {samples}")
+    return np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False)).tolist()
+
+
+def _ranked(result: "Evaluation") -> "NDArray[np.int64]":
+    """Return the frames from the best to the worst of the last method."""
+    import numpy as np
+
+    values = result.of(result.models[-1], HEADLINE)
+    if np.isnan(values).all():
+        values = result.of(result.models[-1], "brier")
+    return np.argsort(values, kind="stable")  # those without a value come last
+
+
+def _pictured(result: "Evaluation", most: int) -> list[int]:
+    """Choose the frames that the report shows: the worst, the best, and others spread evenly over the ranks."""
+    import numpy as np
+
+    order = _ranked(result)
+    if len(order) <= most:
+        return sorted(order.tolist())
+    worst = max(round(WORST * most), 1)
+    best = min(round(BEST * most), most - worst)
+    between = order[best : len(order) - worst]
+    places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
+    return sorted({*order[len(order) - worst :].tolist(), *order[:best].tolist(), *between[places].tolist()})
 
 
 def draw(
-    folder: Path,
-    result: "Evaluation",
-    models: Mapping[str, "InverseSensorModel | ModelFor"],
-    part: "Split",
-    numbers: "NDArray[np.int64]",
+    folder: Path, result: "Evaluation", source: "Source", numbers: Sequence[int], archive: "Archive"
 ) -> None:
-    """Draw the metrics, and frames from the best to the worst of the last model."""
-    from ogm.cli import pictures
-
-    title = f"{part.name}, {result.frames} frames: quartiles, 5 to 95 %, dot and number: mean"
-    pictures.metrics_picture(folder / "metrics.png", result, title)
-    rows = [
-        (name, frame_panels(part[int(numbers[k])], models, result, k))
-        for k, name in _chosen(result, part.name, numbers)
-    ]
-    best = f"frames from the best to the worst of {result.models[-1]} by kl_e10"
-    pictures.frames_picture(folder / "frames.png", rows, best)
-
-
-def _chosen(result: "Evaluation", split: str, numbers: "NDArray[np.int64]") -> Iterable[tuple[int, str]]:
-    """Return frames spread evenly over the ranks of the last model, and their names."""
+    """Draw the metrics, and frames from the best to the worst of the last method."""
     import numpy as np
 
-    order = np.argsort(result.of(result.models[-1], "kl_e10"), kind="stable")
-    places = np.linspace(0, len(order) - 1, min(FRAMES, len(order))).round().astype(int)
-    return [(int(k), f"{split} {numbers[k]}") for k in order[places]]
+    from ogm.cli import pictures
 
-
-def frame_panels(
-    sample: Any, models: Mapping[str, "InverseSensorModel | ModelFor"], result: "Evaluation", frame: int
-) -> list[Any]:
-    """Draw points, truth and every model's grid of one frame."""
-    from ogm import plot
-    from ogm.metrics.evaluation import model_for
-    from ogm.simulation.preview import sample_panels
-
-    panels = list(sample_panels(sample, result.spec))
-    for name, model in models.items():
-        grid = model_for(model, sample)(sample.points)
-        panels.append(plot.masses(grid, f"{name}, KL {result.of(name, 'kl_e10')[frame]:.2f}"))
-    return panels
+    title = f"{source.name}, {result.frames} frames: quartiles, 5 to 95 %, dot and number: mean"
+    pictures.metrics_picture(folder / "metrics.png", result, title)
+    order = _ranked(result)
+    places = np.linspace(0, len(order) - 1, min(ROWS, len(order))).round().astype(int)
+    rows = []
+    for k in order[places].tolist():
+        kept = archive.load(numbers[k])
+        if kept is not None:
+            panels = pictures.panels_of(kept.views, result, k)
+            rows.append((source.frames[numbers[k]].name, panels))
+    best = f"frames from the best to the worst of {result.models[-1]}"
+    pictures.frames_picture(folder / "frames.png", rows, best)

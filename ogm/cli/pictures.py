@@ -1,6 +1,7 @@
 """Pictures of an evaluation: every metric of every model over the frames, and some frames to look at."""
 
-from collections.abc import Sequence
+import io
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -15,13 +16,14 @@ if TYPE_CHECKING:
 
     from ogm.plot import Panel
 
-__all__ = ["frames_picture", "metrics_picture"]
+__all__ = ["frames_picture", "metrics_picture", "panels_of"]
 
 SHOWN = (
     "kl_e10", "kl_e1_scaled", "kl_e1", "legacy_kl",
     "iou_free", "iou_occupied", "iou_unknown", "auroc_unknown",
     "ece", "ece_relative", "false_free", "missed_occupied",
 )  # fmt: skip
+MOST = 6  # methods side by side
 COLOURS = ("#2c5f9e", "#e08214", "#1b7837", "#7b3294", "#b2182b", "#8c8c8c", "#35978f", "#543005")
 
 
@@ -81,6 +83,34 @@ def metrics_picture(
     figure.suptitle(title, fontsize=12, y=1 - 0.15 / height, va="top")
     figure.text(0.5, 0.05 / height, note, fontsize=7, color="0.35", ha="center")
     _save(figure, path)
+
+
+def panels_of(views: Mapping[str, bytes], result: Evaluation, frame: int) -> list["Panel"]:
+    """Return the pictures of a frame to draw side by side: points, truth, and the grids of the first methods.
+
+    Parameters
+    ----------
+    views : dict of str to bytes
+        What `ogm.cli.views.frame_view` made.
+    result : Evaluation
+    frame : int
+        Its place in the evaluation.
+    """
+    from PIL import Image
+
+    from ogm.plot import LEGEND, Panel
+
+    titles = {"points": "points", "truth": "truth"}
+    for place, name in enumerate(result.models[:MOST]):
+        value = result.of(name, "kl_e10")[frame]
+        titles[f"mass {place}"] = name if np.isnan(value) else f"{name}, KL {value:.2f}"
+    panels = []
+    for key, title in titles.items():
+        if key in views:
+            with Image.open(io.BytesIO(views[key])) as picture:
+                image = np.asarray(picture.convert("RGB"))
+            panels.append(Panel(image, result.spec, title, LEGEND if key.startswith("mass") else {}))
+    return panels
 
 
 def frames_picture(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]], title: str) -> None:

@@ -1,0 +1,183 @@
+"""Frame after frame against the truth, what is finished kept on disk, so that an interrupted run goes on."""
+
+import hashlib
+import json
+import shutil
+import zipfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.cli.methods import Methods
+from ogm.cli.source import Source
+from ogm.cli.views import frame_view
+from ogm.files import atomic_write
+from ogm.grid import GridSpec
+from ogm.metrics import Evaluation, Tally, distances, tally
+
+__all__ = ["Archive", "Judged", "judge"]
+
+FORMAT = "ogm.judged/1"
+View = Callable[
+    [Any, NDArray[np.uint8], Sequence[NDArray[np.float32]], GridSpec, float | None], dict[str, bytes]
+]
+UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+
+
+class Judged(NamedTuple):
+    """What is kept of a frame.
+
+    Attributes
+    ----------
+    counts : tuple of Tally
+        Of every method.
+    truth : (4,) float64
+        Shares of the cells whose truth is unknown, free, occupied, ignored.
+    views : dict of str to bytes
+        Its pictures, see `ogm.cli.views.frame_view`.
+    """
+
+    counts: tuple[Tally, ...]
+    truth: NDArray[np.float64]
+    views: dict[str, bytes]
+
+
+class Archive:
+    """Finished frames in a folder, one file each, and what they were judged by.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if need be. Frames of a *finished* run by other settings are removed.
+    settings : dict
+        All that decides what the frames hold, as JSON can hold it.
+
+    Raises
+    ------
+    ValueError
+        If the folder holds an unfinished run by other settings.
+    """
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
+        self.folder = folder
+        self.key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
+        if folder.exists() and not folder.is_dir():
+            raise ValueError(
+                f"{folder} is a file; frames are kept in a folder of that name: give another --out"
+            )
+        self._note = folder / "run.json"
+        begun = self._begun()
+        if begun is not None and begun.get("key") != self.key:
+            frames = len(list(folder.glob("*.npz")))
+            if frames and not begun.get("finished"):
+                raise ValueError(
+                    f"{folder} holds {frames} frames of an unfinished run with other data, "
+                    "methods or settings: repeat that command to go on, give another --out, or delete the folder"
+                )
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        self._write(finished=False, settings=settings)
+        self.settings = settings
+
+    def finish(self) -> None:
+        """Note that all frames are there and reported."""
+        self._write(finished=True, settings=self.settings)
+
+    def load(self, frame: int) -> Judged | None:
+        """Return a frame; None if it is not finished, or its file is damaged."""
+        try:
+            with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
+                if str(data["key"]) != self.key:
+                    return None
+                columns = [data[f"counts {name}"] for name in Tally._fields]
+                views = {name[5:]: data[name].tobytes() for name in data.files if name.startswith("view ")}
+                counts = tuple(Tally(*row) for row in zip(*columns, strict=True))
+                return Judged(counts, data["truth"], views)
+        except UNREADABLE:
+            return None
+
+    def save(self, frame: int, judged: Judged) -> None:
+        """Keep a frame, whole or not at all."""
+        columns = {
+            f"counts {name}": np.stack([getattr(one, name) for one in judged.counts])
+            for name in Tally._fields
+        }
+        views = {f"view {name}": np.frombuffer(data, np.uint8) for name, data in judged.views.items()}
+        arrays: dict[str, Any] = {"key": np.array(self.key), "truth": judged.truth, **columns, **views}
+        with atomic_write(self._path(frame)) as file:
+            np.savez_compressed(file, **arrays)
+
+    def _path(self, frame: int) -> Path:
+        return self.folder / f"{frame:06d}.npz"
+
+    def _begun(self) -> dict[str, Any] | None:
+        try:
+            found = json.loads(self._note.read_text())
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError):
+            return {}  # damaged: by whatever settings, not by these
+        return found if isinstance(found, dict) else {}
+
+    def _write(self, *, finished: bool, settings: Mapping[str, Any]) -> None:
+        with atomic_write(self._note, "w") as file:
+            note = {"format": FORMAT, "key": self.key, "finished": finished, "settings": settings}
+            json.dump(note, file, indent=1)
+
+
+def judge(
+    source: Source,
+    numbers: Sequence[int],
+    methods: Methods,
+    archive: Archive,
+    tick: Callable[[Iterable[int]], Iterable[int]] = iter,
+    view: View = frame_view,
+) -> Evaluation:
+    """Judge methods on frames.
+
+    Parameters
+    ----------
+    source : Source
+    numbers : sequence of int
+        Of the frames that are judged, ascending. Where methods remember, they are also shown all frames of the same
+        sequences in between and before.
+    methods : Methods
+    archive : Archive
+        Keeps the frames with their pictures; those that it has already are not judged again.
+    tick : function
+        Iterates over the numbers of the frames that are read, and may draw a progress bar.
+    view : function
+        ``view(points, state, masses, spec, ground_z)`` draws a frame, as `ogm.cli.views.frame_view` does.
+    """
+    spec = methods.spec
+    missing = [number for number in numbers if archive.load(number) is None]
+    wanted, away = set(missing), distances(spec)
+    for number in tick(_shown(source, missing, methods.remember)):
+        item = source.read(number)
+        if number not in wanted:
+            methods.show(source.frames[number], item)
+            continue
+        grids = methods.grids(source.frames[number], item)
+        state = item.truth.crop(spec).state
+        masses = [grid.mass for grid in grids.values()]
+        counts = tuple(tally(mass, state, away) for mass in masses)
+        truth = np.bincount(state.ravel(), minlength=4) / state.size
+        ground = None if item.T_vehicle_sensor is None else -float(item.T_vehicle_sensor[2, 3])
+        archive.save(number, Judged(counts, truth, view(item.points, state, masses, spec, ground)))
+    rows = (archive.load(number) for number in numbers)
+    return Evaluation.from_counts(
+        methods.names, spec, ((one.counts, one.truth) for one in rows if one is not None)
+    )
+
+
+def _shown(source: Source, missing: Sequence[int], remember: bool) -> list[int]:
+    """Return the frames to read: the missing ones, and for methods that remember all before them in their sequence."""
+    if not remember:
+        return list(missing)
+    last: dict[str, int] = {}
+    for number in missing:
+        last[source.frames[number].sequence] = number
+    return [k for k, frame in enumerate(source.frames) if k <= last.get(frame.sequence, -1)]

@@ -1,0 +1,311 @@
+"""What ``ogm evaluate`` judges: sensor models, maps that fuse their scans over time, and grids that others made."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.cli.mapping import levelled
+from ogm.cli.rules import BAYES, mapper_of, rolling
+from ogm.cli.source import Frame, Item, grids_in
+from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
+from ogm.fusion.warp import warp
+from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm.io.grids import read_grid
+from ogm.metrics import ModelFor, Mounted, same_cells
+
+if TYPE_CHECKING:
+    from ogm.fusion.warp import Method as Resampling
+
+__all__ = [
+    "GEOMETRIC",
+    "Map",
+    "Methods",
+    "Scans",
+    "Stored",
+    "fused",
+    "methods_of",
+    "models_of",
+    "weights_facts",
+]
+
+GEOMETRIC = ("height-band", "height-band-released", "ray")
+OWN_BOX = (-2.5, 2.5, -1.1, 1.1)  # [m] the own vehicle around the sensor, the same for all geometric models
+
+
+class Scans(NamedTuple):
+    """A sensor model, each scan by itself."""
+
+    model: InverseSensorModel | ModelFor
+    says: str
+    weights: dict[str, str] | None = None
+
+
+class Map(NamedTuple):
+    """A map that fuses the grids of a sensor model over time."""
+
+    scans: str  # name of the model's method
+    make: Callable[[], EvidentialMapper | BinaryBayesMapper]
+    says: str
+
+
+class Stored(NamedTuple):
+    """Grids that were made elsewhere, by the names of their frames."""
+
+    files: dict[str, Path]
+    says: str
+
+
+class Methods:
+    """Methods at work on frame after frame; maps are begun anew with every sequence.
+
+    Parameters
+    ----------
+    given : dict of str to Scans, Map or Stored
+    spec : GridSpec
+        The cells that are judged.
+    resampling : {"area", "nearest", "cautious"}, optional
+        How stored grids of other cells come onto those; by default they are refused, unless their cells are
+        repeated whole.
+    """
+
+    def __init__(
+        self, given: dict[str, Scans | Map | Stored], spec: GridSpec, resampling: "Resampling | None" = None
+    ) -> None:
+        if not given:
+            raise ValueError("no methods to judge: give --ism NAME, or --grids FOLDER")
+        self.given, self.spec, self.resampling = given, spec, resampling
+        self.remember = any(isinstance(one, Map) for one in given.values())
+        self._models = {name: Mounted(one.model) for name, one in given.items() if isinstance(one, Scans)}
+        self._maps: dict[str, EvidentialMapper | BinaryBayesMapper] = {}
+        self._sequence: str | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of all methods, in order."""
+        return tuple(self.given)
+
+    def facts(self) -> dict[str, Any]:
+        """Say what each method is, as JSON can hold it."""
+        return {
+            name: {"says": one.says, "weights": one.weights if isinstance(one, Scans) else None}
+            for name, one in self.given.items()
+        }
+
+    def check(self, frames: Sequence[Frame]) -> None:
+        """See that there is a grid for every frame that is judged, and a sequence for every map.
+
+        Raises
+        ------
+        ValueError
+            Naming frames that do not pair.
+        """
+        names = [frame.name for frame in frames]
+        if self.remember and not all(frame.sequence for frame in frames):
+            raise ValueError(
+                "--fused wants frames that follow each other: a drive with poses, or a data set's --split sequences "
+                "(`ogm simulate --sequences`)"
+            )
+        for method, one in self.given.items():
+            if isinstance(one, Stored):
+                missing = [name for name in names if name not in one.files]
+                if missing:
+                    more = sorted(set(one.files) - set(names))
+                    there = f"; it has {len(more)} of other names, {more[0]} first" if more else ""
+                    raise ValueError(
+                        f"{method}: frames do not pair, there is no grid for {missing[0]} and {len(missing) - 1} "
+                        f"more of {len(names)} frames{there}. Grids go by their frames' names"
+                    )
+
+    def show(self, frame: Frame, item: Item) -> dict[str, EvidentialGrid]:
+        """Let the maps take a frame in, in the order of its sequence; return what the models say of the scan.
+
+        Raises
+        ------
+        ValueError
+            If there are models but no points, or maps but no pose or stamp.
+        """
+        if frame.sequence != self._sequence or not frame.sequence:
+            self._maps = {name: one.make() for name, one in self.given.items() if isinstance(one, Map)}
+            self._sequence = frame.sequence
+        scans: dict[str, EvidentialGrid] = {}
+        for name, model in self._models.items():
+            if item.points is None:
+                raise ValueError(f"{name} wants points, and there are none here; give --grids FOLDER alone")
+            scans[name] = model(item)(item.points)
+        for name, mapper in self._maps.items():
+            one = self.given[name]
+            if isinstance(one, Map):
+                _update(mapper, scans[one.scans], frame, item)
+        return scans
+
+    def grids(self, frame: Frame, item: Item) -> dict[str, EvidentialGrid]:
+        """Return what every method says of a frame, on the cells that are judged; maps take it in, see `show`."""
+        scans = self.show(frame, item)
+        result: dict[str, EvidentialGrid] = {}
+        for name, one in self.given.items():
+            if isinstance(one, Scans):
+                result[name] = same_cells(scans[name], self.spec)
+            elif isinstance(one, Map):
+                result[name] = self._maps[name].view(self.spec)
+            else:
+                result[name] = self._read(name, one.files[frame.name])
+        return result
+
+    def _read(self, name: str, path: Path) -> EvidentialGrid:
+        grid = read_grid(path, self.spec)
+        try:
+            return same_cells(grid, self.spec)
+        except ValueError as error:
+            if self.resampling is None:
+                raise ValueError(f"{name}: {path.name}: {error}; or resample it: --resample area") from error
+            return warp(grid, self.spec, np.eye(4), self.resampling)
+
+
+def _update(
+    mapper: EvidentialMapper | BinaryBayesMapper, grid: EvidentialGrid, frame: Frame, item: Item
+) -> None:
+    """Fuse a scan's grid; at a jump of the pose the map begins anew."""
+    if item.T_map_sensor is None or frame.stamp is None:
+        raise ValueError(
+            f"{frame.name} has no pose or no stamp, so that it cannot be fused; leave out --fused"
+        )
+    T = item.T_map_sensor
+    if item.T_vehicle_sensor is not None:
+        T = T @ levelled(item.T_vehicle_sensor)
+    try:
+        mapper.update(grid, T, stamp=frame.stamp)
+    except PoseJump:
+        mapper.reset()
+        mapper.update(grid, T, stamp=frame.stamp)
+
+
+def methods_of(
+    isms: Sequence[str], rules: Sequence[str], folders: Sequence[Path], spec: GridSpec
+) -> dict[str, Scans | Map | Stored]:
+    """Return methods by what the command line names: models, each with its maps, then folders of grids.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown, or given twice.
+    FileNotFoundError
+        If there are no such weights, or no such folder.
+    """
+    models = models_of(isms, spec) if isms else {}
+    result: dict[str, Scans | Map | Stored] = {}
+    for (name, model), given in zip(models.items(), isms, strict=True):
+        result[name] = Scans(model, _says(given), weights_facts(given))
+    for name in models:
+        for rule in rules:
+            result |= fused(name, rule, spec)
+    for folder in folders:
+        if not folder.is_dir():
+            raise FileNotFoundError(f"there is no folder {folder}; --grids wants one of grids")
+        name = folder.name if folder.name not in result else str(folder)
+        if name in result:
+            raise ValueError(f"{folder} is given twice; give each folder once")
+        files = grids_in(folder)
+        if not files:
+            raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
+        result[name] = Stored(files, f"Grids of the folder {folder.name}, {len(files)} files.")
+    return result
+
+
+def fused(name: str, rule: str, spec: GridSpec, half_life: float | None = None) -> dict[str, Map]:
+    """Return the map that fuses a model's scans by a rule, under its name."""
+    window = rolling(spec)
+    mapper = mapper_of(rule, window, half_life)  # refuses unknown rules before any work
+    memory = mapper.half_life if isinstance(mapper.half_life, float) else mapper.half_life[0]
+    kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
+    fading = "never forgets" if np.isinf(memory) else f"half-life {memory:g} s"
+    says = f"The scans of {name} fused over time by {kind}, {fading}."
+    return {f"{name} + {rule}": Map(name, lambda: mapper_of(rule, window, half_life), says)}
+
+
+def models_of(names: Sequence[str], spec: GridSpec) -> dict[str, InverseSensorModel | ModelFor]:
+    """Return models by their names: those of the command line, or paths of weights.
+
+    Parameters
+    ----------
+    names : sequence of str
+    spec : GridSpec
+        The cells to fill.
+
+    Raises
+    ------
+    ValueError
+        If a name is unknown or given twice.
+    FileNotFoundError
+        If there are no such weights.
+    """
+    models: dict[str, InverseSensorModel | ModelFor] = {}
+    for name in names:
+        path = Path(name)  # of a run, best.safetensors and so on go by the run's name
+        shown = path.name.removesuffix(".safetensors")
+        shown = path.parent.name if shown == "best" and path.parent.name else shown
+        shown = name if name in GEOMETRIC else shown
+        if shown in models:
+            shown = name  # two runs have each a best.safetensors
+        if shown in models:
+            raise ValueError(f"{name} is given twice; give each model once")
+        models[shown] = _geometric(name, spec) if name in GEOMETRIC else _deep(name, spec)
+    return models
+
+
+def weights_facts(name: str) -> dict[str, str] | None:
+    """Return the name and the SHA-256 of the weights that a name means; None for a geometric model."""
+    if name in GEOMETRIC:
+        return None
+    from ogm.deep.ism import weights_of
+
+    with weights_of(name) as path:
+        return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+
+
+def _says(name: str) -> str:
+    """Say what a model is."""
+    known = {
+        "height-band": "The paper's geometric model as its text has it (HeightBandISM).",
+        "height-band-released": "The paper's geometric model as its released code has it: 0.32 m cells, evidence 1 "
+        "at most, mounted at 1.61 m.",
+        "ray": "Rays and local ground (RayISM).",
+        "lite": "The network that ogm ships (DeepISM), trained on simulated scans.",
+    }
+    return known.get(name, "A network (DeepISM) by its weights.")
+
+
+def _geometric(name: str, spec: GridSpec) -> InverseSensorModel | ModelFor:
+    from ogm.geometric import HeightBandISM, RayISM
+
+    if name == "height-band-released":  # its mount is built in, its cells are twice as wide
+        nx, ny = spec.shape
+        return HeightBandISM.as_released(GridSpec(2 * spec.resolution, (nx // 2, ny // 2), spec.origin))
+    model = RayISM if name == "ray" else HeightBandISM
+
+    def of(T: NDArray[np.float64]) -> InverseSensorModel:
+        return model(spec, T[2, 3], T_vehicle_sensor=T, own_box=OWN_BOX)
+
+    return of
+
+
+def _deep(name: str, spec: GridSpec) -> ModelFor:
+    if name.isidentifier() and not Path(name).exists() and name != "lite":
+        raise ValueError(
+            f"there is no model {name!r}; there are {', '.join(GEOMETRIC)}, lite, and weights by their path"
+        )
+    from ogm.deep.checkpoint import load_network
+    from ogm.deep.ism import DeepISM, weights_of
+
+    with weights_of(name) as path:
+        network, description = load_network(path)
+
+    def of(T: NDArray[np.float64]) -> InverseSensorModel:
+        return DeepISM(
+            network, spec=spec, sensor_height=float(T[2, 3]), T_vehicle_sensor=T, description=description
+        )
+
+    return of

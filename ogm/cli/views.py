@@ -1,0 +1,208 @@
+"""Pictures of one judged frame, small enough that a report carries hundreds of them."""
+
+from collections.abc import Sequence
+from io import BytesIO
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm import plot
+from ogm.grid import GridSpec
+from ogm.metrics import called
+from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+
+__all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "error_classes", "frame_view", "height_colours"]
+
+STEPS = 8  # of a mass, so that pictures without loss stay small
+SHARPEST = 0.75  # a picture with loss is taken where it is smaller than this share of the one without
+SMALL = 0.02  # bytes per mass: a picture that is smaller needs no second try
+QUALITY = 70  # of a picture with loss
+LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
+LAYER = 0.2  # [m] heights that count as the same
+HEIGHTS = (0, 1, 2, 3)  # [m] over the ground, in the legend of the points
+
+
+class Shade(NamedTuple):
+    """What a colour of a picture means."""
+
+    colour: tuple[int, int, int]
+    says: str
+
+
+def _shade(colour: tuple[float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue
+
+
+IGNORED = (82, 84, 90)
+
+# In rising order of what shall be seen when many cells share one dot of the screen.
+STATES = {
+    "ignored": Shade(IGNORED, "the truth makes no statement; left out of every metric"),
+    "unknown": Shade(_shade(plot.BLACK), "nobody could see it"),
+    "free": Shade(_shade(plot.GREEN), "free"),
+    "occupied": Shade(_shade(plot.RED), "occupied"),
+}
+
+# Right cells are grey, wrong ones coloured. The colours differ in lightness too, for eyes that confuse red and green.
+ERRORS = {
+    "ignored": Shade(IGNORED, "the truth makes no statement"),
+    "right unknown": Shade((10, 12, 16), "unknown, and called so"),
+    "right free": Shade((38, 50, 58), "free, and called so"),
+    "claim": Shade((96, 66, 122), "claimed free or occupied where the truth is unknown"),
+    "missed free": Shade((30, 86, 148), "free, but called unknown"),
+    "right occupied": Shade((214, 220, 226), "occupied, and called so"),
+    "missed occupied": Shade((226, 112, 20), "occupied, but called unknown"),
+    "false occupied": Shade((92, 186, 250), "free, but called occupied"),
+    "false free": Shade((255, 236, 40), "occupied, but called free: the dangerous one"),
+}
+
+_RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `STATES`
+_CLASS = np.zeros((4, 3), np.uint8)  # [true state, call] -> number in `ERRORS`
+for _truth, _calls in {
+    UNKNOWN: ("right unknown", "claim", "claim"),
+    FREE: ("missed free", "right free", "false occupied"),
+    OCCUPIED: ("missed occupied", "false free", "right occupied"),
+    IGNORE: ("ignored", "ignored", "ignored"),
+}.items():
+    _CLASS[_truth] = [list(ERRORS).index(name) for name in _calls]
+
+
+def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Say of every cell how its call, see `ogm.metrics.called`, compares to the truth.
+
+    Parameters
+    ----------
+    truth : (nx, ny) uint8
+        0 unknown, 1 free, 2 occupied, 3 ignored.
+    mass : (nx, ny, 2) float array
+        Masses of free and occupied.
+
+    Returns
+    -------
+    (nx, ny) uint8
+        Numbers of the classes in `ERRORS`.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+    """
+    if mass.shape != (*truth.shape, 2):
+        raise ValueError(
+            f"mass must be (nx, ny, 2) on the cells of the truth, got {mass.shape} for {truth.shape}"
+        )
+    return _CLASS[truth, called(mass)]
+
+
+def frame_view(
+    points: NDArray[np.floating] | None,
+    truth: NDArray[np.uint8],
+    masses: Sequence[NDArray[np.floating]],
+    spec: GridSpec,
+    ground_z: float | None = None,
+) -> dict[str, bytes]:
+    """Draw one frame from above, the front up: points, truth, and every method's masses and errors.
+
+    Parameters
+    ----------
+    points : (N, 3 or more) float array, optional
+        x, y, z [m] in the frame of `spec`.
+    truth : (nx, ny) uint8
+        0 unknown, 1 free, 2 occupied, 3 ignored.
+    masses : sequence of (nx, ny, 2) float array
+        Of every method: masses of free and occupied.
+    spec : GridSpec
+    ground_z : float, optional
+        Height of the ground in the frame of the points [m]; by default the height that most of them share.
+
+    Returns
+    -------
+    dict of str to bytes
+        WebP pictures "points" (if there are points), "truth", "mass 0", "error 0", "mass 1", ...: one dot per cell,
+        row 0 the front, column 0 the left. Longer grids than 768 cells are shown in blocks: of masses the mean,
+        of truth and errors what is gravest.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit.
+    """
+    if truth.shape != spec.shape:
+        raise ValueError(f"the truth has {truth.shape} cells, but the spec has {spec.shape}")
+    block = max(1, -(-max(spec.shape) // LONGEST))
+    pictures = {}
+    if points is not None:
+        pictures["points"] = _encode(_dots(points, spec, block, ground_z))
+    pictures["truth"] = _painted(STATES, _RANK[truth], block, spec)
+    for k, mass in enumerate(masses):
+        errors = error_classes(truth, mass)
+        pictures[f"mass {k}"] = _belief(_blocks(mass, block).mean(axis=(1, 3), dtype=np.float32), spec)
+        pictures[f"error {k}"] = _painted(ERRORS, errors, block, spec)
+    return pictures
+
+
+def height_colours() -> list[tuple[int, int, int]]:
+    """Return the colours of points at `HEIGHTS` over the ground."""
+    legend = plot.points(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
+    return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
+
+
+def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float | None) -> NDArray[np.uint8]:
+    """Draw points, each as wide as two cells, so that they are still seen where the picture is shown small."""
+    nx, ny = spec.shape
+    scale = block * 2  # `ogm.plot` draws two dots along a cell that it is told of
+    shown = GridSpec(spec.resolution * scale, (-(-nx // scale), -(-ny // scale)), spec.origin)
+    image = plot.points(points, shown, ground_z=_ground(points) if ground_z is None else ground_z).image
+    nothing = plot.points(points[:0], shown.centered(1.0, 1.0, 1.0)).image[0, 0]
+    for axis in (0, 1):
+        image = np.where((image == nothing).all(axis=2, keepdims=True), np.roll(image, 1, axis), image)
+    return image
+
+
+def _ground(points: NDArray) -> float:
+    """Return the height that most points share: of a vehicle's scan, that of the ground."""
+    z = points[:, 2][np.isfinite(points[:, 2])]
+    if not len(z):
+        return 0.0
+    steps = np.floor(z / LAYER).astype(np.int64)
+    return float((np.bincount(steps - steps.min()).argmax() + steps.min() + 0.5) * LAYER)
+
+
+def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:
+    """Paint every cell by its class; of a block, the last of its classes shows."""
+    colours = np.array([shade.colour for shade in shades.values()], np.float32) / 255
+    return _encode(plot.cells(colours[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
+
+
+def _blocks(cells: NDArray, size: int) -> NDArray:
+    """Cut cells (nx, ny, ...) into blocks (nx / size, size, ny / size, size, ...); the far border is repeated."""
+    (nx, ny), rest = cells.shape[:2], cells.shape[2:]
+    padding = [(0, -nx % size), (0, -ny % size), *([(0, 0)] * len(rest))]
+    padded = np.pad(cells, padding, mode="edge") if size > 1 else cells
+    return padded.reshape(-(-nx // size), size, -(-ny // size), size, *rest)
+
+
+def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
+    """Draw masses in the colours of the house: sharp in steps of 1/8, or smooth where that is much smaller."""
+    rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
+    if len(rough) < SMALL * mass.size:
+        return rough
+    smooth = _encode(_mixed(mass, spec), quality=QUALITY)
+    return smooth if len(smooth) < SHARPEST * len(rough) else rough
+
+
+def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
+    colours = mass @ np.array([plot.GREEN, plot.RED], np.float32)
+    return plot.cells(colours, spec, "", {}).image
+
+
+def _encode(image: NDArray[np.uint8], quality: int | None = None) -> bytes:
+    """Write a picture as WebP: without loss, or with the loss that `quality` allows."""
+    from PIL import Image
+
+    how = {"lossless": True, "quality": 50} if quality is None else {"quality": quality}
+    buffer = BytesIO()
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "WEBP", method=2, **how)
+    return buffer.getvalue()

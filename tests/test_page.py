@@ -1,0 +1,507 @@
+"""The HTML report: complete, harmless whatever names it is given, and working in a browser without a network."""
+
+import json
+import re
+import shutil
+import subprocess
+from base64 import b64decode
+from collections.abc import Callable
+from copy import deepcopy
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ogm.cli.charts import frame_keys, grouped, headline, rounded
+from ogm.cli.page import write_page
+from ogm.cli.report import report
+from ogm.cli.views import frame_view
+from ogm.grid import GridSpec
+from ogm.metrics import METRICS, Evaluation, distances, tally
+
+SPEC = GridSpec.centered(6.4, 4.8, 0.4)  # 16 x 12 cells
+FRAMES = 6
+METHODS = ("base", "sharp", "vague")
+HOSTILE = '</script><img src=x onerror="hacked=1"><!-- \u2028 &amp; {{data}} \udcff \' " against <b>'
+VOID = {"meta", "link", "input", "br", "img", "hr"}
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+NOTHING = {"value": None, "low": None, "high": None}
+
+
+def truth_and_masses() -> tuple[np.ndarray, np.ndarray]:
+    """Make frames of all four states, and three methods: a rough one, a sharp one, one that claims little."""
+    rng = np.random.default_rng(5)
+    truth = rng.choice(4, p=[0.4, 0.4, 0.15, 0.05], size=(FRAMES, *SPEC.shape)).astype(np.uint8)
+    right = np.stack([truth == 1, truth == 2], axis=-1).astype(float)
+    noise = rng.dirichlet((1, 1, 2), size=(FRAMES, *SPEC.shape))[..., :2]
+    masses = np.stack(
+        [0.5 * right + 0.5 * noise, 0.9 * right + 0.1 * noise, 0.2 * right + 0.1 * noise], axis=1
+    )
+    return truth, masses.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def made() -> tuple[dict[str, Any], dict[int, dict[str, bytes]]]:
+    """A record, as `ogm evaluate` writes it, and its pictures."""
+    truth, masses = truth_and_masses()
+    away = distances(SPEC)
+    counts = [[tally(mass, state, away) for mass in row] for row, state in zip(masses, truth, strict=True)]
+    shares = [np.bincount(state.ravel(), minlength=4) / state.size for state in truth]
+    result = Evaluation.from_counts(METHODS, SPEC, zip(counts, shares, strict=True))
+    weights = {"file": "sharp.safetensors", "sha256": "ab" * 32}
+    facts = {
+        name: {"says": f"how {name} works", "weights": weights if name == "sharp" else None}
+        for name in METHODS
+    }
+    record = {
+        "title": "A made-up town",
+        "command": "ogm evaluate data/ --ism base sharp vague",
+        "date": "2020-02-02",
+        "seed": 7,
+        "data": {
+            "kind": "simulated store",
+            "name": "made",
+            "truth": "drawn at random",
+            "plan": {"a": [1, {"b": 2}]},
+        },
+        "frames": [
+            {"name": f"{k:03d}", "sequence": f"drive {k // 3}", "stamp": 0.1 * k} for k in range(FRAMES)
+        ],
+        **report(result, np.random.default_rng(0), (), facts),
+    }
+    points = np.random.default_rng(1).uniform(-3, 3, (200, 4)).astype(np.float32)
+    views = {k: frame_view(points, truth[k], list(masses[k]), SPEC) for k in range(FRAMES)}
+    return json.loads(json.dumps(record, allow_nan=False)), views
+
+
+@pytest.fixture
+def record(made: tuple[dict[str, Any], Any]) -> dict[str, Any]:
+    """A record to change."""
+    return deepcopy(made[0])
+
+
+class Page(HTMLParser):
+    """What stands in a page: elements that are closed as they were opened, texts, scripts."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.text = text
+        self.open: list[str] = []
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.scripts: dict[str, str] = {}
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        names = [name for name, _ in attributes]
+        assert len(names) == len(set(names)), (tag, names)
+        self.elements.append((tag, dict(attributes)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag, (tag, self.getpos())
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "script":
+            self.scripts[self.elements[-1][1].get("id") or "code"] = data
+        elif not (self.open and self.open[-1] == "style"):
+            self.words.append(data)
+
+    def all(self, attribute: str) -> list[str]:
+        return [found[attribute] or "" for _, found in self.elements if attribute in found]
+
+    @property
+    def said(self) -> str:
+        return re.sub(r"\s+", " ", "".join(self.words))
+
+    @property
+    def data(self) -> Any:
+        return json.loads(self.scripts["data"])
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Callable[..., Page]:
+    """Write a page and read it."""
+
+    def write(record: dict[str, Any], views: dict[int, dict[str, bytes]] | None = None) -> Page:
+        write_page(tmp_path / "report.html", record, views)
+        assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
+        return Page((tmp_path / "report.html").read_text("utf-8"))
+
+    return write
+
+
+def test_a_page_needs_nothing_but_itself(made: Any, page: Callable[..., Page]) -> None:
+    found = page(*made)
+    for address in [*found.all("href"), *found.all("src")]:
+        assert address.startswith(("#", "data:")), address
+    code = found.scripts["code"] + found.text[found.text.index("<style>") : found.text.index("</style>")]
+    for word in (
+        "fetch(",
+        "XMLHttpRequest",
+        "import(",
+        "@import",
+        "url(",
+        "localStorage",
+        "innerHTML",
+        "eval(",
+    ):
+        assert word not in code
+    assert "http" not in code.replace("http://www.w3.org/2000/svg", "")
+    (policy,) = (a["content"] for tag, a in found.elements if tag == "meta" and "http-equiv" in a)
+    assert "default-src 'none'" in (policy or "")
+
+
+def test_parts_of_a_page_refer_to_parts_that_are_there(made: Any, page: Callable[..., Page]) -> None:
+    found = page(*made)
+    names = found.all("id")
+    assert len(names) == len(set(names))
+    wanted = {a[1:] for a in found.all("href") if a.startswith("#")} | set(found.all("aria-labelledby"))
+    assert {"verdict", "scores", "frames", "run"} <= wanted <= set(names)
+    asked = set(re.findall(r'\$\("([a-z-]+)"\)', found.scripts["code"]))
+    assert {name for name in asked if name not in names} <= {"range-metric"}  # which the script makes
+    assert "noscript" in {tag for tag, _ in found.elements}
+
+
+def test_all_that_was_run_is_told(made: Any, page: Callable[..., Page]) -> None:
+    record, views = made
+    said = page(record, views).said
+    for word in (
+        record["title"],
+        record["command"],
+        record["date"],
+        "drawn at random",
+        "ab" * 32,
+        "how vague works",
+    ):
+        assert word in said
+    assert "16 x 12 cells of 0.4 m" in said
+    assert all(version in said for version in record["versions"].values())
+    for metric in METRICS.values():
+        assert metric.title in said
+        assert metric.says in said
+
+
+def test_every_metric_of_every_method_is_tabulated(made: Any, page: Callable[..., Page]) -> None:
+    record, views = made
+    found = page(record, views)
+    values = set(found.all("data-v"))
+    for model in record["models"].values():
+        for metric in METRICS:
+            for value in (model["macro"][metric]["value"], model["micro"][metric]):
+                assert value is None or repr(value) in values
+
+
+def test_each_metric_is_in_one_group() -> None:
+    names = [name for group in grouped(METRICS).values() for name in group]
+    assert sorted(names) == sorted(METRICS)
+    assert "Further" not in grouped(METRICS)
+    assert len(headline(METRICS)) == 11
+    assert headline(["a", "b"]) == ["a", "b"]
+
+
+def test_the_verdict_names_who_is_best_and_how_sure(made: Any, page: Callable[..., Page]) -> None:
+    found = page(*made)
+    words = found.said[found.said.index(" Verdict ") : found.said.index("better in")]
+    assert "sharp is best in" in words
+    kl = [made[0]["models"][name]["macro"]["kl_e10"]["value"] for name in ("sharp", "base")]
+    assert f"In KL, E = 10, sharp has {kl[0]:.3f} and base, the next best, {kl[1]:.3f}" in words
+    assert "vague makes the fewest false free cells at the lowest IoU free" in words
+
+
+def test_a_difference_within_its_interval_is_not_clear(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    for pair in record["paired"].values():
+        for one in pair.values():
+            one["difference"] = {"value": 0.0, "low": -1.0, "high": 1.0}
+    said = page(record).said
+    assert "though not clearly" in said
+    assert "not told apart" in said
+
+
+def test_of_two_that_were_not_compared_the_intervals_decide(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    record["paired"] = {}
+    assert "sharp is best in" in page(record).said
+    for model in record["models"].values():
+        for one in model["macro"].values():
+            one["low"], one["high"] = -9.0, 9.0
+    assert "though not clearly" in page(record).said
+
+
+def test_what_is_missing_is_a_dash_with_its_reason(record: dict[str, Any], page: Callable[..., Page]) -> None:
+    for model in record["models"].values():
+        model["macro"]["auroc_unknown"] = NOTHING
+        model["micro"]["auroc_unknown"] = None
+        model["missing"]["auroc_unknown"] = "the truth has no unknown cell"
+        model["per frame"]["auroc_unknown"] = [None] * FRAMES
+    found = page(record)
+    assert "no value: the truth has no unknown cell" in found.all("title")
+    assert "– AUROC unknown: no value, the truth has no unknown cell." in found.said
+    assert "No method has a value for AUROC unknown" in found.said
+    assert found.data["perFrame"]["auroc_unknown"] == [[None] * FRAMES] * 3
+
+
+def test_names_are_text_wherever_they_stand(
+    made: Any, record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    plain = page(*made)
+    record["models"] = {HOSTILE if name == "sharp" else name: one for name, one in record["models"].items()}
+    record["paired"] = {
+        " against ".join(HOSTILE if part == "sharp" else part for part in name.split(" against ")): one
+        for name, one in record["paired"].items()
+    }
+    record["title"] = record["command"] = record["data"]["name"] = record["data"]["truth"] = HOSTILE
+    record["data"][HOSTILE] = {HOSTILE: [HOSTILE]}
+    record["frames"][2]["name"] = record["frames"][0]["sequence"] = HOSTILE
+    record["models"][HOSTILE]["what"] = record["models"]["base"]["missing"]["kl_e1"] = HOSTILE
+    found = page(record, made[1])
+    assert {tag for tag, _ in found.elements} - {tag for tag, _ in plain.elements} <= {"pre"}
+    assert "img" not in {tag for tag, _ in found.elements}
+    written = HOSTILE.replace("\udcff", "?")
+    assert found.data["methods"][1] == written
+    assert found.data["frames"][2][0] == written
+    assert found.data["paired"].keys() == plain.data["paired"].keys()
+    assert found.said.count(re.sub(r"\s+", " ", written)) > 8
+    assert found.scripts["code"] == plain.scripts["code"]
+
+
+def test_pictures_of_frames_that_are_not_there_are_refused(made: Any, tmp_path: Path) -> None:
+    record, views = made
+    with pytest.raises(ValueError, match="pictures of frame 6, but the record has 6 frames"):
+        write_page(tmp_path / "report.html", record, views | {6: views[0]})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_frames_have_names_of_their_own() -> None:
+    frames = [{"name": name, "sequence": place} for name, place in ("ab", "ab", "ac", "db")]
+    assert frame_keys(frames) == ["b/a #0", "b/a #1", "c/a", "d"]
+
+
+def test_numbers_are_short() -> None:
+    values = {"a": [1 / 3, 123456.7, 2.0, 0.0, None, 7, "x", float("nan"), float("inf")]}
+    assert rounded(values) == {"a": [0.3333, 123500, 2, 0, None, 7, "x", None, None]}
+    assert json.dumps(rounded([2.0])) == "[2]"
+
+
+def test_a_hundred_frames_of_five_methods_weigh_little_beside_their_pictures(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    model = record["models"]["sharp"]
+    model["per frame"] = {name: values * 17 for name, values in model["per frame"].items()}
+    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(6 * 17)]
+    record["truth per frame"] = {name: values * 17 for name, values in record["truth per frame"].items()}
+    pair = next(iter(record["paired"].values()))
+    names = [f"method {k}" for k in range(5)]
+    record["models"] = dict.fromkeys(names, model)
+    record["paired"] = {f"{b} against {a}": pair for k, a in enumerate(names) for b in names[k + 1 :]}
+    assert len(page(record).text) < 800_000
+
+
+def test_many_methods_on_many_frames_carry_the_headline_metrics(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    model = record["models"]["sharp"]
+    model["per frame"] = {name: values * 50 for name, values in model["per frame"].items()}
+    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(300)]
+    record["truth per frame"] = {name: values * 50 for name, values in record["truth per frame"].items()}
+    record["models"] = {f"method {k}": model for k in range(40)}
+    record["paired"] = {}
+    found = page(record)
+    assert (
+        {*headline(METRICS), "kl_e1", "legacy_kl", "mean_free"} <= set(found.data["perFrame"]) < set(METRICS)
+    )
+    assert len(found.text) < 6_000_000
+
+
+# ---------- in a browser
+
+WATCH = """<script>
+window.outcome = {errors: [], blocked: []};
+addEventListener("error", event => outcome.errors.push(String(event.message)));
+addEventListener("unhandledrejection", event => outcome.errors.push(String(event.reason)));
+addEventListener("securitypolicyviolation", event => outcome.blocked.push(event.blockedURI));
+</script>"""
+ACT = """<script>
+(async () => {
+  const $ = id => document.getElementById(id);
+  const wait = () => new Promise(done => setTimeout(done, 30));
+  const key = name => document.activeElement.dispatchEvent(new KeyboardEvent("keydown", {key: name, bubbles: true}));
+  const choose = (id, value) => { $(id).value = value; $(id).dispatchEvent(new Event("change", {bubbles: true})); };
+  const frame = () => $("pick").selectedOptions[0].textContent;
+  const alts = () => [...$("stage").querySelectorAll("img")].map(image => image.alt);
+  const numbers = () => [...$("stage").querySelectorAll(".tile:nth-child(2) dd")].map(cell => Number(cell.textContent));
+  const o = window.outcome;
+  try {
+%s
+  } catch (error) { o.errors.push(String(error.stack)); }
+  o.requests = performance.getEntriesByType("resource").map(r => r.name).filter(name => !name.startsWith("data:"));
+  const out = document.createElement("pre");
+  out.id = "outcome";
+  out.textContent = btoa(unescape(encodeURIComponent(JSON.stringify(o))));
+  document.body.append(out);
+})();
+</script>"""
+
+
+@pytest.fixture
+def browse(tmp_path: Path) -> Callable[..., dict[str, Any]]:
+    """Open a page in a browser, do something there, and return what was found."""
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        pytest.skip(f"no browser on the path: none of {', '.join(BROWSERS)}")
+
+    def run(
+        record: dict[str, Any], views: Any, steps: str, hash_: str = "", size: str = "1280,900"
+    ) -> dict[str, Any]:
+        path = tmp_path / "report.html"
+        write_page(path, record, views)
+        text = path.read_text("utf-8").replace("<style>", WATCH + "<style>", 1)
+        path.write_text(text.replace("</body>", ACT % steps + "</body>"), "utf-8")
+        words = [program, "--headless=new", "--no-sandbox", "--disable-gpu", f"--window-size={size}"]
+        words += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--dump-dom"]
+        done = subprocess.run(
+            [*words, f"{path.as_uri()}{hash_}"], capture_output=True, timeout=60, check=False
+        )
+        match = re.search(r'<pre id="outcome">([^<]*)</pre>', done.stdout.decode("utf-8", "replace"))
+        assert match, done.stderr[-2000:]
+        return json.loads(b64decode(match[1]))
+
+    return run
+
+
+def test_in_a_browser_frames_are_stepped_sorted_and_linked(
+    made: Any, browse: Callable[..., dict[str, Any]]
+) -> None:
+    record, views = made
+    kl = record["models"]["sharp"]["per frame"]["kl_e10"]
+    seen = browse(
+        record,
+        views,
+        """
+    o.linked = frame();
+    o.alts = alts();
+    o.source = $("stage").querySelector("img").src.slice(0, 22);
+    key("ArrowRight"); o.right = frame(); o.hash = location.hash; o.alt = alts()[0];
+    key("k"); key("ArrowLeft"); o.left = frame();
+    $("stage").focus(); key("End"); o.end = frame(); key("ArrowRight"); o.beyond = frame();
+    key("Home"); o.home = frame(); key("ArrowDown"); o.down = frame();
+    location.hash = "#frame=001"; await wait(); o.followed = frame();
+    choose("sort-method", "1"); choose("sort-metric", "kl_e10");
+    o.sorted = []; for (let i = 0; i < 6; i++) { o.sorted.push(frame()); key("j"); }
+    choose("sort-way", "best"); o.best = frame();
+    await wait();
+    o.loaded = [...$("stage").querySelectorAll("img")].every(image => image.complete && image.naturalWidth === 12);
+    """,
+        "#frame=003",
+    )
+    assert seen["errors"] == seen["blocked"] == seen["requests"] == []
+    assert seen["linked"] == "003"
+    assert seen["alts"] == [
+        "points of 003, coloured by height",
+        "truth of 003",
+        *(f"{what} of {name} in 003" for name in METHODS for what in ("masses", "errors")),
+    ]
+    assert seen["source"] == "data:image/webp;base64"
+    assert (seen["right"], seen["hash"], seen["alt"]) == (
+        "004",
+        "#frame=004",
+        "points of 004, coloured by height",
+    )
+    assert (seen["left"], seen["end"], seen["beyond"]) == ("002", "005", "005")
+    assert (seen["home"], seen["down"], seen["followed"]) == ("000", "005", "001")
+    assert seen["sorted"] == [f"{k:03d}" for k in np.argsort(kl)[::-1]]
+    assert seen["best"] == f"{np.argmin(kl):03d}"
+    assert seen["loaded"] is True
+
+
+def test_in_a_browser_charts_tables_and_theme_answer(
+    made: Any, browse: Callable[..., dict[str, Any]]
+) -> None:
+    seen = browse(
+        *made,
+        """
+    const ground = () => getComputedStyle(document.body).backgroundColor;
+    o.light = ground(); $("theme").click(); o.dark = ground(); key("t"); o.again = ground();
+    o.charts = document.querySelectorAll("svg.plot").length;
+    const lines = () => $("chart-metric").querySelectorAll(".dots").length;
+    o.lines = lines(); o.tiles = $("stage").children.length;
+    document.querySelector("#chips input").click();
+    o.fewer = lines(); o.fewerTiles = $("stage").children.length;
+    o.hidden = document.querySelector("[data-method='0']").hidden;
+    const svg = $("chart-metric").querySelector("svg"), box = svg.getBoundingClientRect();
+    const at = {bubbles: true, clientX: box.right - 20, clientY: box.top + 40};
+    svg.dispatchEvent(new PointerEvent("pointermove", at));
+    o.tip = $("tip").textContent;
+    svg.dispatchEvent(new MouseEvent("click", at));
+    o.jumped = frame(); o.focus = document.activeElement.id;
+    const table = document.querySelector("#scores table"), head = table.tHead.querySelectorAll("button")[1];
+    const column = () => [...table.tBodies[0].rows].map(row => Number(row.cells[1].dataset.v));
+    head.click(); o.rising = column(); head.click(); o.falling = column();
+    const first = () => $("paired-table").querySelector("tbody td").firstChild.textContent;
+    o.against = first(); choose("reference", "1"); o.turned = first();
+    choose("rival", "0"); o.pairs = $("paired-table").querySelectorAll("tbody tr").length;
+    choose("figure-metric", "brier"); o.says = $("figure-metric-says").textContent;
+    document.querySelector("#figure-switch [data-metric=legacy_kl]").click(); o.legacy = $("figure-metric").value;
+    choose("order", "browser"); choose("range-metric", "false_free");
+    document.activeElement.blur(); key("?"); o.help = $("help").open; key("?"); o.shut = $("help").open;
+    $("stage").querySelector(".view").click(); o.large = $("large").open; o.caption = $("large-caption").textContent;
+    key("Home"); o.stepped = $("large-caption").textContent; $("large").close();
+    for (const box of document.querySelectorAll("#chips :checked")) box.click();
+    o.none = $("stage").children.length;
+    o.wide = document.documentElement.scrollWidth - innerWidth;
+    """,
+        size="800,900",
+    )
+    assert seen["errors"] == seen["blocked"] == seen["requests"] == []
+    assert seen["light"] == seen["again"] == "rgb(255, 255, 255)"
+    assert seen["dark"] != seen["light"]
+    assert seen["charts"] >= 4 + 6 + len(METHODS)
+    assert (seen["lines"], seen["fewer"], seen["tiles"], seen["fewerTiles"]) == (3, 2, 4, 3)
+    assert seen["hidden"] is True
+    assert seen["tip"].startswith("005")
+    assert (seen["jumped"], seen["focus"]) == ("005", "stage")
+    assert seen["rising"] == sorted(seen["rising"])
+    assert seen["falling"] == seen["rising"][::-1]
+    assert seen["against"] == "6 : 0"
+    assert seen["turned"] == "0 : 6"
+    assert seen["pairs"] > 30
+    assert seen["says"].startswith("Brier ↓: ")
+    assert seen["legacy"] == "legacy_kl"
+    assert (seen["help"], seen["shut"], seen["large"]) == (True, False, True)
+    assert "005" in seen["caption"]
+    assert seen["stepped"] != seen["caption"]
+    assert seen["none"] == 1
+    assert seen["wide"] <= 0  # nothing sticks out sideways
+
+
+def test_in_a_browser_one_frame_without_points_or_unknown_is_shown(
+    made: Any, record: dict[str, Any], browse: Callable[..., dict[str, Any]]
+) -> None:
+    model = record["models"]["base"]
+    empty = ("iou_unknown", "auroc_unknown", "kl_e10")
+    for name in METRICS:
+        model["per frame"][name] = [None if name in empty else model["per frame"][name][0]]
+        model["macro"][name] = NOTHING if name in empty else model["macro"][name]
+    for name in model["curves"]:
+        model["curves"][name] = {} if name in ("reliability", "precision_recall") else None
+    record["models"], record["paired"] = {HOSTILE: model}, {}
+    record["frames"] = [{"name": HOSTILE, "sequence": "", "stamp": None}]
+    record["truth per frame"] = {name: values[:1] for name, values in record["truth per frame"].items()}
+    view = {name: data for name, data in made[1][0].items() if name in ("truth", "mass 0", "error 0")}
+    seen = browse(
+        record, {0: view}, 'key("j"); o.frame = frame(); o.alts = alts(); o.hacked = "hacked" in window;'
+    )
+    written = HOSTILE.replace("\udcff", "?")
+    assert seen["errors"] == seen["blocked"] == seen["requests"] == []
+    assert seen["frame"] == written
+    assert seen["alts"][0] == f"truth of {written}"
+    assert len(seen["alts"]) == 3
+    assert seen["hacked"] is False
