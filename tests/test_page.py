@@ -8,6 +8,7 @@ from base64 import b64decode
 from collections.abc import Callable
 from copy import deepcopy
 from html.parser import HTMLParser
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +35,13 @@ def truth_and_masses() -> tuple[np.ndarray, np.ndarray]:
     """Make frames of all four states, and three methods: a rough one, a sharp one, one that claims little."""
     rng = np.random.default_rng(5)
     truth = rng.choice(4, p=[0.4, 0.4, 0.15, 0.05], size=(FRAMES, *SPEC.shape)).astype(np.uint8)
-    right = np.stack([truth == 1, truth == 2], axis=-1).astype(float)
     noise = rng.dirichlet((1, 1, 2), size=(FRAMES, *SPEC.shape))[..., :2]
-    masses = np.stack(
-        [0.5 * right + 0.5 * noise, 0.9 * right + 0.1 * noise, 0.2 * right + 0.1 * noise], axis=1
-    )
+
+    def method(wrong: float, sure: float, noisy: float) -> np.ndarray:
+        told = np.where(rng.random(truth.shape) < wrong, rng.integers(0, 3, truth.shape), truth)
+        return sure * np.stack([told == 1, told == 2], axis=-1) + noisy * noise
+
+    masses = np.stack([method(0.4, 0.6, 0.4), method(0.1, 0.8, 0.2), method(0.1, 0.2, 0.1)], axis=1)
     return truth, masses.astype(np.float32)
 
 
@@ -206,8 +209,7 @@ def test_each_metric_is_in_one_group() -> None:
 
 
 def test_the_verdict_names_who_is_best_and_how_sure(made: Any, page: Callable[..., Page]) -> None:
-    found = page(*made)
-    words = found.said[found.said.index(" Verdict ") : found.said.index("better in")]
+    words = page(*made).said
     assert "sharp is best in" in words
     kl = [made[0]["models"][name]["macro"]["kl_e10"]["value"] for name in ("sharp", "base")]
     assert f"In KL, E = 10, sharp has {kl[0]:.3f} and base, the next best, {kl[1]:.3f}" in words
@@ -280,9 +282,24 @@ def test_pictures_of_frames_that_are_not_there_are_refused(made: Any, tmp_path: 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_pictures_that_do_not_fit_are_left_out_evenly(made: Any, tmp_path: Path) -> None:
+    record, views = made
+    size = sum(len(data) for pictures in views.values() for data in pictures.values()) * 4 / 3
+    path = tmp_path / "report.html"
+    for most, kept in ((size, range(6)), (0.55 * size, (0, 2, 5)), (0, (0,))):
+        write_page(path, record, views, most=int(most))
+        found = Page(path.read_text("utf-8"))
+        assert found.data["views"] == list(kept)
+        assert sorted(name for name in found.scripts if name.startswith("view-")) == [
+            f"view-{k}" for k in kept
+        ]
+        assert f"Pictures of {len(kept)} of 6 frames" in found.said
+        assert ("left out to keep the page small" in found.said) == (len(kept) < 6)
+
+
 def test_frames_have_names_of_their_own() -> None:
-    frames = [{"name": name, "sequence": place} for name, place in ("ab", "ab", "ac", "db")]
-    assert frame_keys(frames) == ["b/a #0", "b/a #1", "c/a", "d"]
+    frames = [{"name": name, "sequence": place} for name, place in ("ab", "ab", "ac", "db", "e ")]
+    assert frame_keys(frames) == ["b/a #0", "b/a #1", "c/a", "d", "e"]
 
 
 def test_numbers_are_short() -> None:
@@ -309,9 +326,9 @@ def test_many_methods_on_many_frames_carry_the_headline_metrics(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
     model = record["models"]["sharp"]
-    model["per frame"] = {name: values * 50 for name, values in model["per frame"].items()}
-    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(300)]
-    record["truth per frame"] = {name: values * 50 for name, values in record["truth per frame"].items()}
+    model["per frame"] = {name: values * 40 for name, values in model["per frame"].items()}
+    record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(240)]
+    record["truth per frame"] = {name: values * 40 for name, values in record["truth per frame"].items()}
     record["models"] = {f"method {k}": model for k in range(40)}
     record["paired"] = {}
     found = page(record)
@@ -319,6 +336,31 @@ def test_many_methods_on_many_frames_carry_the_headline_metrics(
         {*headline(METRICS), "kl_e1", "legacy_kl", "mean_free"} <= set(found.data["perFrame"]) < set(METRICS)
     )
     assert len(found.text) < 6_000_000
+
+
+@pytest.mark.parametrize("theme", [0, 1])
+def test_colours_stand_out_from_the_page_in_light_and_in_dark(theme: int) -> None:
+    style = (resources.files("ogm") / "data" / "report.css").read_text("utf-8")
+    pairs = re.findall(r"--([a-z]+\d?): light-dark\((#[0-9a-f]{6}), (#[0-9a-f]{6})\)", style)
+    colours = {name: luminance(both[theme]) for name, *both in pairs}
+    for back in ("page", "panel", "best", "worse"):
+        assert contrast(colours["ink"], colours[back]) > 7
+        assert contrast(colours["soft"], colours[back]) > 4.5
+    assert contrast(colours["link"], colours["page"]) > 4.5
+    for line in ("focus", *(f"s{k}" for k in range(8))):
+        assert contrast(colours[line], colours["page"]) > 3
+
+
+def luminance(colour: str) -> float:
+    """Return the relative luminance of a colour, as WCAG 2 defines it."""
+    part = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    return float(
+        np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
+    )
+
+
+def contrast(one: float, other: float) -> float:
+    return (max(one, other) + 0.05) / (min(one, other) + 0.05)
 
 
 # ---------- in a browser
@@ -425,8 +467,10 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(
 def test_in_a_browser_charts_tables_and_theme_answer(
     made: Any, browse: Callable[..., dict[str, Any]]
 ) -> None:
+    record, views = made
     seen = browse(
-        *made,
+        record,
+        {k: view for k, view in views.items() if k != 5},
         """
     const ground = () => getComputedStyle(document.body).backgroundColor;
     o.light = ground(); $("theme").click(); o.dark = ground(); key("t"); o.again = ground();
@@ -442,10 +486,14 @@ def test_in_a_browser_charts_tables_and_theme_answer(
     o.tip = $("tip").textContent;
     svg.dispatchEvent(new MouseEvent("click", at));
     o.jumped = frame(); o.focus = document.activeElement.id;
+    o.without = [alts().length, $("no-pictures").hidden, $("place").textContent, numbers().length];
+    key("k"); o.back = frame();
     const table = document.querySelector("#scores table"), head = table.tHead.querySelectorAll("button")[1];
     const column = () => [...table.tBodies[0].rows].map(row => Number(row.cells[1].dataset.v));
     head.click(); o.rising = column(); head.click(); o.falling = column();
     const first = () => $("paired-table").querySelector("tbody td").firstChild.textContent;
+    const marks = () => [...$("paired-table").querySelectorAll("tbody td:nth-child(2)")].map(cell => cell.className);
+    o.marks = marks(); choose("reference", "1"); o.turnedMarks = marks(); choose("reference", "0");
     o.against = first(); choose("reference", "1"); o.turned = first();
     choose("rival", "0"); o.pairs = $("paired-table").querySelectorAll("tbody tr").length;
     choose("figure-metric", "brier"); o.says = $("figure-metric-says").textContent;
@@ -468,15 +516,19 @@ def test_in_a_browser_charts_tables_and_theme_answer(
     assert seen["hidden"] is True
     assert seen["tip"].startswith("005")
     assert (seen["jumped"], seen["focus"]) == ("005", "stage")
+    assert seen["without"] == [0, False, "no pictures; 5 frames have some", 6]
+    assert seen["back"] == "004"
     assert seen["rising"] == sorted(seen["rising"])
     assert seen["falling"] == seen["rising"][::-1]
     assert seen["against"] == "6 : 0"
     assert seen["turned"] == "0 : 6"
+    assert seen["marks"][0] == "best"  # sharp is nearer to the truth than base, and both than vague
+    assert seen["turnedMarks"] == ["worse", "worse"]
     assert seen["pairs"] > 30
     assert seen["says"].startswith("Brier ↓: ")
     assert seen["legacy"] == "legacy_kl"
     assert (seen["help"], seen["shut"], seen["large"]) == (True, False, True)
-    assert "005" in seen["caption"]
+    assert "004" in seen["caption"]
     assert seen["stepped"] != seen["caption"]
     assert seen["none"] == 1
     assert seen["wide"] <= 0  # nothing sticks out sideways

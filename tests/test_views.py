@@ -129,6 +129,9 @@ def test_a_point_is_two_dots_wide() -> None:
     points = np.array([[0.1, 0.1, 0.0]], np.float32)
     shown = seen(frame_view(points, state, [], SPEC, ground_z=0.0)["points"])
     assert (shown.max(axis=2) > 60).sum() == 4
+    corner = np.array([[-3.1, -2.3, 0.0], [-3.1, 2.3, np.inf]], np.float32)  # back right: nothing wraps round
+    shown = seen(frame_view(corner, state, [], SPEC, ground_z=0.0)["points"])
+    assert np.argwhere(shown.max(axis=2) > 60).tolist() == [[15, 11]]
 
 
 def test_of_long_grids_the_gravest_cell_shows() -> None:

@@ -56,7 +56,8 @@ def clean(value: Any) -> str:
 def frame_keys(frames: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return a name for every frame that no other has: its own, or with its sequence, or with its number."""
     names = [clean(frame["name"]) for frame in frames]
-    full = [f"{clean(frame['sequence'])}/{name}" for frame, name in zip(frames, names, strict=True)]
+    places = [clean(frame["sequence"]) for frame in frames]
+    full = [f"{place}/{name}" if place else name for place, name in zip(places, names, strict=True)]
     keys = list(names)
     for tries in (full, [f"{name} #{k}" for k, name in enumerate(full)]):
         seen: dict[str, int] = {}

@@ -16,6 +16,8 @@ from ogm.files import atomic_write
 __all__ = ["write_page"]
 
 Record = Mapping[str, Any]
+Views = Mapping[int, Mapping[str, bytes]]
+MOST = 13_500_000  # bytes of pictures, so that the page stays under 15 MB
 ARROWS = {"lower": "↓", "higher": "↑", "": ""}
 STATES_OF_CELLS = ("unknown", "free", "occupied")
 CONFUSION = "confusion [truth][call], unknown free occupied"
@@ -23,7 +25,7 @@ SHORT = 120  # characters of a nested fact that are shown without being asked fo
 
 
 def write_page(
-    path: str | os.PathLike[str], record: Record, views: Mapping[int, Mapping[str, bytes]] | None = None
+    path: str | os.PathLike[str], record: Record, views: Views | None = None, most: int = MOST
 ) -> None:
     """Write a record of `ogm evaluate` as one HTML page, whole or not at all.
 
@@ -35,14 +37,17 @@ def write_page(
         What `ogm.cli.report` wrote as JSON.
     views : dict of int to dict of str to bytes, optional
         Pictures of some of the frames by their numbers, see `ogm.cli.views.frame_view`.
+    most : int
+        Bytes that the pictures may take in the page. Of more, frames are left out evenly, and the page says so.
 
     Raises
     ------
     ValueError
         If there are pictures of a frame that the record does not have.
     """
-    views = views or {}
-    if strange := sorted(set(views) - set(range(len(record["frames"])))):
+    found = views or {}
+    views = _fitting(found, most)
+    if strange := sorted(set(found) - set(range(len(record["frames"])))):
         raise ValueError(
             f"there are pictures of frame {strange[0]}, but the record has {len(record['frames'])} frames; "
             "number them as the record does"
@@ -57,6 +62,7 @@ def write_page(
         "verdict": _html(*_verdict(record)),
         "scores": _html(*_scores(record)),
         "confusions": _html(_confusions(record)),
+        "shown": _html(_shown(record, found, views)),
         "legend": _html(*_legends(views)),
         "run": _html(*_run(record)),
         "data": _json(chart_data(record, views)),
@@ -66,6 +72,22 @@ def write_page(
     page = re.sub(r"\{\{(\w+)\}\}", lambda match: parts[match[1]], template)
     with atomic_write(path) as file:
         file.write(page.encode("utf-8", "replace"))
+
+
+def _fitting(views: Views, most: int) -> Views:
+    """Return pictures of as many frames as fit, evenly spread."""
+    size = sum(len(data) for pictures in views.values() for data in pictures.values()) * 4 / 3  # in base64
+    if size <= most:
+        return views
+    numbers, count = sorted(views), max(1, int(len(views) * most / size))
+    places = {round(k * (len(numbers) - 1) / max(count - 1, 1)) for k in range(count)}
+    return {number: views[number] for place, number in enumerate(numbers) if place in places}
+
+
+def _shown(record: Record, found: Views, kept: Views) -> str:
+    said = f"Pictures of {len(kept)} of {_count(len(record['frames']), 'frame')}"
+    left = len(found) - len(kept)
+    return f"{said}; those of {left} more were left out to keep the page small." if left else f"{said}."
 
 
 def _view(number: int, pictures: Mapping[str, bytes]) -> str:
@@ -240,10 +262,10 @@ def _scores(record: Record) -> Iterable[Element]:
     for title, names in grouped(record["metrics"]).items():
         table = _e("div", _table(record, names, "macro"), class_="scroll")
         yield _e("details", _e("summary", title), table, *_reasons(record, names))
-    pooled = _e("div", _table(record, list(record["metrics"]), "micro"), class_="scroll")
-    yield _e(
-        "details", _e("summary", "All cells of all frames pooled (micro averages), every metric"), pooled
-    )
+    pooled: list[Element] = []
+    for title, names in grouped(record["metrics"]).items():
+        pooled += [_e("h3", title), _e("div", _table(record, names, "micro"), class_="scroll")]
+    yield _e("details", _e("summary", "Every metric of all frames' cells together (micro averages)"), *pooled)
     says = [
         _e("div", _e("dt", *_metric(record, name)), _e("dd", record["metrics"][name]["says"]))
         for name in record["metrics"]
@@ -342,7 +364,7 @@ def _confusions(record: Record) -> Element:
 # The legend, and what was run
 
 
-def _legends(views: Mapping[int, Mapping[str, bytes]]) -> Iterable[Element]:
+def _legends(views: Views) -> Iterable[Element]:
     if any("points" in pictures for pictures in views.values()):
         heights = dict(zip(HEIGHTS, height_colours(), strict=True))
         yield _legend(

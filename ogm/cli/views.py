@@ -15,11 +15,14 @@ from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 __all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "error_classes", "frame_view", "height_colours"]
 
 STEPS = 8  # of a mass, so that pictures without loss stay small
-SHARPEST = 0.75  # a picture with loss is taken where it is smaller than this share of the one without
+SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
 SMALL = 0.02  # bytes per mass: a picture that is smaller needs no second try
-QUALITY = 70  # of a picture with loss
+QUALITY = 35  # of a picture with loss
 LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
-LAYER = 0.2  # [m] heights that count as the same
+LAYER, HIGHEST = (
+    0.2,
+    30.0,
+)  # [m] heights that count as the same when the ground is sought, and how far it is sought
 HEIGHTS = (0, 1, 2, 3)  # [m] over the ground, in the legend of the points
 
 
@@ -154,20 +157,21 @@ def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float | None) -
     nx, ny = spec.shape
     scale = block * 2  # `ogm.plot` draws two dots along a cell that it is told of
     shown = GridSpec(spec.resolution * scale, (-(-nx // scale), -(-ny // scale)), spec.origin)
-    image = plot.points(points, shown, ground_z=_ground(points) if ground_z is None else ground_z).image
+    ground = _ground(points) if ground_z is None else ground_z
+    points = points.copy()
+    points[:, 2] = np.rint((points[:, 2] - ground) / LAYER) * LAYER  # fewer colours, half the bytes
+    image = plot.points(points, shown, ground_z=0.0).image
     nothing = plot.points(points[:0], shown.centered(1.0, 1.0, 1.0)).image[0, 0]
-    for axis in (0, 1):
-        image = np.where((image == nothing).all(axis=2, keepdims=True), np.roll(image, 1, axis), image)
+    for _ in range(2):  # down, then, the picture lying on its side, to the right
+        above = np.concatenate([np.broadcast_to(nothing, image[:1].shape), image[:-1]])
+        image = np.where((image == nothing).all(axis=2, keepdims=True), above, image).swapaxes(0, 1)
     return image
 
 
 def _ground(points: NDArray) -> float:
     """Return the height that most points share: of a vehicle's scan, that of the ground."""
-    z = points[:, 2][np.isfinite(points[:, 2])]
-    if not len(z):
-        return 0.0
-    steps = np.floor(z / LAYER).astype(np.int64)
-    return float((np.bincount(steps - steps.min()).argmax() + steps.min() + 0.5) * LAYER)
+    count, edges = np.histogram(points[:, 2], bins=round(2 * HIGHEST / LAYER), range=(-HIGHEST, HIGHEST))
+    return float(edges[count.argmax()] + LAYER / 2) if count.any() else 0.0
 
 
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:

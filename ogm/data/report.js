@@ -262,7 +262,7 @@ const lines = (get, more = () => ({})) => shownMethods().flatMap(m => {
 
 function tile(place, heading, text, spec) {
   const box = node("div", { class: "chart" });
-  place.append(node("div", {}, node("h4", {}, heading), node("p", {}, text), box));
+  place.append(node("div", {}, node("h3", {}, heading), node("p", {}, text), box));
   if (spec.series.some(s => s.x.some((v, i) => v !== null && s.y[i] !== null))) chart(box, { label: `${heading}. ${text}`, ...spec });
   else box.append(node("p", { class: "reason" }, "No values for the shown methods."));
 }
@@ -328,7 +328,7 @@ function pairOf(a, b) {  // what a gains against b; the page carries each pair o
 function pairs() {
   const b = Number($("reference").value), rival = $("rival").value;
   const span = (v, low, high) => [said(v), ...(low === null || high === null ? [] : [node("small", {}, `${said(low)} – ${said(high)}`)])];
-  const verdict = row => row[6] === null || row[7] === null || row[6] * row[7] <= 0 ? null : row[1] > row[3] ? "best" : "worse";
+  const verdict = (metric, row) => row[6] === null || row[7] === null || row[6] * row[7] <= 0 ? null : (row[5] < 0) === (D.metrics[metric].better === "lower") ? "best" : "worse";
   let head, rows;
   if (rival === "all") {
     const metrics = D.headline.filter(m => D.metrics[m].better);
@@ -338,7 +338,7 @@ function pairs() {
       return node("tr", {}, node("th", { scope: "row" }, swatch(m), m.name), ...metrics.map(metric => {
         const row = pair?.[metric];
         if (!row || !row[0]) return node("td", { class: "none" }, "–");
-        return node("td", { class: verdict(row), title: `${row[1]} wins, ${row[2]} ties, ${row[3]} losses` }, `${row[1]} : ${row[3]}`, node("small", {}, `× ${said(row[8])}`), node("small", {}, `p ${saidP(row[4])}`));
+        return node("td", { class: verdict(metric, row), title: `${row[1]} wins, ${row[2]} ties, ${row[3]} losses` }, `${row[1]} : ${row[3]}`, node("small", {}, row[8] === null ? "no ratio" : `× ${said(row[8])}`), node("small", {}, `p ${saidP(row[4])}`));
       }));
     });
   } else {
@@ -346,7 +346,7 @@ function pairs() {
     head = ["metric", "wins", "ties", "losses", "difference of means", "ratio of means", "p"];
     rows = Object.entries(pair).map(([metric, row]) => node("tr", {}, node("th", { scope: "row", title: D.metrics[metric]?.says }, title(metric) + sign(metric)),
       ...(row[0] ? [row[1], row[2], row[3]].map(v => node("td", {}, String(v))) : [1, 2, 3].map(() => node("td", { class: "none" }, "–"))),
-      node("td", { class: verdict(row) }, ...span(row[5], row[6], row[7])), node("td", {}, ...span(row[8], row[9], row[10])), node("td", {}, saidP(row[4]))));
+      node("td", { class: verdict(metric, row) }, ...span(row[5], row[6], row[7])), node("td", {}, ...span(row[8], row[9], row[10])), node("td", {}, saidP(row[4]))));
   }
   $("paired-table").replaceChildren(node("table", { class: "scores" }, node("thead", {}, node("tr", {}, ...head.map(text => node("th", { scope: "col" }, text)))), node("tbody", {}, ...rows)),
     node("p", { class: "reason" }, `${rival === "all" ? "Wins : losses, × ratio of means, p. " : ""}Green: clearly better than the reference, orange: clearly worse; the 95 % interval of the mean difference leaves out zero.`));
