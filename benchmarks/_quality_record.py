@@ -3,7 +3,7 @@
 import json
 import math
 import re
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,6 @@ PAIRED = (
     ),
     *("ece_relative", "auroc_unknown"),
 )
-ABSENT = {"free": ("iou_free", "iou_free_known"), "occupied": ("iou_occupied", "iou_occupied_known")}
 DRIVES = 5  # from so many on, intervals are over drives, not over frames
 DIGITS = 5
 
@@ -89,18 +88,14 @@ def of_evaluation(
     truth = dict(
         zip(("unknown", "free", "occupied", "ignored"), result.truth.mean(axis=0).tolist(), strict=True)
     )
-    silent = {metric for state, names in ABSENT.items() if truth[state] == 0 for metric in names}
     models = {}
     for name, counts in zip(result.models, result.pooled, strict=True):
         pooled, ranges = result.micro(name), by_range(counts)
         models[name] = {
             **{key: value for key, value in facts[name].items() if value},
-            "mean": {
-                m: [None] * 3 if m in silent else _interval(result.interval(name, m, rng, groups))
-                for m in KEPT
-            },
-            "pooled": {m: None if m in silent else pooled[m] for m in KEPT},
-            "by range": {m: column.tolist() for m, column in ranges.items() if m not in silent},
+            "mean": {m: _interval(result.interval(name, m, rng, groups)) for m in KEPT},
+            "pooled": {m: pooled[m] for m in KEPT},
+            "by range": {m: column.tolist() for m, column in ranges.items()},
             "called unknown, free, occupied, of truly unknown, free, occupied": _rows(counts.calls),
             "missing": {m: why for m, why in reasons(counts).items() if m in KEPT},
         }
@@ -111,7 +106,7 @@ def of_evaluation(
         "truth, mean shares": truth,
         "ranges [m]": [edge if math.isfinite(edge) else None for edge in RANGES],
         "models": models,
-        "paired": _compared(result, rng, groups, silent),
+        "paired": _compared(result, rng, groups),
     }
 
 
@@ -164,7 +159,7 @@ def write(path: Path, record: Mapping[str, Any]) -> None:
 
 
 def _compared(
-    result: Evaluation, rng: np.random.Generator, groups: Sequence[str] | None, silent: Collection[str]
+    result: Evaluation, rng: np.random.Generator, groups: Sequence[str] | None
 ) -> dict[str, dict[str, Any]]:
     """Compare every method with the baseline and with `ray`, frame by frame; a map also with its own scans."""
     found = {}
@@ -177,7 +172,7 @@ def _compared(
                     paired(result.of(name, m), result.of(other, m), METRICS[m].better, rng, groups=groups)
                 )
                 for m in PAIRED
-                if m not in silent
+                if not np.isnan([result.of(name, m), result.of(other, m)]).all(axis=1).any()
             }
     return found
 

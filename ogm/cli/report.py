@@ -46,7 +46,7 @@ COMPARED = (
 )  # fmt: skip
 BRIEF = ("kl_e10", "iou_free", "iou_occupied", "false_free", "brier", "ece")  # of many methods
 FEW = 6  # methods of which all pairs are compared
-DRIVES = 5  # of which the bootstrap draws drives, not frames
+DRIVES = 5  # the fewest that the bootstrap draws from
 PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
 
 
@@ -76,7 +76,9 @@ def report(
         "versions": versions(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "grid": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
-        "intervals": f"95 %, bootstrap over {'frames' if groups is None else f'{len(set(sequences))} drives'}",
+        "intervals": _drawn(result.frames, "frames")
+        if groups is None
+        else _drawn(len(set(groups)), "drives"),
         "metrics": {name: metric._asdict() for name, metric in METRICS.items()},
         "ranges": list(RANGES),
         "models": {
@@ -103,6 +105,13 @@ def report(
         },
     }
     return _plain(record)
+
+
+def _drawn(count: int, what: str) -> str:
+    """Say what intervals are drawn from."""
+    return (
+        f"95 %, bootstrap over {count} {what}" if count >= DRIVES else f"none, as {count} {what} are too few"
+    )
 
 
 def _curves(counts: Tally) -> dict[str, Any]:

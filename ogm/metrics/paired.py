@@ -10,6 +10,7 @@ __all__ = ["Interval", "Paired", "bootstrap_mean", "bootstrap_ratio", "paired"]
 
 RESAMPLES = 2000
 LEVEL = 0.95
+FEWEST = 5  # frames or drives that an interval can be drawn from
 TIE = 1e-9  # values nearer than this, relative to the larger one, are equal
 
 
@@ -136,7 +137,8 @@ def bootstrap_ratio(
     Returns
     -------
     Interval
-        NaN if no frame is left, or where the second mean is 0; without limits if one frame or drive is left.
+        NaN if no frame is left, or where the second mean is 0; without limits if fewer than five frames, or
+        drives, are left: drawing from so few says little about how far others lie.
     """
     if resamples < 1:
         raise ValueError(f"resamples must be at least 1, got {resamples}")
@@ -150,7 +152,7 @@ def bootstrap_ratio(
     drawn = rng.integers(len(a), size=(resamples, len(a)))
     ratios = _ratio(a[drawn].mean(axis=1), b[drawn].mean(axis=1))
     edge = (1 - LEVEL) / 2
-    if len(a) < 2 or np.isnan(ratios).any():
+    if len(a) < FEWEST or np.isnan(ratios).any():
         return Interval(value, float("nan"), float("nan"))
     low, high = np.quantile(ratios, [edge, 1 - edge])
     return Interval(value, float(low), float(high))
