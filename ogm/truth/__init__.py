@@ -13,9 +13,18 @@ each point is; from then on both go the same way (van Kempen et al. 2021, Sec. I
 
 One hit is enough in either case: the hits of a simulator carry no noise, and real scans are too sparse to ask
 for more. Points of a sensor that invents returns must be cleaned before.
+
+Recordings know more, each of a kind: boxes alone, the road of a map, other scans of the same place. Their
+truths are made apart (`truth_from_boxes`, `truth_from_road`, `truth_from_scans`) and then combined
+(`combine_truths`); what nobody labelled is to be ignored there, not unknown.
 """
 
+from ogm.truth.aggregated import MARGIN, contradicted, truth_from_scans
+from ogm.truth.area import Road, cells_in_areas, free_road, truth_from_road
 from ogm.truth.boxes import boxes_seen_from, cells_in_box, count_returns
+from ogm.truth.combined import combine_truths
+from ogm.truth.moving import boxes_over_points, cells_in_boxes, move_boxes, moving_tracks, widen_boxes
+from ogm.truth.objects import truth_from_boxes
 from ogm.truth.recording import height_above_ground, truth_from_points
 from ogm.truth.rules import MIN_RETURNS, check_heights, settle, truth_grid
 from ogm.truth.state import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, Shares, Truth
@@ -36,6 +45,7 @@ __all__ = [
     "FREE",
     "GROUND_SEEN",
     "IGNORE",
+    "MARGIN",
     "MIN_RETURNS",
     "OBSTACLE_HEIGHT",
     "OBSTACLE_SEEN",
@@ -43,16 +53,29 @@ __all__ = [
     "PLANT_HEIGHT",
     "UNKNOWN",
     "Kind",
+    "Road",
     "Shares",
     "Truth",
+    "boxes_over_points",
     "boxes_seen_from",
+    "cells_in_areas",
     "cells_in_box",
+    "cells_in_boxes",
     "check_heights",
+    "combine_truths",
+    "contradicted",
     "count_returns",
+    "free_road",
     "height_above_ground",
+    "move_boxes",
+    "moving_tracks",
     "settle",
     "tally_points",
     "tally_rays",
+    "truth_from_boxes",
     "truth_from_points",
+    "truth_from_road",
+    "truth_from_scans",
     "truth_grid",
+    "widen_boxes",
 ]

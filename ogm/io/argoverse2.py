@@ -1,0 +1,254 @@
+"""Argoverse 2: one log of the sensor data set, with boxes, poses, and a map of the ground (Wilson et al. 2021)."""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.io.documents import need, numbers, read_json
+from ogm.io.objects import Objects, upright_boxes
+from ogm.io.source import optional, read_bytes
+from ogm.pose import inverse, transform_points
+
+__all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
+
+_PLACE = ("tx_m", "ty_m", "tz_m")
+_TURN = ("qx", "qy", "qz", "qw")
+_SIZE = ("length_m", "width_m", "height_m")
+
+
+@dataclass(frozen=True, eq=False)
+class Argoverse2Map:
+    """Where a log's city may be driven on, and how high its ground lies.
+
+    Parameters
+    ----------
+    areas : tuple of (N, 3) float64
+        Outlines of the drivable areas [m, city].
+    raster : (rows, columns) float64
+        Height of the ground [m, city]; NaN where it is not known.
+    rotation, shift, scale : (2, 2), (2,), float
+        From the city to the raster: ``scale * (rotation @ (x, y) + shift)`` is (column, row).
+    """
+
+    areas: tuple[NDArray[np.float64], ...]
+    raster: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    shift: NDArray[np.float64]
+    scale: float
+
+    def outlines(self, T_city_sensor: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+        """Return the outlines of the drivable areas from above, in a sensor's frame, (N, 2) each [m]."""
+        T = inverse(T_city_sensor)
+        return [transform_points(T, area)[:, :2] for area in self.areas]
+
+    def ground(
+        self, xyz: NDArray[np.floating[Any]], T_city_sensor: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return how high the ground lies at some places, both told in a sensor's frame.
+
+        Parameters
+        ----------
+        xyz : (N, 3) float
+            The places [m]; the vehicle may tilt by a degree, so that z matters a little.
+        T_city_sensor : (4, 4) float
+
+        Returns
+        -------
+        (N,) float64
+            z [m]; NaN where the map has no ground.
+        """
+        xyz = np.asarray(xyz, np.float64)
+        city = xyz @ T_city_sensor[:3, :3].T + T_city_sensor[:3, 3]
+        column, row = np.floor((city[:, :2] @ self.rotation.T + self.shift) * self.scale).astype(int).T
+        inside = (column >= 0) & (row >= 0) & (column < self.raster.shape[1]) & (row < self.raster.shape[0])
+        z = self.raster[np.where(inside, row, 0), np.where(inside, column, 0)]
+        return xyz[:, 2] + np.where(inside, z, np.nan) - city[:, 2]
+
+
+@dataclass(frozen=True, eq=False)
+class Argoverse2Log:
+    """One log. The vehicle's frame: x forward, y left, z up, its origin above the rear axle.
+
+    Parameters
+    ----------
+    folder : Path
+    sweeps : tuple of Path
+        The files of the two lidars' points, in the vehicle's frame, by time.
+    stamps : tuple of int
+        Their times [ns].
+    poses : dict of int to (4, 4) float64
+        ``T_city_vehicle`` at those times.
+    lidars : dict of str to (3,) float64
+        Where ``up_lidar`` and ``down_lidar`` stand in the vehicle's frame [m]. Empty without calibration.
+    annotations : dict of str to array, or None
+        The table of boxes; None where there is none: the test part has none.
+    map : Argoverse2Map or None
+        None where the log has no map.
+    """
+
+    folder: Path
+    sweeps: tuple[Path, ...]
+    stamps: tuple[int, ...]
+    poses: Mapping[int, NDArray[np.float64]]
+    lidars: Mapping[str, NDArray[np.float64]]
+    annotations: Mapping[str, NDArray[Any]] | None
+    map: Argoverse2Map | None
+
+    def objects(self, n: int) -> Objects:
+        """Return the boxes at sweep n, in the vehicle's frame: none where there are no annotations."""
+        if self.annotations is None:
+            return Objects(np.empty((0, 7)), (), ())
+        table = self.annotations
+        at = np.flatnonzero(table["timestamp_ns"] == self.stamps[n])
+        T = _poses({name: table[name][at] for name in (*_PLACE, *_TURN)}, self.folder / "annotations.feather")
+        yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
+        sizes = np.column_stack([table[name][at] for name in _SIZE])
+        try:
+            return Objects(
+                upright_boxes(T[:, :3, 3], yaw, sizes),
+                tuple(map(str, table["category"][at])),
+                tuple(map(str, table["track_uuid"][at])),
+            )
+        except ValueError as error:
+            raise ValueError(f"annotations.feather of {self.folder} at {self.stamps[n]}: {error}") from error
+
+
+def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
+    """Read what a log holds beside its points.
+
+    Parameters
+    ----------
+    path : path
+        The folder of the log, with ``sensors/lidar/`` in it.
+
+    Returns
+    -------
+    Argoverse2Log
+
+    Raises
+    ------
+    FileNotFoundError
+        If there are no sweeps, or no poses.
+    ValueError
+        If a table lacks a column, a sweep has no pose, or the map is of another kind.
+    ImportError
+        If pyarrow is not there.
+    """
+    folder = Path(path)
+    sweeps = sorted(folder.glob("sensors/lidar/*.feather"))
+    if not sweeps:
+        raise FileNotFoundError(f"{folder} has no sensors/lidar/*.feather: give the folder of one log")
+    try:
+        stamps = tuple(int(one.stem) for one in sweeps)
+    except ValueError as error:
+        raise ValueError(f"sweeps of {folder} must be named by their times [ns]: {error}") from error
+    file = folder / "city_SE3_egovehicle.feather"
+    table = _table(file, ("timestamp_ns", *_PLACE, *_TURN))
+    row = {int(stamp): n for n, stamp in enumerate(table["timestamp_ns"])}
+    lost = [stamp for stamp in stamps if stamp not in row]
+    if lost:
+        raise ValueError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
+    chosen = np.array([row[stamp] for stamp in stamps])
+    poses = _poses({name: table[name][chosen] for name in (*_PLACE, *_TURN)}, file)
+    notes = folder / "annotations.feather"
+    wanted = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_TURN, *_PLACE)
+    return Argoverse2Log(
+        folder,
+        tuple(sweeps),
+        stamps,
+        dict(zip(stamps, poses, strict=True)),
+        _lidars(folder),
+        _table(notes, wanted) if notes.is_file() else None,
+        _map(folder),
+    )
+
+
+def _lidars(folder: Path) -> dict[str, NDArray[np.float64]]:
+    files = [folder / "calibration" / "egovehicle_SE3_sensor.feather"]
+    files += sorted(folder.glob("calibration*/egovehicle_SE3_sensor.feather"))
+    file = next((one for one in files if one.is_file()), None)
+    if file is None:
+        return {}
+    table = _table(file, ("sensor_name", *_PLACE))
+    places = np.column_stack([table[name] for name in _PLACE]).astype(np.float64)
+    return {str(name): place for name, place in zip(table["sensor_name"], places, strict=True)}
+
+
+def _map(folder: Path) -> Argoverse2Map | None:
+    found = [sorted(folder.glob(f"map/{name}")) for name in _MAP_FILES]
+    if not any(found):
+        return None
+    if any(len(files) != 1 for files in found):
+        raise ValueError(
+            f"{folder}/map must have one file of each {', '.join(_MAP_FILES)}, found "
+            f"{', '.join(str(len(files)) for files in found)}: complete it, or remove the folder to do without"
+        )
+    (plan,), (heights,), (placing,) = found
+    drivable = need(read_json(plan, dict, "a map of Argoverse 2"), "drivable_areas", str(plan))
+    areas = []
+    for name, area in drivable.items():
+        where = f"drivable area {name} of {plan}"
+        corners = [[need(p, axis, where) for axis in "xyz"] for p in need(area, "area_boundary", where)]
+        areas.append(numbers(corners, (len(corners), 3), where))
+    try:
+        raster = np.load(heights, allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise ValueError(f"{heights} is no readable array of heights ({error})") from error
+    if raster.ndim != 2 or raster.dtype.kind != "f":
+        raise ValueError(
+            f"{heights} holds {raster.dtype} of shape {raster.shape}, wanted heights (rows, columns)"
+        )
+    place = read_json(placing, dict, "the place of the raster in the city: R, t, s")
+    rotation, shift = (
+        numbers(need(place, key, str(placing)), count, f"{key} of {placing}")
+        for key, count in (("R", 4), ("t", 2))
+    )
+    scale = float(numbers(need(place, "s", str(placing)), (), f"s of {placing}"))
+    return Argoverse2Map(tuple(areas), raster.astype(np.float64), rotation.reshape(2, 2), shift, scale)
+
+
+_MAP_FILES = ("log_map_archive_*.json", "*_ground_height_surface_*.npy", "*___img_Sim2_city.json")
+
+
+def _table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
+    """Read some columns of a Feather table."""
+    pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
+    data = read_bytes(path)[0]
+    try:
+        table = ipc.open_file(pyarrow.BufferReader(data)).read_all()
+    except (pyarrow.ArrowException, ValueError, OSError) as error:
+        raise ValueError(
+            f"{path} is no readable Feather table ({error}): it is damaged or wrongly named"
+        ) from error
+    missing = [name for name in columns if name not in table.column_names]
+    if missing:
+        raise ValueError(
+            f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}"
+        )
+    return {name: table[name].to_numpy(zero_copy_only=False) for name in columns}
+
+
+def _poses(table: Mapping[str, NDArray[Any]], path: Path) -> NDArray[np.float64]:
+    """Build transforms (K, 4, 4) from positions and quaternions."""
+    from scipy.spatial.transform import Rotation
+
+    turns = np.column_stack([table[name] for name in _TURN]).astype(np.float64)
+    places = np.column_stack([table[name] for name in _PLACE]).astype(np.float64)
+    length = np.linalg.norm(turns, axis=1)
+    bad = ~(np.isfinite(places).all(axis=1) & (np.abs(length - 1) < 1e-2))
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(
+            f"row {k} of {path} must have a finite place and a quaternion of length 1, got {places[k].tolist()}, "
+            f"{turns[k].tolist()}"
+        )
+    T = np.tile(np.eye(4), (len(turns), 1, 1))
+    if len(turns):
+        T[:, :3, :3] = Rotation.from_quat(turns).as_matrix()
+    T[:, :3, 3] = places
+    return T

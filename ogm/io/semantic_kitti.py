@@ -1,0 +1,93 @@
+"""SemanticKITTI: a class for every point of KITTI's odometry scans (Behley et al. 2019)."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ogm.io.formats import parse_kitti
+from ogm.io.objects import LabelledPoints
+from ogm.io.source import read_bytes
+
+__all__ = [
+    "SEMANTIC_KITTI",
+    "SEMANTIC_KITTI_MOVING",
+    "SEMANTIC_KITTI_TO_TRAINING",
+    "SEMANTIC_KITTI_TRAINING",
+    "read_semantic_kitti",
+]
+
+SEMANTIC_KITTI = {
+    **{0: "unlabeled", 1: "outlier", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on-rails"},
+    **{18: "truck", 20: "other-vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist", 40: "road"},
+    **{44: "parking", 48: "sidewalk", 49: "other-ground", 50: "building", 51: "fence", 52: "other-structure"},
+    **{60: "lane-marking", 70: "vegetation", 71: "trunk", 72: "terrain", 80: "pole", 81: "traffic-sign"},
+    **{99: "other-object", 252: "moving-car", 253: "moving-bicyclist", 254: "moving-person"},
+    **{255: "moving-motorcyclist", 256: "moving-on-rails", 257: "moving-bus", 258: "moving-truck"},
+    **{259: "moving-other-vehicle"},
+}
+"""What the numbers in ``labels/*.label`` mean."""
+
+SEMANTIC_KITTI_MOVING = frozenset(range(252, 260))
+"""Those of them that move while the drive is recorded."""
+
+SEMANTIC_KITTI_TRAINING = {
+    **{0: "unlabeled", 1: "car", 2: "bicycle", 3: "motorcycle", 4: "truck", 5: "other-vehicle", 6: "person"},
+    **{7: "bicyclist", 8: "motorcyclist", 9: "road", 10: "parking", 11: "sidewalk", 12: "other-ground"},
+    **{13: "building", 14: "fence", 15: "vegetation", 16: "trunk", 17: "terrain", 18: "pole"},
+    **{19: "traffic-sign"},
+}
+"""The 20 classes that networks are trained on."""
+
+_SAME = {name: number for number, name in SEMANTIC_KITTI_TRAINING.items()}
+_MERGED = {
+    **dict.fromkeys(("outlier", "other-structure", "other-object"), "unlabeled"),
+    **dict.fromkeys(("bus", "on-rails"), "other-vehicle"),
+    "lane-marking": "road",
+}
+SEMANTIC_KITTI_TO_TRAINING = {
+    number: _SAME[_MERGED.get(name.removeprefix("moving-"), name.removeprefix("moving-"))]
+    for number, name in SEMANTIC_KITTI.items()
+}
+"""Which of the 20 each class belongs to: the data set's ``learning_map``."""
+
+_LABEL = np.dtype("<u4")
+
+
+def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[str]) -> LabelledPoints:
+    """Read a scan with the classes and objects that its points belong to.
+
+    Parameters
+    ----------
+    scan : path
+        ``velodyne/000000.bin``, KITTI's own.
+    labels : path
+        ``labels/000000.label``: a number of 32 bits per point, the lower 16 the class, the upper 16 the object.
+
+    Returns
+    -------
+    LabelledPoints
+        With `SEMANTIC_KITTI` as names. Points at the sensor itself are left out with their labels.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file is not there.
+    ValueError
+        If there are more or fewer labels than points, or a class that the data set does not have.
+    """
+    (data, inner), (numbers, named) = read_bytes(scan), read_bytes(labels)
+    columns = parse_kitti(data, inner).columns
+    rows = np.column_stack([columns[name] for name in ("x", "y", "z", "intensity")]).astype(np.float32)
+    if len(numbers) != _LABEL.itemsize * len(rows):
+        raise ValueError(
+            f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points: wanted as many, "
+            "4 bytes each. Do the two belong together, and are both whole?"
+        )
+    both = np.frombuffer(numbers, _LABEL).astype(np.int64)
+    kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)
+    try:
+        points = np.ascontiguousarray(rows[kept])
+        return LabelledPoints(points, both[kept] & 0xFFFF, SEMANTIC_KITTI, both[kept] >> 16)
+    except ValueError as error:
+        raise ValueError(f"{Path(named)}: {error}") from error

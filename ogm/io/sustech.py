@@ -1,0 +1,55 @@
+"""SUSTechPOINTS: boxes as its annotation tool writes them (Li et al. 2020)."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ogm.io.axes import Axes, rotation_to_flu
+from ogm.io.documents import need, numbers, read_json
+from ogm.io.objects import Objects, upright_boxes
+
+__all__ = ["read_sustech"]
+
+
+def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Objects:
+    """Read the boxes of one scan (``label/000965.json``).
+
+    Parameters
+    ----------
+    path : path
+        A list of objects, each with ``psr`` (position, scale, rotation), ``obj_type`` and ``obj_id``.
+    axes : str, 3 str or (3, 3) array
+        Which way the scan's axes point, as for `read_points`; the default is that of the tool's own example.
+
+    Returns
+    -------
+    Objects
+        Boxes are taken as upright: roll and pitch are left out.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is no such list, or an entry lacks something or has no numbers.
+    """
+    path = Path(path)
+    turn = rotation_to_flu(axes)
+    boxes, labels, tracks = [], [], []
+    for n, note in enumerate(read_json(path, list, "the objects of a scan, each with psr, obj_type, obj_id")):
+        where = f"object {n} of {path}"
+        psr = need(note, "psr", where)
+        place, size, angles = (
+            numbers([need(part, axis, f"{key} of {where}") for axis in "xyz"], 3, f"{key} of {where}")
+            for key in ("position", "scale", "rotation")
+            for part in [need(psr, key, where)]
+        )
+        ahead = turn @ [np.cos(angles[2]), np.sin(angles[2]), 0.0]
+        boxes.append(upright_boxes(turn @ place, np.arctan2(ahead[1], ahead[0]), size)[0])
+        labels.append(str(need(note, "obj_type", where)))
+        tracks.append(str(note.get("obj_id", "")))
+    try:
+        return Objects(np.array(boxes).reshape(-1, 7), tuple(labels), tuple(tracks))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

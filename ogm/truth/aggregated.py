@@ -1,0 +1,128 @@
+"""Truth of many scans: what they agree on, wherever the sensor stood."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.grid import GridSpec
+from ogm.truth.state import FREE, IGNORE, OCCUPIED, Truth
+
+__all__ = ["MARGIN", "contradicted", "truth_from_scans"]
+
+GROUND = (-0.3, 0.15)  # [m] above the estimated ground: ground
+STANDING = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell not judged
+AT_LEAST = 3  # returns of one kind that make a cell known
+HALF = 0.5  # share of the scans with returns in a cell that must show the obstacle, or it came and went
+MARGIN = 0.3  # [m] around moving boxes: what annotation and de-skewing leave outside
+
+
+def truth_from_scans(
+    clouds: Sequence[NDArray[np.floating]],
+    above: Sequence[NDArray[np.floating]],
+    spec: GridSpec,
+    *,
+    min_scans: int = 2,
+    moving: NDArray[np.bool_] | None = None,
+) -> Truth:
+    """Make a truth grid of several scans of one place, without what moved.
+
+    A cell is
+
+    * free: 3 returns or more from the ground (-0.3 to 0.15 m above it), in `min_scans` scans or more, and none
+      from 0.15 to 2.0 m;
+    * occupied: 3 returns or more from 0.3 to 2.0 m, in as many scans, and in half or more of the scans that have
+      a return in it: else something came or went;
+    * to be ignored otherwise: kerbs, grass, what is hidden or far.
+
+    Parameters
+    ----------
+    clouds : sequence of (N, 3 or more) float
+        Points of each scan in the grid's frame [m], without those on moving objects (and `MARGIN` around
+        them) and on the own vehicle.
+    above : sequence of (N,) float
+        Their heights above ground [m].
+    spec : GridSpec
+    min_scans : int
+        Scans that must agree.
+    moving : (nx, ny) bool, optional
+        Cells to be ignored whatever the scans say: something that moves stands there now.
+
+    Returns
+    -------
+    Truth
+        Without unknown cells.
+
+    Raises
+    ------
+    ValueError
+        If the counts do not agree, or `min_scans` is below 1.
+    """
+    if len(clouds) != len(above) or any(len(a) != len(b) for a, b in zip(clouds, above, strict=True)):
+        raise ValueError("there must be one height for every point of every scan")
+    if min_scans < 1:
+        raise ValueError(f"min_scans must be 1 or more, got {min_scans}")
+    cells = spec.shape[0] * spec.shape[1]
+    returns, scans = np.zeros((3, cells), np.int64), np.zeros((3, cells), np.int64)  # ground, low, standing
+    seen = np.zeros(cells, np.int64)
+    edges = (*GROUND, *STANDING)
+    for cloud, high in zip(clouds, above, strict=True):
+        inside = spec.contains(cloud[:, 0], cloud[:, 1]) & (high >= edges[0]) & (high < edges[-1])
+        flat = np.ravel_multi_index(spec.index(cloud[inside, 0], cloud[inside, 1]), spec.shape)
+        any_here = np.zeros(cells, bool)
+        for kind in range(3):
+            band = (high[inside] >= edges[kind]) & (high[inside] < edges[kind + 1])
+            count = np.bincount(flat[band], minlength=cells)
+            returns[kind] += count
+            scans[kind] += count > 0
+            any_here |= count > 0
+        seen += any_here
+    enough = (returns >= AT_LEAST) & (scans >= min_scans)
+    state = np.full(cells, IGNORE, np.uint8)
+    state[enough[0] & (returns[1] == 0) & (returns[2] == 0)] = FREE
+    state[enough[2] & (scans[2] >= HALF * seen)] = OCCUPIED
+    state = state.reshape(spec.shape)
+    if moving is not None:
+        state[moving] = IGNORE
+    return Truth(spec, state)
+
+
+def contradicted(
+    truth: Truth, cloud: NDArray[np.floating], above: NDArray[np.floating], reach: float = MARGIN
+) -> NDArray[np.bool_]:
+    """Return the cells in which a scan shows the opposite of what others agreed on.
+
+    Something that nobody boxed has come or gone: it stands in a cell that the others know as free; or the scan
+    has ground in a cell where the others saw it stand, and nothing standing in that cell and its eight
+    neighbours. Cells of the same state up to `reach` around are contradicted too, for beams are sparse.
+
+    Parameters
+    ----------
+    truth : Truth
+        From `truth_from_scans` of other scans.
+    cloud : (N, 3 or more) float
+        Points of the scan in the grid's frame [m].
+    above : (N,) float
+        Their heights above ground [m].
+    reach : float
+        [m]
+
+    Returns
+    -------
+    (nx, ny) bool
+    """
+    from scipy.ndimage import binary_dilation
+
+    spec = truth.spec
+    ground, standing = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)
+    inside = spec.contains(cloud[:, 0], cloud[:, 1])
+    for cells, (low, high) in ((ground, GROUND), (standing, STANDING)):
+        chosen = inside & (above >= low) & (above < high)
+        cells[spec.index(cloud[chosen, 0], cloud[chosen, 1])] = True
+    near_standing = binary_dilation(standing, np.ones((3, 3), bool))
+    steps = max(1, int(np.ceil(reach / spec.resolution - 1e-9)))
+    result = np.zeros(spec.shape, bool)
+    for state, against in ((FREE, standing), (OCCUPIED, ground & ~near_standing)):
+        mine = truth.state == state
+        result |= mine & binary_dilation(mine & against, iterations=steps)
+    return result

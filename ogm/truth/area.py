@@ -1,0 +1,131 @@
+"""Truth of a map's road: free where one may drive, a sensor can see it, and nothing stands there."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.grid import GridSpec
+from ogm.truth.moving import cells_in_boxes, widen_boxes
+from ogm.truth.state import FREE, IGNORE, Truth
+
+__all__ = ["Road", "cells_in_areas", "free_road", "truth_from_road"]
+
+STANDING = (
+    0.3,
+    2.0,
+)  # [m] above ground: returns between these heights stand on the road and hide what is behind
+AROUND = 0.3  # [m] road this close to an object's box is not judged
+SECTOR = np.radians(0.4)  # [rad] of azimuth in which they hide it; a VLP-32C turns by 0.2 deg between firings
+
+
+class Road(NamedTuple):
+    """What a map and a scan say about the road around a sensor."""
+
+    clear: NDArray[np.bool_]  # (nx, ny) may be driven on, and nothing stands there
+    in_sight: NDArray[np.bool_]  # (nx, ny) of these, those that nothing hides from the sensor
+
+
+def cells_in_areas(outlines: Sequence[ArrayLike], spec: GridSpec) -> NDArray[np.bool_]:
+    """Return which cells have their middle in any of some areas.
+
+    Parameters
+    ----------
+    outlines : sequence of (N, 2) float
+        Corners of the areas, in turn [m]; the last is joined to the first. Where an outline crosses itself,
+        what it goes around twice is outside (even-odd rule).
+    spec : GridSpec
+
+    Returns
+    -------
+    (nx, ny) bool
+    """
+    result = np.zeros(spec.shape, bool)
+    xs = spec.origin[0] + (np.arange(spec.shape[0]) + 0.5) * spec.resolution
+    for outline in outlines:
+        corners = np.asarray(outline, np.float64)
+        if corners.ndim != 2 or corners.shape[1] != 2 or not np.isfinite(corners).all():
+            raise ValueError(f"an outline must be finite, of shape (N, 2), got {corners.shape}")
+        inside = np.zeros(spec.shape, bool)
+        for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            rows = np.flatnonzero((xs < x0) != (xs < x1))  # the edge crosses the line of middles at this x
+            if not len(rows):
+                continue
+            y = y0 + (y1 - y0) * (xs[rows] - x0) / (x1 - x0)
+            # Middles below the crossing change sides; a middle on it lies inside the area to its left
+            count = np.ceil((y - spec.origin[1]) / spec.resolution - 0.5)
+            below = np.arange(spec.shape[1])[None, :] < count[:, None]
+            inside[rows] ^= below
+        result |= inside
+    return result
+
+
+def free_road(
+    drivable: NDArray[np.bool_],
+    ground: NDArray[np.floating],
+    points: NDArray[np.floating],
+    above: NDArray[np.floating],
+    spec: GridSpec,
+    *,
+    boxes: ArrayLike = (),
+    own_reach: float = 0.0,
+) -> Road:
+    """Tell which cells of the road should be free, and which of them a sensor at (0, 0, 0) can see.
+
+    Left out are cells at boxes (all of them, however few returns they have, and `AROUND` them) and cells with
+    a return that stands on the road. A cell is in sight if no such return lies nearer in its direction, on or
+    above the line from the sensor to the cell's ground.
+
+    Parameters
+    ----------
+    drivable : (nx, ny) bool
+        `cells_in_areas` of the map's outlines.
+    ground : (nx, ny) float
+        z of the ground at the cells' middles [m].
+    points : (N, 3 or more) float
+        Returns of all lidars, in the frame of the one that is judged [m].
+    above : (N,) float
+        Their heights above ground [m].
+    spec : GridSpec
+    boxes : (B, 7) float
+        Objects; their heights are not looked at.
+    own_reach : float
+        Cells nearer than this [m] are left out: the own vehicle stands there.
+
+    Returns
+    -------
+    Road
+    """
+    xyz = np.asarray(points, np.float64)[:, :3]
+    standing = xyz[(above > STANDING[0]) & (above < STANDING[1])]
+    taken = cells_in_boxes(widen_boxes(boxes, AROUND), spec)
+    here = standing[spec.contains(*standing[:, :2].T)]
+    taken[spec.index(*here[:, :2].T)] = True
+
+    x, y = spec.cell_centers
+    distance = np.hypot(x, y)
+    clear = drivable & ~taken & (distance >= own_reach)
+    sector = np.floor(np.arctan2(y, x) / SECTOR).astype(int).ravel()
+    slope = (
+        ground / np.maximum(distance, 1e-9)
+    ).ravel()  # tangent of the elevation that the ground is seen at
+    hidden = np.zeros(spec.shape, bool).ravel()
+    far = np.hypot(*standing[:, :2].T)
+    of = np.floor(np.arctan2(standing[:, 1], standing[:, 0]) / SECTOR).astype(int)
+    order = np.lexsort((far, of))
+    far, of, tangent = far[order], of[order], (standing[:, 2] / np.maximum(far, 1e-9))[order]
+    cells = np.argsort(sector, kind="stable")
+    sector = sector[cells]
+    for k in np.unique(of):
+        first, last = np.searchsorted(of, [k, k + 1])
+        seen = cells[slice(*np.searchsorted(sector, [k, k + 1]))]
+        highest = np.maximum.accumulate(tangent[first:last])
+        nearer = np.searchsorted(far[first:last], distance.ravel()[seen]) - 1
+        hidden[seen] = (nearer >= 0) & (highest[np.maximum(nearer, 0)] >= slope[seen])
+    return Road(clear, clear & ~hidden.reshape(spec.shape))
+
+
+def truth_from_road(road: Road, spec: GridSpec) -> Truth:
+    """Make a truth grid of the road: free where it is in sight; all else is to be ignored, never occupied."""
+    return Truth(spec, np.where(road.in_sight, FREE, IGNORE).astype(np.uint8))
