@@ -145,7 +145,7 @@ def recordings(path: Path, real: Mapping[str, Any], note: str) -> None:
         axes.grid(axis="x", color="0.92")
     axes.set_yticks(range(len(there)), [f"{name} ({part['frames']})" for name, part in there.items()])
     axes.invert_yaxis()
-    axes.legend(fontsize=8, frameon=False)
+    figure.legend(*axes.get_legend_handles_labels(), ncols=6, loc="outside upper center", frameon=False)
     _finish(figure, path, "Real recordings, labelled cells only (number of frames)", note)
 
 

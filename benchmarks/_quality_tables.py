@@ -57,6 +57,16 @@ DRIVES = (
     ),
     *("ece_relative", "kl_e10", "mean_unknown"),
 )
+FUSED = (
+    "ray",
+    "ray + cautious",
+    "ray + dempster",
+    "ray + bayes",
+    "lite",
+    "lite + cautious",
+    "lite + dempster",
+    "lite + bayes",
+)
 REAL = ("iou_free", "iou_occupied", "false_free", "missed_occupied", "brier", "mean_unknown")
 
 
@@ -253,7 +263,9 @@ def _real(recordings: Record, kind: str) -> str:
     rows = []
     for name, one in recordings.items():
         part = one.get(kind)
-        for k, (method, scores) in enumerate((part or {"models": {}})["models"].items()):
+        models = (part or {"models": {}})["models"]
+        shown = {m: scores for m, scores in models.items() if kind == "alone" or m in FUSED}
+        for k, (method, scores) in enumerate(shown.items()):
             rows.append([_what(name, part) if k == 0 else "", f"`{method}`"])
             rows[-1] += [_value(scores["mean"][m][0]) for m in REAL]
     return _markdown(["", "", *(TITLES[m] for m in REAL)], rows, left=2)
