@@ -15,6 +15,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from ogm.cli import app
+from ogm.cli.source import source_of
 from ogm.deep.checkpoint import save_network
 from ogm.deep.network import Network, NetworkConfig
 from ogm.fusion import EvidentialMapper
@@ -24,7 +25,7 @@ from ogm.metrics import METRICS, score, tally
 from ogm.simulation.exchange import write_label
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import Store
-from ogm.truth import CANVAS, FREE, OCCUPIED, UNKNOWN, Truth
+from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
 
 MODULE = importlib.import_module("ogm.cli.evaluate")  # its function of the same name hides it
 JUDGING = importlib.import_module("ogm.cli.judging")
@@ -385,6 +386,16 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
                 scores = score(tally(mapper.view(PAPER).mass, one.truth.crop(PAPER).state))
                 found = record["models"]["ray + cautious"]["per frame"]["brier"][names.index(name)]
                 assert found == pytest.approx(scores["brier"], rel=1e-5)
+
+
+def test_where_maps_are_judged_what_a_frame_cannot_see_is_ignored(drive: Path) -> None:
+    scans, maps = (
+        source_of(drive, PAPER, "sequences", judged=judged).read(3).truth.crop(PAPER).state
+        for judged in ("scans", "maps")
+    )
+    assert set(np.unique(scans)) == {UNKNOWN, FREE, OCCUPIED}
+    assert (maps[scans == UNKNOWN] == IGNORE).all()
+    assert (maps[scans != UNKNOWN] == scans[scans != UNKNOWN]).all()
 
 
 @pytest.mark.usefixtures("no_pictures")
