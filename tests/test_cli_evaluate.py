@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import importlib
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -269,6 +270,94 @@ def test_frames_of_other_settings_are_not_mixed(
     assert judged == [0, 1, 2, 3]
 
 
+@pytest.mark.usefixtures("no_pictures")
+def test_an_interrupted_run_does_not_go_on_with_files_that_changed(
+    folders: Path, judged: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
+    with monkeypatch.context() as patch:
+        interrupted(patch, 1)
+        assert ogm(*words).exit_code == 130
+    for changed in ("truth/2.png", "nothing/2.npz"):
+        before = (folders / changed).stat()
+        os.utime(folders / changed, (0, 0))
+        result = ogm(*words)
+        assert result.exit_code == 2
+        assert "files that have changed since" in result.output
+        os.utime(folders / changed, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert ogm(*words).exit_code == 0
+    assert judged == [0, 1, 2]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_grids_that_were_made_anew_are_judged_anew(folders: Path) -> None:
+    words = ("evaluate", folders / "truth", "--grids", folders / "perfect", "--out", folders / "report")
+    assert ogm(*words).exit_code == 0
+    for k in range(3):
+        (folders / "nothing" / f"{k}.npz").replace(folders / "perfect" / f"{k}.npz")
+    result = ogm(*words)
+    assert "are finished already" not in result.output
+    assert record_of(folders / "report")["models"]["perfect"]["macro"]["iou_free"]["value"] == 0.0
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_frames_by_another_ogm_are_not_mixed(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        interrupted(patch, 1)
+        assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
+    monkeypatch.setattr(JUDGING, "state_of_code", lambda: "another")
+    result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "by another ogm" in result.output
+
+
+def test_the_state_of_files_leaves_out_the_report_beside_them(tmp_path: Path) -> None:
+    (tmp_path / "scans" / "a").mkdir(parents=True)
+    (tmp_path / "scans" / "a" / "0.bin").write_bytes(b"x")
+    paths, report = [tmp_path / "scans"], tmp_path / "scans" / "report"
+    before = JUDGING.state_of_files(paths, report)
+    (report / "frames").mkdir(parents=True)
+    (report / "frames" / "0.npz").write_bytes(b"x")
+    assert JUDGING.state_of_files(paths, report) == before
+    (tmp_path / "scans" / "b.bin").symlink_to("nowhere")
+    assert JUDGING.state_of_files(paths, report) == before
+    (tmp_path / "scans" / "a" / "1.bin").write_bytes(b"x")
+    assert JUDGING.state_of_files(paths, report) != before
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_only_frames_of_a_finished_run_are_removed(data: Path, tmp_path: Path) -> None:
+    words = ("evaluate", data, "--samples", 1, "--out", tmp_path / "report")
+    assert ogm(*words, "--ism", "ray").exit_code == 0
+    mine = tmp_path / "report" / "frames" / "mine.txt"
+    mine.write_text("x")
+    assert ogm(*words, "--ism", "height-band").exit_code == 0
+    assert mine.exists()
+
+
+def test_a_folder_of_frames_that_is_not_ours_is_left_alone(data: Path, tmp_path: Path) -> None:
+    note = tmp_path / "frames" / "run.json"
+    note.parent.mkdir()
+    for text in ('{"mine": 1}', "mine"):
+        note.write_text(text)
+        result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
+        assert result.exit_code == 2
+        assert "is damaged or not from `ogm evaluate`" in result.output
+        assert note.read_text() == text
+
+
+def test_a_frame_that_gets_lost_stops_the_run(
+    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load = JUDGING.Archive.load
+    monkeypatch.setattr(JUDGING.Archive, "load", lambda self, k: None if k == 1 else load(self, k))
+    result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
+    assert result.exit_code == 2
+    assert "lost the finished frame validation 1" in result.output
+
+
 # --- Folders of grids -------------------------------------------------------------------------------
 
 
@@ -336,6 +425,71 @@ def test_grids_with_nan_masses_are_refused(folders: Path) -> None:
     assert result.exit_code == 2
     assert "2.npy: mass must be" in result.output
     assert len(list((folders / "report" / "frames").glob("*.npz"))) == 2  # what was finished is kept
+
+
+def test_a_truth_of_other_cells_is_refused(folders: Path) -> None:
+    (folders / "truth" / "0.png").unlink()
+    words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
+    for spec in (GridSpec.centered(80.0, 50.0, 0.2), GridSpec(0.16, PAPER.shape, (-40.9, -28.16))):
+        EvidentialGrid.vacuous(spec).save(folders / "truth" / "0.npz")
+        result = ogm(*words)
+        assert result.exit_code == 2
+        assert f"0.npz has cells of {spec.resolution} m" in result.output
+        assert "a truth is not resampled" in result.output
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_truth_of_a_part_of_the_cells_leaves_out_the_rest(folders: Path) -> None:
+    (folders / "truth" / "0.png").unlink()
+    EvidentialGrid.vacuous(GridSpec(0.32, (128, 176), (-40.96, -28.16))).save(folders / "truth" / "0.npz")
+    result = ogm("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
+    assert result.exit_code == 0, result.output
+    assert record_of(folders / "report")["truth per frame"]["ignored"] == [0.5, 0.0, 0.0]
+
+
+def test_the_report_is_not_written_into_what_is_judged(folders: Path) -> None:
+    for out in ("truth", "nothing"):
+        words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / out)
+        result = ogm(*words)
+        assert result.exit_code == 2
+        assert "is what is judged" in result.output
+        assert len(list((folders / out).iterdir())) == 3
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_folder_that_is_given_as_a_dot_has_a_name(folders: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folders / "perfect")
+    assert ogm("evaluate", "../truth", "--grids", ".", "--out", "../report").exit_code == 0
+    monkeypatch.chdir(folders / "truth")
+    assert ogm("evaluate", ".", "--grids", "../nothing", "--out", "../other").exit_code == 0
+    assert list(record_of(folders / "report")["models"]) == ["perfect"]
+    assert record_of(folders / "other")["data"]["name"] == "truth"
+
+
+@pytest.mark.parametrize("name", ["a\nb", "<b>&", "=1+1", "漢", os.fsdecode(b"\xff")])
+@pytest.mark.filterwarnings("ignore:Glyph")
+def test_frames_may_have_any_name(folders: Path, name: str) -> None:
+    for folder, ending in (("truth", "png"), ("nothing", "npz")):
+        try:
+            (folders / folder / f"0.{ending}").rename(folders / folder / f"{name}.{ending}")
+        except (OSError, UnicodeError):
+            pytest.skip("this file system has no such names")
+    words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
+    assert ogm(*words).exit_code == 0
+    with open(folders / "report" / "frames.csv", newline="", encoding="utf-8") as file:
+        names = [row["frame"] for row in csv.DictReader(file)]
+    assert name.encode("utf-8", "replace").decode() in names
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_frames_without_a_value_are_not_the_worst(folders: Path) -> None:
+    (folders / "truth" / "1.png").unlink()
+    np.save(folders / "truth" / "1.npy", np.full(PAPER.shape, IGNORE, np.uint8))
+    words = ("--grids", folders / "nothing", "--frames", 1, "--out", folders / "report")
+    assert ogm("evaluate", folders / "truth", *words).exit_code == 0
+    page = (folders / "report" / "report.html").read_text()
+    assert 'id="view-1"' not in page
+    assert page.count('id="view-') == 1
 
 
 # --- Maps -------------------------------------------------------------------------------------------

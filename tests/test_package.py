@@ -240,3 +240,35 @@ def test_the_deep_page_runs() -> None:
         ).failed
         == 0
     )
+
+
+def test_the_page_on_evaluation_tells_every_metric_and_what_judging_costs() -> None:
+    from ogm.metrics import METRICS
+
+    page = (ROOT / "docs/evaluation.md").read_text()
+    rows = [
+        line.split(" | ")
+        for line in page.splitlines()
+        if re.match(r"\| `\w+` \| .* \| (lower|higher|-) \|", line)
+    ]
+    told = {name.strip("| `"): (title, better, says.removesuffix(" |")) for name, title, better, says in rows}
+    plain = str.maketrans({"∥": "|", "∣": "|"})
+    assert list(told) == list(METRICS)
+    for name, metric in METRICS.items():
+        title, better, says = told[name]
+        assert (title, better) == (metric.title, metric.better or "-")
+        assert says.translate(plain).replace("|", "") == metric.says.replace("|", "")
+    speed = json.loads((ROOT / "benchmarks/results/evaluation_speed.json").read_text())
+    (slowest,) = (
+        max(
+            one["median"]
+            for group in speed["frame [ms]"].values()
+            for what, one in group.items()
+            if start in what
+        )
+        for start in ("all ",)
+    )
+    report = speed["report"]
+    seconds = report["judging and pictures [s]"] + report["reporting [s]"]
+    for said in (f"{slowest:.0f} ms", f"{seconds:.0f} s", f"{report['page [MB]']:.1f} MB"):
+        assert said in page, said

@@ -227,6 +227,37 @@ def test_a_difference_within_its_interval_is_not_clear(
     assert "not told apart" in said
 
 
+def test_a_difference_that_may_be_chance_is_not_clear(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    for pair in record["paired"].values():
+        for one in pair.values():
+            one["difference"], one["p"] = {"value": -2.0, "low": -3.0, "high": -1.0}, 0.04
+    assert "clearly" in page(record).said.split("Clearly:")[1]
+    for pair in record["paired"].values():
+        for one in pair.values():
+            one["p"] = 0.06
+    assert "clearly" not in page(record).said.split("Clearly:")[1].split("Pairs")[0]
+
+
+def test_who_claims_little_is_told_from_who_claims_nothing(
+    record: dict[str, Any], page: Callable[..., Page]
+) -> None:
+    for iou, says in (
+        (0.0, "who claims nothing is never wrong"),
+        (0.4, "who claims less is wrong less often"),
+    ):
+        record["models"]["vague"]["macro"]["iou_free"]["value"] = iou
+        assert says in page(record).said
+
+
+def test_frames_of_few_drives_are_said_to_be_alike(record: dict[str, Any], page: Callable[..., Page]) -> None:
+    assert "The frames are of 2 drives, and those of a drive are alike" in page(record).said
+    for frame in record["frames"]:
+        frame["sequence"] = ""
+    assert "those of a drive are alike" not in page(record).said
+
+
 def test_of_two_that_were_not_compared_the_intervals_decide(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:

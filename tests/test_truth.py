@@ -421,6 +421,7 @@ def test_a_crop_refuses_a_yaw_that_is_no_number() -> None:
         (lambda: height_above_ground(np.zeros(3), np.zeros(3, bool)), "xyz must have shape"),
         (lambda: height_above_ground(np.zeros((3, 3)), np.zeros(3, int)), "is_ground must be 3 booleans"),
         (lambda: height_above_ground(np.full((3, 3), np.nan), np.ones(3, bool)), "xyz holds NaN"),
+        (lambda: height_above_ground(np.diag([1e30, 1e30, 0]), np.ones(3, bool)), "one lies at .*: drop it"),
         (lambda: height_above_ground(np.zeros((3, 3)), np.ones(3, bool), resolution=0.0), "resolution must"),
     ],
 )

@@ -30,6 +30,7 @@ GROUPS = {  # beginnings of metrics' names, in the order of the page
 REST = "Further"
 MOST = 400_000  # per-frame values that the page carries; beyond this, those of the headline metrics only
 DIGITS = 4
+CHANCE = 0.05  # a p value below it is small
 SOON = 2.0  # [s] after the frame before: lines of charts join them
 
 
@@ -111,13 +112,19 @@ def leaders(record: Mapping[str, Any]) -> list[Leader]:
 
 
 def _against(record: Mapping[str, Any], first: str, second: str, metric: str) -> tuple[str, bool]:
-    """Say in how many frames `first` beats `second`, and whether it is better beyond the interval of the difference."""
+    """Say in how many frames `first` beats `second`, and whether it is better by more than chance.
+
+    The interval of the difference must leave out zero, and p be small: of few frames, an interval that is drawn from
+    them alone is too narrow.
+    """
     lower = record["metrics"][metric]["better"] == "lower"
     for a, b, won, gains in ((first, second, "wins", lower), (second, first, "losses", not lower)):
         if one := record["paired"].get(f"{a} against {b}", {}).get(metric):
             end = one["difference"]["high" if gains else "low"]
-            clear = end is not None and (end < 0 if gains else end > 0)
-            return f"{one[won]} of {one['frames']} frames", clear
+            p = one.get("p")
+            clear = end is not None and (end < 0 if gains else end > 0) and p is not None and p < CHANCE
+            ties = f", {one['ties']} tied" if one["ties"] else ""
+            return f"{one[won]} of {one['frames']} frames{ties}", clear
     # Not compared: do their own intervals lie apart?
     spans = [record["models"][name]["macro"][metric] for name in (first, second)]
     if any(span["low"] is None or span["high"] is None for span in spans):
@@ -126,7 +133,7 @@ def _against(record: Mapping[str, Any], first: str, second: str, metric: str) ->
 
 
 def claimless(record: Mapping[str, Any], found: Iterable[Leader]) -> Iterable[tuple[str, Leader, float]]:
-    """Yield what leads in few false claims of free, of occupied, and has the lowest IoU of them: it claims nothing.
+    """Yield what leads in few false claims of free, of occupied, and has the lowest IoU of them: it claims the least.
 
     Yields
     ------

@@ -28,7 +28,7 @@ WORST, BEST = (
     0.25,
 )  # shares of the frames in the report that are the worst, the best; the rest spread evenly
 ROWS = 6  # of the contact sheet
-HEADLINE = "kl_e10"  # by which frames are ranked; by Brier's score where all of it is missing
+HEADLINE = "kl_e10"  # by which frames are ranked
 
 
 @tidy
@@ -109,7 +109,7 @@ def evaluate(
     """
     import numpy as np
 
-    from ogm.cli.judging import Archive, judge
+    from ogm.cli.judging import Archive, judge, state_of_code, state_of_files
     from ogm.cli.methods import Methods, methods_of
     from ogm.cli.page import write_page
     from ogm.cli.report import print_tables, report, versions, write_csv, write_report
@@ -134,6 +134,8 @@ def evaluate(
     methods.check([source.frames[k] for k in (range(len(source.frames)) if methods.remember else numbers)])
     if out_folder.exists() and not out_folder.is_dir():
         raise ValueError(f"--out writes a folder, but {out_folder} is a file")
+    if out_folder.resolve() in {folder.resolve() for folder in (data, *(grids or []))}:
+        raise ValueError(f"--out {out_folder} is what is judged: pictures of the report would mix with it")
 
     facts = {
         "data": {"kind": source.kind, "name": source.name, "truth": source.says, **source.facts},
@@ -141,10 +143,14 @@ def evaluate(
         "resample": resample,
         "versions": versions(),
     }
-    shown = {"frames": [source.frames[k] for k in numbers], "numbers": numbers}
-    archive = Archive(
-        out_folder / "frames", facts | shown | {"grid": [spec.resolution, spec.shape, spec.origin]}
-    )
+    settings = {
+        "frames": [source.frames[k] for k in numbers],
+        "numbers": numbers,
+        "grid": [spec.resolution, spec.shape, spec.origin],
+        "files": state_of_files([*source.files, *methods.files], out_folder),
+        "code": state_of_code(),
+    }
+    archive = Archive(out_folder / "frames", facts | settings)
     kept = sum(archive.load(k) is not None for k in numbers)
     if kept:
         complaints.print(
@@ -212,19 +218,20 @@ def _numbers(source: "Source", samples: int | None, every: int, seed: int) -> li
 
 
 def _ranked(result: "Evaluation") -> "NDArray[np.int64]":
-    """Return the frames from the best to the worst of the last method."""
+    """Return the frames from the best to the worst of the last method, without those that have no value, if any do."""
     import numpy as np
 
     values = result.of(result.models[-1], HEADLINE)
-    if np.isnan(values).all():
-        values = result.of(result.models[-1], "brier")
-    return np.argsort(values, kind="stable")  # those without a value come last
+    order = np.argsort(values, kind="stable")  # those without a value come last
+    return order[: np.count_nonzero(~np.isnan(values)) or None]
 
 
 def _pictured(result: "Evaluation", most: int) -> list[int]:
     """Choose the frames that the report shows: the worst, the best, and others spread evenly over the ranks."""
     import numpy as np
 
+    if result.frames <= most:
+        return list(range(result.frames))
     order = _ranked(result)
     if len(order) <= most:
         return sorted(order.tolist())

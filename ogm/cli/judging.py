@@ -2,9 +2,10 @@
 
 import hashlib
 import json
-import shutil
+import os
 import zipfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from ogm.files import atomic_write
 from ogm.grid import GridSpec
 from ogm.metrics import Evaluation, Tally, distances, tally
 
-__all__ = ["Archive", "Judged", "judge"]
+__all__ = ["Archive", "Judged", "judge", "state_of_code", "state_of_files"]
 
 FORMAT = "ogm.judged/1"
 View = Callable[
@@ -51,14 +52,14 @@ class Archive:
     Parameters
     ----------
     folder : Path
-        Made if need be. Frames of a *finished* run by other settings are removed.
+        Made if need be. Frames of a *finished* run by other settings are removed, nothing else.
     settings : dict
         All that decides what the frames hold, as JSON can hold it.
 
     Raises
     ------
     ValueError
-        If the folder holds an unfinished run by other settings.
+        If the folder holds an unfinished run by other settings, or a run.json that is not from here.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
@@ -71,13 +72,17 @@ class Archive:
         self._note = folder / "run.json"
         begun = self._begun()
         if begun is not None and begun.get("key") != self.key:
-            frames = len(list(folder.glob("*.npz")))
+            if begun.get("format") != FORMAT:
+                raise ValueError(f"{self._note} is damaged or not from `ogm evaluate`: give another --out")
+            frames = [path for path in folder.glob("*.npz") if path.stem.isdecimal()]
             if frames and not begun.get("finished"):
                 raise ValueError(
-                    f"{folder} holds {frames} frames of an unfinished run with other data, "
-                    "methods or settings: repeat that command to go on, give another --out, or delete the folder"
+                    f"{folder} holds {len(frames)} frames of an unfinished run with other data, methods or settings, "
+                    "with files that have changed since, or by another ogm: repeat that command to go on, give "
+                    "another --out, or delete the folder"
                 )
-            shutil.rmtree(folder)
+            for path in frames:
+                path.unlink()
         folder.mkdir(parents=True, exist_ok=True)
         self._write(finished=False, settings=settings)
         self.settings = settings
@@ -118,14 +123,51 @@ class Archive:
             found = json.loads(self._note.read_text())
         except FileNotFoundError:
             return None
-        except (OSError, ValueError):
-            return {}  # damaged: by whatever settings, not by these
+        except ValueError:
+            return {}  # damaged
         return found if isinstance(found, dict) else {}
 
     def _write(self, *, finished: bool, settings: Mapping[str, Any]) -> None:
         with atomic_write(self._note, "w") as file:
             note = {"format": FORMAT, "key": self.key, "finished": finished, "settings": settings}
             json.dump(note, file, indent=1)
+
+
+def state_of_files(paths: Iterable[Path], besides: Path | None = None) -> str:
+    """Return a number that is another one when files are added, removed, or written anew.
+
+    Parameters
+    ----------
+    paths : iterable of Path
+        Files, and folders with all that lies below; told by name, size and time of the last change, not read.
+    besides : Path, optional
+        A folder that is left out.
+    """
+    left_out = None if besides is None else besides.resolve()
+    found = []
+    for path in paths:
+        for folder, below, names in os.walk(path):
+            below[:] = sorted(name for name in below if Path(folder, name).resolve() != left_out)
+            found += (
+                [Path(folder, name) for name in sorted(names)] if Path(folder).resolve() != left_out else []
+            )
+        found += [path] if path.is_file() else []
+    lines = [(os.fsencode(one), stat.st_size, stat.st_mtime_ns) for one in found if (stat := _stat(one))]
+    return hashlib.sha256(repr(lines).encode()).hexdigest()
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    try:
+        return path.stat()
+    except OSError:  # a link to nothing
+        return None
+
+
+def state_of_code() -> str:
+    """Return a number that is another one when a line of ogm changes: its version stays while it is worked on."""
+    root = Path(str(resources.files("ogm")))
+    sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(root.rglob("*.py"))]
+    return hashlib.sha256("".join(sums).encode()).hexdigest()
 
 
 def judge(
@@ -167,10 +209,16 @@ def judge(
         truth = np.bincount(state.ravel(), minlength=4) / state.size
         ground = None if item.T_vehicle_sensor is None else -float(item.T_vehicle_sensor[2, 3])
         archive.save(number, Judged(counts, truth, view(item.points, state, masses, spec, ground)))
-    rows = (archive.load(number) for number in numbers)
-    return Evaluation.from_counts(
-        methods.names, spec, ((one.counts, one.truth) for one in rows if one is not None)
-    )
+
+    def kept(number: int) -> tuple[Sequence[Tally], NDArray[np.float64]]:
+        one = archive.load(number)
+        if one is None:
+            raise ValueError(
+                f"{archive.folder} lost the finished frame {source.frames[number].name}: repeat the command"
+            )
+        return one.counts, one.truth
+
+    return Evaluation.from_counts(methods.names, spec, map(kept, numbers))
 
 
 def _shown(source: Source, missing: Sequence[int], remember: bool) -> list[int]:

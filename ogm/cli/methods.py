@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.cli.mapping import levelled
 from ogm.cli.rules import BAYES, mapper_of, rolling
-from ogm.cli.source import Frame, Item, grids_in
+from ogm.cli.source import Frame, Item, grids_in, shown_name
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
 from ogm.fusion.warp import warp
 from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
@@ -87,6 +87,13 @@ class Methods:
     def names(self) -> tuple[str, ...]:
         """Of all methods, in order."""
         return tuple(self.given)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All grids that were made elsewhere."""
+        return tuple(
+            path for one in self.given.values() if isinstance(one, Stored) for path in one.files.values()
+        )
 
     def facts(self) -> dict[str, Any]:
         """Say what each method is, as JSON can hold it."""
@@ -205,13 +212,14 @@ def methods_of(
     for folder in folders:
         if not folder.is_dir():
             raise FileNotFoundError(f"there is no folder {folder}; --grids wants one of grids")
-        name = folder.name if folder.name not in result else str(folder)
+        name = shown_name(folder)
+        name = name if name not in result else str(folder)
         if name in result:
             raise ValueError(f"{folder} is given twice; give each folder once")
         files = grids_in(folder)
         if not files:
             raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
-        result[name] = Stored(files, f"Grids of the folder {folder.name}, {len(files)} files.")
+        result[name] = Stored(files, f"Grids of the folder {shown_name(folder)}, {len(files)} files.")
     return result
 
 

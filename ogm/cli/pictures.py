@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ogm.cli.charts import clean
 from ogm.files import atomic_write
 from ogm.metrics import METRICS, Evaluation
 
@@ -50,7 +51,7 @@ def metrics_picture(
     for axis in axes[len(shown) :]:
         axis.set_axis_off()
     for axis, metric in zip(axes, shown, strict=False):
-        labels = [fill(name, 9) for name in result.models]
+        labels = [fill(clean(name), 9) for name in result.models]
         for place, name in enumerate(result.models):
             colour, values = COLOURS[place % len(COLOURS)], result.of(name, metric)
             values = values[~np.isnan(values)]
@@ -80,7 +81,7 @@ def metrics_picture(
         axis.grid(axis="y", color="0.9")
         axis.set_axisbelow(True)
         axis.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(title, fontsize=12, y=1 - 0.15 / height, va="top")
+    figure.suptitle(clean(title), fontsize=12, y=1 - 0.15 / height, va="top")
     figure.text(0.5, 0.05 / height, note, fontsize=7, color="0.35", ha="center")
     _save(figure, path)
 
@@ -138,14 +139,14 @@ def frames_picture(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]
         for axis, panel in zip(row, panels, strict=True):
             x0, x1, y0, y1 = panel.spec.extent
             axis.imshow(panel.image, extent=(y1, y0, x0, x1), interpolation="antialiased")
-            axis.set_title(panel.title, fontsize=8, parse_math=False)
+            axis.set_title(clean(panel.title), fontsize=8, parse_math=False)
             axis.set_xticks([])
             axis.set_yticks([])
             legends |= panel.legend
-        row[0].set_ylabel(name, fontsize=9, parse_math=False)
+        row[0].set_ylabel(clean(name), fontsize=9, parse_math=False)
     handles = [Patch(facecolor=c, edgecolor="0.6", label=label) for label, c in legends.items()]
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=9)
-    figure.suptitle(title, fontsize=11, y=1 - 0.1 / down, va="top")
+    figure.suptitle(clean(title), fontsize=11, y=1 - 0.1 / down, va="top")
     _save(figure, path)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
+from ogm.cli.charts import clean
 from ogm.cli.console import out
 from ogm.files import atomic_write
 from ogm.metrics import (
@@ -70,13 +71,14 @@ def report(
         What each method ``says`` of itself, and its ``weights``.
     """
     spec, facts = result.spec, methods or {}
+    drives = len(set(sequences) - {""})
     groups = sequences if len(set(sequences)) >= DRIVES else None
     record = {
         "format": "ogm.evaluation/2",
         "versions": versions(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "grid": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
-        "intervals": _drawn(result.frames, "frames")
+        "intervals": _drawn(result.frames, "frames", drives)
         if groups is None
         else _drawn(len(set(groups)), "drives"),
         "metrics": {name: metric._asdict() for name, metric in METRICS.items()},
@@ -107,11 +109,12 @@ def report(
     return _plain(record)
 
 
-def _drawn(count: int, what: str) -> str:
+def _drawn(count: int, what: str, of: int = 0) -> str:
     """Say what intervals are drawn from."""
-    return (
-        f"95 %, bootstrap over {count} {what}" if count >= DRIVES else f"none, as {count} {what} are too few"
-    )
+    if count < DRIVES:
+        return f"none, as {count} {what} are too few" if count > 1 else f"none, as there is one {what[:-1]}"
+    alike = f" of {of} drive{'s' * (of > 1)}, which are alike: too narrow for other drives" if of else ""
+    return f"95 %, bootstrap over {count} {what}{alike}"
 
 
 def _curves(counts: Tally) -> dict[str, Any]:
@@ -172,7 +175,9 @@ def write_csv(path: Path, result: Evaluation, frames: Sequence[str]) -> None:
         for k, frame in enumerate(frames):
             for name in result.models:
                 values = (result.of(name, metric)[k] for metric in METRICS)
-                writer.writerow([frame, name, *("" if math.isnan(v) else f"{v:.7g}" for v in values)])
+                writer.writerow(
+                    [clean(frame), clean(name), *("" if math.isnan(v) else f"{v:.7g}" for v in values)]
+                )
 
 
 def write_report(path: Path, record: Mapping[str, Any]) -> None:
@@ -185,11 +190,17 @@ def write_report(path: Path, record: Mapping[str, Any]) -> None:
 def print_tables(result: Evaluation, record: Mapping[str, Any], title: str) -> None:
     """Print what a person wants to know first: the means, and how the last method stands against the others."""
     models = result.models
-    table = Table(title=f"Means over {title}", title_justify="left", title_style="", box=None, pad_edge=False)
+    table = Table(
+        title=Text(f"Means over {clean(title)}"),
+        title_justify="left",
+        title_style="",
+        box=None,
+        pad_edge=False,
+    )
     table.add_column("")
     if len(models) <= FEW:
         for name in models:
-            table.add_column(Text(name), justify="right", overflow="fold")
+            table.add_column(Text(clean(name)), justify="right", overflow="fold")
         for metric in PRINTED:
             table.add_row(_heading(metric), *_marked(record, models, metric))
     else:
@@ -197,12 +208,14 @@ def print_tables(result: Evaluation, record: Mapping[str, Any], title: str) -> N
             table.add_column(_heading(metric), justify="right")
         columns = [_marked(record, models, metric) for metric in BRIEF]
         for name, *row in zip(models, *columns, strict=True):
-            table.add_row(Text(name), *row)
+            table.add_row(Text(clean(name)), *row)
     out.print(table)
     out.print("(- lower, + higher is better; +- half of the 95 % interval; report.html says what each is)")
     last = [name for name in record["paired"] if name.startswith(f"{models[-1]} against ")]
     for name in last[-FEW:]:
-        table = Table(title=f"\n{name}", title_justify="left", title_style="", box=None, pad_edge=False)
+        table = Table(
+            title=Text(f"\n{clean(name)}"), title_justify="left", title_style="", box=None, pad_edge=False
+        )
         for head in ("", "wins", "ties", "losses", "ratio of means"):
             table.add_column(head, justify="left" if head == "" else "right")
         for metric in COMPARED:
@@ -230,4 +243,5 @@ def _said(interval: Mapping[str, float | None]) -> str:
     value, low, high = (interval[key] for key in ("value", "low", "high"))
     if value is None:
         return "no value"
-    return f"{value:.3f}" if low is None or high is None else f"{value:.3f} +-{(high - low) / 2:.3f}"
+    kind = ".3f" if abs(value) < 1e5 else ".3g"
+    return f"{value:{kind}}" if low is None or high is None else f"{value:{kind}} +-{(high - low) / 2:{kind}}"

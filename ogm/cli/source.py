@@ -9,12 +9,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import GRID_ENDINGS
+from ogm.grid import GridSpec
+from ogm.io.grids import GRID_ENDINGS, read_grid
 from ogm.metrics import called
 from ogm.truth import IGNORE, UNKNOWN, Truth
 
-__all__ = ["Frame", "Item", "Source", "grids_in", "source_of"]
+__all__ = ["Frame", "Item", "Source", "grids_in", "shown_name", "source_of"]
 
 HOW = {
     "aimed": "rays from the sensor's place, aimed at every cell,",
@@ -75,6 +75,8 @@ class Source:
     frames : tuple of Frame
     read : function of int
         Reads a frame.
+    files : tuple of Path
+        Files and folders that it reads from.
     """
 
     kind: str
@@ -83,6 +85,12 @@ class Source:
     facts: dict[str, Any]
     frames: tuple[Frame, ...]
     read: Callable[[int], Item]
+    files: tuple[Path, ...] = ()
+
+
+def shown_name(folder: Path) -> str:
+    """Return what a folder is called, also where it is given as ``.`` or ``..``."""
+    return folder.name if folder.name not in ("", "..") else folder.resolve().name or str(folder)
 
 
 def source_of(
@@ -181,7 +189,8 @@ def _store(path: Path, split: str | None, judged: str) -> Source:
     says = f"Simulated: what {how} hit; participants with 50 returns or more as a whole; what nothing hit is unknown."
     if judged == "maps":
         says += " Maps may know that from other frames: it is left out."
-    return Source("simulated store", f"{path.name}, {name}", says, facts, frames, read)
+    title = f"{shown_name(path)}, {name}"
+    return Source("simulated store", title, says, facts, frames, read, (path / "zarr.json", path / name))
 
 
 def _known_only(truth: Truth) -> Truth:
@@ -201,7 +210,8 @@ def _recording(path: Path, truth: tuple[str, ...], later: str) -> Source:
         Frame(one.name, one.sequence, one.stamp if math.isfinite(one.stamp) else None) for one in recording
     )
     facts = {"format": recording.format, "frames": len(frames)}
-    return Source("real recording", recording.name, recording.truth_says, facts, frames, read)
+    name = recording.name or shown_name(path)
+    return Source("real recording", name, recording.truth_says, facts, frames, read, (path,))
 
 
 def _grids(path: Path, spec: GridSpec) -> Source:
@@ -210,9 +220,11 @@ def _grids(path: Path, spec: GridSpec) -> Source:
     says = "Grids of a folder: a cell is what has most mass, unknown included; what the pictures do not show, unknown."
     facts = {"files": len(names)}
     frames = tuple(Frame(name) for name in names)
-    return Source(
-        "folders of grids", path.name, says, facts, frames, lambda k: Item(_truth(files[names[k]], spec))
-    )
+
+    def read(k: int) -> Item:
+        return Item(_truth(files[names[k]], spec))
+
+    return Source("folders of grids", shown_name(path), says, facts, frames, read, tuple(files.values()))
 
 
 def _truth(path: Path, spec: GridSpec) -> Truth:
@@ -223,14 +235,29 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
         return read_label(path, spec)
     if path.suffix.lower() == ".npy":
         try:
-            state = np.load(path, allow_pickle=False)
-        except (ValueError, EOFError) as error:
+            state = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (ValueError, EOFError, OverflowError) as error:
             raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
         if state.dtype != np.uint8 or state.shape != spec.shape or (state.size and state.max() > IGNORE):
             raise ValueError(
                 f"{path} must hold states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}, got "
                 f"{state.dtype} {state.shape}"
             )
-        return Truth(spec, state)
-    grid = EvidentialGrid.load(path)
+        return Truth(spec, np.array(state))
+    grid = read_grid(path, spec)
+    if not _fit(grid.spec, spec):
+        raise ValueError(
+            f"{path} has cells of {grid.spec.resolution:g} m from x {grid.spec.origin[0]:g}, y "
+            f"{grid.spec.origin[1]:g} m on, but judged are cells of {spec.resolution:g} m from x {spec.origin[0]:g}, "
+            f"y {spec.origin[1]:g} m on; a truth is not resampled: save it on those, or on whole multiples of them"
+        )
     return Truth(grid.spec, called(grid.mass))
+
+
+def _fit(cells: GridSpec, spec: GridSpec) -> bool:
+    """Tell whether each cell of `spec` lies in one cell of others, or outside of them all."""
+    ratio = cells.resolution / spec.resolution
+    steps = (np.array(cells.origin) - spec.origin) / spec.resolution
+    return round(ratio) >= 1 and bool(
+        np.allclose([ratio, *steps], np.rint([ratio, *steps]), rtol=0, atol=1e-3)
+    )

@@ -328,7 +328,7 @@ function pairOf(a, b) {  // what a gains against b; the page carries each pair o
 function pairs() {
   const b = Number($("reference").value), rival = $("rival").value;
   const span = (v, low, high) => [said(v), ...(low === null || high === null ? [] : [node("small", {}, `${said(low)} – ${said(high)}`)])];
-  const verdict = (metric, row) => row[6] === null || row[7] === null || row[6] * row[7] <= 0 ? null : (row[5] < 0) === (D.metrics[metric].better === "lower") ? "best" : "worse";
+  const verdict = (metric, row) => row[6] === null || row[7] === null || row[6] * row[7] <= 0 || row[4] === null || row[4] >= 0.05 ? null : (row[5] < 0) === (D.metrics[metric].better === "lower") ? "best" : "worse";
   let head, rows;
   if (rival === "all") {
     const metrics = D.headline.filter(m => D.metrics[m].better);
@@ -349,7 +349,7 @@ function pairs() {
       node("td", { class: verdict(metric, row) }, ...span(row[5], row[6], row[7])), node("td", {}, ...span(row[8], row[9], row[10])), node("td", {}, saidP(row[4]))));
   }
   $("paired-table").replaceChildren(node("table", { class: "scores" }, node("thead", {}, node("tr", {}, ...head.map(text => node("th", { scope: "col" }, text)))), node("tbody", {}, ...rows)),
-    node("p", { class: "reason" }, `${rival === "all" ? "Wins : losses, × ratio of means, p. " : ""}Green: clearly better than the reference, orange: clearly worse; the 95 % interval of the mean difference leaves out zero.`));
+    node("p", { class: "reason" }, `${rival === "all" ? "Wins : losses, × ratio of means, p. " : ""}Green: clearly better than the reference, orange: clearly worse; the 95 % interval of the mean difference leaves out zero and p is below 0.05.`));
 }
 
 function pairControls() {

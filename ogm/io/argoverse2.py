@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.documents import need, numbers, read_json
+from ogm.io.documents import need, numbers, read_array, read_json
 from ogm.io.objects import Objects, upright_boxes
 from ogm.io.source import optional, read_bytes
 from ogm.pose import inverse, transform_points
@@ -64,9 +64,11 @@ class Argoverse2Map:
         """
         xyz = np.asarray(xyz, np.float64)
         city = xyz @ T_city_sensor[:3, :3].T + T_city_sensor[:3, 3]
-        column, row = np.floor((city[:, :2] @ self.rotation.T + self.shift) * self.scale).astype(int).T
-        inside = (column >= 0) & (row >= 0) & (column < self.raster.shape[1]) & (row < self.raster.shape[0])
-        z = self.raster[np.where(inside, row, 0), np.where(inside, column, 0)]
+        with np.errstate(over="ignore", invalid="ignore"):  # what lies beyond all numbers lies outside
+            place = np.floor((city[:, :2] @ self.rotation.T + self.shift) * self.scale)
+        inside = np.all((place >= 0) & (place < self.raster.shape[::-1]), axis=1)
+        column, row = np.where(inside[:, None], place, 0).astype(int).T
+        z = self.raster[row, column]
         return xyz[:, 2] + np.where(inside, z, np.nan) - city[:, 2]
 
 
@@ -105,9 +107,10 @@ class Argoverse2Log:
             return Objects(np.empty((0, 7)), (), ())
         table = self.annotations
         at = np.flatnonzero(table["timestamp_ns"] == self.stamps[n])
-        T = _poses({name: table[name][at] for name in (*_PLACE, *_TURN)}, self.folder / "annotations.feather")
+        file = self.folder / "annotations.feather"
+        T = _poses({name: table[name][at] for name in (*_PLACE, *_TURN)}, file)
         yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-        sizes = np.column_stack([table[name][at] for name in _SIZE])
+        sizes = _columns({name: table[name][at] for name in _SIZE}, _SIZE, file)
         try:
             return Objects(
                 upright_boxes(T[:, :3, 3], yaw, sizes),
@@ -175,7 +178,9 @@ def _lidars(folder: Path) -> dict[str, NDArray[np.float64]]:
     if file is None:
         return {}
     table = _table(file, ("sensor_name", *_PLACE))
-    places = np.column_stack([table[name] for name in _PLACE]).astype(np.float64)
+    places = _columns(table, _PLACE, file)
+    if not np.isfinite(places).all():
+        raise ValueError(f"{file} has sensors whose place is not finite: take the calibration of another log")
     return {str(name): place for name, place in zip(table["sensor_name"], places, strict=True)}
 
 
@@ -189,27 +194,26 @@ def _map(folder: Path) -> Argoverse2Map | None:
             f"{', '.join(str(len(files)) for files in found)}: complete it, or remove the folder to do without"
         )
     (plan,), (heights,), (placing,) = found
-    drivable = need(read_json(plan, dict, "a map of Argoverse 2"), "drivable_areas", str(plan))
+    drivable = need(read_json(plan, dict, "a map of Argoverse 2"), "drivable_areas", str(plan), dict)
     areas = []
     for name, area in drivable.items():
         where = f"drivable area {name} of {plan}"
-        corners = [[need(p, axis, where) for axis in "xyz"] for p in need(area, "area_boundary", where)]
+        boundary = need(area, "area_boundary", where, list)
+        corners = [[need(p, axis, where) for axis in "xyz"] for p in boundary]
         areas.append(numbers(corners, (len(corners), 3), where))
-    try:
-        raster = np.load(heights, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise ValueError(f"{heights} is no readable array of heights ({error})") from error
-    if raster.ndim != 2 or raster.dtype.kind != "f":
-        raise ValueError(
-            f"{heights} holds {raster.dtype} of shape {raster.shape}, wanted heights (rows, columns)"
-        )
+    raster = read_array(
+        read_bytes(heights)[0],
+        heights,
+        lambda shape, dtype: len(shape) == 2 and min(shape) > 0 and dtype.kind == "f",
+        "heights (rows, columns) as floating point numbers",
+    )
     place = read_json(placing, dict, "the place of the raster in the city: R, t, s")
     rotation, shift = (
         numbers(need(place, key, str(placing)), count, f"{key} of {placing}")
         for key, count in (("R", 4), ("t", 2))
     )
     scale = float(numbers(need(place, "s", str(placing)), (), f"s of {placing}"))
-    return Argoverse2Map(tuple(areas), raster.astype(np.float64), rotation.reshape(2, 2), shift, scale)
+    return Argoverse2Map(tuple(areas), raster, rotation.reshape(2, 2), shift, scale)
 
 
 _MAP_FILES = ("log_map_archive_*.json", "*_ground_height_surface_*.npy", "*___img_Sim2_city.json")
@@ -221,7 +225,7 @@ def _table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
     data = read_bytes(path)[0]
     try:
         table = ipc.open_file(pyarrow.BufferReader(data)).read_all()
-    except (pyarrow.ArrowException, ValueError, OSError) as error:
+    except (pyarrow.ArrowException, ValueError, OSError, MemoryError) as error:
         raise ValueError(
             f"{path} is no readable Feather table ({error}): it is damaged or wrongly named"
         ) from error
@@ -230,15 +234,34 @@ def _table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
         raise ValueError(
             f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}"
         )
-    return {name: table[name].to_numpy(zero_copy_only=False) for name in columns}
+    try:
+        found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns}
+    except (pyarrow.ArrowException, ValueError) as error:
+        raise ValueError(
+            f"{path} has columns that cannot be read ({str(error)[:120]}): it is damaged"
+        ) from error
+    if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
+        raise ValueError(
+            f"timestamp_ns of {path} must be whole numbers [ns], all of them, got {table['timestamp_ns'].type}"
+        )
+    return found
+
+
+def _columns(table: Mapping[str, NDArray[Any]], names: Sequence[str], path: Path) -> NDArray[np.float64]:
+    """Return columns of numbers side by side, (K, C)."""
+    wrong = [name for name in names if table[name].dtype.kind not in "iuf"]
+    if wrong:
+        raise ValueError(
+            f"{', '.join(wrong)} of {path} must be columns of numbers, got {table[wrong[0]].dtype}"
+        )
+    return np.column_stack([table[name] for name in names]).astype(np.float64)
 
 
 def _poses(table: Mapping[str, NDArray[Any]], path: Path) -> NDArray[np.float64]:
     """Build transforms (K, 4, 4) from positions and quaternions."""
     from scipy.spatial.transform import Rotation
 
-    turns = np.column_stack([table[name] for name in _TURN]).astype(np.float64)
-    places = np.column_stack([table[name] for name in _PLACE]).astype(np.float64)
+    turns, places = _columns(table, _TURN, path), _columns(table, _PLACE, path)
     length = np.linalg.norm(turns, axis=1)
     bad = ~(np.isfinite(places).all(axis=1) & (np.abs(length - 1) < 1e-2))
     if bad.any():

@@ -34,34 +34,33 @@ def read_grid(path: str | os.PathLike[str], area: GridSpec) -> EvidentialGrid:
     """
     path = Path(path)
     ending = path.suffix.lower()
-    if ending == ".npz":
-        return EvidentialGrid.load(path)
-    if ending == ".npy":
-        mass = _array(path)
-    elif ending == ".png":
-        mass = _picture(path)
-    else:
+    if ending not in GRID_ENDINGS:
         raise ValueError(f"{path} is no grid that can be read; wanted {', '.join(GRID_ENDINGS)}")
-    spec = _on(area, mass.shape[:2], path)
     try:
-        return EvidentialGrid(spec, mass)
+        if ending == ".npz":
+            return EvidentialGrid.load(path)
+        return EvidentialGrid(*(_array(path, area) if ending == ".npy" else _picture(path, area)))
     except ValueError as error:
+        if str(path) in str(error):
+            raise
         raise ValueError(f"{path}: {error}") from error
 
 
-def _array(path: Path) -> NDArray[np.float32]:
+def _array(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
     try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, EOFError) as error:
+        array = np.load(
+            path, mmap_mode="r", allow_pickle=False
+        )  # a shape that the file does not hold is refused
+    except (ValueError, EOFError, OverflowError) as error:
         raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
     if array.ndim != 3 or array.shape[-1] != 2 or array.dtype.kind != "f":
         raise ValueError(
             f"{path} must hold masses of free and occupied, (nx, ny, 2) float, got {array.dtype} {array.shape}"
         )
-    return array.astype(np.float32)
+    return _on(area, array.shape[:2], path), array.astype(np.float32)
 
 
-def _picture(path: Path) -> NDArray[np.float32]:
+def _picture(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -70,19 +69,20 @@ def _picture(path: Path) -> NDArray[np.float32]:
                 raise ValueError(
                     f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}"
                 )
+            spec = _on(area, (picture.height, picture.width), path)  # before it is unpacked
             pixels = np.asarray(picture.convert("RGB"))
-    except (UnidentifiedImageError, OSError, SyntaxError) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError) as error:
         if isinstance(error, FileNotFoundError):
             raise
         raise ValueError(f"{path} is damaged or no picture: {error}") from error
     red, green = pixels[::-1, ::-1, 0], pixels[::-1, ::-1, 1]
     mass = np.stack([green, red], axis=-1).astype(np.float32) / 255
-    return mass / np.maximum(mass.sum(axis=-1, keepdims=True), 1)  # rounding may exceed one by a hair
+    return spec, mass / np.maximum(mass.sum(axis=-1, keepdims=True), 1)  # rounding may exceed one by a hair
 
 
 def _on(area: GridSpec, shape: tuple[int, int], path: Path) -> GridSpec:
     """Return cells of a shape that fill an area."""
-    resolution = area.length / shape[0]
+    resolution = area.length / max(shape[0], 1)
     if not np.isclose(resolution * shape[1], area.width, rtol=1e-6):
         raise ValueError(
             f"{path} has {shape[0]} x {shape[1]} cells; on {area.length:g} m x {area.width:g} m they are no squares. "

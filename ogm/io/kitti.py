@@ -123,21 +123,29 @@ def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     Raises
     ------
     FileNotFoundError, ValueError
-        If there is no such file, or a line is no time.
+        If there is no such file, a line is no time, or lines between others are empty: scans are counted by lines.
     """
     path = Path(path)
-    stamps = []
+    stamps: list[float] = []
     for n, words in read_lines(path):
+        if n != len(stamps) + 1:
+            raise ValueError(
+                f"line {len(stamps) + 1} of {path} is empty, but lines follow, wanted a time for every scan from the "
+                "first on: which belongs to which cannot be told"
+            )
         try:
             if len(words) == 1:
-                stamps.append(float(words[0]))
+                stamp = float(words[0])
             else:
-                stamps.append(np.datetime64("T".join(words), "ns").astype(np.int64) * 1e-9)
+                stamp = np.datetime64("T".join(words), "ns").astype(np.int64) * 1e-9
+            if not np.isfinite(stamp):
+                raise ValueError("not finite")
         except ValueError as error:
             raise ValueError(
                 f"line {n} of {path} must be a time, such as 2011-09-26 13:02:25.964389445 or seconds, got "
                 f"{' '.join(words)[:60]!r}"
             ) from error
+        stamps.append(stamp)
     return np.array(stamps, np.float64)
 
 

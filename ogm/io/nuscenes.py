@@ -42,7 +42,7 @@ class NuScenes:
     frames : tuple of NuScenesFrame
         By scene, then by time.
     annotated : bool
-        Whether there are boxes: the test part has none.
+        Whether there are boxes: the test part has none, its table of them is empty.
     labels : mapping of str to str
         Category of each object, by its ``instance_token``. Empty for mmdetection3d's info.
     """
@@ -109,8 +109,9 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
                 f"{folder} must have one folder of tables (v1.0-...), found {found}: give that folder"
             )
         folder = versions[0]
-    annotated = (folder / "sample_annotation.json").is_file()
-    tables = {name: _table(folder, name) for name in (*_TABLES, *(_NOTES if annotated else ()))}
+    noted = (folder / "sample_annotation.json").is_file()
+    tables = {name: _table(folder, name) for name in (*_TABLES, *(_NOTES if noted else ()))}
+    annotated = bool(tables.get("sample_annotation"))
     notes: dict[str, list[dict[str, Any]]] = {}
     for row in tables.get("sample_annotation", {}).values():
         notes.setdefault(str(need(row, "sample_token", "a row of sample_annotation.json")), []).append(row)
@@ -126,7 +127,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
         if _look_up(tables, "sensor", mounting, "calibrated_sensor").get("channel") != _LIDAR:
             continue
         sample = _look_up(tables, "sample", row, "sample_data")
-        file = folder.parent / str(need(row, "filename", "a row of sample_data.json"))
+        file = _inside(folder.parent, str(need(row, "filename", "a row of sample_data.json")))
         if file.is_file():
             scene = str(_look_up(tables, "scene", sample, "sample").get("name", ""))
             stamp = (
@@ -173,8 +174,9 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
     about = need(content, "metainfo", str(path))
     if str(need(about, "dataset", f"metainfo of {path}")).lower() != "nuscenes":
         raise ValueError(f"{path} is of {about['dataset']}, wanted nuscenes")
-    names = {number: name for name, number in need(about, "categories", f"metainfo of {path}").items()}
-    entries = [content["frame"]] if "frame" in content else need(content, "data_list", str(path))
+    categories = need(about, "categories", f"metainfo of {path}", dict)
+    names = {number: str(name) for name, number in categories.items() if isinstance(number, int)}
+    entries = [content["frame"]] if "frame" in content else need(content, "data_list", str(path), list)
     frames = []
     for n, entry in enumerate(entries):
         where = f"frame {n} of {path}"
@@ -183,8 +185,8 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
         T_vehicle_sensor = _matrix(lidar, "lidar2ego", where)
         T = _matrix(entry, "ego2global", where) @ T_vehicle_sensor @ _TURN.T
         notes = tuple(
-            {**note, "name": names.get(note.get("bbox_label_3d"), "other")}
-            for note in need(entry, "instances", where)
+            {"bbox_3d": need(note, "bbox_3d", f"an object of {where}"), **note, "name": _named(note, names)}
+            for note in need(entry, "instances", where, list)
         )
         stamp = float(numbers(need(entry, "timestamp", where), (), f"timestamp of {where}"))
         frames.append(
@@ -193,6 +195,11 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
             )
         )
     return NuScenes(tuple(sorted(frames, key=lambda one: (one.scene, one.stamp))), True, {})
+
+
+def _named(note: Mapping[str, Any], names: Mapping[int, str]) -> str:
+    number = note.get("bbox_label_3d")
+    return names.get(number, "other") if isinstance(number, int) else "other"
 
 
 def _mmdet3d_boxes(frame: NuScenesFrame) -> tuple[list[NDArray[np.float64]], list[str], list[str]]:
@@ -210,6 +217,16 @@ def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
     path = folder / f"{name}.json"
     rows = read_json(path, list, f"the table {name} of nuScenes: a list of rows with tokens")
     return {str(need(row, "token", f"row {n} of {path}")): row for n, row in enumerate(rows)}
+
+
+def _inside(folder: Path, name: str) -> Path:
+    """Return a file of the data set by the name that a table gives it."""
+    if Path(name).is_absolute() or ".." in Path(name).parts:
+        raise ValueError(
+            f"sample_data.json names the file {name[:200]!r}, wanted one under {folder}, such as "
+            "samples/LIDAR_TOP/...: tables of nuScenes name no other, so do not trust these"
+        )
+    return folder / name
 
 
 def _look_up(

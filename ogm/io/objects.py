@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["LabelledPoints", "Objects", "upright_boxes"]
+__all__ = ["REACH", "LabelledPoints", "Objects", "upright_boxes"]
+
+REACH = 1e5  # [m] beyond which nothing was seen: as for the points of scans
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +28,8 @@ class Objects:
     Raises
     ------
     ValueError
-        If the counts disagree, a number is not finite, a length or width is not above 0, or a top is not above
-        its bottom.
+        If the counts disagree, a number is not finite or beyond `REACH`, a length or width is not above 0, or a
+        top is not above its bottom.
     """
 
     boxes: NDArray[np.float64]
@@ -48,12 +50,12 @@ class Objects:
                 f"{len(tracks)} tracks; an unknown track is ''"
             )
         flat = (boxes[:, 3:5] > 0).all(axis=1) & (boxes[:, 6] > boxes[:, 5])
-        bad = ~(np.isfinite(boxes).all(axis=1) & flat)
+        bad = ~((np.abs(boxes) <= REACH).all(axis=1) & flat)  # NaN is not
         if bad.any():
             k = int(np.argmax(bad))
             raise ValueError(
-                f"box {k} ({labels[k]}) must be finite, with length, width and height above 0 m, got x, y, yaw, "
-                f"length, width, bottom, top = {boxes[k].tolist()}; drop it, or mend the label"
+                f"box {k} ({labels[k]}) must be finite, within {REACH:g} m, with length, width and height above 0 m, "
+                f"got x, y, yaw, length, width, bottom, top = {boxes[k].tolist()}; drop it, or mend the label"
             )
         for name, value in (("boxes", boxes), ("labels", labels), ("tracks", tracks)):
             object.__setattr__(self, name, value)

@@ -1,15 +1,14 @@
 """Range images with a class for every beam, as networks that label scans are trained on."""
 
-import io
-import math
 import os
 from collections.abc import Mapping
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.objects import LabelledPoints
+from ogm.io.documents import read_array
+from ogm.io.objects import REACH, LabelledPoints
 from ogm.io.source import read_bytes
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
@@ -19,6 +18,9 @@ NUSCENES_ELEVEN = {
     **{7: "car", 8: "truck", 9: "bus", 10: "none"},
 }
 """The classes of the nuScenes frames that PCLSegmentation ships (ika, RWTH Aachen)."""
+
+
+_WANTED = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, class"
 
 
 def read_range_image(
@@ -53,12 +55,16 @@ def read_range_image(
     ValueError
         If it holds another array, numbers that are none where there is a range, or a class without a name.
     """
-    image = _array(*read_bytes(path)[:1], path).reshape(-1, 6)
+    image = read_array(
+        read_bytes(path)[0], Path(path), lambda shape, _: len(shape) == 3 and shape[-1] == 6, _WANTED
+    ).reshape(-1, 6)
     image = image[image[:, 4] > 0]
     if not np.isfinite(image).all():
         bad = np.count_nonzero(~np.isfinite(image).all(axis=1))
         raise ValueError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
-    classes = image[:, 5].astype(np.int64)
+    if np.abs(image[:, :3]).max(initial=0) > REACH:
+        raise ValueError(f"{path} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
+    classes = np.clip(image[:, 5], -1, 2**31).astype(np.int64)
     if not np.array_equal(classes, image[:, 5]):
         raise ValueError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")
     points = np.empty((len(image), 4), np.float32)
@@ -68,24 +74,3 @@ def read_range_image(
         return LabelledPoints(points, classes, names)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-
-
-def _array(data: bytes, path: Any) -> np.ndarray:
-    """Read the array, but make no room for what a header claims and the file does not hold."""
-    wanted = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, class"
-    stream = io.BytesIO(data)
-    try:
-        version = np.lib.format.read_magic(stream)
-        header = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
-        shape, _, dtype = header(stream)
-    except Exception as error:  # the header is Python text, which can be wrong in many ways
-        raise ValueError(f"{path} has no readable numpy header ({error}), wanted {wanted}") from error
-    if len(shape) != 3 or shape[-1] != 6 or min(shape) < 0 or dtype.kind not in "fiu":
-        raise ValueError(f"{path} holds an array of {dtype} and shape {shape}, wanted {wanted}")
-    if stream.tell() + math.prod(shape) * dtype.itemsize > len(data):
-        raise ValueError(
-            f"{path} has {len(data)} bytes, too few for an array of shape {shape}: it is cut short"
-        )
-    return np.load(io.BytesIO(data), allow_pickle=False).astype(np.float64)

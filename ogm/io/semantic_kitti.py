@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ogm.io.formats import parse_kitti
-from ogm.io.objects import LabelledPoints
+from ogm.io.objects import REACH, LabelledPoints
 from ogm.io.source import read_bytes
 
 __all__ = [
@@ -74,7 +74,8 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
     FileNotFoundError
         If a file is not there.
     ValueError
-        If there are more or fewer labels than points, or a class that the data set does not have.
+        If there are more or fewer labels than points, a class that the data set does not have, or a point further
+        away than any.
     """
     (data, inner), (numbers, named) = read_bytes(scan), read_bytes(labels)
     columns = parse_kitti(data, inner).columns
@@ -86,6 +87,8 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
         )
     both = np.frombuffer(numbers, _LABEL).astype(np.int64)
     kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)
+    if np.abs(rows[kept, :3]).max(initial=0) > REACH:
+        raise ValueError(f"{scan} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
     try:
         points = np.ascontiguousarray(rows[kept])
         return LabelledPoints(points, both[kept] & 0xFFFF, SEMANTIC_KITTI, both[kept] >> 16)

@@ -48,7 +48,7 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Object
         ahead = turn @ [np.cos(angles[2]), np.sin(angles[2]), 0.0]
         boxes.append(upright_boxes(turn @ place, np.arctan2(ahead[1], ahead[0]), size)[0])
         labels.append(str(need(note, "obj_type", where)))
-        tracks.append(str(note.get("obj_id", "")))
+        tracks.append("" if note.get("obj_id") is None else str(note["obj_id"]))
     try:
         return Objects(np.array(boxes).reshape(-1, 7), tuple(labels), tuple(tracks))
     except ValueError as error:

@@ -117,9 +117,10 @@ def kitti_drive(path: Path) -> Layout | None:
     stamps = None
     if (raw / "timestamps.txt").is_file():
         times = read_kitti_stamps(raw / "timestamps.txt")
-        if not names[-1].isdigit() or int(names[-1]) >= len(times):
+        strange = [name for name in names if not name.isdigit() or int(name) >= len(times)]
+        if strange:
             raise ValueError(
-                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {names[-1]}: wanted a line for "
+                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {strange[-1]}: wanted a line for "
                 "every scan from 0 on"
             )
         stamps = times[[int(name) for name in names]]

@@ -38,6 +38,9 @@ _PLANTS = ("vegetation",)
 _NOTHING = ("unlabeled", "outlier", "none")
 
 
+_UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # [s] of one, by how large numbers are since 1970
+
+
 class Shot(NamedTuple):
     """One scan that was not read yet."""
 
@@ -108,13 +111,14 @@ def stem(path: Path) -> str:
 
 
 def scans_in(folder: Path) -> list[Path]:
-    """Return the scans that lie in a folder, by name."""
+    """Return the scans that lie in a folder, by name; by number where all are named by numbers."""
     found = []
     for path in sorted(folder.iterdir()) if folder.is_dir() else []:
         inner = path.with_suffix("") if path.suffix in _PACKED else path
         if inner.suffix in _SCANS and not inner.name.endswith(".pcd.bin") and path.is_file():
             found.append(path)
-    return found
+    numbered = all(_is_number(stem(path)) for path in found)
+    return sorted(found, key=lambda path: int(stem(path))) if numbered else found
 
 
 def poses_of(
@@ -153,7 +157,7 @@ def poses_of(
             )
         return list(poses)
     of = {int(number): T for number, T in zip(found.numbers, poses, strict=True)}
-    return [of.get(int(name)) if name.isdigit() else None for name in names]
+    return [of.get(int(name)) if _is_number(name) else None for name in names]
 
 
 def pose_files(folder: Path) -> list[Path]:
@@ -167,12 +171,22 @@ def drive(
     poses: Sequence[NDArray[np.float64] | None],
     stamps: Sequence[float] | NDArray[np.float64] | None = None,
 ) -> tuple[Shot, ...]:
-    """Line up the scans of one drive; without stamps, their names count tenths of a second."""
+    """Line up the scans of one drive.
+
+    Without stamps, their names tell the time: tenths of a second, or milli-, micro- or nanoseconds since 1970 where
+    the numbers are that large.
+    """
     names = [stem(one) for one in scans]
     if stamps is None:
-        counted = [int(one) for one in names] if all(one.isdigit() for one in names) else range(len(names))
-        stamps = [0.1 * number for number in counted]
+        numbered = all(_is_number(one) for one in names)
+        counted = [int(one) for one in names] if numbered else list(range(len(names)))
+        unit = next((unit for least, unit in _UNITS if max(counted, default=0) >= least), 0.1)
+        stamps = [unit * number for number in counted]
     return tuple(Shot(*row) for row in zip(names, [name] * len(names), stamps, poses, strict=True))
+
+
+def _is_number(name: str) -> bool:
+    return name.isascii() and name.isdigit() and len(name) < 20
 
 
 def kinds_of(labelled: LabelledPoints) -> NDArray[np.uint8]:

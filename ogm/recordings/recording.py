@@ -48,10 +48,10 @@ FEW = 3  # other scans, below which one is enough to know a cell; else two must 
 KEPT_SCANS, KEPT_TRUTHS = 64, 128  # in memory: some 2 MB and 0.4 MB each
 
 _SAYS = {
-    "boxes": f"occupied: all cells of boxes with {MIN_RETURNS} returns or more (those with fewer are never free)",
+    "boxes": f"occupied: all cells of boxes with {MIN_RETURNS} returns or more in this scan (with fewer: never free)",
     "classes": "free and occupied: cells in which this scan hit labelled ground, or an obstacle 0.05 to 2 m above it",
     "map": "free: drivable area of the map that is in sight and where nothing stands",
-    "aggregated": "free and occupied: what {which} scans of the drive agree on, moving objects taken out",
+    "aggregated": "free and occupied: what {which} scans agree on and this one does not contradict, {movers}",
 }
 
 
@@ -176,9 +176,11 @@ class Recording(Sequence[Frame]):
 
     @property
     def truth_says(self) -> str:
-        """What the truth is made of, in one sentence."""
+        """What the truth is made of, in one sentence; it says "this scan" where the judged scan itself is used."""
         which = "later" if self._later else "other"
-        parts = [_SAYS[one].format(which=which) for one in self.sources]
+        labelled = self._layout.objects is not None or self._layout.classes
+        movers = "labelled objects that move taken out" if labelled else "though nobody labelled what moves"
+        parts = [_SAYS[one].format(which=which, movers=movers) for one in self.sources]
         end = "to be ignored: everything else, and where these contradict each other (boxes win)"
         view = f" ({self._layout.view})" if self._layout.view else ""
         return f"{self.format}{view}; {'; '.join(parts)}; {end}."

@@ -14,6 +14,8 @@ from ogm.truth.tally import CLEARANCE, OBSTACLE_HEIGHT, PLANT_HEIGHT, Kind
 
 __all__ = ["height_above_ground", "truth_from_points"]
 
+_MOST_SQUARES = 1e8  # on which ground is looked for: 10 km x 10 km of 1 m
+
 
 def height_above_ground(
     xyz: ArrayLike, is_ground: ArrayLike, resolution: float = 1.0, reach: float = 10.0
@@ -41,7 +43,7 @@ def height_above_ground(
     Raises
     ------
     ValueError
-        If shapes disagree, or a number is not finite or impossible.
+        If shapes disagree, a number is not finite or impossible, or the points lie further apart than any scan's.
     """
     xyz, is_ground = np.asarray(xyz, np.float64), np.asarray(is_ground)
     if xyz.ndim != 2 or xyz.shape[1] < 3:
@@ -58,6 +60,12 @@ def height_above_ground(
         return np.full(len(xyz), np.nan)
     corner = xyz[:, :2].min(axis=0) - 0.5 * resolution
     where = (xyz[:, :2] - corner) / resolution
+    if np.prod(where.max(axis=0) + 2) > _MOST_SQUARES:
+        far = xyz[np.argmax(np.abs(xyz[:, :2]).max(axis=1)), :2]
+        raise ValueError(
+            f"points must lie in {_MOST_SQUARES:g} squares of {resolution:g} m at most, but one lies at "
+            f"{far.tolist()} m: drop it, or mend the scan"
+        )
     shape = tuple(np.floor(where.max(axis=0)).astype(int) + 2)
     cell = np.ravel_multi_index(tuple(np.floor(where[is_ground]).astype(int).T), shape)
     order = np.lexsort((xyz[is_ground, 2], cell))

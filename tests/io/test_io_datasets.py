@@ -76,6 +76,8 @@ def test_objects_can_be_chosen():
     [
         ([0, 0, np.nan, 1, 1, 0, 1], r"box 1 \(b\) must be finite"),
         ([0, 0, 0, 0, 1, 0, 1], "above 0 m"),
+        ([1e300, 0, 0, 1, 1, 0, 1], "within 100000 m"),
+        ([0, 0, 0, 1, np.inf, 0, 1], "within 100000 m"),
         ([0, 0, 0, 1, 1, 1, 1], "height above 0 m"),
     ],
 )
@@ -193,9 +195,15 @@ def test_stamps_are_dates_or_seconds(tmp_path):
     assert np.diff(stamps) == pytest.approx(0.1)
     path.write_text("0.000000e+00\n1.039014e-01\n")
     assert read_kitti_stamps(path).tolist() == [0, 0.1039014]
-    path.write_text("0.1\nnoon\n")
-    with pytest.raises(ValueError, match="line 2 of .* must be a time"):
+    for last in ("noon", "nan", "1e400"):
+        path.write_text(f"0.1\n{last}\n")
+        with pytest.raises(ValueError, match="line 2 of .* must be a time"):
+            read_kitti_stamps(path)
+    path.write_text("0.1\n\n0.3\n")
+    with pytest.raises(ValueError, match="line 2 of .* is empty, but lines follow"):
         read_kitti_stamps(path)
+    path.write_text("0.1\n0.2\n\n")
+    assert len(read_kitti_stamps(path)) == 2
 
 
 def test_the_boxes_of_drive_0005_hold_their_points(real):
@@ -258,6 +266,9 @@ def test_labels_must_be_as_many_as_points(tmp_path):
     files = write_labelled(tmp_path, np.ones((3, 4)), [40, 40])
     with pytest.raises(ValueError, match=r"0.label has 2 labels, .*0.bin has 3 points"):
         read_semantic_kitti(*files)
+    files = write_labelled(tmp_path, [[1, 1, 1, 0], [1, 1e30, 1, 0]], [40, 40])
+    with pytest.raises(ValueError, match=r"0.bin has coordinates of more than 100000 m"):
+        read_semantic_kitti(*files)
     files = write_labelled(tmp_path, np.ones((2, 4)), [40, 77])
     with pytest.raises(ValueError, match=r"0.label: class 77 is not one of the 34 that are known"):
         read_semantic_kitti(*files)
@@ -311,6 +322,8 @@ def test_a_range_image_is_read_with_its_axes(tmp_path):
         (np.empty((1, 1, 6), object), "array of object"),
         (range_image(c5=11), "class 11 is not one of the 11"),
         (range_image(c5=2.5), "no whole numbers"),
+        (range_image(c5=1e300), "no whole numbers"),
+        (range_image(c1=1e39), "coordinates of more than 100000 m"),
         (range_image(c2=np.nan), "1 beams with a range but with NaN"),
     ],
 )
@@ -538,12 +551,27 @@ def test_which_version_of_nuscenes(tmp_path):
 
 
 def test_the_test_part_of_nuscenes_has_no_boxes(tmp_path):
+    """Its table of them is there, and empty."""
     tables = tables_of(INFO)
-    for name in ("sample_annotation", "instance", "category"):
-        del tables[name]
-    content = read_nuscenes(write_tables(tmp_path, tables))
+    for name in ("sample_annotation", "instance"):
+        tables[name].clear()
+    content = read_nuscenes(write_tables(tmp_path / "empty", tables))
     assert not content.annotated
     assert len(content.objects(0)) == 0
+    for name in ("sample_annotation", "instance", "category"):
+        del tables[name]
+    assert not read_nuscenes(write_tables(tmp_path / "without", tables)).annotated
+
+
+@pytest.mark.parametrize("name", ["../a.pcd.bin", "samples/../../a.pcd.bin", "/etc/hostname"])
+def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
+    tables = tables_of(INFO)
+    write_tables(tmp_path / "data", tables)
+    (tmp_path / "a.pcd.bin").touch()
+    tables["sample_data"][0]["filename"] = name
+    (tmp_path / "data" / "v1.0-mini" / "sample_data.json").write_text(json.dumps(tables["sample_data"]))
+    with pytest.raises(ValueError, match=r"sample_data.json names the file .*, wanted one under .*data"):
+        read_nuscenes(tmp_path / "data")
 
 
 @pytest.mark.parametrize(
@@ -558,12 +586,39 @@ def test_the_test_part_of_nuscenes_has_no_boxes(tmp_path):
             "is of waymo, wanted nuscenes",
         ),
         ('{"metainfo": {"dataset": "nuscenes", "categories": {}}}', "has no 'data_list'"),
+        ('{"metainfo": {"dataset": "nuscenes", "categories": ["car"]}}', "'categories' of .* wanted a dict"),
+        (
+            '{"metainfo": {"dataset": "nuscenes", "categories": {}}, "data_list": 3}',
+            "'data_list' of .* a list",
+        ),
     ],
 )
 def test_json_of_another_kind_is_refused(tmp_path, content, message):
     (tmp_path / "info.json").write_text(content)
     with pytest.raises(ValueError, match=message):
         read_mmdet3d(tmp_path / "info.json")
+
+
+@pytest.mark.parametrize(
+    ("note", "message"),
+    [
+        ("car", "an object of frame 0 of .* has no 'bbox_3d', only str"),
+        ({"bbox_label_3d": 0}, "has no 'bbox_3d'"),
+    ],
+)
+def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
+    info = INFO | {"frame": INFO["frame"] | {"instances": [note]}}
+    (tmp_path / "info.json").write_text(json.dumps(info))
+    with pytest.raises(ValueError, match=message):
+        read_mmdet3d(tmp_path / "info.json")
+
+
+@pytest.mark.parametrize("number", [None, [0], "0", 77])
+def test_objects_of_no_known_category_are_other(tmp_path, number):
+    note = INFO["frame"]["instances"][0] | {"bbox_label_3d": number}
+    info = INFO | {"frame": INFO["frame"] | {"instances": [note]}}
+    (tmp_path / "info.json").write_text(json.dumps(info))
+    assert read_mmdet3d(tmp_path / "info.json").objects(0).labels == ("other",)
 
 
 def test_a_pickle_is_not_opened(tmp_path):
@@ -660,6 +715,15 @@ def test_a_log_without_map_or_calibration(tmp_path):
         ({"city": {"tx_m": [np.nan]}}, "row 0 of .* finite place"),
         ({"annotations": {"length_m": [0.0]}}, "annotations.feather of .* at 7: box 0"),
         ({"annotations": {"track_uuid": None}}, "has no column track_uuid"),
+        ({"annotations": {"length_m": ["long"]}}, "length_m of .* must be columns of numbers, got object"),
+        (
+            {"annotations": {"tx_m": np.array([7], "M8[ns]")}},
+            "tx_m of .* must be columns of numbers, got dat",
+        ),
+        ({"annotations": {"tx_m": [1e300]}}, "box 0 .* within 100000 m"),
+        ({"city": {"timestamp_ns": [[7]]}}, "timestamp_ns of .* must be whole numbers"),
+        ({"city": {"timestamp_ns": ["7"]}}, "timestamp_ns of .* must be whole numbers"),
+        ({"annotations": {"timestamp_ns": [7.5]}}, "timestamp_ns of .* must be whole numbers"),
     ],
 )
 def test_damaged_logs_are_named(tmp_path, changed, message):
@@ -688,6 +752,29 @@ def write_map(folder, heights=None, place=None, areas=None):
     (folder / "map" / "a___img_Sim2_city.json").write_text(json.dumps(where))
 
 
+@pytest.mark.parametrize("content", [b"PK\x03\x04", b"\x93NUMPY", b"\x80\x04K\x01."])
+def test_a_raster_is_an_array_and_nothing_else(tmp_path, content):
+    write_map(write_log(tmp_path))
+    (tmp_path / "map" / "a_ground_height_surface_b.npy").write_bytes(content)
+    with pytest.raises(ValueError, match="no readable numpy header"):
+        read_argoverse2(tmp_path)
+
+
+def test_a_raster_must_hold_what_its_header_claims(tmp_path):
+    """Else room would be made for it first."""
+    write_map(write_log(tmp_path))
+    path = tmp_path / "map" / "a_ground_height_surface_b.npy"
+    path.write_bytes(path.read_bytes().replace(b"(3, 4), }" + b" " * 12, b"(3, 4000000000000), }"))
+    with pytest.raises(ValueError, match="cut short"):
+        read_argoverse2(tmp_path)
+
+
+def test_a_map_knows_nothing_beyond_all_numbers(tmp_path):
+    write_map(write_log(tmp_path), place={"R": [1, 0, 0, 1], "t": [-10, -20], "s": 1e308})
+    plan = read_argoverse2(tmp_path).map
+    assert np.isnan(plan.ground(np.array([[1e4, 3.0, 0.0], [-1e4, 0.0, 0.0]]), np.eye(4))).all()
+
+
 def test_a_raster_has_rows_along_y(tmp_path):
     """Its cells are 2 m wide and begin at (10, 20): column by x, row by y."""
     write_map(write_log(tmp_path))
@@ -706,7 +793,11 @@ def test_a_raster_has_rows_along_y(tmp_path):
     ("what", "message"),
     [
         ({"heights": np.zeros(3)}, r"shape \(3,\), wanted heights"),
-        ({"heights": np.empty((2, 2), object)}, "no readable array of heights"),
+        ({"heights": np.empty((2, 2), object)}, "array of object and shape .*, wanted heights"),
+        ({"heights": np.zeros((0, 3))}, r"shape \(0, 3\), wanted heights"),
+        ({"areas": {"drivable_areas": [1]}}, "'drivable_areas' of .* is a list, wanted a dict"),
+        ({"areas": {"drivable_areas": {"1": {"area_boundary": 3}}}}, "is a int, wanted a list"),
+        ({"place": {"R": [1, 0, 0, 1], "t": [10**400, 0], "s": 1}}, "t of .* must be numbers"),
         ({"place": {"R": [1, 0, 0, 1], "s": 1}}, "has no 't'"),
         ({"place": [1]}, "holds a JSON list, wanted a dict"),
         (
@@ -743,9 +834,15 @@ def test_sustechs_example_drives_towards_minus_y(tmp_path):
     assert read_sustech(tmp_path / "0.json", axes="flu").boxes[0, :3] == pytest.approx([3, -10, -np.pi / 2])
 
 
+def test_who_has_no_name_is_nobody_else(tmp_path):
+    (tmp_path / "0.json").write_text(json.dumps([note(obj_id=None), note(obj_id=0)]))
+    assert read_sustech(tmp_path / "0.json").tracks == ("", "0")
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        ([note(psr={"scale": {"x": 1, "y": 1, "z": 10**400}})], "scale of object 0 .* must be numbers"),
         ({"frame": 1}, "holds a JSON dict, wanted a list"),
         ([3], "object 0 of .* has no 'psr', only int"),
         ([note(), note(psr={"scale": {"x": 1, "y": 1}})], "scale of object 1 of .* has no 'z'"),

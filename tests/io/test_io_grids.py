@@ -1,5 +1,7 @@
 """Grids of other programs."""
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -67,6 +69,8 @@ def test_rounded_masses_still_sum_to_one(tmp_path: Path) -> None:
         ("h.png", b"\x89PNG\r\n\x1a\n", "damaged"),
         ("i.png", np.zeros((4, 6), np.uint8), "RGB"),
         ("j.txt", b"x", "wanted .npz"),
+        ("k.npy", np.zeros((0, 6, 2)), "damaged|no squares"),
+        ("l.npz", b"x", r"l\.npz"),
     ],
 )
 def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, says: str) -> None:
@@ -85,3 +89,25 @@ def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, 
 def test_a_missing_file_is_said_to_be_missing(tmp_path: Path, ending: str) -> None:
     with pytest.raises(FileNotFoundError):
         read_grid(tmp_path / f"none{ending}", AREA)
+
+
+def test_masses_that_are_none_are_refused_by_the_name_of_their_file(tmp_path: Path) -> None:
+    path = write(tmp_path, ".npz")
+    with np.load(path) as data:
+        arrays = dict(data)
+    np.savez(path, **arrays | {"mass": np.full_like(arrays["mass"], np.nan)})
+    with pytest.raises(ValueError, match=r"grid\.npz: mass must be"):
+        read_grid(path, AREA)
+
+
+def test_files_that_claim_more_than_they_hold_are_not_unpacked(tmp_path: Path) -> None:
+    with open(tmp_path / "huge.npy", "wb") as file:
+        header = {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6, 2)}
+        np.lib.format.write_array_header_1_0(file, header)
+    with pytest.raises(ValueError, match=r"huge\.npy is damaged"):
+        read_grid(tmp_path / "huge.npy", AREA)
+    wide = struct.pack(">IIBBBBB", 40_000, 60_000, 8, 2, 0, 0, 0)
+    chunk = struct.pack(">I", len(wide)) + b"IHDR" + wide + struct.pack(">I", zlib.crc32(b"IHDR" + wide))
+    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
+    with pytest.raises(ValueError, match=r"bomb\.png is damaged or no picture"):
+        read_grid(tmp_path / "bomb.png", AREA)

@@ -116,6 +116,7 @@ def test_later_scans_alone(written):
     assert recording[0].truth.shares().free > 0.03
     assert recording[3].truth.shares().ignore == 1
     assert "later scans" in recording.truth_says
+    assert "later" not in open_recording(written("scans and poses")).truth_says
     with pytest.raises(ValueError, match="others must be one of all, later, got 'earlier'"):
         open_recording(written("scans and poses"), others="earlier")
 
@@ -153,6 +154,30 @@ def test_opening_reads_no_scan(written, fresh, monkeypatch):
         _ = recording[0].points
     with pytest.raises(IndexError):
         _ = recording[4]
+
+
+def test_a_truth_says_what_the_judged_scan_has_to_do_with_it(written):
+    says = {name: open_recording(written(name)).truth_says for name in SAYS}
+    for name, sources in SAYS.items():
+        assert ("this one does not contradict" in says[name]) == ("aggregated" in sources)
+        assert ("returns or more in this scan" in says[name]) == ("boxes" in sources)
+        assert ("this scan hit" in says[name]) == ("classes" in sources)
+    assert "though nobody labelled what moves" in says["scans and poses"]
+    assert all("objects that move taken out" in says[name] for name in ("semantic kitti", "kitti raw"))
+
+
+def test_a_drive_of_few_times_says_so(fresh):
+    folder = fresh("kitti raw")
+    path = folder / "velodyne_points" / "timestamps.txt"
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:3]))
+    with pytest.raises(ValueError, match=r"has 3 times, too few for scan 0000000003"):
+        open_recording(folder)
+
+
+def test_the_test_part_of_nuscenes_has_other_scans_only(fresh):
+    folder = fresh("nuscenes")
+    (folder / "v1.0-mini" / "sample_annotation.json").write_text("[]")
+    assert open_recording(folder).sources == ("aggregated",)
 
 
 def test_truth_is_made_once(written):

@@ -1,5 +1,7 @@
 """Which scans judge which, who stood where, and what a class means to a car."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,7 +10,7 @@ from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI, SEMANTIC_KITTI_TRAINING, Lab
 from ogm.pose import pose
 from ogm.recordings import truth_from_others
 from ogm.recordings.around import choose_others, stood_here
-from ogm.recordings.layout import kinds_of, pose_files, poses_of, scans_in, stem
+from ogm.recordings.layout import drive, kinds_of, pose_files, poses_of, scans_in, stem
 from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, Kind
 
 SMALL = GridSpec.centered(8.0, 8.0, 0.5)
@@ -121,6 +123,24 @@ def test_scans_are_found_by_their_endings(tmp_path) -> None:
     (tmp_path / "6.bin").mkdir()
     assert [stem(path) for path in scans_in(tmp_path)] == ["1", "2", "x"]
     assert scans_in(tmp_path / "nowhere") == []
+
+
+def test_scans_come_by_number(tmp_path) -> None:
+    for name in ("10.bin", "9.pcd", "2.bin.xz"):
+        (tmp_path / name).touch()
+    assert [stem(path) for path in scans_in(tmp_path)] == ["2", "9", "10"]
+
+
+@pytest.mark.parametrize(
+    ("first", "unit"),
+    [(7, 0.1), (1_317_042_145_964, 1e-3), (1317042145964389, 1e-6), (1317042145964389445, 1e-9)],
+)
+def test_names_of_scans_tell_the_time(first, unit) -> None:
+    scans = [Path(f"{first + round(k * 0.2 / unit):010}.bin") for k in range(3)]
+    stamps = [shot.stamp for shot in drive("d", scans, [None] * 3)]
+    np.testing.assert_allclose(np.diff(stamps), 0.2, atol=1e-6)
+    words = [Path(f"{word}.bin") for word in "abc"]
+    assert [shot.stamp for shot in drive("d", words, [None] * 3)] == pytest.approx([0, 0.1, 0.2])
 
 
 def test_poses_are_found_by_number_or_in_order(tmp_path) -> None:
