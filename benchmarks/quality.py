@@ -40,7 +40,7 @@ from _quality_sources import drives, every, first_drives, real, town
 from _quality_tables import fill, sentences, tables
 
 from ogm import GridSpec
-from ogm.cli.judging import Archive, judge
+from ogm.cli.judging import Archive, judge, state_of_code, state_of_files
 from ogm.cli.methods import Map, Scans
 from ogm.cli.page import write_page
 from ogm.cli.pictures import frames_picture, panels_of
@@ -133,6 +133,8 @@ def judged(folder: Path, source: Source, numbers: Sequence[int], methods: Method
         "truth": source.says,
         "frames": [source.frames[k].name for k in numbers],
         "methods": {name: [one.says, getattr(one, "weights", None)] for name, one in methods.items()},
+        "files": state_of_files(source.files),
+        "code": state_of_code(),
     }
     archive = Archive(folder / "frames", settings)
     start = time.process_time()

@@ -23,11 +23,9 @@ if TYPE_CHECKING:
 
 SOURCES = ("boxes", "classes", "map", "aggregated")  # what the truth of a recording can be made from
 RESAMPLING = ("area", "nearest", "cautious")
-WORST, BEST = (
-    0.5,
-    0.25,
-)  # shares of the frames in the report that are the worst, the best; the rest spread evenly
+WORST, BEST = 0.5, 0.25  # shares of the frames in the report; the rest is spread evenly over the ranks
 ROWS = 6  # of the contact sheet
+WRITTEN = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
 HEADLINE = "kl_e10"  # by which frames are ranked
 
 
@@ -152,6 +150,9 @@ def evaluate(
     }
     archive = Archive(out_folder / "frames", facts | settings)
     kept = sum(archive.load(k) is not None for k in numbers)
+    if not kept:
+        for name in WRITTEN:  # of another run: they would be taken for this one's if it ended early
+            (out_folder / name).unlink(missing_ok=True)
     if kept:
         complaints.print(
             f"ogm: {kept} of {len(numbers)} frames are finished already, and are taken from {archive.folder}"
@@ -188,8 +189,8 @@ def evaluate(
         draw(out_folder, result, source, numbers, archive)
     archive.finish()
     print_tables(result, record, f"{source.name}, {result.frames} frames")
-    files = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
-    out.print("written " + "   ".join(str(out_folder / name) for name in files), markup=False, soft_wrap=True)
+    written = "   ".join(str(out_folder / name) for name in WRITTEN)
+    out.print(f"written {written}", markup=False, soft_wrap=True)
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:

@@ -1,6 +1,7 @@
 """What ``ogm evaluate`` judges: sensor models, maps that fuse their scans over time, and grids that others made."""
 
 import hashlib
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -185,7 +186,8 @@ def _update(
         T = T @ levelled(item.T_vehicle_sensor)
     try:
         mapper.update(grid, T, stamp=frame.stamp)
-    except PoseJump:
+    except PoseJump as jump:
+        logging.getLogger(__name__).warning("%s: %s; the maps begin anew", frame.name, jump)
         mapper.reset()
         mapper.update(grid, T, stamp=frame.stamp)
 

@@ -1,6 +1,7 @@
 """What ``ogm evaluate`` judges on: frames with their truth, simulated, recorded, or as folders of grids."""
 
 import math
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -133,7 +134,7 @@ def source_of(
         return _store(path, split, judged)
     if split is not None:
         raise ValueError(f"--split is for data sets that `ogm simulate` made, which {path} is not")
-    if path.is_dir() and grids_in(path):
+    if path.is_dir() and not _is_recording(path) and grids_in(path):
         if truth:
             raise ValueError("--truth is for recordings; a folder of grids is the truth itself")
         return _grids(path, spec)
@@ -197,6 +198,16 @@ def _known_only(truth: Truth) -> Truth:
     return Truth(truth.spec, np.where(truth.state == UNKNOWN, np.uint8(IGNORE), truth.state))
 
 
+def _is_recording(path: Path) -> bool:
+    """Tell whether a folder is a recording, and no folder of grids that might be one."""
+    from ogm.recordings import is_recording
+
+    try:
+        return is_recording(path)
+    except ValueError:  # arrays that say nothing of themselves, or a damaged recording
+        return not grids_in(path)
+
+
 def _recording(path: Path, truth: tuple[str, ...], later: str) -> Source:
     from ogm.recordings import open_recording
 
@@ -206,8 +217,14 @@ def _recording(path: Path, truth: tuple[str, ...], later: str) -> Source:
         one = recording[k]
         return Item(one.truth, one.points, one.T_vehicle_sensor, one.T_map_sensor)
 
+    times = Counter(one.name for one in recording)  # some sets count each sequence's frames from 0
     frames = tuple(
-        Frame(one.name, one.sequence, one.stamp if math.isfinite(one.stamp) else None) for one in recording
+        Frame(
+            one.name if times[one.name] == 1 else f"{one.sequence} {one.name}",
+            one.sequence,
+            one.stamp if math.isfinite(one.stamp) else None,
+        )
+        for one in recording
     )
     facts = {"format": recording.format, "frames": len(frames)}
     name = recording.name or shown_name(path)

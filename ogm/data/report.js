@@ -77,7 +77,7 @@ function chooser() {
 
 // One chart of lines or dots. Series: {m, x, y, cls, dots, note(i)}; x and y are equally long lists, null is a gap.
 function chart(place, { x, y, series, guides = [], height = 240, label, pick = null, read = null, bars = [] }) {
-  const width = Math.max(280, place.clientWidth || 600), left = 54, right = 10, top = 10, bottom = 40;
+  const width = Math.max(280, place.clientWidth || 600), left = 62, right = 10, top = 10, bottom = 40;
   const scale = (axis, from, to) => {
     const f = axis.log ? v => Math.log10(Math.max(v, axis.min)) : v => v;
     const low = f(axis.min), span = (f(axis.max) - low) || 1;

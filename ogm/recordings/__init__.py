@@ -16,7 +16,7 @@ from ogm.recordings.layout import Layout
 from ogm.recordings.others import argoverse2, mmdet3d, nuscenes, range_images, scans_and_poses, sustech
 from ogm.recordings.recording import SOURCES, Frame, Recording
 
-__all__ = ["SOURCES", "Frame", "Recording", "open_recording", "truth_from_others"]
+__all__ = ["SOURCES", "Frame", "Recording", "is_recording", "open_recording", "truth_from_others"]
 
 # The first that knows a path reads it: the more a layout asks for, the earlier it is asked.
 _LAYOUTS: tuple[Callable[[Path], Layout | None], ...] = (
@@ -75,8 +75,23 @@ def open_recording(
     place = Path(path)
     if not place.exists():
         raise FileNotFoundError(f"there is no {place}: check the name and the folder")
-    for find in _LAYOUTS:
-        layout = find(place)
-        if layout is not None:
-            return Recording(layout, place, truth, others)
+    layout = _layout(place)
+    if layout is not None:
+        return Recording(layout, place, truth, others)
     raise ValueError(f"{place} is no recording that is known, or holds no scan. Known are: {_KNOWN}")
+
+
+def is_recording(path: str | os.PathLike[str]) -> bool:
+    """Tell whether a path holds a recording of a known layout; whether it is labelled, `open_recording` tells.
+
+    Raises
+    ------
+    ValueError
+        If it is one, but damaged.
+    """
+    return _layout(Path(path)) is not None
+
+
+def _layout(place: Path) -> Layout | None:
+    """Return what the first layout that knows a path makes of it."""
+    return next((layout for find in _LAYOUTS if (layout := find(place)) is not None), None)

@@ -1,11 +1,14 @@
 """One made-up street, written as every data set would: all tell the same points, boxes, poses and truth."""
 
 import pickle
+import shutil
 
 import numpy as np
 import pytest
 
-from ogm.recordings import SOURCES, open_recording
+from ogm.cli.source import source_of
+from ogm.grid import GridSpec
+from ogm.recordings import SOURCES, is_recording, open_recording
 from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, Truth
 
 BOXED = ("kitti object", "kitti tracking", "kitti raw", "nuscenes", "mmdet3d", "argoverse 2", "sustech")
@@ -270,3 +273,22 @@ def test_a_drive_that_shows_no_ground(fresh):
         np.full((10, 4), 0.5, np.float32).tofile(folder / f"{k:06}.bin")
     with pytest.raises(ValueError, match="no scan of data in .* shows the ground around the sensor"):
         _ = open_recording(folder)[0].T_vehicle_sensor
+
+
+SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+
+
+def test_a_stray_picture_makes_no_folder_of_grids_of_a_recording(fresh):
+    folder = fresh("kitti tracking")
+    (folder / "preview.png").write_bytes(b"whatever")
+    assert is_recording(folder)
+    assert source_of(folder, SPEC).kind == "real recording"
+
+
+def test_frames_of_two_sequences_have_names_of_their_own(fresh):
+    folder = fresh("semantic kitti")
+    shutil.copytree(folder / "sequences" / "07", folder / "sequences" / "08")
+    source = source_of(folder, SPEC)
+    names = [frame.name for frame in source.frames]
+    assert len(set(names)) == len(names) == 8
+    assert all(frame.sequence in frame.name for frame in source.frames)
