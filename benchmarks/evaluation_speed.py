@@ -155,7 +155,7 @@ def main() -> None:
         "--quick", action="store_true", help="see that everything runs; figures are worth nothing"
     )
     given = parser.parse_args()
-    found = environment()
+    found = environment() | {"command": f"python benchmarks/evaluation_speed.py {given.data.name}"}
     source = source_of(given.data, SPEC, "sequences", judged="maps")
     item = source_of(given.data, SPEC, "sequences").read(50)
     state = item.truth.crop(SPEC).state
