@@ -21,7 +21,7 @@ class HeightBandISM:
     """The paper's geometric baseline: a height band on flat ground.
 
     Cells with returns between `z_min` and `z_max` above ground are occupied, cells between the sensor and
-    these are free, the rest is unknown (van Kempen et al. 2021, Sec. V). Ground returns and returns above the
+    these are free, the rest is unknown (van Kempen et al. 2021, Sec. VI-A). Ground returns and returns above the
     band are ignored, so that a ray without an obstacle clears nothing: that is the paper's text, and what
     `RayISM` does better.
 

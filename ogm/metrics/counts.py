@@ -22,18 +22,9 @@ STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are tak
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 SURE = 0.5  # a mass beyond this is a claim
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
-RANGES = (
-    0.0,
-    10.0,
-    20.0,
-    30.0,
-    40.0,
-    inf,
-)  # [m] edges of bins of distance; a cell on an edge is in the farther
+RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther
 RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
-LEAST = (
-    MIN_UNKNOWN / 2
-)  # floor of the probability of what is true: a dogmatic cell that is wrong costs 11.5 nats
+LEAST = MIN_UNKNOWN / 2  # floor of the probability of what is true: a wrong dogmatic cell costs 11.5 nats
 ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
 
 _UNKNOWN, _FREE, _OCCUPIED, _IGNORE = 0, 1, 2, 3  # states of a cell, as in ogm.truth

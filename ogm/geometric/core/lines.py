@@ -57,7 +57,7 @@ def draw_lines(state, ends, i0, j0):
 def height_band_states(x, y, z, origin, i0, j0, z_low, z_high, min_range, x0, y0, resolution, state, ends):
     """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
 
-    Van Kempen et al. 2021, Sec. V: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
+    Van Kempen et al. 2021, Sec. VI-A: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
     per distinct cell, which gives the same states as one per return. Returns beyond the grid end where their
     ray leaves it, and mark nothing.
 
