@@ -63,7 +63,7 @@ PAIRED = (
     *("ece_relative", "auroc_unknown"),
 )
 DRIVES = 5  # from so many on, intervals are over drives, not over frames
-DIGITS = 5
+DIGITS = 7
 
 
 def of_evaluation(
@@ -137,7 +137,7 @@ def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return a record as JSON can hold it: NaN and infinity become None, numbers are rounded to five digits."""
+    """Return a record as JSON can hold it: NaN and infinity become None, numbers are rounded to seven digits."""
     if isinstance(value, Mapping):
         return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
