@@ -117,9 +117,9 @@ def test_a_record_is_written_as_json_and_read_again(tmp_path: Path) -> None:
     wanted = record()
     write(tmp_path / "new/quality.json", wanted)
     assert json.loads((tmp_path / "new/quality.json").read_text()) == wanted
-    assert plain({"a": float("nan"), "b": (np.float32(0.1234567), float("inf"))}) == {
+    assert plain({"a": float("nan"), "b": (np.float64(0.12345671), float("inf"))}) == {
         "a": None,
-        "b": [0.12346, None],
+        "b": [0.1234567, None],
     }
 
 
