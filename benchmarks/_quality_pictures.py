@@ -145,7 +145,9 @@ def recordings(path: Path, real: Mapping[str, Any], note: str) -> None:
         axes.grid(axis="x", color="0.92")
     axes.set_yticks(range(len(there)), [f"{name} ({part['frames']})" for name, part in there.items()])
     axes.invert_yaxis()
-    figure.legend(*axes.get_legend_handles_labels(), ncols=6, loc="outside upper center", frameon=False)
+    figure.axes[0].legend(
+        fontsize=8, frameon=False, ncols=2, loc="upper left"
+    )  # nothing is free in the first one
     _finish(figure, path, "Real recordings, labelled cells only (number of frames)", note)
 
 
