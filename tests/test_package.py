@@ -34,9 +34,7 @@ def test_import_ogm_is_quick() -> None:
 
 
 def test_no_wing_loads_torch_open3d_or_matplotlib() -> None:
-    code = (
-        "import sys, ogm.geometric, ogm.fusion, ogm.io, ogm.grid, ogm.evidence, ogm.pose; print(*sys.modules)"
-    )
+    code = "import sys, ogm.geometric, ogm.fusion, ogm.recordings, ogm.metrics, ogm.evidence; print(*sys.modules)"
     assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp"} & set(run(code).split())
 
 
@@ -58,7 +56,8 @@ def test_import_contracts_hold() -> None:
 def test_every_public_name_is_documented() -> None:
     import importlib
 
-    for room in ("evidence", "pose", "files", "grid", "io", "geometric", "plot", "metrics", "deep", "fusion"):
+    ground = ("evidence", "pose", "files", "grid", "io", "truth", "geometric", "plot", "metrics")
+    for room in (*ground, "deep", "fusion", "recordings"):
         module = importlib.import_module(f"ogm.{room}")
         for name in module.__all__:
             value = getattr(module, name)
