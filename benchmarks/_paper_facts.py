@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ogm import GridSpec
 from ogm.evidence import dirichlet_kl
-from ogm.metrics import Paired, bootstrap_mean, bootstrap_ratio, paired
+from ogm.metrics import Paired, bootstrap_mean, bootstrap_ratio, legacy_unmixed, paired
 
 __all__ = [
     "Curves",
@@ -173,7 +173,7 @@ def order(curves: Curves, rng: np.random.Generator) -> dict[str, dict[str, float
 
 def demixed(curves: Curves) -> NDArray[np.float64]:
     """Return the geometric model's own value, if the plotted one is the mean of both: 2 g - d."""
-    return 2 * curves.kl_geo - curves.kl
+    return legacy_unmixed(curves.kl, curves.kl_geo)
 
 
 def bound(steps: int = 101) -> float:

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from ogm import GridSpec
-from ogm.cli.methods import Map, Methods, Scans, fused, methods_of, models_of, weights_facts
+from ogm.cli.methods import Map, Methods, Scans, fused, methods_of
+from ogm.cli.models import models_of, weights_facts
 from ogm.cli.rules import BAYES, RULES, rolling
 from ogm.evidence import dempster
 from ogm.fusion import EvidentialMapper

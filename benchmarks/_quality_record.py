@@ -23,8 +23,9 @@ from ogm.metrics import (
     paired,
     reasons,
 )
+from ogm.metrics.paired import FEWEST
 
-__all__ = ["KEPT", "PAIRED", "brief", "of_evaluation", "plain", "published", "write"]
+__all__ = ["KEPT", "PAIRED", "brief", "of_evaluation", "published", "write"]
 
 KEPT = (
     *("kl_e10", "kl_e1", "kl_e1_scaled", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known"),
@@ -62,8 +63,6 @@ PAIRED = (
     ),
     *("ece_relative", "auroc_unknown"),
 )
-DRIVES = 5  # from so many on, intervals are over drives, not over frames
-DIGITS = 7
 
 
 def of_evaluation(
@@ -84,7 +83,7 @@ def of_evaluation(
     facts : dict of str to dict
         What each method says of itself, and its weights.
     """
-    groups = sequences if len(set(sequences)) >= DRIVES else None
+    groups = sequences if len(set(sequences)) >= FEWEST else None
     truth = dict(
         zip(("unknown", "free", "occupied", "ignored"), result.truth.mean(axis=0).tolist(), strict=True)
     )
@@ -134,19 +133,6 @@ def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
         "accuracy, deep": result.of(deep, "legacy_accuracy").mean(),
         "accuracy, geometric": result.of(geometric, "legacy_accuracy").mean(),
     }
-
-
-def plain(value: Any) -> Any:
-    """Return a record as JSON can hold it: NaN and infinity become None, numbers are rounded to seven digits."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(one) for one in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return float(f"{value:.{DIGITS}g}") if math.isfinite(value) else None
-    return value
 
 
 def write(path: Path, record: Mapping[str, Any]) -> None:

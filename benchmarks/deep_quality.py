@@ -34,7 +34,7 @@ from rich.progress import track
 from scipy.ndimage import binary_opening
 
 from ogm import GridSpec
-from ogm.cli.methods import models_of, weights_facts
+from ogm.cli.models import models_of, weights_facts
 from ogm.cli.pictures import metrics_picture
 from ogm.cli.report import print_tables, report
 from ogm.deep.losses import undo_class_weights

@@ -35,7 +35,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from _quality_methods import alone, at_work, fused_over_time
 from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings
-from _quality_record import brief, of_evaluation, plain, published, write
+from _quality_record import brief, of_evaluation, published, write
 from _quality_sources import drives, every, first_drives, real, town
 from _quality_tables import fill, sentences, tables
 
@@ -44,7 +44,7 @@ from ogm.cli.judging import Archive, judge, state_of_code, state_of_files
 from ogm.cli.methods import Map, Scans
 from ogm.cli.page import write_page
 from ogm.cli.pictures import frames_picture, panels_of
-from ogm.cli.report import report
+from ogm.cli.report import plain, report
 from ogm.cli.source import Frame, Source
 from ogm.cli.views import frame_view
 from ogm.files import atomic_write

@@ -269,5 +269,21 @@ def test_the_page_on_evaluation_tells_every_metric_and_what_judging_costs() -> N
     )
     report = speed["report"]
     seconds = report["judging and pictures [s]"] + report["reporting [s]"]
+    mask = json.loads((ROOT / "benchmarks/results/truth_mask.json").read_text())["drives"][
+        "KITTI, drive 0005"
+    ]
+    every, later = (mask[others]["share that is taken out"] for others in ("all", "later"))
+    assert (
+        f"{100 * every['free']:.1f} % of the free and {100 * every['occupied']:.1f} % of the occupied" in page
+    )
+    assert f"({100 * later['free']:.1f} and {100 * later['occupied']:.1f} % where later" in page
+    pairs = [means for one in mask.values() for means in one["means, with and without"].values()]
+    for metric, words in (("iou_occupied", "IoU of occupied by"), ("false_free", "false\nfree by")):
+        gains = [abs(means[metric][0] - means[metric][1]) for means in pairs]
+        assert f"{words} {min(gains):.3f} to {max(gains):.3f}" in page, metric
+        moved = [
+            one["by how much differences between methods move, at most"][metric] for one in mask.values()
+        ]
+        assert max(moved) < 0.005
     for said in (f"{slowest:.0f} ms", f"{seconds:.0f} s", f"{report['page [MB]']:.1f} MB"):
         assert said in page, said

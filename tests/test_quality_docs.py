@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from ogm import GridSpec
+from ogm.cli.report import plain  # noqa: E402
 from ogm.cli.source import Frame, Item, Source
 from ogm.metrics import Evaluation, distances, tally
 from ogm.truth import Truth
@@ -19,8 +20,8 @@ sys.path.insert(0, str(ROOT / "benchmarks"))
 import _quality_sources as sources  # noqa: E402
 from _quality_methods import alone, fused_over_time, made_of  # noqa: E402
 from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings  # noqa: E402
-from _quality_record import KEPT, PAIRED, brief, of_evaluation, plain, published, write  # noqa: E402
-from _quality_tables import TITLES, fill, sentences, tables  # noqa: E402
+from _quality_record import KEPT, PAIRED, brief, of_evaluation, published, write  # noqa: E402
+from _quality_tables import TITLES, TOWN, fill, sentences, tables  # noqa: E402
 
 sys.path.pop(0)
 RECORD = ROOT / "benchmarks/results/quality.json"
@@ -246,3 +247,56 @@ def test_recordings_that_are_not_there_or_not_labelled_are_left_out_with_the_rea
     assert drive.alone is not None
     assert drive.fused is not None
     assert (drive.alone.name, drive.fused.name) == ("scans", "maps")
+
+
+@pytest.mark.skipif(not RECORD.exists(), reason="benchmarks/quality.py has not been run to its end")
+def test_the_four_answers_are_those_of_the_record() -> None:
+    found = json.loads(RECORD.read_text())
+    page = (ROOT / "docs/quality.md").read_text()
+    answers = " ".join(page[page.index("## The four answers") : page.index("## Single frames")].split())
+    town, drives = (
+        {n: one["mean"] for n, one in found[part]["models"].items()} for part in ("town", "drives")
+    )
+    real = {
+        n: {m: one["mean"] for m, one in part["alone"]["models"].items()} for n, part in found["real"].items()
+    }
+
+    def iou(place: str, digits: int, *models: str) -> list[str]:
+        return [f"{real[place][model]['iou_occupied'][0]:.{digits}f}" for model in models]
+
+    def memory(name: str, metric: str) -> float:
+        return found["drives"]["paired"][f"{name} against {name.partition(' + ')[0]}"][metric]["ratio"][0]
+
+    ahead = [
+        metric
+        for metric in town["lite"]
+        if (better := found["metrics"][metric]["better"])
+        and any(
+            one[metric][0] < town["lite"][metric][0]
+            if better == "lower"
+            else one[metric][0] > town["lite"][metric][0]
+            for one in town.values()
+        )
+    ]
+    assert {TITLES[metric] for metric in ahead if metric in TOWN} == {
+        *("false free", "false occupied", "outside [Bel, Pl]", "KL, E = 1"),
+    }
+    bins = {name: one["by range"] for name, one in found["town"]["models"].items()}
+    far = [100 * value for value in bins["lite"]["false_free"][3:]]
+    for said in (
+        "{} against {} on Argoverse 2".format(*iou("Argoverse 2", 2, "lite", "ray")),
+        "{} against {} on nuScenes".format(*iou("nuScenes", 2, "lite", "ray")),
+        "{} against {} on SemanticKITTI".format(*iou("SemanticKITTI, labelled scans", 2, "ray", "lite")),
+        f"{100 * (memory('ray + cautious', 'iou_occupied') - 1):.0f} % more IoU of occupied",
+        f"{100 * (memory('ray + cautious', 'iou_free') - 1):.0f} % more of free",
+        f"a Brier score of {memory('ray + cautious', 'brier'):.2f} times",
+        f"{100 * (memory('ray + cautious', 'false_free') - 1):.0f} % more occupied cells called free",
+        f"{memory('ray + bayes', 'false_free'):.1f} to {memory('ray + dempster', 'false_free'):.1f} times",
+        f"IoU {drives['lite + cautious']['iou_occupied'][0]:.3f} instead of {drives['lite']['iou_occupied'][0]:.3f}",
+        f"{100 * drives['lite + cautious']['free_recall_1'][0]:.0f} % of the free space at 1 % false free",
+        f"instead of {100 * drives['lite']['free_recall_1'][0]:.0f} %",
+        f"`lite` calls {far[0]:.0f} to {far[1]:.0f} % of the occupied cells free",
+        f"space left to drive on ({100 * town['lite']['free_recall_1'][0]:.0f} %",
+        f"at 0.1 %, {100 * town['lite']['free_recall_01'][0]:.0f} %",
+    ):
+        assert said in answers, said

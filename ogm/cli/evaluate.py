@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 from rich.progress import track
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from ogm.cli.source import Source
     from ogm.metrics import Evaluation
 
-SOURCES = ("boxes", "classes", "map", "aggregated")  # what the truth of a recording can be made from
-RESAMPLING = ("area", "nearest", "cautious")
 WORST, BEST = 0.5, 0.25  # shares of the frames in the report; the rest is spread evenly over the ranks
 ROWS = 6  # of the contact sheet
 WRITTEN = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
@@ -112,12 +110,14 @@ def evaluate(
     from ogm.cli.page import write_page
     from ogm.cli.report import print_tables, report, versions, write_csv, write_report
     from ogm.cli.source import source_of
+    from ogm.fusion.warp import Method
     from ogm.grid import GridSpec
+    from ogm.recordings import SOURCES
 
     rules = _words(fused, "--fused", (*RULES, BAYES))
     given = _words(truth, "--truth", SOURCES)
-    if resample not in (None, *RESAMPLING):
-        raise ValueError(f"--resample must be one of {', '.join(RESAMPLING)}, got {resample}")
+    if resample not in (None, *get_args(Method)):
+        raise ValueError(f"--resample must be one of {', '.join(get_args(Method))}, got {resample}")
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
@@ -149,7 +149,7 @@ def evaluate(
         "code": state_of_code(),
     }
     archive = Archive(out_folder / "frames", facts | settings)
-    kept = sum(archive.load(k) is not None for k in numbers)
+    kept = len(numbers) - len(archive.missing(numbers))
     if not kept:
         for name in WRITTEN:  # of another run: they would be taken for this one's if it ended early
             (out_folder / name).unlink(missing_ok=True)
@@ -164,7 +164,7 @@ def evaluate(
     try:
         result = judge(source, numbers, methods, archive, ticked)
     except KeyboardInterrupt:
-        done = sum(archive.load(k) is not None for k in numbers)
+        done = len(numbers) - len(archive.missing(numbers))
         complaints.print(
             f"ogm: interrupted; {done} of {len(numbers)} frames are finished and kept: repeat the command to go on"
         )

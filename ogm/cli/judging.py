@@ -86,10 +86,17 @@ class Archive:
         folder.mkdir(parents=True, exist_ok=True)
         self._write(finished=False, settings=settings)
         self.settings = settings
+        self._whole: set[int] = (
+            set()
+        )  # frames that were read or written since, so that none is read to look twice
 
     def finish(self) -> None:
         """Note that all frames are there and reported."""
         self._write(finished=True, settings=self.settings)
+
+    def missing(self, numbers: Iterable[int]) -> list[int]:
+        """Return those of some frames that are not finished, or whose files are damaged."""
+        return [k for k in numbers if k not in self._whole and self.load(k) is None]
 
     def load(self, frame: int) -> Judged | None:
         """Return a frame; None if it is not finished, or its file is damaged."""
@@ -100,6 +107,7 @@ class Archive:
                 columns = [data[f"counts {name}"] for name in Tally._fields]
                 views = {name[5:]: data[name].tobytes() for name in data.files if name.startswith("view ")}
                 counts = tuple(Tally(*row) for row in zip(*columns, strict=True))
+                self._whole.add(frame)
                 return Judged(counts, data["truth"], views)
         except UNREADABLE:
             return None
@@ -114,6 +122,7 @@ class Archive:
         arrays: dict[str, Any] = {"key": np.array(self.key), "truth": judged.truth, **columns, **views}
         with atomic_write(self._path(frame)) as file:
             np.savez_compressed(file, **arrays)
+        self._whole.add(frame)
 
     def _path(self, frame: int) -> Path:
         return self.folder / f"{frame:06d}.npz"
@@ -195,7 +204,7 @@ def judge(
         ``view(points, state, masses, spec, ground_z)`` draws a frame, as `ogm.cli.views.frame_view` does.
     """
     spec = methods.spec
-    missing = [number for number in numbers if archive.load(number) is None]
+    missing = archive.missing(numbers)
     wanted, away = set(missing), distances(spec)
     for number in tick(_shown(source, missing, methods.remember)):
         item = source.read(number)

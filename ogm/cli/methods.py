@@ -1,15 +1,14 @@
 """What ``ogm evaluate`` judges: sensor models, maps that fuse their scans over time, and grids that others made."""
 
-import hashlib
 import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm.cli.mapping import levelled
+from ogm.cli.models import model_says, models_of, weights_facts
 from ogm.cli.rules import BAYES, mapper_of, rolling
 from ogm.cli.source import Frame, Item, grids_in, shown_name
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
@@ -21,20 +20,7 @@ from ogm.metrics import ModelFor, Mounted, same_cells
 if TYPE_CHECKING:
     from ogm.fusion.warp import Method as Resampling
 
-__all__ = [
-    "GEOMETRIC",
-    "Map",
-    "Methods",
-    "Scans",
-    "Stored",
-    "fused",
-    "methods_of",
-    "models_of",
-    "weights_facts",
-]
-
-GEOMETRIC = ("height-band", "height-band-released", "ray")
-OWN_BOX = (-2.5, 2.5, -1.1, 1.1)  # [m] the own vehicle around the sensor, the same for all geometric models
+__all__ = ["Map", "Methods", "Scans", "Stored", "fused", "methods_of"]
 
 
 class Scans(NamedTuple):
@@ -207,7 +193,7 @@ def methods_of(
     models = models_of(isms, spec) if isms else {}
     result: dict[str, Scans | Map | Stored] = {}
     for (name, model), given in zip(models.items(), isms, strict=True):
-        result[name] = Scans(model, _says(given), weights_facts(given))
+        result[name] = Scans(model, model_says(given), weights_facts(given))
     for name in models:
         for rule in rules:
             result |= fused(name, rule, spec)
@@ -234,88 +220,3 @@ def fused(name: str, rule: str, spec: GridSpec, half_life: float | None = None) 
     fading = "never forgets" if np.isinf(memory) else f"half-life {memory:g} s"
     says = f"The scans of {name} fused over time by {kind}, {fading}."
     return {f"{name} + {rule}": Map(name, lambda: mapper_of(rule, window, half_life), says)}
-
-
-def models_of(names: Sequence[str], spec: GridSpec) -> dict[str, InverseSensorModel | ModelFor]:
-    """Return models by their names: those of the command line, or paths of weights.
-
-    Parameters
-    ----------
-    names : sequence of str
-    spec : GridSpec
-        The cells to fill.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown or given twice.
-    FileNotFoundError
-        If there are no such weights.
-    """
-    models: dict[str, InverseSensorModel | ModelFor] = {}
-    for name in names:
-        path = Path(name)  # of a run, best.safetensors and so on go by the run's name
-        shown = path.name.removesuffix(".safetensors")
-        shown = path.parent.name if shown == "best" and path.parent.name else shown
-        shown = name if name in GEOMETRIC else shown
-        if shown in models:
-            shown = name  # two runs have each a best.safetensors
-        if shown in models:
-            raise ValueError(f"{name} is given twice; give each model once")
-        models[shown] = _geometric(name, spec) if name in GEOMETRIC else _deep(name, spec)
-    return models
-
-
-def weights_facts(name: str) -> dict[str, str] | None:
-    """Return the name and the SHA-256 of the weights that a name means; None for a geometric model."""
-    if name in GEOMETRIC:
-        return None
-    from ogm.deep.ism import weights_of
-
-    with weights_of(name) as path:
-        return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-
-
-def _says(name: str) -> str:
-    """Say what a model is."""
-    known = {
-        "height-band": "The paper's geometric model as its text has it (HeightBandISM).",
-        "height-band-released": "The paper's geometric model as its released code has it: 0.32 m cells, evidence 1 "
-        "at most, mounted at 1.61 m.",
-        "ray": "Rays and local ground (RayISM).",
-        "lite": "The network that ogm ships (DeepISM), trained on simulated scans.",
-    }
-    return known.get(name, "A network (DeepISM) by its weights.")
-
-
-def _geometric(name: str, spec: GridSpec) -> InverseSensorModel | ModelFor:
-    from ogm.geometric import HeightBandISM, RayISM
-
-    if name == "height-band-released":  # its mount is built in, its cells are twice as wide
-        nx, ny = spec.shape
-        return HeightBandISM.as_released(GridSpec(2 * spec.resolution, (nx // 2, ny // 2), spec.origin))
-    model = RayISM if name == "ray" else HeightBandISM
-
-    def of(T: NDArray[np.float64]) -> InverseSensorModel:
-        return model(spec, T[2, 3], T_vehicle_sensor=T, own_box=OWN_BOX)
-
-    return of
-
-
-def _deep(name: str, spec: GridSpec) -> ModelFor:
-    if name.isidentifier() and not Path(name).exists() and name != "lite":
-        raise ValueError(
-            f"there is no model {name!r}; there are {', '.join(GEOMETRIC)}, lite, and weights by their path"
-        )
-    from ogm.deep.checkpoint import load_network
-    from ogm.deep.ism import DeepISM, weights_of
-
-    with weights_of(name) as path:
-        network, description = load_network(path)
-
-    def of(T: NDArray[np.float64]) -> InverseSensorModel:
-        return DeepISM(
-            network, spec=spec, sensor_height=float(T[2, 3]), T_vehicle_sensor=T, description=description
-        )
-
-    return of

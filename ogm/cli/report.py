@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
 from rich.table import Table
 from rich.text import Text
 
@@ -30,11 +31,9 @@ from ogm.metrics import (
     reliability,
     risk_coverage,
 )
+from ogm.metrics.paired import FEWEST
 
-if TYPE_CHECKING:
-    import numpy as np
-
-__all__ = ["print_tables", "report", "versions", "write_csv", "write_report"]
+__all__ = ["plain", "print_tables", "report", "versions", "write_csv", "write_report"]
 
 PRINTED = (
     "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "iou_unknown",
@@ -47,13 +46,12 @@ COMPARED = (
 )  # fmt: skip
 BRIEF = ("kl_e10", "iou_free", "iou_occupied", "false_free", "brier", "ece")  # of many methods
 FEW = 6  # methods of which all pairs are compared
-DRIVES = 5  # the fewest that the bootstrap draws from
 PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
 
 
 def report(
     result: Evaluation,
-    rng: "np.random.Generator",
+    rng: np.random.Generator,
     sequences: Sequence[str] = (),
     methods: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
@@ -72,7 +70,7 @@ def report(
     """
     spec, facts = result.spec, methods or {}
     drives = len(set(sequences) - {""})
-    groups = sequences if len(set(sequences)) >= DRIVES else None
+    groups = sequences if len(set(sequences)) >= FEWEST else None
     record = {
         "format": "ogm.evaluation/2",
         "versions": versions(),
@@ -106,12 +104,12 @@ def report(
             for a, b in _pairs(result.models)
         },
     }
-    return _plain(record)
+    return plain(record)
 
 
 def _drawn(count: int, what: str, of: int = 0) -> str:
     """Say what intervals are drawn from."""
-    if count < DRIVES:
+    if count < FEWEST:
         return f"none, as {count} {what} are too few" if count > 1 else f"none, as there is one {what[:-1]}"
     alike = f" of {of} drive{'s' * (of > 1)}, which are alike: too narrow for other drives" if of else ""
     return f"95 %, bootstrap over {count} {what}{alike}"
@@ -156,12 +154,14 @@ def _facts(p: Paired) -> dict[str, Any]:
     return p._asdict() | {"difference": p.difference._asdict(), "ratio": p.ratio._asdict()}
 
 
-def _plain(value: Any) -> Any:
-    """Round to seven digits, and turn NaN into None and whatever is a sequence into a list."""
+def plain(value: Any) -> Any:
+    """Return a record as JSON can hold it: numbers with seven digits, NaN and infinity as None, sequences as lists."""
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {str(key): plain(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(one) for one in value]
+        return [plain(one) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
     if isinstance(value, float):
         return float(f"{value:.7g}") if math.isfinite(value) else None
     return value

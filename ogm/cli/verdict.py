@@ -6,12 +6,12 @@ from xml.etree.ElementTree import Element
 
 from ogm.cli.charts import Leader, claimless, clean, headline, leaders
 from ogm.cli.markup import counted, element, listed, metric_title, plain_table, told
+from ogm.metrics.paired import FEWEST
 
 __all__ = ["verdict"]
 
 Record = Mapping[str, Any]
 NOTHING = 0.05  # an IoU below it: next to nothing is claimed
-DRIVES = 5  # the fewest that the bootstrap draws from, see `ogm.cli.report`
 
 
 def verdict(record: Record) -> Iterable[Element]:
@@ -37,7 +37,7 @@ def verdict(record: Record) -> Iterable[Element]:
         "frame by frame, leaves out zero and p is below 0.05; or, where two were not compared so, their own "
         "intervals lie apart."
     )
-    if 0 < (drives := len({frame["sequence"] for frame in record["frames"]} - {""})) < DRIVES:
+    if 0 < (drives := len({frame["sequence"] for frame in record["frames"]} - {""})) < FEWEST:
         words.append(
             f" The frames are of {counted(drives, 'drive')}, and those of a drive are alike: what is clear here need "
             "not be so elsewhere."

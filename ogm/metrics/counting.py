@@ -18,6 +18,14 @@ def _level(number: float, levels: int) -> int:
     return int(min(max(number, 0.0), 1.0) * (levels - 1) + 0.5)
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _call(free: float, occupied: float, unknown: float) -> int:
+    """Return what a cell is called, as `ogm.metrics.called`: 0 unknown, 1 free, 2 occupied."""
+    if occupied > unknown and occupied >= free:
+        return 2
+    return 1 if free > unknown and free > occupied else 0
+
+
 @njit(cache=True, nogil=True)
 def look_around(mass: Any, state: Any, near: Any, found: Any, obstacles: Any) -> None:
     """Look at every occupied cell, its eight neighbours, and the obstacle that it belongs to.
@@ -115,11 +123,7 @@ def count_cells(
         dissonance[truth] += 2.0 * min(free, occupied)
 
         # Calls
-        call = 0
-        if occupied > unknown and occupied >= free:
-            call = 2
-        elif free > unknown and free > occupied:
-            call = 1
+        call = _call(free, occupied, unknown)
         calls[truth, call] += 1.0
         likelier[truth, 2 if occupied > free else 1 if free > occupied else 0] += 1.0
         claims[truth, 0] += free > sure
@@ -184,11 +188,7 @@ def count_ranges(
             r += 1
         free, occupied = max(float(mass[k, 0]), 0.0), max(float(mass[k, 1]), 0.0)
         unknown = max(1.0 - free - occupied, 0.0)
-        call = 0
-        if occupied > unknown and occupied >= free:
-            call = 2
-        elif free > unknown and free > occupied:
-            call = 1
+        call = _call(free, occupied, unknown)
         calls[r, truth, call] += 1.0
         claims[r, truth, 0] += free > sure
         claims[r, truth, 1] += occupied > sure

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ogm.metrics.counting import count_cells, count_ranges, look_around
 from ogm.metrics.divergence import MIN_UNKNOWN, truth_means
-from ogm.metrics.kernels import sum_divergences, table
-from ogm.metrics.legacy import CLIP
+from ogm.metrics.kernels import CLIP, sum_divergences, table
 
 __all__ = ["BINS", "LEVELS", "RANGES", "Tally", "called", "tally"]
 

@@ -8,11 +8,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["densities", "look_up", "sum_divergences", "table"]
+__all__ = ["CLIP", "densities", "look_up", "sum_divergences", "table"]
 
 BITS = 7  # of the mantissa: places of the table per octave
 OCTAVES = 18  # from 1 to 2.6e5, above the largest alpha
 BLOCK = 256  # cells that are worked on together, for vector instructions
+CLIP = 1e-7  # Keras' epsilon: floor of the evidence in the released code's divergence
 FAST = {"contract"}  # a b + c in one instruction; nothing else is bent
 
 

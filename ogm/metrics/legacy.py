@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["CLIP", "Published", "legacy_accuracy", "legacy_kl", "legacy_published", "legacy_unmixed"]
+from ogm.metrics.counts import called
+from ogm.metrics.kernels import CLIP
 
-CLIP = 1e-7  # Keras' epsilon
+__all__ = ["Published", "legacy_accuracy", "legacy_kl", "legacy_published", "legacy_unmixed"]
 
 _UNKNOWN, _FREE, _OCCUPIED, _IGNORE = 0, 1, 2, 3  # states of a cell, as in ogm.truth
 
@@ -125,13 +126,7 @@ def legacy_accuracy(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> flo
     if not kept.any():
         return float("nan")
     truth = np.stack([state == _FREE, state == _OCCUPIED], axis=-1) / 3
-    return float((_largest(mass[kept]) == _largest(truth[kept])).mean())
-
-
-def _largest(mass: NDArray[np.floating]) -> NDArray[np.intp]:
-    """Return which mass is the largest, unknown first: a tie with it is unknown, as in `called`."""
-    free, occupied = mass[..., 0].astype(np.float64), mass[..., 1].astype(np.float64)
-    return np.stack([1 - free - occupied, occupied, free], axis=-1).argmax(axis=-1)
+    return float((called(mass[kept]) == called(truth[kept])).mean())
 
 
 def _alike(first: ArrayLike, second: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Interval", "Paired", "bootstrap_mean", "bootstrap_ratio", "paired"]
+__all__ = ["FEWEST", "Interval", "Paired", "bootstrap_mean", "bootstrap_ratio", "paired"]
 
 RESAMPLES = 2000
 LEVEL = 0.95

@@ -28,7 +28,7 @@ SPAN = 30.0  # [s] before and after: later, parked cars have left and poses have
 MOST = 40  # scans that are looked at, spread evenly over those
 RASTER = 1.0  # [m] side of the cells that the ground is estimated on
 THINNED = (
-    65_000  # points that it is estimated from: of more, `local_ground` would take every second, in beam order
+    65_000  # points that it is estimated from: of more, `local_ground` would take every second, in order
 )
 
 

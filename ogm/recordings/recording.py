@@ -41,9 +41,7 @@ SOURCES = ("boxes", "classes", "map", "aggregated")
 OTHERS = ("all", "later")
 ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
 HEIGHTS = 5  # scans of a drive whose median tells its sensor's height
-AT_MOVING_POINTS = (
-    0.3  # [m] around points whose class says that they move, cells are not judged by other scans
-)
+AT_MOVING_POINTS = 0.3  # [m] around points whose class says that they move, other scans do not judge cells
 FEW = 3  # other scans, below which one is enough to know a cell; else two must agree
 KEPT_SCANS, KEPT_TRUTHS = 64, 128  # in memory: some 2 MB and 0.4 MB each
 

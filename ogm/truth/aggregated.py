@@ -14,7 +14,7 @@ GROUND = (-0.3, 0.15)  # [m] above the estimated ground: ground
 STANDING = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell not judged
 AT_LEAST = 3  # returns of one kind that make a cell known
 HALF = 0.5  # share of the scans with returns in a cell that must show the obstacle, or it came and went
-MARGIN = 0.3  # [m] around moving boxes: what annotation and de-skewing leave outside
+MARGIN = 0.3  # [m] around boxes: what annotation and de-skewing leave outside
 
 
 def truth_from_scans(

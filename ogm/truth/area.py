@@ -7,16 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
+from ogm.truth.aggregated import MARGIN, STANDING
 from ogm.truth.moving import cells_in_boxes, widen_boxes
 from ogm.truth.state import FREE, IGNORE, Truth
 
 __all__ = ["Road", "cells_in_areas", "free_road", "truth_from_road"]
 
-STANDING = (
-    0.3,
-    2.0,
-)  # [m] above ground: returns between these heights stand on the road and hide what is behind
-AROUND = 0.3  # [m] road this close to an object's box is not judged
 SECTOR = np.radians(0.4)  # [rad] of azimuth in which they hide it; a VLP-32C turns by 0.2 deg between firings
 
 
@@ -73,7 +69,7 @@ def free_road(
 ) -> Road:
     """Tell which cells of the road should be free, and which of them a sensor at (0, 0, 0) can see.
 
-    Left out are cells at boxes (all of them, however few returns they have, and `AROUND` them) and cells with
+    Left out are cells at boxes (all of them, however few returns they have, and `MARGIN` around them) and cells with
     a return that stands on the road. A cell is in sight if no such return lies nearer in its direction, on or
     above the line from the sensor to the cell's ground.
 
@@ -99,7 +95,7 @@ def free_road(
     """
     xyz = np.asarray(points, np.float64)[:, :3]
     standing = xyz[(above > STANDING[0]) & (above < STANDING[1])]
-    taken = cells_in_boxes(widen_boxes(boxes, AROUND), spec)
+    taken = cells_in_boxes(widen_boxes(boxes, MARGIN), spec)
     here = standing[spec.contains(*standing[:, :2].T)]
     taken[spec.index(*here[:, :2].T)] = True
 

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["boxes_seen_from", "cells_in_box", "check_boxes", "count_returns"]
+__all__ = ["boxes_seen_from", "cells_in_box", "check_boxes", "count_returns", "over"]
 
 
 def check_boxes(value: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -21,6 +21,13 @@ def check_boxes(value: ArrayLike, name: str) -> NDArray[np.float64]:
     if not np.isfinite(boxes).all() or not (boxes[:, 3:5] > 0).all():
         raise ValueError(f"{name} must be finite, with length and width above 0 m")
     return boxes
+
+
+def over(box: ArrayLike, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Tell which places lie on the footprint of a box, (5 or more,); in float64, whatever the places are in."""
+    x0, y0, yaw, length, width = np.asarray(box, np.float64)[:5]
+    c, s, px, py = np.cos(yaw), np.sin(yaw), x - x0, y - y0
+    return (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
 
 
 def cells_in_box(box: ArrayLike, spec: GridSpec) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -39,16 +46,15 @@ def cells_in_box(box: ArrayLike, spec: GridSpec) -> tuple[NDArray[np.int64], NDA
     ix, iy : (C,) int64
         Cells inside the grid only.
     """
-    x, y, yaw, length, width = (float(value) for value in np.asarray(box)[:5])
+    x, y, _, length, width = (float(value) for value in np.asarray(box)[:5])
     reach = 0.5 * np.hypot(length, width) + spec.resolution
     (ix0, ix1), (iy0, iy1) = spec.index(*np.array([[x - reach, x + reach], [y - reach, y + reach]]))
     nx, ny = spec.shape
     ix = np.arange(max(ix0, 0), min(ix1 + 1, nx))[:, None]
     iy = np.arange(max(iy0, 0), min(iy1 + 1, ny))[None, :]
-    px = spec.origin[0] + (ix + 0.5) * spec.resolution - x
-    py = spec.origin[1] + (iy + 0.5) * spec.resolution - y
-    c, s = np.cos(yaw), np.sin(yaw)
-    inside = (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
+    inside = over(
+        box, spec.origin[0] + (ix + 0.5) * spec.resolution, spec.origin[1] + (iy + 0.5) * spec.resolution
+    )
     mx, my = spec.index(x, y)
     inside |= (ix == mx) & (iy == my)
     at = np.nonzero(inside)
@@ -77,13 +83,10 @@ def count_returns(points: ArrayLike, boxes: ArrayLike) -> NDArray[np.int64]:
         raise ValueError(f"points must have shape (N, 3 or more), got {points.shape}")
     result = np.zeros(len(check_boxes(boxes, "boxes")), np.int64)
     for n, box in enumerate(check_boxes(boxes, "boxes")):
-        x, y, yaw, length, width = box[:5]
-        near = np.abs(points[:, 0] - x) <= 0.5 * np.hypot(length, width)
-        px, py, z = points[near, 0] - x, points[near, 1] - y, points[near, 2]
-        c, s = np.cos(yaw), np.sin(yaw)
-        inside = (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
+        near = points[np.abs(points[:, 0] - box[0]) <= 0.5 * np.hypot(box[3], box[4])]
+        inside = over(box, near[:, 0], near[:, 1])
         if len(box) == 7:
-            inside &= (z >= box[5]) & (z <= box[6])
+            inside &= (near[:, 2] >= box[5]) & (near[:, 2] <= box[6])
         result[n] = np.count_nonzero(inside)
     return result
 

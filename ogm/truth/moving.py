@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
 from ogm.pose import check_pose
-from ogm.truth.boxes import cells_in_box, check_boxes
+from ogm.truth.boxes import cells_in_box, check_boxes, over
 
 __all__ = ["boxes_over_points", "cells_in_boxes", "move_boxes", "moving_tracks", "widen_boxes"]
 
@@ -59,9 +59,8 @@ def cells_in_boxes(boxes: ArrayLike, spec: GridSpec) -> NDArray[np.bool_]:
 def boxes_over_points(points: NDArray[np.floating], boxes: ArrayLike) -> NDArray[np.bool_]:
     """Return which points lie over, in or under any of the boxes, (N,): at any height."""
     result = np.zeros(len(points), bool)
-    for x, y, yaw, length, width, *_ in check_boxes(boxes, "boxes"):
-        c, s, px, py = np.cos(yaw), np.sin(yaw), points[:, 0] - x, points[:, 1] - y
-        result |= (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
+    for box in check_boxes(boxes, "boxes"):
+        result |= over(box, points[:, 0], points[:, 1])
     return result
 
 

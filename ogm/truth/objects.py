@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ogm.grid import GridSpec
-from ogm.truth.boxes import cells_in_box, check_boxes
+from ogm.truth.boxes import check_boxes
+from ogm.truth.moving import cells_in_boxes
 from ogm.truth.rules import MIN_RETURNS
 from ogm.truth.state import IGNORE, OCCUPIED, Truth
 
@@ -36,6 +37,5 @@ def truth_from_boxes(
     if counts.shape != (len(boxes),):
         raise ValueError(f"returns must have shape ({len(boxes)},), one per box, got {counts.shape}")
     state = np.full(spec.shape, IGNORE, np.uint8)
-    for box in boxes[counts >= min_returns]:
-        state[cells_in_box(box, spec)] = OCCUPIED
+    state[cells_in_boxes(boxes[counts >= min_returns], spec)] = OCCUPIED
     return Truth(spec, state)

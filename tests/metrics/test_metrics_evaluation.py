@@ -65,6 +65,17 @@ def test_wilcoxon_without_a_difference_is_nan() -> None:
     assert np.isnan(paired([np.nan], [1.0], "lower", rng).p)
 
 
+def test_of_few_frames_the_interval_is_too_narrow_and_p_is_not() -> None:
+    """Without any difference: docs/evaluation.md says that one interval of seven leaves out zero at six frames."""
+    rng = np.random.default_rng(8)
+    nothing = np.zeros(6)
+    found = [paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]
+    out = np.array([one.difference.low > 0 or one.difference.high < 0 for one in found])
+    small = np.array([one.p < 0.05 for one in found])
+    assert pytest.approx(out.mean(), abs=0.03) == 1 / 7
+    assert (out & small).mean() < 0.06
+
+
 def test_drives_are_drawn_whole() -> None:
     """Frames that repeat their drive's value tell no more than one frame per drive."""
     rng = np.random.default_rng(3)

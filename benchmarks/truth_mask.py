@@ -1,0 +1,121 @@
+"""The judged scan takes cells out of the aggregated truth of recordings: what does that do to the scores? Measured.
+
+    python benchmarks/truth_mask.py [--quick]
+
+Where the judged scan shows the opposite of what the other scans of its drive agree on, something that nobody
+labelled has come or gone, and the cell is ignored (`ogm.truth.contradicted`). Here every frame of two KITTI drives is
+judged with and without that rule: scans by the truth of all other scans, scans and maps by that of later ones. The
+drives cannot be shipped: benchmarks/README.md says where they go. Writes benchmarks/results/truth_mask.json.
+"""
+
+from _run import DATA, RESULTS, environment, write_json
+
+# isort: split
+import argparse
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm import GridSpec
+from ogm.cli.methods import Map, Methods, methods_of
+from ogm.cli.source import source_of
+from ogm.metrics import score, tally
+from ogm.recordings import open_recording
+from ogm.truth import FREE, OCCUPIED
+
+SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+DRIVES = {"KITTI, drive 0005": "kitti_raw_0005", "KITTI, odometry 00": "kitti_odometry_00"}
+ISMS, RULES = ("height-band", "ray", "lite"), ("cautious",)
+KEPT = ("iou_free", "iou_occupied", "false_free", "missed_occupied", "brier")
+
+
+@contextmanager
+def without_mask() -> Iterator[None]:
+    """Leave the rule out."""
+
+    def nothing(truth: Any, *scan: Any) -> NDArray[np.bool_]:
+        return np.zeros(truth.spec.shape, bool)
+
+    with mock.patch("ogm.recordings.around.contradicted", nothing):
+        yield
+
+
+def truths(place: str, others: str, masked: bool) -> list[NDArray[np.uint8]]:
+    """Return the truth of every frame of a drive."""
+    with nullcontext() if masked else without_mask():
+        recording = open_recording(DATA / place, others=others)
+        return [frame.truth.crop(SPEC).state for frame in recording]
+
+
+def taken_out(masked: list[NDArray[np.uint8]], whole: list[NDArray[np.uint8]]) -> dict[str, float]:
+    """Return the shares of free and of occupied cells that the rule takes out."""
+    shares = {}
+    for name, state in (("free", FREE), ("occupied", OCCUPIED)):
+        lost = sum(np.count_nonzero((b == state) & (a != b)) for a, b in zip(masked, whole, strict=True))
+        shares[name] = lost / max(sum(np.count_nonzero(b == state) for b in whole), 1)
+    return shares
+
+
+def judge(place: str, frames: int | None) -> dict[str, Any]:
+    """Judge every frame of a drive by four truths."""
+    kinds = {
+        others: (truths(place, others, True), truths(place, others, False)) for others in ("all", "later")
+    }
+    source = source_of(DATA / place, SPEC, judged="maps")
+    methods = Methods(methods_of(ISMS, RULES, [], SPEC), SPEC)
+    rows: dict[tuple[str, str], list[list[list[float]]]] = {}
+    for k in range(len(source.frames))[:frames]:
+        for name, grid in methods.grids(source.frames[k], source.read(k)).items():
+            for others, pair in kinds.items():
+                if others == "later" or not isinstance(methods.given[name], Map):
+                    counted = [score(tally(grid.mass, truth[k])) for truth in pair]
+                    values = [[one[metric] for metric in KEPT] for one in counted]
+                    rows.setdefault((others, name), []).append(values)
+    found: dict[str, Any] = {}
+    for others, pair in kinds.items():
+        means = {
+            name: np.nanmean(values, axis=0) for (which, name), values in rows.items() if which == others
+        }
+        gain = {name: one[0] - one[1] for name, one in means.items()}
+        spread = np.ptp(list(gain.values()), axis=0)
+        found[others] = {
+            "share that is taken out": taken_out(*pair),
+            "means, with and without": {
+                name: {metric: one[:, n].tolist() for n, metric in enumerate(KEPT)}
+                for name, one in means.items()
+            },
+            "by how much differences between methods move, at most": dict(
+                zip(KEPT, spread.tolist(), strict=True)
+            ),
+        }
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="three frames of each; writes nothing")
+    given = parser.parse_args()
+    record: dict[str, Any] = {"environment": environment(), "drives": {}}
+    for name, place in DRIVES.items():
+        if not (DATA / place).is_dir():
+            print(f"{name} is left out: there is no {place}", file=sys.stderr)
+            continue
+        record["drives"][name] = judge(place, 3 if given.quick else None)
+        for others, found in record["drives"][name].items():
+            lost = ", ".join(f"{100 * v:.2f} % of {k}" for k, v in found["share that is taken out"].items())
+            print(f"{name}, {others} scans: {lost} cells are taken out")
+            for method, means in found["means, with and without"].items():
+                print(f"  {method:24}" + "  ".join(f"{m} {a:.3f} / {b:.3f}" for m, (a, b) in means.items()))
+    if not given.quick:
+        write_json(RESULTS / "truth_mask.json", record)
+
+
+if __name__ == "__main__":
+    main()
