@@ -13,7 +13,7 @@ from scipy.ndimage import binary_dilation
 from ogm import EvidentialGrid, GridSpec
 from ogm.evidence import dempster, plausibility_transform
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
-from ogm.metrics import auroc, score, tally
+from ogm.metrics import auroc, score, accumulate
 from ogm.truth import IGNORE, OCCUPIED, Truth, cells_in_box
 
 __all__ = [
@@ -93,13 +93,13 @@ def conflict_kinds(
                 (motion.astype(np.int64) * LEVELS + level).ravel(), minlength=Motion.COUNT * LEVELS
             )
             histograms[row] += flat.reshape(Motion.COUNT, LEVELS)
-        nobody, near = motion == Motion.NOBODY, edges[at]
+        unobserved, near = motion == Motion.NOBODY, edges[at]
         for row, threshold in enumerate(THRESHOLDS):
             there = kinds[-1] > threshold
             found[row, :2] += _found(drive.boxes[k], motion, spec, there)
             found[row, 2:4] += _found(drive.standing[k], motion, spec, there)
-            found[row, 4] += np.count_nonzero(there & nobody)
-            found[row, 5] += np.count_nonzero(there & nobody & near)
+            found[row, 4] += np.count_nonzero(there & unobserved)
+            found[row, 5] += np.count_nonzero(there & unobserved & near)
     return histograms, found
 
 
@@ -143,7 +143,7 @@ def lost_by_cells(drive: Drive) -> list[dict[str, float]]:
         truth = Truth(PAPER, drive.truth[k])
         mapper.update(truth.grid, drive.poses[k], stamp=float(drive.stamps[k]))
         state = np.where(truth.known, truth.state, IGNORE).astype(np.uint8)
-        scores = score(tally(mapper.view(PAPER).mass, state))
+        scores = score(accumulate(mapper.view(PAPER).mass, state))
         result.append({name: scores[name] for name in ("iou_free_known", "iou_occupied_known")})
     return result
 
@@ -221,7 +221,7 @@ def what_half_means(
     """
     ours = EvidentialMapper(WINDOW, dempster, half_life, moving_half_life=INF)
     theirs = BinaryBayesMapper(WINDOW, half_life)
-    says = np.full((2, *drive.spec.shape), -1000, np.int32)  # last frame whose scan said free, occupied
+    description = np.full((2, *drive.spec.shape), -1000, np.int32)  # last frame whose scan said free, occupied
     n, r = drive.labels.shape[1], drive.spec.resolution
     rows: list[NDArray] = []
     for k in range(len(drive)):
@@ -233,7 +233,7 @@ def what_half_means(
         spec = GridSpec(r, (n, n), (drive.spec.origin[0] + i * r, drive.spec.origin[1] + j * r))
         said = warp(grid, spec, drive.poses[k], "nearest").mass
         for state in range(2):
-            says[state][at][said[..., state] > SURE] = k
+            description[state][at][said[..., state] > SURE] = k
         if k % STEP != STEP - 1:
             continue
         offset = np.rint((np.array(ours.spec.origin) - drive.spec.origin) / r).astype(int)
@@ -241,7 +241,7 @@ def what_half_means(
         here = slice(di, di + n), slice(dj, dj + n)
         p, mass = theirs.probability[here], ours.grid.mass[here]
         look = (np.abs(p - 0.5) < 0.1) & (drive.motion[k] != Motion.NOT_JUDGED)
-        free, occupied = says[0][at], says[1][at]
+        free, occupied = description[0][at], description[1][at]
         rows.append(
             np.stack(
                 [

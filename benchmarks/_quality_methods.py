@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ogm import GridSpec
-from ogm.cli.methods import Map, Methods, Scans, fused, methods_of
+from ogm.cli.methods import Map, Methods, SingleScanMethod, fused, methods_of
 from ogm.cli.models import models_of, weights_facts
 from ogm.cli.rules import BAYES, RULES, rolling
 from ogm.evidence import dempster
@@ -18,16 +18,16 @@ PLAIN = "dempster-plain"
 SLOW = ("pcr6", "averaging", "weighted")  # run in numpy, ten times slower
 
 
-def alone(spec: GridSpec, paper: Path | None = None) -> dict[str, Scans]:
+def alone(spec: GridSpec, paper: Path | None = None) -> dict[str, SingleScanMethod]:
     """Return the sensor models: geometric ones, `lite`, and the network of the paper's size if there are weights."""
     found = methods_of([*GEOMETRIC, "lite"], (), (), spec)
     if paper is not None:
         (model,) = models_of([str(paper)], spec).values()
-        found["paper"] = Scans(model, "A network of the paper's size (DeepISM).", weights_facts(str(paper)))
-    return {name: one for name, one in found.items() if isinstance(one, Scans)}
+        found["paper"] = SingleScanMethod(model, "A network of the paper's size (DeepISM).", weights_facts(str(paper)))
+    return {name: one for name, one in found.items() if isinstance(one, SingleScanMethod)}
 
 
-def fused_over_time(models: dict[str, Scans], spec: GridSpec, quick: bool = False) -> dict[str, Scans | Map]:
+def fused_over_time(models: dict[str, SingleScanMethod], spec: GridSpec, quick: bool = False) -> dict[str, SingleScanMethod | Map]:
     """Return the models, and each of them fused by every rule of the command line and by plain Dempster.
 
     The rules that run in numpy are left to `ray` and the networks.
@@ -39,7 +39,7 @@ def fused_over_time(models: dict[str, Scans], spec: GridSpec, quick: bool = Fals
     quick : bool
         Fewer rules, for trying out.
     """
-    result: dict[str, Scans | Map] = dict(models)
+    result: dict[str, SingleScanMethod | Map] = dict(models)
     rules = ("cautious", "dempster", BAYES) if quick else (*RULES, BAYES)
     for name in models:
         for rule in rules:
@@ -56,10 +56,10 @@ def made_of(name: str) -> str:
 
 def _plain(name: str, spec: GridSpec) -> Map:
     window = rolling(spec)
-    says = f"The scans of {name} fused over time by Dempster's rule, half-life 2 s for everything, as most would do."
-    return Map(name, lambda: EvidentialMapper(window, dempster, 2.0, moving_half_life=float("inf")), says)
+    description = f"The scans of {name} fused over time by Dempster's rule, half-life 2 s for everything, as most would do."
+    return Map(name, lambda: EvidentialMapper(window, dempster, 2.0, moving_half_life=float("inf")), description)
 
 
-def at_work(methods: dict[str, Scans | Map], spec: GridSpec) -> Methods:
+def at_work(methods: dict[str, SingleScanMethod | Map], spec: GridSpec) -> Methods:
     """Return methods that can be shown frames."""
     return Methods(dict(methods), spec)

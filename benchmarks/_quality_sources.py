@@ -37,7 +37,7 @@ class Recording(NamedTuple):
     name: str
     alone: Source | None
     fused: Source | None
-    says: str = ""
+    description: str = ""
 
 
 def town(path: Path, spec: GridSpec, split: str) -> Source:

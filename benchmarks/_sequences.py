@@ -18,12 +18,12 @@ from scipy.ndimage import binary_dilation
 
 from ogm import GridSpec
 from ogm.simulation.store import Split
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, cells_in_box
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, UNKNOWN, cells_in_box
 
 __all__ = ["Drive", "Label", "Motion", "Trail", "drives", "grown", "planar", "read_drive", "trails"]
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
-OWN_BOX = (-2.5, 2.5, -1.1, 1.1)  # [m] of the own vehicle, around the sensor
+EGO_FOOTPRINT = (-2.5, 2.5, -1.1, 1.1)  # [m] of the own vehicle, around the sensor
 FRAMES = 100  # of a drive
 MOVING = 1.0  # [m/s] beyond which a participant moves
 STILL = 0.3  # [m/s] below which it stands; between the two, its cells are not judged as moving or standing
@@ -185,7 +185,7 @@ def read_drive(part: Split, number: int) -> Drive:
     poses[:, :2, 3] -= start
 
     # The lattice: all windows of 624 x 624 cells around the sensor fit
-    r, n = CANVAS.resolution, CANVAS.shape[0]
+    r, n = TRUTH_SPEC.resolution, TRUTH_SPEC.shape[0]
     middles = np.rint(poses[:, :2, 3] / r).astype(np.int64)
     low, high = middles.min(axis=0) - n // 2, middles.max(axis=0) + n // 2
     spec = GridSpec(r, tuple((high - low).tolist()), tuple((low * r).tolist()))
@@ -351,7 +351,7 @@ def _label(drive: Drive, unseen: Sequence[NDArray[np.int64]]) -> None:
         py = spec.origin[1] + (drive.windows[k, 1] + np.arange(n)[None, :] + 0.5) * r - y
         c, s = np.cos(yaw), np.sin(yaw)
         u, v = c * px + s * py, c * py - s * px
-        x0, x1, y0, y1 = OWN_BOX
+        x0, x1, y0, y1 = EGO_FOOTPRINT
         own = (u > x0) & (u < x1) & (v > y0) & (v < y1)
         view = PAPER.contains(u, v) & ~own
 

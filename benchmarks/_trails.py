@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from ogm import EvidentialGrid, GridSpec
 from ogm.evidence import dempster
 from ogm.fusion import EvidentialMapper
-from ogm.metrics import Interval, auroc_of_histograms, bootstrap_mean, score, tally
+from ogm.metrics import Interval, auroc_of_histograms, bootstrap_mean, score, accumulate
 
-__all__ = ["SAID", "WINDOW", "Counts", "Mapper", "ScanAlone", "judge", "survival"]
+__all__ = ["SAID", "WINDOW", "Counts", "Mapper", "ScanAlone", "run_evaluation", "survival"]
 
 WINDOW = GridSpec.centered(length=102.4, width=102.4, resolution=0.16)  # holds the paper's grid at any yaw
 EVERY = 5  # frames: how often a view is held against the frame's own truth
@@ -110,7 +110,7 @@ class Counts(NamedTuple):
     share: NDArray[np.float64]
 
 
-def judge(
+def run_evaluation(
     drive: Drive, mapper: Mapper, scans: Sequence[NDArray[np.float32]], trails: Sequence[Trail]
 ) -> Counts:
     """Run a mapper over a drive and count."""
@@ -136,8 +136,8 @@ def judge(
         one = trails[k]
         free, occupied = _sampled(grid.mass, one.left, drive.spec, offset)
         p = occupied + 0.5 * (1 - free - occupied)
-        says = np.stack([np.ones_like(p), occupied > 0.5, p > 0.5 + EVEN, free <= 0.5], axis=-1)
-        np.add.at(trail, (one.age, one.where, one.touched.astype(int)), says)
+        description = np.stack([np.ones_like(p), occupied > 0.5, p > 0.5 + EVEN, free <= 0.5], axis=-1)
+        np.add.at(trail, (one.age, one.where, one.touched.astype(int)), description)
         ghosts += np.count_nonzero(p > 0.5 + EVEN)
         for which, clear in enumerate((p < 0.5 - EVEN, free > 0.5)):
             open_ = one.touched & (done[which, one.left] != one.visit)
@@ -159,7 +159,7 @@ def judge(
         if k % EVERY == EVERY - 1:
             state = drive.truth[k].copy()
             state[state == 0] = 3  # what this frame cannot see is left out: a map may well know it
-            counts = tally(mapper.view(PAPER).mass, state)
+            counts = accumulate(mapper.view(PAPER).mass, state)
             scores = score(counts)
             views.append([scores[name] for name in VIEW])
             shares.append(counts.calls[1:, 1:].sum() / counts.cells[1:].sum())
@@ -313,11 +313,11 @@ def summary(one: Counts) -> dict[str, float]:
 def conflict_scores(histograms: NDArray[np.float64]) -> dict[str, float]:
     """Return how well conflict finds moving cells: fronts, backs, and both by the sum."""
     a, b, total = histograms
-    nobody = Motion.NOBODY
-    front = average_precision(a[Motion.FRONT], a[nobody])
-    back = average_precision(b[Motion.BACK], b[nobody])
-    both = average_precision(total[Motion.FRONT] + total[Motion.BACK], total[nobody])
-    every = average_precision(total[Motion.FRONT] + total[Motion.BODY] + total[Motion.BACK], total[nobody])
+    unobserved = Motion.NOBODY
+    front = average_precision(a[Motion.FRONT], a[unobserved])
+    back = average_precision(b[Motion.BACK], b[unobserved])
+    both = average_precision(total[Motion.FRONT] + total[Motion.BACK], total[unobserved])
+    every = average_precision(total[Motion.FRONT] + total[Motion.BODY] + total[Motion.BACK], total[unobserved])
     kinds = (("front", front), ("back", back), ("both", both), ("all", every))
     return {f"{kind}_{name}": value for kind, one in kinds for name, value in one.items()}
 

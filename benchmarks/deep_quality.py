@@ -39,7 +39,7 @@ from ogm.cli.pictures import metrics_picture
 from ogm.cli.report import print_tables, report
 from ogm.deep.losses import undo_class_weights
 from ogm.evidence import evidence_to_mass
-from ogm.metrics import Evaluation, Tally, evaluate, model_for, same_cells, score, tally
+from ogm.metrics import Evaluation, ConfusionSums, evaluate, model_for, resample_to, score, accumulate
 from ogm.simulation.store import Store
 from ogm.truth import MIN_RETURNS, OCCUPIED, cells_in_box
 
@@ -117,7 +117,7 @@ def what_is_missed(models: Mapping[str, Any], samples: Iterable[Any]) -> dict[st
             there[cells_in_box([one[key] for key in ("x", "y", "yaw", "length", "width")], PAPER)] = True
         thick = binary_opening(occupied, np.ones((3, 3)))
         for name, model in models.items():
-            grid = same_cells(model_for(model, sample)(sample.points), PAPER)
+            grid = resample_to(model_for(model, sample)(sample.points), PAPER)
             most = (grid.occupied > grid.free) & (grid.occupied > grid.unknown)
             for row, kind in enumerate((there, ~there & thick, ~there & ~thick)):
                 cells = occupied & kind
@@ -133,12 +133,12 @@ def what_is_missed(models: Mapping[str, Any], samples: Iterable[Any]) -> dict[st
 
 def weighed(model: Any, samples: Sequence[Any]) -> dict[str, dict[str, float]]:
     """Score a network, pooled, as if occupied cells had weighed more in its training: in closed form, afterwards."""
-    pooled: dict[float, Tally] = {}
+    pooled: dict[float, ConfusionSums] = {}
     for sample in samples:
         evidence = torch.from_numpy(model_for(model, sample)(sample.points).evidence)
         for weight in WEIGHTS:
             mass = evidence_to_mass(undo_class_weights(evidence, occupied=1 / weight).numpy())
-            counts = tally(mass, sample.truth.crop(PAPER).state)
+            counts = accumulate(mass, sample.truth.crop(PAPER).state)
             pooled[weight] = pooled[weight].plus(counts) if weight in pooled else counts
     shown = ("kl_e10", "iou_free", "iou_occupied", "ece_relative", "false_free")
     return {f"{weight:g}": {name: score(counts)[name] for name in shown} for weight, counts in pooled.items()}

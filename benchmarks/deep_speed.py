@@ -42,7 +42,7 @@ from torch import nn  # noqa: E402
 
 from ogm import GridSpec, read_scan  # noqa: E402
 from ogm.deep import LITE, PAPER, DeepISM, Network  # noqa: E402
-from ogm.deep.data import Augmentation, Scenes  # noqa: E402
+from ogm.deep.data import Augmentation, PillarDataset  # noqa: E402
 from ogm.deep.network import ConvReLU  # noqa: E402
 from ogm.deep.pillars import pillarize, pillarize_torch  # noqa: E402
 from ogm.files import atomic_write  # noqa: E402
@@ -131,7 +131,7 @@ def loading(folder: Path, count: int = 200) -> dict[str, float]:
     """Return the samples that one process reads and augments per second."""
     from ogm.simulation.store import Store
 
-    scenes = Scenes(Store.open(folder)["training"], SPEC, Augmentation())
+    scenes = PillarDataset(Store.open(folder)["training"], SPEC, Augmentation())
     for i in range(5):
         scenes[0, i]
     torch.set_num_threads(1)

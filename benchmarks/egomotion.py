@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
-from ogm.fusion import EgoMotion, deskew, extended
+from ogm.fusion import EgoMotion, deskew, extrapolate
 from ogm.pose import Trajectory, pose, transform_points
 
 SEED, DRIVES = 61, (1, 3)  # of the town; sequences in it: through a bend, and straight on
@@ -66,7 +66,7 @@ def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, N
 def straightened(sequence: int, frames: int) -> dict[str, Any]:
     """Measure how far points lie from the planes of the unbent map: as measured, de-skewed, never bent."""
     trajectory, bent, still = scans(sequence, frames)
-    longer = extended(trajectory, 0.06)
+    longer = extrapolate(trajectory, 0.06)
     kinds: dict[str, list[NDArray]] = {"as measured": [], "de-skewed": [], "never bent": []}
     for k, (points, time) in enumerate(bent):
         straight = deskew(points, time, longer, float(trajectory.stamps[k]))

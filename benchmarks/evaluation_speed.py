@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sklearn import metrics as peer
 
 from ogm import GridSpec
-from ogm.cli.judging import Archive, judge
+from ogm.cli.judging import ResultCache, run_evaluation
 from ogm.cli.methods import Methods, methods_of
 from ogm.cli.page import write_page
 from ogm.cli.report import report, write_csv, write_report
@@ -38,7 +38,7 @@ from ogm.metrics import (
     reliability,
     risk_coverage,
     score,
-    tally,
+    accumulate,
 )
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
@@ -50,7 +50,7 @@ WANTED = {"all metrics of a frame [ms]": 60.0, "report, 100 frames x 5 methods [
 
 def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArray[np.float32]) -> None:
     """Take all metrics of a grid, with curves and ranges."""
-    counts = tally(mass, state, away)
+    counts = accumulate(mass, state, away)
     score(counts)
     by_range(counts)
     for which in ("all", "called", "relative"):
@@ -114,8 +114,8 @@ def whole(source: Source, frames: int) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         start = time.perf_counter()
-        archive = Archive(folder / "frames", {"benchmark": "evaluation_speed"})
-        result = judge(timed, range(frames), methods, archive)
+        archive = ResultCache(folder / "frames", {"benchmark": "evaluation_speed"})
+        result = run_evaluation(timed, range(frames), methods, archive)
         judged = time.perf_counter()
         named = source.frames[:frames]
         record = {
@@ -123,7 +123,7 @@ def whole(source: Source, frames: int) -> dict[str, float]:
             "command": "",
             "date": "",
             "seed": 0,
-            "data": {"kind": source.kind, "name": source.name, "truth": source.says},
+            "data": {"kind": source.kind, "name": source.name, "truth": source.description},
             "frames": [frame._asdict() for frame in named],
             **report(result, np.random.default_rng(0), [frame.sequence for frame in named], methods.facts()),
         }

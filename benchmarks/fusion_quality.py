@@ -44,13 +44,13 @@ from _fusion_extras import (
 )
 from _fusion_methods import BASELINE, DEFAULT, FAMILIES, PLAIN, SCAN, SLOW, chosen, make, named
 from _fusion_pictures import AHEAD, curves, gallery
-from _sequences import OWN_BOX, PAPER, Drive, drives, read_drive, trails
+from _sequences import EGO_FOOTPRINT, PAPER, Drive, drives, read_drive, trails
 from _trails import (
     WINDOW,
     Counts,
     completeness,
     conflict_scores,
-    judge,
+    run_evaluation,
     quantile_of,
     summary,
     survival,
@@ -111,14 +111,14 @@ def scans_of(drive: Drive, ism: Any) -> list[NDArray[np.float32]]:
 
 def ray(drive: Drive) -> RayISM:
     """Return the geometric model for the sensor of a drive."""
-    return RayISM(PAPER, sensor_height=drive.height, own_box=OWN_BOX)
+    return RayISM(PAPER, sensor_height=drive.height, ego_footprint=EGO_FOOTPRINT)
 
 
 def lite(drive: Drive) -> Any:
     """Return the shipped network for the sensor of a drive."""
     from ogm.deep import DeepISM
 
-    return DeepISM.load("lite", spec=PAPER, sensor_height=drive.height, own_box=OWN_BOX)
+    return DeepISM.load("lite", spec=PAPER, sensor_height=drive.height, ego_footprint=EGO_FOOTPRINT)
 
 
 def run(
@@ -126,7 +126,7 @@ def run(
 ) -> dict[Method, Counts]:
     """Run maps over a drive."""
     left = list(trails(drive, scans))
-    return {(family, p): judge(drive, make(family, p), scans, left) for family, p in methods}
+    return {(family, p): run_evaluation(drive, make(family, p), scans, left) for family, p in methods}
 
 
 def read(part: Split, numbers: Sequence[int], what: str) -> Iterator[Drive]:
@@ -316,7 +316,7 @@ def main() -> None:
     network: dict[Method, list[Counts]] = {method: [] for method in deep}
     kinds: Any = 0
     found: Any = 0
-    doubtful: list[dict[str, NDArray[np.float32]]] = []
+    uncertain: list[dict[str, NDArray[np.float32]]] = []
     same: list[dict[str, float]] = []
     lost: list[dict[str, float]] = []
     for drive in read(part, numbers, judged):
@@ -325,7 +325,7 @@ def main() -> None:
             final[method].append(one)
         histograms, levels = conflict_kinds(drive, scans, PLAIN[1])
         kinds, found = kinds + histograms, found + levels
-        doubtful.append(what_half_means(drive, scans, PLAIN[1]))
+        uncertain.append(what_half_means(drive, scans, PLAIN[1]))
         lost += lost_by_cells(drive)
         if len(same) < 3:
             same.append(same_filter(drive, scans))
@@ -353,7 +353,7 @@ def main() -> None:
         },
         "conflict as a cue for motion": _clean(conflict_report(kinds, found, frames)),
         "where Bayes says 0.4 to 0.6": _clean(
-            unknown_report({key: np.concatenate([one[key] for one in doubtful]) for key in doubtful[0]})
+            unknown_report({key: np.concatenate([one[key] for one in uncertain]) for key in uncertain[0]})
         ),
         "Dempster and Bayes by plausibility": {key: max(one[key] for one in same) for key in same[0]},
     }

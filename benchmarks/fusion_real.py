@@ -29,7 +29,8 @@ from ogm import EvidentialGrid, GridSpec, read_points
 from ogm.evidence import conflict, cumulative, dempster, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper
 from ogm.geometric import RayISM
-from ogm.metrics import called, score, tally
+from ogm.metrics import score, accumulate
+from ogm.state import predict_state
 from ogm.plot import Panel, cells, masses, points
 from ogm.plot import conflict as conflict_panel
 from ogm.pose import inverse, pose, transform_points
@@ -297,14 +298,14 @@ def fuse(
     return mapper
 
 
-def judge(grid: EvidentialGrid, state: NDArray[np.uint8]) -> dict[str, float]:
+def run_evaluation(grid: EvidentialGrid, state: NDArray[np.uint8]) -> dict[str, float]:
     """Compare a grid with a reference, on the cells that the reference knows.
 
     A cell is called what has most mass, unknown included. ``complete``: share of the cells that are called free or
     occupied; ``right``: called what the reference says; ``false free of called``: of the occupied cells that are
     called anything, those called free. The others are those of `ogm.metrics.METRICS`.
     """
-    counts = tally(grid.mass, state)
+    counts = accumulate(grid.mass, state)
     values = score(counts)
     known = counts.calls[1:]
     return {
@@ -342,7 +343,7 @@ def judge_maps(
         one_scan = fuse(default_map, grids[RAY], [k], one.stamps, one.poses)
         now[f"{RAY}, {ALONE}, through a map"] = one_scan.view(SPEC)  # what turning it there and back costs
         for name, grid in now.items():
-            rows.setdefault(name, []).append(judge(grid, state))
+            rows.setdefault(name, []).append(run_evaluation(grid, state))
         scan = one.scenes[k]
         for n in np.flatnonzero((scan.returns >= ENOUGH) & scan.inside):
             if scan.ids[n] in one.moving:
@@ -427,7 +428,7 @@ def left_cells(one: Recording, k: int, scans: Sequence[EvidentialGrid], state: N
         middle = np.column_stack([x[ix, 0], y[0, iy], np.full(len(ix), -one.height)])
         there = transform_points(inverse(one.poses[j]) @ one.poses[k], middle)
         seen = SPEC.contains(there[:, 0], there[:, 1])
-        hit = called(scans[j].mass)[SPEC.index(*there[seen, :2].T)] == OCCUPIED
+        hit = predict_state(scans[j].mass)[SPEC.index(*there[seen, :2].T)] == OCCUPIED
         marked[ix[seen][hit], iy[seen][hit]] = True
     return Left(age, marked)
 
@@ -453,7 +454,7 @@ def trails(one: Recording, grids: dict[str, list[EvidentialGrid]], step: int) ->
             for row, chosen in enumerate((np.isfinite(left.age), np.isfinite(left.age) & left.marked)):
                 at = np.digitize(left.age[chosen], edges) - 1
                 for name, grid in views.items():
-                    call, p = called(grid.mass)[chosen], grid.probability[chosen]
+                    call, p = predict_state(grid.mass)[chosen], grid.probability[chosen]
                     for column, what in enumerate(
                         (call >= 0, p > 0.5 + 1e-6, call == OCCUPIED, call != FREE)
                     ):

@@ -69,7 +69,7 @@ class Frame:
     sensor_height: float  # [m] estimated from the points without their labels
 
     @property
-    def foot(self) -> tuple[float, float, float]:
+    def ground_point(self) -> tuple[float, float, float]:
         """The ground under the sensor."""
         return 0.0, 0.0, -self.sensor_height
 
@@ -167,7 +167,7 @@ def nuscenes_boxes() -> Iterator[tuple[str, NDArray[np.float32], Objects]]:
 def above(estimate: Callable[..., NDArray[np.float32]], frame: Frame) -> NDArray[np.float32]:
     """Return the height of a frame's points above the estimated ground [m]."""
     xyz = frame.points[:, :3]
-    return xyz[:, 2] - ground_height(estimate(xyz, COARSE, frame.foot), COARSE, xyz)
+    return xyz[:, 2] - ground_height(estimate(xyz, COARSE, frame.ground_point), COARSE, xyz)
 
 
 def patchwork(height: float) -> Any:
@@ -219,7 +219,7 @@ def score(counts: NDArray[np.int64]) -> dict[str, float]:
     }
 
 
-def judge(frames: list[Frame], with_patchwork: bool) -> dict[str, Any]:
+def run_evaluation(frames: list[Frame], with_patchwork: bool) -> dict[str, Any]:
     """Score all contenders on each frame, on all together, and over the threshold."""
     total: dict[str, NDArray] = {}
     single: dict[str, Any] = {}
@@ -450,7 +450,7 @@ def main() -> None:
             continue
         seen = [k in LOOKED_AT[name] for k in range(len(frames))]
         record["labelled"][name] = {
-            group: judge(
+            group: run_evaluation(
                 [frame for frame, s in zip(frames, seen, strict=True) if s is wanted], with_patchwork
             )
             for group, wanted in ((UNSEEN, False), (SEEN, True))
@@ -465,7 +465,7 @@ def main() -> None:
         if not frames:
             print(f"left out: boxes of {name}: no such recording under {DATA}")
             continue
-        record["boxes"][name] = judge(frames[:2] if options.quick else frames, with_patchwork)
+        record["boxes"][name] = run_evaluation(frames[:2] if options.quick else frames, with_patchwork)
     if not record["labelled"]:
         print("nothing to measure on: benchmarks/README.md says which recordings are needed, and where")
         return

@@ -40,8 +40,8 @@ from _quality_sources import drives, every, first_drives, real, town
 from _quality_tables import fill, sentences, tables
 
 from ogm import GridSpec
-from ogm.cli.judging import Archive, judge, state_of_code, state_of_files
-from ogm.cli.methods import Map, Scans
+from ogm.cli.judging import ResultCache, run_evaluation, state_of_code, state_of_files
+from ogm.cli.methods import Map, SingleScanMethod
 from ogm.cli.page import write_page
 from ogm.cli.pictures import frames_picture, panels_of
 from ogm.cli.report import plain, report
@@ -57,7 +57,7 @@ SEED = 0
 DEEP = "lite"  # what ships, and is drawn
 LOOKED_AT = ("ray", "lite", "ray + bayes", "ray + cautious", "lite + cautious")  # of the maps, in the picture
 QUICK_FRAMES, QUICK_SCANS, QUICK_REAL = 4, 10, ("KITTI, single scans", "SUSTechPOINTS")
-Methods = Mapping[str, Scans | Map]
+Methods = Mapping[str, SingleScanMethod | Map]
 View = Callable[..., dict[str, bytes]]
 
 
@@ -65,7 +65,7 @@ class Run(NamedTuple):
     """What all parts share."""
 
     options: argparse.Namespace
-    models: dict[str, Scans]
+    models: dict[str, SingleScanMethod]
     folder: Path  # of frames and reports
     pictures: Path
     facts: Mapping[str, Any]  # machine, date, versions
@@ -94,7 +94,7 @@ class Part(NamedTuple):
     """A part of the comparison, judged."""
 
     result: Evaluation
-    archive: Archive
+    archive: ResultCache
     source: Source
     numbers: Sequence[int]
     methods: Methods
@@ -108,7 +108,7 @@ class Part(NamedTuple):
     def facts(self) -> dict[str, dict[str, Any]]:
         """What every method says of itself, and its weights."""
         return {
-            name: {"says": one.says, "weights": getattr(one, "weights", None)}
+            name: {"says": one.description, "weights": getattr(one, "weights", None)}
             for name, one in self.methods.items()
         }
 
@@ -117,7 +117,7 @@ class Part(NamedTuple):
         """What was judged on, without the numbers of all samples."""
         source = self.source
         rest = {key: value for key, value in source.facts.items() if key != "samples"}
-        return {"kind": source.kind, "name": source.name, "truth": source.says, **rest}
+        return {"kind": source.kind, "name": source.name, "truth": source.description, **rest}
 
     def record(self) -> dict[str, Any]:
         """Return what is kept of it."""
@@ -130,16 +130,16 @@ def judged(folder: Path, source: Source, numbers: Sequence[int], methods: Method
     """Judge methods on frames, or take what an earlier run has finished."""
     settings = {
         "data": {"kind": source.kind, "name": source.name, **source.facts},
-        "truth": source.says,
+        "truth": source.description,
         "frames": [source.frames[k].name for k in numbers],
-        "methods": {name: [one.says, getattr(one, "weights", None)] for name, one in methods.items()},
+        "methods": {name: [one.description, getattr(one, "weights", None)] for name, one in methods.items()},
         "files": state_of_files(source.files),
         "code": state_of_code(),
     }
-    archive = Archive(folder / "frames", settings)
+    archive = ResultCache(folder / "frames", settings)
     start = time.process_time()
     what = f"{folder.name}, {len(methods)} methods"
-    result = judge(source, numbers, at_work(dict(methods), PAPER), archive, ticked(what), view)
+    result = run_evaluation(source, numbers, at_work(dict(methods), PAPER), archive, ticked(what), view)
     say(f"{what}: {len(numbers)} frames, {time.process_time() - start:.0f} s of the processor")
     return Part(result, archive, source, numbers, methods)
 
@@ -238,8 +238,8 @@ def judge_real(run: Run) -> dict[str, Any]:
         if run.options.quick and one.name not in QUICK_REAL:
             continue
         if one.alone is None:
-            found[one.name] = {"left out": one.says}
-            say(f"{one.name} is left out: {one.says}")
+            found[one.name] = {"left out": one.description}
+            say(f"{one.name} is left out: {one.description}")
             continue
         place = run.folder / "".join(c if c.isalnum() else "-" for c in one.name)
         part = judged(place, one.alone, range(len(one.alone.frames)), run.models, frame_view)

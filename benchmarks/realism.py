@@ -3,10 +3,12 @@
     python benchmarks/realism.py [--towns N] [--quick]
 
 Needs recordings that cannot be shipped; benchmarks/README.md says which and where they go. Writes
-benchmarks/results/realism.json, benchmarks/results/realism.md (the tables) and docs/pictures/realism.png.
+benchmarks/results/realism.json, benchmarks/results/realism.md (the tables) and docs/pictures/realism.png. The same
+picture with a real scan and a published truth grid beside the simulated ones, which may not be passed on, goes to
+runs/realism/side_by_side.png.
 """
 
-from _run import DATA, PICTURES, RESULTS, caption, environment, write_json
+from _run import DATA, PICTURES, RESULTS, ROOT, caption, environment, write_json
 
 # isort: split
 import argparse
@@ -32,6 +34,7 @@ from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Frame, Traffic, own_vehicle
 from ogm.truth import FREE, OCCUPIED, boxes_seen_from
 
+SIDE_BY_SIDE = ROOT / "runs" / "realism" / "side_by_side.png"
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 COARSE = GridSpec.centered(length=120.0, width=120.0, resolution=1.0)
 REACH = 60.0  # [m] as far as the ground is estimated, and returns are told ground from obstacle
@@ -675,17 +678,17 @@ def picture(
     sensor: str,
     real: list[Sweep],
     fake: list[Sweep],
-    label: NDArray[np.uint8] | None,
-    truths: list[NDArray[np.uint8]],
-    chosen: int,
+    scans: Mapping[str, Sweep],
+    truths: Mapping[str, NDArray[np.uint8]],
     path: Path,
 ) -> None:
-    """Draw a real and a simulated scan, a published and a simulated truth grid, and histograms."""
+    """Draw some scans and truth grids by their names, and histograms of all scans, real and simulated."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(16, 16.5), layout="constrained")
-    parts = figure.subfigures(4, 1, height_ratios=(2.5, 2.5, 7.0, 3.6))
-    for part, sweep, what in zip(parts[:2], (real[0], fake[chosen]), ("real", "simulated"), strict=True):
+    rows = (*[2.5] * len(scans), 7.0, 3.6)
+    figure = Figure(figsize=(16, 1.05 * sum(rows)), layout="constrained")
+    parts = figure.subfigures(len(rows), 1, height_ratios=rows)
+    for part, (what, sweep) in zip(parts, scans.items(), strict=False):
         ax = part.subplots()
         shown = ax.imshow(
             range_picture(sweep), aspect="auto", interpolation="nearest", cmap="turbo", vmin=2, vmax=60
@@ -696,26 +699,23 @@ def picture(
         ax.set_xticks([0, 450, 900, 1350, 1799], ["180° (back)", "90° left", "0° ahead", "90° right", "180°"])
         ax.set_yticks([])
         part.colorbar(shown, ax=ax, label="range [m]", pad=0.005)
-    axes = parts[2].subplots(1, 4, sharex=True, sharey=True)
-    for ax, sweep, what in zip(axes, (real[0], fake[chosen]), ("real", "simulated"), strict=False):
+    axes = parts[-2].subplots(1, len(scans) + len(truths), sharex=True, sharey=True)
+    for ax, (what, sweep) in zip(axes, scans.items(), strict=False):
         seen = view(sweep)
         x, y = sweep.points[:, :2].T
         colour = np.clip(seen.height, -0.2, 4.0)
         ax.scatter(-y, x, c=colour, s=0.6, cmap="turbo", vmin=-0.2, vmax=4.0, linewidths=0)
         ax.set_title(f"From above, {what}\n(colour: height above ground, -0.2 to 4 m)")
-    for ax, state, what in zip(axes[2:], (label, truths[chosen]), ("published", "simulated"), strict=True):
+    colours = np.array([[1, 1, 1], [0.55, 0.8, 0.55], [0.8, 0.1, 0.1], [0.85, 0.85, 0.85]])
+    for ax, (what, state) in zip(axes[len(scans) :], truths.items(), strict=True):
         ax.set_title(f"Truth, {what}\n(green free, red occupied, white unknown)")
-        if state is not None:
-            colours = np.array([[1, 1, 1], [0.55, 0.8, 0.55], [0.8, 0.1, 0.1], [0.85, 0.85, 0.85]])
-            ax.imshow(
-                colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest"
-            )
+        ax.imshow(colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest")
     for ax in axes:
         ax.set_xlim(-28.16, 28.16)
         ax.set_ylim(-40.96, 40.96)
         ax.set_aspect("equal")
         ax.set_xlabel("right [m]")
-    axes = parts[3].subplots(1, 5)
+    axes = parts[-1].subplots(1, 5)
     made = [histograms(sweep) for sweep in fake]
     for ax, (name, edges) in zip(axes, EDGES.items(), strict=False):
         middle = (edges[1:] + edges[:-1]) / 2
@@ -826,8 +826,12 @@ def main() -> None:
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
     reach = [statistics(sweep)["nearest obstacle, sectors of 1 deg, p50 [m]"] for sweep in fake[first]]
     chosen = int(np.argsort(reach)[len(reach) // 2])
-    picture(record, first, real[first], fake[first], label, truths, chosen, options.picture)
-    print(f"\nwrote {options.out} and {options.picture}")
+    scans, grids = {"simulated": fake[first][chosen]}, {"simulated": truths[chosen]}
+    picture(record, first, real[first], fake[first], scans, grids, options.picture)
+    scans = {"real": real[first][0]} | scans
+    grids = grids if label is None else {"published": label} | grids
+    picture(record, first, real[first], fake[first], scans, grids, SIDE_BY_SIDE)
+    print(f"\nwrote {options.out}, {options.picture}, and, not to be passed on, {SIDE_BY_SIDE}")
 
 
 if __name__ == "__main__":

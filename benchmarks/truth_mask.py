@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from ogm import GridSpec
 from ogm.cli.methods import Map, Methods, methods_of
 from ogm.cli.source import source_of
-from ogm.metrics import score, tally
+from ogm.metrics import score, accumulate
 from ogm.recordings import open_recording
 from ogm.truth import FREE, OCCUPIED
 
@@ -61,7 +61,7 @@ def taken_out(masked: list[NDArray[np.uint8]], whole: list[NDArray[np.uint8]]) -
     return shares
 
 
-def judge(place: str, frames: int | None) -> dict[str, Any]:
+def run_evaluation(place: str, frames: int | None) -> dict[str, Any]:
     """Judge every frame of a drive by four truths."""
     kinds = {
         others: (truths(place, others, True), truths(place, others, False)) for others in ("all", "later")
@@ -73,7 +73,7 @@ def judge(place: str, frames: int | None) -> dict[str, Any]:
         for name, grid in methods.grids(source.frames[k], source.read(k)).items():
             for others, pair in kinds.items():
                 if others == "later" or not isinstance(methods.given[name], Map):
-                    counted = [score(tally(grid.mass, truth[k])) for truth in pair]
+                    counted = [score(accumulate(grid.mass, truth[k])) for truth in pair]
                     values = [[one[metric] for metric in KEPT] for one in counted]
                     rows.setdefault((others, name), []).append(values)
     found: dict[str, Any] = {}
@@ -107,7 +107,7 @@ def main() -> None:
         if not (DATA / place).is_dir():
             print(f"{name} is left out: there is no {place}", file=sys.stderr)
             continue
-        record["drives"][name] = judge(place, 3 if given.quick else None)
+        record["drives"][name] = run_evaluation(place, 3 if given.quick else None)
         for others, found in record["drives"][name].items():
             lost = ", ".join(f"{100 * v:.2f} % of {k}" for k, v in found["share that is taken out"].items())
             print(f"{name}, {others} scans: {lost} cells are taken out")

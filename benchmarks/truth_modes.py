@@ -25,7 +25,7 @@ from ogm.simulation.sensors import LIDARS, hd_directions
 from ogm.simulation.survey import AIMS, Below, aimed_directions, aimed_truth, hd_truth, look_down
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Traffic, own_vehicle
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth, boxes_seen_from
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth, boxes_seen_from
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 SENSOR = LIDARS["vlp-32c"]
@@ -85,7 +85,7 @@ def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray
     around = np.deg2rad(np.arange(first, first + SECTOR, STEP))
     parts = np.cos(up) * np.cos(around), np.cos(up) * np.sin(around), np.sin(up) + 0 * around
     directions = np.stack(parts, axis=-1).astype(np.float32)
-    x, y = CANVAS.cell_centers
+    x, y = TRUTH_SPEC.cell_centers
     margin = np.rad2deg(0.12 / np.maximum(np.hypot(x, y), 1e-6))  # half a cell's diagonal
     angle = np.mod(np.rad2deg(np.arctan2(y, x)) - first, 360.0)
     inside = (angle > margin) & (angle < SECTOR - margin)
@@ -176,9 +176,9 @@ def timing(moment: Moment, ground: Scene, rounds: int) -> dict[str, Any]:
     )
     for name, one in times.items():
         print(f"{name:>20}: {one}")
-    every = np.ones(CANVAS.shape, np.bool_)
+    every = np.ones(TRUTH_SPEC.shape, np.bool_)
     count = sum(
-        round(len(aimed_directions(moment.below.z, CANVAS, aim, VIEW, every)) / parts)
+        round(len(aimed_directions(moment.below.z, TRUTH_SPEC, aim, VIEW, every)) / parts)
         for aims, parts in ((AIMS.every, 1), (AIMS.alternate, 2))
         for aim in aims
     )

@@ -8,27 +8,51 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
-    from ogm.io import Scan, read_points, read_scan
+    from ogm.files import OgmError
+    from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+    from ogm.io import read_points, read_scan
+    from ogm.scan import Boxes, Frame, InverseSensorModel, Mount, Scan
+    from ogm.state import CellState, Truth
 
 __version__ = "0.1.0"
-__all__ = ["EvidentialGrid", "GridSpec", "InverseSensorModel", "Scan", "read_points", "read_scan"]
+__all__ = [
+    "Boxes",
+    "CellState",
+    "EvidentialGrid",
+    "Frame",
+    "GridSpec",
+    "InverseSensorModel",
+    "LayeredGrid",
+    "Mount",
+    "OgmError",
+    "Scan",
+    "Truth",
+    "read_points",
+    "read_scan",
+]
 
-_HOME = {
+_MODULES = {
+    "Boxes": "ogm.scan",
+    "CellState": "ogm.state",
     "EvidentialGrid": "ogm.grid",
+    "Frame": "ogm.scan",
     "GridSpec": "ogm.grid",
-    "InverseSensorModel": "ogm.grid",
-    "Scan": "ogm.io",
+    "InverseSensorModel": "ogm.scan",
+    "LayeredGrid": "ogm.grid",
+    "Mount": "ogm.scan",
+    "OgmError": "ogm.files",
+    "Scan": "ogm.scan",
+    "Truth": "ogm.state",
     "read_points": "ogm.io",
     "read_scan": "ogm.io",
 }
 
 
 def __getattr__(name: str) -> object:
-    """Load a front-door name from its module on first use."""
-    if name not in _HOME:
+    """Load a name from its module on first use."""
+    if name not in _MODULES:
         raise AttributeError(f"module 'ogm' has no attribute {name!r}")
-    value = getattr(importlib.import_module(_HOME[name]), name)
+    value = getattr(importlib.import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
 

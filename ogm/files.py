@@ -1,4 +1,4 @@
-"""Files that are either whole or not there."""
+"""Files that are either whole or not there, and the error for those that are wrong."""
 
 import os
 import secrets
@@ -7,7 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-__all__ = ["atomic_write"]
+__all__ = ["OgmError", "atomic_write"]
+
+
+class OgmError(ValueError):
+    """Something is wrong with a file or a message that was given to the library."""
 
 
 @contextmanager

@@ -1,11 +1,12 @@
-"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid`, and the door all sensor models share."""
+"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`."""
 
 import os
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, Self, runtime_checkable
+from typing import Any, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probability, unknown
 from ogm.files import atomic_write
 
-__all__ = ["EvidentialGrid", "GridSpec", "InverseSensorModel"]
+__all__ = ["EvidentialGrid", "GridSpec", "LayeredGrid"]
 
 _FORMAT = "ogm.EvidentialGrid/1"
 _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
@@ -27,6 +28,7 @@ _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
     RuntimeError,
     OSError,
 )
+_LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
 _MAX_CELLS = 2**28  # a grid of 1 GiB of masses; a file that claims more is refused before it is unpacked
 
 
@@ -75,14 +77,19 @@ class GridSpec:
 
     @classmethod
     def centered(
-        cls, length: float, width: float, resolution: float, center: tuple[float, float] = (0.0, 0.0)
+        cls,
+        length: float | None = None,
+        width: float | None = None,
+        resolution: float = 0.16,
+        center: tuple[float, float] = (0.0, 0.0),
     ) -> Self:
         """Make a grid of a given size around a point.
 
         Parameters
         ----------
-        length, width : float
-            Extent along x and along y [m]; each must be a whole number of cells.
+        length, width : float, optional
+            Extent along x and along y [m]; each must be a whole number of cells. By default the paper's 81.92 m
+            and 56.32 m, rounded to whole cells.
         resolution : float
             Side of a cell [m].
         center : (float, float)
@@ -99,11 +106,16 @@ class GridSpec:
 
         >>> GridSpec.centered(length=81.92, width=56.32, resolution=0.16).shape
         (512, 352)
+        >>> GridSpec.centered(resolution=0.1).shape
+        (819, 563)
         """
         if not (resolution > 0 and np.isfinite(resolution)):
             raise ValueError(f"resolution must be positive and finite [m], got {resolution}")
         counts = []
-        for name, size in (("length", length), ("width", width)):
+        for name, size, default in (("length", length, _LENGTH), ("width", width, _WIDTH)):
+            if size is None:
+                counts.append(max(round(default / resolution), 1))
+                continue
             cells = size / resolution
             if not (np.isfinite(cells) and cells > 0):
                 raise ValueError(f"{name} must be positive and finite [m], got {size}")
@@ -117,6 +129,10 @@ class GridSpec:
         nx, ny = counts
         origin = (center[0] - nx * resolution / 2, center[1] - ny * resolution / 2)
         return cls(resolution=resolution, shape=(nx, ny), origin=origin)
+
+    def __str__(self) -> str:
+        (nx, ny), (x0, x1, y0, y1) = self.shape, self.extent
+        return f"{nx} x {ny} cells of {self.resolution:g} m, x {x0:g} to {x1:g} m, y {y0:g} to {y1:g} m"
 
     @property
     def length(self) -> float:
@@ -253,20 +269,52 @@ class EvidentialGrid:
         """Dirichlet evidence for free and occupied, (nx, ny, 2), >= 0 (prior weight 2); inf where unknown = 0."""
         return mass_to_evidence(self.mass)
 
-    def at(self, x: float, y: float) -> Opinion:
-        """Return the opinion of the cell that holds a point.
+    @overload
+    def at(self, x: float, y: float) -> Opinion: ...
+    @overload
+    def at(self, x: NDArray[Any], y: NDArray[Any]) -> NDArray[np.float32]: ...
+    def at(self, x: ArrayLike, y: ArrayLike) -> Opinion | NDArray[np.float32]:
+        """Return what the cells that hold some points believe.
+
+        Parameters
+        ----------
+        x, y : float or array
+            Coordinates [m], of one shape.
+
+        Returns
+        -------
+        Opinion or (..., 2) float32
+            The opinion for one point, the masses of free and occupied for an array of points.
 
         Raises
         ------
         ValueError
-            If the point lies outside the grid.
+            If a point lies outside the grid.
         """
-        if not self.spec.contains(x, y):
+        inside = self.spec.contains(x, y)
+        if not inside.all():
             x0, x1, y0, y1 = self.spec.extent
-            raise ValueError(f"({x}, {y}) m lies outside the grid: x in [{x0}, {x1}), y in [{y0}, {y1}) m")
-        ix, iy = self.spec.index(x, y)
-        free, occupied = self.mass[ix, iy].tolist()
-        return Opinion(free=free, occupied=occupied)
+            px, py = (np.broadcast_to(one, inside.shape)[~inside].flat[0] for one in (x, y))
+            raise ValueError(f"({px}, {py}) m lies outside the grid: x in [{x0}, {x1}), y in [{y0}, {y1}) m")
+        mass = self.mass[self.spec.index(x, y)]
+        return mass if mass.ndim > 1 else Opinion(*mass.tolist())
+
+    def __repr__(self) -> str:
+        free, occupied, unknown = (float(one.mean()) for one in (self.free, self.occupied, self.unknown))
+        return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
+
+    def __eq__(self, other: object) -> bool:
+        """Tell whether the other is a grid of the same cells with the same masses."""
+        if not isinstance(other, EvidentialGrid):
+            return NotImplemented
+        return self.spec == other.spec and np.array_equal(self.mass, other.mass)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        """Give numpy the masses, (nx, ny, 2); without a copy where none is asked for or needed."""
+        array = self.mass if dtype is None else self.mass.astype(dtype, copy=False)
+        return array.copy() if copy else array
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
@@ -321,19 +369,39 @@ class EvidentialGrid:
             raise ValueError(f"{path} is not a whole grid file (.npz): {error}") from error
 
 
-@runtime_checkable
-class InverseSensorModel(Protocol):
-    """What every sensor model is: points of one scan in, a measurement grid out.
+@dataclass(frozen=True, eq=False)
+class LayeredGrid:
+    """Named layers of numbers on the cells of one grid: conflict, velocity, height, and whatever is no mass.
 
-    Geometric and learned models go through this door, so that mappers, metrics and the command line treat
-    them alike.
+    Parameters
+    ----------
+    spec : GridSpec
+    layers : mapping of str to (nx, ny) float32
+        NaN where a cell has no value. Converted to float32.
+
+    Raises
+    ------
+    ValueError
+        If a layer has another shape than `spec`.
     """
 
-    @property
-    def spec(self) -> GridSpec:
-        """The grid that the model fills."""
-        ...
+    spec: GridSpec
+    layers: Mapping[str, NDArray[np.float32]]
 
-    def __call__(self, points: NDArray[np.float32]) -> EvidentialGrid:
-        """Map one scan, (N, 4) float32 with x, y, z [m] and intensity [0, 1], to its evidential grid."""
-        ...
+    def __post_init__(self) -> None:
+        layers = {name: np.asarray(layer, np.float32) for name, layer in self.layers.items()}
+        for name, layer in layers.items():
+            if layer.shape != self.spec.shape:
+                raise ValueError(
+                    f"layer {name!r} has shape {layer.shape}, but the spec has {self.spec.shape}"
+                )
+        object.__setattr__(self, "layers", layers)
+
+    def __getitem__(self, name: str) -> NDArray[np.float32]:
+        """Return a layer, (nx, ny)."""
+        if name not in self.layers:
+            raise KeyError(f"there is no layer {name!r}, only {', '.join(self.layers) or 'none'}")
+        return self.layers[name]
+
+    def __repr__(self) -> str:
+        return f"LayeredGrid({self.spec}: {', '.join(self.layers)})"

@@ -121,14 +121,14 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
         (("demo", "--out", "{scan}"), "wall.bin"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, says: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, description: str) -> None:
     empty, nothing = scan.with_name("empty.bin"), scan.with_name("nothing.bin")
     empty.write_bytes(b"")
     np.full((10, 4), 0.5, np.float32).tofile(nothing)
     names = {"scan": scan, "folder": scan.parent, "empty": empty, "nothing": nothing}
     result = ogm(*(word.format(**names) for word in words))
     assert result.exit_code == 2, result.output
-    assert says in result.output
+    assert description in result.output
     assert "Traceback" not in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
 

@@ -22,11 +22,11 @@ from ogm.deep.network import Network, NetworkConfig
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.metrics import METRICS, score, tally
+from ogm.metrics import METRICS, score, accumulate
 from ogm.simulation.exchange import write_label
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import Store
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
 
 MODULE = importlib.import_module("ogm.cli.evaluate")  # its function of the same name hides it
 JUDGING = importlib.import_module("ogm.cli.judging")
@@ -58,7 +58,7 @@ def sample(split: str, index: int) -> Sample:
     with np.errstate(divide="ignore"):
         distance = np.minimum(np.where(z < 0, -height / z, np.inf), np.where(x > 0, wall / x, np.inf))
     steps = np.where(distance < 100, distance / RANGE_STEP, 0).astype(np.uint16)
-    cx, _ = CANVAS.cell_centers
+    cx, _ = TRUTH_SPEC.cell_centers
     column = np.where(cx < wall - 0.16, FREE, np.where(cx < wall + 0.16, OCCUPIED, UNKNOWN))
     T = np.eye(4)
     T[:3, 3] = [0.3, 0.0, height]
@@ -66,7 +66,7 @@ def sample(split: str, index: int) -> Sample:
         beams=BEAMS,
         steps=steps,
         intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
-        truth=Truth(CANVAS, np.broadcast_to(column, CANVAS.shape).astype(np.uint8)),
+        truth=Truth(TRUTH_SPEC, np.broadcast_to(column, TRUTH_SPEC.shape).astype(np.uint8)),
         objects=np.zeros(0, OBJECT),
         T_world_sensor=np.eye(4),
         T_vehicle_sensor=T,
@@ -195,25 +195,25 @@ def test_samples_are_drawn_by_the_seed_and_the_report_repeats(data: Path, tmp_pa
 def judged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Note the number of every frame that is judged anew."""
     seen: list[int] = []
-    save = JUDGING.Archive.save
+    save = JUDGING.ResultCache.save
 
     def noting(self: object, frame: int, one: object) -> None:
         seen.append(frame)
         save(self, frame, one)
 
-    monkeypatch.setattr(JUDGING.Archive, "save", noting)
+    monkeypatch.setattr(JUDGING.ResultCache, "save", noting)
     return seen
 
 
 def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     """Let the user interrupt after some frames."""
-    tally, calls = JUDGING.tally, []
+    accumulate, calls = JUDGING.accumulate, []
 
     def stopping(*words: object) -> object:
         calls.append(0)
         if len(calls) > after:
             raise KeyboardInterrupt
-        return tally(*words)
+        return accumulate(*words)
 
     monkeypatch.setattr(JUDGING, "tally", stopping)
 
@@ -351,8 +351,8 @@ def test_a_folder_of_frames_that_is_not_ours_is_left_alone(data: Path, tmp_path:
 def test_a_frame_that_gets_lost_stops_the_run(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load = JUDGING.Archive.load
-    monkeypatch.setattr(JUDGING.Archive, "load", lambda self, k: None if k == 1 else load(self, k))
+    load = JUDGING.ResultCache.load
+    monkeypatch.setattr(JUDGING.ResultCache, "load", lambda self, k: None if k == 1 else load(self, k))
     result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
     assert result.exit_code == 2
     assert "lost the finished frame validation 1" in result.output
@@ -529,7 +529,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
     first = driven(0)
     mount = first.T_vehicle_sensor.copy()
     mount[:2, 3] = 0
-    model = RayISM(PAPER, mount[2, 3], T_vehicle_sensor=mount, own_box=(-2.5, 2.5, -1.1, 1.1))
+    model = RayISM(PAPER, mount[2, 3], T_vehicle_sensor=mount, ego_footprint=(-2.5, 2.5, -1.1, 1.1))
     for begin, end in ((0, 10), (100, 110)):
         mapper = EvidentialMapper(GridSpec.centered(length=128, width=128, resolution=0.16))
         for index in range(begin, end):
@@ -537,7 +537,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
             mapper.update(model(one.points), one.T_world_sensor, stamp=one.stamp)
             name = f"sequence {index // 100} frame {index % 100}"
             if name in names:
-                scores = score(tally(mapper.view(PAPER).mass, one.truth.crop(PAPER).state))
+                scores = score(accumulate(mapper.view(PAPER).mass, one.truth.crop(PAPER).state))
                 found = record["models"]["ray + cautious"]["per frame"]["brier"][names.index(name)]
                 assert found == pytest.approx(scores["brier"], rel=1e-5)
 
@@ -569,7 +569,7 @@ def test_an_interrupted_map_is_shown_its_past_again(
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "description"),
     [
         (("{nothing}",), "there is no"),
         (("{file}",), "file"),
@@ -599,7 +599,7 @@ def test_an_interrupted_map_is_shown_its_past_again(
         (("{data}", "--grids", "{data}"), "holds no grids"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, says: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
     file = tmp_path / "file"
     file.write_text("x")
     names = {"data": data, "nothing": tmp_path / "nothing", "file": file}
@@ -607,7 +607,7 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
     ism = () if "--ism" in words else ("--ism", "ray")
     result = ogm("evaluate", *(str(word).format(**names) for word in words), *ism, *out)
     assert result.exit_code == 2, result.output
-    assert says in result.output
+    assert description in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
     assert not (tmp_path / "report").exists()
 

@@ -20,7 +20,7 @@ from ogm.io import read_poses, write_poses
 from ogm.pose import Trajectory, inverse, pose, transform_points
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import Store
-from ogm.truth import CANVAS, Truth
+from ogm.truth import TRUTH_SPEC, Truth
 
 FUSE = importlib.import_module("ogm.cli.fuse")  # its function of the same name hides it
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
@@ -399,7 +399,7 @@ def sample(index: int) -> Sample:
         beams=BEAMS,
         steps=steps,
         intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
-        truth=Truth(CANVAS, np.zeros(CANVAS.shape, np.uint8)),
+        truth=Truth(TRUTH_SPEC, np.zeros(TRUTH_SPEC.shape, np.uint8)),
         objects=np.zeros(0, OBJECT),
         T_world_sensor=pose(0.4 * index, 0, 1.9),
         T_vehicle_sensor=pose(1.0, 0, 1.9),
@@ -469,7 +469,7 @@ def test_a_simulated_drive_knows_its_poses_and_its_mount(data: Path, tmp_path: P
     ],
 )  # fmt: skip
 def test_errors_are_one_line_and_exit_code_2_before_the_work(
-    scans: Path, data: Path, tmp_path: Path, poses: Path, words: tuple[str, ...], says: str
+    scans: Path, data: Path, tmp_path: Path, poses: Path, words: tuple[str, ...], description: str
 ) -> None:
     names = {"scans": scans, "folder": tmp_path, "poses": poses, "data": data}
     names["short"] = kitti(tmp_path / "short.txt", POSES[:3], None)
@@ -483,7 +483,7 @@ def test_errors_are_one_line_and_exit_code_2_before_the_work(
     more = () if {"--out", "--picture"} & set(words) else ("--out", tmp_path / "m.npz")
     result = ogm("fuse", *SMALL, *(word.format(**names) for word in words), *more)  # the last --length counts
     assert result.exit_code == 2, result.output
-    assert says in result.output
+    assert description in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1, result.output
     assert not list(tmp_path.glob("*.npz"))
 

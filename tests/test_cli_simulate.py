@@ -113,7 +113,7 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("{new}", "--samples", 1, "--export", "{file}"), "is a file"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, says: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
     other, file = tmp_path / "other", tmp_path / "file"
     other.mkdir()
     (other / "thesis.tex").write_text("dear")
@@ -122,7 +122,7 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
     before = contents(data)
     result = ogm("simulate", *(str(word).format(**names) for word in words))
     assert result.exit_code == 2, result.output
-    assert says in result.output
+    assert description in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
     assert contents(data) == before
     assert [path.name for path in other.iterdir()] == ["thesis.tex"]

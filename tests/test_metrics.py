@@ -16,7 +16,7 @@ from ogm.metrics import (
     auroc_of_histograms,
     bootstrap_mean,
     bootstrap_ratio,
-    called,
+    predict_state,
     counting,
     density,
     evaluate,
@@ -26,9 +26,9 @@ from ogm.metrics import (
     legacy_kl,
     model_for,
     paired,
-    same_cells,
+    resample_to,
     score,
-    tally,
+    accumulate,
 )
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
 
@@ -152,10 +152,10 @@ def test_counts_are_sums_of_what_every_cell_says(compiled: bool, monkeypatch: py
             room = kernels if name == "sum_divergences" else counting
             monkeypatch.setattr(f"ogm.metrics.counts.{name}", getattr(room, name).py_func)
     mass, state = random_grid(3, (15, 12))
-    counts = tally(mass, state)
+    counts = accumulate(mass, state)
     cells, weak = density(mass), density(mass, scale=0.1)
     evidence = np.stack([cells.free, cells.occupied], axis=-1)
-    call, rest = called(mass), 1 - mass.sum(axis=-1, dtype=np.float64)
+    call, rest = predict_state(mass), 1 - mass.sum(axis=-1, dtype=np.float64)
     likelier = np.where(mass[..., 0] > mass[..., 1], FREE, np.where(mass[..., 1] > mass[..., 0], OCCUPIED, 0))
     for truth in (UNKNOWN, FREE, OCCUPIED):
         here = state == truth
@@ -187,7 +187,7 @@ def test_counts_are_sums_of_what_every_cell_says(compiled: bool, monkeypatch: py
 
 def test_a_perfect_map_is_perfect() -> None:
     _, state = random_grid(4)
-    scores = score(tally(dogmatic(state), state))
+    scores = score(accumulate(dogmatic(state), state))
     ones = (
         "iou_free",
         "iou_occupied",
@@ -215,7 +215,7 @@ def test_relative_probability_does_not_feel_how_strong_evidence_is() -> None:
     """What is right with evidence 10 has P(occupied) = 1/12 at best: an error of calibration by convention."""
     _, state = random_grid(12)
     for strength in (1.0, 10.0):
-        scores = score(tally(evidence_to_mass(strength * dogmatic(state)), state))
+        scores = score(accumulate(evidence_to_mass(strength * dogmatic(state)), state))
         assert scores["ece"] == pytest.approx(1 / (strength + 2), rel=1e-6)
         assert scores["ece_relative"] == scores["brier_relative"] == 0.0
 
@@ -223,7 +223,7 @@ def test_relative_probability_does_not_feel_how_strong_evidence_is() -> None:
 @pytest.mark.parametrize(("metric", "strength"), [("kl_e1", 1.0), ("kl_e10", 10.0)])
 def test_the_truth_with_its_own_evidence_has_no_divergence(metric: str, strength: float) -> None:
     _, state = random_grid(5)
-    scores = score(tally(evidence_to_mass(strength * dogmatic(state)), state))
+    scores = score(accumulate(evidence_to_mass(strength * dogmatic(state)), state))
     assert scores[metric] == pytest.approx(0.0, abs=1e-6)
     assert scores[f"{metric}_reverse"] == pytest.approx(0.0, abs=1e-6)
     if metric == "kl_e10":
@@ -234,7 +234,7 @@ def test_a_vacuous_grid_scores_as_one_that_says_nothing() -> None:
     _, state = random_grid(6)
     kept = state[state != IGNORE]
     known = np.mean(kept != UNKNOWN)
-    scores = score(tally(np.zeros((7, 7, 2), np.float32), state))
+    scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
     assert scores["kl_e10"] == pytest.approx(known * (10 - np.log(11)))
     assert scores["kl_e1"] == pytest.approx(known * (1 - np.log(2)))
     assert scores["iou_unknown"] == pytest.approx(1 - known)
@@ -256,7 +256,7 @@ def test_hand_drawn_cells_are_counted_by_hand() -> None:
         ],
         np.float32,
     )
-    counts = tally(mass, state)
+    counts = accumulate(mass, state)
     assert counts.calls.tolist() == [[1, 1, 0], [1, 1, 1], [0, 1, 1]]
     scores = score(counts)
     assert scores["iou_free"] == pytest.approx(1 / 5)
@@ -276,13 +276,13 @@ def test_hand_drawn_cells_are_counted_by_hand() -> None:
 
 def test_a_call_is_the_state_with_most_mass_and_ties_are_cautious() -> None:
     mass = np.array([[0.5, 0.1], [0.1, 0.5], [0.5, 0.5], [0.5, 0.0], [0.25, 0.375], [0.2, 0.2]])
-    assert called(mass).tolist() == [FREE, OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
+    assert predict_state(mass).tolist() == [FREE, OCCUPIED, OCCUPIED, UNKNOWN, UNKNOWN, UNKNOWN]
 
 
 def test_evidence_of_one_never_calls_a_cell_known() -> None:
     """The released baseline has no mass above 1/3: by most mass, it calls all cells unknown."""
     _, state = random_grid(7)
-    scores = score(tally(evidence_to_mass(dogmatic(state)), state))
+    scores = score(accumulate(evidence_to_mass(dogmatic(state)), state))
     assert scores["iou_free"] == scores["iou_occupied"] == 0.0
     assert scores["iou_free_known"] == scores["iou_occupied_known"] == scores["auroc_unknown"] == 1.0
 
@@ -291,17 +291,17 @@ def test_evidence_of_one_never_calls_a_cell_known() -> None:
 @given(seed=st.integers(0, 2**31))
 def test_scores_know_no_place_and_no_ignored_cells(seed: int) -> None:
     mass, state = random_grid(seed)
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     other = mass.copy()
     other[state == IGNORE] = [0.3, 0.6]
-    for same in (score(tally(other, state)), score(tally(mass[::-1, ::-1], state[::-1, ::-1]))):
+    for same in (score(accumulate(other, state)), score(accumulate(mass[::-1, ::-1], state[::-1, ::-1]))):
         assert same == pytest.approx(scores, nan_ok=True)
 
 
 def test_exchanging_free_and_occupied_exchanges_their_scores() -> None:
     mass, state = random_grid(8)
     swap = np.array([UNKNOWN, OCCUPIED, FREE, IGNORE], np.uint8)
-    one, other = score(tally(mass, state)), score(tally(mass[..., ::-1], swap[state]))
+    one, other = score(accumulate(mass, state)), score(accumulate(mass[..., ::-1], swap[state]))
     for a, b in (
         ("iou_free", "iou_occupied"),
         ("mean_free", "mean_occupied"),
@@ -325,15 +325,15 @@ def test_what_has_no_cell_to_look_at_is_nan_and_not_zero(states: tuple[int, ...]
     state = np.resize(np.array(states, np.uint8), (7, 7))
     mass = np.zeros((7, 7, 2), np.float32)
     mass[..., 0] = 0.7
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     assert tuple(scores) == tuple(METRICS)
     assert without <= {name for name, value in scores.items() if np.isnan(value)}
 
 
 def test_pooled_counts_are_those_of_all_cells_together() -> None:
     (a, a_state), (b, b_state) = random_grid(9), random_grid(10)
-    both = score(tally(np.concatenate([a, b]), np.concatenate([a_state, b_state])))
-    assert score(tally(a, a_state).plus(tally(b, b_state))) == pytest.approx(both)
+    both = score(accumulate(np.concatenate([a, b]), np.concatenate([a_state, b_state])))
+    assert score(accumulate(a, a_state).plus(accumulate(b, b_state))) == pytest.approx(both)
 
 
 @pytest.mark.parametrize(
@@ -346,9 +346,9 @@ def test_pooled_counts_are_those_of_all_cells_together() -> None:
         (np.full((3, 3, 2), np.nan), np.zeros((3, 3), np.uint8), "NaN or inf"),
     ],
 )
-def test_what_are_no_masses_or_states_is_refused(mass: NDArray, state: NDArray, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        tally(mass, state)
+def test_what_are_no_masses_or_states_is_refused(mass: NDArray, state: NDArray, description: str) -> None:
+    with pytest.raises(ValueError, match=description):
+        accumulate(mass, state)
 
 
 # Ranking
@@ -368,7 +368,7 @@ def test_auroc_of_the_counts_is_the_exact_one() -> None:
     mass, state = random_grid(11, (60, 60))
     kept = state != IGNORE
     exact = auroc((1 - mass.sum(axis=-1))[kept], state[kept] == UNKNOWN)
-    assert score(tally(mass, state))["auroc_unknown"] == pytest.approx(exact, abs=1e-4)
+    assert score(accumulate(mass, state))["auroc_unknown"] == pytest.approx(exact, abs=1e-4)
     assert 0.4 < exact < 0.6
 
 
@@ -462,7 +462,7 @@ def test_evaluation_has_every_model_in_every_frame() -> None:
     assert (result.models, result.frames, result.spec) == (("flat", "high"), 3, SPEC)
     for k, sample in enumerate(samples):
         state = sample.truth.crop(SPEC).state
-        expected = score(tally(Flat(SPEC, 3.0)(sample.points).mass, state))
+        expected = score(accumulate(Flat(SPEC, 3.0)(sample.points).mass, state))
         assert {m: result.of("high", m)[k] for m in METRICS} == pytest.approx(expected, nan_ok=True)
         np.testing.assert_allclose(result.truth[k], np.bincount(state.ravel(), minlength=4) / 49)
     np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.2, 0.3], rtol=1e-6)
@@ -506,11 +506,11 @@ def test_a_model_is_made_for_every_change_of_the_mount_without_its_shift() -> No
 def test_coarser_cells_of_the_same_area_are_repeated() -> None:
     coarse = GridSpec.centered(length=8, width=4, resolution=2)
     mass = np.random.default_rng(0).dirichlet([1, 1, 1], coarse.shape)[..., :2].astype(np.float32)
-    fine = same_cells(EvidentialGrid(coarse, mass), coarse.refined(2))
+    fine = resample_to(EvidentialGrid(coarse, mass), coarse.refined(2))
     assert fine.spec == coarse.refined(2)
     for ix, iy in np.ndindex(8, 4):
         assert fine.mass[ix, iy].tolist() == mass[ix // 2, iy // 2].tolist()
-    assert same_cells(fine, fine.spec) is fine
+    assert resample_to(fine, fine.spec) is fine
 
 
 @pytest.mark.parametrize(
@@ -524,7 +524,7 @@ def test_coarser_cells_of_the_same_area_are_repeated() -> None:
 )
 def test_grids_of_other_areas_are_refused_and_both_are_named(spec: GridSpec) -> None:
     with pytest.raises(ValueError, match=r"7 x 7 cells of 1 m over .*, but judged are .* cells of"):
-        same_cells(Flat(SPEC)(np.zeros((0, 4), np.float32)), spec)
+        resample_to(Flat(SPEC)(np.zeros((0, 4), np.float32)), spec)
 
 
 def test_nothing_to_judge_is_told() -> None:

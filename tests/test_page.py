@@ -20,7 +20,7 @@ from ogm.cli.page import write_page
 from ogm.cli.report import report
 from ogm.cli.views import frame_view
 from ogm.grid import GridSpec
-from ogm.metrics import METRICS, Evaluation, distances, tally
+from ogm.metrics import METRICS, Evaluation, distances, accumulate
 
 SPEC = GridSpec.centered(6.4, 4.8, 0.4)  # 16 x 12 cells
 FRAMES = 6
@@ -50,12 +50,12 @@ def made() -> tuple[dict[str, Any], dict[int, dict[str, bytes]]]:
     """A record, as `ogm evaluate` writes it, and its pictures."""
     truth, masses = truth_and_masses()
     away = distances(SPEC)
-    counts = [[tally(mass, state, away) for mass in row] for row, state in zip(masses, truth, strict=True)]
+    counts = [[accumulate(mass, state, away) for mass in row] for row, state in zip(masses, truth, strict=True)]
     shares = [np.bincount(state.ravel(), minlength=4) / state.size for state in truth]
     result = Evaluation.from_counts(METHODS, SPEC, zip(counts, shares, strict=True))
     weights = {"file": "sharp.safetensors", "sha256": "ab" * 32}
     facts = {
-        name: {"says": f"how {name} works", "weights": weights if name == "sharp" else None}
+        name: {"description": f"how {name} works", "weights": weights if name == "sharp" else None}
         for name in METHODS
     }
     record = {
@@ -187,7 +187,7 @@ def test_all_that_was_run_is_told(made: Any, page: Callable[..., Page]) -> None:
     assert all(version in said for version in record["versions"].values())
     for metric in METRICS.values():
         assert metric.title in said
-        assert metric.says in said
+        assert metric.description in said
 
 
 def test_every_metric_of_every_method_is_tabulated(made: Any, page: Callable[..., Page]) -> None:
@@ -243,12 +243,12 @@ def test_a_difference_that_may_be_chance_is_not_clear(
 def test_who_claims_little_is_told_from_who_claims_nothing(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
-    for iou, says in (
+    for iou, description in (
         (0.0, "who claims nothing is never wrong"),
         (0.4, "who claims less is wrong less often"),
     ):
         record["models"]["vague"]["macro"]["iou_free"]["value"] = iou
-        assert says in page(record).said
+        assert description in page(record).said
 
 
 def test_frames_of_few_drives_are_said_to_be_alike(record: dict[str, Any], page: Callable[..., Page]) -> None:
@@ -556,7 +556,7 @@ def test_in_a_browser_charts_tables_and_theme_answer(
     assert seen["marks"][0] == "best"  # sharp is nearer to the truth than base, and both than vague
     assert seen["turnedMarks"] == ["worse", "worse"]
     assert seen["pairs"] > 30
-    assert seen["says"].startswith("Brier ↓: ")
+    assert seen["description"].startswith("Brier ↓: ")
     assert seen["legacy"] == "legacy_kl"
     assert (seen["help"], seen["shut"], seen["large"]) == (True, False, True)
     assert "004" in seen["caption"]

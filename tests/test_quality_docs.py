@@ -48,7 +48,7 @@ def evaluation(
 
 
 def part(result: Evaluation, drives: int = 1) -> dict:
-    facts = {name: {"says": f"what {name} is", "weights": None} for name in result.models}
+    facts = {name: {"description": f"what {name} is", "weights": None} for name in result.models}
     sequences = [f"drive {k % drives}" for k in range(result.frames)]
     return plain(of_evaluation(result, np.random.default_rng(0), sequences, facts))
 
@@ -241,8 +241,8 @@ def test_recordings_that_are_not_there_or_not_labelled_are_left_out_with_the_rea
     monkeypatch.setattr(sources, "source_of", opened)
     found = {one.name: one for one in sources.real(tmp_path, SPEC)}
     assert set(found) == set(sources.REAL)
-    assert found["nuScenes"].says == "there is no nuscenes_n015"
-    assert found["KITTI, single scans"].says == "OGM_DATA/kitti_object has no labels"
+    assert found["nuScenes"].description == "there is no nuscenes_n015"
+    assert found["KITTI, single scans"].description == "OGM_DATA/kitti_object has no labels"
     drive = found["KITTI, drive 0005"]
     assert drive.alone is not None
     assert drive.fused is not None

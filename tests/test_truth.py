@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ogm import EvidentialGrid, GridSpec
 from ogm.pose import inverse, pose
 from ogm.truth import (
-    CANVAS,
+    TRUTH_SPEC,
     FREE,
     IGNORE,
     OCCUPIED,
@@ -22,7 +22,7 @@ from ogm.truth import (
     cells_in_box,
     count_returns,
     height_above_ground,
-    settle,
+    finalize_truth,
     tally,
     tally_points,
     tally_rays,
@@ -176,7 +176,7 @@ def test_the_grid_is_dogmatic_where_known_and_vacuous_elsewhere() -> None:
 
 def test_cells_beyond_the_world_are_ignored_unless_hit() -> None:
     seen = np.array([[0, 1], [2, 0]], np.uint8)
-    truth = settle(seen, GridSpec(1.0, (2, 2), (0, 0)), beyond=np.array([[True, True], [True, False]]))
+    truth = finalize_truth(seen, GridSpec(1.0, (2, 2), (0, 0)), beyond=np.array([[True, True], [True, False]]))
     assert truth.state.tolist() == [[IGNORE, FREE], [OCCUPIED, UNKNOWN]]
 
 
@@ -221,23 +221,23 @@ def test_a_tally_may_be_built_up_in_parts() -> None:
     seen = np.zeros(SMALL.shape, np.uint8)
     for part in np.array_split(rng.permutation(60), 7):
         tally_points(seen, x[part], y[part], kind[part], height[part], SMALL)
-    np.testing.assert_array_equal(settle(seen, SMALL).state, truth_grid(x, y, kind, height, SMALL).state)
+    np.testing.assert_array_equal(finalize_truth(seen, SMALL).state, truth_grid(x, y, kind, height, SMALL).state)
 
 
 # --- Crops ------------------------------------------------------------------------------------------
 
 
 def test_a_crop_without_a_turn_is_a_cut() -> None:
-    truth = random_truth(spec=CANVAS)
+    truth = random_truth(spec=TRUTH_SPEC)
     cut = truth.crop(PAPER)
     np.testing.assert_array_equal(cut.state, truth.state[56:-56, 136:-136])
-    np.testing.assert_array_equal(truth.crop(CANVAS).state, truth.state)
+    np.testing.assert_array_equal(truth.crop(TRUTH_SPEC).state, truth.state)
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3, -1])
 def test_a_crop_turned_by_quarters_is_the_turned_array(quarters: int) -> None:
-    truth = random_truth(spec=CANVAS)
-    turned = truth.crop(CANVAS, yaw=quarters * np.pi / 2)
+    truth = random_truth(spec=TRUTH_SPEC)
+    turned = truth.crop(TRUTH_SPEC, yaw=quarters * np.pi / 2)
     np.testing.assert_array_equal(turned.state, np.rot90(truth.state, quarters))
 
 
@@ -256,7 +256,7 @@ def test_a_crop_moves_cells_along_with_points() -> None:
 @given(st.floats(-10, 10))
 @settings(max_examples=40, deadline=None)
 def test_the_canvas_covers_the_papers_grid_at_any_turn(yaw: float) -> None:
-    canvas = Truth(CANVAS, np.full(CANVAS.shape, FREE, np.uint8))
+    canvas = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, FREE, np.uint8))
     assert (canvas.crop(PAPER, yaw).state == FREE).all()
 
 
@@ -278,11 +278,11 @@ def test_the_crop_does_the_same_uncompiled() -> None:
 
 
 def test_turning_there_and_back_keeps_most_cells() -> None:
-    state = np.zeros(CANVAS.shape, np.uint8)
+    state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[200:300, 250:400] = FREE
     state[220:240, 260:300] = OCCUPIED
-    truth = Truth(CANVAS, state)
-    back = truth.crop(CANVAS, 0.7).crop(PAPER, -0.7)
+    truth = Truth(TRUTH_SPEC, state)
+    back = truth.crop(TRUTH_SPEC, 0.7).crop(PAPER, -0.7)
     assert (back.state == truth.crop(PAPER).state).mean() > 0.995
 
 

@@ -307,10 +307,10 @@ def test_boxes_win_and_doubt_takes_what_is_free() -> None:
     rows = ["       "] * 6
     scans, boxes = drawn(*rows, "..##   "), drawn(*rows, "# #    ")
     assert draw(combine_truths([scans], boxes=boxes))[6] == "#.##   "
-    doubtful = np.ones(SMALL.shape, bool)
-    assert draw(combine_truths([scans], boxes=boxes, doubtful=doubtful))[6] == "# ##   "
-    nobody = np.ones(SMALL.shape, bool)
-    assert (combine_truths([scans], boxes=boxes, nobody=nobody).state == IGNORE).all()
+    uncertain = np.ones(SMALL.shape, bool)
+    assert draw(combine_truths([scans], boxes=boxes, uncertain=uncertain))[6] == "# ##   "
+    unobserved = np.ones(SMALL.shape, bool)
+    assert (combine_truths([scans], boxes=boxes, unobserved=unobserved).state == IGNORE).all()
     assert draw(combine_truths([], boxes=boxes)) == draw(boxes)
 
 

@@ -12,10 +12,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 out = Console(highlight=False)
-complaints = Console(stderr=True, highlight=False, soft_wrap=True)
+stderr = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
-def tidy(command: Callable[P, R]) -> Callable[P, R]:
+def report_errors(command: Callable[P, R]) -> Callable[P, R]:
     """Turn the errors a user can cause into one line and exit code 2."""
 
     @functools.wraps(command)
@@ -23,10 +23,10 @@ def tidy(command: Callable[P, R]) -> Callable[P, R]:
         try:
             return command(*args, **kwargs)
         except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
-            complaints.print(f"ogm: {one_line(error)}", markup=False)
+            stderr.print(f"ogm: {one_line(error)}", markup=False)
             raise typer.Exit(2) from None
         except KeyboardInterrupt:
-            complaints.print("ogm: interrupted; files that were finished are whole, no other was written")
+            stderr.print("ogm: interrupted; files that were finished are whole, no other was written")
             raise typer.Exit(130) from None
 
     return run

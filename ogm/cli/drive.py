@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from ogm.cli.console import one_line
 from ogm.cli.maps import ENDINGS, stem
-from ogm.io import Poses, Scan, estimate_sensor_height, read_scan
+from ogm.io import Poses, estimate_sensor_height, read_scan
 from ogm.io.axes import rotation_to_flu
+from ogm.scan import Scan
 
 if TYPE_CHECKING:
     from ogm.io import Axes
@@ -188,7 +189,7 @@ def _from_store(path: Path, sequence: int) -> Drive:
 
     def read(k: int) -> Scan:
         sample = part[int(numbers[k])]
-        return Scan(sample.points, time=sample.time.astype(np.float64), stamp=sample.stamp, format="data set")
+        return Scan(sample.points, time=sample.time.astype(np.float64), stamp=sample.stamp)
 
     frames = numbers - sequence * SEQUENCE
     return Drive(

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 from rich.progress import track
 
-from ogm.cli.console import complaints, out, tidy
+from ogm.cli.console import out, report_errors, stderr
 from ogm.cli.rules import BAYES, RULES
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from ogm.cli.judging import Archive
+    from ogm.cli.judging import ResultCache
     from ogm.cli.source import Source
     from ogm.metrics import Evaluation
 
@@ -27,7 +27,7 @@ WRITTEN = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.pn
 HEADLINE = "kl_e10"  # by which frames are ranked
 
 
-@tidy
+@report_errors
 def evaluate(
     data: Annotated[
         Path,
@@ -105,7 +105,7 @@ def evaluate(
     """
     import numpy as np
 
-    from ogm.cli.judging import Archive, judge, state_of_code, state_of_files
+    from ogm.cli.judging import ResultCache, run_evaluation, state_of_code, state_of_files
     from ogm.cli.methods import Methods, methods_of
     from ogm.cli.page import write_page
     from ogm.cli.report import print_tables, report, versions, write_csv, write_report
@@ -136,7 +136,7 @@ def evaluate(
         raise ValueError(f"--out {out_folder} is what is judged: pictures of the report would mix with it")
 
     facts = {
-        "data": {"kind": source.kind, "name": source.name, "truth": source.says, **source.facts},
+        "data": {"kind": source.kind, "name": source.name, "truth": source.description, **source.facts},
         "methods": methods.facts(),
         "resample": resample,
         "versions": versions(),
@@ -148,28 +148,28 @@ def evaluate(
         "files": state_of_files([*source.files, *methods.files], out_folder),
         "code": state_of_code(),
     }
-    archive = Archive(out_folder / "frames", facts | settings)
+    archive = ResultCache(out_folder / "frames", facts | settings)
     kept = len(numbers) - len(archive.missing(numbers))
     if not kept:
         for name in WRITTEN:  # of another run: they would be taken for this one's if it ended early
             (out_folder / name).unlink(missing_ok=True)
     if kept:
-        complaints.print(
+        stderr.print(
             f"ogm: {kept} of {len(numbers)} frames are finished already, and are taken from {archive.folder}"
         )
 
     def ticked(numbers: Any) -> Any:
-        return track(numbers, "judging", console=complaints, transient=True)
+        return track(numbers, "judging", console=stderr, transient=True)
 
     try:
-        result = judge(source, numbers, methods, archive, ticked)
+        result = run_evaluation(source, numbers, methods, archive, ticked)
     except KeyboardInterrupt:
         done = len(numbers) - len(archive.missing(numbers))
-        complaints.print(
+        stderr.print(
             f"ogm: interrupted; {done} of {len(numbers)} frames are finished and kept: repeat the command to go on"
         )
         raise typer.Exit(130) from None
-    with complaints.status("writing the report ..."):
+    with stderr.status("writing the report ..."):
         named = [source.frames[k] for k in numbers]
         record = {
             "title": f"{source.name}: {', '.join(methods.names)}" if len(methods.names) < 5 else source.name,
@@ -244,7 +244,7 @@ def _pictured(result: "Evaluation", most: int) -> list[int]:
 
 
 def draw(
-    folder: Path, result: "Evaluation", source: "Source", numbers: Sequence[int], archive: "Archive"
+    folder: Path, result: "Evaluation", source: "Source", numbers: Sequence[int], archive: "ResultCache"
 ) -> None:
     """Draw the metrics, and frames from the best to the worst of the last method."""
     import numpy as np

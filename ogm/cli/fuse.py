@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import track
 
-from ogm.cli.console import complaints, one_line, out, print_facts, tidy
+from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
 from ogm.cli.maps import RAY, sensor_model
 from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 from ogm.cli.rules import BAYES, RULES, mapper_of, rolling
@@ -20,13 +20,14 @@ if TYPE_CHECKING:
     from ogm.cli.route import Route
     from ogm.grid import GridSpec
     from ogm.io import Axes
+    from ogm.scan import Mount
 
 METHODS = ("kiss-icp", "small-gicp")
 WINDOWS = ("rolling", "fixed")
 MOST_CELLS = 2**24  # of a fixed window: 655 m x 655 m at 0.16 m
 
 
-@tidy
+@report_errors
 def fuse(
     scans: Annotated[
         list[Path],
@@ -127,7 +128,8 @@ def fuse(
             "--deskew: the points of this data set are not (or not all) bent by the own motion; leave it out"
         )
     height = _height(drive, sensor_height)
-    model = sensor_model(ism, spec, height, drive.mount)
+    mount = Mount(height) if drive.mount is None else Mount(height, drive.mount)
+    model = sensor_model(ism, spec, mount)
     route = _route(drive, poses, calib, odometry, rate, parsed_axes(axes))
     out.print(f"poses: {route.how}", markup=False, soft_wrap=True)
     drive, route = drive.first(first), route.first(first)
@@ -244,11 +246,11 @@ def _route(
     drive: "Drive", poses: Path | None, calib: Path | None, odometry: str | None, rate: float, axes: "Axes"
 ) -> "Route":
     """Return where and when every scan was taken, from wherever the options say."""
-    from ogm.cli.route import in_house_axes, matched, measured_route
+    from ogm.cli.route import estimate_trajectory, matched, to_flu
     from ogm.io import read_calibration, read_poses
 
     if odometry is not None:
-        return measured_route(drive, odometry, rate, _ticked)
+        return estimate_trajectory(drive, odometry, rate, _ticked)
     if drive.poses is not None:
         if poses is not None:
             raise ValueError(
@@ -266,11 +268,11 @@ def _route(
         if calib is None and "T_camera_sensor" in str(error):
             raise ValueError(f"{error} (on the command line: --calib calib.txt)") from error
         raise
-    return matched(drive, in_house_axes(read, axes), poses.name, rate, _ticked)
+    return matched(drive, to_flu(read, axes), poses.name, rate, _ticked)
 
 
 def _ticked(numbers: "Iterable[int]", what: str) -> "Iterable[int]":
-    return track(list(numbers), what, console=complaints, transient=True)
+    return track(list(numbers), what, console=stderr, transient=True)
 
 
 def _window(kind: str, spec: "GridSpec", route: "Route") -> "GridSpec":

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from ogm.cli.console import print_facts, tidy
+from ogm.cli.console import print_facts, report_errors
 from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 
 
-@tidy
+@report_errors
 def info(
     scan: Annotated[
         Path, typer.Argument(help="A scan, a grid (.npz) or a data set (a folder) that ogm made.")
@@ -21,8 +21,8 @@ def info(
     time_unit: TimeUnit = None,
 ) -> None:
     """Say what a file or a data set holds."""
-    from ogm import EvidentialGrid, read_scan
-    from ogm.io import describe
+    from ogm import EvidentialGrid
+    from ogm.io import describe, read_scan_file
 
     if scan.is_dir():
         from ogm.simulation.store import Store
@@ -39,6 +39,6 @@ def info(
         } | {name: f"{100 * getattr(grid, name).mean():.1f} %" for name in ("free", "occupied", "unknown")}
     else:
         facts = describe(
-            read_scan(scan, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
+            *read_scan_file(scan, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
         )
     print_facts(facts)

@@ -17,9 +17,9 @@ from ogm.cli.source import Source
 from ogm.cli.views import frame_view
 from ogm.files import atomic_write
 from ogm.grid import GridSpec
-from ogm.metrics import Evaluation, Tally, distances, tally
+from ogm.metrics import ConfusionSums, Evaluation, accumulate, distances
 
-__all__ = ["Archive", "Judged", "judge", "state_of_code", "state_of_files"]
+__all__ = ["ResultCache", "FrameResult", "run_evaluation", "state_of_code", "state_of_files"]
 
 FORMAT = "ogm.judged/1"
 View = Callable[
@@ -28,7 +28,7 @@ View = Callable[
 UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
-class Judged(NamedTuple):
+class FrameResult(NamedTuple):
     """What is kept of a frame.
 
     Attributes
@@ -41,12 +41,12 @@ class Judged(NamedTuple):
         Its pictures, see `ogm.cli.views.frame_view`.
     """
 
-    counts: tuple[Tally, ...]
+    counts: tuple[ConfusionSums, ...]
     truth: NDArray[np.float64]
     views: dict[str, bytes]
 
 
-class Archive:
+class ResultCache:
     """Finished frames in a folder, one file each, and what they were judged by.
 
     Parameters
@@ -98,25 +98,25 @@ class Archive:
         """Return those of some frames that are not finished, or whose files are damaged."""
         return [k for k in numbers if k not in self._whole and self.load(k) is None]
 
-    def load(self, frame: int) -> Judged | None:
+    def load(self, frame: int) -> FrameResult | None:
         """Return a frame; None if it is not finished, or its file is damaged."""
         try:
             with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
                 if str(data["key"]) != self.key:
                     return None
-                columns = [data[f"counts {name}"] for name in Tally._fields]
+                columns = [data[f"counts {name}"] for name in ConfusionSums._fields]
                 views = {name[5:]: data[name].tobytes() for name in data.files if name.startswith("view ")}
-                counts = tuple(Tally(*row) for row in zip(*columns, strict=True))
+                counts = tuple(ConfusionSums(*row) for row in zip(*columns, strict=True))
                 self._whole.add(frame)
-                return Judged(counts, data["truth"], views)
+                return FrameResult(counts, data["truth"], views)
         except UNREADABLE:
             return None
 
-    def save(self, frame: int, judged: Judged) -> None:
+    def save(self, frame: int, judged: FrameResult) -> None:
         """Keep a frame, whole or not at all."""
         columns = {
             f"counts {name}": np.stack([getattr(one, name) for one in judged.counts])
-            for name in Tally._fields
+            for name in ConfusionSums._fields
         }
         views = {f"view {name}": np.frombuffer(data, np.uint8) for name, data in judged.views.items()}
         arrays: dict[str, Any] = {"key": np.array(self.key), "truth": judged.truth, **columns, **views}
@@ -179,11 +179,11 @@ def state_of_code() -> str:
     return hashlib.sha256("".join(sums).encode()).hexdigest()
 
 
-def judge(
+def run_evaluation(
     source: Source,
     numbers: Sequence[int],
     methods: Methods,
-    archive: Archive,
+    archive: ResultCache,
     tick: Callable[[Iterable[int]], Iterable[int]] = iter,
     view: View = frame_view,
 ) -> Evaluation:
@@ -214,12 +214,12 @@ def judge(
         grids = methods.grids(source.frames[number], item)
         state = item.truth.crop(spec).state
         masses = [grid.mass for grid in grids.values()]
-        counts = tuple(tally(mass, state, away) for mass in masses)
+        counts = tuple(accumulate(mass, state, away) for mass in masses)
         truth = np.bincount(state.ravel(), minlength=4) / state.size
         ground = None if item.T_vehicle_sensor is None else -float(item.T_vehicle_sensor[2, 3])
-        archive.save(number, Judged(counts, truth, view(item.points, state, masses, spec, ground)))
+        archive.save(number, FrameResult(counts, truth, view(item.points, state, masses, spec, ground)))
 
-    def kept(number: int) -> tuple[Sequence[Tally], NDArray[np.float64]]:
+    def kept(number: int) -> tuple[Sequence[ConfusionSums], NDArray[np.float64]]:
         one = archive.load(number)
         if one is None:
             raise ValueError(

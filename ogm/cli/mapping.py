@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, NamedTuple
@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from rich.progress import track
 
 from ogm import plot
-from ogm.cli.console import complaints, one_line
+from ogm.cli.console import one_line, stderr
 from ogm.cli.drive import UNREADABLE, Drive
-from ogm.cli.maps import measured
 from ogm.cli.route import Route
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
-from ogm.fusion.deskew import deskew, extended
-from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm.fusion.deskew import deskew, extrapolate
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import write_poses
 from ogm.pose import Trajectory
+from ogm.scan import InverseSensorModel
 
 if TYPE_CHECKING:
     from ogm.cli.movie import Movie
@@ -82,7 +82,7 @@ class Run:
     seconds: list[tuple[float, float]] = field(default_factory=list)  # that model and mapper took
 
     def __post_init__(self) -> None:
-        self.trajectory = extended(self.route.trajectory, TURN) if self.unbend else self.route.trajectory
+        self.trajectory = extrapolate(self.route.trajectory, TURN) if self.unbend else self.route.trajectory
 
     @property
     def titles(self) -> tuple[str, str, str]:
@@ -111,7 +111,7 @@ class Run:
                 raise ValueError("its points have no times; leave out --deskew")
             points = deskew(points, scan.time, self.trajectory, stamp)
         start = time.perf_counter()
-        grid = measured(self.model, points, scan.missing)
+        grid = self.model(replace(scan, points=points))
         between = time.perf_counter()
         self._update(grid, T, stamp)
         self.seconds.append((between - start, time.perf_counter() - between))
@@ -130,7 +130,7 @@ class Run:
             self.restarts += 1
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             self.mapper.grid.save(path)
-            complaints.print(
+            stderr.print(
                 f"ogm: {one_line(jump)}; that is the {JUMPS}rd in a row: the map so far is saved as {path}, a new one "
                 "begins here",
                 markup=False,
@@ -224,22 +224,22 @@ def map_all(run: Run, film: "Movie | None") -> int:
     int
         The exit code: 0, 2 if scans were skipped or an error ended the loop, 130 if the user did.
     """
-    numbers = track(range(len(run.drive)), "mapping", console=complaints, transient=True)
+    numbers = track(range(len(run.drive)), "mapping", console=stderr, transient=True)
     try:
         for k in numbers:
             try:
                 run.add(k)
             except UNREADABLE as error:
                 run.failed += 1
-                complaints.print(f"ogm: {run.drive.names[k]} is skipped: {one_line(error)}", markup=False)
+                stderr.print(f"ogm: {run.drive.names[k]} is skipped: {one_line(error)}", markup=False)
                 continue
             if film is not None:
                 film.add(run.seen.points, *run.shown(), float(run.route.stamps[k]))
     except KeyboardInterrupt:
-        complaints.print(f"ogm: interrupted after {len(run.taken)} scans; what there is gets written")
+        stderr.print(f"ogm: interrupted after {len(run.taken)} scans; what there is gets written")
         return 130
     except Exception as error:  # whatever it is, the map so far must not be lost
-        complaints.print(
+        stderr.print(
             f"ogm: {one_line(error)}: stopped after {len(run.taken)} scans; what there is gets written",
             markup=False,
         )

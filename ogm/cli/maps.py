@@ -6,21 +6,19 @@ import time
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
-from ogm.cli.console import complaints, one_line, out, tidy
+from ogm.cli.console import one_line, out, report_errors, stderr
 from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+    from ogm.grid import EvidentialGrid, GridSpec
+    from ogm.scan import InverseSensorModel, Mount, Scan
 
 # The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
 DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
@@ -30,13 +28,7 @@ ENDINGS = (".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")  # of sca
 RAY, HEIGHT_BAND, RELEASED, LITE = "ray", "height-band", "height-band-released", "lite"
 
 
-def sensor_model(
-    name: str,
-    spec: "GridSpec",
-    height: float,
-    T_vehicle_sensor: "NDArray[np.float64] | None" = None,
-    points_in: Literal["sensor", "vehicle"] = "sensor",
-) -> "InverseSensorModel":
+def sensor_model(name: str, spec: "GridSpec", mount: "Mount") -> "InverseSensorModel":
     """Return a sensor model by its name on the command line, or by the path of its weights.
 
     Parameters
@@ -44,12 +36,7 @@ def sensor_model(
     name : str
     spec : GridSpec
         The cells to fill.
-    height : float
-        Of the sensor above the ground [m].
-    T_vehicle_sensor : (4, 4) array, optional
-        How the sensor is mounted; identity by default.
-    points_in : {"sensor", "vehicle"}
-        Frame of the points.
+    mount : Mount
 
     Raises
     ------
@@ -61,16 +48,17 @@ def sensor_model(
     if name == RELEASED:
         from ogm.grid import GridSpec
 
-        if T_vehicle_sensor is not None or spec.shape[0] % 2 or spec.shape[1] % 2:
+        if mount.origin.any() or spec.shape[0] % 2 or spec.shape[1] % 2:
             raise ValueError(
                 "height-band-released wants points in the sensor's frame and an even number of cells"
             )
         return HeightBandISM.as_released(
             GridSpec(2 * spec.resolution, (spec.shape[0] // 2, spec.shape[1] // 2), spec.origin)
         )
-    if name in (RAY, HEIGHT_BAND):
-        model = RayISM if name == RAY else HeightBandISM
-        return model(spec, height, T_vehicle_sensor=T_vehicle_sensor, points_in=points_in)
+    if name == RAY:
+        return RayISM(spec, mount)
+    if name == HEIGHT_BAND:
+        return HeightBandISM(spec, mount)
     if name != LITE and not Path(name).exists():
         raise ValueError(
             f"there is no sensor model {name!r}: give {RAY}, {HEIGHT_BAND}, {RELEASED}, {LITE}, or weights that "
@@ -78,18 +66,7 @@ def sensor_model(
         )
     from ogm.deep import DeepISM
 
-    return DeepISM.load(
-        name, spec=spec, sensor_height=height, T_vehicle_sensor=T_vehicle_sensor, points_in=points_in
-    )
-
-
-def measured(ism: "InverseSensorModel", points: object, missing: object) -> "EvidentialGrid":
-    """Map one scan; beams without a return (`Scan.missing`) reach the models that know what to make of them."""
-    from ogm.geometric import RayISM
-
-    if isinstance(ism, RayISM) and missing is not None:
-        return ism(points, missing)  # type: ignore[arg-type]
-    return ism(points)  # type: ignore[arg-type]
+    return DeepISM.load(name, spec=spec, mount=mount)
 
 
 def _table(title: str) -> Table:
@@ -104,26 +81,24 @@ def _row(table: Table, name: str, count: int, grid: "EvidentialGrid", seconds: f
     table.add_row(Text(name.encode("utf-8", "replace").decode()), f"{count}", *shares, f"{1e3 * seconds:.1f}")
 
 
-def _timed(
-    ism: "InverseSensorModel", points: object, missing: object, repeats: int = 1
-) -> tuple["EvidentialGrid", float]:
+def _timed(ism: "InverseSensorModel", scan: "Scan", repeats: int = 1) -> tuple["EvidentialGrid", float]:
     """Map a scan and say how long it took: the median of some repeats."""
     seconds = []
     for _ in range(repeats):
         start = time.perf_counter()
-        grid = measured(ism, points, missing)
+        grid = ism(scan)
         seconds.append(time.perf_counter() - start)
     return grid, statistics.median(seconds)
 
 
-@tidy
+@report_errors
 def demo(
     out_folder: Annotated[
         Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")
     ] = Path("."),
 ) -> None:
     """Map the shipped road scan (Velodyne VLS-128) and draw it: points, two geometric models, the learned one."""
-    from ogm import plot, read_scan
+    from ogm import Mount, plot, read_scan
     from ogm.grid import GridSpec
 
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
@@ -135,14 +110,12 @@ def demo(
     if find_spec("torch") and find_spec("safetensors"):
         models[LITE] = "deep (lite)"
     else:
-        complaints.print(
-            'the learned model is left out: `pip install "ogm-toolkit[deep]"` adds it', markup=False
-        )
+        stderr.print('the learned model is left out: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
     for name, title in models.items():
-        ism = sensor_model(name, spec, DEMO_HEIGHT)
+        ism = sensor_model(name, spec, Mount(DEMO_HEIGHT))
         with out.status("compiling kernels (once per environment) ..."):
-            measured(ism, scan.points, None)
-        grids[title], seconds = _timed(ism, scan.points, None, repeats=9)
+            ism(scan)
+        grids[title], seconds = _timed(ism, scan, repeats=9)
         _row(table, name, len(scan.points), grids[title], seconds)
     cloud = plot.points(scan.points, spec, f"{len(scan.points)} points", -DEMO_HEIGHT)
     out_folder.mkdir(parents=True, exist_ok=True)
@@ -153,7 +126,7 @@ def demo(
     out.print(f"picture {picture}   grid {archive}", markup=False)
 
 
-@tidy
+@report_errors
 def map_(
     scans: Annotated[
         list[Path], typer.Argument(help="Scans: .pcd .bin .pcd.bin .ply .las .laz .npy .feather (.xz, .gz)")
@@ -193,7 +166,6 @@ def map_(
     """Map scans to evidential grids, one each, and draw them."""
     from ogm import plot, read_scan
     from ogm.grid import GridSpec
-    from ogm.pose import pose
 
     spec = GridSpec.centered(length=length, width=width, resolution=resolution)
     names = [stem(path) for path in scans]
@@ -210,7 +182,7 @@ def map_(
     for path, name, grid_path, picture_path in track(
         list(zip(scans, names, grids, pictures, strict=True)),
         "mapping",
-        console=complaints,
+        console=stderr,
         disable=len(scans) == 1,
         transient=True,
     ):
@@ -218,13 +190,12 @@ def map_(
             scan = read_scan(path, axes=parsed_axes(axes), intensity_max=intensity_max, time_unit=time_unit)
             height = 1.61 if ism == RELEASED else _height(scan.points, sensor_height, sensor_position)
             if height != last:
-                T = None if sensor_position is None else pose(*sensor_position)
-                model = sensor_model(ism, spec, height, T, "sensor" if T is None else "vehicle")
+                model = sensor_model(ism, spec, _mount(height, sensor_position))
                 last = height
             if not warm:
-                measured(model, scan.points, scan.missing)  # compiles, or loads what was compiled before
+                model(scan)  # compiles, or loads what was compiled before
                 warm = True
-            grid, seconds = _timed(model, scan.points, scan.missing)
+            grid, seconds = _timed(model, scan)
             if grid_path is not None:
                 grid.save(grid_path)
             if picture_path is not None:
@@ -238,7 +209,7 @@ def map_(
     if table.row_count:
         out.print(table, markup=False)
     for line in failed:
-        complaints.print(f"ogm: {line}", markup=False)
+        stderr.print(f"ogm: {line}", markup=False)
     if failed:
         raise typer.Exit(2)
 
@@ -271,8 +242,16 @@ def _height(points: object, given: float | None, position: tuple[float, float, f
             "the scan shows too little ground to tell the sensor's height; give --sensor-height [m]"
         )
     height = below + (position[2] if position else 0.0)
-    complaints.print(f"sensor height {height:.2f} m, estimated from the scan (--sensor-height sets it)")
+    stderr.print(f"sensor height {height:.2f} m, estimated from the scan (--sensor-height sets it)")
     return height
+
+
+def _mount(height: float, position: tuple[float, float, float] | None) -> "Mount":
+    """Return how a sensor is mounted whose points come in the vehicle frame, if its position is given."""
+    from ogm.pose import pose
+    from ogm.scan import Mount
+
+    return Mount(height) if position is None else Mount(height, pose(*position), points_in="vehicle")
 
 
 def stem(path: Path) -> str:

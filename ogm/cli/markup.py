@@ -62,6 +62,6 @@ def metric_title(record: Mapping[str, Any], name: str) -> list[Element | str]:
     metric = record["metrics"][name]
     better = f", {metric['better']} is better" if metric["better"] else ""
     return [
-        element("abbr", metric["title"], title=f"{metric['says']}{better}"),
+        element("abbr", metric["title"], title=f"{metric['description']}{better}"),
         f" {ARROWS[metric['better']]}",
     ]

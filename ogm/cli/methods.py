@@ -8,26 +8,27 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ogm.cli.mapping import levelled
-from ogm.cli.models import model_says, models_of, weights_facts
+from ogm.cli.models import describe_model, models_of, weights_facts
 from ogm.cli.rules import BAYES, mapper_of, rolling
 from ogm.cli.source import Frame, Item, grids_in, shown_name
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
 from ogm.fusion.warp import warp
-from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
-from ogm.metrics import ModelFor, Mounted, same_cells
+from ogm.metrics import ModelFor, Mounted, resample_to
+from ogm.scan import InverseSensorModel, as_scan
 
 if TYPE_CHECKING:
     from ogm.fusion.warp import Method as Resampling
 
-__all__ = ["Map", "Methods", "Scans", "Stored", "fused", "methods_of"]
+__all__ = ["Map", "Methods", "SingleScanMethod", "PrecomputedGrids", "fused", "methods_of"]
 
 
-class Scans(NamedTuple):
+class SingleScanMethod(NamedTuple):
     """A sensor model, each scan by itself."""
 
     model: InverseSensorModel | ModelFor
-    says: str
+    description: str
     weights: dict[str, str] | None = None
 
 
@@ -36,14 +37,14 @@ class Map(NamedTuple):
 
     scans: str  # name of the model's method
     make: Callable[[], EvidentialMapper | BinaryBayesMapper]
-    says: str
+    description: str
 
 
-class Stored(NamedTuple):
+class PrecomputedGrids(NamedTuple):
     """Grids that were made elsewhere, by the names of their frames."""
 
     files: dict[str, Path]
-    says: str
+    description: str
 
 
 class Methods:
@@ -60,13 +61,18 @@ class Methods:
     """
 
     def __init__(
-        self, given: dict[str, Scans | Map | Stored], spec: GridSpec, resampling: "Resampling | None" = None
+        self,
+        given: dict[str, SingleScanMethod | Map | PrecomputedGrids],
+        spec: GridSpec,
+        resampling: "Resampling | None" = None,
     ) -> None:
         if not given:
             raise ValueError("no methods to judge: give --ism NAME, or --grids FOLDER")
         self.given, self.spec, self.resampling = given, spec, resampling
         self.remember = any(isinstance(one, Map) for one in given.values())
-        self._models = {name: Mounted(one.model) for name, one in given.items() if isinstance(one, Scans)}
+        self._models = {
+            name: Mounted(one.model) for name, one in given.items() if isinstance(one, SingleScanMethod)
+        }
         self._maps: dict[str, EvidentialMapper | BinaryBayesMapper] = {}
         self._sequence: str | None = None
 
@@ -79,13 +85,19 @@ class Methods:
     def files(self) -> tuple[Path, ...]:
         """All grids that were made elsewhere."""
         return tuple(
-            path for one in self.given.values() if isinstance(one, Stored) for path in one.files.values()
+            path
+            for one in self.given.values()
+            if isinstance(one, PrecomputedGrids)
+            for path in one.files.values()
         )
 
     def facts(self) -> dict[str, Any]:
         """Say what each method is, as JSON can hold it."""
         return {
-            name: {"says": one.says, "weights": one.weights if isinstance(one, Scans) else None}
+            name: {
+                "description": one.description,
+                "weights": one.weights if isinstance(one, SingleScanMethod) else None,
+            }
             for name, one in self.given.items()
         }
 
@@ -104,7 +116,7 @@ class Methods:
                 "(`ogm simulate --sequences`)"
             )
         for method, one in self.given.items():
-            if isinstance(one, Stored):
+            if isinstance(one, PrecomputedGrids):
                 missing = [name for name in names if name not in one.files]
                 if missing:
                     more = sorted(set(one.files) - set(names))
@@ -129,7 +141,7 @@ class Methods:
         for name, model in self._models.items():
             if item.points is None:
                 raise ValueError(f"{name} wants points, and there are none here; give --grids FOLDER alone")
-            scans[name] = model(item)(item.points)
+            scans[name] = model(item)(as_scan(item.points))
         for name, mapper in self._maps.items():
             one = self.given[name]
             if isinstance(one, Map):
@@ -141,8 +153,8 @@ class Methods:
         scans = self.show(frame, item)
         result: dict[str, EvidentialGrid] = {}
         for name, one in self.given.items():
-            if isinstance(one, Scans):
-                result[name] = same_cells(scans[name], self.spec)
+            if isinstance(one, SingleScanMethod):
+                result[name] = resample_to(scans[name], self.spec)
             elif isinstance(one, Map):
                 result[name] = self._maps[name].view(self.spec)
             else:
@@ -152,7 +164,7 @@ class Methods:
     def _read(self, name: str, path: Path) -> EvidentialGrid:
         grid = read_grid(path, self.spec)
         try:
-            return same_cells(grid, self.spec)
+            return resample_to(grid, self.spec)
         except ValueError as error:
             if self.resampling is None:
                 raise ValueError(f"{name}: {path.name}: {error}; or resample it: --resample area") from error
@@ -180,7 +192,7 @@ def _update(
 
 def methods_of(
     isms: Sequence[str], rules: Sequence[str], folders: Sequence[Path], spec: GridSpec
-) -> dict[str, Scans | Map | Stored]:
+) -> dict[str, SingleScanMethod | Map | PrecomputedGrids]:
     """Return methods by what the command line names: models, each with its maps, then folders of grids.
 
     Raises
@@ -191,9 +203,9 @@ def methods_of(
         If there are no such weights, or no such folder.
     """
     models = models_of(isms, spec) if isms else {}
-    result: dict[str, Scans | Map | Stored] = {}
+    result: dict[str, SingleScanMethod | Map | PrecomputedGrids] = {}
     for (name, model), given in zip(models.items(), isms, strict=True):
-        result[name] = Scans(model, model_says(given), weights_facts(given))
+        result[name] = SingleScanMethod(model, describe_model(given), weights_facts(given))
     for name in models:
         for rule in rules:
             result |= fused(name, rule, spec)
@@ -207,7 +219,9 @@ def methods_of(
         files = grids_in(folder)
         if not files:
             raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
-        result[name] = Stored(files, f"Grids of the folder {shown_name(folder)}, {len(files)} files.")
+        result[name] = PrecomputedGrids(
+            files, f"Grids of the folder {shown_name(folder)}, {len(files)} files."
+        )
     return result
 
 
@@ -218,5 +232,5 @@ def fused(name: str, rule: str, spec: GridSpec, half_life: float | None = None) 
     memory = mapper.half_life if isinstance(mapper.half_life, float) else mapper.half_life[0]
     kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
     fading = "never forgets" if np.isinf(memory) else f"half-life {memory:g} s"
-    says = f"The scans of {name} fused over time by {kind}, {fading}."
-    return {f"{name} + {rule}": Map(name, lambda: mapper_of(rule, window, half_life), says)}
+    description = f"The scans of {name} fused over time by {kind}, {fading}."
+    return {f"{name} + {rule}": Map(name, lambda: mapper_of(rule, window, half_life), description)}

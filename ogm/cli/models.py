@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import GridSpec, InverseSensorModel
+from ogm.grid import GridSpec
 from ogm.metrics import ModelFor
+from ogm.scan import InverseSensorModel, Mount
 
-__all__ = ["GEOMETRIC", "model_says", "models_of", "weights_facts"]
+__all__ = ["GEOMETRIC", "describe_model", "models_of", "weights_facts"]
 
 GEOMETRIC = ("height-band", "height-band-released", "ray")
-OWN_BOX = (-2.5, 2.5, -1.1, 1.1)  # [m] the own vehicle around the sensor, the same for all geometric models
 
 
 def models_of(names: Sequence[str], spec: GridSpec) -> dict[str, InverseSensorModel | ModelFor]:
@@ -56,7 +56,7 @@ def weights_facts(name: str) -> dict[str, str] | None:
         return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
 
 
-def model_says(name: str) -> str:
+def describe_model(name: str) -> str:
     """Say what a model is."""
     known = {
         "height-band": "The paper's geometric model as its text has it (HeightBandISM).",
@@ -74,12 +74,9 @@ def _geometric(name: str, spec: GridSpec) -> InverseSensorModel | ModelFor:
     if name == "height-band-released":  # its mount is built in, its cells are twice as wide
         nx, ny = spec.shape
         return HeightBandISM.as_released(GridSpec(2 * spec.resolution, (nx // 2, ny // 2), spec.origin))
-    model = RayISM if name == "ray" else HeightBandISM
-
-    def of(T: NDArray[np.float64]) -> InverseSensorModel:
-        return model(spec, T[2, 3], T_vehicle_sensor=T, own_box=OWN_BOX)
-
-    return of
+    if name == "ray":
+        return lambda T: RayISM(spec, Mount(T[2, 3], T))
+    return lambda T: HeightBandISM(spec, Mount(T[2, 3], T), drop_ego_returns=True)
 
 
 def _deep(name: str, spec: GridSpec) -> ModelFor:
@@ -94,8 +91,6 @@ def _deep(name: str, spec: GridSpec) -> ModelFor:
         network, description = load_network(path)
 
     def of(T: NDArray[np.float64]) -> InverseSensorModel:
-        return DeepISM(
-            network, spec=spec, sensor_height=float(T[2, 3]), T_vehicle_sensor=T, description=description
-        )
+        return DeepISM(network, spec, Mount(T[2, 3], T), description=description)
 
     return of

@@ -128,13 +128,19 @@ def _scores(record: Record) -> Iterable[Element]:
     yield element(
         "details", element("summary", "Every metric of all frames' cells together (micro averages)"), *pooled
     )
-    says = [
+    description = [
         element(
-            "div", element("dt", *metric_title(record, name)), element("dd", record["metrics"][name]["says"])
+            "div",
+            element("dt", *metric_title(record, name)),
+            element("dd", record["metrics"][name]["description"]),
         )
         for name in record["metrics"]
     ]
-    yield element("details", element("summary", "What each metric is"), element("dl", *says, class_="says"))
+    yield element(
+        "details",
+        element("summary", "What each metric is"),
+        element("dl", *description, class_="description"),
+    )
 
 
 def _table(record: Record, names: Sequence[str], kind: str) -> Element:
@@ -143,7 +149,7 @@ def _table(record: Record, names: Sequence[str], kind: str) -> Element:
         metric = record["metrics"][name]
         better = f"; {metric['better']} is better" if metric["better"] else ""
         button = element("button", f"{metric['title']} {ARROWS[metric['better']]}", type="button")
-        head.append(element("th", button, scope="col", title=f"{metric['says']}{better}"))
+        head.append(element("th", button, scope="col", title=f"{metric['description']}{better}"))
     best = {name: _best(record, name, kind) for name in names}
     rows = []
     for number, (method, model) in enumerate(record["models"].items()):
@@ -240,7 +246,9 @@ def _legends(views: Views) -> Iterable[Element]:
         )
     yield _legend("truth", STATES)
     beliefs = {name: shade for name, shade in STATES.items() if name != "ignored"}
-    yield _legend("masses", {name: shade._replace(says=f"mass of {name}") for name, shade in beliefs.items()})
+    yield _legend(
+        "masses", {name: shade._replace(description=f"mass of {name}") for name, shade in beliefs.items()}
+    )
     yield _legend("errors", dict(reversed(ERRORS.items())))
 
 
@@ -248,10 +256,15 @@ def _legend(title: str, shades: Mapping[str, Shade]) -> Element:
     entries = []
     for name, shade in shades.items():
         colour = f"background:rgb({','.join(map(str, shade.colour))})"
-        says = "" if shade.says == name or title in ("points", "masses") else f": {shade.says}"
+        description = (
+            "" if shade.description == name or title in ("points", "masses") else f": {shade.description}"
+        )
         entries.append(
             element(
-                "li", element("i", style=colour, class_="patch", aria_hidden="true"), element("b", name), says
+                "li",
+                element("i", style=colour, class_="patch", aria_hidden="true"),
+                element("b", name),
+                description,
             )
         )
     return element("div", element("h3", title), element("ul", *entries), class_="legend")

@@ -20,9 +20,9 @@ from ogm.files import atomic_write
 from ogm.metrics import (
     METRICS,
     RANGES,
+    ConfusionSums,
     Evaluation,
     Paired,
-    Tally,
     by_range,
     free_space,
     intervals,
@@ -83,7 +83,7 @@ def report(
         "ranges": list(RANGES),
         "models": {
             name: {
-                "what": facts.get(name, {}).get("says", ""),
+                "what": facts.get(name, {}).get("description", ""),
                 "weights": facts.get(name, {}).get("weights"),
                 "macro": {m: result.interval(name, m, rng, groups)._asdict() for m in METRICS},
                 "micro": result.micro(name),
@@ -115,7 +115,7 @@ def _drawn(count: int, what: str, of: int = 0) -> str:
     return f"95 %, bootstrap over {count} {what}{alike}"
 
 
-def _curves(counts: Tally) -> dict[str, Any]:
+def _curves(counts: ConfusionSums) -> dict[str, Any]:
     """Return the curves of pooled counts, as columns."""
 
     def columns(curve: Any) -> dict[str, list[float]]:

@@ -16,7 +16,7 @@ from ogm.pose import Trajectory
 if TYPE_CHECKING:
     from ogm.io import Axes
 
-__all__ = ["Route", "in_house_axes", "matched", "measured_route"]
+__all__ = ["Route", "to_flu", "matched", "estimate_trajectory"]
 
 OURS = "ogm.poses/1"  # the format of what --save-poses writes: always x forward, y left
 GAP = 2.0  # [s] between two poses, beyond which nothing is said about what lies between them
@@ -56,7 +56,7 @@ class Route(NamedTuple):
         return self._replace(stamps=self.stamps[:count], poses=self.poses[:count])
 
 
-def in_house_axes(poses: Poses, axes: "Axes") -> Poses:
+def to_flu(poses: Poses, axes: "Axes") -> Poses:
     """Return the poses of a sensor whose x points forward and y left, as its points are read.
 
     A file of poses knows the axes that the scans have on disk; the map keeps its own. What ``--save-poses`` wrote
@@ -140,7 +140,7 @@ def _by_stamp(drive: Drive, poses: Poses, source: str, tick: Tick) -> Route:
     return Route(stamps, placed, known, how)
 
 
-def measured_route(drive: Drive, method: str, rate: float, tick: Tick) -> Route:
+def estimate_trajectory(drive: Drive, method: str, rate: float, tick: Tick) -> Route:
     """Estimate where each scan was taken, from the scans alone.
 
     Parameters

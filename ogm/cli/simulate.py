@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
 
-from ogm.cli.console import complaints, out, tidy
+from ogm.cli.console import out, report_errors, stderr
 
 if TYPE_CHECKING:
     from ogm.simulation.farm import Estimate
@@ -26,7 +26,7 @@ class TruthMode(StrEnum):
     hd = "hd"
 
 
-@tidy
+@report_errors
 def simulate(
     path: Annotated[Path | None, typer.Argument(help="Folder for the data set: new, or empty.")] = None,
     samples: Annotated[
@@ -131,7 +131,7 @@ def simulate(
 
         dataset.lidars(plan)  # or the complaint that there is no such lidar, before a town is built
         town = preview.with_name(f"{preview.stem}-town.png")
-        with complaints.status("building a town ..."):
+        with stderr.status("building a town ..."):
             studio.preview(preview, town, plan)
         out.print(f"pictures {preview} and {town}", markup=False)
     if path is None:
@@ -142,7 +142,7 @@ def simulate(
     except KeyboardInterrupt:
         way = f"finished shards are whole: `ogm simulate {path} --resume` goes on"
         said = way if Store.exists(path) else "the data set was not begun yet"
-        complaints.print(f"ogm: interrupted; {said}", markup=False)
+        stderr.print(f"ogm: interrupted; {said}", markup=False)
         raise typer.Exit(130) from None
 
 
@@ -169,7 +169,7 @@ def _make(path: Path, plan: "Plan", workers: int | None, scheduler: str | None) 
     crew = farm.check_workers(farm.workers_that_fit() if workers is None else workers)
     store = farm.begin(path, plan, dataset.lidars(plan), dataset.versions())
     if store.versions != dataset.versions():
-        complaints.print(
+        stderr.print(
             "the data set was begun with other versions of libraries; new samples may differ in detail"
         )
     todo = sum(job.samples for job in farm.jobs(store))
@@ -177,13 +177,13 @@ def _make(path: Path, plan: "Plan", workers: int | None, scheduler: str | None) 
         store, plan, dataset.sample, dataset.threads_per_sample, workers=crew, scheduler=scheduler
     )
     columns = (TextColumn("simulating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    status = complaints.status("building the town and measuring a sample ...")
+    status = stderr.status("building the town and measuring a sample ...")
     with closing(events):
         with status:
             estimate = next(events, None)
         if isinstance(estimate, farm.Estimate):
-            complaints.print(_said(estimate), markup=False)
-        with Progress(*columns, console=complaints, transient=True) as progress:
+            stderr.print(_said(estimate), markup=False)
+        with Progress(*columns, console=stderr, transient=True) as progress:
             task = progress.add_task("", total=todo)
             for event in events:
                 if isinstance(event, farm.Made):
@@ -219,7 +219,7 @@ def _finish(store: "Store", path: Path, export: Path | None) -> None:
     if export is not None:
 
         def ticked(numbers: Iterable[int], name: str) -> Iterable[int]:
-            return track(numbers, f"exporting {name}", console=complaints, transient=True)
+            return track(numbers, f"exporting {name}", console=stderr, transient=True)
 
         exchange.export(store, export, tick=ticked)
     facts = store.describe()

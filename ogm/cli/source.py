@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.io.grids import GRID_ENDINGS, read_grid
-from ogm.metrics import called
+from ogm.state import predict_state
 from ogm.truth import IGNORE, UNKNOWN, Truth
 
 __all__ = ["Frame", "Item", "Source", "grids_in", "shown_name", "source_of"]
@@ -82,7 +82,7 @@ class Source:
 
     kind: str
     name: str
-    says: str
+    description: str
     facts: dict[str, Any]
     frames: tuple[Frame, ...]
     read: Callable[[int], Item]
@@ -187,11 +187,13 @@ def _store(path: Path, split: str | None, judged: str) -> Source:
 
     facts = {"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
     how = HOW.get(str(store.plan.get("truth")), "rays from the sensor's place")
-    says = f"Simulated: what {how} hit; participants with 50 returns or more as a whole; what nothing hit is unknown."
+    description = f"Simulated: what {how} hit; participants with 50 returns or more as a whole; what nothing hit is unknown."
     if judged == "maps":
-        says += " Maps may know that from other frames: it is left out."
+        description += " Maps may know that from other frames: it is left out."
     title = f"{shown_name(path)}, {name}"
-    return Source("simulated store", title, says, facts, frames, read, (path / "zarr.json", path / name))
+    return Source(
+        "simulated store", title, description, facts, frames, read, (path / "zarr.json", path / name)
+    )
 
 
 def _known_only(truth: Truth) -> Truth:
@@ -228,20 +230,22 @@ def _recording(path: Path, truth: tuple[str, ...], later: str) -> Source:
     )
     facts = {"format": recording.format, "frames": len(frames)}
     name = recording.name or shown_name(path)
-    return Source("real recording", name, recording.truth_says, facts, frames, read, (path,))
+    return Source("real recording", name, recording.truth_description, facts, frames, read, (path,))
 
 
 def _grids(path: Path, spec: GridSpec) -> Source:
     files = grids_in(path)
     names = tuple(files)
-    says = "Grids of a folder: a cell is what has most mass, unknown included; what the pictures do not show, unknown."
+    description = "Grids of a folder: a cell is what has most mass, unknown included; what the pictures do not show, unknown."
     facts = {"files": len(names)}
     frames = tuple(Frame(name) for name in names)
 
     def read(k: int) -> Item:
         return Item(_truth(files[names[k]], spec))
 
-    return Source("folders of grids", shown_name(path), says, facts, frames, read, tuple(files.values()))
+    return Source(
+        "folders of grids", shown_name(path), description, facts, frames, read, tuple(files.values())
+    )
 
 
 def _truth(path: Path, spec: GridSpec) -> Truth:
@@ -268,7 +272,7 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
             f"{grid.spec.origin[1]:g} m on, but judged are cells of {spec.resolution:g} m from x {spec.origin[0]:g}, "
             f"y {spec.origin[1]:g} m on; a truth is not resampled: save it on those, or on whole multiples of them"
         )
-    return Truth(grid.spec, called(grid.mass))
+    return Truth(grid.spec, predict_state(grid.mass))
 
 
 def _fit(cells: GridSpec, spec: GridSpec) -> bool:

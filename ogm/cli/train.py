@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ogm.cli.console import complaints, out, print_facts, tidy
+from ogm.cli.console import out, print_facts, report_errors, stderr
 
 if TYPE_CHECKING:
     from ogm.simulation.store import Store
@@ -34,7 +34,7 @@ class LossName(StrEnum):
     digamma = "digamma"
 
 
-@tidy
+@report_errors
 def train(
     data: Annotated[Path, typer.Argument(help="Data set that `ogm simulate` made.")],
     model: Annotated[
@@ -125,16 +125,16 @@ def train(
     except KeyboardInterrupt:
         saved = "the run is saved: the same command with --resume goes on"
         said = saved if (folder / "state.pt").exists() else "nothing was saved yet"
-        complaints.print(f"ogm: interrupted; {said} in {folder}", markup=False)
+        stderr.print(f"ogm: interrupted; {said} in {folder}", markup=False)
         raise typer.Exit(130) from None
     except FloatingPointError as error:
-        complaints.print(f"ogm: {error}", markup=False)
+        stderr.print(f"ogm: {error}", markup=False)
         raise typer.Exit(1) from None
     if os.environ.get("LOCAL_RANK", "0") == "0":  # Lightning starts this command once per device
         out.print(f"weights {path}   curve {folder / 'log.csv'}", markup=False)
 
 
-@tidy
+@report_errors
 def export(
     source: Annotated[str, typer.Argument(help="lite, a run's folder, or a .safetensors file.")] = "lite",
     out_path: Annotated[Path, typer.Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
@@ -147,7 +147,7 @@ def export(
     with weights_of(source) as path:
         network, _ = load_network(path)
     _quiet()
-    with complaints.status("exporting ..."):
+    with stderr.status("exporting ..."):
         facts = export_onnx(network, out_path)
     print_facts({"file": str(out_path), **facts})
 
@@ -160,7 +160,7 @@ def _whole(store: "Store", name: str) -> list[int]:
         )
     finished = store[name].finished.tolist()
     if len(finished) < store.counts[name]:
-        complaints.print(
+        stderr.print(
             f"ogm: {len(finished)} of {store.counts[name]} {name} samples are made; "
             f"`ogm simulate {store.path} --resume` makes the rest",
             markup=False,

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ogm import plot
 from ogm.grid import GridSpec
-from ogm.metrics import called
+from ogm.state import predict_state
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
 __all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "error_classes", "frame_view", "height_colours"]
@@ -30,7 +30,7 @@ class Shade(NamedTuple):
     """What a colour of a picture means."""
 
     colour: tuple[int, int, int]
-    says: str
+    description: str
 
 
 def _shade(colour: tuple[float, float, float]) -> tuple[int, int, int]:
@@ -96,7 +96,7 @@ def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArr
         raise ValueError(
             f"mass must be (nx, ny, 2) on the cells of the truth, got {mass.shape} for {truth.shape}"
         )
-    return _CLASS[truth, called(mass)]
+    return _CLASS[truth, predict_state(mass)]
 
 
 def frame_view(

@@ -216,7 +216,7 @@ function frameFigures() {
     onFrames.push(chart(place, { x, y, series, height, label: `${label} of every shown method in every frame`, pick: i => { if (axis[i] !== undefined) { go(axis[i]); $("frames").scrollIntoView(); $("stage").focus({ preventScroll: true }); } }, read }));
   };
   onFrames = [];
-  $("figure-metric-says").textContent = `${title(figureMetric)}${sign(figureMetric)}: ${D.metrics[figureMetric].says}`;
+  $("figure-metric-says").textContent = `${title(figureMetric)}${sign(figureMetric)}: ${D.metrics[figureMetric].description}`;
   one($("chart-metric"), figureMetric, title(figureMetric), null, 300);
   const known = axis.length ? D.frames.map((_, f) => 1 - (D.truth.ignored?.[f] ?? 0)) : [];
   for (const state of ["unknown", "free", "occupied"]) if (D.perFrame[`mean_${state}`]) {
@@ -344,7 +344,7 @@ function pairs() {
   } else {
     const pair = pairOf(Number(rival), b) ?? {};
     head = ["metric", "wins", "ties", "losses", "difference of means", "ratio of means", "p"];
-    rows = Object.entries(pair).map(([metric, row]) => node("tr", {}, node("th", { scope: "row", title: D.metrics[metric]?.says }, title(metric) + sign(metric)),
+    rows = Object.entries(pair).map(([metric, row]) => node("tr", {}, node("th", { scope: "row", title: D.metrics[metric]?.description }, title(metric) + sign(metric)),
       ...(row[0] ? [row[1], row[2], row[3]].map(v => node("td", {}, String(v))) : [1, 2, 3].map(() => node("td", { class: "none" }, "–"))),
       node("td", { class: verdict(metric, row) }, ...span(row[5], row[6], row[7])), node("td", {}, ...span(row[8], row[9], row[10])), node("td", {}, saidP(row[4]))));
   }
@@ -452,7 +452,7 @@ function draw() {
     if (views?.[`error ${m.k}`]) box.append(picture(views[`error ${m.k}`], `errors of ${m.name} in ${name}`, "errors"));
     box.append(node("dl", {}, ...numbers.map(metric => {
       const v = D.perFrame[metric][m.k][frame];
-      return node("div", { title: D.metrics[metric].says }, node("dt", {}, title(metric) + sign(metric)), node("dd", { class: v !== null && v === best[metric] && D.metrics[metric].better ? "best" : null }, said(v)));
+      return node("div", { title: D.metrics[metric].description }, node("dt", {}, title(metric) + sign(metric)), node("dd", { class: v !== null && v === best[metric] && D.metrics[metric].better ? "best" : null }, said(v)));
     })));
     tiles.push(box);
   }

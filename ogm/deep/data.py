@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, Sampler
 
-from ogm.deep.pillars import OWN_BOX, Pillars, collate, limited, pillarize
+from ogm.deep.pillars import EGO_FOOTPRINT, Pillars, cap_pillars, collate, pillarize
 from ogm.grid import GridSpec
 from ogm.truth import Truth
 
@@ -25,11 +25,11 @@ __all__ = [
     "Batch",
     "Sample",
     "Samples",
-    "Scenes",
+    "PillarDataset",
     "Shuffled",
     "augment",
     "join",
-    "seen_in",
+    "training_ranges",
 ]
 
 
@@ -118,7 +118,7 @@ class Batch(NamedTuple):
     numbers: list[int]
 
 
-class Scenes(Dataset[Batch]):
+class PillarDataset(Dataset[Batch]):
     """Samples as batches of one.
 
     Parameters
@@ -132,7 +132,7 @@ class Scenes(Dataset[Batch]):
         Heights above the ground that the network looks at [m].
     seed : int
     most_pillars, most_points : int
-        If above 0, the paper's limits; see `ogm.deep.pillars.limited`.
+        If above 0, the paper's limits; see `ogm.deep.pillars.cap_pillars`.
     """
 
     def __init__(
@@ -157,15 +157,15 @@ class Scenes(Dataset[Batch]):
         rng = np.random.default_rng((self.seed, epoch, i))
         sample = self.samples[i]
         points, state = augment(sample, self.spec, self.augmentation, rng)
-        pillars = pillarize(points, self.spec, self.z_range, OWN_BOX)
+        pillars = pillarize(points, self.spec, self.z_range, EGO_FOOTPRINT)
         if any(self.most):
-            pillars = limited(
+            pillars = cap_pillars(
                 pillars, rng, self.most[0] or len(pillars.lengths), self.most[1] or len(pillars.features)
             )
         return Batch(pillars, torch.from_numpy(state)[None], [i])
 
 
-def seen_in(scenes: Scenes, count: int = 300) -> dict[str, tuple[float, float]]:
+def training_ranges(scenes: PillarDataset, count: int = 300) -> dict[str, tuple[float, float]]:
     """Return what a network trained on some scenes has seen: ranges over up to `count` of them, evenly spread.
 
     Returns
@@ -179,7 +179,7 @@ def seen_in(scenes: Scenes, count: int = 300) -> dict[str, tuple[float, float]]:
     for i in numbers.tolist():
         sample = scenes.samples[i]
         points, _ = augment(sample, scenes.spec, PLAIN, np.random.default_rng(0))
-        pillars = pillarize(points, scenes.spec, scenes.z_range, OWN_BOX)
+        pillars = pillarize(points, scenes.spec, scenes.z_range, EGO_FOOTPRINT)
         mean = float(pillars.features[:, 3].mean()) if len(pillars.features) else 0.0
         rows.append((float(sample.T_vehicle_sensor[2, 3]), len(sample.points), mean))
     low, high = np.min(rows, axis=0).tolist(), np.max(rows, axis=0).tolist()

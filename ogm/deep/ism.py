@@ -1,4 +1,4 @@
-"""A trained network as an inverse sensor model: the same door as the geometric ones."""
+"""A trained network as an inverse sensor model, with the same interface as the geometric ones."""
 
 import logging
 import os
@@ -6,17 +6,17 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import Network, fused
-from ogm.deep.pillars import OWN_BOX, Box, Pillars, collate, pillarize, pillarize_torch
+from ogm.deep.pillars import Box, Pillars, collate, pillarize, pillarize_torch
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.pose import check_pose
+from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["SHIPPED", "DeepISM", "weights_of"]
 
@@ -65,8 +65,8 @@ class DeepISM:
 
     One scan in, one evidential grid out, without memory from scan to scan::
 
-        deep = DeepISM.load("lite", sensor_height=1.9)
-        grid = deep(points)
+        deep = DeepISM.load("lite", mount=Mount(sensor_height=1.9))
+        grid = deep(scan)
 
     Parameters
     ----------
@@ -75,15 +75,9 @@ class DeepISM:
     spec : GridSpec, optional
         The grid to fill, in the vehicle's frame. By default that of the training, around the sensor; another needs the
         same resolution, and far beyond the training's ranges the network only guesses.
-    sensor_height : float
-        Of the sensor above the ground below it [m].
-    T_vehicle_sensor : (4, 4) array, optional
-        How the sensor is mounted; by default the vehicle frame is the sensor's.
-    points_in : {"sensor", "vehicle"}
-        The frame of the points.
-    own_box : (x_min, x_max, y_min, y_max), optional
-        The own vehicle, in the vehicle frame [m]: returns in it are left out, its cells are unknown. By default 2.5 m
-        to the front and the rear of the sensor and 1.1 m to its sides, as in training.
+    mount : Mount, optional
+        Where the sensor is mounted, 1.9 m above ground by default. Returns from the ego footprint are left out, its
+        cells are unknown.
     device : str or torch.device
         Where the network runs.
     compile : bool
@@ -111,24 +105,17 @@ class DeepISM:
         self,
         network: Network,
         spec: GridSpec | None = None,
-        sensor_height: float = 1.9,
-        T_vehicle_sensor: ArrayLike | None = None,
-        points_in: Literal["sensor", "vehicle"] = "sensor",
-        own_box: Sequence[float] | None = None,
+        mount: Mount | None = None,
+        *,
         device: str | torch.device = "cpu",
         compile: bool = False,
         description: Mapping[str, Any] | None = None,
     ) -> None:
-        T = np.eye(4) if T_vehicle_sensor is None else check_pose(T_vehicle_sensor, "T_vehicle_sensor")
-        if not 0 < sensor_height < 100:
-            raise ValueError(f"sensor_height must be above ground and below 100 m, got {sensor_height}")
-        if points_in not in ("sensor", "vehicle"):
-            raise ValueError(f'points_in must be "sensor" or "vehicle", got {points_in!r}')
-        x, y, z = (float(value) for value in T[:3, 3])
-        around = (OWN_BOX[0] + x, OWN_BOX[1] + x, OWN_BOX[2] + y, OWN_BOX[3] + y)
-        box = around if own_box is None else tuple(map(float, own_box))
-        if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
-            raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {own_box}")
+        self.mount = mount = Mount(1.9) if mount is None else mount
+        if not isinstance(mount, Mount):
+            raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+        x, y, z = (float(value) for value in mount.origin)
+        box, sensor_height = mount.ego_footprint, mount.sensor_height
         self.device = _device(device)
         origin = network.spec.origin
         place = GridSpec(network.spec.resolution, network.spec.shape, (origin[0] + x, origin[1] + y))
@@ -139,8 +126,8 @@ class DeepISM:
             network = network.on(self._place)
         self.network = fused(network).to(self.device)
         self.description = dict(description or {})
-        self._T = (T if points_in == "sensor" else np.eye(4)).copy()  # to the ground below the sensor
-        self._T[:3, 3] = (0, 0, sensor_height) if points_in == "sensor" else (-x, -y, sensor_height - z)
+        self._T = mount.T_vehicle_points.copy()  # to the ground below the sensor
+        self._T[:3, 3] += (-x, -y, sensor_height - z)
         self._box: Box = (box[0] - x, box[1] - x, box[2] - y, box[3] - y)
         (x0, x1), (y0, y1) = self._spec.index(box[:2], box[2:])
         there = box[0] < box[1] and box[2] < box[3]
@@ -160,10 +147,7 @@ class DeepISM:
         source: str | os.PathLike[str] = "lite",
         *,
         spec: GridSpec | None = None,
-        sensor_height: float = 1.9,
-        T_vehicle_sensor: ArrayLike | None = None,
-        points_in: Literal["sensor", "vehicle"] = "sensor",
-        own_box: Sequence[float] | None = None,
+        mount: Mount | None = None,
         device: str | torch.device = "cpu",
         compile: bool = False,
     ) -> Self:
@@ -173,7 +157,7 @@ class DeepISM:
         ----------
         source : "lite", or path
             A ``.safetensors`` file with its ``.json`` beside it, or a run's folder, whose best weights are meant.
-        spec, sensor_height, T_vehicle_sensor, points_in, own_box, device, compile
+        spec, mount, device, compile
             As of the class.
 
         Raises
@@ -185,40 +169,30 @@ class DeepISM:
         """
         with weights_of(source) as path:
             network, description = load_network(path)
-        return cls(
-            network,
-            spec,
-            sensor_height,
-            T_vehicle_sensor,
-            points_in,
-            own_box,
-            device,
-            compile,
-            description,
-        )
+        return cls(network, spec, mount, device=device, compile=compile, description=description)
 
     @property
     def spec(self) -> GridSpec:
         """The grid that the model fills, in the vehicle's frame."""
         return self._spec
 
-    def __call__(self, points: NDArray[np.floating[Any]]) -> EvidentialGrid:
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan to its evidential grid.
 
         Parameters
         ----------
-        points : (N, 4) or (N, 3) float array
-            x, y, z [m], intensity [0, 1]. Points that are NaN or infinite are left out.
+        scan : Scan, or (N, 4) or (N, 3) float array
+            Points that are NaN or infinite are left out.
         """
-        return self.batch([points])[0]
+        return self.batch([scan])[0]
 
     @torch.inference_mode()
-    def batch(self, scans: Sequence[NDArray[np.floating[Any]]]) -> list[EvidentialGrid]:
+    def batch(self, scans: Sequence[Scan | NDArray[np.float32]]) -> list[EvidentialGrid]:
         """Map some scans at once, which is faster on an accelerator."""
         if not scans:
             return []
         nx, ny = self._place.shape
-        pillars = [self._pillars(points) for points in scans]
+        pillars = [self._pillars(as_scan(scan).points) for scan in scans]
         evidence = self._evidence(self.network.canvas(collate(pillars, nx * ny)))
         mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
         # Nothing was learned of the cells under the own vehicle, nor of scans without points: nobody knows.
@@ -228,7 +202,7 @@ class DeepISM:
                 mass[number] = 0
         return [EvidentialGrid.trusted(self._spec, one) for one in mass.cpu().numpy()]
 
-    def _pillars(self, points: NDArray[np.floating[Any]]) -> Pillars:
+    def _pillars(self, points: NDArray[np.float32]) -> Pillars:
         """Normalise a scan as the training data was."""
         most = self._seen.get("points", (0, np.inf))[1]
         if len(points) > 1.2 * most and points.ndim == 2 and points.dtype.kind == "f":

@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["FEATURES", "OWN_BOX", "Box", "Pillars", "collate", "limited", "pillarize", "pillarize_torch"]
+__all__ = [
+    "FEATURES",
+    "EGO_FOOTPRINT",
+    "Box",
+    "Pillars",
+    "collate",
+    "cap_pillars",
+    "pillarize",
+    "pillarize_torch",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -23,7 +32,12 @@ FEATURES = (
     9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's middle
 )
 Box = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max [m]
-OWN_BOX: Box = (-2.5, 2.5, -1.1, 1.1)  # [m] around the sensor: the own vehicle, in training and by default
+EGO_FOOTPRINT: Box = (
+    -2.5,
+    2.5,
+    -1.1,
+    1.1,
+)  # [m] around the sensor: the own vehicle, in training and by default
 _NOWHERE: Box = (0.0, 0.0, 0.0, 0.0)
 
 
@@ -62,7 +76,7 @@ def pillarize(
     points: NDArray[np.floating[Any]],
     spec: GridSpec,
     z_range: tuple[float, float] = (-3.0, 8.0),
-    own_box: Box = _NOWHERE,
+    ego_footprint: Box = _NOWHERE,
     T: NDArray[np.floating[Any]] | None = None,
 ) -> Pillars:
     """Sort the points of a scan into pillars.
@@ -100,7 +114,7 @@ def pillarize(
         np.ascontiguousarray(matrix[:3]),
         *(spec.resolution, *spec.shape, *spec.origin),
         *map(float, z_range),
-        *map(float, own_box),
+        *map(float, ego_footprint),
     )
     if invalid:
         _log.warning("dropped %d of %d points that are NaN or infinite", invalid, len(points))
@@ -111,7 +125,7 @@ def pillarize_torch(
     points: torch.Tensor,
     spec: GridSpec,
     z_range: tuple[float, float] = (-3.0, 8.0),
-    own_box: Box = _NOWHERE,
+    ego_footprint: Box = _NOWHERE,
     T: torch.Tensor | None = None,
 ) -> Pillars:
     """Do as `pillarize` does, with torch operations on the device of `points`, an (N, 4) float32 tensor."""
@@ -125,7 +139,9 @@ def pillarize_torch(
     )
     x, y, z = xyz.double().unbind(1)  # the limits are compared as the kernel does
     keep = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny) & (z >= z_range[0]) & (z < z_range[1])
-    keep &= ~((x > own_box[0]) & (x < own_box[1]) & (y > own_box[2]) & (y < own_box[3]))
+    keep &= ~(
+        (x > ego_footprint[0]) & (x < ego_footprint[1]) & (y > ego_footprint[2]) & (y < ego_footprint[3])
+    )
     cell, order = torch.sort((ix * ny + iy)[keep], stable=True)
     xyz, intensity = xyz[keep][order], intensity[keep][order]
     cells, pillar, lengths = torch.unique_consecutive(cell, return_inverse=True, return_counts=True)
@@ -159,7 +175,7 @@ def collate(scans: Sequence[Pillars], cells: int) -> Pillars:
     )
 
 
-def limited(
+def cap_pillars(
     pillars: Pillars, rng: np.random.Generator, most_pillars: int = 10_000, most_points: int = 100
 ) -> Pillars:
     """Keep at most so many pillars, and points of each, chosen at random: the limits of van Kempen et al. 2021.

@@ -23,7 +23,7 @@ from torch.utils.data import DataLoader
 
 from ogm.deep import losses
 from ogm.deep.checkpoint import save_network
-from ogm.deep.data import PLAIN, Batch, Samples, Scenes, Shuffled, join, seen_in
+from ogm.deep.data import PLAIN, Batch, PillarDataset, Samples, Shuffled, join, training_ranges
 from ogm.deep.network import Network
 from ogm.deep.recipe import LOSSES, Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
@@ -154,8 +154,8 @@ def train(
 
     options = {"z_range": recipe.network.z_range, "seed": recipe.seed}
     limits = {"most_pillars": recipe.most_pillars, "most_points": recipe.most_points}
-    scenes = Scenes(training, spec, recipe.augmentation, **options, **limits)  # type: ignore[arg-type]
-    checks = Scenes(validation, spec, PLAIN, **options, **limits)  # type: ignore[arg-type]
+    scenes = PillarDataset(training, spec, recipe.augmentation, **options, **limits)  # type: ignore[arg-type]
+    checks = PillarDataset(validation, spec, PLAIN, **options, **limits)  # type: ignore[arg-type]
     order = Shuffled(len(scenes), recipe.seed, fabric.global_rank, fabric.world_size)
     loader: DataLoader[Batch] = DataLoader(
         scenes,
@@ -181,7 +181,7 @@ def train(
     }
 
     out.mkdir(parents=True, exist_ok=True)
-    facts = {"seen": seen_in(scenes), **(facts or {})}
+    facts = {"seen": training_ranges(scenes), **(facts or {})}
     step, judged, best = 0, 0, math.inf
     if resume and (out / "state.pt").exists():
         step, judged, best = _restore(out / "state.pt", setup, network, average, optimizer)
@@ -208,7 +208,7 @@ def train(
                     loss = mean_loss(model(pillars), state, recipe, step / per_epoch)
                     value = float(loss.detach())
                     if not _finite_everywhere(fabric, value):
-                        raise _nothing(out, batch, value, step)
+                        raise _nonfinite_loss_error(out, batch, value, step)
                     optimizer.zero_grad()
                     fabric.backward(loss)
                     if math.isfinite(recipe.clip):
@@ -216,7 +216,7 @@ def train(
                     whole = False
                     optimizer.step()
                     step += 1
-                    _follow(average, network, min(recipe.average, step / (step + 10)))
+                    _update_ema(average, network, min(recipe.average, step / (step + 10)))
                     whole = True
                     recent = [*recent[-99:], value]
                     show(step, loss=sum(recent) / len(recent), epoch=step / per_epoch)
@@ -257,7 +257,9 @@ def train(
 
 
 @torch.no_grad()
-def validate(network: Network, scenes: Scenes, recipe: Recipe, device: torch.device | str = "cpu") -> Scores:
+def validate(
+    network: Network, scenes: PillarDataset, recipe: Recipe, device: torch.device | str = "cpu"
+) -> Scores:
     """Score a network on samples, by the loss as it is after all annealing, so that epochs can be compared."""
     network.eval()
     loss = kl = 0.0
@@ -278,7 +280,7 @@ def validate(network: Network, scenes: Scenes, recipe: Recipe, device: torch.dev
 
 
 @torch.no_grad()
-def _follow(average: Network, network: Network, decay: float) -> None:
+def _update_ema(average: Network, network: Network, decay: float) -> None:
     for mine, its in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
         if mine.is_floating_point():
             mine.lerp_(its, 1 - decay)
@@ -330,7 +332,7 @@ def _restore(
         raise ValueError(f"cannot resume from {path}: {error}") from error
 
 
-def _nothing(out: Path, batch: Batch, value: float, step: int) -> FloatingPointError:
+def _nonfinite_loss_error(out: Path, batch: Batch, value: float, step: int) -> FloatingPointError:
     if math.isfinite(value):
         return FloatingPointError(
             f"the loss of another process is not finite at step {step}; see its message"
@@ -368,7 +370,7 @@ def _facts(recipe: Recipe, facts: Mapping[str, Any] | None, result: Mapping[str,
 
 
 @torch.no_grad()
-def _picture(path: Path, network: Network, scenes: Scenes, device: torch.device | str) -> None:
+def _picture(path: Path, network: Network, scenes: PillarDataset, device: torch.device | str) -> None:
     """Show two fixed samples: points, truth, and what the network says."""
     from ogm.grid import EvidentialGrid
     from ogm.plot import Panel, masses, points, save_picture

@@ -7,7 +7,7 @@
 
 from ogm.fusion.arrival import PoseJump
 from ogm.fusion.bayes import BinaryBayesMapper
-from ogm.fusion.deskew import deskew, extended
+from ogm.fusion.deskew import deskew, extrapolate
 from ogm.fusion.egomotion import EgoMotion
 from ogm.fusion.mapper import EvidentialMapper
 from ogm.fusion.odometry import odometry
@@ -20,7 +20,7 @@ __all__ = [
     "PoseJump",
     "coarsen",
     "deskew",
-    "extended",
+    "extrapolate",
     "odometry",
     "refine",
     "warp",

@@ -11,7 +11,7 @@ from ogm.fusion.window import Window, affine_between, meet, samples_per_axis
 from ogm.grid import EvidentialGrid
 from ogm.pose import check_pose, inverse
 
-__all__ = ["Arrival", "Log", "PoseJump"]
+__all__ = ["CheckedScan", "Log", "PoseJump"]
 
 SLACK = 1.0  # [m] by which a pose may be off without being called a jump
 TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is called a jump
@@ -25,7 +25,7 @@ class PoseJump(ValueError):
     """A pose further from the last one than a vehicle gets: a glitch of GNSS, or a closed loop."""
 
 
-class Arrival(NamedTuple):
+class CheckedScan(NamedTuple):
     """A scan that may be fused.
 
     Attributes
@@ -88,7 +88,7 @@ class Log:
         stamp: float | None,
         T_vehicle_sensor: ArrayLike | None,
         reliability: float,
-    ) -> Arrival:
+    ) -> CheckedScan:
         """Say what a scan is, or why it cannot be fused; of a jump, the pose is remembered."""
         if not isinstance(grid, EvidentialGrid):
             raise TypeError(
@@ -126,9 +126,9 @@ class Log:
                 f"({T[0, 3]:g}, {T[1, 3]:g}) m, has no cell in the map's window; is T_map_sensor the pose of "
                 "the grid's own frame?"
             )
-        return Arrival(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid.spec))
+        return CheckedScan(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid.spec))
 
-    def accept(self, arrival: Arrival) -> None:
+    def accept(self, arrival: CheckedScan) -> None:
         """Take a scan as the last one, unless it came late."""
         self.scans += 1
         if arrival.elapsed >= 0:

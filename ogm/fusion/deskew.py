@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from ogm.pose import Trajectory, interpolate, inverse
 
-__all__ = ["deskew", "extended"]
+__all__ = ["deskew", "extrapolate"]
 
 _MOST_KNOTS = 100  # poses by which a trajectory is extended at each end
 _SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
@@ -32,7 +32,7 @@ def deskew(
     time : (N,) float
         When each was measured [s], counted from `stamp`, as `ogm.io.Scan.time` is.
     trajectory : Trajectory
-        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. See `extended` where it
+        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. See `extrapolate` where it
         ends before.
     stamp : float
         The moment [s] that the result is seen from, inside the trajectory.
@@ -120,7 +120,7 @@ def _deskew(
             result[n, i] = T[i, 0] * x + T[i, 1] * y + T[i, 2] * z + shift
 
 
-def extended(trajectory: Trajectory, seconds: float) -> Trajectory:
+def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
     """Let a trajectory begin earlier and end later, moving on as it did at its ends.
 
     The sensor keeps its velocity and its turn, as felt on board, of the first and the last stretch: on a

@@ -29,7 +29,7 @@ TINY = np.float32(1e-18)
 LEAST = np.float32(1e-6)  # what the cautious rule reads unknown as at least, as the plain one does
 DOGMATIC = np.float32(4 * 2.0**-23)  # an unknown as good as zero
 A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
-HAIR = 1e-6  # of a cell, so that rounding does not decide where middles of cells fall on edges of others
+EPS_CELL = 1e-6  # of a cell, so that rounding does not decide where middles of cells fall on edges of others
 
 _jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 
@@ -350,8 +350,8 @@ def _look_up(
     mx, my = scan.shape[0], scan.shape[1]
     said = scan.reshape(-1)
     du, dv = affine[0, 1], affine[1, 1]
-    u0 = affine[0, 0] * (i + 0.5) + affine[0, 1] * 0.5 + affine[0, 2] + HAIR
-    v0 = affine[1, 0] * (i + 0.5) + affine[1, 1] * 0.5 + affine[1, 2] + HAIR
+    u0 = affine[0, 0] * (i + 0.5) + affine[0, 1] * 0.5 + affine[0, 2] + EPS_CELL
+    v0 = affine[1, 0] * (i + 0.5) + affine[1, 1] * 0.5 + affine[1, 2] + EPS_CELL
     if samples == 1:
         low, high = _span(u0, du, mx, 0.0, 0, ny)
         low, high = _span(v0, dv, my, 0.0, low, high)

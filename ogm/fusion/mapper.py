@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
-from ogm.fusion.arrival import Arrival, Log
+from ogm.fusion.arrival import CheckedScan, Log
 from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, evidential_update, gather
 from ogm.fusion.warp import Method, view_of
 from ogm.fusion.window import Kind, Window
@@ -243,7 +243,7 @@ class EvidentialMapper:
         self._window.corner = (0, 0)
         self._log.clear()
 
-    def _fuse(self, mass: NDArray[np.float32], arrival: Arrival, reliability: float) -> None:
+    def _fuse(self, mass: NDArray[np.float32], arrival: CheckedScan, reliability: float) -> None:
         """Fuse a scan in one compiled pass over the map."""
         nx, ny = self._window.given.shape
         elapsed = max(arrival.elapsed, 0.0)
@@ -265,7 +265,7 @@ class EvidentialMapper:
             self._fade(elapsed),
         )
 
-    def _fuse_by_any_rule(self, mass: NDArray[np.float32], arrival: Arrival, reliability: float) -> None:
+    def _fuse_by_any_rule(self, mass: NDArray[np.float32], arrival: CheckedScan, reliability: float) -> None:
         """Do the same in numpy, with a rule that is only a function of two masses: the slow twin of `_fuse`."""
         before = self._window.corner, self._mass.copy(), self._conflict.copy()
         try:

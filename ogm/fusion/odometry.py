@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.deskew import deskew, extended
+from ogm.fusion.deskew import deskew, extrapolate
 from ogm.pose import Trajectory, inverse
 
 __all__ = ["METHODS", "follow", "odometry"]
@@ -149,7 +149,7 @@ def _cloud(
     cloud = points[:, :3]
     if lasted and time.any():
         reach = float(np.abs(time).max())
-        cloud = deskew(cloud, time, extended(_last(step, lasted), reach), 0.0)
+        cloud = deskew(cloud, time, extrapolate(_last(step, lasted), reach), 0.0)
     distance = np.linalg.norm(cloud, axis=1)
     cloud = cloud[(distance >= within[0]) & (distance <= within[1])]  # NaN is left out
     if len(cloud) < _FEWEST:
@@ -218,7 +218,7 @@ def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """Return the motion of `share` steps, at constant velocity and turn."""
     if share == 1.0:
         return step
-    return extended(_last(step, 1.0), share).poses[-1]
+    return extrapolate(_last(step, 1.0), share).poses[-1]
 
 
 def _last(step: NDArray[np.float64], lasted: float) -> Trajectory:

@@ -26,7 +26,7 @@ ENOUGH = 65536  # [points] of a larger cloud every second, third, ... return is 
 BAND = 0.25  # [m] thickness of the layer of returns that is averaged into a cell's ground height
 
 
-def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, foot: Foot) -> NDArray[np.float32]:
+def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot) -> NDArray[np.float32]:
     """Take the ground to be the plane under the sensor, whatever the points say.
 
     Parameters
@@ -43,11 +43,11 @@ def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, foot: Foot) -> NDArray
     (nx, ny) float32
         Height of the ground at each cell's middle [m].
     """
-    return np.full(spec.shape, foot[2], np.float32)
+    return np.full(spec.shape, ground_point[2], np.float32)
 
 
 def local_ground(
-    xyz: NDArray[np.float32], spec: GridSpec, foot: Foot, max_slope: float = MAX_SLOPE
+    xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot, max_slope: float = MAX_SLOPE
 ) -> NDArray[np.float32]:
     """Estimate the ground as the highest surface below the points that nowhere climbs faster than a road can.
 
@@ -68,14 +68,16 @@ def local_ground(
     ValueError
         If the foot lies outside `spec`, or `spec` has fewer than 2 x 2 cells.
     """
-    if not spec.contains(foot[0], foot[1]):
-        raise ValueError(f"the foot at x={foot[0]:g}, y={foot[1]:g} m must lie inside the grid {spec.extent}")
+    if not spec.contains(ground_point[0], ground_point[1]):
+        raise ValueError(
+            f"the foot at x={ground_point[0]:g}, y={ground_point[1]:g} m must lie inside the grid {spec.extent}"
+        )
     if min(spec.shape) < 2:
         raise ValueError(f"a map of the ground needs 2 x 2 cells or more, got {spec.shape}")
     height = np.empty(spec.shape, np.float32)
     surface.local_ground(
         *(np.ascontiguousarray(xyz[:: 1 + len(xyz) // ENOUGH, k]) for k in range(3)),
-        foot,
+        ground_point,
         spec.origin[0],
         spec.origin[1],
         spec.resolution,
@@ -88,7 +90,7 @@ def local_ground(
     return height
 
 
-def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, foot: Foot) -> NDArray[np.float32]:
+def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot) -> NDArray[np.float32]:
     """Estimate the ground with Patchwork++ (Lee et al. 2022), if ``pypatchworkpp`` is installed.
 
     Parameters, returns : see `flat_ground`
@@ -109,7 +111,7 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, foot: Foot) -> ND
     parameters.sensor_height = SENSOR_HEIGHT
     estimator = pypatchworkpp.patchworkpp(parameters)
     shift = np.array(
-        [foot[0], foot[1], foot[2] + SENSOR_HEIGHT], np.float32
+        [ground_point[0], ground_point[1], ground_point[2] + SENSOR_HEIGHT], np.float32
     )  # it wants the sensor at (0, 0, 0)
     estimator.estimateGround(np.pad(xyz - shift, ((0, 0), (0, 1))))  # intensity 0 for all
     ground = xyz[np.asarray(estimator.getGroundIndices(), np.int64)]
@@ -120,7 +122,7 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, foot: Foot) -> ND
     np.add.at(count, cell, 1)
     height = np.zeros(spec.shape, np.float32)
     height[count > 0] = total[count > 0] / count[count > 0]
-    surface.fill(height, np.minimum(count, 8).astype(np.float32), np.float32(foot[2]))
+    surface.fill(height, np.minimum(count, 8).astype(np.float32), np.float32(ground_point[2]))
     return height
 
 

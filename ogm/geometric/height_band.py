@@ -1,19 +1,20 @@
 """The paper's baseline: a height band on flat ground."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ogm.geometric.core.lines import height_band_states, state_mass
-from ogm.geometric.mount import Frame, Mount, check_box, check_within, mount_sensor, own_points, scratch
+from ogm.geometric.mount import check_sensor_in_grid, check_within, scratch, to_vehicle_frame
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["HeightBandISM"]
 
-NO_BOX = (0.0, 0.0, 0.0, 0.0)
+NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,12 +30,8 @@ class HeightBandISM:
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
-    sensor_height : float
-        Of the sensor above ground [m].
-    T_vehicle_sensor : (4, 4) array, optional
-        Pose of the sensor in the frame of the grid; identity if the grid is centred on the sensor.
-    points_in : {"sensor", "vehicle"}
-        Frame of the points. Rays start at the sensor in either case.
+    mount : Mount
+        Where the sensor is mounted.
     z_min, z_max : float
         The band [m above ground], 0.5 and 2.0 in the paper.
     evidence : float
@@ -42,9 +39,8 @@ class HeightBandISM:
         0.83. Its code has 1, which gives 1/3: see `as_released`.
     min_range : float
         Returns nearer than this are ignored [m, 3D].
-    own_box : (float, float, float, float)
-        Returns with x_min < x < x_max, y_min < y < y_max in the vehicle frame [m] are the own vehicle's and
-        ignored; none by default, as in the paper.
+    drop_ego_returns : bool
+        Ignore returns from the mount's ego footprint; the paper does not.
     supersampling : int
         The state is drawn on cells this many times smaller, and their evidence averaged.
 
@@ -55,26 +51,20 @@ class HeightBandISM:
     """
 
     spec: GridSpec
-    sensor_height: float
-    T_vehicle_sensor: ArrayLike | None = None
-    points_in: Frame = "sensor"
+    mount: Mount
     z_min: float = 0.5
     z_max: float = 2.0
     evidence: float = 10.0
     min_range: float = 0.0
-    own_box: tuple[float, float, float, float] = NO_BOX
+    drop_ego_returns: bool = False
     supersampling: int = 1
-    _mount: Mount = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "_mount", mount_sensor(self.spec, self.sensor_height, self.T_vehicle_sensor, self.points_in)
-        )
+        check_sensor_in_grid(self.spec, self.mount)
         if not self.z_min < self.z_max:
             raise ValueError(f"z_min must lie below z_max, got {self.z_min} and {self.z_max}")
         check_within("evidence", self.evidence, 0, math.inf)
         check_within("min_range", self.min_range, -1e-9, math.inf)
-        object.__setattr__(self, "own_box", check_box(self.own_box))
         self.spec.refined(self.supersampling)
 
     @classmethod
@@ -86,30 +76,34 @@ class HeightBandISM:
         1/3; drawn on cells of half the size and resized, hence quarter steps. For the paper's set-up give
         ``GridSpec.centered(81.92, 56.32, 0.32)``.
         """
-        return cls(spec, sensor_height=1.61, evidence=1.0, min_range=3.0, supersampling=2)
+        return cls(spec, Mount(sensor_height=1.61), evidence=1.0, min_range=3.0, supersampling=2)
 
-    def __call__(self, points: NDArray[np.float32]) -> EvidentialGrid:
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan.
 
         Parameters
         ----------
-        points : (N, 4) float32
-            x, y, z [m], intensity [0, 1] (not used). NaN and inf rows are dropped and counted in the log.
+        scan : Scan or (N, 4) float32
+            Uses x, y, z. NaN and inf rows are dropped and counted in the log.
 
         Returns
         -------
         EvidentialGrid
             Vacuous if no point is in the band.
         """
-        xyz = own_points(points, self._mount, self.own_box)
+        footprint = self.mount.ego_footprint if self.drop_ego_returns else NO_FOOTPRINT
+        xyz = to_vehicle_frame(as_scan(scan).points, self.mount, footprint)
         fine = self.spec.refined(self.supersampling)
         state = scratch("state", fine.shape, np.uint8)
         state[:] = 0
-        ground = self._mount.foot[2]
+        ground = self.mount.ground_point[2]
         height_band_states(
             *xyz.T,
-            self._mount.origin,
-            *(min(int(k), n - 1) for k, n in zip(fine.index(*self._mount.foot[:2]), fine.shape, strict=True)),
+            self.mount.origin.astype(np.float32),
+            *(
+                min(int(k), n - 1)
+                for k, n in zip(fine.index(*self.mount.ground_point[:2]), fine.shape, strict=True)
+            ),
             ground + self.z_min,
             ground + self.z_max,
             self.min_range,

@@ -3,85 +3,48 @@
 import logging
 import math
 import threading
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ogm.geometric.core.frame import own_frame
 from ogm.grid import GridSpec
-from ogm.pose import check_pose
+from ogm.scan import Mount
 
-__all__ = ["Frame", "Mount", "check_box", "check_within", "mount_sensor", "own_points", "scratch"]
+__all__ = ["check_sensor_in_grid", "check_within", "scratch", "to_vehicle_frame"]
 
-Frame = Literal["sensor", "vehicle"]
 KEPT_BYTES = 2**25  # [bytes] a larger work array (clouds of millions of points) is given back after the scan
 
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, eq=False)
-class Mount:
-    """Where the sensor sits, and in which frame its points come."""
-
-    T_vehicle_points: NDArray[np.float32]  # (3, 4)
-    origin: NDArray[np.float32]  # (3,) the sensor in the vehicle frame [m]
-    foot: tuple[float, float, float]  # the ground under the sensor, in the vehicle frame [m]
-
-
-def mount_sensor(
-    spec: GridSpec, sensor_height: float, T_vehicle_sensor: ArrayLike | None, points_in: Frame
-) -> Mount:
-    """Check where a sensor sits, and work out what the models need of it."""
-    T = np.eye(4) if T_vehicle_sensor is None else check_pose(T_vehicle_sensor, "T_vehicle_sensor")
-    if not 0 < sensor_height < 100:
-        raise ValueError(f"sensor_height must be above ground and below 100 m, got {sensor_height}")
-    if points_in not in ("sensor", "vehicle"):
-        raise ValueError(f'points_in must be "sensor" or "vehicle", got {points_in!r}')
-    x, y, z = T[:3, 3]
+def check_sensor_in_grid(spec: GridSpec, mount: Mount) -> Mount:
+    """Return the mount of a sensor that stands in the grid, or refuse it."""
+    if not isinstance(mount, Mount):
+        raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+    x, y, _ = mount.ground_point
     if not spec.contains(x, y):
         raise ValueError(
             f"the sensor at x={x:g}, y={y:g} m lies outside the grid {spec.extent}; "
             "move or enlarge the grid so that it holds the sensor"
         )
-    points_T = (T if points_in == "sensor" else np.eye(4))[:3].astype(np.float32)
-    return Mount(points_T, T[:3, 3].astype(np.float32), (x, y, z - sensor_height))
+    return mount
 
 
-def own_points(
-    points: NDArray[np.float32], mount: Mount, own_box: tuple[float, float, float, float]
+def to_vehicle_frame(
+    points: NDArray[np.float32], mount: Mount, ego_footprint: tuple[float, float, float, float]
 ) -> NDArray[np.float32]:
-    """Check the points once, take them to the vehicle frame, drop what is not finite or the vehicle itself."""
-    if not isinstance(points, np.ndarray) or points.dtype.kind != "f":
-        got = getattr(points, "dtype", type(points).__name__)
-        raise TypeError(f"points must be a float array of shape (N, 4) [x, y, z, intensity], got {got}")
-    if points.ndim != 2 or points.shape[1] < 3:
-        raise ValueError(
-            f"points must have shape (N, 4) [x, y, z, intensity] (or at least 3 columns), got {points.shape}"
-        )
-    points = np.ascontiguousarray(points, np.float32)
+    """Take points to the vehicle frame; drop what is not finite, or a return from the ego vehicle."""
+    points = np.ascontiguousarray(points)
     rows = scratch("xyz", (3, len(points)), np.float32)
-    kept, invalid, own = own_frame(points, mount.T_vehicle_points, np.array(own_box, np.float32), rows)
+    kept, invalid, own = own_frame(
+        points, mount.T_vehicle_points[:3].astype(np.float32), np.array(ego_footprint, np.float32), rows
+    )
     if invalid:
         _log.warning("dropped %d of %d points that are NaN, inf or beyond 1000 km", invalid, len(points))
     if own:
-        _log.debug("dropped %d of %d points as returns from the own vehicle", own, len(points))
+        _log.debug("dropped %d of %d points as returns from the ego vehicle", own, len(points))
     return rows[:, :kept].T
-
-
-def check_box(box: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return an own-vehicle box as numbers, or refuse one that is none."""
-    numbers = tuple(float(edge) for edge in box)
-    if (
-        len(numbers) != 4
-        or not np.isfinite(numbers).all()
-        or numbers[0] > numbers[1]
-        or numbers[2] > numbers[3]
-    ):
-        raise ValueError(f"own_box must be finite x_min <= x_max, y_min <= y_max [m], got {box}")
-    return numbers
 
 
 def check_within(name: str, value: float, low: float, high: float) -> None:

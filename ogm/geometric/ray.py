@@ -1,18 +1,19 @@
 """The model to use: rays over a local ground, marking apart from clearing."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ogm.geometric.core.belief import clear_sectors, ray_mass
-from ogm.geometric.core.polar import ROW_BITS, level_say, polar_lookup
+from ogm.geometric.core.polar import ROW_BITS, level_ray_weight, polar_lookup
 from ogm.geometric.core.rays import aim_missing, mark_and_aim, sort_rays
 from ogm.geometric.ground import GroundEstimate, local_ground
-from ogm.geometric.mount import Frame, Mount, check_box, check_within, mount_sensor, own_points, scratch
+from ogm.geometric.mount import check_sensor_in_grid, check_within, scratch, to_vehicle_frame
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["RayISM"]
 
@@ -28,21 +29,16 @@ class RayISM:
     empty, clear the cells they pass, the less the higher above ground they pass and not at all above
     `clearance`. Where no ray passes low enough, the cell stays unknown.
 
-    Counts become belief: R returns give occupied ``1 - p_false**R``, T rays at the ground give free
-    ``1 - p_pass**T`` (count-based belief, as in Bosch's evidential occupancy, CVPR 2024), and rays that pass
+    Counts become belief: R returns give occupied ``1 - p_false_alarm**R``, T rays at the ground give free
+    ``1 - p_miss**T`` (count-based belief, as in Bosch's evidential occupancy, CVPR 2024), and rays that pass
     higher give less, see `core.belief.clear_sectors`.
 
     Parameters
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
-    sensor_height : float
-        Of the sensor above the ground under it [m].
-    T_vehicle_sensor : (4, 4) array, optional
-        Pose of the sensor in the frame of the grid; identity if the grid is centred on the sensor. A pitched
-        or rolled mount is levelled by it.
-    points_in : {"sensor", "vehicle"}
-        Frame of the points. Rays start at the sensor in either case.
+    mount : Mount
+        Where the sensor is mounted. Returns from the ego footprint are dropped, its cells stay unknown.
     ground : function
         `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, foot) -> height``.
     obstacle_height : float
@@ -53,11 +49,11 @@ class RayISM:
         Returns further below ground are mirror images and are ignored [m].
     range_noise : float
         Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
-    p_pass : float
+    p_miss : float
         Chance that a ray passes an occupied cell unnoticed; 0.8 in Bosch's belief model.
-    p_false : float
+    p_false_alarm : float
         Chance that a return comes from an empty cell; 0.05 in Bosch's belief model.
-    marked_reliability : float
+    free_reliability_at_hits : float
         Shafer reliability of the rays that pass a cell in which others of the same scan were returned. 1
         takes both for witnesses of one state (Bosch's belief model, walls seen at a grazing angle fade); 0
         lets returns win outright. Rays pass beside or above what others hit, hence a low default.
@@ -65,14 +61,11 @@ class RayISM:
         No mass of one scan exceeds this, so that a map can change its mind.
     max_range : float
         How far an obstacle would be seen, for beams that came back empty [m].
-    missing_weight : float
-        Say of such a beam against one that came back: black and wet surfaces swallow beams too.
+    no_return_weight : float
+        Weight of such a beam against one that came back: black and wet surfaces swallow beams too.
     azimuth_step : float
         Width of the polar sectors that rays are counted in [rad]; not finer than the sensor's azimuth step,
         or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
-    own_box : (float, float, float, float), optional
-        x_min, x_max, y_min, y_max of the own vehicle in the vehicle frame [m]: returns in it are dropped, its
-        cells stay unknown. By default 5.0 m x 2.2 m around the sensor.
 
     Raises
     ------
@@ -81,76 +74,61 @@ class RayISM:
     """
 
     spec: GridSpec
-    sensor_height: float
-    T_vehicle_sensor: ArrayLike | None = None
-    points_in: Frame = "sensor"
+    mount: Mount
     ground: GroundEstimate = local_ground
     obstacle_height: float = 0.1
     clearance: float = 2.0
     below_ground: float = 0.3
     range_noise: float = 0.03
-    p_pass: float = 0.8
-    p_false: float = 0.05
-    marked_reliability: float = 0.2
+    p_miss: float = 0.8
+    p_false_alarm: float = 0.05
+    free_reliability_at_hits: float = 0.2
     max_mass: float = 0.98
     max_range: float = 100.0
-    missing_weight: float = 0.2
+    no_return_weight: float = 0.2
     azimuth_step: float = 2 * math.pi / 1024
-    own_box: tuple[float, float, float, float] | None = None
-    _mount: Mount = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        mount = mount_sensor(self.spec, self.sensor_height, self.T_vehicle_sensor, self.points_in)
-        object.__setattr__(self, "_mount", mount)
-        if self.own_box is None:
-            x, y, _ = mount.foot
-            object.__setattr__(self, "own_box", (x - 2.5, x + 2.5, y - 1.1, y + 1.1))
-        object.__setattr__(self, "own_box", check_box(self.own_box))  # type: ignore[arg-type]
+        check_sensor_in_grid(self.spec, self.mount)
         if not 0 < self.obstacle_height < self.clearance < math.inf:
             raise ValueError(
                 f"obstacle_height must lie above 0 and below clearance, got {self.obstacle_height}, {self.clearance}"
             )
-        for name in ("p_pass", "p_false", "max_mass"):
+        for name in ("p_miss", "p_false_alarm", "max_mass"):
             check_within(name, getattr(self, name), 0, 1)
         for name in ("below_ground", "max_range"):
             check_within(name, getattr(self, name), 0, 1e6)
         check_within("range_noise", self.range_noise, -1e-9, 10)
-        check_within("marked_reliability", self.marked_reliability, -1e-9, 1 + 1e-9)
-        check_within("missing_weight", self.missing_weight, -1e-9, 1 + 1e-9)
+        check_within("free_reliability_at_hits", self.free_reliability_at_hits, -1e-9, 1 + 1e-9)
+        check_within("no_return_weight", self.no_return_weight, -1e-9, 1 + 1e-9)
         check_within("azimuth_step", self.azimuth_step, 2 * math.pi / 2**15, math.pi / 2)
 
-    def __call__(
-        self, points: NDArray[np.float32], missing: NDArray[np.float32] | None = None
-    ) -> EvidentialGrid:
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan.
 
         Parameters
         ----------
-        points : (N, 4) float32
-            x, y, z [m], intensity [0, 1] (not used). NaN and inf rows are dropped and counted in the log.
-        missing : (M, 3) float32, optional
-            Unit vectors of beams that came back empty, in the frame of the points (`Scan.missing`).
+        scan : Scan or (N, 4) float32
+            Uses x, y, z and, where it has them, the beams without echo (`Scan.no_returns`). NaN and inf rows are
+            dropped and counted in the log.
 
         Returns
         -------
         EvidentialGrid
             Vacuous for an empty scan.
         """
-        mount, spec, step = self._mount, self.spec, self.spec.resolution
-        if missing is None:
-            missing = np.empty((0, 3), np.float32)
-        if getattr(missing, "ndim", 0) != 2 or missing.shape[1] != 3:
-            got = getattr(missing, "shape", type(missing).__name__)
-            raise ValueError(f"missing must be an array of directions, shape (M, 3), got {got}")
+        scan, mount, spec, step = as_scan(scan), self.mount, self.spec, self.spec.resolution
+        missing = np.empty((0, 3), np.float32) if scan.no_returns is None else scan.no_returns
         missing = missing[np.isfinite(missing).all(axis=1)]
-        xyz = own_points(points, mount, self.own_box)  # type: ignore[arg-type]
+        xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
+        origin = mount.origin.astype(np.float32)
 
         # The ground, and what a level ray would say above it
-        polar = _polar_grid(spec, tuple(mount.origin.tolist()), self.own_box, self.azimuth_step)
+        polar = _polar_grid(spec, tuple(origin.tolist()), mount.ego_footprint, self.azimuth_step)
         coarse = _ground_spec(spec)
-        height = _checked_height(self.ground(xyz, coarse, mount.foot), coarse)
+        height = _checked_height(self.ground(xyz, coarse, mount.ground_point), coarse)
         level = scratch("level", (polar.rows, polar.bins), np.float32)
-        level_say(height, *coarse.origin, coarse.resolution, mount.origin, self.clearance, step, level)
+        level_ray_weight(height, *coarse.origin, coarse.resolution, origin, self.clearance, step, level)
 
         # Obstacles mark their cells, and every beam is a ray
         hits = scratch("hits", spec.shape, np.int32)
@@ -158,7 +136,7 @@ class RayISM:
         rays = scratch("rays", (len(xyz), 3), np.float32)
         starts = mark_and_aim(
             *xyz.T,
-            mount.origin,
+            origin,
             height,
             *coarse.origin,
             coarse.resolution,
@@ -177,7 +155,7 @@ class RayISM:
             scratch("run", (len(xyz),), np.float32),
             rays,
         )
-        directions = (missing @ mount.T_vehicle_points[:, :3].T).astype(np.float32)
+        directions = (missing @ mount.T_vehicle_points[:3, :3].astype(np.float32).T).astype(np.float32)
         sector, aimed = np.empty(len(missing), np.int32), np.empty((len(missing), 3), np.float32)
         aim_missing(directions, level, self.clearance, step, self.max_range, polar.sectors, sector, aimed)
         empty_rays = np.empty_like(aimed)
@@ -190,12 +168,12 @@ class RayISM:
             starts,
             empty_rays,
             empty_starts,
-            self.missing_weight,
+            self.no_return_weight,
             level,
             self.clearance,
             step,
             polar.sectors / math.pi,
-            self.p_pass,
+            self.p_miss,
             free,
         )
 
@@ -207,8 +185,8 @@ class RayISM:
             polar.sector,
             polar.span,
             polar.ring,
-            _powers(math.sqrt(self.p_false)),
-            self.marked_reliability,
+            _powers(math.sqrt(self.p_false_alarm)),
+            self.free_reliability_at_hits,
             self.max_mass,
             mass,
         )

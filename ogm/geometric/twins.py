@@ -128,7 +128,7 @@ def lower_envelope(height: NDArray, rise: float) -> NDArray:
 
 def ground_map(
     xyz: NDArray,
-    foot: Point,
+    ground_point: Point,
     spec: GridSpec,
     max_slope: float,
     max_descent: float,
@@ -154,19 +154,19 @@ def ground_map(
     (nx, ny) float64
         Heights [m].
     """
-    home = tuple(int(k) for k in spec.index(foot[0], foot[1]))
+    home = tuple(int(k) for k in spec.index(ground_point[0], ground_point[1]))
     cells: dict[tuple[int, ...], list[float]] = {}
     lowest = np.full(spec.shape, np.inf)
     for x, y, z in xyz.tolist():
         if spec.contains(x, y):
             cell = tuple(int(k) for k in spec.index(x, y))
             cells.setdefault(cell, []).append(z)
-            if foot[2] - low_tolerance - z <= max_descent * math.dist((x, y), foot[:2]):
+            if ground_point[2] - low_tolerance - z <= max_descent * math.dist((x, y), ground_point[:2]):
                 lowest[cell] = min(lowest[cell], z)
 
     # Strays: from ring to ring of cells, away from the foot
     ring_of = lambda cell: max(abs(cell[0] - home[0]), abs(cell[1] - home[1]))  # noqa: E731
-    ground, steps = {home: foot[2]}, {home: 0}
+    ground, steps = {home: ground_point[2]}, {home: 0}
     for cell in sorted(np.ndindex(*spec.shape), key=ring_of):
         if cell == home:
             continue
@@ -180,7 +180,7 @@ def ground_map(
             lowest[cell] = np.inf
 
     # What touches the envelope is ground, at the mean of its lowest layer, or of a thin dense one above that
-    lowest[home] = min(lowest[home], foot[2])
+    lowest[home] = min(lowest[home], ground_point[2])
     envelope = lower_envelope(lowest, max_slope * spec.resolution)
     height, weight = np.zeros(spec.shape), np.zeros(spec.shape)
     for cell, low in np.ndenumerate(lowest):
@@ -193,8 +193,8 @@ def ground_map(
         if len(layer):
             height[cell], weight[cell] = low + layer.mean(), min(len(layer), 8)
         elif cell == home:
-            height[cell], weight[cell] = foot[2], 1
-    return _pull_push(height, weight, foot[2])
+            height[cell], weight[cell] = ground_point[2], 1
+    return _pull_push(height, weight, ground_point[2])
 
 
 def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
@@ -219,7 +219,7 @@ def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
 
 
 def clear_from_rays(
-    slopes: NDArray, level: float, reach: float, per_cell: float, p_pass: float, weights: NDArray
+    slopes: NDArray, level: float, reach: float, per_cell: float, p_miss: float, weights: NDArray
 ) -> float:
     """Return the belief in free of one polar bin from the rays that pass it, one by one.
 
@@ -245,7 +245,7 @@ def clear_from_rays(
     if first == 0:
         return 0.0
     count = min(max(float((says * weights).sum()) / first, 0.0), float(weights[says > 0].sum()))
-    return first * (1 - p_pass ** (count * per_cell))
+    return first * (1 - p_miss ** (count * per_cell))
 
 
 def ray_grid_mass(
@@ -253,19 +253,19 @@ def ray_grid_mass(
     origin: Point,
     ground: float,
     spec: GridSpec,
-    own_box: tuple[float, float, float, float],
+    ego_footprint: tuple[float, float, float, float],
     sectors: int,
     missing: NDArray,
     obstacle_height: float,
     clearance: float,
     below_ground: float,
     range_noise: float,
-    p_pass: float,
-    p_false: float,
-    marked_reliability: float,
+    p_miss: float,
+    p_false_alarm: float,
+    free_reliability_at_hits: float,
     max_mass: float,
     max_range: float,
-    missing_weight: float,
+    no_return_weight: float,
 ) -> NDArray[np.float32]:
     """Return the masses of `RayISM` over flat ground at height `ground`, by a loop over cells and rays.
 
@@ -303,7 +303,7 @@ def ray_grid_mass(
         across = math.hypot(dx, dy)
         end = int(min(max_range * across / step, bins))
         ground_hit = next((k for k in range(end) if height + dz / across * (k + 0.5) * step < 0), end)
-        add(dx, dy, dz / across, ground_hit, missing_weight)
+        add(dx, dy, dz / across, ground_hit, no_return_weight)
 
     table = [np.array(sector).reshape(-1, 3) for sector in rays]
     free = np.zeros((sectors, bins))
@@ -312,13 +312,13 @@ def ray_grid_mass(
             through = table[s][table[s][:, 1] > k]
             per_cell = sectors / (2 * math.pi) / (k + 0.5)
             free[s, k] = clear_from_rays(
-                through[:, 0], level, (k + 0.5) * step / clearance, per_cell, p_pass, through[:, 2]
+                through[:, 0], level, (k + 0.5) * step / clearance, per_cell, p_miss, through[:, 2]
             )
 
     mass = np.zeros((*spec.shape, 2), np.float32)
     for i, j in np.ndindex(*spec.shape):
         x, y = spec.origin[0] + (i + 0.5) * step, spec.origin[1] + (j + 0.5) * step
-        if own_box[0] < x < own_box[1] and own_box[2] < y < own_box[3]:
+        if ego_footprint[0] < x < ego_footprint[1] and ego_footprint[2] < y < ego_footprint[3]:
             continue
         dx, dy = x - origin[0], y - origin[1]
         r = math.hypot(dx, dy)
@@ -327,8 +327,8 @@ def ray_grid_mass(
         begin = round(math.atan2(dy, dx) * sectors / (2 * math.pi) - span / 2)
         cleared = np.mean([free[(begin + n) % sectors, min(int(r / step), bins - 1)] for n in range(span)])
         if hits[i, j]:
-            doubt = p_false ** (hits[i, j] / 2)
-            cleared *= marked_reliability
+            doubt = p_false_alarm ** (hits[i, j] / 2)
+            cleared *= free_reliability_at_hits
             mass[i, j] = min(cleared * doubt, max_mass), min((1 - doubt) * (1 - cleared), max_mass)
         else:
             mass[i, j, 0] = min(cleared, max_mass)

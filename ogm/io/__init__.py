@@ -6,10 +6,10 @@ from ogm.io.calibration import read_calibration
 from ogm.io.kitti import read_kitti_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.nuscenes import NuScenes, NuScenesFrame, read_mmdet3d, read_nuscenes
 from ogm.io.objects import LabelledPoints, Objects, upright_boxes
-from ogm.io.points import read_points, read_scan
+from ogm.io.points import read_points, read_scan, read_scan_file
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
-from ogm.io.scan import Scan, describe, estimate_sensor_height
+from ogm.io.scan import FileFacts, describe, estimate_sensor_height
 from ogm.io.semantic_kitti import (
     SEMANTIC_KITTI,
     SEMANTIC_KITTI_MOVING,
@@ -23,6 +23,7 @@ from ogm.io.sustech import read_sustech
 __all__ = [
     "AXES",
     "BYTE_LIMIT",
+    "FileFacts",
     "NUSCENES_ELEVEN",
     "SEMANTIC_KITTI",
     "SEMANTIC_KITTI_MOVING",
@@ -36,7 +37,6 @@ __all__ = [
     "NuScenesFrame",
     "Objects",
     "Poses",
-    "Scan",
     "describe",
     "estimate_sensor_height",
     "read_argoverse2",
@@ -51,6 +51,7 @@ __all__ = [
     "read_poses",
     "read_range_image",
     "read_scan",
+    "read_scan_file",
     "read_semantic_kitti",
     "read_sustech",
     "upright_boxes",

@@ -15,10 +15,11 @@ from ogm.io.names import INTENSITY, PLACE, RING, TIME, plain
 from ogm.io.pcd import parse_pcd
 from ogm.io.ply import parse_ply
 from ogm.io.raster import missing_beams
-from ogm.io.scan import Scan
+from ogm.io.scan import FileFacts
 from ogm.io.source import read_bytes, refuse_foreign
+from ogm.scan import Scan
 
-__all__ = ["read_points", "read_scan"]
+__all__ = ["read_points", "read_scan", "read_scan_file"]
 
 log = logging.getLogger(__name__)
 
@@ -97,7 +98,7 @@ def read_scan(
         255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits without sign
         (Argoverse, PLY, LAS). Where it does not, intensities up to 1 stay as they are, up to 255 are divided
         by 255 (which is logged, for another scan of the same sensor may seem to have another scale), and
-        larger ones are an error. `Scan.intensity_max` says what was taken.
+        larger ones are an error. `read_scan_file` tells what was taken.
     origin : 3 float
         Where the sensor stands in the file's coordinates [m], for files in map coordinates (UTM), which
         float32 cannot hold. It is subtracted first.
@@ -112,7 +113,7 @@ def read_scan(
         `Scan.time` counts from it. Otherwise `Scan.time` is as in the file, and `Scan.stamp` the number at
         the end of the file's name if that has 16 digits (microseconds, as in nuScenes) or 18 or 19
         (nanoseconds, as in Argoverse).
-        `Scan.missing` is told from organised clouds whose raster is a spinning lidar's.
+        `Scan.no_returns` is told from organised clouds whose raster is a spinning lidar's.
 
     Raises
     ------
@@ -124,6 +125,19 @@ def read_scan(
     ImportError
         If the format needs a package of the ``io`` extra that is not there.
     """
+    options = {"intensity_max": intensity_max, "origin": origin, "time_unit": time_unit}
+    return read_scan_file(path, axes, **options)[0]  # type: ignore[arg-type]
+
+
+def read_scan_file(
+    path: str | os.PathLike[str],
+    axes: Axes = "flu",
+    *,
+    intensity_max: float | None = None,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    time_unit: float | None = None,
+) -> tuple[Scan, FileFacts]:
+    """Read one scan as `read_scan` does, and return with it what else the file holds."""
     rotation, shift = rotation_to_flu(axes), np.asarray(origin, dtype=np.float64)
     if shift.shape != (3,) or not np.isfinite(shift).all():
         raise ValueError(f"origin must be x, y, z [m], got {origin!r}")
@@ -168,7 +182,8 @@ def read_scan(
     ring = _whole(ring, "rings", inner)
     ring = None if ring is None else _checked_ring(ring, inner)
     time, stamp = _times(_whole(time, "times", inner), time_unit, inner)
-    return Scan(points, ring, time, stamp, missing, dropped, scale, table.format, fields, table.shape)
+    scan = Scan(points, stamp=stamp, time=time, ring=ring, no_returns=missing)
+    return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
 
 
 def _suffix(path: Path) -> str:

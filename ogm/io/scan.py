@@ -1,31 +1,21 @@
 """One sweep of a lidar, and what there is to tell about it."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-__all__ = ["Scan", "describe", "estimate_sensor_height"]
+from ogm.scan import Scan
+
+__all__ = ["FileFacts", "describe", "estimate_sensor_height"]
 
 _SQUARES = 30  # square metres that must agree before the height of the sensor is told from them
 
 
-@dataclass(frozen=True)
-class Scan:
-    """One sweep of a lidar.
+class FileFacts(NamedTuple):
+    """What a file of a scan holds besides the scan.
 
-    Parameters
+    Attributes
     ----------
-    points : (N, 4) float32
-        x forward, y left, z up [m], intensity [0, 1] (0 where the file has none).
-    ring : (N,) uint16 or None
-        The laser that measured each point, as the file counts them; None where that is unknown of any.
-    time : (N,) float64 or None
-        When each point was measured [s], counted from `stamp`; None where that is unknown of any.
-    stamp : float or None
-        The scan's own time [s], on the clock of the recording.
-    missing : (M, 3) float32 or None
-        Unit directions, in the frame of `points`, of beams that came back empty: from the sky, but also from
-        what is black or wet, or because somebody took the own vehicle out. None where that is unknown.
     dropped : int
         Rows of the file that hold no point: x, y or z NaN or infinite, or (0, 0, 0).
     intensity_max : float or None
@@ -38,53 +28,41 @@ class Scan:
         The raster of an organised file; None for a list of points.
     """
 
-    points: np.ndarray
-    ring: np.ndarray | None = None
-    time: np.ndarray | None = None
-    stamp: float | None = None
-    missing: np.ndarray | None = None
     dropped: int = 0
     intensity_max: float | None = None
     format: str = ""
     fields: tuple[str, ...] = ()
     shape: tuple[int, int] | None = None
 
-    def __post_init__(self) -> None:
-        if self.points.ndim != 2 or self.points.shape[1] != 4:
-            raise ValueError(f"points must be (N, 4): x, y, z, intensity, got shape {self.points.shape}")
-        for name, column in (("ring", self.ring), ("time", self.time)):
-            if column is not None and column.shape != self.points.shape[:1]:
-                raise ValueError(
-                    f"{name} must be ({len(self.points)},) like points, got shape {column.shape}"
-                )
 
-
-def describe(scan: Scan) -> dict[str, str]:
+def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
     """Tell what a scan holds, as names and values to print.
 
     Parameters
     ----------
     scan : Scan
         One sweep.
+    file : FileFacts
+        Of the file it was read from.
 
     Returns
     -------
     dict of str to str
         In the order to print; what the file does not have is left out.
     """
-    facts = {"format": scan.format, "fields": " ".join(scan.fields), "points": str(len(scan.points))}
-    if scan.shape is not None:
-        facts["raster"] = f"{scan.shape[0]} x {scan.shape[1]}"
-    if scan.dropped:
-        facts["dropped"] = f"{scan.dropped} rows without a point"
-    if scan.missing is not None:
-        facts["beams without return"] = str(len(scan.missing))
+    facts = {"format": file.format, "fields": " ".join(file.fields), "points": str(len(scan.points))}
+    if file.shape is not None:
+        facts["raster"] = f"{file.shape[0]} x {file.shape[1]}"
+    if file.dropped:
+        facts["dropped"] = f"{file.dropped} rows without a point"
+    if scan.no_returns is not None:
+        facts["beams without echo"] = str(len(scan.no_returns))
     if len(scan.points):
         for name, column in zip("xyz", scan.points.T, strict=False):
             facts[name] = f"{column.min():.2f} ... {column.max():.2f} m"
-        if scan.intensity_max is not None:
+        if file.intensity_max is not None:
             low, high = scan.points[:, 3].min(), scan.points[:, 3].max()
-            facts["intensity"] = f"{low:.3f} ... {high:.3f} (1 is {scan.intensity_max:g} in the file)"
+            facts["intensity"] = f"{low:.3f} ... {high:.3f} (1 is {file.intensity_max:g} in the file)"
         if scan.ring is not None:
             facts["rings"] = f"{len(np.unique(scan.ring))} ({scan.ring.min()} ... {scan.ring.max()})"
         if scan.time is not None:

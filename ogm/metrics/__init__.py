@@ -3,15 +3,15 @@
 Every metric leaves out the cells that the truth ignores. A metric without a cell to look at is NaN, never 0, and
 `reasons` says why. `METRICS` says what each is.
 
->>> from ogm.metrics import score, tally
->>> scores = score(tally(grid.mass, truth.state))               # one frame           # doctest: +SKIP
->>> counts = tally(grid.mass, truth.state, distances(spec))     # curves and ranges   # doctest: +SKIP
+>>> from ogm.metrics import accumulate, score
+>>> scores = score(accumulate(grid.mass, truth.state))               # one frame           # doctest: +SKIP
+>>> counts = accumulate(grid.mass, truth.state, distances(spec))     # curves and ranges   # doctest: +SKIP
 >>> risk_coverage(counts), by_range(counts), reasons(counts)                          # doctest: +SKIP
 >>> result = evaluate({"ray": ray, "deep": deep}, samples)      # many, paired        # doctest: +SKIP
 """
 
 from ogm.evidence import dirichlet_kl
-from ogm.metrics.counts import RANGES, Tally, called, tally
+from ogm.metrics.counts import RANGES, ConfusionSums, accumulate
 from ogm.metrics.curves import (
     FreeSpace,
     Intervals,
@@ -25,7 +25,7 @@ from ogm.metrics.curves import (
     risk_coverage,
 )
 from ogm.metrics.divergence import MIN_UNKNOWN, Density, density, kl_from_truth, kl_to_truth
-from ogm.metrics.evaluation import Evaluation, ModelFor, Mounted, evaluate, model_for, same_cells
+from ogm.metrics.evaluation import Evaluation, ModelFor, Mounted, evaluate, model_for, resample_to
 from ogm.metrics.legacy import Published, legacy_accuracy, legacy_kl, legacy_published, legacy_unmixed
 from ogm.metrics.paired import Interval, Paired, bootstrap_mean, bootstrap_ratio, paired
 from ogm.metrics.ranges import by_range, distances
@@ -49,14 +49,13 @@ __all__ = [
     "Published",
     "Reliability",
     "RiskCoverage",
-    "Tally",
+    "ConfusionSums",
     "auroc",
     "auroc_of_histograms",
     "average_precision",
     "bootstrap_mean",
     "bootstrap_ratio",
     "by_range",
-    "called",
     "density",
     "dirichlet_kl",
     "distances",
@@ -75,7 +74,7 @@ __all__ = [
     "reasons",
     "reliability",
     "risk_coverage",
-    "same_cells",
+    "resample_to",
     "score",
-    "tally",
+    "accumulate",
 ]

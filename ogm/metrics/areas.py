@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.counts import BINS, Tally
+from ogm.metrics.counts import BINS, ConfusionSums
 
 __all__ = [
     "above",
@@ -20,14 +20,14 @@ __all__ = [
 ]
 
 
-def interval_violation(counts: Tally) -> float:
+def interval_violation(counts: ConfusionSums) -> float:
     """Return how far the shares of occupied cells lie outside of [Bel, Pl], the mean over known cells' bins."""
     cells, belief, plausibility, happened = counts.intervals.T  # sums: a bin's distance times its cells
     outside = np.maximum(np.maximum(belief - happened, happened - plausibility), 0.0)
     return float(outside.sum() / cells.sum()) if cells.any() else float("nan")
 
 
-def equal_mass_error(counts: Tally) -> float:
+def equal_mass_error(counts: ConfusionSums) -> float:
     """Return the adaptive calibration error: the mean distance of P(occupied) from what happened, over 15 bins.
 
     The bins have one weight: known cells are sorted by P and cut in 15 equal parts. Cells of one of the 4097
@@ -44,7 +44,7 @@ def equal_mass_error(counts: Tally) -> float:
     return float(np.abs(np.diff(cuts)).sum() / total)
 
 
-def risk_areas(counts: Tally) -> tuple[float, float]:
+def risk_areas(counts: ConfusionSums) -> tuple[float, float]:
     """Return the area under the risk-coverage curve (AURC), and how much larger it is than the oracle's (AUSE)."""
     area = _area(*by_doubt(counts))
     return area, area - _area(*by_error(counts))
@@ -72,7 +72,7 @@ def free_recall(clear: NDArray[np.float64], false_free: float) -> float:
     return float(free[kept - 1] / free[-1]) if kept else 0.0
 
 
-def claims_precision(counts: Tally, tolerance: int) -> float:
+def claims_precision(counts: ConfusionSums, tolerance: int) -> float:
     """Return the average precision of the claims of occupied, see `precision_recall` and `average_precision`."""
     precision, recall = claims(counts, tolerance)
     return float(precision @ np.diff(recall, prepend=0.0)) if len(recall) else float("nan")
@@ -97,13 +97,13 @@ def above(histogram: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.cumsum(histogram[::-1])
 
 
-def by_doubt(counts: Tally) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def by_doubt(counts: ConfusionSums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return known cells and wrong ones up to the end of each level of unknown that has some; both begin with 0."""
     known, _, wrong = counts.doubt
     return _ends(known, wrong)
 
 
-def by_error(counts: Tally) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def by_error(counts: ConfusionSums) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the same if cells came by their error: the right ones, those of P = 1/2, the wrong ones."""
     known, _, wrong = counts.doubt
     half = counts.likelier[1:, 0].sum()
@@ -130,7 +130,7 @@ def _area(taken: NDArray[np.float64], wrong: NDArray[np.float64]) -> float:
     return float((offset * logs + slope * np.diff(taken)).sum() / taken[-1])
 
 
-def claims(counts: Tally, tolerance: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def claims(counts: ConfusionSums, tolerance: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return precision and recall from the highest threshold down; empty if free or occupied cells are absent."""
     if tolerance not in (0, 1):
         raise ValueError(f"tolerance must be 0 or 1 cells, got {tolerance}")

@@ -91,7 +91,7 @@ def count_cells(
     close: Any,
     clear: Any,
 ) -> None:
-    """Count what `ogm.metrics.Tally` has of the cells. States: 0 unknown, 1 free, 2 occupied, else left out.
+    """Count what `ogm.metrics.ConfusionSums` has of the cells. States: 0 unknown, 1 free, 2 occupied, else left out.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def count_cells(
     least, sure : float
         Floor of P(true state) in `surprise`, and the mass beyond which a claim is one.
     cells, ..., clear : float64 arrays
-        Added to, as `Tally` has them; of `close` the first two rows.
+        Added to, as `ConfusionSums` has them; of `close` the first two rows.
     """
     bins, levels, log_least = reliability.shape[1], doubt.shape[1], math.log(least)
     for k in range(state.shape[0]):

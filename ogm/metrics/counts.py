@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from ogm.metrics.counting import count_cells, count_ranges, look_around
 from ogm.metrics.divergence import MIN_UNKNOWN, truth_means
 from ogm.metrics.kernels import CLIP, sum_divergences, table
+from ogm.state import CellState
 
-__all__ = ["BINS", "LEVELS", "RANGES", "Tally", "called", "tally"]
+__all__ = ["BINS", "LEVELS", "RANGES", "ConfusionSums", "accumulate"]
 
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
@@ -26,10 +27,10 @@ RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
 LEAST = MIN_UNKNOWN / 2  # floor of the probability of what is true: a wrong dogmatic cell costs 11.5 nats
 ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
 
-_UNKNOWN, _FREE, _OCCUPIED, _IGNORE = 0, 1, 2, 3  # states of a cell, as in ogm.truth
+_UNKNOWN, _FREE, _OCCUPIED, _IGNORE = (int(one) for one in CellState)
 
 
-class Tally(NamedTuple):
+class ConfusionSums(NamedTuple):
     """Sums over cells; those that the truth ignores are in none of them. Add two with `plus`.
 
     Wherever an axis is called `truth` or `call`, it has the three states 0 unknown, 1 free, 2 occupied. A *known*
@@ -110,35 +111,14 @@ class Tally(NamedTuple):
     range_claims: NDArray[np.float64]
     range_clear: NDArray[np.float64]
 
-    def plus(self, other: Self) -> "Tally":
+    def plus(self, other: Self) -> "ConfusionSums":
         """Return the counts of both."""
-        return Tally(*map(add, self, other))
+        return ConfusionSums(*map(add, self, other))
 
 
-def called(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Say what every cell is called: the state with the most mass, unknown being one of the three.
-
-    A tie with unknown is unknown, a tie of free and occupied is occupied.
-
-    Parameters
-    ----------
-    mass : (..., 2) float array
-        Masses of free and occupied.
-
-    Returns
-    -------
-    (...) uint8
-        0 unknown, 1 free, 2 occupied.
-    """
-    free, occupied = mass[..., 0].astype(np.float64), mass[..., 1].astype(np.float64)
-    rest = 1 - free - occupied
-    is_free, is_occupied = (free > rest) & (free > occupied), (occupied > rest) & (occupied >= free)
-    return is_free * np.uint8(_FREE) + is_occupied * np.uint8(_OCCUPIED)
-
-
-def tally(
+def accumulate(
     mass: NDArray[np.floating], state: NDArray[np.uint8], distance: NDArray[np.floating] | None = None
-) -> Tally:
+) -> ConfusionSums:
     """Count everything that the scores and the curves need of one grid.
 
     Parameters
@@ -207,7 +187,7 @@ def tally(
         far = np.ascontiguousarray(distance.ravel())
         count_ranges(flat, states, far, np.array(RANGES), SURE, range_calls, range_claims, range_clear)
     full, weak = sums
-    return Tally(
+    return ConfusionSums(
         cells=cells,
         mass=masses,
         to_truth=np.stack(

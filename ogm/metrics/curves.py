@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.metrics.areas import above, by_doubt, by_error, claims
-from ogm.metrics.counts import LEVELS, Tally
+from ogm.metrics.counts import LEVELS, ConfusionSums
 
 __all__ = [
     "FreeSpace",
@@ -117,7 +117,7 @@ class PrecisionRecall(NamedTuple):
     threshold: NDArray[np.float64]
 
 
-def reliability(counts: Tally, which: Literal["all", "called", "relative"] = "all") -> Reliability:
+def reliability(counts: ConfusionSums, which: Literal["all", "called", "relative"] = "all") -> Reliability:
     """Return how often known cells are occupied, by bins of P(occupied).
 
     Parameters
@@ -134,13 +134,13 @@ def reliability(counts: Tally, which: Literal["all", "called", "relative"] = "al
     return Reliability(claimed / cells, happened / cells, cells)
 
 
-def intervals(counts: Tally) -> Intervals:
+def intervals(counts: ConfusionSums) -> Intervals:
     """Return how often known cells are occupied, against [Bel(occupied), Pl(occupied)]."""
     cells, belief, plausibility, happened = counts.intervals[counts.intervals[:, 0] > 0].T
     return Intervals(belief / cells, plausibility / cells, happened / cells, cells)
 
 
-def risk_coverage(counts: Tally) -> RiskCoverage:
+def risk_coverage(counts: ConfusionSums) -> RiskCoverage:
     """Return the risk of the surest known cells, by unknown, against how many are taken. See `RiskCoverage`.
 
     Cells of one of the 4097 levels of unknown are taken together, in equal parts.
@@ -154,7 +154,7 @@ def risk_coverage(counts: Tally) -> RiskCoverage:
     return RiskCoverage(some / total, risk, oracle)
 
 
-def free_space(counts: Tally) -> FreeSpace:
+def free_space(counts: ConfusionSums) -> FreeSpace:
     """Return how many free cells are found at what share of occupied ones taken for free. See `FreeSpace`."""
     free, occupied = above(counts.clear[0]), above(counts.clear[1])
     if free[-1] == 0 or occupied[-1] == 0:
@@ -164,7 +164,7 @@ def free_space(counts: Tally) -> FreeSpace:
     return FreeSpace(false_free[shown], recall[shown], _thresholds(LEVELS)[shown])
 
 
-def precision_recall(counts: Tally, tolerance: int = 0) -> PrecisionRecall:
+def precision_recall(counts: ConfusionSums, tolerance: int = 0) -> PrecisionRecall:
     """Return precision and recall of the claims of occupied. See `PrecisionRecall`.
 
     Parameters

@@ -8,13 +8,14 @@ from typing import Any, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
-from ogm.metrics.counts import Tally, tally
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.metrics.counts import ConfusionSums, accumulate
 from ogm.metrics.paired import Interval, Paired, bootstrap_mean, paired
 from ogm.metrics.ranges import distances
 from ogm.metrics.scores import METRICS, score
+from ogm.scan import InverseSensorModel, as_scan
 
-__all__ = ["Evaluation", "ModelFor", "Mounted", "evaluate", "model_for", "same_cells"]
+__all__ = ["Evaluation", "ModelFor", "Mounted", "evaluate", "model_for", "resample_to"]
 
 ModelFor = Callable[[NDArray[np.float64]], InverseSensorModel]  # (4, 4) pose of the sensor -> its model
 
@@ -53,7 +54,7 @@ class Evaluation:
     models: tuple[str, ...]
     spec: GridSpec
     values: dict[str, NDArray[np.float64]]
-    pooled: tuple[Tally, ...]
+    pooled: tuple[ConfusionSums, ...]
     truth: NDArray[np.float64]
 
     def __str__(self) -> str:
@@ -74,7 +75,7 @@ class Evaluation:
         cls,
         models: Sequence[str],
         spec: GridSpec,
-        frames: Iterable[tuple[Sequence[Tally], NDArray[np.floating]]],
+        frames: Iterable[tuple[Sequence[ConfusionSums], NDArray[np.floating]]],
     ) -> Self:
         """Build an evaluation from what was counted before: `evaluate` ends here, and so can a loop of one's own.
 
@@ -97,7 +98,7 @@ class Evaluation:
         names = tuple(models)
         if not names or len(set(names)) < len(names):
             raise ValueError(f"models need names, each once, got {names}")
-        pooled: list[Tally] = []
+        pooled: list[ConfusionSums] = []
         rows, shares = [], []
         for k, (counts, truth) in enumerate(frames):
             if len(counts) != len(names) or np.shape(truth) != (4,):
@@ -178,7 +179,7 @@ def evaluate(
         ``.T_vehicle_sensor`` if a model is given as a function. Read one after the other, none is kept.
     spec : GridSpec, optional
         The cells to judge; by default those of the first model. Grids of coarser cells of the same area are
-        repeated onto them, see `same_cells`.
+        repeated onto them, see `resample_to`.
 
     Returns
     -------
@@ -199,16 +200,16 @@ def evaluate(
     cells = spec or mounted[0](first).spec
     away = distances(cells)
 
-    def judged(sample: Sample) -> tuple[list[Tally], NDArray[np.float64]]:
-        grids = [model(sample)(sample.points) for model in mounted]
+    def judged(sample: Sample) -> tuple[list[ConfusionSums], NDArray[np.float64]]:
+        grids = [model(sample)(as_scan(sample.points)) for model in mounted]
         state = sample.truth.crop(cells).state
-        counts = [tally(same_cells(grid, cells).mass, state, away) for grid in grids]
+        counts = [accumulate(resample_to(grid, cells).mass, state, away) for grid in grids]
         return counts, np.bincount(state.ravel(), minlength=4) / state.size
 
     return Evaluation.from_counts(tuple(models), cells, map(judged, chain([first], queue)))
 
 
-def same_cells(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
+def resample_to(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
     """Return the grid on the cells of `spec`: itself, or each of its coarser cells repeated.
 
     Nothing is interpolated: a cell of twice the side gives four cells the masses that it has.

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.metrics.counts import called
 from ogm.metrics.kernels import CLIP
+from ogm.state import predict_state
 
 __all__ = ["Published", "legacy_accuracy", "legacy_kl", "legacy_published", "legacy_unmixed"]
 
@@ -126,7 +126,7 @@ def legacy_accuracy(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> flo
     if not kept.any():
         return float("nan")
     truth = np.stack([state == _FREE, state == _OCCUPIED], axis=-1) / 3
-    return float((called(mass[kept]) == called(truth[kept])).mean())
+    return float((predict_state(mass[kept]) == predict_state(truth[kept])).mean())
 
 
 def _alike(first: ArrayLike, second: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.metrics.areas import free_recall, overlaps, parts
-from ogm.metrics.counts import Tally
+from ogm.metrics.counts import ConfusionSums
 
 __all__ = ["by_range", "distances"]
 
@@ -26,7 +26,7 @@ def distances(spec: GridSpec) -> NDArray[np.float32]:
     return np.hypot(x, y).astype(np.float32)
 
 
-def by_range(counts: Tally) -> dict[str, NDArray[np.float64]]:
+def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:
     """Return the scores that matter by distance, one number per bin of `RANGES`.
 
     Parameters

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ogm.metrics import areas
 from ogm.metrics.areas import parts
-from ogm.metrics.counts import Tally
+from ogm.metrics.counts import ConfusionSums
 from ogm.metrics.ranking import (
     auroc_of_histograms,
     average_precision_of_histograms,
@@ -35,7 +35,7 @@ class Metric(NamedTuple):
 
     title: str
     better: str
-    says: str
+    description: str
 
 
 METRICS: dict[str, Metric] = {
@@ -174,7 +174,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
 }  # cells of these truths; all need some that are not ignored
 
 
-def score(counts: Tally) -> dict[str, float]:
+def score(counts: ConfusionSums) -> dict[str, float]:
     """Turn counts into the scores of `METRICS`, in their order; NaN where no cell speaks for one.
 
     See `METRICS` for what each means and `reasons` for why one is NaN. Means without another word are over all
@@ -262,7 +262,7 @@ def score(counts: Tally) -> dict[str, float]:
     return {name: float(values[name]) for name in METRICS}
 
 
-def reasons(counts: Tally) -> dict[str, str]:
+def reasons(counts: ConfusionSums) -> dict[str, str]:
     """Return why scores are NaN: of each metric that has no value, what is missing."""
     there = {
         "unknown": counts.cells[_UNKNOWN] > 0,

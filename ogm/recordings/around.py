@@ -10,9 +10,9 @@ from ogm.geometric import ground_height, local_ground
 from ogm.grid import GridSpec
 from ogm.recordings.layout import CAR
 from ogm.truth import (
-    CANVAS,
     IGNORE,
     MARGIN,
+    TRUTH_SPEC,
     Truth,
     cells_in_boxes,
     contradicted,
@@ -63,7 +63,7 @@ def choose_others(
 
 
 def stood_here(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return the cells of `CANVAS` on which the own vehicle stood in any of some scans.
+    """Return the cells of `TRUTH_SPEC` on which the own vehicle stood in any of some scans.
 
     Parameters
     ----------
@@ -71,8 +71,8 @@ def stood_here(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
         Of its sensor in those scans, as seen from the one that is judged.
     """
     car = np.array([[0.0, 0.0, 0.0, 2 * CAR[0], 2 * CAR[1], -1.0, 0.0]])
-    near = poses[np.linalg.norm(poses[:, :3, 3], axis=1) <= CANVAS.length]
-    return cells_in_boxes(np.concatenate([move_boxes(car, T) for T in near]), CANVAS)
+    near = poses[np.linalg.norm(poses[:, :3, 3], axis=1) <= TRUTH_SPEC.length]
+    return cells_in_boxes(np.concatenate([move_boxes(car, T) for T in near]), TRUTH_SPEC)
 
 
 def truth_from_others(

@@ -14,11 +14,11 @@ from ogm.pose import inverse, transform_points
 from ogm.recordings.around import choose_others, stood_here, truth_from_others
 from ogm.recordings.layout import Layout, Seen
 from ogm.truth import (
-    CANVAS,
     IGNORE,
     MARGIN,
     MIN_RETURNS,
     OCCUPIED,
+    TRUTH_SPEC,
     Truth,
     boxes_over_points,
     cells_in_areas,
@@ -95,7 +95,7 @@ class Frame:
 
     @cached_property
     def truth(self) -> Truth:
-        """What is there, on `ogm.truth.CANVAS` in the sensor's frame: free, occupied or to be ignored."""
+        """What is there, on `ogm.truth.TRUTH_SPEC` in the sensor's frame: free, occupied or to be ignored."""
         return self.recording._truth(self.number)
 
     def __repr__(self) -> str:
@@ -173,7 +173,7 @@ class Recording(Sequence[Frame]):
         return partial(open_recording, self.path, **self._asked), ()
 
     @property
-    def truth_says(self) -> str:
+    def truth_description(self) -> str:
         """What the truth is made of, in one sentence; it says "this scan" where the judged scan itself is used."""
         which = "later" if self._later else "other"
         labelled = self._layout.objects is not None or self._layout.classes
@@ -259,7 +259,7 @@ class Recording(Sequence[Frame]):
 
     def _make_truth(self, n: int) -> Truth:
         parts = []
-        boxes, doubtful = None, None
+        boxes, uncertain = None, None
         if "classes" in self.sources:
             parts.append(self._from_classes(n))
         if "map" in self.sources:
@@ -268,11 +268,11 @@ class Recording(Sequence[Frame]):
             parts.append(self._from_others(n))
         if "boxes" in self.sources and (objects := self._objects(n)) is not None:
             returns = count_returns(self._seen(n).points, objects.boxes + [0, 0, 0, 0, 0, ABOVE_BOTTOM, 0])
-            boxes = truth_from_boxes(objects.boxes, returns, CANVAS)
-            doubtful = cells_in_boxes(objects.boxes[returns < MIN_RETURNS], CANVAS)
-        own = np.zeros(CANVAS.shape, bool)
-        own[cells_in_box(self._own_box(), CANVAS)] = True
-        return combine_truths(parts, boxes=boxes, doubtful=doubtful, nobody=own)
+            boxes = truth_from_boxes(objects.boxes, returns, TRUTH_SPEC)
+            uncertain = cells_in_boxes(objects.boxes[returns < MIN_RETURNS], TRUTH_SPEC)
+        own = np.zeros(TRUTH_SPEC.shape, bool)
+        own[cells_in_box(self._own_box(), TRUTH_SPEC)] = True
+        return combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=own)
 
     def _own_box(self) -> tuple[float, ...]:
         return 0.0, 0.0, 0.0, 2 * self._layout.own[0], 2 * self._layout.own[1]
@@ -280,7 +280,7 @@ class Recording(Sequence[Frame]):
     def _from_classes(self, n: int) -> Truth:
         seen = self._seen(n)
         kinds = np.zeros(0, np.uint8) if seen.kinds is None else seen.kinds
-        return truth_from_points(seen.points, kinds, CANVAS, own=self._own_box())
+        return truth_from_points(seen.points, kinds, TRUTH_SPEC, own=self._own_box())
 
     def _from_map(self, n: int) -> Truth:
         """Free where one may drive. Where the map has no ground, it is taken to be as low as under the vehicle."""
@@ -288,25 +288,25 @@ class Recording(Sequence[Frame]):
             raise ValueError(f"{self.path} has no map")
         plan, seen, objects = self._layout.plan(n), self._seen(n), self._objects(n)
         low = -self._height(self._layout.shots[n].sequence)
-        x, y = np.broadcast_arrays(*CANVAS.cell_centers)
+        x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
         floor = plan.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         around = seen.points if seen.around is None else seen.around
         below = plan.ground(around[:, :3].astype(np.float64))
         road = free_road(
-            cells_in_areas(plan.outlines, CANVAS),
+            cells_in_areas(plan.outlines, TRUTH_SPEC),
             np.where(np.isnan(floor), low, floor),
             around,
             around[:, 2] - np.where(np.isnan(below), low, below),
-            CANVAS,
+            TRUTH_SPEC,
             boxes=() if objects is None else objects.boxes,
             own_reach=self._layout.own[0],
         )
-        return truth_from_road(road, CANVAS)
+        return truth_from_road(road, TRUTH_SPEC)
 
     def _from_others(self, n: int) -> Truth:
         """Say what other scans of the drive know about the cells around scan n."""
         shot = self._layout.shots[n]
-        truth = Truth(CANVAS, np.full(CANVAS.shape, IGNORE, np.uint8))
+        truth = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, IGNORE, np.uint8))
         if shot.T_map_sensor is None:
             return truth
         members = [k for k in self._members[shot.sequence] if self._layout.shots[k].T_map_sensor is not None]
@@ -326,7 +326,7 @@ class Recording(Sequence[Frame]):
         truth = truth_from_others(
             clouds,
             self._height(shot.sequence),
-            CANVAS,
+            TRUTH_SPEC,
             self._moving_boxes(n),
             min_scans=1 if len(others) < FEW else 2,
             judged=self._seen(n).points,
@@ -343,8 +343,8 @@ def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return the cells that lie near points."""
     from scipy.ndimage import binary_dilation
 
-    result = np.zeros(CANVAS.shape, bool)
-    inside = CANVAS.contains(points[:, 0], points[:, 1])
-    result[CANVAS.index(points[inside, 0], points[inside, 1])] = True
-    reach = int(np.ceil(AT_MOVING_POINTS / CANVAS.resolution))
+    result = np.zeros(TRUTH_SPEC.shape, bool)
+    inside = TRUTH_SPEC.contains(points[:, 0], points[:, 1])
+    result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
+    reach = int(np.ceil(AT_MOVING_POINTS / TRUTH_SPEC.resolution))
     return np.asarray(binary_dilation(result, iterations=reach))

@@ -58,7 +58,7 @@ def _spread(*heights: float) -> tuple[Aim, ...]:
     return tuple(Aim(height, *quarters[n % 4]) for n, height in enumerate(heights))
 
 
-# About 1.5 million rays on `CANVAS`. benchmarks/truth_modes.py says what they find and what they miss.
+# About 1.5 million rays on `TRUTH_SPEC`. benchmarks/truth_modes.py says what they find and what they miss.
 AIMS = Aims(
     every=(Aim(0.0),),
     alternate=_spread(0.12, 0.45, 0.9, 1.4, 1.8),

@@ -18,7 +18,7 @@ from ogm.pose import inverse, pose
 from ogm.simulation.plan import Plan, moment, mount_of, random
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
-from ogm.truth import CANVAS, Truth, boxes_seen_from
+from ogm.truth import TRUTH_SPEC, Truth, boxes_seen_from
 
 try:
     from ogm.simulation.lidar import CLEAR, Weather, scan
@@ -193,9 +193,9 @@ def truth_of(plan: Plan, here: Look, returns: NDArray[np.int64], *, salt: int = 
     known = {"boxes": boxes, "returns": returns, "own": own, "salt": salt}
     if plan.truth == "hd":
         rays = hd_directions(here.spec, plan.hd_layers)
-        return hd_truth(here.world.scene, below, here.T_world_sensor, rays, CANVAS, **known)
+        return hd_truth(here.world.scene, below, here.T_world_sensor, rays, TRUTH_SPEC, **known)
     ends = (min(here.spec.elevations), max(here.spec.elevations))
-    return aimed_truth(here.world.scene, below, here.T_world_sensor, ends, CANVAS, **known)
+    return aimed_truth(here.world.scene, below, here.T_world_sensor, ends, TRUTH_SPEC, **known)
 
 
 def _boxes(T: NDArray[np.float64], things: Sequence[tuple[NDArray, NDArray]]) -> NDArray[np.float64]:

@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, Weather, pack, unpack
-from ogm.truth import CANVAS, Truth
+from ogm.truth import TRUTH_SPEC, Truth
 
 __all__ = ["FORMAT", "SHARD", "Damaged", "Split", "Store"]
 
@@ -140,7 +140,7 @@ class Split(Sequence[Sample]):
             beams=beams,
             steps=steps,
             intensities=intensities,
-            truth=Truth(CANVAS, state),
+            truth=Truth(TRUTH_SPEC, state),
             objects=_named(objects),
             T_world_sensor=poses[0],
             T_vehicle_sensor=poses[1],
@@ -425,7 +425,7 @@ class Store:
             of = "" if len(rows) == len(split) else f" of {len(split)}"
             facts[name] = f"{len(rows)}{of} samples" + (f" ({by_lidar})" if by_lidar else "")
         facts["size"] = f"{size / 1e6:.1f} MB" + (f", {size / made / 1e3:.0f} kB per sample" if made else "")
-        facts["truth"] = f"{CANVAS.shape[0]} x {CANVAS.shape[1]} cells of {CANVAS.resolution:g} m"
+        facts["truth"] = f"{TRUTH_SPEC.shape[0]} x {TRUTH_SPEC.shape[1]} cells of {TRUTH_SPEC.resolution:g} m"
         facts["plan"] = ", ".join(f"{k} {v}" for k, v in self.plan.items())
         return facts
 
@@ -474,7 +474,7 @@ def _layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
     """Return the shape and the type of a sample in each array."""
     return {
         "returns": ((3, rays), "uint8"),
-        "truth": (CANVAS.shape, "uint8"),
+        "truth": (TRUTH_SPEC.shape, "uint8"),
         "objects": ((OBJECTS, len(_COLUMNS)), "float32"),
         "facts": ((len(FACTS),), "float64"),
     }

@@ -17,16 +17,16 @@ from ogm.simulation.below import Below, look_down
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.scene import Hits, Scene
 from ogm.truth import (
-    CANVAS,
     CLEARANCE,
     MIN_RETURNS,
     OBSTACLE_HEIGHT,
     OBSTACLE_SEEN,
     PLANT_HEIGHT,
+    TRUTH_SPEC,
     Kind,
     Truth,
     check_heights,
-    settle,
+    finalize_truth,
     tally_rays,
 )
 
@@ -63,7 +63,7 @@ def hd_truth(
     below: Below,
     T_world_sensor: ArrayLike,
     directions: NDArray[np.float32],
-    spec: GridSpec = CANVAS,
+    spec: GridSpec = TRUTH_SPEC,
     *,
     obstacle_height: float = OBSTACLE_HEIGHT,
     plant_height: float = PLANT_HEIGHT,
@@ -101,7 +101,7 @@ def hd_truth(
     seen = np.zeros(spec.shape, np.uint8)
     room = Hits.room(BATCH)
     _look(seen, scene, below, T_world_sensor, directions.reshape(-1, 3), spec, heights, salt, 0, room)
-    return settle(
+    return finalize_truth(
         seen,
         spec,
         boxes=boxes,
@@ -117,7 +117,7 @@ def aimed_truth(
     below: Below,
     T_world_sensor: ArrayLike,
     elevations: tuple[float, float],
-    spec: GridSpec = CANVAS,
+    spec: GridSpec = TRUTH_SPEC,
     *,
     aims: Aims = AIMS,
     obstacle_height: float = OBSTACLE_HEIGHT,
@@ -173,7 +173,7 @@ def aimed_truth(
     edge = _touching(seen != 0) & (seen == 0)
     for aim in aims.edge:
         look(below.z, aim, edge)
-    return settle(
+    return finalize_truth(
         seen,
         spec,
         boxes=boxes,

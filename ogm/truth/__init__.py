@@ -26,8 +26,8 @@ from ogm.truth.combined import combine_truths
 from ogm.truth.moving import boxes_over_points, cells_in_boxes, move_boxes, moving_tracks, widen_boxes
 from ogm.truth.objects import truth_from_boxes
 from ogm.truth.recording import height_above_ground, truth_from_points
-from ogm.truth.rules import MIN_RETURNS, check_heights, settle, truth_grid
-from ogm.truth.state import CANVAS, FREE, IGNORE, OCCUPIED, UNKNOWN, Shares, Truth
+from ogm.truth.rules import MIN_RETURNS, check_heights, finalize_truth, truth_grid
+from ogm.truth.state import FREE, IGNORE, OCCUPIED, TRUTH_SPEC, UNKNOWN, Truth
 from ogm.truth.tally import (
     CLEARANCE,
     GROUND_SEEN,
@@ -40,7 +40,7 @@ from ogm.truth.tally import (
 )
 
 __all__ = [
-    "CANVAS",
+    "TRUTH_SPEC",
     "CLEARANCE",
     "FREE",
     "GROUND_SEEN",
@@ -54,7 +54,6 @@ __all__ = [
     "UNKNOWN",
     "Kind",
     "Road",
-    "Shares",
     "Truth",
     "boxes_over_points",
     "boxes_seen_from",
@@ -69,7 +68,7 @@ __all__ = [
     "height_above_ground",
     "move_boxes",
     "moving_tracks",
-    "settle",
+    "finalize_truth",
     "tally_points",
     "tally_rays",
     "truth_from_boxes",

@@ -14,8 +14,8 @@ def combine_truths(
     sources: Sequence[Truth],
     *,
     boxes: Truth | None = None,
-    doubtful: NDArray[np.bool_] | None = None,
-    nobody: NDArray[np.bool_] | None = None,
+    uncertain: NDArray[np.bool_] | None = None,
+    unobserved: NDArray[np.bool_] | None = None,
 ) -> Truth:
     """Combine what several sources say about the same cells.
 
@@ -23,9 +23,9 @@ def combine_truths(
        contradicts; where they contradict each other, and where none says anything, it is to be ignored. Unknown
        counts as saying nothing: a recording that did not look is no evidence.
     2. Occupied cells of `boxes` win over all of that: people drew them, and they hold the side that no beam met.
-    3. Cells that are `doubtful` are not free: something stands there that was hardly seen. They are ignored
+    3. Cells that are `uncertain` are not free: something stands there that was hardly seen. They are ignored
        where a source calls them free.
-    4. `nobody` looked at some cells, such as those under the own vehicle: to be ignored.
+    4. `unobserved` looked at some cells, such as those under the own vehicle: to be ignored.
 
     Parameters
     ----------
@@ -58,10 +58,10 @@ def combine_truths(
     state = np.full(spec.shape, IGNORE, np.uint8)
     state[free & ~occupied] = FREE
     state[occupied & ~free] = OCCUPIED
-    if doubtful is not None:
-        state[doubtful & (state == FREE)] = IGNORE
+    if uncertain is not None:
+        state[uncertain & (state == FREE)] = IGNORE
     if boxes is not None:
         state[boxes.state == OCCUPIED] = OCCUPIED
-    if nobody is not None:
-        state[nobody] = IGNORE
+    if unobserved is not None:
+        state[unobserved] = IGNORE
     return Truth(spec, state)

@@ -8,7 +8,7 @@ from ogm.truth.boxes import cells_in_box, check_boxes
 from ogm.truth.state import FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
 from ogm.truth.tally import CLEARANCE, OBSTACLE_HEIGHT, PLANT_HEIGHT, Kind, tally_points
 
-__all__ = ["MIN_RETURNS", "check_heights", "settle", "truth_grid"]
+__all__ = ["MIN_RETURNS", "check_heights", "finalize_truth", "truth_grid"]
 
 MIN_RETURNS = 50  # points in the input scan that make a traffic participant known as a whole (Sec. IV-B)
 
@@ -76,10 +76,10 @@ def truth_grid(
     check_heights(obstacle_height, plant_height, clearance)
     seen = np.zeros(spec.shape, np.uint8)
     tally_points(seen, x, y, kind, height, spec, obstacle_height, plant_height, clearance)
-    return settle(seen, spec, boxes=boxes, returns=returns, min_returns=min_returns, own=own)
+    return finalize_truth(seen, spec, boxes=boxes, returns=returns, min_returns=min_returns, own=own)
 
 
-def settle(
+def finalize_truth(
     seen: NDArray[np.uint8],
     spec: GridSpec,
     *,

@@ -9,7 +9,7 @@ from ogm.deep.network import NetworkConfig
 from ogm.grid import GridSpec
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import SHARD, Store
-from ogm.truth import CANVAS, FREE, OCCUPIED, UNKNOWN, Truth
+from ogm.truth import TRUTH_SPEC, FREE, OCCUPIED, UNKNOWN, Truth
 
 HEIGHT, LAYERS = 1.8, 16
 BEAMS = Beams(
@@ -31,7 +31,7 @@ def scene(number: int, split: str = "training") -> Sample:
         ground, wall = np.where(z < 0, -HEIGHT / z, np.inf), np.where(x > 0, distance / x, np.inf)
     r = np.minimum(ground, wall)
     steps = np.where(r < 30, r / RANGE_STEP, 0).astype(np.uint16)
-    cx, _ = CANVAS.cell_centers
+    cx, _ = TRUTH_SPEC.cell_centers
     state = np.where(cx < distance - 0.32, FREE, np.where(cx < distance + 0.32, OCCUPIED, UNKNOWN))
     T = np.eye(4)
     T[2, 3] = HEIGHT
@@ -39,7 +39,7 @@ def scene(number: int, split: str = "training") -> Sample:
         beams=BEAMS,
         steps=steps,
         intensities=np.where(steps > 0, np.where(wall < ground, 150, 25), 0).astype(np.uint8),
-        truth=Truth(CANVAS, np.ascontiguousarray(np.broadcast_to(state, CANVAS.shape).astype(np.uint8))),
+        truth=Truth(TRUTH_SPEC, np.ascontiguousarray(np.broadcast_to(state, TRUTH_SPEC.shape).astype(np.uint8))),
         objects=np.zeros(0, OBJECT),
         T_world_sensor=np.eye(4),
         T_vehicle_sensor=T,

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from ogm.deep.data import PLAIN, ROTATION, Augmentation, Scenes, Shuffled, augment, join, seen_in
-from ogm.deep.pillars import OWN_BOX
+from ogm.deep.data import PLAIN, ROTATION, Augmentation, PillarDataset, Shuffled, augment, join, training_ranges
+from ogm.deep.pillars import EGO_FOOTPRINT
 from ogm.truth import FREE, IGNORE, OCCUPIED
 
 
@@ -88,35 +88,35 @@ def test_a_sample_is_not_changed_by_being_read(scenes, small):
 
 
 def test_the_key_says_the_disturbance(scenes, small):
-    one, other = (Scenes(scenes, small, Augmentation(), seed=4) for _ in range(2))
+    one, other = (PillarDataset(scenes, small, Augmentation(), seed=4) for _ in range(2))
     assert one[3, 5].pillars.features.equal(other[3, 5].pillars.features)
     now, later = one[3, 5].pillars.features, one[4, 5].pillars.features
     assert now.shape != later.shape or not now.equal(later)
 
 
 def test_returns_of_the_own_vehicle_are_left_out(scenes, small):
-    features = Scenes(scenes, small)[0].pillars.features
-    x0, x1, y0, y1 = OWN_BOX
+    features = PillarDataset(scenes, small)[0].pillars.features
+    x0, x1, y0, y1 = EGO_FOOTPRINT
     inside = (features[:, 0] > x0) & (features[:, 0] < x1) & (features[:, 1] > y0) & (features[:, 1] < y1)
     assert not inside.any()
 
 
 def test_the_limits_are_kept(scenes, small):
-    pillars = Scenes(scenes, small, most_pillars=50, most_points=3)[0].pillars
+    pillars = PillarDataset(scenes, small, most_pillars=50, most_points=3)[0].pillars
     assert len(pillars.lengths) == 50
     assert pillars.lengths.max() == 3
     assert pillars.lengths.sum() == len(pillars.features)
 
 
 def test_one_limit_alone_is_kept(scenes, small):
-    few = Scenes(scenes, small, most_points=3)[0].pillars
+    few = PillarDataset(scenes, small, most_points=3)[0].pillars
     assert few.lengths.max() == 3
-    assert len(few.lengths) == len(Scenes(scenes, small)[0].pillars.lengths)
-    assert len(Scenes(scenes, small, most_pillars=50)[0].pillars.lengths) == 50
+    assert len(few.lengths) == len(PillarDataset(scenes, small)[0].pillars.lengths)
+    assert len(PillarDataset(scenes, small, most_pillars=50)[0].pillars.lengths) == 50
 
 
 def test_joined_batches_keep_their_order(scenes, small):
-    data = Scenes(scenes, small)
+    data = PillarDataset(scenes, small)
     batch = join([data[3], data[1]])
     assert batch.numbers == [3, 1]
     assert batch.state.shape == (2, *small.shape)
@@ -141,10 +141,10 @@ def test_an_epoch_goes_on_where_it_stopped():
 
 
 def test_what_was_seen_is_told(scenes, small):
-    seen = seen_in(Scenes(scenes, small, only(gain=0.3)))
+    seen = training_ranges(PillarDataset(scenes, small, only(gain=0.3)))
     assert seen["height"] == (pytest.approx(1.8), pytest.approx(1.8))
     assert seen["points"][0] == min(len(sample.points) for sample in scenes)
     low, high = seen["intensity"]
-    means = [float(Scenes(scenes, small)[i].pillars.features[:, 3].mean()) for i in range(len(scenes))]
+    means = [float(PillarDataset(scenes, small)[i].pillars.features[:, 3].mean()) for i in range(len(scenes))]
     assert low == pytest.approx(np.quantile(means, 0.01) * np.exp(-0.6), rel=1e-3)
     assert high == pytest.approx(np.quantile(means, 0.99) * np.exp(0.6), rel=1e-3)

@@ -6,7 +6,8 @@ import torch
 
 from ogm.deep import DeepISM, Network
 from ogm.deep.checkpoint import save_network
-from ogm.grid import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.scan import InverseSensorModel
 from ogm.pose import pose
 
 
@@ -37,7 +38,7 @@ def test_the_mass_is_the_evidence_over_the_strength(network, cloud, small):
 
     raised = cloud + np.array([0, 0, 1.8, 0], np.float32)
     with torch.no_grad():
-        evidence = network(pillarize(raised, small, own_box=(-2.5, 2.5, -1.1, 1.1)))[0].numpy()
+        evidence = network(pillarize(raised, small, ego_footprint=(-2.5, 2.5, -1.1, 1.1)))[0].numpy()
     expected = evidence / (evidence.sum(-1, keepdims=True) + 2)
     x, y = small.cell_centers
     expected[(abs(x) < 2.5 + 0.32) & (abs(y) < 1.1 + 0.32)] = 0  # the own vehicle, its edge's cells whole
@@ -155,7 +156,7 @@ def test_a_scan_as_those_of_training_is_not_remarked(network, cloud, caplog):
 
 
 def test_without_own_vehicle_no_cell_is_blank(network, cloud):
-    assert DeepISM(network, None, 1.8, own_box=(0, 0, 0, 0))(cloud).unknown.max() < 1
+    assert DeepISM(network, None, 1.8, ego_footprint=(0, 0, 0, 0))(cloud).unknown.max() < 1
 
 
 def test_devices_that_are_not_there_are_refused(network):
@@ -182,7 +183,7 @@ def test_names_that_are_no_weights_say_what_is(tmp_path):
     [
         ({"sensor_height": -1.0}, "sensor_height"),
         ({"points_in": "map"}, "points_in"),
-        ({"own_box": (1, 0, 0, 0)}, "own_box"),
+        ({"ego_footprint": (1, 0, 0, 0)}, "ego_footprint"),
         ({"T_vehicle_sensor": np.ones((4, 4))}, "T_vehicle_sensor"),
     ],
 )

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm.deep import pillars as module
-from ogm.deep.pillars import Pillars, collate, limited, pillarize, pillarize_torch
+from ogm.deep.pillars import Pillars, collate, cap_pillars, pillarize, pillarize_torch
 from ogm.grid import GridSpec
 
 SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)  # 64 x 32 cells
@@ -136,7 +136,7 @@ def test_empty_and_one_point_scans(n: int) -> None:
 def test_points_far_away_or_of_the_own_vehicle_are_left_out() -> None:
     points = np.float32([[1e30, 0, 0, 0], [0, -3e38, 0, 0], [0, 0, 1e9, 0], [5.13, 0, 0, 0], [0, 0, 0, 0]])
     assert len(pillarize(points, SPEC).features) == 1
-    assert len(pillarize(points, SPEC, own_box=OWN).features) == 0
+    assert len(pillarize(points, SPEC, ego_footprint=OWN).features) == 0
 
 
 def test_float64_points_beyond_float32_are_left_out_in_silence() -> None:
@@ -211,19 +211,19 @@ def test_the_papers_limits_hold_and_are_seeded() -> None:
     whole = pillarize(scan(4000, size=0.5), SPEC)
     assert whole.lengths.max() > 5
     assert len(whole.lengths) > 200
-    some = limited(whole, np.random.default_rng(3), most_pillars=200, most_points=5)
+    some = cap_pillars(whole, np.random.default_rng(3), most_pillars=200, most_points=5)
     assert len(some.cells) == len(some.lengths) == 200
     assert some.lengths.max() == 5
     assert len(some.features) == some.lengths.sum()
     assert (some.cells.diff() > 0).all()
-    same(some, limited(whole, np.random.default_rng(3), 200, 5), atol=0)
-    other = limited(whole, np.random.default_rng(4), 200, 5)
+    same(some, cap_pillars(whole, np.random.default_rng(3), 200, 5), atol=0)
+    other = cap_pillars(whole, np.random.default_rng(4), 200, 5)
     assert other.cells.tolist() != some.cells.tolist()
 
 
 def test_the_limits_keep_points_of_the_right_pillars_unchanged() -> None:
     whole = pillarize(scan(4000, size=0.5), SPEC)
-    some = limited(whole, np.random.default_rng(0), most_pillars=200, most_points=5)
+    some = cap_pillars(whole, np.random.default_rng(0), most_pillars=200, most_points=5)
     of = dict(zip(whole.cells.tolist(), whole.features.split(whole.lengths.tolist()), strict=True))
     for cell, part in zip(some.cells.tolist(), some.features.split(some.lengths.tolist()), strict=True):
         there = {tuple(row) for row in of[cell].tolist()}
@@ -235,7 +235,7 @@ def test_the_limits_keep_points_of_the_right_pillars_unchanged() -> None:
 def test_limits_that_are_not_reached_change_nothing() -> None:
     for n in (0, 1, 500):
         whole = pillarize(scan(n), SPEC)
-        same(limited(whole, np.random.default_rng(0)), whole, atol=0)
+        same(cap_pillars(whole, np.random.default_rng(0)), whole, atol=0)
 
 
 def test_the_limits_choose_every_point_alike() -> None:
@@ -244,7 +244,7 @@ def test_the_limits_choose_every_point_alike() -> None:
     rng = np.random.default_rng(0)
     count = np.zeros(10)
     for _ in range(500):
-        chosen = limited(whole, rng, most_points=3).features[:, 3]
+        chosen = cap_pillars(whole, rng, most_points=3).features[:, 3]
         count[(chosen * 10).round().long().numpy()] += 1
     assert count.sum() == 1500
     assert np.abs(count - 150).max() < 5 * np.sqrt(500 * 0.3 * 0.7)

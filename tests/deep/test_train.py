@@ -150,13 +150,13 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_batch(go, recipe, tmp_pat
 
 
 def test_only_the_process_whose_loss_it_was_keeps_its_batch(scenes, small, tmp_path):
-    from ogm.deep.data import Scenes
-    from ogm.deep.train import _nothing
+    from ogm.deep.data import PillarDataset
+    from ogm.deep.train import _nonfinite_loss_error
 
-    batch = Scenes(scenes, small)[0]
-    assert "another process" in str(_nothing(tmp_path, batch, 0.5, 3))
+    batch = PillarDataset(scenes, small)[0]
+    assert "another process" in str(_nonfinite_loss_error(tmp_path, batch, 0.5, 3))
     assert not list(tmp_path.iterdir())
-    assert "nan" in str(_nothing(tmp_path, batch, math.nan, 3))
+    assert "nan" in str(_nonfinite_loss_error(tmp_path, batch, math.nan, 3))
     assert [file.name for file in tmp_path.iterdir()] == ["batch-3.npz"]
 
 

@@ -5,7 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
-from ogm.fusion.deskew import deskew, extended
+from ogm.fusion.deskew import deskew, extrapolate
 from ogm.pose import Trajectory, inverse, pose, transform_points
 
 room = importlib.import_module("ogm.fusion.deskew")  # the function of that name hides it
@@ -153,9 +153,9 @@ def test_the_ends_of_the_trajectory_are_inside() -> None:
 @pytest.mark.parametrize(
     ("time", "stamp", "says"),
     [
-        ([0.0, 0.6], STAMP, "extended"),
-        ([-0.25, 0.0], STAMP, "extended"),
-        ([0.0, 0.0], STAMP + 10, "extended"),
+        ([0.0, 0.6], STAMP, "extrapolate"),
+        ([-0.25, 0.0], STAMP, "extrapolate"),
+        ([0.0, 0.0], STAMP + 10, "extrapolate"),
         ([0.0, np.nan], STAMP, r"time\[1\] is not"),
         ([0.0], STAMP, "one per point"),
         ([0.0, 0.0], np.nan, "knows"),
@@ -188,7 +188,7 @@ def on_circle(stamps: np.ndarray) -> Trajectory:
 
 @pytest.mark.parametrize("seconds", [0.03, 0.1, 0.25])
 def test_a_trajectory_goes_on_along_its_circle(seconds: float) -> None:
-    longer = extended(on_circle(np.linspace(0, 1, 11)), seconds)
+    longer = extrapolate(on_circle(np.linspace(0, 1, 11)), seconds)
     assert longer.stamps[0] == pytest.approx(-seconds)
     assert longer.stamps[-1] == pytest.approx(1 + seconds)
     assert np.diff(longer.stamps).max() < 0.1 + 1e-9
@@ -197,10 +197,10 @@ def test_a_trajectory_goes_on_along_its_circle(seconds: float) -> None:
 
 def test_a_trajectory_goes_on_straight_and_keeps_what_it_knew() -> None:
     known = Trajectory([0.0, 0.1], [pose(), pose(1, 0.5)])
-    longer = extended(known, 0.05)
+    longer = extrapolate(known, 0.05)
     np.testing.assert_allclose(longer.poses[[0, -1], :3, 3], [[-0.5, -0.25, 0], [1.5, 0.75, 0]], atol=1e-12)
     np.testing.assert_array_equal(longer.poses[1:-1], known.poses)
-    np.testing.assert_array_equal(extended(known, 0.0).stamps, known.stamps)
+    np.testing.assert_array_equal(extrapolate(known, 0.0).stamps, known.stamps)
 
 
 @pytest.mark.parametrize(
@@ -208,12 +208,12 @@ def test_a_trajectory_goes_on_straight_and_keeps_what_it_knew() -> None:
 )
 def test_what_cannot_be_extended_is_refused(count: int, seconds: float, says: str) -> None:
     with pytest.raises(ValueError, match=says):
-        extended(drive(count), seconds)
+        extrapolate(drive(count), seconds)
 
 
 def test_nearly_equal_stamps_do_not_extend_a_trajectory_without_end() -> None:
     close = Trajectory(np.array([0.0, 1e-9]), np.array([pose(), pose(1e-9)]))
-    longer = extended(close, 0.1)
+    longer = extrapolate(close, 0.1)
     assert len(longer) <= 202
     assert longer.stamps[-1] == pytest.approx(0.1, abs=1e-6)
     assert longer.poses[-1][0, 3] == pytest.approx(0.1, rel=1e-3)

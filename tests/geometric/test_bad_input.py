@@ -98,8 +98,8 @@ def test_ten_million_points(caplog: pytest.LogCaptureFixture) -> None:
         ({"points_in": "map"}, "points_in"),
         ({"T_vehicle_sensor": np.eye(3)}, "T_vehicle_sensor must be a 4x4"),
         ({"T_vehicle_sensor": pose(15, 0, 0)}, "outside the grid.*move or enlarge"),
-        ({"own_box": (1, 0, 0, 1)}, "own_box"),
-        ({"own_box": (0, math.inf, 0, 1)}, "own_box"),
+        ({"ego_footprint": (1, 0, 0, 1)}, "ego_footprint"),
+        ({"ego_footprint": (0, math.inf, 0, 1)}, "ego_footprint"),
     ],
 )
 @pytest.mark.parametrize("model", [HeightBandISM, RayISM])
@@ -117,12 +117,12 @@ def test_impossible_mounts_are_refused(model: type, options: dict, says: str) ->
         (HeightBandISM, {"min_range": -1.0}, "min_range"),
         (HeightBandISM, {"supersampling": 0}, "factor"),
         (RayISM, {"obstacle_height": 3.0}, "below clearance"),
-        (RayISM, {"p_pass": 1.0}, "p_pass must lie between 0 and 1"),
-        (RayISM, {"p_false": 0.0}, "p_false"),
+        (RayISM, {"p_miss": 1.0}, "p_pass must lie between 0 and 1"),
+        (RayISM, {"p_false_alarm": 0.0}, "p_false_alarm"),
         (RayISM, {"max_mass": 1.5}, "max_mass"),
         (RayISM, {"range_noise": -0.1}, "range_noise"),
-        (RayISM, {"marked_reliability": 2.0}, "marked_reliability"),
-        (RayISM, {"missing_weight": -1.0}, "missing_weight"),
+        (RayISM, {"free_reliability_at_hits": 2.0}, "free_reliability_at_hits"),
+        (RayISM, {"no_return_weight": -1.0}, "no_return_weight"),
         (RayISM, {"azimuth_step": 0.0}, "azimuth_step"),
         (RayISM, {"below_ground": math.nan}, "below_ground"),
         (RayISM, {"max_range": 1e300}, "max_range"),
@@ -146,7 +146,7 @@ def test_missing_must_be_an_array() -> None:
 
 def test_own_box_may_be_any_four_numbers() -> None:
     points = np.array([[0.5, 0.5, -0.9, 0]], np.float32)
-    assert (RayISM(SPEC, 1.7, own_box=[-1, 1, -1, 1])(points).mass == 0).all()
+    assert (RayISM(SPEC, 1.7, ego_footprint=[-1, 1, -1, 1])(points).mass == 0).all()
 
 
 def test_directions_that_are_none_clear_nothing() -> None:
@@ -179,7 +179,7 @@ def test_models_can_run_in_several_threads() -> None:
     "height", [np.zeros((3, 3), np.float32), np.full((20, 20), np.nan), [0.0], np.zeros((20, 20, 1))]
 )
 def test_a_ground_estimate_that_returns_nonsense_is_refused(height) -> None:
-    ism = RayISM(SPEC, 1.7, ground=lambda xyz, spec, foot: height)
+    ism = RayISM(SPEC, 1.7, ground=lambda xyz, spec, ground_point: height)
     with pytest.raises(ValueError, match=r"ground estimate must return \(20, 20\) finite heights"):
         ism(np.zeros((1, 4), np.float32))
 

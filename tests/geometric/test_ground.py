@@ -102,9 +102,9 @@ def test_local_ground_equals_its_twin(seed: int, shape: tuple[int, int]) -> None
     xy = rng.uniform((-7, -5), (7, 5), (250, 2))
     above = rng.choice([0, 0, 0, 0.5, 1.5, 3, -0.35, -1, -9], 250)
     xyz = np.column_stack([xy, hill(*xy.T) + above + rng.normal(0, 0.02, 250)]).astype(np.float32)
-    foot = (0.3, -0.2, -1.8)
-    fast = local_ground(xyz, spec, foot)
-    slow = twins.ground_map(xyz, foot, spec, 0.25, 0.15, 0.4, 0.25)
+    ground_point = (0.3, -0.2, -1.8)
+    fast = local_ground(xyz, spec, ground_point)
+    slow = twins.ground_map(xyz, ground_point, spec, 0.25, 0.15, 0.4, 0.25)
     np.testing.assert_allclose(fast, slow, atol=1e-4)
 
 

@@ -147,7 +147,7 @@ def test_own_vehicle_is_dropped_and_stays_unknown() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.25)
     own = at((1.0, 0.5, 1.4), (-1.2, -0.9, 1.0))
     assert (RayISM(spec, HEIGHT)(own).mass == 0).all()
-    assert RayISM(spec, HEIGHT, own_box=NO_BOX)(own).occupied.max() > 0.5
+    assert RayISM(spec, HEIGHT, ego_footprint=NO_BOX)(own).occupied.max() > 0.5
     assert HeightBandISM(spec, HEIGHT)(own).occupied.max() > 0.5  # the paper's text knows no own vehicle
 
 
@@ -176,7 +176,7 @@ def test_rotating_points_rotates_the_grid(model: type, quarter: int) -> None:
     rng = np.random.default_rng(5)
     spec = GridSpec.centered(20.5, 20.5, 0.5)  # odd: the sensor in the middle of a cell
     points = at(*rng.uniform((-9, -9, -0.05), (9, 9, 2.5), (400, 3)))
-    ism = model(spec, HEIGHT, own_box=NO_BOX)
+    ism = model(spec, HEIGHT, ego_footprint=NO_BOX)
     turned = points.copy()
     for _ in range(quarter):
         turned[:, 0], turned[:, 1] = -turned[:, 1], turned[:, 0].copy()
@@ -222,7 +222,7 @@ def test_passing_rays_doubt_a_lone_return_only_as_far_as_they_are_relied_on() ->
     scene = at(*[(8.0, 0.001 * k, 0.0) for k in range(800)], (6.2, 0.2, 0.5))
 
     def lone(reliability: float):
-        return RayISM(spec, HEIGHT, ground=flat_ground, marked_reliability=reliability)(scene).at(6.2, 0.2)
+        return RayISM(spec, HEIGHT, ground=flat_ground, free_reliability_at_hits=reliability)(scene).at(6.2, 0.2)
 
     assert lone(0.0).occupied == pytest.approx(0.95)
     assert lone(1.0).occupied < 0.45

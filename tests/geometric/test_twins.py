@@ -80,12 +80,12 @@ def test_ray_model_equals_the_loop_over_cells_and_rays(
                 "clearance",
                 "below_ground",
                 "range_noise",
-                "p_pass",
-                "p_false",
-                "marked_reliability",
+                "p_miss",
+                "p_false_alarm",
+                "free_reliability_at_hits",
                 "max_mass",
                 "max_range",
-                "missing_weight",
+                "no_return_weight",
             )
         },
     )
@@ -104,7 +104,7 @@ def test_level_say_is_the_ground_along_each_sector() -> None:
     cx, cy = coarse.cell_centers
     height = (-1.7 + 0.05 * cx + 0.002 * cx * cy - 0.1 * cy).astype(np.float32)
     origin, level = np.float32([1.0, -0.5, 0.3]), np.empty((32, 20), np.float32)
-    polar.level_say(height, *coarse.origin, 1.0, origin, 2.0, 0.25, level)
+    polar.level_ray_weight(height, *coarse.origin, 1.0, origin, 2.0, 0.25, level)
     angle, run = (np.arange(32) + 0.5) * 2 * math.pi / 32, (np.arange(20) + 0.5) * 0.25
     x, y = origin[0] + np.outer(np.cos(angle), run), origin[1] + np.outer(np.sin(angle), run)
     at = np.stack([x.ravel(), y.ravel()], 1).astype(np.float32)

@@ -9,7 +9,7 @@ from ogm.grid import GridSpec
 from ogm.metrics import (
     METRICS,
     RANGES,
-    Tally,
+    ConfusionSums,
     by_range,
     distances,
     free_space,
@@ -18,7 +18,7 @@ from ogm.metrics import (
     reliability,
     risk_coverage,
     score,
-    tally,
+    accumulate,
 )
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
@@ -36,11 +36,11 @@ CURVES = (
 
 
 @pytest.fixture(params=[0, 1, 2])
-def counts(request: pytest.FixtureRequest) -> Tally:
-    return tally(*lattice_grid(request.param, SHAPE, coarse=[1, 32, 512][request.param]))
+def counts(request: pytest.FixtureRequest) -> ConfusionSums:
+    return accumulate(*lattice_grid(request.param, SHAPE, coarse=[1, 32, 512][request.param]))
 
 
-def test_curves_are_short_columns_of_one_length(counts: Tally) -> None:
+def test_curves_are_short_columns_of_one_length(counts: ConfusionSums) -> None:
     for curve in CURVES:
         columns = curve(counts)
         assert {(c.shape, c.dtype) for c in columns} == {(columns[0].shape, np.dtype(np.float64))}
@@ -50,26 +50,26 @@ def test_curves_are_short_columns_of_one_length(counts: Tally) -> None:
 
 def test_curves_without_cells_are_empty() -> None:
     mass, state = lattice_grid(3)
-    for nothing in (tally(mass, np.full_like(state, IGNORE)), tally(mass, np.full_like(state, UNKNOWN))):
+    for nothing in (accumulate(mass, np.full_like(state, IGNORE)), accumulate(mass, np.full_like(state, UNKNOWN))):
         for curve in CURVES:
             assert {len(column) for column in curve(nothing)} == {0}
 
 
-def test_names_of_curves_that_do_not_exist_are_refused(counts: Tally) -> None:
+def test_names_of_curves_that_do_not_exist_are_refused(counts: ConfusionSums) -> None:
     with pytest.raises(ValueError, match="which must be one of all, called, relative, got 'known'"):
         reliability(counts, "known")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="tolerance must be 0 or 1 cells, got 2"):
         precision_recall(counts, 2)
 
 
-def test_reliability_holds_the_calibration_errors(counts: Tally) -> None:
+def test_reliability_holds_the_calibration_errors(counts: ConfusionSums) -> None:
     scores = score(counts)
     for which, name in (("all", "ece"), ("called", "ece_called"), ("relative", "ece_relative")):
         claimed, happened, cells = reliability(counts, which)  # type: ignore[arg-type]
         assert np.abs(claimed - happened) @ cells / cells.sum() == pytest.approx(scores[name])
 
 
-def test_intervals_hold_the_violation(counts: Tally) -> None:
+def test_intervals_hold_the_violation(counts: ConfusionSums) -> None:
     belief, plausibility, happened, cells = intervals(counts)
     assert (belief <= plausibility).all()
     outside = np.where(
@@ -84,11 +84,11 @@ def test_beliefs_that_are_drawn_from_hold_their_intervals() -> None:
     mass = rng.dirichlet([1, 1, 1], (300, 300))[..., :2]
     chance = mass[..., 1] + rng.random((300, 300)) * (1 - mass.sum(axis=-1))
     state = np.where(rng.random((300, 300)) < chance, OCCUPIED, FREE).astype(np.uint8)
-    assert score(tally(mass, state))["interval_violation"] < 1e-3
-    assert score(tally(mass[..., ::-1], state))["interval_violation"] > 0.1
+    assert score(accumulate(mass, state))["interval_violation"] < 1e-3
+    assert score(accumulate(mass[..., ::-1], state))["interval_violation"] > 0.1
 
 
-def test_risk_ends_at_the_share_of_wrong_cells_and_its_area_is_the_score(counts: Tally) -> None:
+def test_risk_ends_at_the_share_of_wrong_cells_and_its_area_is_the_score(counts: ConfusionSums) -> None:
     coverage, risk, oracle = risk_coverage(counts)
     wrong = counts.doubt[2].sum() / counts.cells[1:].sum()
     assert (coverage[-1], risk[-1], oracle[-1]) == pytest.approx((1, wrong, wrong))
@@ -108,19 +108,19 @@ def test_areas_of_the_best_and_the_worst_order_are_the_closed_forms() -> None:
     r = wrong.mean()
     best, worst = r + (1 - r) * np.log(1 - r), r - r * np.log(r)
     for weak, area in ((wrong, best), (~wrong, worst)):
-        scores = score(tally(claim * np.where(weak, 0.3, 0.9)[..., None], state))
+        scores = score(accumulate(claim * np.where(weak, 0.3, 0.9)[..., None], state))
         assert scores["aurc"] == pytest.approx(area)
         assert scores["ause"] == pytest.approx(area - best, abs=1e-12)
 
 
 def test_a_grid_that_says_nothing_is_half_wrong_in_every_order() -> None:
     _, state = lattice_grid(4)
-    scores = score(tally(np.zeros((7, 7, 2), np.float32), state))
+    scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
     assert scores["aurc"] == pytest.approx(0.5)
     assert scores["ause"] == pytest.approx(0, abs=1e-12)
 
 
-def test_free_space_is_what_its_thresholds_take(counts: Tally) -> None:
+def test_free_space_is_what_its_thresholds_take(counts: ConfusionSums) -> None:
     false_free, recall, threshold = free_space(counts)
     assert (np.diff(false_free) >= 0).all()
     assert (np.diff(recall) >= 0).all()
@@ -131,7 +131,7 @@ def test_free_space_is_what_its_thresholds_take(counts: Tally) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_points_of_the_curves_are_those_of_their_thresholds(seed: int) -> None:
     mass, state = lattice_grid(seed, SHAPE, coarse=16)
-    counts = tally(mass, state)
+    counts = accumulate(mass, state)
     free = mass[..., 0].astype(float)
     p = 0.5 * (1 + mass[..., 1].astype(float) - free)
     for false_free, recall, threshold in zip(*free_space(counts), strict=True):
@@ -164,7 +164,7 @@ def test_a_claim_may_be_one_cell_off(
     mass[..., 0] = 0.5
     mass[3 + ahead, 3] = [0, 0.9]
     for tolerance, wanted in ((0, exact), (1, within_one)):
-        precision, recall, threshold = precision_recall(tally(mass, state), tolerance)
+        precision, recall, threshold = precision_recall(accumulate(mass, state), tolerance)
         sure = np.flatnonzero(threshold > 0.3)[-1]  # all points beyond lie where nothing changes
         assert (precision[sure], recall[sure]) == wanted
 
@@ -175,7 +175,7 @@ def test_claims_on_ignored_cells_neither_help_nor_hurt() -> None:
     quiet = np.zeros((7, 7, 2), np.float32)
     loud = quiet.copy()
     loud[3, 4] = loud[0, 0] = [0, 1]
-    for one, other in zip(tally(quiet, state), tally(loud, state), strict=True):
+    for one, other in zip(accumulate(quiet, state), accumulate(loud, state), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
@@ -183,10 +183,10 @@ def test_scores_by_range_are_those_of_the_cells_in_the_range() -> None:
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=1.28)
     mass, state = lattice_grid(5, spec.shape, coarse=4)
     away = distances(spec)
-    found = by_range(tally(mass, state, away))
+    found = by_range(accumulate(mass, state, away))
     for k, (near, far) in enumerate(zip(RANGES[:-1], RANGES[1:], strict=True)):
         inside = (away >= near) & (away < far)
-        alone = tally(mass, np.where(inside, state, IGNORE).astype(np.uint8))
+        alone = accumulate(mass, np.where(inside, state, IGNORE).astype(np.uint8))
         assert found["cells"][k] == alone.cells.sum()
         assert [found["free_cells"][k], found["occupied_cells"][k]] == alone.cells[1:].tolist()
         wanted = score(alone)
@@ -198,7 +198,7 @@ def test_scores_by_range_are_those_of_the_cells_in_the_range() -> None:
 
 def test_ranges_without_cells_or_distances_are_nan() -> None:
     mass, state = lattice_grid(6)
-    for counts in (tally(mass, state), tally(mass, state, np.full((7, 7), 99.0, np.float32))):
+    for counts in (accumulate(mass, state), accumulate(mass, state, np.full((7, 7), 99.0, np.float32))):
         found = by_range(counts)
         assert all(len(column) == len(RANGES) - 1 for column in found.values())
         assert np.isnan(found["false_free"][:-1]).all()
@@ -219,13 +219,13 @@ def test_free_recall_keeps_its_bound() -> None:
     state[0] = OCCUPIED
     mass = np.zeros((2, 1000, 2))
     mass[..., 0] = (np.arange(1000) + 0.5) / 1000
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     assert (scores["free_recall_01"], scores["free_recall_1"]) == pytest.approx((0.001, 0.01))
     mass[0] *= 0.5
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     assert (scores["free_recall_01"], scores["free_recall_1"]) == pytest.approx((0.5, 0.505), abs=0.002)
     mass[..., 0] = 1.0
-    assert score(tally(mass, state))["free_recall_1"] == 0.0
+    assert score(accumulate(mass, state))["free_recall_1"] == 0.0
 
 
 def test_histograms_come_near_the_exact_equal_mass_error() -> None:
@@ -235,4 +235,4 @@ def test_histograms_come_near_the_exact_equal_mass_error() -> None:
     p = (0.5 * (1 + mass[..., 1] - mass[..., 0])).ravel()
     order = np.argsort(p)
     gaps = (p - (state.ravel() == OCCUPIED))[order].reshape(15, -1).mean(axis=1)
-    assert score(tally(mass, state))["ace"] == pytest.approx(np.abs(gaps).mean(), abs=1e-4)
+    assert score(accumulate(mass, state))["ace"] == pytest.approx(np.abs(gaps).mean(), abs=1e-4)

@@ -6,14 +6,14 @@ from plain import lattice_grid
 from scipy import stats
 
 from ogm.grid import GridSpec
-from ogm.metrics import Evaluation, Tally, bootstrap_mean, bootstrap_ratio, paired, score, tally
+from ogm.metrics import Evaluation, ConfusionSums, bootstrap_mean, bootstrap_ratio, paired, score, accumulate
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
 
 
-def counts(frames: int, models: int = 2) -> list[list[Tally]]:
-    return [[tally(*lattice_grid(10 * k + m)) for m in range(models)] for k in range(frames)]
+def counts(frames: int, models: int = 2) -> list[list[ConfusionSums]]:
+    return [[accumulate(*lattice_grid(10 * k + m)) for m in range(models)] for k in range(frames)]
 
 
 def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
@@ -38,8 +38,8 @@ def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
         (["a", "b"], [(counts(1)[0], EVEN[:3])], r"\(3,\) shares of truth"),
     ],
 )
-def test_counts_that_do_not_fit_are_refused(models: list[str], frames: list, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_counts_that_do_not_fit_are_refused(models: list[str], frames: list, description: str) -> None:
+    with pytest.raises(ValueError, match=description):
         Evaluation.from_counts(models, SPEC, frames)
 
 

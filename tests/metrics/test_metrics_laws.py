@@ -11,7 +11,7 @@ from plain import lattice_grid
 
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
-from ogm.metrics import METRICS, Tally, by_range, distances, reasons, score, tally
+from ogm.metrics import METRICS, ConfusionSums, by_range, distances, reasons, score, accumulate
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
 SPEC = GridSpec.centered(length=70, width=70, resolution=10)
@@ -49,7 +49,7 @@ def truth_as_mass(state: NDArray[np.uint8], strength: float = math.inf) -> NDArr
 def test_flipping_both_grids_changes_nothing(seed: int, axis: tuple[int, ...], coarse: int) -> None:
     mass, state = lattice_grid(seed, coarse=coarse)
     away = distances(SPEC)
-    one, other = tally(mass, state, away), tally(np.flip(mass, axis), np.flip(state, axis), away)
+    one, other = accumulate(mass, state, away), accumulate(np.flip(mass, axis), np.flip(state, axis), away)
     assert score(other) == pytest.approx(score(one), nan_ok=True)
     for name, column in by_range(one).items():
         np.testing.assert_allclose(by_range(other)[name], column, err_msg=name)
@@ -61,7 +61,7 @@ def test_exchanging_free_and_occupied_exchanges_their_scores(seed: int) -> None:
     rng = np.random.default_rng(seed)
     mass = rng.dirichlet([0.5, 0.5, 0.5], (12, 12))[..., :2]
     state = rng.choice(4, size=(12, 12)).astype(np.uint8)
-    one, other = score(tally(mass, state)), score(tally(mass[..., ::-1], SWAP[state]))
+    one, other = score(accumulate(mass, state)), score(accumulate(mass[..., ::-1], SWAP[state]))
     both = SWAPPED | {b: a for a, b in SWAPPED.items()}
     for name in METRICS.keys() - ONE_SIDED:
         near = 1e-3 if name == "ace" else 1e-6  # levels of P are halved upwards
@@ -74,7 +74,7 @@ def test_what_the_truth_ignores_says_nothing(seed: int) -> None:
     mass, state = lattice_grid(seed)
     other = mass.copy()
     other[state == IGNORE] = np.random.default_rng(seed).dirichlet([1, 1, 1], (state == IGNORE).sum())[:, :2]
-    assert score(tally(other, state)) == pytest.approx(score(tally(mass, state)), nan_ok=True)
+    assert score(accumulate(other, state)) == pytest.approx(score(accumulate(mass, state)), nan_ok=True)
 
 
 def test_counts_add_up_to_those_of_the_cells_together() -> None:
@@ -83,23 +83,23 @@ def test_counts_add_up_to_those_of_the_cells_together() -> None:
         np.zeros((1, 7, 2), np.float32),
         np.full((1, 7), IGNORE, np.uint8),
     )  # else cells become neighbours
-    both = tally(np.concatenate([a, between[0], b]), np.concatenate([a_state, between[1], b_state]))
-    for name, one, other in zip(Tally._fields, tally(a, a_state).plus(tally(b, b_state)), both, strict=True):
+    both = accumulate(np.concatenate([a, between[0], b]), np.concatenate([a_state, between[1], b_state]))
+    for name, one, other in zip(ConfusionSums._fields, accumulate(a, a_state).plus(accumulate(b, b_state)), both, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7, err_msg=name)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_both_float_types_and_any_layout_are_taken(dtype: type) -> None:
     mass, state = lattice_grid(3)
-    wanted = score(tally(mass, state))
-    assert score(tally(mass.astype(dtype), state)) == wanted
-    assert score(tally(np.asfortranarray(mass.astype(dtype)), np.asfortranarray(state))) == wanted
+    wanted = score(accumulate(mass, state))
+    assert score(accumulate(mass.astype(dtype), state)) == wanted
+    assert score(accumulate(np.asfortranarray(mass.astype(dtype)), np.asfortranarray(state))) == wanted
     planes = np.ascontiguousarray(np.moveaxis(mass.astype(dtype), -1, 0))
-    assert score(tally(np.moveaxis(planes, 0, -1), state)) == wanted
+    assert score(accumulate(np.moveaxis(planes, 0, -1), state)) == wanted
 
 
 def test_a_tally_is_small_and_of_numbers() -> None:
-    counts = tally(*lattice_grid(4), distances(SPEC))
+    counts = accumulate(*lattice_grid(4), distances(SPEC))
     assert all(one.dtype == np.float64 and one.size < 13_000 for one in counts)
     assert sum(one.nbytes for one in counts) < 500_000
 
@@ -113,7 +113,7 @@ def test_a_perfect_map_is_perfect_under_every_metric(seed: int) -> None:
     """Dogmatic truth has the best value of every score but the divergences, which ask for the truth's evidence."""
     _, state = lattice_grid(seed, (12, 12))
     best = {"lower": 0.0, "higher": 1.0}
-    scores = score(tally(truth_as_mass(state), state))
+    scores = score(accumulate(truth_as_mass(state), state))
     for name, metric in METRICS.items():
         if metric.better and not name.startswith("kl_"):
             assert scores[name] == pytest.approx(best[metric.better], abs=1e-6), name
@@ -128,9 +128,9 @@ def test_a_divergence_is_zero_for_the_truth_of_its_own_evidence_only(
 ) -> None:
     """What is right and surer than the truth pays: for a divergence, perfect means as sure as the truth is."""
     _, state = lattice_grid(5)
-    exact = score(tally(truth_as_mass(state, strength), state))
-    surer = score(tally(truth_as_mass(state, 3 * strength), state))
-    dogmatic = score(tally(truth_as_mass(state), state))
+    exact = score(accumulate(truth_as_mass(state, strength), state))
+    surer = score(accumulate(truth_as_mass(state, 3 * strength), state))
+    dogmatic = score(accumulate(truth_as_mass(state), state))
     for name in names:
         assert exact[name] == pytest.approx(0, abs=1e-6)
         assert 0.01 < surer[name] < dogmatic[name]
@@ -140,9 +140,9 @@ def test_a_divergence_is_zero_for_the_truth_of_its_own_evidence_only(
 @given(seed=st.integers(0, 2**31), share=st.floats(0.1, 0.9))
 def test_no_map_is_better_than_the_perfect_one(seed: int, share: float) -> None:
     mass, state = lattice_grid(seed, (12, 12))
-    perfect = score(tally(truth_as_mass(state), state))
+    perfect = score(accumulate(truth_as_mass(state), state))
     spoilt = np.where(np.random.default_rng(seed).random((12, 12, 1)) < share, mass, truth_as_mass(state))
-    scores = score(tally(spoilt.astype(np.float32), state))
+    scores = score(accumulate(spoilt.astype(np.float32), state))
     for name, metric in METRICS.items():
         if metric.better and not name.startswith("kl_") and not math.isnan(scores[name]):
             gain = scores[name] - perfect[name]
@@ -152,7 +152,7 @@ def test_no_map_is_better_than_the_perfect_one(seed: int, share: float) -> None:
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31))
 def test_fractions_are_fractions_and_divergences_are_not_negative(seed: int) -> None:
-    for name, value in score(tally(*lattice_grid(seed))).items():
+    for name, value in score(accumulate(*lattice_grid(seed))).items():
         if not math.isnan(value):
             low, high = (
                 (0, 1) if name in FRACTIONS else (-math.inf, 1) if name == "map_score" else (0, math.inf)
@@ -165,7 +165,7 @@ def test_fractions_are_fractions_and_divergences_are_not_negative(seed: int) -> 
 
 def test_a_grid_that_says_nothing_gains_and_risks_nothing() -> None:
     _, state = lattice_grid(6)
-    scores = score(tally(np.zeros((7, 7, 2), np.float32), state))
+    scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
     share = (state == OCCUPIED).sum() / ((state == OCCUPIED) | (state == FREE)).sum()
     wanted = {
         "nll": math.log(2), "map_score": 0, "brier": 0.25, "brier_expected": 0.25 + 1 / 12, "entropy": 1,
@@ -179,7 +179,7 @@ def test_a_grid_that_says_nothing_gains_and_risks_nothing() -> None:
 
 def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
     _, state = lattice_grid(7)
-    scores = score(tally(truth_as_mass(SWAP[state]), state))
+    scores = score(accumulate(truth_as_mass(SWAP[state]), state))
     wanted = {
         "nll": -math.log(1e-5), "map_score": 1 + math.log2(1e-5), "brier": 1, "conflict": 1, "false_free": 1,
         "false_occupied": 1, "missed_occupied": 1, "aurc": 1, "ause": 0, "ece": 1, "interval_violation": 1,
@@ -222,11 +222,11 @@ def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
 )  # fmt: skip
 def test_what_is_missing_has_a_reason(states: tuple[int, ...], missing: dict[str, str]) -> None:
     state = np.resize(np.array(states, np.uint8), (7, 7))
-    assert reasons(tally(np.full((7, 7, 2), [0.7, 0.0]), state)) == missing
+    assert reasons(accumulate(np.full((7, 7, 2), [0.7, 0.0]), state)) == missing
 
 
 def test_unknown_cells_alone_leave_what_is_about_unknown() -> None:
-    found = reasons(tally(np.full((7, 7, 2), [0.7, 0.0]), np.full((7, 7), UNKNOWN, np.uint8)))
+    found = reasons(accumulate(np.full((7, 7, 2), [0.7, 0.0]), np.full((7, 7), UNKNOWN, np.uint8)))
     assert found["auroc_unknown"] == "the truth has no known cell"
     assert found["free_recall_1"] == "the truth has no free and no occupied cell"
     assert found["brier"] == found["ece_called"] == "the truth has no known cell"
@@ -236,7 +236,7 @@ def test_unknown_cells_alone_leave_what_is_about_unknown() -> None:
 
 def test_a_grid_that_calls_nothing_has_no_calibration_of_calls() -> None:
     _, state = lattice_grid(8)
-    found = reasons(tally(np.zeros((7, 7, 2)), state))
+    found = reasons(accumulate(np.zeros((7, 7, 2)), state))
     assert found == {
         "ece_called": "the grid calls every known cell unknown",
     }
@@ -248,12 +248,12 @@ def test_a_grid_that_calls_nothing_has_no_calibration_of_calls() -> None:
     mass=st.sampled_from([(0, 0), (1, 0), (0.2, 0.7)]),
 )
 def test_what_is_nan_has_a_reason_and_nothing_else_has(states: list[int], mass: tuple[float, float]) -> None:
-    counts = tally(np.full((1, len(states), 2), mass, np.float64), np.array([states], np.uint8))
+    counts = accumulate(np.full((1, len(states), 2), mass, np.float64), np.array([states], np.uint8))
     assert reasons(counts).keys() == {name for name, value in score(counts).items() if math.isnan(value)}
 
 
 def test_a_grid_without_cells_has_no_scores() -> None:
-    assert all(math.isnan(v) for v in score(tally(np.zeros((0, 7, 2)), np.zeros((0, 7), np.uint8))).values())
+    assert all(math.isnan(v) for v in score(accumulate(np.zeros((0, 7, 2)), np.zeros((0, 7), np.uint8))).values())
 
 
 # Bad input
@@ -281,21 +281,21 @@ def with_one(value: float) -> NDArray[np.float32]:
         (np.zeros((9, 2), np.float32), r"shape \(nx, ny, 2\)"),
     ],
 )
-def test_what_are_no_masses_is_refused(mass: NDArray, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        tally(mass, GOOD[1])
+def test_what_are_no_masses_is_refused(mass: NDArray, description: str) -> None:
+    with pytest.raises(ValueError, match=description):
+        accumulate(mass, GOOD[1])
 
 
 @pytest.mark.parametrize("dtype", [np.float16, np.int64, np.complex128, bool, object])
 def test_masses_are_floats(dtype: type) -> None:
     with pytest.raises(TypeError, match="mass must be float32 or float64, got"):
-        tally(GOOD[0].astype(dtype), GOOD[1])
+        accumulate(GOOD[0].astype(dtype), GOOD[1])
 
 
 def test_rounding_is_no_fault() -> None:
     mass = with_one(1 + 5e-7)
     mass[0, 0] = -5e-7
-    scores = score(tally(mass, GOOD[1]))
+    scores = score(accumulate(mass, GOOD[1]))
     assert scores["mean_free"] == pytest.approx(1 / 9)
 
 
@@ -308,6 +308,6 @@ def test_rounding_is_no_fault() -> None:
         (np.full((3, 3), np.nan), "at least 0, got nan"),
     ],
 )
-def test_what_are_no_distances_is_refused(distance: NDArray, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        tally(*GOOD, distance)
+def test_what_are_no_distances_is_refused(distance: NDArray, description: str) -> None:
+    with pytest.raises(ValueError, match=description):
+        accumulate(*GOOD, distance)

@@ -12,7 +12,7 @@ from ogm.metrics import (
     legacy_published,
     legacy_unmixed,
     score,
-    tally,
+    accumulate,
 )
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
@@ -89,8 +89,8 @@ def test_values_that_do_not_pair_are_refused(second: list) -> None:
 def test_the_released_divergence_is_blind_to_false_claims() -> None:
     """Both states claimed everywhere is perfect to it, and worthless to every other score."""
     _, state = lattice_grid(1, (12, 12))
-    loud = score(tally(evidence_to_mass(np.full((12, 12, 2), 100.0)), state))
-    honest = score(tally(evidence_to_mass(0.9 * label(state)), state))
+    loud = score(accumulate(evidence_to_mass(np.full((12, 12, 2), 100.0)), state))
+    honest = score(accumulate(evidence_to_mass(0.9 * label(state)), state))
     assert loud["legacy_kl"] == pytest.approx(0, abs=1e-5)
     assert loud["legacy_kl"] < honest["legacy_kl"]
     for name in ("kl_e10", "kl_e1", "brier", "nll", "aurc", "conflict"):
@@ -108,7 +108,7 @@ def test_false_claims_beside_right_ones_cost_nothing() -> None:
 
 def test_the_released_accuracy_is_the_share_of_cells_called_unknown() -> None:
     mass, state = lattice_grid(3, (12, 12))
-    assert legacy_accuracy(mass, state) == pytest.approx(score(tally(mass, state))["legacy_accuracy"])
+    assert legacy_accuracy(mass, state) == pytest.approx(score(accumulate(mass, state))["legacy_accuracy"])
     assert legacy_accuracy(np.zeros_like(mass), state) == 1.0
     assert legacy_accuracy(evidence_to_mass(100 * label(state)), state) == pytest.approx(
         (state == UNKNOWN).sum() / (state != IGNORE).sum()

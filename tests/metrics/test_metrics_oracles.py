@@ -13,14 +13,14 @@ from ogm import evidence
 from ogm.metrics import (
     auroc,
     average_precision,
-    called,
+    predict_state,
     density,
     kl_from_truth,
     kl_to_truth,
     precision_recall,
     reliability,
     score,
-    tally,
+    accumulate,
 )
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
@@ -47,7 +47,7 @@ def test_ranking_of_unknown_is_that_of_scikit_learn(grid: tuple[NDArray, NDArray
     mass, state, near = grid
     kept = state != IGNORE
     unknown, truth = parts(mass, state)[2][kept], state[kept] == UNKNOWN
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     false, found, _ = sk.roc_curve(truth, unknown, drop_intermediate=False)
     for name, wanted in {
         "auroc_unknown": sk.roc_auc_score(truth, unknown),
@@ -63,7 +63,7 @@ def test_ranking_of_unknown_is_that_of_scikit_learn(grid: tuple[NDArray, NDArray
 def test_probability_scores_are_those_of_scikit_learn(grid: tuple[NDArray, NDArray, float]) -> None:
     mass, state, near = grid
     p, y, _ = parts(mass, state)
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     assert scores["brier"] == pytest.approx(sk.brier_score_loss(y, p), rel=1e-6)
     assert scores["nll"] == pytest.approx(sk.log_loss(y, np.clip(p, 1e-5, 1 - 1e-5)), abs=2e-5)
     assert scores["ap_occupied"] == pytest.approx(sk.average_precision_score(y, p), abs=near)
@@ -75,7 +75,7 @@ def test_reliability_is_that_of_scikit_learn() -> None:
     inner = (p > 0) & (p < 1) & ~np.isin(p * 15, np.arange(16))  # on edges it takes the other bin
     mass[(state == FREE) | (state == OCCUPIED)] *= inner[:, None]
     p, y, _ = parts(mass, state)
-    claimed, happened, cells = reliability(tally(mass, state))
+    claimed, happened, cells = reliability(accumulate(mass, state))
     shares, means = calibration_curve(y, p, n_bins=15)
     np.testing.assert_allclose(happened, shares)
     np.testing.assert_allclose(claimed, means, rtol=1e-6)
@@ -86,7 +86,7 @@ def test_precision_and_recall_are_those_of_scikit_learn() -> None:
     mass, state = lattice_grid(7, SHAPE, coarse=128)
     p, y, _ = parts(mass, state)
     precision, recall, thresholds = sk.precision_recall_curve(y, p)
-    curve = precision_recall(tally(mass, state), 0)
+    curve = precision_recall(accumulate(mass, state), 0)
     for one, two, threshold in zip(*curve, strict=True):
         k = np.searchsorted(thresholds, threshold)
         assert (one, two) == pytest.approx((precision[k], recall[k]))
@@ -95,7 +95,7 @@ def test_precision_and_recall_are_those_of_scikit_learn() -> None:
 def test_confusion_and_overlap_are_those_of_scikit_learn(grid: tuple[NDArray, NDArray, float]) -> None:
     mass, state, _ = grid
     kept = state != IGNORE
-    counts, truth, call = tally(mass, state), state[kept], called(mass)[kept]
+    counts, truth, call = accumulate(mass, state), state[kept], predict_state(mass)[kept]
     assert counts.calls.tolist() == sk.confusion_matrix(truth, call, labels=[0, 1, 2]).tolist()
     scores = score(counts)
     overlaps = sk.jaccard_score(truth, call, labels=[UNKNOWN, FREE, OCCUPIED], average=None)
@@ -106,7 +106,7 @@ def test_confusion_and_overlap_are_those_of_scikit_learn(grid: tuple[NDArray, ND
 def test_scores_of_evidence_are_those_of_the_evidence_algebra(grid: tuple[NDArray, NDArray, float]) -> None:
     mass, state, _ = grid
     mass = mass.astype(np.float64)
-    kept, scores = state != IGNORE, score(tally(mass, state))
+    kept, scores = state != IGNORE, score(accumulate(mass, state))
     assert scores["entropy"] == pytest.approx(evidence.pignistic_entropy(mass[kept]).mean())
     p = evidence.mass_to_probability(mass[kept])
     assert scores["entropy"] == pytest.approx(stats.entropy(np.stack([p, 1 - p]), base=2).mean())
@@ -130,7 +130,7 @@ def test_expected_brier_is_the_mean_over_beta_densities() -> None:
     )
     beta = torch.distributions.Beta(1 + e[:, 1], 1 + e[:, 0])
     wanted = ((beta.mean - y.double()) ** 2 + beta.variance).mean()
-    found = score(tally(mass, state))["brier_expected"]
+    found = score(accumulate(mass, state))["brier_expected"]
     assert found == pytest.approx(wanted.item())
     torch.manual_seed(0)
     drawn = ((beta.sample((2000,)) - y.double()) ** 2).mean()
@@ -152,7 +152,7 @@ def test_divergences_are_those_of_torch(strength: float) -> None:
         (kl_from_truth(cells, state, strength), torch.distributions.kl_divergence(true, grid)),
     ):
         np.testing.assert_allclose(found[kept], wanted.numpy(), rtol=1e-6, atol=1e-6)
-    scores = score(tally(mass, state))
+    scores = score(accumulate(mass, state))
     wanted = torch.distributions.kl_divergence(grid, true).mean().item()
     assert scores[f"kl_e{strength:g}"] == pytest.approx(wanted, rel=1e-6)
 
@@ -190,6 +190,6 @@ def test_obstacles_are_the_components_that_scipy_labels() -> None:
     p = np.where(state == IGNORE, 0, 0.5 * (1 + mass[..., 1] - mass[..., 0]))
     labels, count = ndimage.label(state == OCCUPIED, np.ones((3, 3)))
     best = ndimage.maximum(ndimage.maximum_filter(p, 3, mode="constant"), labels, np.arange(1, count + 1))
-    counts = tally(mass, state)
+    counts = accumulate(mass, state)
     assert counts.obstacles.tolist() == [count, np.count_nonzero(best <= 0.5)]
     assert 0 < counts.obstacles[1] < count

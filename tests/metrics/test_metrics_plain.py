@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain import lattice_grid, plain_scores
 
-from ogm.metrics import METRICS, counting, kernels, score, tally
+from ogm.metrics import METRICS, counting, kernels, score, accumulate
 from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
 COUNTED_ELSEWHERE = {
@@ -15,7 +15,7 @@ COUNTED_ELSEWHERE = {
 
 
 def check(mass: np.ndarray, state: np.ndarray) -> None:
-    found, wanted = score(tally(mass, state)), plain_scores(mass, state)
+    found, wanted = score(accumulate(mass, state)), plain_scores(mass, state)
     assert set(wanted) == set(METRICS) - COUNTED_ELSEWHERE
     for name, value in wanted.items():
         near = 1e-4 if name in ("aurc", "ause") else 1e-7
@@ -47,7 +47,7 @@ def test_scores_are_what_their_definitions_say_where_all_cells_are_alike(
 def test_scores_are_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     mass, state = lattice_grid(3, coarse=64)
     away = np.random.default_rng(0).uniform(0, 60, state.shape).astype(np.float32)
-    compiled = tally(mass, state, away)
+    compiled = accumulate(mass, state, away)
     for name in ("look_up", "_density", "_evidence", "_alphas"):
         monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
     monkeypatch.setattr(counting, "_level", counting._level.py_func)
@@ -58,5 +58,5 @@ def test_scores_are_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatc
         (counting, "look_around"),
     ):
         monkeypatch.setattr(f"ogm.metrics.counts.{name}", getattr(room, name).py_func)
-    for one, other in zip(compiled, tally(mass, state, away), strict=True):
+    for one, other in zip(compiled, accumulate(mass, state, away), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 from ogm.cli.source import source_of
 from ogm.grid import GridSpec
 from ogm.recordings import SOURCES, is_recording, open_recording
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, Truth
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, Truth
 
 BOXED = ("kitti object", "kitti tracking", "kitti raw", "nuscenes", "mmdet3d", "argoverse 2", "sustech")
 SAYS = {  # what each is made of
@@ -35,8 +35,8 @@ def test_every_layout_is_known(written, name):
     recording = open_recording(written(name))
     assert recording.sources == SAYS[name]
     assert len(recording) == 4
-    assert all(frame.truth.spec == CANVAS for frame in recording[:1])
-    assert recording.format in recording.truth_says
+    assert all(frame.truth.spec == TRUTH_SPEC for frame in recording[:1])
+    assert recording.format in recording.truth_description
     assert all(source in SOURCES for source in recording.sources)
 
 
@@ -100,7 +100,7 @@ def test_all_tell_the_same_truth(written, name):
 def test_boxes_are_filled_to_their_edges(written, street, name):
     _, boxes, _ = street
     truth = open_recording(written(name), truth=("boxes",))[1].truth
-    area = np.count_nonzero(truth.state == OCCUPIED) * CANVAS.resolution**2
+    area = np.count_nonzero(truth.state == OCCUPIED) * TRUTH_SPEC.resolution**2
     assert area == pytest.approx((boxes(1)[:, 3] * boxes(1)[:, 4]).sum(), rel=0.03)
     assert truth.shares().free == 0
 
@@ -110,7 +110,7 @@ def test_moving_cars_leave_no_trail(written):
     for name in ("kitti raw", "semantic kitti", "mmdet3d"):
         truth = open_recording(written(name), truth=("aggregated",))[0].truth
         x = np.arange(6.4, 10.0, 0.16)  # where it drives from scan 1 to scan 3
-        states = truth.state[CANVAS.index(x, np.full(len(x), 4.0))]
+        states = truth.state[TRUTH_SPEC.index(x, np.full(len(x), 4.0))]
         assert not (states == OCCUPIED).any()
 
 
@@ -118,8 +118,8 @@ def test_later_scans_alone(written):
     recording = open_recording(written("scans and poses"), others="later")
     assert recording[0].truth.shares().free > 0.03
     assert recording[3].truth.shares().ignore == 1
-    assert "later scans" in recording.truth_says
-    assert "later" not in open_recording(written("scans and poses")).truth_says
+    assert "later scans" in recording.truth_description
+    assert "later" not in open_recording(written("scans and poses")).truth_description
     with pytest.raises(ValueError, match="others must be one of all, later, got 'earlier'"):
         open_recording(written("scans and poses"), others="earlier")
 
@@ -160,7 +160,7 @@ def test_opening_reads_no_scan(written, fresh, monkeypatch):
 
 
 def test_a_truth_says_what_the_judged_scan_has_to_do_with_it(written):
-    says = {name: open_recording(written(name)).truth_says for name in SAYS}
+    says = {name: open_recording(written(name)).truth_description for name in SAYS}
     for name, sources in SAYS.items():
         assert ("this one does not contradict" in says[name]) == ("aggregated" in sources)
         assert ("returns or more in this scan" in says[name]) == ("boxes" in sources)

@@ -16,7 +16,7 @@ from ogm.io import (
     read_range_image,
 )
 from ogm.recordings import open_recording
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, cells_in_box, cells_in_boxes, widen_boxes
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, cells_in_box, cells_in_boxes, widen_boxes
 
 opened = lru_cache(None)(open_recording)  # what several tests look at is read once
 
@@ -42,7 +42,7 @@ def test_a_recording_opens_by_its_path_and_its_truth_is_plausible(real, name):
     assert free[0] <= shares.free <= free[1]
     assert occupied[0] <= shares.occupied <= occupied[1]
     assert shares.unknown == 0
-    assert frame.truth.state[CANVAS.index(0.0, 0.0)] == IGNORE
+    assert frame.truth.state[TRUTH_SPEC.index(0.0, 0.0)] == IGNORE
 
 
 def test_the_drive_0005_says_what_its_labels_say(real):
@@ -60,8 +60,8 @@ def test_the_drive_0005_says_what_its_labels_say(real):
     assert set(recording._moving(frame.sequence)) == {"0", "1"}  # the van and the cyclist ahead
     state = frame.truth.state
     for box in objects.boxes[[name in ("0", "1") for name in objects.tracks]]:
-        assert (state[cells_in_box(box, CANVAS)] == OCCUPIED).all()
-    ahead = state[CANVAS.index(np.arange(6.0, 9.0, 0.16), np.zeros(19))]
+        assert (state[cells_in_box(box, TRUTH_SPEC)] == OCCUPIED).all()
+    ahead = state[TRUTH_SPEC.index(np.arange(6.0, 9.0, 0.16), np.zeros(19))]
     assert np.mean(ahead == FREE) > 0.8
     first, last = recording[0].T_map_sensor, recording[23].T_map_sensor
     assert np.linalg.norm((np.linalg.inv(first) @ last)[:3, 3]) == pytest.approx(9, abs=1)
@@ -78,8 +78,8 @@ def test_moving_objects_leave_no_trail_in_sustechpoints(real):
     T = np.linalg.inv(frame.T_map_sensor) @ other.T_map_sensor
     there = other.objects.chosen([name in moving for name in other.objects.tracks])
     inner = move_boxes(there.boxes, T) - [0, 0, 0, 0.3, 0.3, 0, 0]
-    left = cells_in_boxes(inner, CANVAS)
-    left &= ~cells_in_boxes(widen_boxes(frame.objects.boxes, 0.3), CANVAS)
+    left = cells_in_boxes(inner, TRUTH_SPEC)
+    left &= ~cells_in_boxes(widen_boxes(frame.objects.boxes, 0.3), TRUTH_SPEC)
     assert left.sum() > 100
     assert np.mean(frame.truth.state[left] == OCCUPIED) < 0.02
 
@@ -87,13 +87,13 @@ def test_moving_objects_leave_no_trail_in_sustechpoints(real):
 def test_argoverse_is_seen_from_its_upper_lidar(real):
     recording = opened(real("argoverse2_adcf"))
     frame = recording[0]
-    assert "upper lidar" in recording.truth_says
+    assert "upper lidar" in recording.truth_description
     every = read_points(next(real("argoverse2_adcf").glob("sensors/lidar/*.feather")))
     assert 0.4 * len(every) < len(frame.points) < 0.6 * len(every)
     angle = np.degrees(np.arctan2(frame.points[:, 2], np.hypot(*frame.points[:, :2].T)))
     assert len(np.unique(np.round(angle, 1))) < 120  # 32 beams, seen from where they start
     assert len(frame.objects) == 47
-    road = frame.truth.state[CANVAS.index(np.arange(-20.0, -4.0, 0.5), np.full(32, 2.0))]
+    road = frame.truth.state[TRUTH_SPEC.index(np.arange(-20.0, -4.0, 0.5), np.full(32, 2.0))]
     assert (road == FREE).mean() > 0.9
 
 
@@ -142,7 +142,7 @@ def test_a_truth_is_that_of_the_scans_own_surroundings(real):
 
     def found(dy: float, yaw: float) -> float:
         c, s = np.cos(yaw), np.sin(yaw)
-        at = CANVAS.index(c * x - s * y, s * x + c * y + dy)
+        at = TRUTH_SPEC.index(c * x - s * y, s * x + c * y + dy)
         state = frame.truth.state[at]
         return float((state == OCCUPIED).sum() / ((state == OCCUPIED) | (state == FREE)).sum())
 
@@ -171,6 +171,6 @@ def test_boxes_of_nuscenes_are_those_of_the_file(real):
     assert len(frame.objects) == len(instances) == 69
     counts = np.array([one["num_lidar_pts"] for one in instances])
     sure = frame.objects.chosen(counts >= 70).boxes  # some of those returns are from the ground
-    covered = cells_in_boxes(sure, CANVAS)
+    covered = cells_in_boxes(sure, TRUTH_SPEC)
     assert covered.sum() > 100
     assert (frame.truth.state[covered] == OCCUPIED).all()

@@ -11,7 +11,7 @@ from ogm.pose import pose
 from ogm.recordings import truth_from_others
 from ogm.recordings.around import choose_others, stood_here
 from ogm.recordings.layout import drive, kinds_of, pose_files, poses_of, scans_in, stem
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, Kind
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, Kind
 
 SMALL = GridSpec.centered(8.0, 8.0, 0.5)
 NONE = np.empty((0, 7))
@@ -45,12 +45,12 @@ def test_of_many_scans_some_are_chosen_from_the_first_to_the_last() -> None:
 
 def test_where_the_own_vehicle_stood() -> None:
     stood = stood_here(np.array([pose(), pose(x=10, yaw=np.pi / 2), pose(x=500)]))
-    area = np.count_nonzero(stood) * CANVAS.resolution**2
+    area = np.count_nonzero(stood) * TRUTH_SPEC.resolution**2
     assert area == pytest.approx(2 * 5.0 * 2.2, rel=0.05)
     for x, y in ((2.3, 1.0), (-2.3, -1.0), (9.2, 2.3), (10.8, -2.3)):
-        assert stood[CANVAS.index(x, y)]
+        assert stood[TRUTH_SPEC.index(x, y)]
     for x, y in ((2.9, 0.0), (0.0, 1.4), (12.0, 0.0)):
-        assert not stood[CANVAS.index(x, y)]
+        assert not stood[TRUTH_SPEC.index(x, y)]
 
 
 def street(*standing: tuple[float, float]) -> np.ndarray:

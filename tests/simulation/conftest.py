@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ogm.simulation.sample import OBJECT, Beams, Sample, Weather
-from ogm.truth import CANVAS, Truth
+from ogm.truth import TRUTH_SPEC, Truth
 
 SMALL = Beams(
     "small",
@@ -28,7 +28,7 @@ def stand_in(plan: object, split: str, index: int) -> Sample:
     objects = np.zeros(index % 4, OBJECT)
     for name in OBJECT.names or ():
         objects[name] = rng.integers(1, 8, len(objects))
-    state = np.zeros(CANVAS.shape, np.uint8)
+    state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[100:200, 50:90], state[300, 300:400], state[10:20] = 1, 2, 3
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = rng.normal(size=(2, 3))
@@ -36,7 +36,7 @@ def stand_in(plan: object, split: str, index: int) -> Sample:
         beams=beams,
         steps=steps.astype(np.uint16),
         intensities=rng.integers(0, 256, beams.shape).astype(np.uint8) * (steps > 0),
-        truth=Truth(CANVAS, np.roll(state, index, axis=0)),
+        truth=Truth(TRUTH_SPEC, np.roll(state, index, axis=0)),
         objects=objects,
         T_world_sensor=poses[0],
         T_vehicle_sensor=poses[1],

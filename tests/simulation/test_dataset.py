@@ -12,7 +12,7 @@ from ogm.simulation.lidar import points as lidar_points
 from ogm.simulation.plan import Mount, Plan, only
 from ogm.simulation.sample import LABELS, RANGE_STEP, Sample
 from ogm.simulation.sensors import LIDARS
-from ogm.truth import CANVAS, FREE, IGNORE, OCCUPIED, count_returns
+from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, count_returns
 
 PLAN = Plan(town_size=240.0, mounts=only("vlp-32c"))
 
@@ -48,9 +48,9 @@ def test_the_truth_agrees_with_the_points(pair: tuple[Sample, Sample]) -> None:
         assert np.count_nonzero(standing) > 100
         assert np.count_nonzero(lying) > 100
         states = sample.truth.state
-        hit = states[CANVAS.index(x[standing], y[standing])]
+        hit = states[TRUTH_SPEC.index(x[standing], y[standing])]
         assert np.mean(hit == OCCUPIED) > 0.8
-        ground = states[CANVAS.index(x[lying], y[lying])]
+        ground = states[TRUTH_SPEC.index(x[lying], y[lying])]
         assert np.mean(ground == FREE) > 0.8
 
 

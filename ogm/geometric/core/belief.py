@@ -15,12 +15,12 @@ def clear_sectors(
     starts,
     missing,
     missing_starts,
-    missing_weight,
+    no_return_weight,
     level,
     clearance,
     radial_step,
     cell_sectors,
-    p_pass,
+    p_miss,
     free,
 ):
     """Belief in free for every polar bin, from the rays that passed it.
@@ -44,7 +44,7 @@ def clear_sectors(
     missing, missing_starts, missing_weight
         The same from `sort_rays`, for beams that came back empty, and what one counts against a ray that came back.
     level : (rows, bins) float32
-        From `level_say`.
+        From `level_ray_weight`.
     clearance, radial_step : float
         [m]; see `RayISM`.
     cell_sectors : float
@@ -57,7 +57,7 @@ def clear_sectors(
     sectors, bins = free.shape
     per_row = sectors // level.shape[0]
     scale, zero, one = np.float32(radial_step / clearance), np.float32(0.0), np.float32(1.0)
-    weight = np.float32(missing_weight)
+    weight = np.float32(no_return_weight)
     # Rays that end in a bin, later rays that pass the bin before: how many, the sum of slopes, the least slope.
     count, rise, lowest = (
         np.zeros(bins + 1, np.float32),
@@ -67,7 +67,7 @@ def clear_sectors(
     reach, share = np.empty(bins, np.float32), np.empty(bins, np.float32)
     for k in range(bins):
         reach[k] = (k + 0.5) * scale
-        share[k] = -math.log(p_pass) * cell_sectors / (2 * k + 1) / 64
+        share[k] = -math.log(p_miss) * cell_sectors / (2 * k + 1) / 64
     for s in range(sectors):
         count[:], rise[:], lowest[:] = zero, zero, np.inf
         furthest = _file(rays, starts[s], starts[s + 1], one, count, rise, lowest)

@@ -7,7 +7,7 @@ import numpy as np
 from ogm.geometric.core.jit import inline, kernel, vector
 from ogm.geometric.core.surface import sample
 
-__all__ = ["ROW_BITS", "azimuth", "level_say", "polar_coordinates", "polar_lookup"]
+__all__ = ["ROW_BITS", "azimuth", "level_ray_weight", "polar_coordinates", "polar_lookup"]
 
 TAU = np.float32(2 * math.pi)
 ROW_BITS = 3  # the ground is sampled once for 2**3 neighbouring sectors
@@ -91,7 +91,7 @@ def polar_coordinates(x, y, z, sx, sy, sz, to_sector, last_sector, sector, slope
 
 
 @kernel
-def level_say(height, x0, y0, resolution, origin, clearance, radial_step, say):
+def level_ray_weight(height, x0, y0, resolution, origin, clearance, radial_step, say):
     """Sample the ground along sectors, as the say that a level ray from the sensor has there.
 
     Parameters

@@ -54,7 +54,7 @@ def mark_and_aim(
     height : (gx, gy) float32; ground_x0, ground_y0, ground_resolution : float
         Ground heights and where they lie [m].
     level : (rows, bins) float32
-        From `level_say`.
+        From `level_ray_weight`.
     obstacle_height, clearance, below_ground, range_noise, radial_step : float
         [m]; see `RayISM`.
     sectors : int
@@ -113,7 +113,7 @@ def mark_and_aim(
         tilt, start, stop, row = slope[n] * scale, 0, int(min(reach, most)), s >> ROW_BITS
         first, last = tilt * half, tilt * (np.float32(stop) - half)
         if stop > 0 and not (level[row, 0] > first and level[row, (stop - 1) & 0x7FFF] > last):
-            start, stop = _say_span(level, row, tilt, stop, highest[s])
+            start, stop = _clip_below_clearance(level, row, tilt, stop, highest[s])
         rays[to, 0], rays[to, 1], rays[to, 2] = slope[n], start, stop
     return starts[: sectors + 1]
 
@@ -127,7 +127,7 @@ def aim_missing(directions, level, clearance, radial_step, max_range, sectors, s
     directions : (M, 3) float32
         Unit vectors, in the frame of the grid; those that are not finite clear nothing.
     level : (rows, bins) float32
-        From `level_say`.
+        From `level_ray_weight`.
     clearance, radial_step, max_range : float
         [m]; see `RayISM`.
     sectors : int
@@ -152,7 +152,7 @@ def aim_missing(directions, level, clearance, radial_step, max_range, sectors, s
             if level[s >> ROW_BITS, k] - tilt * (np.float32(k) + np.float32(0.5)) > 1:
                 stop = k
                 break
-        start, stop = _say_span(level, s >> ROW_BITS, tilt, stop, highest[s])
+        start, stop = _clip_below_clearance(level, s >> ROW_BITS, tilt, stop, highest[s])
         sector[n], rays[n, 0], rays[n, 1], rays[n, 2] = s, dz / across, start, stop
 
 
@@ -193,7 +193,7 @@ def _starts(sector, sectors):
 
 
 @kernel
-def _say_span(level, s, tilt, stop, highest):
+def _clip_below_clearance(level, s, tilt, stop, highest):
     """Cut a ray to the bins in which it is below clearance: first, and first not (up to `stop`)."""
     start = 0
     if tilt > 0 and tilt * stop > highest:

@@ -35,7 +35,9 @@ def sample_many(height, x0, y0, resolution, x, y, result):
 
 
 @kernel
-def local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, low_tolerance, band, height):
+def local_ground(
+    px, py, pz, ground_point, x0, y0, resolution, max_slope, max_descent, low_tolerance, band, height
+):
     """Estimate the ground: see `ogm.geometric.local_ground`, whose four steps these are.
 
     Parameters
@@ -56,12 +58,12 @@ def local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, l
     nx, ny = height.shape
     rise = np.float32(max_slope * resolution)
     x0, y0, inverse = np.float32(x0), np.float32(y0), np.float32(1.0 / resolution)
-    foot_x, foot_y = np.float32(foot[0]), np.float32(foot[1])
+    foot_x, foot_y = np.float32(ground_point[0]), np.float32(ground_point[1])
 
     # 1. lowest return of each cell, but for what no road could lead down to
     flat = np.full(nx * ny, np.inf, np.float32)
     cell = np.empty(px.shape[0], np.int32)
-    bottom, steepest = np.float32(foot[2] - low_tolerance), np.float32(max_descent * max_descent)
+    bottom, steepest = np.float32(ground_point[2] - low_tolerance), np.float32(max_descent * max_descent)
     for n in range(px.shape[0]):
         x, y, z = px[n], py[n], pz[n]
         u, v = (x - x0) * inverse, (y - y0) * inverse
@@ -79,11 +81,16 @@ def local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, l
     i0 = min(max(int((foot_x - x0) * inverse), 0), nx - 1)
     j0 = min(max(int((foot_y - y0) * inverse), 0), ny - 1)
     _drop_strays(
-        lowest, i0, j0, np.float32(foot[2]), np.float32(max_descent * resolution), np.float32(low_tolerance)
+        lowest,
+        i0,
+        j0,
+        np.float32(ground_point[2]),
+        np.float32(max_descent * resolution),
+        np.float32(low_tolerance),
     )
 
     # 2. lower envelope under the slope limit, from these and from the foot: only cells that touch it are ground
-    lowest[i0, j0] = min(lowest[i0, j0], np.float32(foot[2]))
+    lowest[i0, j0] = min(lowest[i0, j0], np.float32(ground_point[2]))
     envelope = lowest.copy()
     lower_envelope(envelope, rise)
     for i in range(nx):
@@ -112,10 +119,10 @@ def local_ground(px, py, pz, foot, x0, y0, resolution, max_slope, max_descent, l
                 height[i, j] = lowest[i, j] + total[c, k] / count[c, k]
                 weight[i, j] = min(count[c, k], np.float32(8.0))
             elif i == i0 and j == j0 and math.isfinite(lowest[i, j]):
-                height[i, j], weight[i, j] = foot[2], np.float32(1.0)
+                height[i, j], weight[i, j] = ground_point[2], np.float32(1.0)
 
     # 4. a smooth surface through them
-    fill(height, weight, np.float32(foot[2]))
+    fill(height, weight, np.float32(ground_point[2]))
 
 
 @kernel

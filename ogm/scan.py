@@ -1,0 +1,427 @@
+"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and what every sensor model is."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import check_pose
+from ogm.state import Truth
+
+__all__ = ["Boxes", "Frame", "InverseSensorModel", "Mount", "PerMount", "Scan", "as_scan", "run_model"]
+
+T_co = TypeVar("T_co")
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One sweep of a lidar or a radar.
+
+    Parameters
+    ----------
+    points : (N, 4) float32
+        x, y, z [m], intensity [0, 1] (0 where the sensor has none). An (N, 3) array gets intensities of 0,
+        float64 becomes float32.
+    stamp : float, optional
+        Time of the sweep [s], on the clock of the recording.
+    time : (N,) float64, optional
+        When each point was measured [s], counted from `stamp`.
+    ring : (N,) uint16, optional
+        The laser that measured each point.
+    no_returns : (M, 3) float32, optional
+        Unit directions, in the frame of `points`, of beams without echo: from the sky, but also from what is
+        black or wet. None where that is unknown.
+    doppler : (N,) float32, optional
+        Radial velocity, positive away from the sensor [m/s].
+    rcs : (N,) float32, optional
+        Radar cross section [dBsm].
+    sensor : str
+        Name of the sensor.
+
+    Raises
+    ------
+    TypeError
+        If `points` is no float array.
+    ValueError
+        If `points` is not (N, 4) or (N, 3), or a column has not one number per point.
+    """
+
+    points: NDArray[np.float32]
+    stamp: float | None = None
+    time: NDArray[np.float64] | None = None
+    ring: NDArray[np.uint16] | None = None
+    no_returns: NDArray[np.float32] | None = None
+    doppler: NDArray[np.float32] | None = None
+    rcs: NDArray[np.float32] | None = None
+    sensor: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", _checked_points(self.points))
+        for name in ("time", "ring", "doppler", "rcs"):
+            column = getattr(self, name)
+            if column is not None and np.shape(column) != (len(self.points),):
+                raise ValueError(
+                    f"{name} must be ({len(self.points)},) like points, got shape {np.shape(column)}"
+                )
+        if self.no_returns is not None:
+            directions = np.asarray(self.no_returns)
+            if directions.ndim != 2 or directions.shape[1] != 3:
+                raise ValueError(f"no_returns must be directions of shape (M, 3), got {directions.shape}")
+            object.__setattr__(self, "no_returns", directions.astype(np.float32, copy=False))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __repr__(self) -> str:
+        extras = [
+            name
+            for name in ("time", "ring", "no_returns", "doppler", "rcs")
+            if getattr(self, name) is not None
+        ]
+        stamp = "" if self.stamp is None else f", stamp {self.stamp:.6g} s"
+        return f"Scan({len(self)} points{stamp}{''.join(f', {name}' for name in extras)})"
+
+    def select(self, keep: NDArray[Any] | slice) -> "Scan":
+        """Return the scan with some of its points; beams without echo stay.
+
+        Parameters
+        ----------
+        keep : (N,) bool, (K,) int or slice
+        """
+        columns: Any = {
+            name: None if getattr(self, name) is None else getattr(self, name)[keep]
+            for name in ("time", "ring", "doppler", "rcs")
+        }
+        return replace(self, points=self.points[keep], **columns)
+
+
+def as_scan(scan: "Scan | ArrayLike") -> Scan:
+    """Return a scan; an (N, 4) or (N, 3) float array is one without extras.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it is neither; the message has the fix.
+    """
+    return scan if isinstance(scan, Scan) else Scan(scan)  # type: ignore[arg-type]
+
+
+def _checked_points(points: Any) -> NDArray[np.float32]:
+    """Return points as (N, 4) float32, or refuse them with the fix."""
+    if not isinstance(points, np.ndarray):
+        if hasattr(points, "detach"):
+            raise TypeError("points is a torch tensor; give points.detach().cpu().numpy()")
+        if isinstance(points, Scan):
+            raise TypeError("points is a Scan already; give scan.points")
+        raise TypeError(
+            f"points must be a float array of shape (N, 4) [x, y, z, intensity], got {type(points).__name__}; "
+            "give np.asarray(points, np.float32)"
+        )
+    if points.dtype.kind != "f":
+        raise TypeError(
+            f"points must be a float array of shape (N, 4) [x, y, z, intensity], got dtype {points.dtype}; "
+            "give points.astype(np.float32), in metres"
+        )
+    if points.ndim != 2 or points.shape[1] not in (3, 4):
+        columns = "columns x, y, z, intensity"
+        if points.ndim == 2 and points.shape[0] in (3, 4):
+            raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}; give points.T")
+        if points.ndim == 2 and points.shape[1] > 4:
+            raise ValueError(
+                f"points must have shape (N, 4), {columns}, got {points.shape}; give points[:, :4]"
+            )
+        raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}")
+    if points.shape[1] == 3:
+        points = np.concatenate([points, np.zeros((len(points), 1), points.dtype)], axis=1)
+    return points.astype(np.float32, copy=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """Where a sensor is mounted, and which part of the vehicle frame the ego vehicle covers.
+
+    Parameters
+    ----------
+    sensor_height : float
+        Of the sensor above the ground under it [m].
+    T_vehicle_sensor : (4, 4) array, optional
+        Pose of the sensor in the vehicle frame, which is the frame of measurement grids; identity by default:
+        the grid is centred on the sensor. It levels a pitched or rolled sensor.
+    ego_footprint : (x_min, x_max, y_min, y_max), optional
+        The ego vehicle in the vehicle frame [m]: returns in it are dropped, its cells stay unknown. By default
+        5.0 m x 2.2 m around the sensor; ``(0, 0, 0, 0)`` for none.
+    points_in : {"sensor", "vehicle"}
+        Frame of the points. Rays start at the sensor in either case.
+
+    Raises
+    ------
+    ValueError
+        If the height is not in (0, 100) m, the pose is not rigid, or the footprint is no rectangle.
+    """
+
+    sensor_height: float
+    T_vehicle_sensor: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    ego_footprint: tuple[float, float, float, float] = None  # type: ignore[assignment]
+    points_in: str = "sensor"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.sensor_height < 100:
+            raise ValueError(f"sensor_height must be above ground and below 100 m, got {self.sensor_height}")
+        if self.points_in not in ("sensor", "vehicle"):
+            raise ValueError(f'points_in must be "sensor" or "vehicle", got {self.points_in!r}')
+        T = check_pose(self.T_vehicle_sensor, "T_vehicle_sensor")
+        x, y = float(T[0, 3]), float(T[1, 3])
+        box = (
+            (x - 2.5, x + 2.5, y - 1.1, y + 1.1)
+            if self.ego_footprint is None
+            else tuple(float(edge) for edge in self.ego_footprint)
+        )
+        if len(box) != 4 or not np.isfinite(box).all() or box[0] > box[1] or box[2] > box[3]:
+            raise ValueError(
+                f"ego_footprint must be finite x_min <= x_max, y_min <= y_max [m], got {self.ego_footprint}"
+            )
+        object.__setattr__(self, "sensor_height", float(self.sensor_height))
+        object.__setattr__(self, "T_vehicle_sensor", T)
+        object.__setattr__(self, "ego_footprint", box)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Mount):
+            return NotImplemented
+        return self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[Any, ...]:
+        T = self.T_vehicle_sensor.tobytes()
+        return self.sensor_height, T, self.ego_footprint, self.points_in
+
+    @property
+    def origin(self) -> NDArray[np.float64]:
+        """Position of the sensor in the vehicle frame, (3,) [m]."""
+        return self.T_vehicle_sensor[:3, 3]
+
+    @property
+    def ground_point(self) -> tuple[float, float, float]:
+        """The ground under the sensor, x, y, z in the vehicle frame [m]."""
+        x, y, z = (float(value) for value in self.origin)
+        return x, y, z - self.sensor_height
+
+    @property
+    def T_vehicle_points(self) -> NDArray[np.float64]:
+        """(4, 4): takes points, as they come, to the vehicle frame."""
+        return self.T_vehicle_sensor if self.points_in == "sensor" else np.eye(4)
+
+    @property
+    def T_sensor_level(self) -> NDArray[np.float64]:
+        """(4, 4): takes the levelled frame around the sensor, parallel to the vehicle's, to the sensor frame."""
+        T = np.eye(4)
+        T[:3, :3] = self.T_vehicle_sensor[:3, :3].T
+        return T
+
+
+@dataclass(frozen=True, eq=False)
+class Boxes:
+    """Upright boxes around objects, as columns.
+
+    Parameters
+    ----------
+    center : (B, 3) float64
+        Middles x, y, z [m].
+    size : (B, 3) float64
+        Length, width, height [m], above 0.
+    yaw : (B,) float64
+        Direction of the length, about z [rad].
+    velocity : (B, 2) float64, optional
+        Over ground, along x and y [m/s]; NaN where unknown.
+    label : sequence of B str, optional
+        Class of each object, in the words of its data set.
+    track : sequence of B str, optional
+        The same name in two frames of a sequence is the same object; "" where unknown.
+
+    Raises
+    ------
+    ValueError
+        If the counts differ, a number is not finite, or a size is not above 0.
+    """
+
+    center: NDArray[np.float64]
+    size: NDArray[np.float64]
+    yaw: NDArray[np.float64]
+    velocity: NDArray[np.float64] | None = None
+    label: Sequence[str] = ()
+    track: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        center, size = (np.asarray(a, np.float64).reshape(-1, 3) for a in (self.center, self.size))
+        yaw = np.asarray(self.yaw, np.float64).reshape(-1)
+        count = len(center)
+        label, track = tuple(self.label) or ("",) * count, tuple(self.track) or ("",) * count
+        velocity = None if self.velocity is None else np.asarray(self.velocity, np.float64).reshape(-1, 2)
+        counts = {"size": len(size), "yaw": len(yaw), "label": len(label), "track": len(track)}
+        counts["velocity"] = count if velocity is None else len(velocity)
+        for name, number in counts.items():
+            if number != count:
+                raise ValueError(
+                    f"there must be one {name} per box, got {count} boxes and {number} of {name}"
+                )
+        values = np.column_stack([center, size, yaw])
+        good = np.isfinite(values).all(axis=1) & (size > 0).all(axis=1)
+        if not good.all():
+            k = int(np.argmin(good))
+            raise ValueError(
+                f"box {k} ({label[k]}) must be finite, with length, width and height above 0 m, got center "
+                f"{center[k].tolist()}, size {size[k].tolist()}, yaw {yaw[k]}; drop it, or mend the label"
+            )
+        columns = {"center": center, "size": size, "yaw": yaw, "velocity": velocity}
+        for name, value in {**columns, "label": label, "track": track}.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def empty(cls) -> Self:
+        """Return no boxes."""
+        return cls(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
+
+    def __len__(self) -> int:
+        return len(self.center)
+
+    def __repr__(self) -> str:
+        return f"Boxes({len(self)}: {', '.join(sorted(set(self.label)))})"
+
+    @property
+    def bottom(self) -> NDArray[np.float64]:
+        """Lowest z of each box, (B,) [m]."""
+        return self.center[:, 2] - self.size[:, 2] / 2
+
+    @property
+    def top(self) -> NDArray[np.float64]:
+        """Highest z of each box, (B,) [m]."""
+        return self.center[:, 2] + self.size[:, 2] / 2
+
+    def select(self, keep: ArrayLike) -> "Boxes":
+        """Return some of the boxes.
+
+        Parameters
+        ----------
+        keep : (B,) bool or (K,) int
+        """
+        at = np.arange(len(self))[np.asarray(keep)] if len(self) else np.empty(0, int)
+        velocity = None if self.velocity is None else self.velocity[at]
+        label, track = ([names[k] for k in at] for names in (self.label, self.track))
+        return Boxes(self.center[at], self.size[at], self.yaw[at], velocity, label, track)
+
+    def moved(self, T: ArrayLike) -> "Boxes":
+        """Return the boxes in another frame; they stay upright.
+
+        Parameters
+        ----------
+        T : (4, 4) array
+            ``T_to_from``; it should hardly tilt. Centers go through it, yaws turn by its heading.
+        """
+        T = check_pose(T)
+        center = self.center @ T[:3, :3].T + T[:3, 3]
+        velocity = None if self.velocity is None else self.velocity @ T[:2, :2].T
+        return replace(self, center=center, yaw=self.yaw + np.arctan2(T[1, 0], T[0, 0]), velocity=velocity)
+
+    def widened(self, margin: float) -> "Boxes":
+        """Return the boxes with `margin` [m] added on every side, above and below too."""
+        return replace(self, size=self.size + 2 * margin)
+
+
+class _OnDemand(Generic[T_co]):
+    """A field of `Frame` that may be given as a function without arguments: called at the first access."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = f"_{name}"
+
+    def __get__(self, frame: Any, owner: type | None = None) -> T_co:
+        if frame is None:
+            raise AttributeError(self.name[1:])  # so that the field has no default
+        value = frame.__dict__[self.name]
+        if callable(value):
+            value = frame.__dict__[self.name] = value()
+        return value
+
+    def __set__(self, frame: Any, value: T_co | Callable[[], T_co]) -> None:
+        frame.__dict__[self.name] = value
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One scan, where it was taken, and what is known of its truth.
+
+    `scan`, `mount`, `boxes` and `truth` may be given as functions without arguments: each is called when it is
+    first asked for, so that a data set reads only what is used, and raises only where something is missed.
+
+    Parameters
+    ----------
+    scan : Scan
+    mount : Mount
+    boxes : Boxes or None
+        Labelled objects, in the sensor frame.
+    truth : Truth or None
+        True states of the cells around the sensor.
+    T_map_sensor : (4, 4) float64, optional
+        Pose of the sensor; frames of one sequence share a map frame. None where unknown.
+    stamp : float, optional
+        [s]. None where unknown.
+    name : str
+        No other frame of the data set has the same.
+    sequence : str
+        Frames of one sequence follow each other in time; "" where a frame stands alone.
+    """
+
+    scan: _OnDemand[Scan] = _OnDemand()
+    mount: _OnDemand[Mount] = _OnDemand()
+    boxes: _OnDemand[Boxes | None] = _OnDemand()
+    truth: _OnDemand[Truth | None] = _OnDemand()
+    T_map_sensor: NDArray[np.float64] | None = None
+    stamp: float | None = None
+    name: str = ""
+    sequence: str = ""
+
+    def __repr__(self) -> str:
+        where = f" of {self.sequence}" if self.sequence else ""
+        return f"Frame({self.name!r}{where})"
+
+
+@runtime_checkable
+class InverseSensorModel(Protocol):
+    """What every sensor model is: one scan in, a measurement grid out.
+
+    Any callable with a `spec` will do. Geometric and learned models, of lidar and radar, share this interface, so
+    that mappers, metrics and the command line treat them alike.
+    """
+
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that the model fills."""
+        ...
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        """Map one scan to its evidential grid."""
+        ...
+
+
+class PerMount:
+    """A sensor model for every mount, for pipelines over frames whose sensors are mounted differently.
+
+    Parameters
+    ----------
+    factory : function
+        ``mount -> model``. Its last models are kept.
+    """
+
+    def __init__(self, factory: Callable[[Mount], InverseSensorModel]) -> None:
+        self.model = lru_cache(maxsize=8)(factory)
+
+
+def run_model(ism: InverseSensorModel | PerMount, frame: Frame) -> EvidentialGrid:
+    """Map the scan of a frame, by a model or by the model for the frame's mount."""
+    model = ism.model(frame.mount) if isinstance(ism, PerMount) else ism
+    return model(frame.scan)
