@@ -4,8 +4,8 @@
 const $ = id => document.getElementById(id);
 const read = id => { const node = $(id); return node ? JSON.parse(node.textContent) : null; };
 const D = read("data");
-const METHODS = D.methods.map((name, k) => ({ name, k, look: `s${k % 8} d${Math.floor(k / 8) % 5}` }));
-const TRUTH = { name: "truth", k: -1, look: "truth" };
+const METHODS = D.methods.map((name, k) => ({ name, k, style: `s${k % 8} d${Math.floor(k / 8) % 5}` }));
+const TRUTH = { name: "truth", k: -1, style: "truth" };
 const FEW = 6;  // methods that are shown at first
 const NUMBERS = ["kl_e10", "iou_free", "iou_occupied", "brier", "false_free", "missed_occupied"].filter(m => D.perFrame[m]);  // beside the pictures
 
@@ -18,17 +18,17 @@ function node(tag, attributes = {}, ...children) {
   made.append(...children);  // texts become text nodes: names cannot be markup
   return made;
 }
-const swatch = method => node("i", { class: `swatch ${method.look}`, "aria-hidden": "true" });
+const swatch = method => node("i", { class: `swatch ${method.style}`, "aria-hidden": "true" });
 const option = (value, text) => node("option", { value }, text);
 const title = metric => D.metrics[metric] ? D.metrics[metric].title : metric.replaceAll("_", " ");
 const sign = metric => ({ lower: " ↓", higher: " ↑" })[D.metrics[metric]?.better] ?? "";
-function said(value) {
+function format(value) {
   if (value === null || value === undefined) return "–";
   const size = Math.abs(value);
   if (size && (size < 1e-3 || size >= 1e5)) return value.toExponential(1);
   return value.toFixed(size < 10 ? 3 : size < 1000 ? 1 : 0);
 }
-const saidP = p => p === null || p === undefined ? "–" : p < 0.001 ? "< 0.001" : p.toFixed(3);
+const formatP = p => p === null || p === undefined ? "–" : p < 0.001 ? "< 0.001" : p.toFixed(3);
 const extent = lists => {
   let low = Infinity, high = -Infinity;
   for (const list of lists) for (const v of list) if (v !== null) { if (v < low) low = v; if (v > high) high = v; }
@@ -104,10 +104,10 @@ function chart(place, { x, y, series, guides = [], height = 240, label, pick = n
     svg.append(node("line", { class: "guide", x1: X(border.at), x2: X(border.at), y1: top, y2: height - bottom }));
     if (border.text) svg.append(node("text", { x: X(border.at) + 4, y: top + 12 }, border.text));
   }
-  for (const bar of bars) svg.append(node("line", { class: `line ${bar.m.look.split(" ")[0]}`, style: "stroke-width:7;opacity:.35", x1: X(bar.x), x2: X(bar.x), y1: Y(bar.low), y2: Y(bar.high) }));
+  for (const bar of bars) svg.append(node("line", { class: `line ${bar.m.style.split(" ")[0]}`, style: "stroke-width:7;opacity:.35", x1: X(bar.x), x2: X(bar.x), y1: Y(bar.low), y2: Y(bar.high) }));
   for (const s of series) {
-    const g = node("g", { class: s.m.look.split(" ")[0] });
-    if (s.line !== false) g.append(node("path", { class: `line ${s.m.look} ${s.cls ?? ""}`, d: path(s.x, s.y, X, Y, s.joined, s.steps) }));
+    const g = node("g", { class: s.m.style.split(" ")[0] });
+    if (s.line !== false) g.append(node("path", { class: `line ${s.m.style} ${s.cls ?? ""}`, d: path(s.x, s.y, X, Y, s.joined, s.steps) }));
     if (s.dots) g.append(node("path", { class: "dots", style: s.dots > 1 ? `stroke-width:${s.dots}` : null, d: s.x.map((v, i) => v === null || s.y[i] === null ? "" : `M${X(v).toFixed(1)} ${Y(s.y[i]).toFixed(1)}h.01`).join("") }));
     svg.append(g);
   }
@@ -134,7 +134,7 @@ function chart(place, { x, y, series, guides = [], height = 240, label, pick = n
     });
     if (!best) return tip(null);
     const [s, i] = best;
-    tip(event, [node("b", {}, s.label ?? s.m.name), `${x.label}: ${said(s.x[i])}; ${y.label}: ${said(s.y[i])}`, s.note ? `; ${s.note(i)}` : ""]);
+    tip(event, [node("b", {}, s.label ?? s.m.name), `${x.label}: ${format(s.x[i])}; ${y.label}: ${format(s.y[i])}`, s.note ? `; ${s.note(i)}` : ""]);
   });
   svg.addEventListener("pointerleave", () => { tip(null); cursor.setAttribute("visibility", "hidden"); });
   if (pick) svg.addEventListener("click", event => pick(nearest(spot(event)[0])));
@@ -190,33 +190,33 @@ let figureMetric = "";
 
 function frameFigures() {
   axis = $("order").value === "browser" ? ranking() : D.frames.map((_, i) => i);
-  const n = axis.length, judged = $("order").value === "judged";
-  const joined = axis.map((f, i) => judged && i > 0 && D.frames[f][2]);
+  const n = axis.length, inOrder = $("order").value === "data";
+  const joined = axis.map((f, i) => inOrder && i > 0 && D.frames[f][2]);
   const borders = [];
-  if (judged) axis.forEach((f, i) => {
+  if (inOrder) axis.forEach((f, i) => {
     if (i === 0 ? D.frames[f][1] && D.frames.at(-1)[1] !== D.frames[f][1] : D.frames[f][1] !== D.frames[axis[i - 1]][1]) borders.push({ at: i - 0.5, text: D.frames[f][1] });
   });
-  const room = Math.floor((innerWidth - 120) / Math.max(1, borders.length) / 8);  // letters per sequence, about
-  for (const border of borders) if (border.text.length > room) border.text = room < 4 ? "" : `…${border.text.slice(1 - room)}`;
-  const x = { label: judged ? "frame, in the order of the data" : `frame, ${orderSays()}`, min: -0.5, max: n - 0.5, whole: true, borders };
+  const letters = Math.floor((innerWidth - 120) / Math.max(1, borders.length) / 8);  // letters per sequence, about
+  for (const border of borders) if (border.text.length > letters) border.text = letters < 4 ? "" : `…${border.text.slice(1 - letters)}`;
+  const x = { label: inOrder ? "frame, in the order of the data" : `frame, ${orderText()}`, min: -0.5, max: n - 0.5, whole: true, borders };
   const size = n > 400 ? 2.5 : n > 120 ? 3.5 : n > 40 ? 5 : 7;
   const one = (place, metric, label, extra, height) => {
     const series = shownMethods().map(m => ({ m, x: axis.map((_, i) => i), y: axis.map(f => D.perFrame[metric][m.k][f]), joined, dots: size, cls: "thin" }));
     if (extra) series.unshift({ m: TRUTH, x: axis.flatMap((_, i) => [i - 0.4, i + 0.4]), y: axis.flatMap(f => [extra[f], extra[f]]), joined: axis.flatMap((_, i) => [joined[i], true]), at: i => extra[axis[i]] });
     const range = extent(series.map(s => s.y));
-    if (!range) return silent(place, metric);
+    if (!range) return noValues(place, metric);
     const pad = (range[1] - range[0] || 1) * 0.06;
     const y = { label, min: range[0] >= 0 && range[0] < range[1] / 2 ? 0 : range[0] - pad, max: range[1] + pad };
     const read = i => {
       const f = axis[i];
       if (f === undefined) return [];
       const rows = series.map(s => [s.m, s.at ? s.at(i) : s.y[i]]).filter(([, v]) => v !== null).sort((a, b) => a[1] - b[1]);
-      return [node("b", {}, D.frames[f][0]), node("table", {}, ...rows.slice(0, 16).map(([m, v]) => node("tr", {}, node("td", {}, swatch(m), m.name), node("td", {}, said(v)))))];
+      return [node("b", {}, D.frames[f][0]), node("table", {}, ...rows.slice(0, 16).map(([m, v]) => node("tr", {}, node("td", {}, swatch(m), m.name), node("td", {}, format(v)))))];
     };
     onFrames.push(chart(place, { x, y, series, height, label: `${label} of every shown method in every frame`, pick: i => { if (axis[i] !== undefined) { go(axis[i]); $("frames").scrollIntoView(); $("stage").focus({ preventScroll: true }); } }, read }));
   };
   onFrames = [];
-  $("figure-metric-says").textContent = `${title(figureMetric)}${sign(figureMetric)}: ${D.metrics[figureMetric].description}`;
+  $("figure-metric-description").textContent = `${title(figureMetric)}${sign(figureMetric)}: ${D.metrics[figureMetric].description}`;
   one($("chart-metric"), figureMetric, title(figureMetric), null, 300);
   const known = axis.length ? D.frames.map((_, f) => 1 - (D.truth.ignored?.[f] ?? 0)) : [];
   for (const state of ["unknown", "free", "occupied"]) if (D.perFrame[`mean_${state}`]) {
@@ -226,7 +226,7 @@ function frameFigures() {
   mark();
 }
 
-function silent(place, metric) {
+function noValues(place, metric) {
   place.replaceChildren(node("p", { class: "reason" }, `${title(metric)} has no value in any frame for the shown methods.`));
 }
 
@@ -271,21 +271,21 @@ function curves() {
   const place = $("curve-tiles");
   place.replaceChildren();
   const diagonal = [{ x: [0, 1], y: [0, 1] }];
-  for (const [which, text] of [["all", "P(occupied) = occupied + unknown / 2 on known cells: what is claimed against what is so."], ["relative", "occupied / (free + occupied) on known cells: what the method holds likely, unknown aside."]]) {
+  for (const [which, text] of [["all", "P(occupied) = occupied + unknown / 2 on known cells: the predicted against the observed share."], ["relative", "occupied / (free + occupied) on known cells: the same without the mass of unknown."]]) {
     const series = lines(c => { const r = c.reliability?.[which]; return r && { x: r.claimed, y: r.happened, dots: 5, note: i => `${r.cells[i]} cells` }; });
-    tile(place, `Reliability, ${which}`, text, { x: { ...UNIT, label: "claimed P(occupied)" }, y: { ...UNIT, label: "share occupied" }, series, guides: diagonal });
+    tile(place, `Reliability, ${which}`, text, { x: { ...UNIT, label: "predicted P(occupied)" }, y: { ...UNIT, label: "share occupied" }, series, guides: diagonal });
   }
   const risks = lines(c => c.risk_coverage && { x: c.risk_coverage.coverage, y: c.risk_coverage.risk });
   const oracles = lines(c => c.risk_coverage && { x: c.risk_coverage.coverage, y: c.risk_coverage.oracle }, m => ({ cls: "oracle", label: `${m.name}, oracle` }));
   const worst = extent(risks.map(s => s.y));
   tile(place, "Risk and coverage", "Error among the known cells that are least unknown; dotted: the oracle, which leaves out the wrong cells first.", { x: { ...UNIT, label: "coverage" }, y: { min: 0, max: (worst?.[1] || 1) * 1.08, label: "risk" }, series: [...risks, ...oracles] });
-  tile(place, "Free space and its danger", "Recall of free cells against the share of occupied cells that are called free, for falling thresholds on Bel(free).", {
+  tile(place, "Free space and its danger", "Recall of free cells against the share of occupied cells that are predicted free, for falling thresholds on Bel(free).", {
     x: { min: 1e-4, max: 1, log: true, percent: true, label: "false-free rate" }, y: { ...UNIT, label: "free recall" },
     guides: [{ x: [1e-3, 1e-3], y: [0, 1] }, { x: [1e-2, 1e-2], y: [0, 1] }],
-    series: lines(c => c.free_space && { x: c.free_space.false_free, y: c.free_space.recall, steps: "HV", note: i => `threshold ${said(c.free_space.threshold[i])}` }) });
+    series: lines(c => c.free_space && { x: c.free_space.false_free, y: c.free_space.recall, steps: "HV", note: i => `threshold ${format(c.free_space.threshold[i])}` }) });
   for (const tolerance of ["0", "1"]) tile(place, `Precision and recall${tolerance === "0" ? "" : ", ± one cell"}`, tolerance === "0" ? "Of occupied cells, one by one, for thresholds on P(occupied)." : "The same where a neighbouring cell counts as right, too.", {
     x: { ...UNIT, label: "recall" }, y: { ...UNIT, label: "precision" },
-    series: lines(c => { const p = c.precision_recall?.[tolerance]; return p && { x: p.recall, y: p.precision, steps: "VH", note: i => `threshold ${said(p.threshold[i])}` }; }) });
+    series: lines(c => { const p = c.precision_recall?.[tolerance]; return p && { x: p.recall, y: p.precision, steps: "VH", note: i => `threshold ${format(p.threshold[i])}` }; }) });
   byRange(place);
   const spans = $("interval-tiles");
   spans.replaceChildren();
@@ -294,7 +294,7 @@ function curves() {
     if (!c) continue;
     const seen = c.happened.map((v, i) => v === null || !c.cells[i] ? null : v);
     tile(spans, m.name, "", { x: { ...UNIT, label: "mean Bel(occupied)" }, y: { ...UNIT, label: "share occupied" }, height: 200, guides: diagonal,
-      series: [{ m, x: c.belief, y: seen, line: false, dots: 7, note: i => `belief ${said(c.belief[i])}, plausibility ${said(c.plausibility[i])}, ${c.cells[i]} cells` }],
+      series: [{ m, x: c.belief, y: seen, line: false, dots: 7, note: i => `belief ${format(c.belief[i])}, plausibility ${format(c.plausibility[i])}, ${c.cells[i]} cells` }],
       bars: c.belief.flatMap((v, i) => v === null || seen[i] === null ? [] : [{ m, x: v, low: v, high: c.plausibility[i] }]) });
   }
   for (const box of document.querySelectorAll("[data-method]")) box.hidden = !shown.has(Number(box.dataset.method));
@@ -317,7 +317,7 @@ function byRange(place) {
 
 // ---------- pairs
 
-function pairOf(a, b) {  // what a gains against b; the page carries each pair one way round
+function pairOf(a, b) {  // what a gains over b; the page carries each pair one way round
   if (D.paired[`${a} ${b}`]) return D.paired[`${a} ${b}`];
   const other = D.paired[`${b} ${a}`];
   if (!other) return null;
@@ -327,8 +327,8 @@ function pairOf(a, b) {  // what a gains against b; the page carries each pair o
 
 function pairs() {
   const b = Number($("reference").value), rival = $("rival").value;
-  const span = (v, low, high) => [said(v), ...(low === null || high === null ? [] : [node("small", {}, `${said(low)} – ${said(high)}`)])];
-  const verdict = (metric, row) => row[6] === null || row[7] === null || row[6] * row[7] <= 0 || row[4] === null || row[4] >= 0.05 ? null : (row[5] < 0) === (D.metrics[metric].better === "lower") ? "best" : "worse";
+  const span = (v, low, high) => [format(v), ...(low === null || high === null ? [] : [node("small", {}, `${format(low)} – ${format(high)}`)])];
+  const significance = (metric, row) => row[6] === null || row[7] === null || row[6] * row[7] <= 0 || row[4] === null || row[4] >= 0.05 ? null : (row[5] < 0) === (D.metrics[metric].better === "lower") ? "best" : "worse";
   let head, rows;
   if (rival === "all") {
     const metrics = D.headline.filter(m => D.metrics[m].better);
@@ -338,7 +338,7 @@ function pairs() {
       return node("tr", {}, node("th", { scope: "row" }, swatch(m), m.name), ...metrics.map(metric => {
         const row = pair?.[metric];
         if (!row || !row[0]) return node("td", { class: "none" }, "–");
-        return node("td", { class: verdict(metric, row), title: `${row[1]} wins, ${row[2]} ties, ${row[3]} losses` }, `${row[1]} : ${row[3]}`, node("small", {}, row[8] === null ? "no ratio" : `× ${said(row[8])}`), node("small", {}, `p ${saidP(row[4])}`));
+        return node("td", { class: significance(metric, row), title: `${row[1]} wins, ${row[2]} ties, ${row[3]} losses` }, `${row[1]} : ${row[3]}`, node("small", {}, row[8] === null ? "no ratio" : `× ${format(row[8])}`), node("small", {}, `p ${formatP(row[4])}`));
       }));
     });
   } else {
@@ -346,10 +346,10 @@ function pairs() {
     head = ["metric", "wins", "ties", "losses", "difference of means", "ratio of means", "p"];
     rows = Object.entries(pair).map(([metric, row]) => node("tr", {}, node("th", { scope: "row", title: D.metrics[metric]?.description }, title(metric) + sign(metric)),
       ...(row[0] ? [row[1], row[2], row[3]].map(v => node("td", {}, String(v))) : [1, 2, 3].map(() => node("td", { class: "none" }, "–"))),
-      node("td", { class: verdict(metric, row) }, ...span(row[5], row[6], row[7])), node("td", {}, ...span(row[8], row[9], row[10])), node("td", {}, saidP(row[4]))));
+      node("td", { class: significance(metric, row) }, ...span(row[5], row[6], row[7])), node("td", {}, ...span(row[8], row[9], row[10])), node("td", {}, formatP(row[4]))));
   }
   $("paired-table").replaceChildren(node("table", { class: "scores" }, node("thead", {}, node("tr", {}, ...head.map(text => node("th", { scope: "col" }, text)))), node("tbody", {}, ...rows)),
-    node("p", { class: "reason" }, `${rival === "all" ? "Wins : losses, × ratio of means, p. " : ""}Green: clearly better than the reference, orange: clearly worse; the 95 % interval of the mean difference leaves out zero and p is below 0.05.`));
+    node("p", { class: "reason" }, `${rival === "all" ? "Wins : losses, × ratio of means, p. " : ""}Green: significantly better than the reference, orange: significantly worse; the 95 % interval of the mean difference leaves out zero and p is below 0.05.`));
 }
 
 function pairControls() {
@@ -366,8 +366,8 @@ function pairControls() {
 // ---------- the frame browser
 
 let frame = 0;
-const hasViews = D.views.length > 0;
-const browsable = new Set(hasViews ? D.views : D.frames.keys());
+const hasPictures = D.pictures.length > 0;
+const browsable = new Set(hasPictures ? D.pictures : D.frames.keys());
 
 function ranking() {  // all frames in the browser's order; those without a value come last
   const metric = $("sort-metric").value, order = D.frames.map((_, i) => i);
@@ -376,7 +376,7 @@ function ranking() {  // all frames in the browser's order; those without a valu
   const rising = (D.metrics[metric].better === "higher") === ($("sort-way").value === "worst");
   return order.sort((a, b) => (values[a] === null) - (values[b] === null) || (rising ? values[a] - values[b] : values[b] - values[a]) || a - b);
 }
-const orderSays = () => D.perFrame[$("sort-metric").value] ? `${$("sort-way").value} ${title($("sort-metric").value)} of ${METHODS[Number($("sort-method").value)].name} first` : "in the order of the data";
+const orderText = () => D.perFrame[$("sort-metric").value] ? `${$("sort-way").value} ${title($("sort-metric").value)} of ${METHODS[Number($("sort-method").value)].name} first` : "in the order of the data";
 const route = () => ranking().filter(f => browsable.has(f));
 
 function step(by) {
@@ -431,12 +431,12 @@ function picture(source, text, badge) {
 }
 
 function draw() {
-  const views = read(`view-${frame}`), name = D.frames[frame][0], methods = shownMethods();
+  const pictures = read(`pictures-${frame}`), name = D.frames[frame][0], methods = shownMethods();
   const tiles = [];
-  if (views) {
-    const first = node("div", { class: "tile" }, node("h3", {}, views.points ? "Points and truth" : "Truth"));
-    if (views.points) first.append(picture(views.points, `points of ${name}, coloured by height`, "points"));
-    first.append(picture(views.truth, `truth of ${name}`, "truth"));
+  if (pictures) {
+    const first = node("div", { class: "tile" }, node("h3", {}, pictures.points ? "Points and truth" : "Truth"));
+    if (pictures.points) first.append(picture(pictures.points, `points of ${name}, coloured by height`, "points"));
+    first.append(picture(pictures.truth, `truth of ${name}`, "truth"));
     const shares = ["free", "occupied", "unknown", "ignored"].filter(s => D.truth[s]);
     first.append(node("dl", {}, ...shares.map(s => node("div", {}, node("dt", {}, s), node("dd", {}, D.truth[s][frame] === null ? "–" : `${(100 * D.truth[s][frame]).toFixed(1)} %`)))));
     tiles.push(first);
@@ -448,16 +448,16 @@ function draw() {
   }));
   for (const m of methods) {
     const box = node("div", { class: "tile" }, node("h3", { title: m.name }, swatch(m), node("span", {}, m.name)));
-    if (views?.[`mass ${m.k}`]) box.append(picture(views[`mass ${m.k}`], `masses of ${m.name} in ${name}`, "masses"));
-    if (views?.[`error ${m.k}`]) box.append(picture(views[`error ${m.k}`], `errors of ${m.name} in ${name}`, "errors"));
+    if (pictures?.[`mass ${m.k}`]) box.append(picture(pictures[`mass ${m.k}`], `masses of ${m.name} in ${name}`, "masses"));
+    if (pictures?.[`error ${m.k}`]) box.append(picture(pictures[`error ${m.k}`], `errors of ${m.name} in ${name}`, "errors"));
     box.append(node("dl", {}, ...numbers.map(metric => {
       const v = D.perFrame[metric][m.k][frame];
-      return node("div", { title: D.metrics[metric].description }, node("dt", {}, title(metric) + sign(metric)), node("dd", { class: v !== null && v === best[metric] && D.metrics[metric].better ? "best" : null }, said(v)));
+      return node("div", { title: D.metrics[metric].description }, node("dt", {}, title(metric) + sign(metric)), node("dd", { class: v !== null && v === best[metric] && D.metrics[metric].better ? "best" : null }, format(v)));
     })));
     tiles.push(box);
   }
-  $("no-pictures").hidden = Boolean(views);
-  $("no-pictures").textContent = hasViews ? "No pictures of this frame were kept: only its numbers." : "This report was made without pictures: only the numbers of every frame.";
+  $("no-pictures").hidden = Boolean(pictures);
+  $("no-pictures").textContent = hasPictures ? "No pictures of this frame were kept: only its numbers." : "This report was made without pictures: only the numbers of every frame.";
   $("stage").replaceChildren(...tiles);
   columns();
   if ($("large").open) enlarge(...large);

@@ -1,1 +1,40 @@
-"""Evaluation of sensor models and maps against the truth, frame by frame."""
+"""Evaluation of sensor models and maps against the truth, frame by frame, with a report.
+
+>>> from ogm.datasets import open_dataset
+>>> from ogm.evaluation import evaluate, write_report
+>>> methods = {"mine": my_model, "ray": "ray", "lite": "lite"}           # any callable with .spec  # doctest: +SKIP
+>>> result = evaluate(methods, open_dataset("data/"), out="report")                                 # doctest: +SKIP
+>>> write_report("report", result)                                                                  # doctest: +SKIP
+"""
+
+from ogm.evaluation.methods import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod
+from ogm.evaluation.models import load_model, model_factory
+from ogm.evaluation.report import evaluation_record, write_report
+from ogm.evaluation.result import Evaluation, FrameInfo
+from ogm.evaluation.runner import evaluate
+from ogm.evaluation.statistics import (
+    Comparison,
+    Interval,
+    bootstrap_mean,
+    bootstrap_ratio,
+    compare_paired,
+)
+
+__all__ = [
+    "Comparison",
+    "Evaluation",
+    "FrameInfo",
+    "FusedMethod",
+    "Interval",
+    "MethodRunner",
+    "PrecomputedGrids",
+    "SingleScanMethod",
+    "bootstrap_mean",
+    "bootstrap_ratio",
+    "compare_paired",
+    "evaluate",
+    "evaluation_record",
+    "load_model",
+    "model_factory",
+    "write_report",
+]

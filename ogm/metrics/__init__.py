@@ -1,4 +1,4 @@
-"""How good a grid is: metrics of an evidential grid against the true states of its cells, paired over frames.
+"""How good a grid is: metrics of an evidential grid against the true states of its cells.
 
 Every metric leaves out the cells that the truth ignores. A metric without a cell to look at is NaN, never 0, and
 `reasons` says why. `METRICS` says what each is.
@@ -7,7 +7,6 @@ Every metric leaves out the cells that the truth ignores. A metric without a cel
 >>> scores = score(accumulate(grid.mass, truth.state))               # one frame           # doctest: +SKIP
 >>> counts = accumulate(grid.mass, truth.state, distances(spec))     # curves and ranges   # doctest: +SKIP
 >>> risk_coverage(counts), by_range(counts), reasons(counts)                          # doctest: +SKIP
->>> result = evaluate({"ray": ray, "deep": deep}, samples)      # many, paired        # doctest: +SKIP
 """
 
 from ogm.evidence import dirichlet_kl
@@ -25,9 +24,7 @@ from ogm.metrics.curves import (
     risk_coverage,
 )
 from ogm.metrics.divergence import MIN_UNKNOWN, Density, density, kl_from_truth, kl_to_truth
-from ogm.metrics.evaluation import Evaluation, ModelFor, Mounted, evaluate, model_for, resample_to
 from ogm.metrics.legacy import Published, legacy_accuracy, legacy_kl, legacy_published, legacy_unmixed
-from ogm.metrics.paired import Interval, Paired, bootstrap_mean, bootstrap_ratio, paired
 from ogm.metrics.ranges import by_range, distances
 from ogm.metrics.ranking import auroc, auroc_of_histograms, average_precision
 from ogm.metrics.scores import METRICS, Metric, reasons, score
@@ -37,14 +34,9 @@ __all__ = [
     "MIN_UNKNOWN",
     "RANGES",
     "Density",
-    "Evaluation",
     "FreeSpace",
-    "Interval",
     "Intervals",
     "Metric",
-    "ModelFor",
-    "Mounted",
-    "Paired",
     "PrecisionRecall",
     "Published",
     "Reliability",
@@ -53,13 +45,10 @@ __all__ = [
     "auroc",
     "auroc_of_histograms",
     "average_precision",
-    "bootstrap_mean",
-    "bootstrap_ratio",
     "by_range",
     "density",
     "dirichlet_kl",
     "distances",
-    "evaluate",
     "free_space",
     "intervals",
     "kl_from_truth",
@@ -68,13 +57,10 @@ __all__ = [
     "legacy_kl",
     "legacy_published",
     "legacy_unmixed",
-    "model_for",
-    "paired",
     "precision_recall",
     "reasons",
     "reliability",
     "risk_coverage",
-    "resample_to",
     "score",
     "accumulate",
 ]

@@ -1,4 +1,4 @@
-"""Two models on the same frames: who wins how often, and how sure the mean difference is."""
+"""Statistics over frames: bootstrap intervals of means and ratios, and paired comparisons of two methods."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["FEWEST", "Interval", "Paired", "bootstrap_mean", "bootstrap_ratio", "paired"]
+__all__ = ["MIN_SAMPLES", "Comparison", "Interval", "bootstrap_mean", "bootstrap_ratio", "compare_paired"]
 
 RESAMPLES = 2000
 LEVEL = 0.95
-FEWEST = 5  # frames or drives that an interval can be drawn from
+MIN_SAMPLES = 5  # frames or drives that a bootstrap interval needs
 TIE = 1e-9  # values nearer than this, relative to the larger one, are equal
 
 
@@ -22,8 +22,8 @@ class Interval(NamedTuple):
     high: float
 
 
-class Paired(NamedTuple):
-    """What the comparison of two models on the same frames says.
+class Comparison(NamedTuple):
+    """Two methods on the same frames.
 
     Attributes
     ----------
@@ -49,22 +49,22 @@ class Paired(NamedTuple):
     p: float
 
 
-def paired(
+def compare_paired(
     first: ArrayLike,
     second: ArrayLike,
     better: str,
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
     groups: Sequence[str] | NDArray | None = None,
-) -> Paired:
-    """Compare two models frame by frame.
+) -> Comparison:
+    """Compare two methods frame by frame.
 
     Parameters
     ----------
     first, second : (frames,) float array
         A metric of both on the same frames; NaN where a frame has no value.
     better : {"lower", "higher"}
-        Which value is the better one.
+        Which values are better.
     rng : numpy.random.Generator
         Draws the frames of the bootstrap.
     resamples : int
@@ -73,7 +73,7 @@ def paired(
 
     Returns
     -------
-    Paired
+    Comparison
         With NaN intervals if no frame has both values.
     """
     if better not in ("lower", "higher"):
@@ -81,7 +81,7 @@ def paired(
     a, b, kept = _both(first, second, groups)
     gain = b - a if better == "lower" else a - b
     ties = np.abs(gain) <= TIE * np.maximum(np.abs(a), np.abs(b))
-    return Paired(
+    return Comparison(
         frames=len(a),
         wins=int((~ties & (gain > 0)).sum()),
         ties=int(ties.sum()),
@@ -138,7 +138,7 @@ def bootstrap_ratio(
     -------
     Interval
         NaN if no frame is left, or where the second mean is 0; without limits if fewer than five frames, or
-        drives, are left: drawing from so few says little about how far others lie.
+        drives, are left: so few do not show the spread.
     """
     if resamples < 1:
         raise ValueError(f"resamples must be at least 1, got {resamples}")
@@ -152,7 +152,7 @@ def bootstrap_ratio(
     drawn = rng.integers(len(a), size=(resamples, len(a)))
     ratios = _ratio(a[drawn].mean(axis=1), b[drawn].mean(axis=1))
     edge = (1 - LEVEL) / 2
-    if len(a) < FEWEST or np.isnan(ratios).any():
+    if len(a) < MIN_SAMPLES or np.isnan(ratios).any():
         return Interval(value, float("nan"), float("nan"))
     low, high = np.quantile(ratios, [edge, 1 - edge])
     return Interval(value, float(low), float(high))
@@ -160,7 +160,7 @@ def bootstrap_ratio(
 
 def _signed_rank(differences: NDArray[np.float64]) -> float:
     """Return the p value of Wilcoxon's signed rank test of differences without ties."""
-    from scipy import stats  # here, as it would double the time that the import takes
+    from scipy import stats  # doubles the time of the import
 
     return float(stats.wilcoxon(differences).pvalue) if len(differences) else float("nan")
 
@@ -171,7 +171,7 @@ def _both(
     """Return the values and groups of the frames that have both values."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.ndim != 1 or a.shape != b.shape:
-        raise ValueError(f"both models need one value per frame, got shapes {a.shape} and {b.shape}")
+        raise ValueError(f"both methods need one value per frame, got shapes {a.shape} and {b.shape}")
     if groups is not None and len(groups) != len(a):
         raise ValueError(f"groups must name the drive of each of {len(a)} frames, got {len(groups)}")
     kept = ~(np.isnan(a) | np.isnan(b))

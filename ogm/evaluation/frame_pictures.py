@@ -1,4 +1,4 @@
-"""Pictures of one judged frame, small enough that a report carries hundreds of them."""
+"""Pictures of one evaluated frame, small enough that a report carries hundreds of them."""
 
 from collections.abc import Sequence
 from io import BytesIO
@@ -9,25 +9,21 @@ from numpy.typing import NDArray
 
 from ogm import plot
 from ogm.grid import GridSpec
-from ogm.state import predict_state
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+from ogm.state import CellState, predict_state
 
-__all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "error_classes", "frame_view", "height_colours"]
+__all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "draw_frame", "error_classes", "height_colours"]
 
 STEPS = 8  # of a mass, so that pictures without loss stay small
 SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
-SMALL = 0.02  # bytes per mass: a picture that is smaller needs no second try
+SMALL = 0.02  # bytes per mass: a smaller picture is not encoded a second time
 QUALITY = 35  # of a picture with loss
 LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
-LAYER, HIGHEST = (
-    0.2,
-    30.0,
-)  # [m] heights that count as the same when the ground is sought, and how far it is sought
+LAYER, HIGHEST = 0.2, 30.0  # [m] bins of height when the ground is estimated, and how far it is searched
 HEIGHTS = (0, 1, 2, 3)  # [m] over the ground, in the legend of the points
 
 
 class Shade(NamedTuple):
-    """What a colour of a picture means."""
+    """A colour of a picture and its meaning."""
 
     colour: tuple[int, int, int]
     description: str
@@ -40,10 +36,10 @@ def _shade(colour: tuple[float, float, float]) -> tuple[int, int, int]:
 
 IGNORED = (82, 84, 90)
 
-# In rising order of what shall be seen when many cells share one dot of the screen.
+# In rising order of priority where many cells share one dot of the screen.
 STATES = {
     "ignored": Shade(IGNORED, "the truth makes no statement; left out of every metric"),
-    "unknown": Shade(_shade(plot.BLACK), "nobody could see it"),
+    "unknown": Shade(_shade(plot.BLACK), "not observable"),
     "free": Shade(_shade(plot.GREEN), "free"),
     "occupied": Shade(_shade(plot.RED), "occupied"),
 }
@@ -51,29 +47,29 @@ STATES = {
 # Right cells are grey, wrong ones coloured. The colours differ in lightness too, for eyes that confuse red and green.
 ERRORS = {
     "ignored": Shade(IGNORED, "the truth makes no statement"),
-    "right unknown": Shade((10, 12, 16), "unknown, and called so"),
-    "right free": Shade((38, 50, 58), "free, and called so"),
-    "claim": Shade((96, 66, 122), "claimed free or occupied where the truth is unknown"),
-    "missed free": Shade((30, 86, 148), "free, but called unknown"),
-    "right occupied": Shade((214, 220, 226), "occupied, and called so"),
-    "missed occupied": Shade((226, 112, 20), "occupied, but called unknown"),
-    "false occupied": Shade((92, 186, 250), "free, but called occupied"),
-    "false free": Shade((255, 236, 40), "occupied, but called free: the dangerous one"),
+    "right unknown": Shade((10, 12, 16), "unknown, predicted unknown"),
+    "right free": Shade((38, 50, 58), "free, predicted free"),
+    "false known": Shade((96, 66, 122), "unknown, but predicted free or occupied"),
+    "missed free": Shade((30, 86, 148), "free, but predicted unknown"),
+    "right occupied": Shade((214, 220, 226), "occupied, predicted occupied"),
+    "missed occupied": Shade((226, 112, 20), "occupied, but predicted unknown"),
+    "false occupied": Shade((92, 186, 250), "free, but predicted occupied"),
+    "false free": Shade((255, 236, 40), "occupied, but predicted free: the dangerous error"),
 }
 
 _RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `STATES`
-_CLASS = np.zeros((4, 3), np.uint8)  # [true state, call] -> number in `ERRORS`
-for _truth, _calls in {
-    UNKNOWN: ("right unknown", "claim", "claim"),
-    FREE: ("missed free", "right free", "false occupied"),
-    OCCUPIED: ("missed occupied", "false free", "right occupied"),
-    IGNORE: ("ignored", "ignored", "ignored"),
+_CLASS = np.zeros((4, 3), np.uint8)  # [true state, predicted state] -> number in `ERRORS`
+for _truth, _names in {
+    CellState.UNKNOWN: ("right unknown", "false known", "false known"),
+    CellState.FREE: ("missed free", "right free", "false occupied"),
+    CellState.OCCUPIED: ("missed occupied", "false free", "right occupied"),
+    CellState.IGNORE: ("ignored", "ignored", "ignored"),
 }.items():
-    _CLASS[_truth] = [list(ERRORS).index(name) for name in _calls]
+    _CLASS[_truth] = [list(ERRORS).index(name) for name in _names]
 
 
 def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Say of every cell how its call, see `ogm.metrics.called`, compares to the truth.
+    """Compare the predicted state of every cell, see `ogm.state.predict_state`, with the truth.
 
     Parameters
     ----------
@@ -99,14 +95,14 @@ def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArr
     return _CLASS[truth, predict_state(mass)]
 
 
-def frame_view(
+def draw_frame(
     points: NDArray[np.floating] | None,
     truth: NDArray[np.uint8],
     masses: Sequence[NDArray[np.floating]],
     spec: GridSpec,
     ground_z: float | None = None,
 ) -> dict[str, bytes]:
-    """Draw one frame from above, the front up: points, truth, and every method's masses and errors.
+    """Draw one frame from above, the front up: points, truth, masses and errors of every method.
 
     Parameters
     ----------
@@ -124,8 +120,8 @@ def frame_view(
     -------
     dict of str to bytes
         WebP pictures "points" (if there are points), "truth", "mass 0", "error 0", "mass 1", ...: one dot per cell,
-        row 0 the front, column 0 the left. Longer grids than 768 cells are shown in blocks: of masses the mean,
-        of truth and errors what is gravest.
+        row 0 the front, column 0 the left. Grids longer than 768 cells are shown in blocks: the mean of masses,
+        the class of highest priority of truth and errors.
 
     Raises
     ------
@@ -153,9 +149,9 @@ def height_colours() -> list[tuple[int, int, int]]:
 
 
 def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float | None) -> NDArray[np.uint8]:
-    """Draw points, each as wide as two cells, so that they are still seen where the picture is shown small."""
+    """Draw points, each as wide as two cells, so that they stay visible in small pictures."""
     nx, ny = spec.shape
-    scale = block * 2  # `ogm.plot` draws two dots along a cell that it is told of
+    scale = block * 2  # `ogm.plot` draws two dots along a cell
     shown = GridSpec(spec.resolution * scale, (-(-nx // scale), -(-ny // scale)), spec.origin)
     ground = _ground(points) if ground_z is None else ground_z
     points = points.copy()
@@ -169,13 +165,13 @@ def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float | None) -
 
 
 def _ground(points: NDArray) -> float:
-    """Return the height that most points share: of a vehicle's scan, that of the ground."""
+    """Return the most frequent height of points: that of the ground in a vehicle's scan."""
     count, edges = np.histogram(points[:, 2], bins=round(2 * HIGHEST / LAYER), range=(-HIGHEST, HIGHEST))
     return float(edges[count.argmax()] + LAYER / 2) if count.any() else 0.0
 
 
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:
-    """Paint every cell by its class; of a block, the last of its classes shows."""
+    """Paint every cell by its class; a block shows the last of its classes."""
     colours = np.array([shade.colour for shade in shades.values()], np.float32) / 255
     return _encode(plot.cells(colours[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
 
@@ -189,7 +185,7 @@ def _blocks(cells: NDArray, size: int) -> NDArray:
 
 
 def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
-    """Draw masses in the colours of the house: sharp in steps of 1/8, or smooth where that is much smaller."""
+    """Draw masses in the colours of `ogm.plot`: sharp in steps of 1/8, or smooth where that is much smaller."""
     rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
     if len(rough) < SMALL * mass.size:
         return rough

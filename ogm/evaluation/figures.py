@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: every metric of every model over the frames, and some frames to look at."""
+"""Figures of an evaluation: every metric of every method over the frames, and some frames."""
 
 import io
 from collections.abc import Mapping, Sequence
@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ogm.cli.charts import clean
+from ogm.evaluation.result import Evaluation
+from ogm.evaluation.text import clean
 from ogm.files import atomic_write
-from ogm.metrics import METRICS, Evaluation
+from ogm.metrics import METRICS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from ogm.plot import Panel
 
-__all__ = ["frames_picture", "metrics_picture", "panels_of"]
+__all__ = ["draw_frames", "draw_metrics", "frame_panels"]
 
 SHOWN = (
     "kl_e10", "kl_e1_scaled", "kl_e1", "legacy_kl",
@@ -28,10 +29,10 @@ MOST = 6  # methods side by side
 COLOURS = ("#2c5f9e", "#e08214", "#1b7837", "#7b3294", "#b2182b", "#8c8c8c", "#35978f", "#543005")
 
 
-def metrics_picture(
+def draw_metrics(
     path: str | Path, result: Evaluation, title: str, shown: Sequence[str] = SHOWN, note: str = ""
 ) -> None:
-    """Draw a box per model for each metric: quartiles over frames, whiskers from 5 % to 95 %, the mean as a dot.
+    """Draw a box per method for each metric: quartiles over frames, whiskers from 5 % to 95 %, the mean as a dot.
 
     Parameters
     ----------
@@ -44,15 +45,15 @@ def metrics_picture(
         Names of metrics.
     """
     columns, rows = 4, -(-len(shown) // 4)
-    width, height = max(13.0, 3.4 * len(result.models)), 3.1 * rows + 1.1
+    width, height = max(13.0, 3.4 * len(result.methods)), 3.1 * rows + 1.1
     figure = _figure(width, height)
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     figure.subplots_adjust(0.6 / width, 0.9 / height, 1 - 0.2 / width, 1 - 0.75 / height, 0.2, 0.45)
     for axis in axes[len(shown) :]:
         axis.set_axis_off()
     for axis, metric in zip(axes, shown, strict=False):
-        labels = [fill(clean(name), 9) for name in result.models]
-        for place, name in enumerate(result.models):
+        labels = [fill(clean(name), 9) for name in result.methods]
+        for place, name in enumerate(result.methods):
             colour, values = COLOURS[place % len(COLOURS)], result.of(name, metric)
             values = values[~np.isnan(values)]
             if not len(values):
@@ -75,7 +76,7 @@ def metrics_picture(
             labels[place] = f"{mean:.3f}\n{labels[place]}"
         heading, better, _ = METRICS[metric]
         axis.set_title(f"{heading}  ({better} is better)" if better else heading, fontsize=10)
-        axis.set_xlim(-0.6, len(result.models) - 0.4)
+        axis.set_xlim(-0.6, len(result.methods) - 0.4)
         axis.set_ylim(bottom=0)
         axis.set_xticks(range(len(labels)), labels, fontsize=8)
         axis.grid(axis="y", color="0.9")
@@ -86,13 +87,13 @@ def metrics_picture(
     _save(figure, path)
 
 
-def panels_of(views: Mapping[str, bytes], result: Evaluation, frame: int) -> list["Panel"]:
+def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) -> list["Panel"]:
     """Return the pictures of a frame to draw side by side: points, truth, and the grids of the first methods.
 
     Parameters
     ----------
-    views : dict of str to bytes
-        What `ogm.cli.views.frame_view` made.
+    pictures : dict of str to bytes
+        See `ogm.evaluation.frame_pictures.draw_frame`.
     result : Evaluation
     frame : int
         Its place in the evaluation.
@@ -102,19 +103,19 @@ def panels_of(views: Mapping[str, bytes], result: Evaluation, frame: int) -> lis
     from ogm.plot import LEGEND, Panel
 
     titles = {"points": "points", "truth": "truth"}
-    for place, name in enumerate(result.models[:MOST]):
+    for place, name in enumerate(result.methods[:MOST]):
         value = result.of(name, "kl_e10")[frame]
         titles[f"mass {place}"] = name if np.isnan(value) else f"{name}, KL {value:.2f}"
     panels = []
     for key, title in titles.items():
-        if key in views:
-            with Image.open(io.BytesIO(views[key])) as picture:
+        if key in pictures:
+            with Image.open(io.BytesIO(pictures[key])) as picture:
                 image = np.asarray(picture.convert("RGB"))
             panels.append(Panel(image, result.spec, title, LEGEND if key.startswith("mass") else {}))
     return panels
 
 
-def frames_picture(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]], title: str) -> None:
+def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]], title: str) -> None:
     """Draw frames below each other, each a row of panels of the same kinds.
 
     Parameters

@@ -1,0 +1,133 @@
+"""What the page's script draws, in few bytes: names become numbers, numbers get four digits."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+__all__ = ["chart_data", "frame_keys", "group_metrics", "headline", "rounded"]
+
+HEADLINE = (
+    "kl_e10", "iou_free", "iou_occupied", "brier", "ece_relative", "auroc_unknown", "ause",
+    "free_recall_1", "false_free", "missed_occupied", "missed_obstacles",
+)  # fmt: skip
+GROUPS = {  # title: beginnings of metrics' names, in the order of the page
+    "Distance from the truth": ("kl_", "conflict"),
+    "The three states": ("iou_",),
+    "Probability and its calibration, on known cells": (
+        "brier",
+        "nll",
+        "map_score",
+        "ece",
+        "ace",
+        "interval",
+    ),
+    "Unknown: does it mark the cells not to trust?": ("auroc_", "aupr_", "fpr", "aurc", "ause"),
+    "Free space and obstacles": ("false_", "missed_", "free_", "ap_"),
+    "What the grid holds: neither is better": ("mean_", "entropy", "dissonance"),
+    "The released code's metrics: to reproduce its figures, not to rank by": ("evilog", "legacy"),
+}
+REST = "Further"
+MOST = 400_000  # per-frame values that the page carries; beyond this, those of the headline metrics only
+DIGITS = 4
+GAP = 2.0  # [s] after the frame before: lines of charts join them
+
+
+def headline(metrics: Iterable[str]) -> list[str]:
+    """Return the metrics of the first table, of those that there are."""
+    there = list(metrics)
+    return [name for name in HEADLINE if name in there] or there[:8]
+
+
+def group_metrics(metrics: Iterable[str]) -> dict[str, list[str]]:
+    """Return metrics by topic; each is in one group."""
+    found: dict[str, list[str]] = {title: [] for title in [*GROUPS, REST]}
+    for name in metrics:
+        title = next((title for title, starts in GROUPS.items() if name.startswith(starts)), REST)
+        found[title].append(name)
+    return {title: names for title, names in found.items() if names}
+
+
+def frame_keys(frames: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return a unique name for every frame: its own, or with its sequence, or with its number."""
+    full = [f"{one['sequence']}/{one['name']}" if one["sequence"] else one["name"] for one in frames]
+    keys = [one["name"] for one in frames]
+    for longer in (full, [f"{name} #{k}" for k, name in enumerate(full)]):
+        count = Counter(keys)
+        keys = [other if count[key] > 1 else key for key, other in zip(keys, longer, strict=True)]
+    return keys
+
+
+def rounded(value: Any) -> Any:
+    """Return numbers, in lists and dicts as deep as they come, with four digits; NaN and infinity as None."""
+    if isinstance(value, Mapping):
+        return {key: rounded(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(one) for one in value]
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return None
+        short = float(f"{value:.{DIGITS}g}")
+        return int(short) if short.is_integer() and abs(short) < 1e9 else short
+    return value
+
+
+def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any]:
+    """Return what the page's script needs of a record, as JSON can hold it.
+
+    Parameters
+    ----------
+    record : dict
+        See `ogm.evaluation.report.evaluation_record`.
+    shown : iterable of int
+        Numbers of the frames with pictures.
+
+    Returns
+    -------
+    dict
+        ``methods``, ``frames`` (key, sequence, whether it follows the one before), ``pictures``, ``metrics``,
+        ``headline``, ``perFrame`` (metric -> method -> frame), ``truth``, ``curves``, ``byRange``, ``ranges``,
+        ``paired`` ("method reference", by their numbers -> metric -> frames, wins, ties, losses, p, and difference
+        and ratio each with its interval), ``grid``.
+    """
+    methods, metrics, frames = record["methods"], record["metrics"], record["frames"]
+    names, first, carried = list(methods), headline(metrics), list(metrics)
+    if len(names) * len(frames) * len(carried) > MOST:
+        kept = {*first, *(m for m in metrics if m.startswith(("kl_", "evilog", "legacy", "mean_")))}
+        carried = [name for name in metrics if name in kept]
+    keys = zip(frame_keys(frames), frames, _follows(frames), strict=True)
+    data = {
+        "methods": names,
+        "frames": [[key, frame["sequence"], follows] for key, frame, follows in keys],
+        "pictures": sorted(shown),
+        "metrics": metrics,
+        "headline": first,
+        "perFrame": {m: [methods[name]["per frame"][m] for name in names] for m in carried},
+        "truth": record["truth per frame"],
+        "curves": [methods[name].get("curves") or {} for name in names],
+        "byRange": [methods[name].get("by range") or {} for name in names],
+        "ranges": record.get("ranges") or [],
+        "paired": {
+            f"{a} {b}": {metric: _row(one) for metric, one in pair.items()}
+            for a, first_name in enumerate(names)
+            for b, second in enumerate(names)
+            if (pair := record["paired"].get(f"{first_name} against {second}"))
+        },
+    }
+    return rounded(data) | {"grid": record["grid"]}
+
+
+def _follows(frames: Sequence[Mapping[str, Any]]) -> list[bool]:
+    """Return for every frame whether it was taken soon after the one before, in the same sequence."""
+    joined = [False] * len(frames)
+    for k, (before, here) in enumerate(pairwise(frames), start=1):
+        times = before["stamp"], here["stamp"]
+        if before["sequence"] == here["sequence"] and None not in times:
+            joined[k] = 0 < times[1] - times[0] <= GAP
+    return joined
+
+
+def _row(one: Mapping[str, Any]) -> list[float | None]:
+    counts = [one["frames"], one["wins"], one["ties"], one["losses"], one.get("p")]
+    return counts + [one[what][end] for what in ("difference", "ratio") for end in ("value", "low", "high")]

@@ -1,0 +1,300 @@
+"""Methods that are evaluated: sensor models, maps that fuse their grids over time, and precomputed grids."""
+
+import inspect
+import logging
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ogm.evaluation.models import describe_model, model_factory, weights_facts
+from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
+from ogm.fusion.warp import Method as Resampling
+from ogm.fusion.warp import warp
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.grids import GRID_ENDINGS, read_grid
+from ogm.scan import Frame, InverseSensorModel, PerMount, run_model
+
+__all__ = [
+    "FusedMethod",
+    "MethodRunner",
+    "PrecomputedGrids",
+    "SingleScanMethod",
+    "as_methods",
+    "grids_in",
+    "resample_to",
+]
+
+Model = InverseSensorModel | PerMount
+Measure = Callable[[Model], EvidentialGrid]  # a model's grid of the current frame
+Mapper = EvidentialMapper | BinaryBayesMapper
+
+
+@dataclass(eq=False)
+class SingleScanMethod:
+    """A sensor model; each scan is mapped by itself.
+
+    Parameters
+    ----------
+    model : InverseSensorModel or PerMount
+    description : str
+        One sentence, for the report.
+    weights : dict, optional
+        File name and SHA-256 of the model's weights.
+    """
+
+    model: Model
+    description: str = ""
+    weights: Mapping[str, str] | None = None
+
+    @classmethod
+    def named(cls, name: str, spec: GridSpec) -> "SingleScanMethod":
+        """Return the method of a model of `ogm.evaluation.models`, made for the mount of each frame."""
+        model = PerMount(model_factory(name, spec, drop_ego_returns=True))
+        return cls(model, describe_model(name), weights_facts(name))
+
+    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+        """Return the measurement grid of a frame on the evaluated cells."""
+        return resample_to(measure(self.model), spec)
+
+    def state(self) -> str:
+        """Return what the results depend on besides the description."""
+        return _model_state(self.model)
+
+
+@dataclass(eq=False)
+class FusedMethod:
+    """A map that fuses the grids of a sensor model over time; every sequence begins with a new map.
+
+    Parameters
+    ----------
+    model : InverseSensorModel or PerMount
+        Give the same object as to a `SingleScanMethod`, and each scan is mapped once for both.
+    new_mapper : function
+        Makes the mapper of a sequence.
+    description : str
+        One sentence, for the report.
+    """
+
+    model: Model
+    new_mapper: Callable[[], Mapper]
+    description: str = ""
+    _mapper: Mapper | None = field(default=None, init=False, repr=False)
+
+    def reset(self) -> None:
+        """Begin a new map."""
+        self._mapper = self.new_mapper()
+
+    def update(self, frame: Frame, measure: Measure) -> None:
+        """Fuse a frame into the map."""
+        if frame.T_map_sensor is None or frame.stamp is None:
+            raise ValueError(f"{frame.name} has no pose or no stamp, so that it cannot be fused")
+        if self._mapper is None:
+            self._mapper = self.new_mapper()
+        _update_map(self._mapper, measure(self.model), frame)
+
+    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+        """Return the map around the frame that was fused last."""
+        assert self._mapper is not None  # `update` comes first
+        return self._mapper.view(spec)
+
+    def state(self) -> str:
+        """Return what the results depend on besides the description."""
+        return _model_state(self.model) + _object_state(self.new_mapper())
+
+
+def _update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame) -> None:
+    """Fuse a frame's grid, which lies in the levelled frame around the sensor; after a jump begin a new map."""
+    T_map_level = frame.T_map_sensor @ frame.mount.T_sensor_level  # type: ignore[operator]
+    try:
+        mapper.update(grid, T_map_level, stamp=frame.stamp)
+    except PoseJump as jump:
+        logging.getLogger(__name__).warning("%s: %s; the map begins again", frame.name, jump)
+        mapper.reset()
+        mapper.update(grid, T_map_level, stamp=frame.stamp)
+
+
+@dataclass(eq=False)
+class PrecomputedGrids:
+    """Grids from files, by the names of their frames.
+
+    Parameters
+    ----------
+    files : dict of str to Path
+        Frame name to grid file (.npz, .npy, .png).
+    description : str
+        One sentence, for the report.
+    resampling : {"area", "nearest", "cautious"}, optional
+        How grids with other cells are resampled to the evaluated ones; by default they are refused, unless their
+        cells are repeated whole.
+    """
+
+    files: Mapping[str, Path]
+    description: str = ""
+    resampling: Resampling | None = None
+
+    @classmethod
+    def in_folder(cls, folder: Path, resampling: Resampling | None = None) -> "PrecomputedGrids":
+        """Return the grids of a folder.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such folder.
+        ValueError
+            If it holds no grids, or two of one frame.
+        """
+        if not folder.is_dir():
+            raise FileNotFoundError(f"there is no folder {folder}; precomputed grids come in a folder")
+        files = grids_in(folder)
+        if not files:
+            raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
+        name = folder.name or folder.resolve().name
+        return cls(files, f"Grids of the folder {name}, {len(files)} files.", resampling)
+
+    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+        """Read the grid of a frame, on the evaluated cells."""
+        path = self.files.get(frame.name)
+        if path is None:
+            raise ValueError(f"there is no precomputed grid of frame {frame.name}")
+        grid = read_grid(path, spec)
+        try:
+            return resample_to(grid, spec)
+        except ValueError as error:
+            if self.resampling is None:
+                raise ValueError(f"{path}: {error}; or resample it: --resample area") from error
+            return warp(grid, spec, np.eye(4), self.resampling)
+
+    def check(self, name: str, frames: Sequence[str]) -> None:
+        """Refuse frames without a grid, by the method's name and the frames' names."""
+        missing = [frame for frame in frames if frame not in self.files]
+        if missing:
+            more = sorted(set(self.files) - set(frames))
+            others = f"; it has {len(more)} with other names, first {more[0]}" if more else ""
+            raise ValueError(
+                f"{name}: there is no grid for {missing[0]} and {len(missing) - 1} more of {len(frames)} "
+                f"frames{others}. Grids have the names of their frames"
+            )
+
+    def state(self) -> str:
+        """Return what the results depend on besides the description and the files."""
+        return str(self.resampling)
+
+
+Method = SingleScanMethod | FusedMethod | PrecomputedGrids
+
+
+def as_methods(given: Mapping[str, Any], spec: GridSpec) -> dict[str, Method]:
+    """Return methods by name: a model's name and any callable with ``.spec`` are single-scan methods.
+
+    Raises
+    ------
+    TypeError
+        If one is neither.
+    """
+    if not given:
+        raise ValueError("no methods to evaluate: give at least one by its name")
+    result: dict[str, Method] = {}
+    for name, one in given.items():
+        if isinstance(one, SingleScanMethod | FusedMethod | PrecomputedGrids):
+            result[name] = one
+        elif isinstance(one, str):
+            result[name] = SingleScanMethod.named(one, spec)
+        elif isinstance(one, PerMount) or (callable(one) and hasattr(one, "spec")):
+            result[name] = SingleScanMethod(one, f"A sensor model in Python ({type(one).__name__}).")
+        else:
+            raise TypeError(
+                f"{name} must be a callable with a .spec, a PerMount, a model's name or a method, got {one!r}"
+            )
+    return result
+
+
+class MethodRunner:
+    """Runs methods on frame after frame; each scan is mapped once per model.
+
+    Parameters
+    ----------
+    methods : dict of str to method
+    spec : GridSpec
+        The evaluated cells.
+    """
+
+    def __init__(self, methods: Mapping[str, Method], spec: GridSpec) -> None:
+        self.methods, self.spec = methods, spec
+        self.fused = [one for one in methods.values() if isinstance(one, FusedMethod)]
+        self._sequence: str | None = None
+
+    def update(self, frame: Frame) -> Measure:
+        """Let fused methods take a frame in, in the order of its sequence."""
+        if frame.sequence != self._sequence or not frame.sequence:
+            self._sequence = frame.sequence
+            for method in self.fused:
+                method.reset()
+        found: dict[int, EvidentialGrid] = {}
+
+        def measure(model: Model) -> EvidentialGrid:
+            if id(model) not in found:
+                found[id(model)] = run_model(model, frame)
+            return found[id(model)]
+
+        for method in self.fused:
+            method.update(frame, measure)
+        return measure
+
+    def grids(self, frame: Frame) -> dict[str, EvidentialGrid]:
+        """Return the grid of every method for a frame, on the evaluated cells."""
+        measure = self.update(frame)
+        return {name: one.grid(frame, self.spec, measure) for name, one in self.methods.items()}
+
+
+def grids_in(folder: Path) -> dict[str, Path]:
+    """Return the grid files of a folder by the names of their frames."""
+    found: dict[str, Path] = {}
+    for file in sorted(folder.iterdir()):
+        if file.suffix.lower() not in GRID_ENDINGS or not file.is_file():
+            continue
+        if file.stem in found:
+            raise ValueError(
+                f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}"
+            )
+        found[file.stem] = file
+    return found
+
+
+def resample_to(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
+    """Return the grid on the cells of `spec`: itself, or each of its coarser cells repeated.
+
+    Raises
+    ------
+    ValueError
+        If `spec` covers another area, or its cells do not divide those of the grid.
+    """
+    if grid.spec == spec:
+        return grid
+    factor = round(grid.spec.resolution / spec.resolution)
+    same_area = np.allclose(grid.spec.extent, spec.extent, rtol=0, atol=1e-3 * spec.resolution)
+    nx, ny = grid.spec.shape
+    if factor < 1 or (nx * factor, ny * factor) != spec.shape or not same_area:
+        raise ValueError(
+            f"the grid has {grid.spec}, but the evaluated cells are {spec}; make the model with that spec, or with "
+            "whole multiples of its cells over the same area"
+        )
+    return EvidentialGrid.trusted(spec, grid.mass.repeat(factor, axis=0).repeat(factor, axis=1))
+
+
+def _model_state(model: Model) -> str:
+    return _object_state(model.model.__wrapped__ if isinstance(model, PerMount) else model)
+
+
+def _object_state(one: Any) -> str:
+    """Return an object's repr without addresses, and a hash of the source file of its class or function."""
+    home = one if inspect.isroutine(one) else type(one)
+    try:
+        source = Path(inspect.getfile(home)).read_bytes()
+    except (OSError, TypeError):  # a notebook, or no Python
+        source = repr(home).encode()
+    return re.sub(r" at 0x[0-9a-f]+", "", repr(one)) + sha256(source).hexdigest()

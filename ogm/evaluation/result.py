@@ -1,0 +1,178 @@
+"""Result of an evaluation: every metric of every method in every frame, and what follows from it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.evaluation.statistics import MIN_SAMPLES, Comparison, Interval, bootstrap_mean, compare_paired
+from ogm.grid import GridSpec
+from ogm.metrics import METRICS, ConfusionSums, score
+
+if TYPE_CHECKING:
+    from ogm.evaluation.cache import ResultCache
+
+__all__ = ["Evaluation", "FrameInfo"]
+
+
+class FrameInfo(NamedTuple):
+    """Name, sequence and stamp [s] of an evaluated frame."""
+
+    name: str
+    sequence: str = ""
+    stamp: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What `ogm.evaluation.evaluate` returns.
+
+    Parameters
+    ----------
+    methods : tuple of str
+    spec : GridSpec
+        The evaluated cells.
+    values : dict of str to (methods, frames) float64
+        Each metric of `ogm.metrics.METRICS` of every method in every frame; NaN where a frame has no value.
+    pooled : tuple of ConfusionSums
+        Of every method, the sums over all frames.
+    truth : (frames, 4)
+        Shares of the cells whose truth is unknown, free, occupied, ignored.
+    frames : tuple of FrameInfo
+    data : dict
+        Of the data set: name, kind, truth (what it is made of), and further facts, as JSON can hold them.
+    facts : dict of str to dict
+        Of every method: its description, and its weights or None.
+    numbers : tuple of int
+        Of the frames in the data set.
+    cache : ResultCache, optional
+        Where the frames are kept, with their pictures.
+    reused : int
+        Frames that were taken from an earlier run.
+    """
+
+    methods: tuple[str, ...]
+    spec: GridSpec
+    values: dict[str, NDArray[np.float64]]
+    pooled: tuple[ConfusionSums, ...]
+    truth: NDArray[np.float64]
+    frames: tuple[FrameInfo, ...]
+    data: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    numbers: tuple[int, ...] = ()
+    cache: "ResultCache | None" = None
+    reused: int = 0
+
+    def __str__(self) -> str:
+        """Tabulate the means over frames: a row per metric, a column per method."""
+        width = max(12, *(len(name) + 2 for name in self.methods))
+        head = f"{'mean of ' + str(len(self.frames)) + ' frames':22}"
+        lines = [head + "".join(f"{name:>{width}}" for name in self.methods)]
+        means = [self.macro(name) for name in self.methods]
+        lines += [f"{m:22}" + "".join(f"{one[m]:>{width}.4f}" for one in means) for m in self.values]
+        return "\n".join(lines)
+
+    @classmethod
+    def from_sums(
+        cls,
+        methods: Sequence[str],
+        spec: GridSpec,
+        frames: Iterable[tuple[Sequence[ConfusionSums], NDArray[np.floating]]],
+        infos: Sequence[FrameInfo] = (),
+    ) -> Self:
+        """Build an evaluation from sums: `evaluate` ends here, and so can an own loop.
+
+        Parameters
+        ----------
+        methods : sequence of str
+            Names, each once.
+        spec : GridSpec
+            The evaluated cells.
+        frames : iterable of (sums, truth)
+            Of each frame, the sums of every method in their order, and the shares of its cells whose truth is
+            unknown, free, occupied, ignored, (4,). Read once, none is kept.
+        infos : sequence of FrameInfo, optional
+            By default the frames are named by their numbers.
+
+        Raises
+        ------
+        ValueError
+            If there is no method or no frame, a name comes twice, or the numbers of methods or frames differ.
+        """
+        names = tuple(methods)
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"methods need names, each once, got {names}")
+        pooled: list[ConfusionSums] = []
+        rows, shares = [], []
+        for k, (sums, truth) in enumerate(frames):
+            if len(sums) != len(names) or np.shape(truth) != (4,):
+                raise ValueError(
+                    f"frame {k} has sums of {len(sums)} methods and {np.shape(truth)} shares of truth, wanted "
+                    f"{len(names)} ({', '.join(names)}) and (4,)"
+                )
+            pooled = [a.plus(b) for a, b in zip(pooled, sums, strict=True)] if pooled else list(sums)
+            rows.append([list(score(one).values()) for one in sums])
+            shares.append(truth)
+        if not rows:
+            raise ValueError("no frames to build an evaluation from")
+        infos = tuple(infos) or tuple(FrameInfo(str(k)) for k in range(len(rows)))
+        if len(infos) != len(rows):
+            raise ValueError(
+                f"there must be one FrameInfo per frame, got {len(infos)} for {len(rows)} frames"
+            )
+        values = dict(zip(METRICS, np.array(rows).transpose(2, 1, 0), strict=True))
+        return cls(names, spec, values, tuple(pooled), np.array(shares, np.float64), infos)
+
+    def of(self, method: str, metric: str) -> NDArray[np.float64]:
+        """Return a metric of a method in every frame, (frames,)."""
+        if method not in self.methods:
+            raise KeyError(f"there is no method {method!r} here, only {', '.join(self.methods)}")
+        if metric not in self.values:
+            raise KeyError(f"there is no metric {metric!r}, only {', '.join(self.values)}")
+        return self.values[metric][self.methods.index(method)]
+
+    def select(self, methods: Sequence[str]) -> "Evaluation":
+        """Return the evaluation of some of the methods."""
+        at = [self.methods.index(name) for name in methods]
+        values = {metric: rows[at] for metric, rows in self.values.items()}
+        return replace(self, methods=tuple(methods), values=values, pooled=tuple(self.pooled[k] for k in at))
+
+    def pictures(self, frame: int) -> dict[str, bytes]:
+        """Return the pictures of a frame by its place; none if the evaluation was run without a folder."""
+        one = None if self.cache is None else self.cache.load(self.numbers[frame])
+        return {} if one is None else one.pictures
+
+    def macro(self, method: str) -> dict[str, float]:
+        """Return the means over frames of every metric; frames without a value are left out."""
+        return {metric: _mean(self.of(method, metric)) for metric in self.values}
+
+    def micro(self, method: str) -> dict[str, float]:
+        """Return every metric of all frames' cells together."""
+        return score(self.pooled[self.methods.index(method)])
+
+    @property
+    def groups(self) -> list[str] | None:
+        """Drive of every frame for the bootstrap; None with fewer than five drives: frames are drawn then."""
+        drives = [frame.sequence for frame in self.frames]
+        return drives if len(set(drives)) >= MIN_SAMPLES else None
+
+    def interval(self, method: str, metric: str, rng: np.random.Generator) -> Interval:
+        """Return a metric's mean over frames with its 95 % bootstrap interval, see `bootstrap_mean`."""
+        return bootstrap_mean(self.of(method, metric), rng, groups=self.groups)
+
+    def compare(self, method: str, other: str, rng: np.random.Generator) -> dict[str, Comparison]:
+        """Compare two methods frame by frame, in every metric with a better direction, see `compare_paired`."""
+        return {
+            m: compare_paired(
+                self.of(method, m), self.of(other, m), METRICS[m].better, rng, groups=self.groups
+            )
+            for m in self.values
+            if METRICS[m].better
+        }
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    kept = values[~np.isnan(values)]
+    return float(kept.mean()) if len(kept) else float("nan")

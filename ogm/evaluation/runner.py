@@ -1,0 +1,232 @@
+"""`evaluate`: methods on the frames of a data set, frame by frame, with resume."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.evaluation.cache import FrameResult, ResultCache, code_state, files_state
+from ogm.evaluation.frame_pictures import draw_frame
+from ogm.evaluation.methods import FusedMethod, Method, MethodRunner, PrecomputedGrids, as_methods
+from ogm.evaluation.result import Evaluation, FrameInfo
+from ogm.grid import GridSpec
+from ogm.metrics import accumulate, distances
+from ogm.pose import transform_points
+from ogm.scan import Frame
+from ogm.state import CellState
+
+__all__ = ["REPORT_FILES", "evaluate", "package_versions"]
+
+REPORT_FILES = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
+PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
+Draw = Callable[..., dict[str, bytes]]
+
+
+def evaluate(
+    methods: Mapping[str, Any],
+    dataset: Sequence[Frame],
+    spec: GridSpec | None = None,
+    *,
+    frames: Iterable[int] | None = None,
+    out: str | Path | None = None,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    draw: Draw = draw_frame,
+) -> Evaluation:
+    """Evaluate methods on the same frames of a data set.
+
+    With a `FusedMethod`, cells whose truth is unknown are left out for all methods: a map may know them from other
+    frames.
+
+    Parameters
+    ----------
+    methods : dict of str to method
+        By its name in the report: any callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; a
+        `PerMount`, which makes one for the mount of each frame; the name of a model, see `ogm.evaluation.models`;
+        `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`.
+    dataset : sequence of Frame
+        Frames with truth, as `ogm.datasets.open_dataset` returns them.
+    spec : GridSpec, optional
+        The evaluated cells, around the sensor. By default the 81.92 m x 56.32 m of the paper.
+    frames : iterable of int, optional
+        Numbers of the evaluated frames; all by default. Fused methods take in all frames of a sequence up to them.
+    out : path, optional
+        Folder for finished frames, in ``frames/``, with their pictures. If all data, methods and settings are those of
+        an interrupted run there, it is resumed. An own callable is the same if its `repr` and its source file are.
+    progress : function
+        Iterates over the numbers of the frames that are read, and may draw a progress bar.
+    draw : function
+        Draws a frame for `out`, see `ogm.evaluation.frame_pictures.draw_frame`.
+
+    Raises
+    ------
+    ValueError
+        If there is no method or no frame, a frame has no truth, a grid covers another area than `spec`, or `out` holds
+        an unfinished run with other settings.
+    KeyboardInterrupt
+        With `out`, the message counts the finished frames.
+    """
+    spec = GridSpec.centered() if spec is None else spec
+    used = as_methods(methods, spec)
+    numbers = list(range(len(dataset))) if frames is None else sorted(set(frames))
+    infos = _checked(used, dataset, numbers)
+    data = _dataset_facts(dataset, any(isinstance(one, FusedMethod) for one in used.values()))
+    facts = {
+        name: {"description": one.description, "weights": getattr(one, "weights", None)}
+        for name, one in used.items()
+    }
+    if out is None:
+        results = _results(used, dataset, spec, numbers, progress, None)
+        rows = ((one.sums, one.truth) for _, one in results)
+        cache, reused = None, 0
+    else:
+        cache = _open_cache(Path(out), used, dataset, {"data": data, "methods": facts}, spec, infos, numbers)
+        missing = cache.missing(numbers)
+        reused = len(numbers) - len(missing)
+        if not reused:
+            for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
+                (Path(out) / name).unlink(missing_ok=True)
+        try:
+            for number, one in _results(used, dataset, spec, missing, progress, draw):
+                cache.save(number, one)
+        except KeyboardInterrupt:
+            done = len(numbers) - len(cache.missing(numbers))
+            raise KeyboardInterrupt(
+                f"{done} of {len(numbers)} frames are finished and kept: repeat the command to resume"
+            ) from None
+        rows = (_kept(cache, number, info) for number, info in zip(numbers, infos, strict=True))
+    result = Evaluation.from_sums(tuple(used), spec, rows, infos)
+    if cache is not None:
+        cache.finish()
+    return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
+
+
+def package_versions() -> dict[str, str]:
+    """Return the versions of the packages that figures may depend on, as far as they are installed."""
+    found = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def _results(
+    methods: Mapping[str, Method],
+    dataset: Sequence[Frame],
+    spec: GridSpec,
+    numbers: Sequence[int],
+    progress: Callable[[Iterable[int]], Iterable[int]],
+    draw: Draw | None,
+) -> Iterator[tuple[int, FrameResult]]:
+    """Yield the results of some frames, in order."""
+    runner = MethodRunner(methods, spec)
+    wanted, away = set(numbers), distances(spec)
+    for number in progress(_frames_to_read(dataset, numbers, bool(runner.fused))):
+        frame = dataset[number]
+        if number not in wanted:
+            runner.update(frame)
+            continue
+        state = _true_states(frame, spec, bool(runner.fused))
+        masses = [grid.mass for grid in runner.grids(frame).values()]
+        sums = tuple(accumulate(mass, state, away) for mass in masses)
+        shares = np.bincount(state.ravel(), minlength=4) / state.size
+        yield (
+            number,
+            FrameResult(sums, shares, {} if draw is None else _pictures(draw, frame, state, masses, spec)),
+        )
+
+
+def _true_states(frame: Frame, spec: GridSpec, fused: bool) -> NDArray[np.uint8]:
+    if frame.truth is None:
+        raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
+    state = frame.truth.crop(spec).state
+    return np.where(state == CellState.UNKNOWN, np.uint8(CellState.IGNORE), state) if fused else state
+
+
+def _pictures(
+    draw: Draw, frame: Frame, state: NDArray[np.uint8], masses: Sequence[NDArray], spec: GridSpec
+) -> dict[str, bytes]:
+    if frame.scan is None:
+        return draw(None, state, masses, spec)
+    points = transform_points(frame.mount.T_vehicle_points, frame.scan.points)
+    return draw(points, state, masses, spec, frame.mount.ground_point[2])
+
+
+def _frames_to_read(dataset: Sequence[Frame], numbers: Sequence[int], fused: bool) -> list[int]:
+    """Return the given frames; for fused methods with all frames before them in their sequences."""
+    if not fused:
+        return list(numbers)
+    last = {dataset[k].sequence: k for k in numbers}
+    return [k for k in range(len(dataset)) if k <= last.get(dataset[k].sequence, -1)]
+
+
+def _checked(
+    methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int]
+) -> tuple[FrameInfo, ...]:
+    """Return what the evaluated frames are, after a check of what the methods need of them."""
+    if not numbers or not 0 <= numbers[0] <= numbers[-1] < len(dataset):
+        raise ValueError(
+            f"there must be frames to evaluate, in 0 ... {len(dataset) - 1}, got {numbers[:3]} ..."
+        )
+    infos = tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in (dataset[k] for k in numbers))
+    for name, method in methods.items():
+        if isinstance(method, PrecomputedGrids):
+            method.check(name, [info.name for info in infos])
+        if isinstance(method, FusedMethod) and not all(info.sequence for info in infos):
+            raise ValueError(
+                f"{name} fuses frames that follow each other, but these stand alone: give a drive with poses, or the "
+                "split `sequences` of a simulated data set"
+            )
+    return infos
+
+
+def _dataset_facts(dataset: Any, fused: bool) -> dict[str, Any]:
+    """Return what a data set is; plain sequences of frames have no facts."""
+    truth = getattr(dataset, "description", "")
+    if fused:
+        truth = f"{truth} Cells of unknown truth are left out: a map may know them from other frames.".strip()
+    kind, name = getattr(dataset, "format", "frames in Python"), getattr(dataset, "name", "frames")
+    return {"kind": kind, "name": name, "truth": truth, **getattr(dataset, "facts", {})}
+
+
+def _open_cache(
+    out: Path,
+    methods: Mapping[str, Method],
+    dataset: Any,
+    facts: Mapping[str, Any],
+    spec: GridSpec,
+    infos: Sequence[FrameInfo],
+    numbers: Sequence[int],
+) -> ResultCache:
+    """Open the folder of finished frames, with all that decides what they hold."""
+    grids = [
+        path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()
+    ]
+    files = [*map(Path, getattr(dataset, "files", ())), *grids]
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out} is a file, but the report is a folder")
+    if out.resolve() in {(path if path.is_dir() else path.parent).resolve() for path in files}:
+        raise ValueError(f"{out} holds what is evaluated: pictures of the report would mix with it")
+    settings = {
+        **facts,
+        "states": {name: one.state() for name, one in methods.items()},
+        "versions": package_versions(),
+        "frames": infos,
+        "numbers": numbers,
+        "grid": [spec.resolution, spec.shape, spec.origin],
+        "files": files_state(files, out),
+        "code": code_state(),
+    }
+    return ResultCache(out / "frames", settings)
+
+
+def _kept(cache: ResultCache, number: int, info: FrameInfo) -> tuple[Sequence[Any], NDArray[np.float64]]:
+    one = cache.load(number)
+    if one is None:
+        raise ValueError(f"{cache.folder} lost the finished frame {info.name}: repeat the command")
+    return one.sums, one.truth

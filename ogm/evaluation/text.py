@@ -1,0 +1,38 @@
+"""Numbers, counts and lists as text."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+__all__ = ["clean", "format_number", "join_words", "pluralize"]
+
+
+def clean(value: Any) -> Any:
+    """Return a text, or texts in dicts and lists, that can be encoded: file names may hold bytes that are no text."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "replace").decode("utf-8")
+    if isinstance(value, Mapping):
+        return {clean(key): clean(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [clean(one) for one in value]
+    return value
+
+
+def format_number(value: float | None) -> str:
+    """Return a number with three to four digits; a dash for None."""
+    if value is None:
+        return "–"
+    size = abs(value)
+    if size and (size < 1e-3 or size >= 1e5):
+        return f"{value:.1e}"
+    return f"{value:.3f}" if size < 10 else f"{value:.1f}" if size < 1000 else f"{value:.0f}"
+
+
+def pluralize(number: int, what: str) -> str:
+    """Return how many of something: "1 frame", "2 frames"."""
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def join_words(words: Sequence[str]) -> str:
+    """Return words with commas, or semicolons where they hold commas, and an "and" before the last."""
+    comma = "; " if any("," in word for word in words) else ", "
+    return " and ".join([comma.join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
