@@ -8,10 +8,10 @@ import typer
 
 import ogm
 from ogm.cli.console import out
-from ogm.cli.evaluate import evaluate
+from ogm.cli.evaluate_command import evaluate
 from ogm.cli.fuse import fuse
 from ogm.cli.info import info
-from ogm.cli.maps import demo, map_
+from ogm.cli.map_command import demo, map_
 from ogm.cli.simulate import simulate
 from ogm.cli.train import export, train
 

@@ -1,15 +1,22 @@
-"""What all commands share: where they print, and how they complain."""
+"""Output of all commands: consoles, errors, progress, tables."""
 
 import functools
-from collections.abc import Callable, Mapping
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import ParamSpec, TypeVar
 
 import typer
 from rich.console import Console
+from rich.progress import track
 from rich.table import Table
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
+
+COMPILED = 3.0  # [s] a first call that takes longer has compiled kernels
 
 out = Console(highlight=False)
 stderr = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -25,15 +32,16 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
         except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
             stderr.print(f"ogm: {one_line(error)}", markup=False)
             raise typer.Exit(2) from None
-        except KeyboardInterrupt:
-            stderr.print("ogm: interrupted; files that were finished are whole, no other was written")
+        except KeyboardInterrupt as interrupt:
+            text = str(interrupt) or "files that were finished are whole, no other was written"
+            stderr.print(f"ogm: interrupted; {text}", markup=False)
             raise typer.Exit(130) from None
 
     return run
 
 
 def one_line(error: BaseException) -> str:
-    """Say an error in one line."""
+    """Return an error in one line."""
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
@@ -47,3 +55,31 @@ def print_facts(facts: Mapping[str, str]) -> None:
     for name, value in facts.items():
         table.add_row(name, value)
     out.print(table, markup=False)
+
+
+def ticked(items: Iterable[T], what: str) -> Iterable[T]:
+    """Iterate with a progress bar, which disappears in the end."""
+    return track(list(items), what, console=stderr, transient=True)
+
+
+@contextmanager
+def first_call() -> Iterator[None]:
+    """Show that a first call may compile kernels, and how long that took."""
+    start = time.perf_counter()
+    with stderr.status("the first call compiles kernels (once per environment) ..."):
+        yield
+    if (seconds := time.perf_counter() - start) > COMPILED:
+        stderr.print(
+            f"ogm: kernels were compiled in {seconds:.0f} s; later calls take them from numba's cache"
+        )
+
+
+def distinct(names: Sequence[str], width: int = 36) -> list[str]:
+    """Return names shortened to a width, with the part in which they differ."""
+    if max(map(len, names), default=0) <= width:
+        return list(names)
+    common = os.path.commonprefix(list(names)) if len(set(names)) > 1 else ""
+    cut = len(common) - 4 if len(common) > 8 else 0
+    tails = [f"…{name[cut:]}" if cut else name for name in names]
+    half = (width - 1) // 2
+    return [name if len(name) <= width else f"{name[:half]}…{name[-half:]}" for name in tails]

@@ -1,30 +1,36 @@
-"""``ogm evaluate``: sensor models, maps and foreign grids against the truth, frame by frame."""
+"""``ogm evaluate``: sensor models, maps and precomputed grids against the truth, frame by frame."""
 
 import shlex
 import sys
-from collections.abc import Sequence
-from datetime import UTC, datetime
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
-from rich.progress import track
+from rich.table import Table
+from rich.text import Text
 
-from ogm.cli.console import out, report_errors, stderr
+from ogm.cli.console import distinct, out, report_errors, stderr, ticked
+from ogm.cli.options import parsed_axes
 from ogm.cli.rules import BAYES, RULES
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from ogm.datasets import Dataset
+    from ogm.evaluation.methods import Method
+    from ogm.grid import GridSpec
 
-    from ogm.cli.judging import ResultCache
-    from ogm.cli.source import Source
-    from ogm.metrics import Evaluation
-
-WORST, BEST = 0.5, 0.25  # shares of the frames in the report; the rest is spread evenly over the ranks
-ROWS = 6  # of the contact sheet
-WRITTEN = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
-HEADLINE = "kl_e10"  # by which frames are ranked
+MODELS = ("height-band", "ray", "lite")
+PRINTED = (
+    "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "iou_unknown",
+    "iou_free_known", "iou_occupied_known", "auroc_unknown", "ece", "ece_relative", "brier",
+    "false_free", "missed_occupied", "mean_unknown",
+)  # fmt: skip
+COMPARED = (
+    "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "ece", "ece_relative",
+    "false_free",
+)  # fmt: skip
+BRIEF = ("kl_e10", "iou_free", "iou_occupied", "false_free", "brier", "ece")  # of many methods
+FEW = 6  # methods that have a column each
 
 
 @report_errors
@@ -32,8 +38,8 @@ def evaluate(
     data: Annotated[
         Path,
         typer.Argument(
-            help="Data set that `ogm simulate` made; a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...); "
-            "or a folder of truth grids.",
+            help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
+            "`ogm simulate` made, or a folder of truth grids.",
             metavar="DATA",
         ),
     ],
@@ -51,7 +57,7 @@ def evaluate(
     fused: Annotated[
         str | None,
         typer.Option(
-            help="Judge each model also fused over time, by one or more rules with commas between: "
+            help="Evaluate each model also fused over time, by one or more rules with commas between: "
             f"{', '.join(RULES)}, {BAYES}.",
             metavar="RULE[,RULE]...",
         ),
@@ -59,31 +65,38 @@ def evaluate(
     grids: Annotated[
         list[Path] | None,
         typer.Option(
-            help="Folder of grids that somebody else made (.npz, .npy, .png), by the frames' names; may be repeated."
+            help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."
         ),
     ] = None,
     resample: Annotated[
         str | None,
         typer.Option(
-            help="Bring --grids of other cells onto those judged: area, nearest or cautious. [default: refuse]"
+            help="Resample --grids with other cells: area, nearest or cautious. [default: refuse them]"
         ),
     ] = None,
     split: Annotated[
         str | None,
-        typer.Option(help="Part of a simulated data set. [default: validation; sequences with --fused]"),
+        typer.Option(
+            help="Part of a simulated data set: train, val, test or sequences. [default: val, or the one that has "
+            "samples; sequences with --fused]"
+        ),
     ] = None,
     truth: Annotated[
         str | None,
         typer.Option(
-            help="Of a recording: what its truth is made from, with commas between: boxes, classes, map, aggregated. "
+            help="What the truth of a recording is made from, with commas between: boxes, classes, map, aggregated. "
             "[default: all there is]",
             metavar="WHAT[,WHAT]...",
         ),
     ] = None,
+    axes: Annotated[
+        str,
+        typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z."),
+    ] = "flu",
     samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
-    every: Annotated[int, typer.Option(help="Judge every so manieth frame; maps are shown all.")] = 1,
-    frames: Annotated[int, typer.Option(help="Frames to look at in the report.")] = 100,
-    seed: Annotated[int, typer.Option(help="Says which samples and which bootstrap draws.")] = 0,
+    every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
+    frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
+    seed: Annotated[int, typer.Option(help="Random seed of --samples and of the bootstrap.")] = 0,
     out_folder: Annotated[
         Path,
         typer.Option(
@@ -91,175 +104,170 @@ def evaluate(
         ),
     ] = Path("report"),
 ) -> None:
-    """Judge sensor models, maps and foreign grids on the same frames, and write a report to look at.
+    """Evaluate sensor models, maps and precomputed grids on the same frames, and write a report.
 
-    How far from the truth, how well calibrated, how safe, who wins how often, and where each fails. Cells that the
-    truth ignores are left out; on recordings that is every cell that nobody labelled. Every model is told the
-    sensor's height and tilt and where the own vehicle is, but for height-band-released, which has its own numbers
-    built in. With --fused, what a simulated frame cannot see is left out too, as a map may know it, and the
-    aggregated truth of a recording is made from later scans only, which no map has seen.
-    What stands behind +- is half of the 95 % bootstrap interval of the mean: over drives where there are five or
-    more, else over frames.
+    Metrics measure the distance from the truth, calibration, safety, and how often each method wins. Cells that the
+    truth ignores are left out; on recordings these are all cells without a label. Every model gets the sensor's height
+    and tilt and the ego footprint; only height-band-released has its own numbers built in. With --fused, cells that a
+    simulated frame cannot observe are left out too, as a map may know them, and the aggregated truth of a recording is
+    made from later scans only, which no map has fused.
+    The number after +- is half of the 95 % bootstrap interval of the mean: over drives where there are five or more,
+    else over frames.
 
-    Finished frames are kept in the folder frames of --out: an interrupted run goes on when the command is repeated.
+    Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run.
     """
-    import numpy as np
-
-    from ogm.cli.judging import ResultCache, run_evaluation, state_of_code, state_of_files
-    from ogm.cli.methods import Methods, methods_of
-    from ogm.cli.page import write_page
-    from ogm.cli.report import print_tables, report, versions, write_csv, write_report
-    from ogm.cli.source import source_of
-    from ogm.fusion.warp import Method
+    from ogm.datasets import SOURCES, open_dataset
+    from ogm.evaluation import evaluate as run_evaluation
+    from ogm.evaluation import write_report
     from ogm.grid import GridSpec
-    from ogm.recordings import SOURCES
 
     rules = _words(fused, "--fused", (*RULES, BAYES))
-    given = _words(truth, "--truth", SOURCES)
-    if resample not in (None, *get_args(Method)):
-        raise ValueError(f"--resample must be one of {', '.join(get_args(Method))}, got {resample}")
+    sources = _words(truth, "--truth", SOURCES)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
-    spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
-    names = [*(ism or []), *(more or [])] or ([] if grids else ["height-band", "ray", "lite"])
+    names = [*(ism or []), *(more or [])] or ([] if grids else list(MODELS))
     if rules and not names:
         raise ValueError("--fused fuses the scans of models; give --ism NAME too")
     if rules and split is None and (data / "zarr.json").exists():
         split = "sequences"
-    source = source_of(data, spec, split, tuple(given), "maps" if rules else "scans")
-    numbers = _numbers(source, samples, every, seed)
-    methods = Methods(methods_of(names, rules, grids or [], spec), spec, resample)  # type: ignore[arg-type]
-    methods.check([source.frames[k] for k in (range(len(source.frames)) if methods.remember else numbers)])
-    if out_folder.exists() and not out_folder.is_dir():
-        raise ValueError(f"--out writes a folder, but {out_folder} is a file")
-    if out_folder.resolve() in {folder.resolve() for folder in (data, *(grids or []))}:
-        raise ValueError(f"--out {out_folder} is what is judged: pictures of the report would mix with it")
-
-    facts = {
-        "data": {"kind": source.kind, "name": source.name, "truth": source.description, **source.facts},
-        "methods": methods.facts(),
-        "resample": resample,
-        "versions": versions(),
-    }
-    settings = {
-        "frames": [source.frames[k] for k in numbers],
-        "numbers": numbers,
-        "grid": [spec.resolution, spec.shape, spec.origin],
-        "files": state_of_files([*source.files, *methods.files], out_folder),
-        "code": state_of_code(),
-    }
-    archive = ResultCache(out_folder / "frames", facts | settings)
-    kept = len(numbers) - len(archive.missing(numbers))
-    if not kept:
-        for name in WRITTEN:  # of another run: they would be taken for this one's if it ended early
-            (out_folder / name).unlink(missing_ok=True)
-    if kept:
+    spec = GridSpec.centered()
+    others = "later" if rules else "all"
+    dataset = open_dataset(
+        data, axes=parsed_axes(axes), split=split, truth=tuple(sources), others=others, spec=spec
+    )
+    numbers = _numbers(dataset, samples, every, seed)
+    methods = _methods(names, rules, grids or [], spec, resample)
+    result = run_evaluation(
+        methods,
+        dataset,
+        spec,
+        frames=numbers,
+        out=out_folder,
+        progress=lambda k: ticked(k, "evaluating (the first frame compiles kernels)"),
+    )
+    if result.reused:
         stderr.print(
-            f"ogm: {kept} of {len(numbers)} frames are finished already, and are taken from {archive.folder}"
+            f"ogm: {result.reused} of {len(numbers)} frames were finished before, and are taken from {out_folder}"
         )
-
-    def ticked(numbers: Any) -> Any:
-        return track(numbers, "judging", console=stderr, transient=True)
-
-    try:
-        result = run_evaluation(source, numbers, methods, archive, ticked)
-    except KeyboardInterrupt:
-        done = len(numbers) - len(archive.missing(numbers))
-        stderr.print(
-            f"ogm: interrupted; {done} of {len(numbers)} frames are finished and kept: repeat the command to go on"
-        )
-        raise typer.Exit(130) from None
     with stderr.status("writing the report ..."):
-        named = [source.frames[k] for k in numbers]
-        record = {
-            "title": f"{source.name}: {', '.join(methods.names)}" if len(methods.names) < 5 else source.name,
-            "command": shlex.join(["ogm", *sys.argv[1:]]),
-            "date": datetime.now(UTC).date().isoformat(),
-            "seed": seed,
-            "data": facts["data"],
-            "frames": [frame._asdict() for frame in named],
-            **report(
-                result, np.random.default_rng(seed), [frame.sequence for frame in named], methods.facts()
-            ),
-        }
-        write_report(out_folder / "report.json", record)
-        write_csv(out_folder / "frames.csv", result, [frame.name for frame in named])
-        views = {int(k): one.views for k in _pictured(result, frames) if (one := archive.load(numbers[k]))}
-        write_page(out_folder / "report.html", record, views)
-        draw(out_folder, result, source, numbers, archive)
-    archive.finish()
-    print_tables(result, record, f"{source.name}, {result.frames} frames")
-    written = "   ".join(str(out_folder / name) for name in WRITTEN)
-    out.print(f"written {written}", markup=False, soft_wrap=True)
+        command = shlex.join(["ogm", *sys.argv[1:]])
+        record = write_report(out_folder, result, command=command, seed=seed, pictured=frames)
+    _print_tables(record, f"{dataset.name}, {len(numbers)} frames")
+    written = ["report.html", "report.json", "frames.csv", "metrics.png", "frames.png"]
+    names = "   ".join(str(out_folder / name) for name in written)
+    out.print(f"written {names}", markup=False, soft_wrap=True)
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:
-    """Return what an option lists with commas, each once."""
+    """Return the words of an option with commas, each once."""
     words = [word.strip() for word in (given or "").split(",") if word.strip()]
     for word in words:
         if word not in choices:
-            raise ValueError(f"{option} knows {', '.join(choices)}, got {word!r}")
+            raise ValueError(f"{option} takes {', '.join(choices)}, got {word!r}")
     if given is not None and not words:
-        raise ValueError(f"{option} wants one or more of {', '.join(choices)}")
+        raise ValueError(f"{option} needs one or more of {', '.join(choices)}")
     return list(dict.fromkeys(words))
 
 
-def _numbers(source: "Source", samples: int | None, every: int, seed: int) -> list[int]:
-    """Return the numbers of the frames to judge, ascending."""
+def _numbers(dataset: "Dataset", samples: int | None, every: int, seed: int) -> list[int]:
+    """Return the numbers of the evaluated frames, ascending."""
     import numpy as np
 
     if every < 1:
         raise ValueError(f"--every must be at least 1, got {every}")
-    numbers = np.arange(0, len(source.frames), every)
+    numbers = np.arange(0, len(dataset), every)
     if samples is None:
         return numbers.tolist()
     if not 1 <= samples <= len(numbers):
-        raise ValueError(f"--samples must be in 1 ... {len(numbers)}, what {source.name} has, got {samples}")
+        raise ValueError(
+            f"--samples must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}"
+        )
     return np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False)).tolist()
 
 
-def _ranked(result: "Evaluation") -> "NDArray[np.int64]":
-    """Return the frames from the best to the worst of the last method, without those that have no value, if any do."""
-    import numpy as np
+def _methods(
+    models: Sequence[str],
+    rules: Sequence[str],
+    folders: Sequence[Path],
+    spec: "GridSpec",
+    resample: str | None,
+) -> "dict[str, Method]":
+    """Return the models, each of them fused by every rule, and the folders of grids."""
+    from ogm.evaluation.methods import FusedMethod, PrecomputedGrids, Resampling, SingleScanMethod
+    from ogm.evaluation.models import short_names
 
-    values = result.of(result.models[-1], HEADLINE)
-    order = np.argsort(values, kind="stable")  # those without a value come last
-    return order[: np.count_nonzero(~np.isnan(values)) or None]
+    if resample not in (None, *get_args(Resampling)):
+        raise ValueError(f"--resample must be one of {', '.join(get_args(Resampling))}, got {resample}")
+    scans = {short: SingleScanMethod.named(name, spec) for short, name in short_names(models).items()}
+    methods: dict[str, Method] = dict(scans)
+    for name, one in scans.items():
+        for rule in rules:
+            methods[f"{name} + {rule}"] = FusedMethod.by_rule(name, one.model, rule, spec)
+    for folder in folders:
+        name = folder.resolve().name
+        name = name if name not in methods else str(folder)
+        if name in methods:
+            raise ValueError(f"{folder} is given twice; give each folder once")
+        methods[name] = PrecomputedGrids.in_folder(folder, resample)  # type: ignore[arg-type]
+    return methods
 
 
-def _pictured(result: "Evaluation", most: int) -> list[int]:
-    """Choose the frames that the report shows: the worst, the best, and others spread evenly over the ranks."""
-    import numpy as np
+def _print_tables(record: Mapping[str, Any], title: str) -> None:
+    """Print the means, and how the last method compares to the others."""
+    names = list(record["methods"])
+    table = _table(f"Means over {title}")
+    table.add_column("")
+    if len(names) <= FEW:
+        for name in distinct(names):
+            table.add_column(Text(_clean(name)), justify="right", overflow="fold")
+        for metric in PRINTED:
+            table.add_row(_heading(record, metric), *_column(record, metric))
+    else:
+        for metric in BRIEF:
+            table.add_column(_heading(record, metric), justify="right")
+        columns = [_column(record, metric) for metric in BRIEF]
+        for name, *row in zip(names, *columns, strict=True):
+            table.add_row(Text(_clean(name)), *row)
+    out.print(table)
+    out.print(
+        "(- lower, + higher is better; +- half of the 95 % interval; report.html describes the metrics)"
+    )
+    for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
+        table = _table(f"\n{name}")
+        for head in ("", "wins", "ties", "losses", "ratio of means"):
+            table.add_column(head, justify="left" if head == "" else "right")
+        for metric in COMPARED:
+            one = record["paired"][name][metric]
+            counts = (str(one[key]) for key in ("wins", "ties", "losses"))
+            table.add_row(record["metrics"][metric]["title"], *counts, _interval(one["ratio"]))
+        out.print(table)
 
-    if result.frames <= most:
-        return list(range(result.frames))
-    order = _ranked(result)
-    if len(order) <= most:
-        return sorted(order.tolist())
-    worst = max(round(WORST * most), 1)
-    best = min(round(BEST * most), most - worst)
-    between = order[best : len(order) - worst]
-    places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
-    return sorted({*order[len(order) - worst :].tolist(), *order[:best].tolist(), *between[places].tolist()})
+
+def _table(title: str) -> Table:
+    return Table(title=Text(_clean(title)), title_justify="left", title_style="", box=None, pad_edge=False)
 
 
-def draw(
-    folder: Path, result: "Evaluation", source: "Source", numbers: Sequence[int], archive: "ResultCache"
-) -> None:
-    """Draw the metrics, and frames from the best to the worst of the last method."""
-    import numpy as np
+def _clean(text: str) -> str:
+    return text.encode("utf-8", "replace").decode("utf-8")
 
-    from ogm.cli import pictures
 
-    title = f"{source.name}, {result.frames} frames: quartiles, 5 to 95 %, dot and number: mean"
-    pictures.metrics_picture(folder / "metrics.png", result, title)
-    order = _ranked(result)
-    places = np.linspace(0, len(order) - 1, min(ROWS, len(order))).round().astype(int)
-    rows = []
-    for k in order[places].tolist():
-        kept = archive.load(numbers[k])
-        if kept is not None:
-            panels = pictures.panels_of(kept.views, result, k)
-            rows.append((source.frames[numbers[k]].name, panels))
-    best = f"frames from the best to the worst of {result.models[-1]}"
-    pictures.frames_picture(folder / "frames.png", rows, best)
+def _heading(record: Mapping[str, Any], metric: str) -> str:
+    one = record["metrics"][metric]
+    return f"{ {'lower': '-', 'higher': '+', '': ' '}[one['better']] } {one['title']}"
+
+
+def _column(record: Mapping[str, Any], metric: str) -> list[Text]:
+    """Return a metric of all methods, the best one in bold."""
+    better = record["metrics"][metric]["better"]
+    row = [one["macro"][metric] for one in record["methods"].values()]
+    means = [one["value"] for one in row if one["value"] is not None]
+    best = None if not means or not better else min(means) if better == "lower" else max(means)
+    return [Text(_interval(one), "bold" if one["value"] == best else "") for one in row]
+
+
+def _interval(interval: Mapping[str, float | None]) -> str:
+    value, low, high = (interval[key] for key in ("value", "low", "high"))
+    if value is None:
+        return "no value"
+    kind = ".3f" if abs(value) < 1e5 else ".3g"
+    return f"{value:{kind}}" if low is None or high is None else f"{value:{kind}} +-{(high - low) / 2:{kind}}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ogm.evaluation.models import describe_model, model_factory, weights_facts
+from ogm.evaluation.rules import BAYES, mapper_of, rolling
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
 from ogm.fusion.warp import Method as Resampling
 from ogm.fusion.warp import warp
@@ -84,6 +85,32 @@ class FusedMethod:
     new_mapper: Callable[[], Mapper]
     description: str = ""
     _mapper: Mapper | None = field(default=None, init=False, repr=False)
+
+    @classmethod
+    def by_rule(
+        cls, name: str, model: Model, rule: str, spec: GridSpec, half_life: float | None = None
+    ) -> "FusedMethod":
+        """Return a rolling map that fuses by a rule.
+
+        Parameters
+        ----------
+        name : str
+            Of the model, for the description.
+        model : InverseSensorModel or PerMount
+        rule : str
+            One of `ogm.evaluation.rules.RULES`, or ``bayes``.
+        spec : GridSpec
+            The cells of the model's grids.
+        half_life : float, optional
+            [s]; by default that of the mapper.
+        """
+        window = rolling(spec)
+        mapper = mapper_of(rule, window, half_life)  # refuses unknown rules before any work
+        memory = mapper.half_life if isinstance(mapper.half_life, float) else mapper.half_life[0]
+        kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
+        decay = "no decay" if np.isinf(memory) else f"half-life {memory:g} s"
+        description = f"The scans of {name} fused over time by {kind}, {decay}."
+        return cls(model, lambda: mapper_of(rule, window, half_life), description)
 
     def reset(self) -> None:
         """Begin a new map."""

@@ -17,7 +17,6 @@ from ogm.grid import GridSpec
 from ogm.metrics import accumulate, distances
 from ogm.pose import transform_points
 from ogm.scan import Frame
-from ogm.state import CellState
 
 __all__ = ["REPORT_FILES", "evaluate", "package_versions"]
 
@@ -38,8 +37,8 @@ def evaluate(
 ) -> Evaluation:
     """Evaluate methods on the same frames of a data set.
 
-    With a `FusedMethod`, cells whose truth is unknown are left out for all methods: a map may know them from other
-    frames.
+    For a `FusedMethod`, open the data set with ``others="later"``: its truth must not be made of scans that the map has
+    fused, and cells that a frame cannot observe are left out, as the map may know them from other frames.
 
     Parameters
     ----------
@@ -73,7 +72,7 @@ def evaluate(
     used = as_methods(methods, spec)
     numbers = list(range(len(dataset))) if frames is None else sorted(set(frames))
     infos = _checked(used, dataset, numbers)
-    data = _dataset_facts(dataset, any(isinstance(one, FusedMethod) for one in used.values()))
+    data = _dataset_facts(dataset)
     facts = {
         name: {"description": one.description, "weights": getattr(one, "weights", None)}
         for name, one in used.items()
@@ -131,7 +130,9 @@ def _results(
         if number not in wanted:
             runner.update(frame)
             continue
-        state = _true_states(frame, spec, bool(runner.fused))
+        if frame.truth is None:
+            raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
+        state = frame.truth.crop(spec).state
         masses = [grid.mass for grid in runner.grids(frame).values()]
         sums = tuple(accumulate(mass, state, away) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
@@ -141,19 +142,14 @@ def _results(
         )
 
 
-def _true_states(frame: Frame, spec: GridSpec, fused: bool) -> NDArray[np.uint8]:
-    if frame.truth is None:
-        raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
-    state = frame.truth.crop(spec).state
-    return np.where(state == CellState.UNKNOWN, np.uint8(CellState.IGNORE), state) if fused else state
-
-
 def _pictures(
     draw: Draw, frame: Frame, state: NDArray[np.uint8], masses: Sequence[NDArray], spec: GridSpec
 ) -> dict[str, bytes]:
-    if frame.scan is None:
+    try:
+        scan = frame.scan
+    except ValueError:  # a folder of truth grids has no scans
         return draw(None, state, masses, spec)
-    points = transform_points(frame.mount.T_vehicle_points, frame.scan.points)
+    points = transform_points(frame.mount.T_vehicle_points, scan.points)
     return draw(points, state, masses, spec, frame.mount.ground_point[2])
 
 
@@ -185,13 +181,11 @@ def _checked(
     return infos
 
 
-def _dataset_facts(dataset: Any, fused: bool) -> dict[str, Any]:
+def _dataset_facts(dataset: Any) -> dict[str, Any]:
     """Return what a data set is; plain sequences of frames have no facts."""
-    truth = getattr(dataset, "description", "")
-    if fused:
-        truth = f"{truth} Cells of unknown truth are left out: a map may know them from other frames.".strip()
     kind, name = getattr(dataset, "format", "frames in Python"), getattr(dataset, "name", "frames")
-    return {"kind": kind, "name": name, "truth": truth, **getattr(dataset, "facts", {})}
+    truth, facts = getattr(dataset, "description", ""), getattr(dataset, "facts", {})
+    return {"kind": kind, "name": name, "truth": truth, **facts}
 
 
 def _open_cache(
