@@ -11,7 +11,6 @@ import typer
 from rich.progress import track
 
 from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
-from ogm.cli.maps import RAY, sensor_model
 from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 from ogm.cli.rules import BAYES, RULES, mapper_of, rolling
 
@@ -58,7 +57,7 @@ def fuse(
     ] = None,
     ism: Annotated[
         str, typer.Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")
-    ] = RAY,
+    ] = "ray",
     axes: Annotated[
         str,
         typer.Option(help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z."),
@@ -113,6 +112,7 @@ def fuse(
     """
     from ogm.cli.drive import drive_of
     from ogm.cli.mapping import Run, map_all
+    from ogm.evaluation.models import load_model
     from ogm.grid import GridSpec
 
     if out_path is None and picture is None and movie is None:
@@ -129,7 +129,7 @@ def fuse(
         )
     height = _height(drive, sensor_height)
     mount = Mount(height) if drive.mount is None else Mount(height, drive.mount)
-    model = sensor_model(ism, spec, mount)
+    model = load_model(ism, spec, mount)
     route = _route(drive, poses, calib, odometry, rate, parsed_axes(axes))
     out.print(f"poses: {route.how}", markup=False, soft_wrap=True)
     drive, route = drive.first(first), route.first(first)

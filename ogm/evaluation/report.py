@@ -113,8 +113,6 @@ def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str,
     """
     spec = result.spec
     record = {
-        "data": result.data,
-        "frames": [frame._asdict() for frame in result.frames],
         "format": "ogm.evaluation/3",
         "versions": package_versions(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
@@ -145,7 +143,7 @@ def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str,
             for a, b in _pairs(result.methods)
         },
     }
-    return as_json(record)
+    return {"data": result.data, "frames": [frame._asdict() for frame in result.frames], **as_json(record)}
 
 
 def as_json(value: Any) -> Any:
