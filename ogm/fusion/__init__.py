@@ -1,17 +1,17 @@
-"""Scans of a moving vehicle into maps: fusion over time, resampling, ego motion.
+"""Scans of a moving vehicle fused into maps: mappers, pipelines, resampling, de-skewing, odometry, ego motion.
 
->>> from ogm.fusion import EvidentialMapper
->>> mapper = EvidentialMapper(spec, half_life=2.0)                                     # doctest: +SKIP
->>> mapper.update(ism(scan.points), T_map_sensor, stamp=scan.stamp); mapper.grid      # doctest: +SKIP
+>>> from ogm.fusion import EvidentialMapper, fuse
+>>> for step in fuse(frames, ism, EvidentialMapper(spec, half_life=2.0)):      # doctest: +SKIP
+...     print(step.frame.name, step.grid)
 """
 
-from ogm.fusion.arrival import PoseJump
 from ogm.fusion.bayes import BinaryBayesMapper
-from ogm.fusion.deskew import deskew, extrapolate
 from ogm.fusion.egomotion import EgoMotion
 from ogm.fusion.mapper import EvidentialMapper
-from ogm.fusion.odometry import odometry
-from ogm.fusion.warp import coarsen, refine, warp
+from ogm.fusion.motion import deskew, extrapolate
+from ogm.fusion.registration import odometry
+from ogm.fusion.resample import coarsen, resample_to, warp
+from ogm.fusion.update_gate import PoseJump
 
 __all__ = [
     "BinaryBayesMapper",
@@ -22,6 +22,6 @@ __all__ = [
     "deskew",
     "extrapolate",
     "odometry",
-    "refine",
+    "resample_to",
     "warp",
 ]
