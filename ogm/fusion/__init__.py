@@ -7,21 +7,34 @@
 
 from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.egomotion import EgoMotion
+from ogm.fusion.factory import BAYES, RULES, Mapper, covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import EvidentialMapper
 from ogm.fusion.motion import deskew, extrapolate
+from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, map_scans, update_map
 from ogm.fusion.registration import odometry
 from ogm.fusion.resample import coarsen, resample_to, warp
 from ogm.fusion.update_gate import PoseJump
 
 __all__ = [
+    "BAYES",
+    "RULES",
     "BinaryBayesMapper",
     "EgoMotion",
     "EvidentialMapper",
+    "FusionStep",
+    "Mapper",
     "PoseJump",
     "coarsen",
+    "covering_window",
     "deskew",
+    "deskew_frame",
     "extrapolate",
+    "fuse",
+    "make_mapper",
+    "map_scans",
     "odometry",
     "resample_to",
+    "rolling_window",
+    "update_map",
     "warp",
 ]

@@ -140,7 +140,9 @@ def test_the_ego_vehicle_and_missing_points_do_not_bias_the_poses(method: str) -
         ([np.ones((500, 3)) * 10], [0.0, 1.0], "scans ended after 1"),
     ],
 )
-def test_scans_that_cannot_be_registered_are_refused(method: str, scans: list, stamps: list, message: str) -> None:
+def test_scans_that_cannot_be_registered_are_refused(
+    method: str, scans: list, stamps: list, message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         odometry(scans, stamps, method)
 
@@ -159,7 +161,9 @@ def test_impossible_settings_are_refused_before_the_first_scan(given: dict[str, 
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_missing_package_is_named_with_its_install_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named_with_its_install_command(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     real_import = builtins.__import__
 
     def without(module: str, *args: Any, **kwargs: Any) -> Any:
