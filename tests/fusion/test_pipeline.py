@@ -291,6 +291,6 @@ def test_a_rolling_window_holds_the_view_at_any_yaw_and_a_covering_one_the_whole
         x, y, _ = transform_points(T, corners).T
         assert covering.contains(x, y).all()
     with pytest.raises(ValueError, match="rolling window"):
-        covering_window(SPEC, np.array([pose(), pose(1e5)]))
+        covering_window(SPEC, np.array([pose(), pose(1e5, 1e5)]))
     with pytest.raises(ValueError, match="has no area"):
         covering_window(SPEC, turned[:0])
