@@ -12,13 +12,13 @@ from rich.text import Text
 
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
 from ogm.cli.options import parsed_axes
-from ogm.cli.rules import BAYES, RULES
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
     from ogm.evaluation.methods import Method
     from ogm.grid import GridSpec
 
+RULES = ("cautious", "dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes")
 MODELS = ("height-band", "ray", "lite")
 PRINTED = (
     "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "iou_unknown",
@@ -58,7 +58,7 @@ def evaluate(
         str | None,
         typer.Option(
             help="Evaluate each model also fused over time, by one or more rules with commas between: "
-            f"{', '.join(RULES)}, {BAYES}.",
+            f"{', '.join(RULES)}.",
             metavar="RULE[,RULE]...",
         ),
     ] = None,
@@ -119,9 +119,10 @@ def evaluate(
     from ogm.datasets import SOURCES, open_dataset
     from ogm.evaluation import evaluate as run_evaluation
     from ogm.evaluation import write_report
+    from ogm.evaluation.runner import REPORT_FILES
     from ogm.grid import GridSpec
 
-    rules = _words(fused, "--fused", (*RULES, BAYES))
+    rules = _words(fused, "--fused", RULES)
     sources = _words(truth, "--truth", SOURCES)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
@@ -153,9 +154,8 @@ def evaluate(
         command = shlex.join(["ogm", *sys.argv[1:]])
         record = write_report(out_folder, result, command=command, seed=seed, pictured=frames)
     _print_tables(record, f"{dataset.name}, {len(numbers)} frames")
-    written = ["report.html", "report.json", "frames.csv", "metrics.png", "frames.png"]
-    names = "   ".join(str(out_folder / name) for name in written)
-    out.print(f"written {names}", markup=False, soft_wrap=True)
+    written = "   ".join(str(out_folder / name) for name in REPORT_FILES)
+    out.print(f"written {written}", markup=False, soft_wrap=True)
 
 
 def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:
@@ -193,11 +193,12 @@ def _methods(
     resample: str | None,
 ) -> "dict[str, Method]":
     """Return the models, each of them fused by every rule, and the folders of grids."""
-    from ogm.evaluation.methods import FusedMethod, PrecomputedGrids, Resampling, SingleScanMethod
+    from ogm.evaluation.methods import FusedMethod, PrecomputedGrids, SingleScanMethod
     from ogm.evaluation.models import short_names
+    from ogm.fusion.resample import ResampleMethod
 
-    if resample not in (None, *get_args(Resampling)):
-        raise ValueError(f"--resample must be one of {', '.join(get_args(Resampling))}, got {resample}")
+    if resample not in (None, *get_args(ResampleMethod)):
+        raise ValueError(f"--resample must be one of {', '.join(get_args(ResampleMethod))}, got {resample}")
     scans = {short: SingleScanMethod.named(name, spec) for short, name in short_names(models).items()}
     methods: dict[str, Method] = dict(scans)
     for name, one in scans.items():

@@ -3,6 +3,7 @@
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.resources import as_file, files
 from importlib.util import find_spec
 from pathlib import Path
@@ -47,7 +48,7 @@ def demo(
         ism = load_model(name, spec, Mount(DEMO_HEIGHT))
         with first_call():
             ism(scan)
-        grids[title], seconds = _timed(lambda ism=ism: ism(scan), repeats=9)
+        grids[title], seconds = _timed(partial(ism, scan), repeats=9)
         _row(table, name, len(scan), grids[title], seconds)
     cloud = plot.points(scan.points, spec, f"{len(scan)} points", -DEMO_HEIGHT)
     picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
@@ -123,19 +124,19 @@ def map_(
     grids = _outputs(out_path, names, ".npz", "--out")
     pictures = _outputs(picture, names, ".png", "--picture")
     table, failed, heights, warm = _table(f"{spec}, {ism}"), [], set(), False
-    for k, short in ticked(list(enumerate(distinct(names))), "mapping"):
-        frame = dataset[k]
+    outputs = zip(dataset, distinct(names), grids, pictures, strict=True)
+    for frame, short, grid_path, picture_path in ticked(outputs, "mapping"):
         try:
             if not warm:
                 with first_call():
                     run_model(model, frame)
                 warm = True
-            grid, seconds = _timed(lambda frame=frame: run_model(model, frame))
-            if grids[k] is not None:
-                grid.save(grids[k])
-            if pictures[k] is not None:
+            grid, seconds = _timed(partial(run_model, model, frame))
+            if grid_path is not None:
+                grid.save(grid_path)
+            if picture_path is not None:
                 cloud = plot.points(frame.scan.points, grid.spec, frame.name)
-                plot.save_picture(pictures[k], cloud, grid, titles=["", ism])
+                plot.save_picture(picture_path, cloud, grid, titles=["", ism])
             _row(table, short, len(frame.scan), grid, seconds)
             if sensor_height is None and ism != "height-band-released":
                 heights.add(f"{frame.mount.sensor_height:.2f} m")

@@ -11,28 +11,20 @@ from typing import Any
 
 import numpy as np
 
+from ogm.datasets.truth_grids import grid_files
 from ogm.evaluation.models import describe_model, model_factory, weights_facts
-from ogm.evaluation.rules import BAYES, mapper_of, rolling
-from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
-from ogm.fusion.warp import Method as Resampling
-from ogm.fusion.warp import warp
+from ogm.fusion import BAYES, Mapper, make_mapper, resample_to, rolling_window, update_map
+from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import GRID_ENDINGS, read_grid
+from ogm.io.grids import read_grid
 from ogm.scan import Frame, InverseSensorModel, PerMount, run_model
 
-__all__ = [
-    "FusedMethod",
-    "MethodRunner",
-    "PrecomputedGrids",
-    "SingleScanMethod",
-    "as_methods",
-    "grids_in",
-    "resample_to",
-]
+__all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "as_methods"]
 
 Model = InverseSensorModel | PerMount
 Measure = Callable[[Model], EvidentialGrid]  # a model's grid of the current frame
-Mapper = EvidentialMapper | BinaryBayesMapper
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -98,31 +90,32 @@ class FusedMethod:
             Of the model, for the description.
         model : InverseSensorModel or PerMount
         rule : str
-            One of `ogm.evaluation.rules.RULES`, or ``bayes``.
+            A name in `ogm.fusion.RULES`, or ``"bayes"``.
         spec : GridSpec
             The cells of the model's grids.
         half_life : float, optional
             [s]; by default that of the mapper.
         """
-        window = rolling(spec)
-        mapper = mapper_of(rule, window, half_life)  # refuses unknown rules before any work
+        window = rolling_window(spec)
+        mapper = make_mapper(rule, window, half_life)  # refuses unknown rules before any work
         memory = mapper.half_life if isinstance(mapper.half_life, float) else mapper.half_life[0]
         kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
         decay = "no decay" if np.isinf(memory) else f"half-life {memory:g} s"
         description = f"The scans of {name} fused over time by {kind}, {decay}."
-        return cls(model, lambda: mapper_of(rule, window, half_life), description)
+        return cls(model, lambda: make_mapper(rule, window, half_life), description)
 
     def reset(self) -> None:
         """Begin a new map."""
         self._mapper = self.new_mapper()
 
     def update(self, frame: Frame, measure: Measure) -> None:
-        """Fuse a frame into the map."""
+        """Fuse a frame into the map; after a jump of the pose a new map begins."""
         if frame.T_map_sensor is None or frame.stamp is None:
             raise ValueError(f"{frame.name} has no pose or no stamp, so that it cannot be fused")
         if self._mapper is None:
             self._mapper = self.new_mapper()
-        _update_map(self._mapper, measure(self.model), frame)
+        if update_map(self._mapper, measure(self.model), frame) is not None:
+            _log.warning("%s: the pose jumps; a new map begins", frame.name)
 
     def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
         """Return the map around the frame that was fused last."""
@@ -132,17 +125,6 @@ class FusedMethod:
     def state(self) -> str:
         """Return what the results depend on besides the description."""
         return _model_state(self.model) + _object_state(self.new_mapper())
-
-
-def _update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame) -> None:
-    """Fuse a frame's grid, which lies in the levelled frame around the sensor; after a jump begin a new map."""
-    T_map_level = frame.T_map_sensor @ frame.mount.T_sensor_level  # type: ignore[operator]
-    try:
-        mapper.update(grid, T_map_level, stamp=frame.stamp)
-    except PoseJump as jump:
-        logging.getLogger(__name__).warning("%s: %s; the map begins again", frame.name, jump)
-        mapper.reset()
-        mapper.update(grid, T_map_level, stamp=frame.stamp)
 
 
 @dataclass(eq=False)
@@ -162,10 +144,10 @@ class PrecomputedGrids:
 
     files: Mapping[str, Path]
     description: str = ""
-    resampling: Resampling | None = None
+    resampling: ResampleMethod | None = None
 
     @classmethod
-    def in_folder(cls, folder: Path, resampling: Resampling | None = None) -> "PrecomputedGrids":
+    def in_folder(cls, folder: Path, resampling: ResampleMethod | None = None) -> "PrecomputedGrids":
         """Return the grids of a folder.
 
         Raises
@@ -177,24 +159,11 @@ class PrecomputedGrids:
         """
         if not folder.is_dir():
             raise FileNotFoundError(f"there is no folder {folder}; precomputed grids come in a folder")
-        files = grids_in(folder)
+        files = grid_files(folder)
         if not files:
             raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
         name = folder.name or folder.resolve().name
         return cls(files, f"Grids of the folder {name}, {len(files)} files.", resampling)
-
-    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
-        """Read the grid of a frame, on the evaluated cells."""
-        path = self.files.get(frame.name)
-        if path is None:
-            raise ValueError(f"there is no precomputed grid of frame {frame.name}")
-        grid = read_grid(path, spec)
-        try:
-            return resample_to(grid, spec)
-        except ValueError as error:
-            if self.resampling is None:
-                raise ValueError(f"{path}: {error}; or resample it: --resample area") from error
-            return warp(grid, spec, np.eye(4), self.resampling)
 
     def check(self, name: str, frames: Sequence[str]) -> None:
         """Refuse frames without a grid, by the method's name and the frames' names."""
@@ -207,6 +176,15 @@ class PrecomputedGrids:
                 f"frames{others}. Grids have the names of their frames"
             )
 
+    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+        """Read the grid of a frame, on the evaluated cells."""
+        path = self.files[frame.name]
+        grid = read_grid(path, spec)
+        try:
+            return resample_to(grid, spec, self.resampling)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error} (--resample area)") from error
+
     def state(self) -> str:
         """Return what the results depend on besides the description and the files."""
         return str(self.resampling)
@@ -216,7 +194,7 @@ Method = SingleScanMethod | FusedMethod | PrecomputedGrids
 
 
 def as_methods(given: Mapping[str, Any], spec: GridSpec) -> dict[str, Method]:
-    """Return methods by name: a model's name and any callable with ``.spec`` are single-scan methods.
+    """Return methods by name: a model's name and any callable with ``.spec`` become single-scan methods.
 
     Raises
     ------
@@ -276,41 +254,6 @@ class MethodRunner:
         """Return the grid of every method for a frame, on the evaluated cells."""
         measure = self.update(frame)
         return {name: one.grid(frame, self.spec, measure) for name, one in self.methods.items()}
-
-
-def grids_in(folder: Path) -> dict[str, Path]:
-    """Return the grid files of a folder by the names of their frames."""
-    found: dict[str, Path] = {}
-    for file in sorted(folder.iterdir()):
-        if file.suffix.lower() not in GRID_ENDINGS or not file.is_file():
-            continue
-        if file.stem in found:
-            raise ValueError(
-                f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}"
-            )
-        found[file.stem] = file
-    return found
-
-
-def resample_to(grid: EvidentialGrid, spec: GridSpec) -> EvidentialGrid:
-    """Return the grid on the cells of `spec`: itself, or each of its coarser cells repeated.
-
-    Raises
-    ------
-    ValueError
-        If `spec` covers another area, or its cells do not divide those of the grid.
-    """
-    if grid.spec == spec:
-        return grid
-    factor = round(grid.spec.resolution / spec.resolution)
-    same_area = np.allclose(grid.spec.extent, spec.extent, rtol=0, atol=1e-3 * spec.resolution)
-    nx, ny = grid.spec.shape
-    if factor < 1 or (nx * factor, ny * factor) != spec.shape or not same_area:
-        raise ValueError(
-            f"the grid has {grid.spec}, but the evaluated cells are {spec}; make the model with that spec, or with "
-            "whole multiples of its cells over the same area"
-        )
-    return EvidentialGrid.trusted(spec, grid.mass.repeat(factor, axis=0).repeat(factor, axis=1))
 
 
 def _model_state(model: Model) -> str:

@@ -134,7 +134,7 @@ def _reasons(record: Record, names: Sequence[str]) -> list[tuple[list[str], list
     return rows
 
 
-def _legends(pictures: Pictures) -> dict[str, list[tuple[str, tuple[int, ...], str]]]:
+def _legends(pictures: Pictures) -> dict[str, list[tuple[str, tuple[int, int, int], str]]]:
     """Return name, colour and meaning of what the pictures show, by kind of picture."""
     found = {}
     if any("points" in one for one in pictures.values()):

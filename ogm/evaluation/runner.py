@@ -77,9 +77,9 @@ def evaluate(
         name: {"description": one.description, "weights": getattr(one, "weights", None)}
         for name, one in used.items()
     }
+    rows: Iterable[FrameResult]
     if out is None:
-        results = _results(used, dataset, spec, numbers, progress, None)
-        rows = ((one.sums, one.truth) for _, one in results)
+        rows = (one for _, one in _results(used, dataset, spec, numbers, progress, None))
         cache, reused = None, 0
     else:
         cache = _open_cache(Path(out), used, dataset, {"data": data, "methods": facts}, spec, infos, numbers)
@@ -97,7 +97,7 @@ def evaluate(
                 f"{done} of {len(numbers)} frames are finished and kept: repeat the command to resume"
             ) from None
         rows = (_kept(cache, number, info) for number, info in zip(numbers, infos, strict=True))
-    result = Evaluation.from_sums(tuple(used), spec, rows, infos)
+    result = Evaluation.from_sums(tuple(used), spec, ((one.sums, one.truth) for one in rows), infos)
     if cache is not None:
         cache.finish()
     return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
@@ -219,8 +219,8 @@ def _open_cache(
     return ResultCache(out / "frames", settings)
 
 
-def _kept(cache: ResultCache, number: int, info: FrameInfo) -> tuple[Sequence[Any], NDArray[np.float64]]:
+def _kept(cache: ResultCache, number: int, info: FrameInfo) -> FrameResult:
     one = cache.load(number)
     if one is None:
         raise ValueError(f"{cache.folder} lost the finished frame {info.name}: repeat the command")
-    return one.sums, one.truth
+    return one
