@@ -40,7 +40,7 @@ def demo(
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
         scan = read_scan(path, axes=DEMO_AXES)
     spec = GridSpec.centered()
-    table, grids = _table(f"One scan on {spec}"), {}
+    table, grids = _table(f"One scan on {_cells(spec)}"), {}
     for name, title in DEMO_MODELS.items():
         if name == LITE and not (find_spec("torch") and find_spec("safetensors")):
             stderr.print('without the learned model: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
@@ -123,7 +123,7 @@ def map_(
         out_path, picture = Path(), Path()
     grids = _outputs(out_path, names, ".npz", "--out")
     pictures = _outputs(picture, names, ".png", "--picture")
-    table, failed, heights, warm = _table(f"{spec}, {ism}"), [], set(), False
+    table, failed, heights, warm = _table(f"{_cells(spec)}, {ism}"), [], set(), False
     outputs = zip(dataset, distinct(names), grids, pictures, strict=True)
     for frame, short, grid_path, picture_path in ticked(outputs, "mapping"):
         try:
@@ -170,6 +170,10 @@ def _model(
         raise ValueError(f"{RELEASED} has a mount of 1.61 m built in; leave out --sensor-height")
     mount = Mount(1.61) if position is None else Mount(1.61, pose(*position), points_in="vehicle")
     return model_factory(name, spec)(mount)
+
+
+def _cells(spec: "GridSpec") -> str:
+    return f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
 
 
 def _table(title: str) -> Table:

@@ -68,7 +68,7 @@ def write_page(
         found=len(found),
         kept=len(kept),
         pictures={number: _as_urls(kept[number]) for number in sorted(kept)},
-        data=chart_data(record, kept),
+        charts=chart_data(record, kept),
         css=Markup((files / "report.css").read_text("utf-8")),  # noqa: S704
         js=Markup((files / "report.js").read_text("utf-8")),  # noqa: S704
     )  # fmt: skip

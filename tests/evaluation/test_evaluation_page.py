@@ -7,6 +7,7 @@ import subprocess
 from base64 import b64decode
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import replace
 from html.parser import HTMLParser
 from importlib import resources
 from pathlib import Path
@@ -15,12 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ogm.cli.charts import frame_keys, grouped, headline, rounded
-from ogm.cli.page import write_page
-from ogm.cli.report import report
-from ogm.cli.views import frame_view
+from ogm.evaluation import Evaluation, FrameInfo, evaluation_record
+from ogm.evaluation.chart_data import frame_keys, group_metrics, headline, rounded
+from ogm.evaluation.frame_pictures import draw_frame
+from ogm.evaluation.page import write_page
 from ogm.grid import GridSpec
-from ogm.metrics import METRICS, Evaluation, distances, accumulate
+from ogm.metrics import METRICS, accumulate, distances
 
 SPEC = GridSpec.centered(6.4, 4.8, 0.4)  # 16 x 12 cells
 FRAMES = 6
@@ -32,14 +33,14 @@ NOTHING = {"value": None, "low": None, "high": None}
 
 
 def truth_and_masses() -> tuple[np.ndarray, np.ndarray]:
-    """Make frames of all four states, and three methods: a rough one, a sharp one, one that claims little."""
+    """Make frames of all four states, and three methods: a rough one, a sharp one, one that is mostly unknown."""
     rng = np.random.default_rng(5)
     truth = rng.choice(4, p=[0.4, 0.4, 0.15, 0.05], size=(FRAMES, *SPEC.shape)).astype(np.uint8)
     noise = rng.dirichlet((1, 1, 2), size=(FRAMES, *SPEC.shape))[..., :2]
 
     def method(wrong: float, sure: float, noisy: float) -> np.ndarray:
-        told = np.where(rng.random(truth.shape) < wrong, rng.integers(0, 3, truth.shape), truth)
-        return sure * np.stack([told == 1, told == 2], axis=-1) + noisy * noise
+        state = np.where(rng.random(truth.shape) < wrong, rng.integers(0, 3, truth.shape), truth)
+        return sure * np.stack([state == 1, state == 2], axis=-1) + noisy * noise
 
     masses = np.stack([method(0.4, 0.6, 0.4), method(0.1, 0.8, 0.2), method(0.1, 0.2, 0.1)], axis=1)
     return truth, masses.astype(np.float32)
@@ -50,32 +51,30 @@ def made() -> tuple[dict[str, Any], dict[int, dict[str, bytes]]]:
     """A record, as `ogm evaluate` writes it, and its pictures."""
     truth, masses = truth_and_masses()
     away = distances(SPEC)
-    counts = [[accumulate(mass, state, away) for mass in row] for row, state in zip(masses, truth, strict=True)]
+    sums = [[accumulate(mass, state, away) for mass in row] for row, state in zip(masses, truth, strict=True)]
     shares = [np.bincount(state.ravel(), minlength=4) / state.size for state in truth]
-    result = Evaluation.from_counts(METHODS, SPEC, zip(counts, shares, strict=True))
+    frames = [FrameInfo(f"{k:03d}", f"drive {k // 3}", 0.1 * k) for k in range(FRAMES)]
+    result = Evaluation.from_sums(METHODS, SPEC, zip(sums, shares, strict=True), frames)
     weights = {"file": "sharp.safetensors", "sha256": "ab" * 32}
     facts = {
         name: {"description": f"how {name} works", "weights": weights if name == "sharp" else None}
         for name in METHODS
+    }
+    data = {
+        "kind": "simulated data set",
+        "name": "made",
+        "truth": "drawn at random",
+        "plan": {"a": [1, {"b": 2}]},
     }
     record = {
         "title": "A made-up town",
         "command": "ogm evaluate data/ --ism base sharp vague",
         "date": "2020-02-02",
         "seed": 7,
-        "data": {
-            "kind": "simulated store",
-            "name": "made",
-            "truth": "drawn at random",
-            "plan": {"a": [1, {"b": 2}]},
-        },
-        "frames": [
-            {"name": f"{k:03d}", "sequence": f"drive {k // 3}", "stamp": 0.1 * k} for k in range(FRAMES)
-        ],
-        **report(result, np.random.default_rng(0), (), facts),
+        **evaluation_record(replace(result, data=data, facts=facts), np.random.default_rng(0)),
     }
     points = np.random.default_rng(1).uniform(-3, 3, (200, 4)).astype(np.float32)
-    views = {k: frame_view(points, truth[k], list(masses[k]), SPEC) for k in range(FRAMES)}
+    views = {k: draw_frame(points, truth[k], list(masses[k]), SPEC) for k in range(FRAMES)}
     return json.loads(json.dumps(record, allow_nan=False)), views
 
 
@@ -119,7 +118,7 @@ class Page(HTMLParser):
         return [found[attribute] or "" for _, found in self.elements if attribute in found]
 
     @property
-    def said(self) -> str:
+    def content(self) -> str:
         return re.sub(r"\s+", " ", "".join(self.words))
 
     @property
@@ -165,15 +164,15 @@ def test_parts_of_a_page_refer_to_parts_that_are_there(made: Any, page: Callable
     names = found.all("id")
     assert len(names) == len(set(names))
     wanted = {a[1:] for a in found.all("href") if a.startswith("#")} | set(found.all("aria-labelledby"))
-    assert {"verdict", "scores", "frames", "run"} <= wanted <= set(names)
+    assert {"summary", "scores", "frames", "run"} <= wanted <= set(names)
     asked = set(re.findall(r'\$\("([a-z-]+)"\)', found.scripts["code"]))
     assert {name for name in asked if name not in names} <= {"range-metric"}  # which the script makes
     assert "noscript" in {tag for tag, _ in found.elements}
 
 
-def test_all_that_was_run_is_told(made: Any, page: Callable[..., Page]) -> None:
+def test_the_page_states_all_of_the_run(made: Any, page: Callable[..., Page]) -> None:
     record, views = made
-    said = page(record, views).said
+    content = page(record, views).content
     for word in (
         record["title"],
         record["command"],
@@ -182,103 +181,108 @@ def test_all_that_was_run_is_told(made: Any, page: Callable[..., Page]) -> None:
         "ab" * 32,
         "how vague works",
     ):
-        assert word in said
-    assert "16 x 12 cells of 0.4 m" in said
-    assert all(version in said for version in record["versions"].values())
+        assert word in content
+    assert "16 x 12 cells of 0.4 m" in content
+    assert all(version in content for version in record["versions"].values())
     for metric in METRICS.values():
-        assert metric.title in said
-        assert metric.description in said
+        assert metric.title in content
+        assert metric.description in content
 
 
 def test_every_metric_of_every_method_is_tabulated(made: Any, page: Callable[..., Page]) -> None:
     record, views = made
     found = page(record, views)
     values = set(found.all("data-v"))
-    for model in record["models"].values():
+    for model in record["methods"].values():
         for metric in METRICS:
             for value in (model["macro"][metric]["value"], model["micro"][metric]):
                 assert value is None or repr(value) in values
 
 
 def test_each_metric_is_in_one_group() -> None:
-    names = [name for group in grouped(METRICS).values() for name in group]
+    names = [name for group in group_metrics(METRICS).values() for name in group]
     assert sorted(names) == sorted(METRICS)
-    assert "Further" not in grouped(METRICS)
+    assert "Further" not in group_metrics(METRICS)
     assert len(headline(METRICS)) == 11
     assert headline(["a", "b"]) == ["a", "b"]
 
 
-def test_the_verdict_names_who_is_best_and_how_sure(made: Any, page: Callable[..., Page]) -> None:
-    words = page(*made).said
+def test_the_summary_names_the_best_and_its_significance(made: Any, page: Callable[..., Page]) -> None:
+    words = page(*made).content
     assert "sharp is best in" in words
-    kl = [made[0]["models"][name]["macro"]["kl_e10"]["value"] for name in ("sharp", "base")]
+    kl = [made[0]["methods"][name]["macro"]["kl_e10"]["value"] for name in ("sharp", "base")]
     assert f"In KL, E = 10, sharp has {kl[0]:.3f} and base, the next best, {kl[1]:.3f}" in words
     assert "vague makes the fewest false free cells at the lowest IoU free" in words
 
 
-def test_a_difference_within_its_interval_is_not_clear(
+def test_a_difference_within_its_interval_is_not_significant(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
     for pair in record["paired"].values():
         for one in pair.values():
             one["difference"] = {"value": 0.0, "low": -1.0, "high": 1.0}
-    said = page(record).said
-    assert "though not clearly" in said
-    assert "not told apart" in said
+    content = page(record).content
+    assert "though not significantly" in content
+    assert "not significant" in content
 
 
-def test_a_difference_that_may_be_chance_is_not_clear(
+def test_a_difference_that_may_be_chance_is_not_significant(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
     for pair in record["paired"].values():
         for one in pair.values():
             one["difference"], one["p"] = {"value": -2.0, "low": -3.0, "high": -1.0}, 0.04
-    assert "clearly" in page(record).said.split("Clearly:")[1]
+    assert "sure" in rows_of_summary(page(record))
     for pair in record["paired"].values():
         for one in pair.values():
             one["p"] = 0.06
-    assert "clearly" not in page(record).said.split("Clearly:")[1].split("Pairs")[0]
+    assert "sure" not in rows_of_summary(page(record))
 
 
-def test_who_claims_little_is_told_from_who_claims_nothing(
-    record: dict[str, Any], page: Callable[..., Page]
-) -> None:
+def rows_of_summary(found: Page) -> list[str]:
+    """Return "sure" or "unsure" for every row of the summary's table."""
+    return [
+        a["class"] or "" for tag, a in found.elements if tag == "td" and a.get("class") in ("sure", "unsure")
+    ]
+
+
+def test_a_cautious_method_is_named(record: dict[str, Any], page: Callable[..., Page]) -> None:
     for iou, description in (
-        (0.0, "who claims nothing is never wrong"),
-        (0.4, "who claims less is wrong less often"),
+        (0.0, "a method that hardly ever predicts free makes no such error"),
+        (0.4, "a method that predicts free less often is wrong less often"),
     ):
-        record["models"]["vague"]["macro"]["iou_free"]["value"] = iou
-        assert description in page(record).said
+        record["methods"]["vague"]["macro"]["iou_free"]["value"] = iou
+        assert description in page(record).content
 
 
-def test_frames_of_few_drives_are_said_to_be_alike(record: dict[str, Any], page: Callable[..., Page]) -> None:
-    assert "The frames are of 2 drives, and those of a drive are alike" in page(record).said
+def test_the_page_warns_of_few_drives(record: dict[str, Any], page: Callable[..., Page]) -> None:
+    assert "The frames come from 2 drives, and frames of a drive are alike" in page(record).content
     for frame in record["frames"]:
         frame["sequence"] = ""
-    assert "those of a drive are alike" not in page(record).said
+    assert "frames of a drive are alike" not in page(record).content
 
 
 def test_of_two_that_were_not_compared_the_intervals_decide(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
     record["paired"] = {}
-    assert "sharp is best in" in page(record).said
-    for model in record["models"].values():
+    assert "sharp is best in" in page(record).content
+    for model in record["methods"].values():
         for one in model["macro"].values():
             one["low"], one["high"] = -9.0, 9.0
-    assert "though not clearly" in page(record).said
+    assert "though not significantly" in page(record).content
 
 
 def test_what_is_missing_is_a_dash_with_its_reason(record: dict[str, Any], page: Callable[..., Page]) -> None:
-    for model in record["models"].values():
+    for model in record["methods"].values():
         model["macro"]["auroc_unknown"] = NOTHING
         model["micro"]["auroc_unknown"] = None
         model["missing"]["auroc_unknown"] = "the truth has no unknown cell"
         model["per frame"]["auroc_unknown"] = [None] * FRAMES
     found = page(record)
     assert "no value: the truth has no unknown cell" in found.all("title")
-    assert "– AUROC unknown: no value, the truth has no unknown cell." in found.said
-    assert "No method has a value for AUROC unknown" in found.said
+    assert "– AUROC unknown: no value, the truth has no unknown cell." in found.content
+    assert "No method has a value for AUROC unknown" in found.content
     assert found.data["perFrame"]["auroc_unknown"] == [[None] * FRAMES] * 3
 
 
@@ -286,7 +290,7 @@ def test_names_are_text_wherever_they_stand(
     made: Any, record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
     plain = page(*made)
-    record["models"] = {HOSTILE if name == "sharp" else name: one for name, one in record["models"].items()}
+    record["methods"] = {HOSTILE if name == "sharp" else name: one for name, one in record["methods"].items()}
     record["paired"] = {
         " against ".join(HOSTILE if part == "sharp" else part for part in name.split(" against ")): one
         for name, one in record["paired"].items()
@@ -294,7 +298,7 @@ def test_names_are_text_wherever_they_stand(
     record["title"] = record["command"] = record["data"]["name"] = record["data"]["truth"] = HOSTILE
     record["data"][HOSTILE] = {HOSTILE: [HOSTILE]}
     record["frames"][2]["name"] = record["frames"][0]["sequence"] = HOSTILE
-    record["models"][HOSTILE]["what"] = record["models"]["base"]["missing"]["kl_e1"] = HOSTILE
+    record["methods"][HOSTILE]["description"] = record["methods"]["base"]["missing"]["kl_e1"] = HOSTILE
     found = page(record, made[1])
     assert {tag for tag, _ in found.elements} - {tag for tag, _ in plain.elements} <= {"pre"}
     assert "img" not in {tag for tag, _ in found.elements}
@@ -302,7 +306,7 @@ def test_names_are_text_wherever_they_stand(
     assert found.data["methods"][1] == written
     assert found.data["frames"][2][0] == written
     assert found.data["paired"].keys() == plain.data["paired"].keys()
-    assert found.said.count(re.sub(r"\s+", " ", written)) > 8
+    assert found.content.count(re.sub(r"\s+", " ", written)) > 8
     assert found.scripts["code"] == plain.scripts["code"]
 
 
@@ -320,12 +324,12 @@ def test_pictures_that_do_not_fit_are_left_out_evenly(made: Any, tmp_path: Path)
     for most, kept in ((size, range(6)), (0.55 * size, (0, 2, 5)), (0, (0,))):
         write_page(path, record, views, most=int(most))
         found = Page(path.read_text("utf-8"))
-        assert found.data["views"] == list(kept)
-        assert sorted(name for name in found.scripts if name.startswith("view-")) == [
-            f"view-{k}" for k in kept
+        assert found.data["pictures"] == list(kept)
+        assert sorted(name for name in found.scripts if name.startswith("pictures-")) == [
+            f"pictures-{k}" for k in kept
         ]
-        assert f"Pictures of {len(kept)} of 6 frames" in found.said
-        assert ("left out to keep the page small" in found.said) == (len(kept) < 6)
+        assert f"Pictures of {len(kept)} of 6 frames" in found.content
+        assert ("left out to keep the page small" in found.content) == (len(kept) < 6)
 
 
 def test_frames_have_names_of_their_own() -> None:
@@ -342,13 +346,13 @@ def test_numbers_are_short() -> None:
 def test_a_hundred_frames_of_five_methods_weigh_little_beside_their_pictures(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
-    model = record["models"]["sharp"]
+    model = record["methods"]["sharp"]
     model["per frame"] = {name: values * 17 for name, values in model["per frame"].items()}
     record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(6 * 17)]
     record["truth per frame"] = {name: values * 17 for name, values in record["truth per frame"].items()}
     pair = next(iter(record["paired"].values()))
     names = [f"method {k}" for k in range(5)]
-    record["models"] = dict.fromkeys(names, model)
+    record["methods"] = dict.fromkeys(names, model)
     record["paired"] = {f"{b} against {a}": pair for k, a in enumerate(names) for b in names[k + 1 :]}
     assert len(page(record).text) < 800_000
 
@@ -356,11 +360,11 @@ def test_a_hundred_frames_of_five_methods_weigh_little_beside_their_pictures(
 def test_many_methods_on_many_frames_carry_the_headline_metrics(
     record: dict[str, Any], page: Callable[..., Page]
 ) -> None:
-    model = record["models"]["sharp"]
+    model = record["methods"]["sharp"]
     model["per frame"] = {name: values * 40 for name, values in model["per frame"].items()}
     record["frames"] = [record["frames"][0] | {"name": str(k)} for k in range(240)]
     record["truth per frame"] = {name: values * 40 for name, values in record["truth per frame"].items()}
-    record["models"] = {f"method {k}": model for k in range(40)}
+    record["methods"] = {f"method {k}": model for k in range(40)}
     record["paired"] = {}
     found = page(record)
     assert (
@@ -454,7 +458,7 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(
     made: Any, browse: Callable[..., dict[str, Any]]
 ) -> None:
     record, views = made
-    kl = record["models"]["sharp"]["per frame"]["kl_e10"]
+    kl = record["methods"]["sharp"]["per frame"]["kl_e10"]
     seen = browse(
         record,
         views,
@@ -527,7 +531,7 @@ def test_in_a_browser_charts_tables_and_theme_answer(
     o.marks = marks(); choose("reference", "1"); o.turnedMarks = marks(); choose("reference", "0");
     o.against = first(); choose("reference", "1"); o.turned = first();
     choose("rival", "0"); o.pairs = $("paired-table").querySelectorAll("tbody tr").length;
-    choose("figure-metric", "brier"); o.says = $("figure-metric-says").textContent;
+    choose("figure-metric", "brier"); o.description = $("figure-metric-description").textContent;
     document.querySelector("#figure-switch [data-metric=legacy_kl]").click(); o.legacy = $("figure-metric").value;
     choose("order", "browser"); choose("range-metric", "false_free");
     document.activeElement.blur(); key("?"); o.help = $("help").open; key("?"); o.shut = $("help").open;
@@ -568,14 +572,14 @@ def test_in_a_browser_charts_tables_and_theme_answer(
 def test_in_a_browser_one_frame_without_points_or_unknown_is_shown(
     made: Any, record: dict[str, Any], browse: Callable[..., dict[str, Any]]
 ) -> None:
-    model = record["models"]["base"]
+    model = record["methods"]["base"]
     empty = ("iou_unknown", "auroc_unknown", "kl_e10")
     for name in METRICS:
         model["per frame"][name] = [None if name in empty else model["per frame"][name][0]]
         model["macro"][name] = NOTHING if name in empty else model["macro"][name]
     for name in model["curves"]:
         model["curves"][name] = {} if name in ("reliability", "precision_recall") else None
-    record["models"], record["paired"] = {HOSTILE: model}, {}
+    record["methods"], record["paired"] = {HOSTILE: model}, {}
     record["frames"] = [{"name": HOSTILE, "sequence": "", "stamp": None}]
     record["truth per frame"] = {name: values[:1] for name, values in record["truth per frame"].items()}
     view = {name: data for name, data in made[1][0].items() if name in ("truth", "mass 0", "error 0")}

@@ -1,25 +1,32 @@
-"""Evaluations from counts, and what is said of two methods over many frames."""
+"""Evaluations from sums, bootstrap intervals and paired comparisons over frames."""
 
 import numpy as np
 import pytest
-from plain import lattice_grid
 from scipy import stats
 
+from ogm.evaluation import Evaluation, bootstrap_mean, bootstrap_ratio, compare_paired
 from ogm.grid import GridSpec
-from ogm.metrics import Evaluation, ConfusionSums, bootstrap_mean, bootstrap_ratio, paired, score, accumulate
+from ogm.metrics import ConfusionSums, accumulate, score
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
 
 
-def counts(frames: int, models: int = 2) -> list[list[ConfusionSums]]:
-    return [[accumulate(*lattice_grid(10 * k + m)) for m in range(models)] for k in range(frames)]
+def sums(frames: int, methods: int = 2) -> list[list[ConfusionSums]]:
+    return [[one_frame(10 * k + m) for m in range(methods)] for k in range(frames)]
+
+
+def one_frame(seed: int) -> ConfusionSums:
+    """Return the sums of random masses and states."""
+    rng = np.random.default_rng(seed)
+    mass = rng.dirichlet((1, 1, 1), SPEC.shape)[..., :2].astype(np.float32)
+    return accumulate(mass, rng.integers(0, 4, SPEC.shape).astype(np.uint8))
 
 
 def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
-    rows = counts(3)
-    result = Evaluation.from_counts(["a", "b"], SPEC, ((row, EVEN) for row in rows))
-    assert (result.models, result.spec, result.frames) == (("a", "b"), SPEC, 3)
+    rows = sums(3)
+    result = Evaluation.from_sums(["a", "b"], SPEC, ((row, EVEN) for row in rows))
+    assert (result.methods, result.spec, len(result.frames)) == (("a", "b"), SPEC, 3)
     for m, name in enumerate("ab"):
         for k in range(3):
             assert score(rows[k][m])["kl_e10"] == result.of(name, "kl_e10")[k]
@@ -29,47 +36,47 @@ def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
 
 
 @pytest.mark.parametrize(
-    ("models", "frames", "says"),
+    ("methods", "frames", "description"),
     [
-        ([], [], "models need names, each once"),
-        (["a", "a"], [], "models need names, each once"),
+        ([], [], "methods need names, each once"),
+        (["a", "a"], [], "methods need names, each once"),
         (["a"], [], "no frames to build an evaluation from"),
-        (["a"], [(counts(1)[0], EVEN)], r"frame 0 has counts of 2 models and \(4,\) .* wanted 1 \(a\)"),
-        (["a", "b"], [(counts(1)[0], EVEN[:3])], r"\(3,\) shares of truth"),
+        (["a"], [(sums(1)[0], EVEN)], r"frame 0 has sums of 2 methods and \(4,\) .* wanted 1 \(a\)"),
+        (["a", "b"], [(sums(1)[0], EVEN[:3])], r"\(3,\) shares of truth"),
     ],
 )
-def test_counts_that_do_not_fit_are_refused(models: list[str], frames: list, description: str) -> None:
+def test_counts_that_do_not_fit_are_refused(methods: list[str], frames: list, description: str) -> None:
     with pytest.raises(ValueError, match=description):
-        Evaluation.from_counts(models, SPEC, frames)
+        Evaluation.from_sums(methods, SPEC, frames)
 
 
 def test_wilcoxon_is_that_of_scipy_and_leaves_ties_out() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(0, 1, 30), rng.normal(0.3, 1, 30)
     for better in ("lower", "higher"):
-        assert paired(a, b, better, rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
+        assert compare_paired(a, b, better, rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
     equal = np.concatenate([a, np.arange(5)]), np.concatenate([b, np.arange(5)])
-    assert paired(*equal, "lower", rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
+    assert compare_paired(*equal, "lower", rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
 
 
 @pytest.mark.parametrize("frames", [1, 4, 8])
 def test_wilcoxon_of_wins_alone_is_the_chance_of_a_coin(frames: int) -> None:
     rng = np.random.default_rng(1)
     gains = 1 + np.arange(frames)
-    assert paired(gains, np.zeros(frames), "higher", rng).p == pytest.approx(2 / 2**frames)
+    assert compare_paired(gains, np.zeros(frames), "higher", rng).p == pytest.approx(2 / 2**frames)
 
 
 def test_wilcoxon_without_a_difference_is_nan() -> None:
     rng = np.random.default_rng(2)
-    assert np.isnan(paired([1.0, 2.0], [1.0, 2.0], "lower", rng).p)
-    assert np.isnan(paired([np.nan], [1.0], "lower", rng).p)
+    assert np.isnan(compare_paired([1.0, 2.0], [1.0, 2.0], "lower", rng).p)
+    assert np.isnan(compare_paired([np.nan], [1.0], "lower", rng).p)
 
 
 def test_of_few_frames_the_interval_is_too_narrow_and_p_is_not() -> None:
     """Without any difference: docs/evaluation.md says that one interval of seven leaves out zero at six frames."""
     rng = np.random.default_rng(8)
     nothing = np.zeros(6)
-    found = [paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]
+    found = [compare_paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]
     out = np.array([one.difference.low > 0 or one.difference.high < 0 for one in found])
     small = np.array([one.p < 0.05 for one in found])
     assert pytest.approx(out.mean(), abs=0.03) == 1 / 7
@@ -112,4 +119,45 @@ def test_groups_are_one_per_frame() -> None:
     with pytest.raises(ValueError, match="groups must name the drive of each of 2 frames, got 1"):
         bootstrap_mean([1.0, 2.0], rng, groups=["a"])
     with pytest.raises(ValueError, match="groups must name"):
-        paired([1.0, 2.0], [1.0, 2.0], "lower", rng, groups=["a"])
+        compare_paired([1.0, 2.0], [1.0, 2.0], "lower", rng, groups=["a"])
+
+
+def test_wins_ties_and_losses_are_counted_in_the_better_direction() -> None:
+    rng = np.random.default_rng(0)
+    a, b = np.array([1.0, 2.0, 3.0, np.nan, 5.0]), np.array([2.0, 2.0, 2.0, 1.0, 6.0])
+    one = compare_paired(a, b, "lower", rng)
+    assert (one.frames, one.wins, one.ties, one.losses) == (4, 2, 1, 1)
+    other = compare_paired(a, b, "higher", rng)
+    assert (other.wins, other.ties, other.losses) == (1, 1, 2)
+    assert one.difference.value == pytest.approx(-0.25)
+    assert one.ratio.value == pytest.approx(11 / 12)
+    of_many = compare_paired(np.tile(a, 3), np.tile(b, 3), "lower", rng).ratio
+    assert of_many.low < 11 / 12 < of_many.high
+
+
+def test_bootstrap_finds_the_standard_error() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.normal(3.0, 1.0, 400)
+    interval = bootstrap_mean(values, rng)
+    assert interval.value == pytest.approx(values.mean())
+    assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
+
+
+def test_bootstrap_is_paired_and_repeats_with_its_seed() -> None:
+    values = np.random.default_rng(2).gamma(1.0, 1.0, 50)
+    exact = bootstrap_ratio(0.4 * values, values, np.random.default_rng(3))
+    assert exact == pytest.approx((0.4, 0.4, 0.4))
+    one, again = (bootstrap_mean(values, np.random.default_rng(4)) for _ in range(2))
+    assert one == again
+
+
+def test_bootstrap_without_values_is_nan() -> None:
+    rng = np.random.default_rng(5)
+    assert np.isnan(bootstrap_mean(np.full(3, np.nan), rng)).all()
+    assert np.isnan(bootstrap_ratio([1.0, 2.0], [0.0, 0.0], rng)).all()
+    with pytest.raises(ValueError, match="one value per frame"):
+        compare_paired([1.0], [1.0, 2.0], "lower", rng)
+    with pytest.raises(ValueError, match='better must be "lower" or "higher"'):
+        compare_paired([1.0], [1.0], "", rng)
+    with pytest.raises(ValueError, match="resamples must be at least 1"):
+        bootstrap_mean([1.0], rng, resamples=0)
