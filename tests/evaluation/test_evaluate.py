@@ -1,0 +1,225 @@
+"""`evaluate` with own models and frames in Python."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ogm.evaluation import (
+    FusedMethod,
+    MethodRunner,
+    PrecomputedGrids,
+    SingleScanMethod,
+    evaluate,
+    write_report,
+)
+from ogm.evaluation.models import MODELS, load_model, model_factory, short_names
+from ogm.fusion import EvidentialMapper, PoseJump
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.metrics import METRICS, accumulate, score
+from ogm.pose import pose
+from ogm.scan import Frame, Mount, PerMount, Scan
+from ogm.state import CellState, Truth
+
+SPEC = GridSpec.centered(length=7, width=7, resolution=1)
+WIDE = GridSpec.centered(length=9, width=9, resolution=1)
+
+
+@dataclass
+class Flat:
+    """A model: all cells are free, with a mass that grows with the points and the sensor's height."""
+
+    spec: GridSpec = SPEC
+    height: float = 1.0
+    scans: list[Scan] = field(default_factory=list, repr=False)
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        self.scans.append(scan)
+        mass = np.zeros((*self.spec.shape, 2), np.float32)
+        mass[..., 0] = len(scan) * self.height / 100
+        return EvidentialGrid(self.spec, mass)
+
+
+def truth(seed: int) -> Truth:
+    states = np.random.default_rng(seed).choice(4, WIDE.shape, p=[0.4, 0.3, 0.2, 0.1])
+    return Truth(WIDE, states.astype(np.uint8))
+
+
+def frame(k: int, height: float = 1.0, x: float | None = None) -> Frame:
+    """Return a frame of 10 (k + 1) points and one beam without echo; with x [m], one of a drive."""
+    scan = Scan(np.zeros((10 * (k + 1), 4), np.float32), no_returns=np.array([[1, 0, 0]], np.float32))
+    place = {} if x is None else {"T_map_sensor": pose(x), "stamp": 0.1 * k, "sequence": "drive"}
+    return Frame(scan, Mount(height, pose(z=height)), None, truth(k), name=f"frame {k}", **place)
+
+
+FRAMES = [frame(0), frame(1, 2.0), frame(2)]
+
+
+def test_every_method_has_every_metric_in_every_frame() -> None:
+    result = evaluate({"flat": Flat(), "high": Flat(height=3.0)}, FRAMES, SPEC)
+    assert (result.methods, result.spec) == (("flat", "high"), SPEC)
+    assert [one.name for one in result.frames] == ["frame 0", "frame 1", "frame 2"]
+    for k, one in enumerate(FRAMES):
+        state = one.truth.crop(SPEC).state
+        expected = score(accumulate(Flat(height=3.0)(one.scan).mass, state))
+        assert {m: result.of("high", m)[k] for m in METRICS} == pytest.approx(expected, nan_ok=True)
+        np.testing.assert_allclose(result.truth[k], np.bincount(state.ravel(), minlength=4) / 49)
+    np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.2, 0.3], rtol=1e-6)
+    assert result.macro("flat")["mean_free"] == pytest.approx(0.2)
+    known = 1 - result.truth[:, 3]
+    assert result.micro("flat")["mean_free"] == pytest.approx(
+        result.of("flat", "mean_free") @ known / known.sum()
+    )
+
+
+def test_methods_are_compared_frame_by_frame() -> None:
+    result = evaluate({"flat": Flat(), "high": Flat(height=3.0)}, FRAMES, SPEC)
+    compared = result.compare("high", "flat", np.random.default_rng(0))
+    assert set(compared) == {name for name, metric in METRICS.items() if metric.better}
+    one = compared["false_free"]
+    assert (one.wins, one.ties, one.losses) == (0, 1, 2)
+    assert result.interval("high", "kl_e10", np.random.default_rng(0)).value == result.macro("high")["kl_e10"]
+    assert result.select(["high"]).macro("high") == pytest.approx(result.macro("high"), nan_ok=True)
+    with pytest.raises(KeyError, match="no method 'deep' here, only flat, high"):
+        result.of("deep", "ece")
+    with pytest.raises(KeyError, match="no metric 'iou'"):
+        result.of("flat", "iou")
+
+
+def test_beams_without_echo_reach_every_model() -> None:
+    model = Flat()
+    evaluate({"mine": model}, FRAMES, SPEC)
+    assert all(scan.no_returns is not None for scan in model.scans)
+
+
+def test_per_mount_models_are_made_for_the_mount_of_each_frame() -> None:
+    mounts: list[Mount] = []
+
+    def make(mount: Mount) -> Flat:
+        mounts.append(mount)
+        return Flat(height=mount.sensor_height)
+
+    result = evaluate({"flat": PerMount(make)}, FRAMES, SPEC)
+    assert [mount.sensor_height for mount in mounts] == [1.0, 2.0]
+    np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.4, 0.3], rtol=1e-6)
+
+
+def test_a_scan_is_mapped_once_for_a_model_and_its_maps() -> None:
+    model, drive = Flat(), [frame(k, x=0.1 * k) for k in range(4)]
+    fused = FusedMethod(model, lambda: EvidentialMapper(SPEC))
+    result = evaluate({"flat": model, "map": fused}, drive, SPEC, frames=[1, 3])
+    assert len(model.scans) == len(drive)
+    mapper = EvidentialMapper(SPEC)
+    for one in drive:
+        mapper.update(Flat()(one.scan), one.T_map_sensor, stamp=one.stamp)
+    expected = float(mapper.view(SPEC).free[drive[3].truth.crop(SPEC).state != CellState.IGNORE].mean())
+    assert result.of("map", "mean_free")[1] == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_map_begins_again_with_a_sequence_and_after_a_jump(caplog: pytest.LogCaptureFixture) -> None:
+    fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
+    runner = MethodRunner({"map": fused}, SPEC)
+    for k, x in enumerate((0.0, 0.1)):
+        runner.update(frame(k, x=x))
+    with pytest.raises(PoseJump):
+        fused._mapper.update(EvidentialGrid.vacuous(SPEC), pose(900.0), stamp=0.2)
+    one = frame(2, x=900.0)
+    fresh = EvidentialMapper(SPEC)
+    fresh.update(Flat()(one.scan), one.T_map_sensor, stamp=one.stamp)
+    np.testing.assert_array_equal(runner.grids(one)["map"].mass, fresh.view(SPEC).mass)
+    assert "frame 2: the pose jumps; a new map begins" in caplog.text
+
+
+def test_frames_that_stand_alone_cannot_be_fused() -> None:
+    fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
+    with pytest.raises(ValueError, match="map fuses frames that follow each other, but these stand alone"):
+        evaluate({"map": fused}, FRAMES, SPEC)
+
+
+def test_a_report_of_own_frames_and_an_own_model(tmp_path: Path) -> None:
+    methods = {"mine": Flat(), "again": SingleScanMethod(Flat(height=2.0), "twice as high")}
+    result = evaluate(methods, FRAMES, SPEC, out=tmp_path / "report")
+    record = write_report(tmp_path / "report", result)
+    assert record == json.loads((tmp_path / "report" / "report.json").read_text())
+    assert record["methods"]["mine"]["description"] == "A sensor model in Python (Flat)."
+    assert record["methods"]["again"]["description"] == "twice as high"
+    found = {path.name for path in (tmp_path / "report").iterdir()}
+    assert found == {"report.html", "report.json", "frames.csv", "metrics.png", "frames.png", "frames"}
+
+
+def test_without_a_folder_nothing_is_kept_and_the_report_has_no_pictures(tmp_path: Path) -> None:
+    result = evaluate({"mine": Flat()}, FRAMES, SPEC)
+    write_report(tmp_path, result)
+    assert 'id="pictures-' not in (tmp_path / "report.html").read_text()
+    assert not (tmp_path / "frames.png").exists()
+
+
+def test_a_finished_run_is_reused_for_the_same_model_only(tmp_path: Path) -> None:
+    assert evaluate({"mine": Flat()}, FRAMES, SPEC, out=tmp_path).reused == 0
+    again = Flat()
+    assert evaluate({"mine": again}, FRAMES, SPEC, out=tmp_path).reused == 3
+    assert again.scans == []
+    assert evaluate({"mine": Flat(height=2.0)}, FRAMES, SPEC, out=tmp_path).reused == 0
+
+
+def test_an_interrupted_run_counts_its_frames_and_resumes(tmp_path: Path) -> None:
+    def interrupted(numbers: list[int]) -> Iterator[int]:
+        yield from numbers[:2]
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match="2 of 3 frames are finished and kept"):
+        evaluate({"mine": Flat()}, FRAMES, SPEC, out=tmp_path, progress=interrupted)
+    result = evaluate({"mine": Flat()}, FRAMES, SPEC, out=tmp_path)
+    assert result.reused == 2
+    whole = evaluate({"mine": Flat()}, FRAMES, SPEC)
+    for metric in METRICS:
+        np.testing.assert_array_equal(result.values[metric], whole.values[metric])
+
+
+def test_what_cannot_be_evaluated_is_refused(tmp_path: Path) -> None:
+    for methods, error, text in (
+        ({}, ValueError, "no methods to evaluate"),
+        ({"mine": lambda scan: scan}, TypeError, "mine must be a callable with a .spec"),
+        ({"mine": "rays"}, ValueError, "there is no sensor model 'rays'"),
+        ({"mine": Flat(WIDE)}, ValueError, "the grid has 9 x 9 cells .*, but wanted are 7 x 7 cells"),
+        ({"grids": PrecomputedGrids({})}, ValueError, "there is no grid for frame 0 and 2 more of 3 frames"),
+    ):
+        with pytest.raises(error, match=text):
+            evaluate(methods, FRAMES, SPEC)
+    with pytest.raises(ValueError, match="there must be frames to evaluate"):
+        evaluate({"mine": Flat()}, [], SPEC)
+    unlabelled = Frame(FRAMES[0].scan, FRAMES[0].mount, None, None, name="dark")
+    with pytest.raises(ValueError, match="frame dark has no truth"):
+        evaluate({"mine": Flat()}, [unlabelled], SPEC)
+
+
+# --- Models by name ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_every_named_model_fills_the_area_of_the_grid(name: str) -> None:
+    spec = GridSpec.centered(length=12.8, width=12.8, resolution=0.16)
+    model = load_model(name, spec, Mount(1.7, pose(z=1.7)))
+    grid = model(Scan(np.zeros((0, 4), np.float32)))
+    assert grid.spec.extent == pytest.approx(spec.extent)
+    assert (grid.mass == 0).all()
+
+
+def test_the_released_model_refuses_what_it_cannot_do() -> None:
+    with pytest.raises(ValueError, match="even number of cells along x and y, got 7 x 7"):
+        model_factory("height-band-released", SPEC)
+    even = GridSpec.centered(length=8, width=8, resolution=1)
+    make = model_factory("height-band-released", even)
+    for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
+        with pytest.raises(ValueError, match="points in the sensor frame and a grid around the sensor"):
+            make(mount)
+
+
+def test_weights_have_short_names_that_differ() -> None:
+    names = ["ray", "runs/a/best.safetensors", "runs/b/best.safetensors", "c.safetensors", "d/c.safetensors"]
+    assert list(short_names(names)) == ["ray", "a", "b", "c", "d/c.safetensors"]
+    with pytest.raises(ValueError, match="ray is given twice"):
+        short_names(["ray", "ray"])
