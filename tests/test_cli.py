@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from ogm import EvidentialGrid
 from ogm.cli import app
+from ogm.cli.console import distinct
 
 
 def ogm(*words: object) -> "subprocess.CompletedProcess":
@@ -66,7 +67,7 @@ def test_map_many_goes_on_after_a_bad_file(scan: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "grids").iterdir()) == ["more.npz", "wall.npz"]
 
 
-def test_points_in_the_vehicles_frame(scan: Path, tmp_path: Path) -> None:
+def test_points_in_the_vehicle_frame(scan: Path, tmp_path: Path) -> None:
     points = np.fromfile(scan, np.float32).reshape(-1, 4) + np.float32([1.5, 0, 1.4, 0])
     points.tofile(tmp_path / "vehicle.bin")
     result = ogm(
@@ -92,6 +93,49 @@ def test_beams_without_a_return_reach_the_model(tmp_path: Path) -> None:
     assert EvidentialGrid.load(tmp_path / "o.npz").at(8.0, 6.5).free > 0.02
 
 
+def test_a_folder_is_mapped_scan_by_scan(scan: Path, tmp_path: Path) -> None:
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for name in ("a_0.bin", "a_1.bin"):
+        (drive / name).write_bytes(scan.read_bytes())
+    out = tmp_path / "new" / "grids"
+    result = ogm("map", drive, "--out", out, *SMALL)
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in out.iterdir()) == ["a_0.npz", "a_1.npz"]
+    ogm("map", scan, "--out", tmp_path / "one.npz", *SMALL)
+    one, of_folder = EvidentialGrid.load(tmp_path / "one.npz"), EvidentialGrid.load(out / "a_0.npz")
+    assert np.array_equal(one, of_folder)
+
+
+@pytest.mark.parametrize(("resolution", "shape"), [(0.1, (819, 563)), (0.2, (410, 282))])
+def test_the_default_extent_follows_the_resolution(
+    scan: Path, tmp_path: Path, resolution: float, shape: tuple[int, int]
+) -> None:
+    path = tmp_path / "new" / "folder" / "x.npz"
+    result = ogm("map", scan, "--resolution", resolution, "--out", path)
+    assert result.exit_code == 0, result.output
+    assert EvidentialGrid.load(path).spec.shape == shape
+
+
+def test_folders_of_outputs_are_made_before_the_work(scan: Path, tmp_path: Path) -> None:
+    scan.write_bytes(b"xyz")
+    assert ogm("map", scan, "--out", tmp_path / "new" / "x.npz").exit_code == 2
+    assert (tmp_path / "new").is_dir()
+
+
+@pytest.mark.parametrize(
+    ("names", "short"),
+    [
+        (["a", "b"], ["a", "b"]),
+        ([f"{'n' * 60}_{k}" for k in "12"], ["…nnn_1", "…nnn_2"]),
+        (["x" * 60], [f"{'x' * 17}…{'x' * 17}"]),
+        ([], []),
+    ],
+)
+def test_short_names_keep_the_part_that_differs(names: list[str], short: list[str]) -> None:
+    assert distinct(names) == short
+
+
 def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
     result = ogm("info", scan)
     assert "20000" in result.output
@@ -103,13 +147,12 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "text"),
     [
         (("map", "none.pcd"), "none.pcd"),
         (("info", "none.npz"), "none.npz"),
         (("map", "{scan}", "--length", "10.0"), "use 9.92 m or 10.08 m"),
         (("map", "{scan}", "--axes", "upside-down"), "upside-down"),
-        (("map", "{scan}", "--out", "{folder}/none/x.npz"), "no folder"),
         (("map", "{scan}", "--out", "{folder}/x.txt"), "ends in .npz"),
         (("map", "{scan}", "--out", "{folder}/x.npz", "--picture", "{folder}/x.jpg"), "ends in .png"),
         (("map", "{scan}", "{empty}", "--out", "{folder}/x.npz"), "give a folder"),
@@ -121,14 +164,14 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
         (("demo", "--out", "{scan}"), "wall.bin"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, description: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, text: str) -> None:
     empty, nothing = scan.with_name("empty.bin"), scan.with_name("nothing.bin")
     empty.write_bytes(b"")
     np.full((10, 4), 0.5, np.float32).tofile(nothing)
     names = {"scan": scan, "folder": scan.parent, "empty": empty, "nothing": nothing}
     result = ogm(*(word.format(**names) for word in words))
     assert result.exit_code == 2, result.output
-    assert description in result.output
+    assert text in result.output
     assert "Traceback" not in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
 

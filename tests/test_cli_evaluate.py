@@ -2,7 +2,6 @@
 
 import csv
 import dataclasses
-import importlib
 import json
 import os
 from collections.abc import Callable
@@ -15,22 +14,23 @@ from click.testing import Result
 from PIL import Image
 from typer.testing import CliRunner
 
-from ogm.cli import app
-from ogm.cli.source import source_of
+from ogm.cli import app, evaluate_command
 from ogm.deep.checkpoint import save_network
 from ogm.deep.network import Network, NetworkConfig
-from ogm.fusion import EvidentialMapper
+from ogm.evaluation import cache, report, runner
+from ogm.fusion import BAYES, RULES, EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.metrics import METRICS, score, accumulate
+from ogm.metrics import METRICS, accumulate, score
+from ogm.scan import Mount, Scan
 from ogm.simulation.exchange import write_label
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import Store
-from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
+from ogm.state import CellState, Truth
+from ogm.truth import TRUTH_SPEC
 
-MODULE = importlib.import_module("ogm.cli.evaluate")  # its function of the same name hides it
-JUDGING = importlib.import_module("ogm.cli.judging")
-PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
+PAPER = GridSpec.centered()
 LAYERS = 16
 BEAMS = Beams(
     "test-16",
@@ -106,36 +106,37 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out what takes longest."""
-    monkeypatch.setattr(MODULE, "draw", lambda *_: None)
+    for name in ("draw_metrics", "draw_frames"):
+        monkeypatch.setattr(report.figures, name, lambda *_: None)
 
 
 def record_of(folder: Path) -> dict:
     return json.loads((folder / "report.json").read_text())
 
 
-def test_models_are_judged_on_the_same_samples(
+def test_models_are_evaluated_on_the_same_samples(
     data: Path, weights: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(MODULE, "ROWS", 2)
+    monkeypatch.setattr(report, "ROWS", 2)
     folder = tmp_path / "new" / "report"
     result = ogm("evaluate", data, "--ism", "height-band", "ray", weights, "--out", folder)
     assert result.exit_code == 0, result.output
-    for said in (
+    for text in (
         "Means over data, validation, 4 frames",
         "IoU occupied",
         "small against ray",
         "ratio of means",
     ):
-        assert said in result.output
+        assert text in result.output
     record = record_of(folder)
     assert record["data"]["samples"] == [0, 1, 2, 3]
     assert [frame["name"] for frame in record["frames"]] == [f"validation {k}" for k in range(4)]
-    assert list(record["models"]) == ["height-band", "ray", "small"]
-    assert record["models"]["ray"]["weights"] is None
-    assert len(record["models"]["small"]["weights"]["sha256"]) == 64
+    assert list(record["methods"]) == ["height-band", "ray", "small"]
+    assert record["methods"]["ray"]["weights"] is None
+    assert len(record["methods"]["small"]["weights"]["sha256"]) == 64
     assert record["data"]["plan"] == {"seed": 1}
     assert record["data"]["split"] == "validation"
-    for one in record["models"].values():
+    for one in record["methods"].values():
         assert set(one["macro"]) == set(one["micro"]) == set(one["per frame"]) == set(METRICS)
         for metric, values in one["per frame"].items():
             assert len(values) == 4
@@ -155,21 +156,32 @@ def test_models_are_judged_on_the_same_samples(
         rows = list(csv.DictReader(file))
     assert len(rows) == 4 * 3
     of_ray = [float(row["iou_free"]) for row in rows if row["method"] == "ray"]
-    assert of_ray == pytest.approx(record["models"]["ray"]["per frame"]["iou_free"])
+    assert of_ray == pytest.approx(record["methods"]["ray"]["per frame"]["iou_free"])
     page = (folder / "report.html").read_text()
     assert "validation 3" in page
     assert "height-band" in page
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_the_released_baseline_is_judged_on_the_fine_cells(data: Path, tmp_path: Path) -> None:
+def test_the_released_baseline_is_evaluated_on_the_fine_cells(data: Path, tmp_path: Path) -> None:
     result = ogm("evaluate", data, "--ism", "height-band-released", "--out", tmp_path)
     assert result.exit_code == 0, result.output
     record = record_of(tmp_path)
     assert record["grid"]["shape"] == [512, 352]
-    assert record["models"]["height-band-released"]["macro"]["iou_free"]["value"] == 0.0
-    assert record["models"]["height-band-released"]["macro"]["ece_called"]["value"] is None
-    assert record["models"]["height-band-released"]["missing"]["ece_called"]
+    assert record["methods"]["height-band-released"]["macro"]["iou_free"]["value"] == 0.0
+    assert record["methods"]["height-band-released"]["macro"]["ece_called"]["value"] is None
+    assert record["methods"]["height-band-released"]["missing"]["ece_called"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_store_of_training_samples_only_is_evaluated_on_them(tmp_path: Path) -> None:
+    counts = {"training": 2, "validation": 0, "test": 0}
+    store = Store.create(tmp_path / "data", {"seed": 1}, counts, [BEAMS], {"ogm": "0"})
+    store.write("training", 0, [sample("training", k) for k in range(2)])
+    for split in ((), ("--split", "train")):
+        result = ogm("evaluate", tmp_path / "data", "--ism", "ray", "--out", tmp_path / "report", *split)
+        assert result.exit_code == 0, result.output
+        assert "Means over data, training, 2 frames" in result.output
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -181,7 +193,7 @@ def test_samples_are_drawn_by_the_seed_and_the_report_repeats(data: Path, tmp_pa
         return record_of(tmp_path / folder)
 
     one, again = record(3, "a"), record(3, "b")
-    assert one["models"] == again["models"]
+    assert one["methods"] == again["methods"]
     assert one["paired"] == again["paired"]
     assert len(one["frames"]) == 2
     drawn = {tuple(frame["name"] for frame in record(seed, "c")["frames"]) for seed in range(4)}
@@ -192,22 +204,22 @@ def test_samples_are_drawn_by_the_seed_and_the_report_repeats(data: Path, tmp_pa
 
 
 @pytest.fixture
-def judged(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Note the number of every frame that is judged anew."""
+def evaluated(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Note the number of every frame that is evaluated."""
     seen: list[int] = []
-    save = JUDGING.ResultCache.save
+    save = cache.ResultCache.save
 
     def noting(self: object, frame: int, one: object) -> None:
         seen.append(frame)
         save(self, frame, one)
 
-    monkeypatch.setattr(JUDGING.ResultCache, "save", noting)
+    monkeypatch.setattr(cache.ResultCache, "save", noting)
     return seen
 
 
 def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
     """Let the user interrupt after some frames."""
-    accumulate, calls = JUDGING.accumulate, []
+    calls = []
 
     def stopping(*words: object) -> object:
         calls.append(0)
@@ -215,45 +227,45 @@ def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
             raise KeyboardInterrupt
         return accumulate(*words)
 
-    monkeypatch.setattr(JUDGING, "tally", stopping)
+    monkeypatch.setattr(runner, "accumulate", stopping)
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_an_interrupted_run_keeps_its_frames_and_goes_on(
-    data: Path, tmp_path: Path, judged: list[int], monkeypatch: pytest.MonkeyPatch
+def test_an_interrupted_run_keeps_its_frames_and_resumes(
+    data: Path, tmp_path: Path, evaluated: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ("evaluate", data, "--ism", "ray", "--out", tmp_path / "a")
     with monkeypatch.context() as patch:
         interrupted(patch, 2)
         result = ogm(*words)
     assert result.exit_code == 130
-    assert "2 of 4 frames are finished and kept: repeat the command to go on" in result.output
+    assert "2 of 4 frames are finished and kept: repeat the command to resume" in result.output
     assert not (tmp_path / "a" / "report.json").exists()
-    assert judged == [0, 1]
+    assert evaluated == [0, 1]
     result = ogm(*words)
     assert result.exit_code == 0, result.output
-    assert "2 of 4 frames are finished already" in result.output
-    assert judged == [0, 1, 2, 3]
+    assert "2 of 4 frames were finished before" in result.output
+    assert evaluated == [0, 1, 2, 3]
     assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path / "b").exit_code == 0
-    assert record_of(tmp_path / "a")["models"] == record_of(tmp_path / "b")["models"]
+    assert record_of(tmp_path / "a")["methods"] == record_of(tmp_path / "b")["methods"]
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_a_damaged_frame_is_judged_again(data: Path, tmp_path: Path, judged: list[int]) -> None:
+def test_a_damaged_frame_is_evaluated_again(data: Path, tmp_path: Path, evaluated: list[int]) -> None:
     words = ("evaluate", data, "--ism", "ray", "--out", tmp_path)
     assert ogm(*words).exit_code == 0
-    first = record_of(tmp_path)["models"]
+    first = record_of(tmp_path)["methods"]
     path = tmp_path / "frames" / "000002.npz"
     path.write_bytes(path.read_bytes()[:1000])
-    del judged[:]
+    del evaluated[:]
     assert ogm(*words).exit_code == 0
-    assert judged == [2]
-    assert record_of(tmp_path)["models"] == first
+    assert evaluated == [2]
+    assert record_of(tmp_path)["methods"] == first
 
 
 @pytest.mark.usefixtures("no_pictures")
 def test_frames_of_other_settings_are_not_mixed(
-    data: Path, tmp_path: Path, judged: list[int], monkeypatch: pytest.MonkeyPatch
+    data: Path, tmp_path: Path, evaluated: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
         interrupted(patch, 1)
@@ -263,16 +275,16 @@ def test_frames_of_other_settings_are_not_mixed(
     assert "1 frames of an unfinished run with other data" in result.output
     assert (tmp_path / "frames" / "000000.npz").exists()
     assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 0
-    del judged[:]
+    del evaluated[:]
     assert (
         ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path).exit_code == 0
     )  # that one was finished
-    assert judged == [0, 1, 2, 3]
+    assert evaluated == [0, 1, 2, 3]
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_an_interrupted_run_does_not_go_on_with_files_that_changed(
-    folders: Path, judged: list[int], monkeypatch: pytest.MonkeyPatch
+def test_an_interrupted_run_does_not_resume_with_files_that_changed(
+    folders: Path, evaluated: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
     with monkeypatch.context() as patch:
@@ -286,18 +298,18 @@ def test_an_interrupted_run_does_not_go_on_with_files_that_changed(
         assert "files that have changed since" in result.output
         os.utime(folders / changed, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert ogm(*words).exit_code == 0
-    assert judged == [0, 1, 2]
+    assert evaluated == [0, 1, 2]
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_grids_that_were_made_anew_are_judged_anew(folders: Path) -> None:
+def test_grids_that_were_written_again_are_evaluated_again(folders: Path) -> None:
     words = ("evaluate", folders / "truth", "--grids", folders / "perfect", "--out", folders / "report")
     assert ogm(*words).exit_code == 0
     for k in range(3):
         (folders / "nothing" / f"{k}.npz").replace(folders / "perfect" / f"{k}.npz")
     result = ogm(*words)
     assert "are finished already" not in result.output
-    assert record_of(folders / "report")["models"]["perfect"]["macro"]["iou_free"]["value"] == 0.0
+    assert record_of(folders / "report")["methods"]["perfect"]["macro"]["iou_free"]["value"] == 0.0
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -307,7 +319,7 @@ def test_frames_by_another_ogm_are_not_mixed(
     with monkeypatch.context() as patch:
         interrupted(patch, 1)
         assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
-    monkeypatch.setattr(JUDGING, "state_of_code", lambda: "another")
+    monkeypatch.setattr(runner, "code_state", lambda: "another")
     result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
     assert result.exit_code == 2
     assert "by another ogm" in result.output
@@ -317,14 +329,14 @@ def test_the_state_of_files_leaves_out_the_report_beside_them(tmp_path: Path) ->
     (tmp_path / "scans" / "a").mkdir(parents=True)
     (tmp_path / "scans" / "a" / "0.bin").write_bytes(b"x")
     paths, report = [tmp_path / "scans"], tmp_path / "scans" / "report"
-    before = JUDGING.state_of_files(paths, report)
+    before = cache.files_state(paths, report)
     (report / "frames").mkdir(parents=True)
     (report / "frames" / "0.npz").write_bytes(b"x")
-    assert JUDGING.state_of_files(paths, report) == before
+    assert cache.files_state(paths, report) == before
     (tmp_path / "scans" / "b.bin").symlink_to("nowhere")
-    assert JUDGING.state_of_files(paths, report) == before
+    assert cache.files_state(paths, report) == before
     (tmp_path / "scans" / "a" / "1.bin").write_bytes(b"x")
-    assert JUDGING.state_of_files(paths, report) != before
+    assert cache.files_state(paths, report) != before
 
 
 @pytest.mark.usefixtures("no_pictures")
@@ -351,8 +363,8 @@ def test_a_folder_of_frames_that_is_not_ours_is_left_alone(data: Path, tmp_path:
 def test_a_frame_that_gets_lost_stops_the_run(
     data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load = JUDGING.ResultCache.load
-    monkeypatch.setattr(JUDGING.ResultCache, "load", lambda self, k: None if k == 1 else load(self, k))
+    load = cache.ResultCache.load
+    monkeypatch.setattr(cache.ResultCache, "load", lambda self, k: None if k == 1 else load(self, k))
     result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
     assert result.exit_code == 2
     assert "lost the finished frame validation 1" in result.output
@@ -363,7 +375,7 @@ def test_a_frame_that_gets_lost_stops_the_run(
 
 @pytest.fixture
 def folders(tmp_path: Path) -> Path:
-    """Truth of three frames; the same as somebody's grids; and grids that know nothing."""
+    """Truth of three frames; the same as precomputed grids; and vacuous grids."""
     for name in ("truth", "perfect", "nothing"):
         (tmp_path / name).mkdir()
     state = np.zeros(PAPER.shape, np.uint8)
@@ -379,15 +391,15 @@ def folders(tmp_path: Path) -> Path:
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_folders_of_grids_are_judged_by_their_frames_names(folders: Path) -> None:
+def test_folders_of_grids_pair_by_their_frames_names(folders: Path) -> None:
     grids = ("--grids", folders / "nothing", "--grids", folders / "perfect")
     result = ogm("evaluate", folders / "truth", *grids, "--out", folders / "report")
     assert result.exit_code == 0, result.output
     record = record_of(folders / "report")
-    assert list(record["models"]) == ["nothing", "perfect"]
+    assert list(record["methods"]) == ["nothing", "perfect"]
     for metric in ("iou_free", "iou_occupied", "iou_unknown", "auroc_unknown"):
-        assert record["models"]["perfect"]["macro"][metric]["value"] == 1.0
-    assert record["models"]["nothing"]["macro"]["iou_free"]["value"] == 0.0
+        assert record["methods"]["perfect"]["macro"][metric]["value"] == 1.0
+    assert record["methods"]["nothing"]["macro"]["iou_free"]["value"] == 0.0
     assert record["paired"]["perfect against nothing"]["iou_free"]["wins"] == 3
 
 
@@ -397,7 +409,7 @@ def test_frames_that_do_not_pair_are_named(folders: Path) -> None:
     result = ogm("evaluate", folders / "truth", "--grids", folders / "perfect", "--out", folders / "report")
     assert result.exit_code == 2
     assert (
-        "there is no grid for 1 and 0 more of 3 frames; it has 1 of other names, one first" in result.output
+        "there is no grid for 1 and 0 more of 3 frames; it has 1 with other names, first one" in result.output
     )
     assert not (folders / "report").exists()
 
@@ -410,11 +422,11 @@ def test_grids_of_other_cells_are_resampled_on_request_only(folders: Path) -> No
     words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / "report")
     result = ogm(*words)
     assert result.exit_code == 2
-    for said in ("400 x 250 cells of 0.2 m", "512 x 352 cells of 0.16 m", "--resample area"):
-        assert said in result.output
+    for text in ("400 x 250 cells of 0.2 m", "512 x 352 cells of 0.16 m", "--resample area"):
+        assert text in result.output
     result = ogm(*words, "--resample", "nearest")
     assert result.exit_code == 0, result.output
-    assert record_of(folders / "report")["models"]["nothing"]["macro"]["mean_unknown"]["value"] == 1.0
+    assert record_of(folders / "report")["methods"]["nothing"]["macro"]["mean_unknown"]["value"] == 1.0
 
 
 def test_grids_with_nan_masses_are_refused(folders: Path) -> None:
@@ -447,12 +459,12 @@ def test_a_truth_of_a_part_of_the_cells_leaves_out_the_rest(folders: Path) -> No
     assert record_of(folders / "report")["truth per frame"]["ignored"] == [0.5, 0.0, 0.0]
 
 
-def test_the_report_is_not_written_into_what_is_judged(folders: Path) -> None:
+def test_the_report_is_not_written_into_the_evaluated_data(folders: Path) -> None:
     for out in ("truth", "nothing"):
         words = ("evaluate", folders / "truth", "--grids", folders / "nothing", "--out", folders / out)
         result = ogm(*words)
         assert result.exit_code == 2
-        assert "is what is judged" in result.output
+        assert "holds what is evaluated" in result.output
         assert len(list((folders / out).iterdir())) == 3
 
 
@@ -462,7 +474,7 @@ def test_a_folder_that_is_given_as_a_dot_has_a_name(folders: Path, monkeypatch: 
     assert ogm("evaluate", "../truth", "--grids", ".", "--out", "../report").exit_code == 0
     monkeypatch.chdir(folders / "truth")
     assert ogm("evaluate", ".", "--grids", "../nothing", "--out", "../other").exit_code == 0
-    assert list(record_of(folders / "report")["models"]) == ["perfect"]
+    assert list(record_of(folders / "report")["methods"]) == ["perfect"]
     assert record_of(folders / "other")["data"]["name"] == "truth"
 
 
@@ -488,8 +500,8 @@ def test_frames_without_a_value_are_not_the_worst(folders: Path) -> None:
     words = ("--grids", folders / "nothing", "--frames", 1, "--out", folders / "report")
     assert ogm("evaluate", folders / "truth", *words).exit_code == 0
     page = (folders / "report" / "report.html").read_text()
-    assert 'id="view-1"' not in page
-    assert page.count('id="view-') == 1
+    assert 'id="pictures-1"' not in page
+    assert page.count('id="pictures-') == 1
 
 
 # --- Maps -------------------------------------------------------------------------------------------
@@ -506,8 +518,13 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def simulated_scan(one: Sample) -> Scan:
+    """Return a sample's scan with its beams without echo."""
+    return Scan(one.points, no_returns=one.beams.directions[one.steps == 0])
+
+
 def driven(index: int) -> Sample:
-    """The vehicle goes 1 m forward per frame."""
+    """Return a frame of a vehicle that drives 1 m forward per frame."""
     frame = index % 100
     one = sample("sequences", 5)
     T = np.eye(4)
@@ -521,7 +538,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
     result = ogm("evaluate", drive, *words)
     assert result.exit_code == 0, result.output
     record = record_of(tmp_path)
-    assert list(record["models"]) == ["ray", "ray + cautious", "ray + bayes"]
+    assert list(record["methods"]) == ["ray", "ray + cautious", "ray + bayes"]
     names = [frame["name"] for frame in record["frames"]]
     assert names[:2] == ["sequence 0 frame 0", "sequence 0 frame 3"]
     assert names[-1] == "sequence 1 frame 8"
@@ -529,31 +546,21 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
     first = driven(0)
     mount = first.T_vehicle_sensor.copy()
     mount[:2, 3] = 0
-    model = RayISM(PAPER, mount[2, 3], T_vehicle_sensor=mount, ego_footprint=(-2.5, 2.5, -1.1, 1.1))
+    model = RayISM(PAPER, Mount(mount[2, 3], mount))
     for begin, end in ((0, 10), (100, 110)):
         mapper = EvidentialMapper(GridSpec.centered(length=128, width=128, resolution=0.16))
         for index in range(begin, end):
             one = driven(index)
-            mapper.update(model(one.points), one.T_world_sensor, stamp=one.stamp)
+            mapper.update(model(simulated_scan(one)), one.T_world_sensor, stamp=one.stamp)
             name = f"sequence {index // 100} frame {index % 100}"
             if name in names:
                 scores = score(accumulate(mapper.view(PAPER).mass, one.truth.crop(PAPER).state))
-                found = record["models"]["ray + cautious"]["per frame"]["brier"][names.index(name)]
+                found = record["methods"]["ray + cautious"]["per frame"]["brier"][names.index(name)]
                 assert found == pytest.approx(scores["brier"], rel=1e-5)
 
 
-def test_where_maps_are_judged_what_a_frame_cannot_see_is_ignored(drive: Path) -> None:
-    scans, maps = (
-        source_of(drive, PAPER, "sequences", judged=judged).read(3).truth.crop(PAPER).state
-        for judged in ("scans", "maps")
-    )
-    assert set(np.unique(scans)) == {UNKNOWN, FREE, OCCUPIED}
-    assert (maps[scans == UNKNOWN] == IGNORE).all()
-    assert (maps[scans != UNKNOWN] == scans[scans != UNKNOWN]).all()
-
-
 @pytest.mark.usefixtures("no_pictures")
-def test_an_interrupted_map_is_shown_its_past_again(
+def test_an_interrupted_map_fuses_its_past_again(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     words = ("evaluate", drive, "--ism", "ray", "--fused", "dempster", "--every", 4)
@@ -562,14 +569,14 @@ def test_an_interrupted_map_is_shown_its_past_again(
         assert ogm(*words, "--out", tmp_path / "a").exit_code == 130
     assert ogm(*words, "--out", tmp_path / "a").exit_code == 0
     assert ogm(*words, "--out", tmp_path / "b").exit_code == 0
-    assert record_of(tmp_path / "a")["models"] == record_of(tmp_path / "b")["models"]
+    assert record_of(tmp_path / "a")["methods"] == record_of(tmp_path / "b")["methods"]
 
 
 # --- Errors -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("words", "description"),
+    ("words", "text"),
     [
         (("{nothing}",), "there is no"),
         (("{file}",), "file"),
@@ -580,26 +587,26 @@ def test_an_interrupted_map_is_shown_its_past_again(
         (("{data}", "--samples", 0), "--samples must be in 1 ... 4"),
         (("{data}", "--every", 0), "--every must be at least 1"),
         (("{data}", "--frames", 0), "--frames must be at least 1"),
-        (("{data}", "--ism", "rays"), "there is no model 'rays'; there are height-band"),
+        (("{data}", "--ism", "rays"), "there is no sensor model 'rays': give ray, height-band"),
         (("{data}", "--ism", "{nothing}.safetensors"), "is not there"),
-        (("{data}", "--ism", "{nothing}.pt"), "there are no weights"),
+        (("{data}", "--ism", "{nothing}.pt"), "there is no sensor model"),
         (("{data}", "--ism", "{file}.safetensors"), "is not there"),
         (("{data}", "--ism", "ray", "ray"), "ray is given twice"),
-        (("{data}", "--ism", "ray", "--out", "{file}"), "--out writes a folder"),
+        (("{data}", "--ism", "ray", "--out", "{file}"), "is a file, but the report is a folder"),
         (("{data}", "--fused", "bayes"), "has no split 'sequences'"),
         (
             ("{data}", "--fused", "bayes", "--split", "validation"),
-            "--fused wants frames that follow each other",
+            "fuses frames that follow each other",
         ),
-        (("{data}", "--fused", "best"), "--fused knows cautious"),
-        (("{data}", "--truth", "boxes"), "--truth is for recordings"),
-        (("{data}", "--truth", "hearsay"), "--truth knows boxes"),
+        (("{data}", "--fused", "best"), "--fused takes cautious"),
+        (("{data}", "--truth", "boxes"), "(--truth) is for recordings"),
+        (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
         (("{data}", "--resample", "linear"), "--resample must be one of"),
         (("{data}", "--grids", "{nothing}"), "there is no folder"),
         (("{data}", "--grids", "{data}"), "holds no grids"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, text: str) -> None:
     file = tmp_path / "file"
     file.write_text("x")
     names = {"data": data, "nothing": tmp_path / "nothing", "file": file}
@@ -607,9 +614,13 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
     ism = () if "--ism" in words else ("--ism", "ray")
     result = ogm("evaluate", *(str(word).format(**names) for word in words), *ism, *out)
     assert result.exit_code == 2, result.output
-    assert description in result.output
+    assert text in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
     assert not (tmp_path / "report").exists()
+
+
+def test_the_rules_of_the_option_are_those_of_the_mappers() -> None:
+    assert (*RULES, BAYES) == evaluate_command.RULES
 
 
 def test_help_has_an_example() -> None:
@@ -621,16 +632,16 @@ def test_help_has_an_example() -> None:
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_a_real_drive_is_judged_by_its_boxes_and_its_other_scans(
+def test_a_real_drive_is_compared_with_its_boxes_and_its_other_scans(
     real: Callable[[str], Path], tmp_path: Path
 ) -> None:
     words = ("--ism", "ray", "--fused", "cautious", "--every", 10, "--out", tmp_path)
     result = ogm("evaluate", real("kitti_raw_0005"), *words)
     assert result.exit_code == 0, result.output
     record = record_of(tmp_path)
-    assert record["data"]["kind"] == "real recording"
+    assert record["data"]["kind"] == "KITTI raw drive"
     assert (
-        record["models"]["ray"]["macro"]["auroc_unknown"]["value"] is None
-    )  # nobody labelled what is unknown
-    assert record["models"]["ray"]["missing"]["auroc_unknown"]
-    assert record["models"]["ray"]["macro"]["iou_free_known"]["value"] > 0.5
+        record["methods"]["ray"]["macro"]["auroc_unknown"]["value"] is None
+    )  # no label states what is unknown
+    assert record["methods"]["ray"]["missing"]["auroc_unknown"]
+    assert record["methods"]["ray"]["macro"]["iou_free_known"]["value"] > 0.5

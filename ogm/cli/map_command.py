@@ -103,6 +103,7 @@ def map_(
     """Map scans to evidential grids, one each, and draw them."""
     from ogm import plot
     from ogm.datasets import open_dataset
+    from ogm.evaluation.models import RELEASED
     from ogm.grid import GridSpec
     from ogm.scan import run_model
 
@@ -116,6 +117,7 @@ def map_(
         sensor_position=sensor_position,
     )
     model = _model(ism, spec, sensor_height, sensor_position)
+    estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith("scans")
     names = [frame.name.replace("/", "_") for frame in dataset]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
@@ -138,7 +140,7 @@ def map_(
                 cloud = plot.points(frame.scan.points, grid.spec, frame.name)
                 plot.save_picture(picture_path, cloud, grid, titles=["", ism])
             _row(table, short, len(frame.scan), grid, seconds)
-            if sensor_height is None and ism != "height-band-released":
+            if estimated:
                 heights.add(f"{frame.mount.sensor_height:.2f} m")
         except (ValueError, TypeError, OSError) as error:
             if len(names) == 1:
@@ -146,7 +148,7 @@ def map_(
             failed.append(f"{frame.name}: {one_line(error)}")
     if heights:
         stderr.print(
-            f"sensor height {', '.join(sorted(heights))}, of the data set or estimated; --sensor-height sets it"
+            f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)"
         )
     if table.row_count:
         out.print(table, markup=False)

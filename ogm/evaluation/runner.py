@@ -169,6 +169,8 @@ def _checked(
         raise ValueError(
             f"there must be frames to evaluate, in 0 ... {len(dataset) - 1}, got {numbers[:3]} ..."
         )
+    if not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
+        raise ValueError(f"{dataset!r} has no truth to compare with; evaluate labelled data")
     infos = tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in (dataset[k] for k in numbers))
     for name, method in methods.items():
         if isinstance(method, PrecomputedGrids):
