@@ -175,13 +175,13 @@ def test_the_released_baseline_is_evaluated_on_the_fine_cells(data: Path, tmp_pa
 
 @pytest.mark.usefixtures("no_pictures")
 def test_a_store_of_training_samples_only_is_evaluated_on_them(tmp_path: Path) -> None:
-    counts = {"training": 2, "validation": 0, "test": 0}
+    counts = {"training": 10, "validation": 0, "test": 0}
     store = Store.create(tmp_path / "data", {"seed": 1}, counts, [BEAMS], {"ogm": "0"})
-    store.write("training", 0, [sample("training", k) for k in range(2)])
+    store.write("training", 0, [sample("training", k) for k in range(10)])
     for split in ((), ("--split", "train")):
         result = ogm("evaluate", tmp_path / "data", "--ism", "ray", "--out", tmp_path / "report", *split)
         assert result.exit_code == 0, result.output
-        assert "Means over data, training, 2 frames" in result.output
+        assert "Means over data, training, 10 frames" in result.output
 
 
 @pytest.mark.usefixtures("no_pictures")

@@ -216,7 +216,8 @@ def _methods(
 def _print_tables(record: Mapping[str, Any], title: str) -> None:
     """Print the means, and how the last method compares to the others."""
     names = list(record["methods"])
-    table = _table(f"Means over {title}")
+    out.print(_clean(f"Means over {title}"), markup=False, soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
     table.add_column("")
     if len(names) <= FEW:
         for name in distinct(names):
@@ -234,7 +235,8 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
         "(- lower, + higher is better; +- half of the 95 % interval; report.html describes the metrics)"
     )
     for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
-        table = _table(f"\n{name}")
+        out.print(_clean(f"\n{name}"), markup=False, soft_wrap=True)
+        table = Table(box=None, pad_edge=False)
         for head in ("", "wins", "ties", "losses", "ratio of means"):
             table.add_column(head, justify="left" if head == "" else "right")
         for metric in COMPARED:
@@ -242,10 +244,6 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
             counts = (str(one[key]) for key in ("wins", "ties", "losses"))
             table.add_row(record["metrics"][metric]["title"], *counts, _interval(one["ratio"]))
         out.print(table)
-
-
-def _table(title: str) -> Table:
-    return Table(title=Text(_clean(title)), title_justify="left", title_style="", box=None, pad_edge=False)
 
 
 def _clean(text: str) -> str:

@@ -40,7 +40,7 @@ def demo(
     with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
         scan = read_scan(path, axes=DEMO_AXES)
     spec = GridSpec.centered()
-    table, grids = _table(f"One scan on {_cells(spec)}"), {}
+    table, grids = _table(), {}
     for name, title in DEMO_MODELS.items():
         if name == LITE and not (find_spec("torch") and find_spec("safetensors")):
             stderr.print('without the learned model: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
@@ -54,6 +54,7 @@ def demo(
     picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
     plot.save_picture(picture, cloud, *grids.values(), titles=["", *grids])
     grids[DEMO_MODELS["ray"]].save(archive)
+    out.print(f"One scan on {_cells(spec)}")
     out.print(table)
     out.print(f"picture {picture}   grid {archive}", markup=False)
 
@@ -125,7 +126,7 @@ def map_(
         out_path, picture = Path(), Path()
     grids = _outputs(out_path, names, ".npz", "--out")
     pictures = _outputs(picture, names, ".png", "--picture")
-    table, failed, heights, warm = _table(f"{_cells(spec)}, {ism}"), [], set(), False
+    table, failed, heights, warm = _table(), [], set(), False
     outputs = zip(dataset, distinct(names), grids, pictures, strict=True)
     for frame, short, grid_path, picture_path in ticked(outputs, "mapping"):
         try:
@@ -151,7 +152,8 @@ def map_(
             f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)"
         )
     if table.row_count:
-        out.print(table, markup=False)
+        out.print(f"{_cells(spec)}, {ism}", markup=False, soft_wrap=True)
+        out.print(table)
     for line in failed:
         stderr.print(f"ogm: {line}", markup=False)
     if failed:
@@ -178,8 +180,8 @@ def _cells(spec: "GridSpec") -> str:
     return f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
 
 
-def _table(title: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="", box=None, pad_edge=False)
+def _table() -> Table:
+    table = Table(box=None, pad_edge=False)
     for name in ("", "points", "free", "occupied", "unknown", "ms/scan"):
         table.add_column(name, justify="left" if name == "" else "right", no_wrap=name != "")
     return table
