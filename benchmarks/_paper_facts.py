@@ -1,4 +1,4 @@
-"""What the values behind the paper's two result figures say: functions of its eight curves, nothing else.
+"""Facts of the values behind the paper's two result figures: functions of its eight curves.
 
 The curves are the coordinates in the LaTeX source of van Kempen, Lampe, Woopen, Eckstein, "A Simulation-based
 End-to-End Learning Framework for Evidential Occupancy Grid Mapping", IEEE IV 2021: mean masses of unknown, free and
@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import GridSpec
+from ogm.evaluation import Comparison, bootstrap_mean, bootstrap_ratio, compare_paired
 from ogm.evidence import dirichlet_kl
-from ogm.metrics import Paired, bootstrap_mean, bootstrap_ratio, legacy_unmixed, paired
+from ogm.metrics import legacy_unmixed
 
 __all__ = [
     "Curves",
@@ -108,7 +109,7 @@ def versus(
         means and extremes of the frames' own ratios second / first; the frames in which the second is lower, with
         the margins of these.
     """
-    found: Paired = paired(first, second, "lower", rng, RESAMPLES)
+    found: Comparison = compare_paired(first, second, "lower", rng, RESAMPLES)
     ratios, lost = second / first, np.flatnonzero(second < first)
     margins = (first - second)[lost]
     return found._asdict() | {
@@ -140,7 +141,7 @@ def shares(curves: Curves, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def observed(curves: Curves) -> dict[str, float]:
-    """Say what the geometric model's masses are if an observed cell has the mass 1/3, as in the released code."""
+    """Return the geometric model's masses if an observed cell has the mass 1/3, as in the released code."""
     cells = 3 * (1 - curves.unknown_geo)
     return {
         "cells observed": cells.mean(),
@@ -190,7 +191,7 @@ def scale_as_named(curves: Curves) -> dict[str, float]:
     """Take the figure for what its caption names, a Dirichlet KL, and ask for the evidence E of a label.
 
     With the deep model as the truth, the geometric one misses (u_geo - u) / b cells, b = E / (E + 2), and each costs
-    E - ln(1 + E). E is the one that gives the mean of the plotted curve; R² says how it fits the frames.
+    E - ln(1 + E). E is the one that gives the mean of the plotted curve; R² is the fit over the frames.
     """
     missing = curves.unknown_geo - curves.unknown
 

@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _quality_methods import made_of
+from _quality_inputs import model_of
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ogm.evaluation import Evaluation
 from ogm.files import atomic_write
-from ogm.metrics import METRICS, Evaluation, legacy_published
+from ogm.metrics import METRICS, legacy_published
 
 __all__ = ["COLOURS", "by_distance", "chosen", "maps", "papers_figures", "recordings"]
 
@@ -39,7 +40,7 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
         masses.plot(
             truth[state], color=colour, lw=5, alpha=0.15, label=f"{state}, truth: {truth[state].mean():.3f}"
         )
-    masses.set(title="Mean masses: the baseline as its text has it, as released, the network, the truth")
+    masses.set(title="Mean masses: the baseline as in the text, as released, the network, the truth")
     masses.set(ylabel="mean mass", ylim=(0, 1.3))
     masses.legend(ncols=4, fontsize=7.5, frameon=False, loc="upper center", columnspacing=1.0)
     _against(proper, result, "kl_e10", deep, "KL[grid || truth], truth of evidence 10")
@@ -47,26 +48,30 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
         strict, result, "kl_e1", deep, "KL[grid || truth], truth of evidence 1, as the released code's labels"
     )
     ours, theirs = result.of(deep, "legacy_kl"), result.of("height-band-released", "legacy_kl")
-    said = legacy_published(ours, theirs)
+    report = legacy_published(ours, theirs)
     for values, style, colour, name in (
-        (said.first, "-", COLOURS.get(deep, OTHER), deep),
-        (said.second, ":", COLOURS["height-band-released"], "height-band-released, as it would be plotted"),
+        (report.first, "-", COLOURS.get(deep, OTHER), deep),
+        (report.second, ":", COLOURS["height-band-released"], "height-band-released, as it would be plotted"),
         (theirs, "-", COLOURS["height-band-released"], "height-band-released itself"),
     ):
         legacy.plot(values, style, color=colour, lw=1.5, label=f"{name}: {values.mean():.3f}")
-    legacy.set(title='What the released code calls "KL" (not a divergence of densities)', ylabel='"KL"')
+    legacy.set(title='"KL" of the released code (not a divergence of densities)', ylabel='"KL"')
     legacy.set(ylim=(0, 1.25 * legacy.get_ylim()[1]))
     legacy.legend(fontsize=9, frameon=False, loc="upper right")
     for axes in (masses, proper, strict, legacy):
-        axes.set(xlim=(0, max(result.frames - 1, 1)), xlabel="frame")
+        axes.set(xlim=(0, max(len(result.frames) - 1, 1)), xlabel="frame")
     _finish(figure, path, "The paper's two figures on our simulated test town", note)
 
 
 def _against(axes: Axes, result: Evaluation, metric: str, deep: str, title: str) -> None:
     ours = result.of(deep, metric)
-    for name in result.models:
+    for name in result.methods:
         values = result.of(name, metric)
-        wins = "" if name == deep else f", {deep} is lower in {int((ours < values).sum())} of {result.frames}"
+        wins = (
+            ""
+            if name == deep
+            else f", {deep} is lower in {int((ours < values).sum())} of {len(result.frames)}"
+        )
         axes.plot(values, color=COLOURS.get(name, OTHER), lw=1.5, label=f"{name}: {values.mean():.3f}{wins}")
     axes.set(title=title, ylabel="nats", ylim=(0, 1.3 * axes.get_ylim()[1]))
     axes.legend(fontsize=9, frameon=False, loc="upper right")
@@ -86,16 +91,16 @@ def by_distance(path: Path, part: Mapping[str, Any], note: str) -> None:
         axes.set(title=f"{heading} ({better} is better)", xlabel="distance [m]", xlim=(0, 50), ylim=(0, 1))
         axes.grid(color="0.92")
     axes.legend(fontsize=8, frameon=False)
-    _finish(figure, path, "Where they fail: scores by distance, simulated test town, pooled", note)
+    _finish(figure, path, "Scores by distance, simulated test town, pooled", note)
 
 
 def maps(path: Path, part: Mapping[str, Any], note: str) -> None:
-    """Draw every model alone and fused: obstacles found against obstacles called free, and how good P is."""
+    """Draw every model alone and fused: obstacles found against obstacles predicted free, and the Brier score."""
     figure = Figure(figsize=(16, 7.2), layout="constrained")
     pairs = (("false_free", "iou_occupied"), ("missed_occupied", "brier"))
     for axes, (x, y) in zip(figure.subplots(1, 2), pairs, strict=True):
         for name, one in part["models"].items():
-            model, rule = made_of(name), name.partition(" + ")[2]
+            model, rule = model_of(name), name.partition(" + ")[2]
             (px, *_), (py, *_) = one["mean"][x], one["mean"][y]
             if px is None or py is None:
                 continue
@@ -114,10 +119,10 @@ def maps(path: Path, part: Mapping[str, Any], note: str) -> None:
                 edgecolor="white",
                 zorder=3,
             )
-        for metric, say in ((x, axes.set_xlabel), (y, axes.set_ylabel)):
-            say(f"{METRICS[metric].title} ({METRICS[metric].better} is better)")
+        for metric, set_label in ((x, axes.set_xlabel), (y, axes.set_ylabel)):
+            set_label(f"{METRICS[metric].title} ({METRICS[metric].better} is better)")
         axes.grid(color="0.92")
-    for model in dict.fromkeys(made_of(name) for name in part["models"]):
+    for model in dict.fromkeys(model_of(name) for name in part["models"]):
         axes.scatter([], [], 80, color=COLOURS.get(model, OTHER), label=model)
     for rule in dict.fromkeys(name.partition(" + ")[2] for name in part["models"]):
         axes.scatter([], [], 60, color="0.3", marker=MARKERS.get(rule, "."), label=rule or "scan alone")

@@ -3,115 +3,63 @@
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _quality_methods import AGAINST, made_of
+from _quality_inputs import AGAINST, model_of
 from numpy.typing import NDArray
 
+from ogm.evaluation import Comparison, Evaluation, compare_paired
 from ogm.files import atomic_write
-from ogm.metrics import (
-    METRICS,
-    RANGES,
-    Evaluation,
-    Interval,
-    Paired,
-    by_range,
-    legacy_published,
-    paired,
-    reasons,
-)
-from ogm.metrics.paired import FEWEST
+from ogm.metrics import METRICS, RANGES, by_range, legacy_published, reasons
 
-__all__ = ["KEPT", "PAIRED", "brief", "of_evaluation", "published", "write"]
+__all__ = ["KEPT", "PAIRED", "brief", "published", "record_of", "write"]
 
 KEPT = (
-    *("kl_e10", "kl_e1", "kl_e1_scaled", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known"),
-    *(
-        "iou_occupied_known",
-        "false_free",
-        "missed_occupied",
-        "false_occupied",
-        "missed_obstacles",
-        "free_recall_1",
-    ),
-    *(
-        "free_recall_01",
-        "ap_occupied_near",
-        "brier",
-        "nll",
-        "ece",
-        "ece_relative",
-        "ace",
-        "interval_violation",
-    ),
-    *("auroc_unknown", "fpr95_unknown", "aurc", "ause", "conflict", "legacy_kl", "legacy_accuracy"),
-    *("mean_free", "mean_occupied", "mean_unknown"),
-)
+    "kl_e10", "kl_e1", "kl_e1_scaled", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known",
+    "iou_occupied_known", "false_free", "missed_occupied", "false_occupied", "missed_obstacles",
+    "free_recall_1", "free_recall_01", "ap_occupied_near", "brier", "nll", "ece", "ece_relative", "ace",
+    "interval_violation", "auroc_unknown", "fpr95_unknown", "aurc", "ause", "conflict", "legacy_kl",
+    "legacy_accuracy", "mean_free", "mean_occupied", "mean_unknown",
+)  # fmt: skip
 PAIRED = (
-    *(
-        "kl_e10",
-        "kl_e1",
-        "iou_free",
-        "iou_occupied",
-        "false_free",
-        "missed_occupied",
-        "missed_obstacles",
-        "brier",
-    ),
-    *("ece_relative", "auroc_unknown"),
-)
+    "kl_e10", "kl_e1", "iou_free", "iou_occupied", "false_free", "missed_occupied", "missed_obstacles",
+    "brier", "ece_relative", "auroc_unknown",
+)  # fmt: skip
+CONFUSION = "called unknown, free, occupied, of truly unknown, free, occupied"
 
 
-def of_evaluation(
-    result: Evaluation,
-    rng: np.random.Generator,
-    sequences: Sequence[str],
-    facts: Mapping[str, Mapping[str, Any]],
-) -> dict[str, Any]:
-    """Return what is kept.
-
-    Parameters
-    ----------
-    result : Evaluation
-    rng : numpy.random.Generator
-        For the bootstrap.
-    sequences : sequence of str
-        Of every frame, its drive.
-    facts : dict of str to dict
-        What each method says of itself, and its weights.
-    """
-    groups = sequences if len(set(sequences)) >= FEWEST else None
-    truth = dict(
-        zip(("unknown", "free", "occupied", "ignored"), result.truth.mean(axis=0).tolist(), strict=True)
-    )
+def record_of(result: Evaluation, rng: np.random.Generator) -> dict[str, Any]:
+    """Return what is kept, with intervals by a bootstrap."""
+    states = ("unknown", "free", "occupied", "ignored")
     models = {}
-    for name, counts in zip(result.models, result.pooled, strict=True):
-        pooled, ranges = result.micro(name), by_range(counts)
+    for name, sums in zip(result.methods, result.pooled, strict=True):
+        pooled = result.micro(name)
         models[name] = {
-            **{key: value for key, value in facts[name].items() if value},
-            "mean": {m: _interval(result.interval(name, m, rng, groups)) for m in KEPT},
+            **{key: value for key, value in result.facts.get(name, {}).items() if value},
+            "mean": {m: list(result.interval(name, m, rng)) for m in KEPT},
             "pooled": {m: pooled[m] for m in KEPT},
-            "by range": {m: column.tolist() for m, column in ranges.items()},
-            "called unknown, free, occupied, of truly unknown, free, occupied": _rows(counts.calls),
-            "missing": {m: why for m, why in reasons(counts).items() if m in KEPT},
+            "by range": {m: column.tolist() for m, column in by_range(sums).items()},
+            CONFUSION: _shares(sums.calls),
+            "missing": {m: why for m, why in reasons(sums).items() if m in KEPT},
         }
     return {
-        "frames": result.frames,
-        "drives": len(set(sequences)),
-        "intervals": f"95 %, bootstrap over {'frames' if groups is None else 'drives'}",
-        "truth, mean shares": truth,
+        "data": {key: value for key, value in result.data.items() if key != "samples"},
+        "frames": len(result.frames),
+        "drives": len({frame.sequence for frame in result.frames}),
+        "intervals": f"95 %, bootstrap over {'frames' if result.groups is None else 'drives'}",
+        "truth, mean shares": dict(zip(states, result.truth.mean(axis=0).tolist(), strict=True)),
         "ranges [m]": [edge if math.isfinite(edge) else None for edge in RANGES],
         "models": models,
-        "paired": _compared(result, rng, groups),
+        "paired": _compared(result, rng),
     }
 
 
 def brief(part: Mapping[str, Any]) -> dict[str, Any]:
     """Return means and pairs alone."""
-    left = ("pooled", "by range", "called unknown, free, occupied, of truly unknown, free, occupied")
+    left = ("pooled", "by range", CONFUSION)
     models = {
         name: {key: value for key, value in one.items() if key not in left}
         for name, one in part["models"].items()
@@ -122,14 +70,14 @@ def brief(part: Mapping[str, Any]) -> dict[str, Any]:
 def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
     """Return what the released code would report of two methods on these frames."""
     ours, theirs = result.of(deep, "legacy_kl"), result.of(geometric, "legacy_kl")
-    said = legacy_published(ours, theirs)
+    report = legacy_published(ours, theirs)
     return {
         "deep": deep,
         "geometric": geometric,
-        "KL, deep": said.first.mean(),
-        "KL, geometric, mean of both": said.second.mean(),
+        "KL, deep": report.first.mean(),
+        "KL, geometric, mean of both": report.second.mean(),
         "KL, geometric itself": theirs.mean(),
-        "frames in which the geometric one is lower": int((said.second < said.first).sum()),
+        "frames in which the geometric one is lower": int((report.second < report.first).sum()),
         "accuracy, deep": result.of(deep, "legacy_accuracy").mean(),
         "accuracy, geometric": result.of(geometric, "legacy_accuracy").mean(),
     }
@@ -144,39 +92,32 @@ def write(path: Path, record: Mapping[str, Any]) -> None:
         file.write(short + "\n")
 
 
-def _compared(
-    result: Evaluation, rng: np.random.Generator, groups: Sequence[str] | None
-) -> dict[str, dict[str, Any]]:
+def _compared(result: Evaluation, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
     """Compare every method with the baseline and with `ray`, frame by frame; a map also with its own scans."""
     found = {}
-    for name in result.models:
-        for other in dict.fromkeys((*AGAINST, made_of(name))):
-            if other == name or other not in result.models:
+    for name in result.methods:
+        for other in dict.fromkeys((*AGAINST, model_of(name))):
+            if other == name or other not in result.methods:
                 continue
+            pairs = {m: (result.of(name, m), result.of(other, m)) for m in PAIRED}
             found[f"{name} against {other}"] = {
-                m: _pair(
-                    paired(result.of(name, m), result.of(other, m), METRICS[m].better, rng, groups=groups)
-                )
-                for m in PAIRED
-                if not np.isnan([result.of(name, m), result.of(other, m)]).all(axis=1).any()
+                m: _pair(compare_paired(*pair, METRICS[m].better, rng, groups=result.groups))
+                for m, pair in pairs.items()
+                if not np.isnan(pair).all(axis=1).any()
             }
     return found
 
 
-def _interval(one: Interval) -> list[float]:
-    return [one.value, one.low, one.high]
-
-
-def _pair(one: Paired) -> dict[str, Any]:
+def _pair(one: Comparison) -> dict[str, Any]:
     return {
         "wins, ties, losses": [one.wins, one.ties, one.losses],
         "p": one.p,
-        "difference": _interval(one.difference),
-        "ratio": _interval(one.ratio),
+        "difference": list(one.difference),
+        "ratio": list(one.ratio),
     }
 
 
-def _rows(calls: NDArray[np.float64]) -> list[list[float]]:
-    """Return, for every truth, the shares that are called unknown, free, occupied."""
-    total = calls.sum(axis=1, keepdims=True)
-    return (calls / np.where(total > 0, total, np.nan)).tolist()
+def _shares(confusion: NDArray[np.float64]) -> list[list[float]]:
+    """Return, for every true state, the shares that are predicted unknown, free, occupied."""
+    total = confusion.sum(axis=1, keepdims=True)
+    return (confusion / np.where(total > 0, total, np.nan)).tolist()

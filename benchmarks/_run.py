@@ -87,8 +87,8 @@ def once(contender: Contender) -> tuple[float, float]:
 def measure(contenders: Mapping[str, Contender], rounds: int) -> dict[str, Times]:
     """Time every contender in every round, so that what disturbs the machine meets all of them alike.
 
-    Each is called once beforehand (compilation, memory), but for the slow ones if there is only one round. A
-    quick one is called once more at the start of each round, untimed, to bring its data back to the caches,
+    Each runs once beforehand (compilation, memory), except slow ones if there is only one round. A
+    quick one runs once more at the start of each round, untimed, to bring its data back to the caches,
     and then several times. What has taken 10 s in all is left out from the fourth round on.
     """
     samples: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
@@ -149,7 +149,7 @@ def _cpu() -> str:
 
 
 def caption(record: Mapping[str, Any]) -> str:
-    """Return one line that says where and when a picture's figures were measured."""
+    """Return one line with the machine and the date of a picture's figures."""
     versions = record["versions"]
     cores = "one core" if record["cores used"] == 1 else f"{record['cores used']} cores"
     return (

@@ -3,20 +3,20 @@
     python benchmarks/deep_quality.py DATA [--split test] [--lite WEIGHTS] [--samples N]
 
 DATA is the data set that `ogm simulate` made, whose test split is another town than that of training and
-validation. Every frame is judged for every model, so that all comparisons are paired; intervals are 95 %
+validation. Every frame is evaluated for every model, so that all comparisons are paired; intervals are 95 %
 bootstrap intervals over frames. Writes benchmarks/results/deep_quality.json and docs/pictures/deep_quality.png.
 
 The models:
 
-* height-band: `HeightBandISM`, the paper's baseline, with evidence 10 and the own vehicle's returns taken out
-  (the paper's text does not, and roof and mirrors then blind it);
+* height-band: `HeightBandISM`, the paper's baseline, with evidence 10 and without the ego vehicle's returns
+  (the paper's text keeps them, and roof and mirrors then blind it);
 * height-band-released: what the paper's code does, on its cells of 0.32 m. Each is repeated onto four cells of
-  0.16 m, nothing is interpolated. Its evidence ends at 1, so that by most mass it calls all cells unknown; its
-  IoU on known cells, by P(occupied) alone, is what to look at;
+  0.16 m, nothing is interpolated. Its evidence ends at 1, so that it predicts all cells unknown; its IoU on known
+  cells, by P(occupied) alone, is the one to compare;
 * ray: `RayISM`;
 * lite: the weights in the package, or those given.
 
-All are told the sensor's height and tilt, but for height-band-released, whose mount is built in.
+All get the sensor's height and tilt, except height-band-released, whose mount is built in.
 """
 
 from _run import PICTURES, RESULTS, caption, environment, write_json
@@ -24,7 +24,7 @@ from _run import PICTURES, RESULTS, caption, environment, write_json
 # isort: split
 import argparse
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -34,16 +34,20 @@ from rich.progress import track
 from scipy.ndimage import binary_opening
 
 from ogm import GridSpec
-from ogm.cli.models import models_of, weights_facts
-from ogm.cli.pictures import metrics_picture
-from ogm.cli.report import print_tables, report
+from ogm.datasets import Dataset, open_dataset
 from ogm.deep.losses import undo_class_weights
+from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, evaluation_record
+from ogm.evaluation.figures import draw_metrics
+from ogm.evaluation.models import short_names
 from ogm.evidence import evidence_to_mass
-from ogm.metrics import Evaluation, ConfusionSums, evaluate, model_for, resample_to, score, accumulate
+from ogm.fusion import resample_to
+from ogm.metrics import ConfusionSums, accumulate, score
+from ogm.scan import run_model
 from ogm.simulation.store import Store
-from ogm.truth import MIN_RETURNS, OCCUPIED, cells_in_box
+from ogm.state import CellState, predict_state
+from ogm.truth import MIN_RETURNS, cells_in_box
 
-PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+PAPER = GridSpec.centered()
 MODELS = ("height-band", "height-band-released", "ray")
 PER_FRAME = ("kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "false_free")
 SEED = 0
@@ -51,14 +55,14 @@ WEIGHTS = (1.0, 2.0, 5.0)  # of occupied cells
 NOTE = (
     "Means over frames unless they say micro: that is of all frames' cells together. Ignored cells are left out. A "
     "truth of evidence 1 punishes every model for being sure: a cell that is right with evidence 10 costs 0.89 nats, "
-    "more than one that says nothing (0.31); kl_e1_scaled therefore takes a tenth of every model's evidence. Likewise "
+    "more than a vacuous one (0.31); kl_e1_scaled therefore takes a tenth of every model's evidence. Likewise "
     "P(occupied) of a cell with evidence 10 is 1/12 at best, which ece counts as an error and ece_relative does not."
 )
 
 
 def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dict[str, Any]]:
-    """Hold the network's figures against what was wanted of it."""
-    mean = {name: result.macro(name) for name in result.models}
+    """Compare the network's figures with what was wanted of it."""
+    mean = {name: result.macro(name) for name in result.methods}
     band, ray, own = (mean[name] for name in ("height-band", "ray", deep))
     pairs = record["paired"][f"{deep} against height-band"]
     wins = pairs["kl_e10"]["wins"] / pairs["kl_e10"]["frames"]
@@ -102,46 +106,48 @@ def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dic
     ]
 
 
-def what_is_missed(models: Mapping[str, Any], samples: Iterable[Any]) -> dict[str, Any]:
-    """Split the truly occupied cells by what stands there, and count how each model calls them.
+def missed_by_kind(
+    methods: Mapping[str, SingleScanMethod], dataset: Dataset, samples: Iterable[Any]
+) -> dict[str, Any]:
+    """Split the truly occupied cells by what stands there, and count how each model predicts them.
 
     Participants are traffic participants of 50 returns and more; all else is thick where a square of three by three
     occupied cells fits, and thin (kerbs, fences, poles, edges) where none does.
     """
     kinds = ("participants", "thick", "thin")
-    counts = {name: np.zeros((len(kinds), 3)) for name in models}  # cells, called free, called occupied
-    for sample in samples:
-        occupied = sample.truth.crop(PAPER).state == OCCUPIED
+    counts = {name: np.zeros((len(kinds), 3)) for name in methods}  # cells, false free, predicted occupied
+    for frame, sample in zip(dataset, samples, strict=True):
+        occupied = frame.truth.crop(PAPER).state == CellState.OCCUPIED
         there = np.zeros(PAPER.shape, bool)
         for one in sample.objects[sample.objects["returns"] >= MIN_RETURNS]:
             there[cells_in_box([one[key] for key in ("x", "y", "yaw", "length", "width")], PAPER)] = True
         thick = binary_opening(occupied, np.ones((3, 3)))
-        for name, model in models.items():
-            grid = resample_to(model_for(model, sample)(sample.points), PAPER)
-            most = (grid.occupied > grid.free) & (grid.occupied > grid.unknown)
+        for name, method in methods.items():
+            grid = resample_to(run_model(method.model, frame), PAPER)
+            predicted = predict_state(grid.mass) == CellState.OCCUPIED
             for row, kind in enumerate((there, ~there & thick, ~there & ~thick)):
                 cells = occupied & kind
-                counts[name][row] += cells.sum(), (grid.free[cells] > 0.5).sum(), most[cells].sum()
+                counts[name][row] += cells.sum(), (grid.free[cells] > 0.5).sum(), predicted[cells].sum()
     return {
         name: {
-            kind: {"cells": int(cells), "false free": free / cells, "called occupied": called / cells}
-            for kind, (cells, free, called) in zip(kinds, table, strict=True)
+            kind: {"cells": int(cells), "false free": free / cells, "called occupied": found / cells}
+            for kind, (cells, free, found) in zip(kinds, table, strict=True)
         }
         for name, table in counts.items()
     }
 
 
-def weighed(model: Any, samples: Sequence[Any]) -> dict[str, dict[str, float]]:
+def weighed(method: SingleScanMethod, dataset: Dataset) -> dict[str, dict[str, float]]:
     """Score a network, pooled, as if occupied cells had weighed more in its training: in closed form, afterwards."""
     pooled: dict[float, ConfusionSums] = {}
-    for sample in samples:
-        evidence = torch.from_numpy(model_for(model, sample)(sample.points).evidence)
+    for frame in dataset:
+        evidence = torch.from_numpy(run_model(method.model, frame).evidence)
         for weight in WEIGHTS:
             mass = evidence_to_mass(undo_class_weights(evidence, occupied=1 / weight).numpy())
-            counts = accumulate(mass, sample.truth.crop(PAPER).state)
-            pooled[weight] = pooled[weight].plus(counts) if weight in pooled else counts
+            sums = accumulate(mass, frame.truth.crop(PAPER).state)
+            pooled[weight] = pooled[weight].plus(sums) if weight in pooled else sums
     shown = ("kl_e10", "iou_free", "iou_occupied", "ece_relative", "false_free")
-    return {f"{weight:g}": {name: score(counts)[name] for name in shown} for weight, counts in pooled.items()}
+    return {f"{weight:g}": {name: score(sums)[name] for name in shown} for weight, sums in pooled.items()}
 
 
 def main() -> None:
@@ -151,7 +157,7 @@ def main() -> None:
         "--split", default="test", help="part of it (default test, for the final figure only)"
     )
     parser.add_argument("--lite", default="lite", help="weights instead of the shipped ones: a file or a run")
-    parser.add_argument("--samples", type=int, help="judge the first so many only")
+    parser.add_argument("--samples", type=int, help="evaluate the first so many only")
     parser.add_argument(
         "--out", type=Path, default=RESULTS / "deep_quality.json", help="where the figures go"
     )
@@ -163,50 +169,49 @@ def main() -> None:
     record = environment()
     words = (Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:])
     record["command"] = " ".join(["python benchmarks/deep_quality.py", *words])
-    store = Store.open(options.data)
-    part = store[options.split]
-    numbers = part.finished[: options.samples]
-    models = models_of([*MODELS, options.lite], PAPER)
-    deep = list(models)[-1]
-    result = evaluate(models, (part[k] for k in track(numbers.tolist(), "judging")), PAPER)
-    found = report(result, np.random.default_rng(SEED))
+    dataset = open_dataset(options.data, split=options.split)[: options.samples]
+    part = Store.open(options.data)[dataset.facts["split"]]
+    samples = [part[k] for k in dataset.facts["samples"][: options.samples]]
+    names = short_names([*MODELS, options.lite])
+    methods = {short: SingleScanMethod.named(name, PAPER) for short, name in names.items()}
+    deep = list(methods)[-1]
+    result = evaluate(methods, dataset, PAPER, progress=lambda numbers: track(numbers, "evaluating"))
+    found = evaluation_record(result, np.random.default_rng(SEED))
+    found["models"] = found.pop("methods")
     for one in found["models"].values():
         one["per frame"] = {name: one["per frame"][name] for name in PER_FRAME}
+    facts = {key: dataset.facts[key] for key in ("plan", "versions", "split")}
     record |= {
-        "data": {
-            "plan": store.plan,
-            "versions": store.versions,
-            "split": options.split,
-            "frames": len(numbers),
-        },
-        "weights": weights_facts(options.lite),
+        "data": {**facts, "frames": len(dataset)},
+        "weights": methods[deep].weights,
         "bootstrap seed": SEED,
         "note": NOTE,
         "wanted": wanted(result, found, deep),
-        "occupied cells by what stands there, pooled": what_is_missed(
-            models, (part[k] for k in numbers.tolist())
-        ),
+        "occupied cells by what stands there, pooled": missed_by_kind(methods, dataset, samples),
     }
-    record |= {key: value for key, value in found.items() if key not in ("format", "versions")}
-    print_tables(result, found, f"{options.split}, {result.frames} frames")
+    left = ("format", "versions", "data", "frames")
+    record |= {key: value for key, value in found.items() if key not in left}
+    print(result)
     for row in record["wanted"]:
         print(
             f"{'met   ' if row['met'] else 'MISSED'} {row['what']}: {row['value']} (wanted {row['wanted']})"
         )
-    others = store["validation"][::15]  # a choice that the test part must not be used for
-    record["occupied cells weighed more, 20 validation frames, pooled"] = weighed(models[deep], others)
+    others = open_dataset(options.data, split="validation")[
+        ::15
+    ]  # a choice that the test part must not be used for
+    record["occupied cells weighed more, 20 validation frames, pooled"] = weighed(methods[deep], others)
     for weight, scores in record["occupied cells weighed more, 20 validation frames, pooled"].items():
         print(f"occupied x {weight:4}", "  ".join(f"{name} {value:.3f}" for name, value in scores.items()))
     for name, kinds in record["occupied cells by what stands there, pooled"].items():
-        said = (
+        parts = (
             f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items()
         )
-        print(f"{name:22} {'   '.join(said)}")
+        print(f"{name:22} {'   '.join(parts)}")
     write_json(options.out, record)
     title = (
-        f"{options.split}, {result.frames} frames: quartiles and 5 to 95 % over frames; dot and number: mean"
+        f"{options.split}, {len(dataset)} frames: quartiles and 5 to 95 % over frames; dot and number: mean"
     )
-    metrics_picture(options.picture, result, title, note=caption(record))
+    draw_metrics(options.picture, result, title, note=caption(record))
     print(f"\nwrote {options.out} and {options.picture}")
 
 

@@ -3,7 +3,7 @@
     python benchmarks/evaluation_speed.py DEV [--rounds N] [--quick]
 
 DEV is a data set of drives (see benchmarks/README.md). One core, 512 x 352 cells. First the metrics of one frame, then
-all that `ogm evaluate` does for 100 frames and 5 methods but for reading samples and making grids. Writes
+all that `ogm evaluate` does for 100 frames and 5 methods without reading samples and making grids. Writes
 benchmarks/results/evaluation_speed.json.
 """
 
@@ -13,23 +13,21 @@ from _run import RESULTS, Contender, Times, environment, measure, write_json
 import argparse
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn import metrics as peer
 
 from ogm import GridSpec
-from ogm.cli.judging import ResultCache, run_evaluation
-from ogm.cli.methods import Methods, methods_of
-from ogm.cli.page import write_page
-from ogm.cli.report import report, write_csv, write_report
-from ogm.cli.source import Source, source_of
+from ogm.datasets import Dataset, open_dataset
+from ogm.evaluation import FusedMethod, MethodRunner, SingleScanMethod, evaluate, write_report
 from ogm.metrics import (
     METRICS,
+    accumulate,
     by_range,
     distances,
     free_space,
@@ -38,18 +36,16 @@ from ogm.metrics import (
     reliability,
     risk_coverage,
     score,
-    accumulate,
 )
 
-SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
-ISMS, RULE = ("height-band", "ray", "lite"), "cautious"
-SHOWN = ("height-band", "ray", "lite", f"ray + {RULE}", f"lite + {RULE}")
+SPEC = GridSpec.centered()
+MODELS, RULE = ("height-band", "ray", "lite"), "cautious"
 FRAMES = 100
 WANTED = {"all metrics of a frame [ms]": 60.0, "report, 100 frames x 5 methods [s]": 120.0, "page [MB]": 15.0}
 
 
 def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArray[np.float32]) -> None:
-    """Take all metrics of a grid, with curves and ranges."""
+    """Compute all metrics of a grid, with curves and ranges."""
     counts = accumulate(mass, state, away)
     score(counts)
     by_range(counts)
@@ -63,7 +59,7 @@ def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArra
 
 
 def few(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> None:
-    """Take five of them by scikit-learn: IoU, Brier, log loss, AUROC of unknown, average precision of occupied."""
+    """Compute five of them by scikit-learn: IoU, Brier, log loss, AUROC of unknown, average precision of occupied."""
     seen = state < 3
     truth, (free, occupied) = state[seen], mass[seen].T
     rest = 1 - free - occupied
@@ -86,60 +82,49 @@ def contenders(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> dict[str,
     }
 
 
-class Apart:
-    """Sums the time that some calls take, to be left out."""
+def methods() -> dict[str, SingleScanMethod | FusedMethod]:
+    """Return three models, and two of them fused over time."""
+    scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
+    fused = {
+        f"{name} + {RULE}": FusedMethod.by_rule(name, scans[name].model, RULE, SPEC)
+        for name in ("ray", "lite")
+    }
+    return scans | fused
 
-    def __init__(self) -> None:
-        self.seconds = 0.0
 
-    def __call__(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function whose time is summed."""
+def whole(dataset: Dataset, frames: int) -> dict[str, float]:
+    """Evaluate and report; return how long that took without reading samples and making grids."""
+    apart = [0.0]
 
-        def timed(*words: Any) -> Any:
+    def grids(runner: MethodRunner, frame: Any, run: Callable[..., Any] = MethodRunner.grids) -> Any:
+        start = time.perf_counter()
+        frame.truth, frame.scan  # noqa: B018  read here
+        result = run(runner, frame)
+        apart[0] += time.perf_counter() - start
+        return result
+
+    def read_ahead(numbers: Iterable[int]) -> Iterator[int]:
+        for number in numbers:
             start = time.perf_counter()
-            result = function(*words)
-            self.seconds += time.perf_counter() - start
-            return result
+            dataset[number].truth  # noqa: B018  kept by the data set
+            apart[0] += time.perf_counter() - start
+            yield number
 
-        return timed
-
-
-def whole(source: Source, frames: int) -> dict[str, float]:
-    """Judge and report, and say how long that took without reading samples and making grids."""
-    given = methods_of(ISMS, [RULE], [], SPEC)
-    methods = Methods({name: given[name] for name in SHOWN}, SPEC)
-    apart = Apart()
-    methods.grids = apart(methods.grids)  # type: ignore[method-assign]
-    timed = replace(source, read=apart(source.read))
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as place, mock.patch.object(MethodRunner, "grids", grids):
         folder = Path(place)
         start = time.perf_counter()
-        archive = ResultCache(folder / "frames", {"benchmark": "evaluation_speed"})
-        result = run_evaluation(timed, range(frames), methods, archive)
-        judged = time.perf_counter()
-        named = source.frames[:frames]
-        record = {
-            "title": "evaluation_speed",
-            "command": "",
-            "date": "",
-            "seed": 0,
-            "data": {"kind": source.kind, "name": source.name, "truth": source.description},
-            "frames": [frame._asdict() for frame in named],
-            **report(result, np.random.default_rng(0), [frame.sequence for frame in named], methods.facts()),
-        }
-        write_report(folder / "report.json", record)
-        write_csv(folder / "frames.csv", result, [frame.name for frame in named])
-        views = {k: one.views for k in range(frames) if (one := archive.load(k)) is not None}
-        write_page(folder / "report.html", record, views)
+        result = evaluate(methods(), dataset, SPEC, frames=range(frames), out=folder, progress=read_ahead)
+        evaluated = time.perf_counter()
+        write_report(folder, result, pictured=frames)
         end = time.perf_counter()
         size = (folder / "report.html").stat().st_size / 1e6
         kept = sum(path.stat().st_size for path in (folder / "frames").iterdir()) / 1e6
     return {
         "frames": frames,
-        "methods": len(SHOWN),
-        "samples and grids, left out [s]": apart.seconds,
-        "judging and pictures [s]": judged - start - apart.seconds,
-        "reporting [s]": end - judged,
+        "methods": len(result.methods),
+        "samples and grids, left out [s]": apart[0],
+        "evaluation and pictures [s]": evaluated - start - apart[0],
+        "reporting [s]": end - evaluated,
         "page [MB]": size,
         "kept frames [MB]": kept,
     }
@@ -156,20 +141,20 @@ def main() -> None:
     )
     given = parser.parse_args()
     found = environment() | {"command": f"python benchmarks/evaluation_speed.py {given.data.name}"}
-    source = source_of(given.data, SPEC, "sequences", judged="maps")
-    item = source_of(given.data, SPEC, "sequences").read(50)
-    state = item.truth.crop(SPEC).state
+    frame = open_dataset(given.data, split="sequences")[50]
+    state = frame.truth.crop(SPEC).state
     times: dict[str, dict[str, Times]] = {}
-    methods = Methods(methods_of(ISMS, [], [], SPEC), SPEC)
-    for name, grid in methods.grids(source.frames[50], item).items():
+    scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
+    for name, grid in MethodRunner(scans, SPEC).grids(frame).items():
         times[name] = measure(contenders(grid.mass, state), 2 if given.quick else given.rounds)
         print(f"{name}: " + ", ".join(f"{what} {one}" for what, one in times[name].items()))
-    run = whole(source, 6 if given.quick else FRAMES)
+    dataset = open_dataset(given.data, split="sequences", others="later")
+    run = whole(dataset, 6 if given.quick else FRAMES)
     print(", ".join(f"{what} {value:.4g}" for what, value in run.items()))
     slowest = max(one.median for group in times.values() for what, one in group.items() if "all" in what)
     reached = {
         "all metrics of a frame [ms]": slowest,
-        "report, 100 frames x 5 methods [s]": run["judging and pictures [s]"] + run["reporting [s]"],
+        "report, 100 frames x 5 methods [s]": run["evaluation and pictures [s]"] + run["reporting [s]"],
         "page [MB]": run["page [MB]"],
     }
     record = {

@@ -5,7 +5,7 @@
 The values are the coordinates in the LaTeX source of the paper (van Kempen, Lampe, Woopen, Eckstein 2021: figures
 of the mean masses and of the Kullback-Leibler divergence in 100 test frames), as a CSV with the columns t,
 m_unknown_deep, m_unknown_geo, m_free_deep, m_free_geo, m_occ_deep, m_occ_geo, kld_deep, kld_geo: eight curves. They
-are not ours to pass on; without the file the benchmark says so and stops. Writes
+are not ours to pass on; without the file the benchmark stops with a message. Writes
 benchmarks/results/paper_curves.json and docs/pictures/paper_curves.png.
 
 Frames are taken for independent of each other. They are one drive's, one second apart, in random order, so that
@@ -47,7 +47,7 @@ CITED = (
     "Evidential Occupancy Grid Mapping, IEEE Intelligent Vehicles Symposium 2021"
 )
 CURVES = DATA.parent / "paper_fig_curves.csv"
-LABEL = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+LABEL = GridSpec.centered()
 SEED = 0
 DEEP, GEO, OWN = "#1b7837", "#2c5f9e", "#b35806"  # deep, geometric as plotted, geometric's own
 SHOWS = (
@@ -124,10 +124,10 @@ def _masses(axes: Axes, curves: Curves) -> None:
 
 
 def _coverage(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
-    """Plot what of the grid either says to know, the baseline's cells counted with another mass each."""
+    """Plot the known share of the grid, the baseline's cells counted with another mass each."""
     seen = 3 * (1 - curves.unknown_geo)
     rank = np.argsort(curves.unknown)
-    said = found["the geometric model's masses, if an observed cell has 1/3"]
+    masses = found["the geometric model's masses, if an observed cell has 1/3"]
     axes.plot(1 - curves.unknown[rank], color=DEEP, lw=2, label=f"deep: mean {1 - curves.unknown.mean():.3f}")
     for mass, style, words in (
         (1 / 3, ":", "as published, mass 1/3 per observed cell"),
@@ -145,7 +145,7 @@ def _coverage(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
         xlim=(0, 99), ylim=(0, 0.5), ylabel="mean mass of what is known", xlabel="frames, by the deep model's"
     )
     axes.set_title(
-        f"Re-read: the baseline observes {100 * said['cells observed']:.1f} % of the cells at mass 1/3"
+        f"Re-read: the baseline observes {100 * masses['cells observed']:.1f} % of the cells at mass 1/3"
     )
     axes.legend(loc="upper right", frameon=False, fontsize=9)
 
@@ -174,9 +174,7 @@ def _kl(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
     )
     lags = [abs(one["lag-1 correlation"]) for one in found["is it time?"].values()]
     axes.set(xlim=(0, 99), ylim=(0, 2.3), ylabel='"KL"', title="As published: Kullback-Leibler divergence")
-    axes.set_xlabel(
-        f'"time in seconds": a value says nothing about the next, correlation at most {max(lags):.2f}'
-    )
+    axes.set_xlabel(f'"time in seconds": no correlation with the next value beyond {max(lags):.2f}')
     axes.legend(loc="upper right", ncols=2, frameon=False, fontsize=9)
 
 

@@ -1,11 +1,11 @@
-"""The judged scan takes cells out of the aggregated truth of recordings: what does that do to the scores? Measured.
+"""Cells that the evaluated scan takes out of the aggregated truth of recordings: their effect on the scores.
 
     python benchmarks/truth_mask.py [--quick]
 
-Where the judged scan shows the opposite of what the other scans of its drive agree on, something that nobody
-labelled has come or gone, and the cell is ignored (`ogm.truth.contradicted`). Here every frame of two KITTI drives is
-judged with and without that rule: scans by the truth of all other scans, scans and maps by that of later ones. The
-drives cannot be shipped: benchmarks/README.md says where they go. Writes benchmarks/results/truth_mask.json.
+Where the evaluated scan shows the opposite of what the other scans of its drive agree on, something without a label has
+come or gone, and the cell is ignored (`ogm.truth.contradicted`). Here every frame of two KITTI drives is evaluated with
+and without that rule: scans by the truth of all other scans, scans and maps by that of later ones. The drives cannot be
+shipped: see benchmarks/README.md. Writes benchmarks/results/truth_mask.json.
 """
 
 from _run import DATA, RESULTS, environment, write_json
@@ -22,15 +22,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import GridSpec
-from ogm.cli.methods import Map, Methods, methods_of
-from ogm.cli.source import source_of
-from ogm.metrics import score, accumulate
-from ogm.recordings import open_recording
-from ogm.truth import FREE, OCCUPIED
+from ogm.datasets import open_dataset
+from ogm.evaluation import FusedMethod, MethodRunner, SingleScanMethod
+from ogm.metrics import accumulate, score
+from ogm.state import CellState
 
-SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
+SPEC = GridSpec.centered()
 DRIVES = {"KITTI, drive 0005": "kitti_raw_0005", "KITTI, odometry 00": "kitti_odometry_00"}
-ISMS, RULES = ("height-band", "ray", "lite"), ("cautious",)
+MODELS, RULE = ("height-band", "ray", "lite"), "cautious"
 KEPT = ("iou_free", "iou_occupied", "false_free", "missed_occupied", "brier")
 
 
@@ -41,40 +40,42 @@ def without_mask() -> Iterator[None]:
     def nothing(truth: Any, *scan: Any) -> NDArray[np.bool_]:
         return np.zeros(truth.spec.shape, bool)
 
-    with mock.patch("ogm.recordings.around.contradicted", nothing):
+    with mock.patch("ogm.datasets.neighbours.contradicted", nothing):
         yield
 
 
 def truths(place: str, others: str, masked: bool) -> list[NDArray[np.uint8]]:
     """Return the truth of every frame of a drive."""
     with nullcontext() if masked else without_mask():
-        recording = open_recording(DATA / place, others=others)
-        return [frame.truth.crop(SPEC).state for frame in recording]
+        return [frame.truth.crop(SPEC).state for frame in open_dataset(DATA / place, others=others)]
 
 
 def taken_out(masked: list[NDArray[np.uint8]], whole: list[NDArray[np.uint8]]) -> dict[str, float]:
     """Return the shares of free and of occupied cells that the rule takes out."""
     shares = {}
-    for name, state in (("free", FREE), ("occupied", OCCUPIED)):
+    for name, state in (("free", CellState.FREE), ("occupied", CellState.OCCUPIED)):
         lost = sum(np.count_nonzero((b == state) & (a != b)) for a, b in zip(masked, whole, strict=True))
         shares[name] = lost / max(sum(np.count_nonzero(b == state) for b in whole), 1)
     return shares
 
 
-def run_evaluation(place: str, frames: int | None) -> dict[str, Any]:
-    """Judge every frame of a drive by four truths."""
+def compared(place: str, frames: int | None) -> dict[str, Any]:
+    """Evaluate every frame of a drive by four truths."""
     kinds = {
         others: (truths(place, others, True), truths(place, others, False)) for others in ("all", "later")
     }
-    source = source_of(DATA / place, SPEC, judged="maps")
-    methods = Methods(methods_of(ISMS, RULES, [], SPEC), SPEC)
+    scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
+    maps = {
+        f"{name} + {RULE}": FusedMethod.by_rule(name, one.model, RULE, SPEC) for name, one in scans.items()
+    }
+    runner = MethodRunner(scans | maps, SPEC)
     rows: dict[tuple[str, str], list[list[list[float]]]] = {}
-    for k in range(len(source.frames))[:frames]:
-        for name, grid in methods.grids(source.frames[k], source.read(k)).items():
+    for k, frame in enumerate(open_dataset(DATA / place, others="later")[:frames]):
+        for name, grid in runner.grids(frame).items():
             for others, pair in kinds.items():
-                if others == "later" or not isinstance(methods.given[name], Map):
-                    counted = [score(accumulate(grid.mass, truth[k])) for truth in pair]
-                    values = [[one[metric] for metric in KEPT] for one in counted]
+                if others == "later" or name in scans:
+                    scores = [score(accumulate(grid.mass, truth[k])) for truth in pair]
+                    values = [[one[metric] for metric in KEPT] for one in scores]
                     rows.setdefault((others, name), []).append(values)
     found: dict[str, Any] = {}
     for others, pair in kinds.items():
@@ -107,7 +108,7 @@ def main() -> None:
         if not (DATA / place).is_dir():
             print(f"{name} is left out: there is no {place}", file=sys.stderr)
             continue
-        record["drives"][name] = run_evaluation(place, 3 if given.quick else None)
+        record["drives"][name] = compared(place, 3 if given.quick else None)
         for others, found in record["drives"][name].items():
             lost = ", ".join(f"{100 * v:.2f} % of {k}" for k, v in found["share that is taken out"].items())
             print(f"{name}, {others} scans: {lost} cells are taken out")
