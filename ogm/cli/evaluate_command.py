@@ -33,16 +33,27 @@ BRIEF = ("kl_e10", "iou_free", "iou_occupied", "false_free", "brier", "ece")  # 
 FEW = 6  # methods that have a column each
 
 
+Data = Annotated[
+    Path,
+    typer.Argument(
+        help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
+        "`ogm simulate` made, or a folder of truth grids.",
+        metavar="DATA",
+    ),
+]
+Fused = Annotated[
+    str | None,
+    typer.Option(
+        help="Evaluate each model also fused over time, by one or more rules with commas between: "
+        f"{', '.join(RULES)}.",
+        metavar="RULE[,RULE]...",
+    ),
+]
+
+
 @report_errors
 def evaluate(
-    data: Annotated[
-        Path,
-        typer.Argument(
-            help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
-            "`ogm simulate` made, or a folder of truth grids.",
-            metavar="DATA",
-        ),
-    ],
+    data: Data,
     more: Annotated[
         list[str] | None, typer.Argument(help="Further models, after --ism NAME.", metavar="[NAME]...")
     ] = None,
@@ -54,14 +65,7 @@ def evaluate(
             metavar="NAME [NAME]...",
         ),
     ] = None,
-    fused: Annotated[
-        str | None,
-        typer.Option(
-            help="Evaluate each model also fused over time, by one or more rules with commas between: "
-            f"{', '.join(RULES)}.",
-            metavar="RULE[,RULE]...",
-        ),
-    ] = None,
+    fused: Fused = None,
     grids: Annotated[
         list[Path] | None,
         typer.Option(

@@ -18,7 +18,7 @@ SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this sh
 SMALL = 0.02  # bytes per mass: a smaller picture is not encoded a second time
 QUALITY = 35  # of a picture with loss
 LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
-LAYER, HIGHEST = 0.2, 30.0  # [m] bins of height when the ground is estimated, and how far it is searched
+LAYER = 0.2  # [m] heights that have the same colour
 HEIGHTS = (0, 1, 2, 3)  # [m] over the ground, in the legend of the points
 
 
@@ -100,7 +100,7 @@ def draw_frame(
     truth: NDArray[np.uint8],
     masses: Sequence[NDArray[np.floating]],
     spec: GridSpec,
-    ground_z: float | None = None,
+    ground_z: float = 0.0,
 ) -> dict[str, bytes]:
     """Draw one frame from above, the front up: points, truth, masses and errors of every method.
 
@@ -113,8 +113,8 @@ def draw_frame(
     masses : sequence of (nx, ny, 2) float array
         Of every method: masses of free and occupied.
     spec : GridSpec
-    ground_z : float, optional
-        Height of the ground in the frame of the points [m]; by default the height that most of them share.
+    ground_z : float
+        Height of the ground in the frame of the points [m].
 
     Returns
     -------
@@ -148,26 +148,19 @@ def height_colours() -> list[tuple[int, int, int]]:
     return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
 
 
-def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float | None) -> NDArray[np.uint8]:
+def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float) -> NDArray[np.uint8]:
     """Draw points, each as wide as two cells, so that they stay visible in small pictures."""
     nx, ny = spec.shape
     scale = block * 2  # `ogm.plot` draws two dots along a cell
     shown = GridSpec(spec.resolution * scale, (-(-nx // scale), -(-ny // scale)), spec.origin)
-    ground = _ground(points) if ground_z is None else ground_z
     points = points.copy()
-    points[:, 2] = np.rint((points[:, 2] - ground) / LAYER) * LAYER  # fewer colours, half the bytes
+    points[:, 2] = np.rint((points[:, 2] - ground_z) / LAYER) * LAYER  # fewer colours, half the bytes
     image = plot.points(points, shown, ground_z=0.0).image
     nothing = plot.points(points[:0], shown.centered(1.0, 1.0, 1.0)).image[0, 0]
     for _ in range(2):  # down, then, the picture lying on its side, to the right
         above = np.concatenate([np.broadcast_to(nothing, image[:1].shape), image[:-1]])
         image = np.where((image == nothing).all(axis=2, keepdims=True), above, image).swapaxes(0, 1)
     return image
-
-
-def _ground(points: NDArray) -> float:
-    """Return the most frequent height of points: that of the ground in a vehicle's scan."""
-    count, edges = np.histogram(points[:, 2], bins=round(2 * HIGHEST / LAYER), range=(-HIGHEST, HIGHEST))
-    return float(edges[count.argmax()] + LAYER / 2) if count.any() else 0.0
 
 
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:

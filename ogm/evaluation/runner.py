@@ -171,16 +171,25 @@ def _checked(
         )
     if not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
         raise ValueError(f"{dataset!r} has no truth to compare with; evaluate labelled data")
-    infos = tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in (dataset[k] for k in numbers))
+    frames = [dataset[k] for k in numbers]
+    infos = tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in frames)
     for name, method in methods.items():
         if isinstance(method, PrecomputedGrids):
             method.check(name, [info.name for info in infos])
-        if isinstance(method, FusedMethod) and not all(info.sequence for info in infos):
-            raise ValueError(
-                f"{name} fuses frames that follow each other, but these stand alone: give a drive with poses, or the "
-                "split `sequences` of a simulated data set"
-            )
+        if isinstance(method, FusedMethod):
+            _check_drive(name, frames)
     return infos
+
+
+def _check_drive(name: str, frames: Sequence[Frame]) -> None:
+    """Refuse frames that a map cannot fuse."""
+    for frame in frames:
+        if not frame.sequence or frame.T_map_sensor is None or frame.stamp is None:
+            raise ValueError(
+                f"{name} fuses frames that follow each other, with poses and stamps, but {frame.name} "
+                f"{'has none' if frame.sequence else 'stands alone'}: give a drive with poses, or the split "
+                "`sequences` of a simulated data set"
+            )
 
 
 def _dataset_facts(dataset: Any) -> dict[str, Any]:

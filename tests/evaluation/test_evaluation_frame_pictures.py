@@ -117,10 +117,8 @@ def test_points_are_coloured_by_their_height_over_the_ground() -> None:
     wall = np.stack([np.full(2000, 1.1), np.full(2000, 0.3), np.linspace(0, 6, 2000)], axis=1)
     points = np.concatenate([wall, ground, [[np.nan, 0, 0]]]).astype(np.float32)
     state, _ = blank()
-    found = seen(draw_frame(points, state, [], SPEC)["points"])  # most points lie on the ground
     given = seen(draw_frame(points, state, [], SPEC, ground_z=-1.9)["points"])
     assert np.abs(given[-1, 0].astype(int) - height_colours()[0]).max() <= 1
-    assert np.abs(found[-1, 0].astype(int) - height_colours()[0]).max() <= 20
     assert len(height_colours()) == len(HEIGHTS)
 
 
