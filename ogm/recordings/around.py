@@ -9,17 +9,9 @@ from numpy.typing import NDArray
 from ogm.geometric import ground_height, local_ground
 from ogm.grid import GridSpec
 from ogm.recordings.layout import CAR
-from ogm.truth import (
-    IGNORE,
-    MARGIN,
-    TRUTH_SPEC,
-    Truth,
-    cells_in_boxes,
-    contradicted,
-    move_boxes,
-    truth_from_scans,
-    widen_boxes,
-)
+from ogm.scan import Boxes
+from ogm.state import Truth
+from ogm.truth import MARGIN, TRUTH_SPEC, cells_in_boxes, contradicted, ignore_cells, truth_from_scans
 
 __all__ = ["choose_others", "stood_here", "truth_from_others"]
 
@@ -70,16 +62,19 @@ def stood_here(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     poses : (K, 4, 4) float
         Of its sensor in those scans, as seen from the one that is judged.
     """
-    car = np.array([[0.0, 0.0, 0.0, 2 * CAR[0], 2 * CAR[1], -1.0, 0.0]])
+    car = Boxes(np.array([0, 0, -0.5]), np.array([2 * CAR[0], 2 * CAR[1], 1.0]), np.zeros(1))
     near = poses[np.linalg.norm(poses[:, :3, 3], axis=1) <= TRUTH_SPEC.length]
-    return cells_in_boxes(np.concatenate([move_boxes(car, T) for T in near]), TRUTH_SPEC)
+    result = np.zeros(TRUTH_SPEC.shape, bool)
+    for T in near:
+        result |= cells_in_boxes(car.moved(T), TRUTH_SPEC)
+    return result
 
 
 def truth_from_others(
     clouds: Sequence[NDArray[np.float32]],
     height: float,
     spec: GridSpec,
-    moving: NDArray[np.float64],
+    moving: Boxes,
     *,
     min_scans: int = 2,
     judged: NDArray[np.float32] | None = None,
@@ -95,7 +90,7 @@ def truth_from_others(
     height : float
         Of the sensor above ground [m].
     spec : GridSpec
-    moving : (B, 7) float
+    moving : Boxes
         Boxes of moving objects in the judged scan: the cells under them and `MARGIN` around are ignored.
     min_scans : int
         As in `truth_from_scans`.
@@ -111,10 +106,9 @@ def truth_from_others(
     chosen = np.random.default_rng(0).choice(len(every), min(len(every), THINNED), replace=False)
     ground = local_ground(np.ascontiguousarray(every[chosen, :3]), raster, (0.0, 0.0, -height))
     above = [cloud[:, 2] - ground_height(ground, raster, cloud) for cloud in near]
-    now = cells_in_boxes(widen_boxes(moving, MARGIN), spec)
+    now = cells_in_boxes(moving.widened(MARGIN), spec)
     truth = truth_from_scans(near, above, spec, min_scans=min_scans, moving=now)
     if judged is not None:
-        truth.state[contradicted(truth, judged, judged[:, 2] - ground_height(ground, raster, judged))] = (
-            IGNORE
-        )
+        high = judged[:, 2] - ground_height(ground, raster, judged)
+        truth = ignore_cells(truth, contradicted(truth, judged, high))
     return truth

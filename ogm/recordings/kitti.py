@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.io import (
     SEMANTIC_KITTI_MOVING,
-    Objects,
     read_kitti_calibration,
     read_kitti_objects,
     read_kitti_stamps,
@@ -28,11 +27,12 @@ from ogm.recordings.layout import (
     scans_in,
     stem,
 )
+from ogm.scan import Boxes
 
 __all__ = ["kitti_drive", "kitti_object", "kitti_tracking", "odometry"]
 
 FRONT = "boxes only where the front camera looks"
-_NOBODY = Objects(np.empty((0, 7)), (), ())
+_NONE = Boxes.empty()
 _BOXES = "boxes of the object recordings (label_2/*.txt beside velodyne/ and calib/)"
 _TRACKS = "boxes of the tracking recordings (label_02*.txt), or poses (poses.txt, derived/poses*.txt)"
 _CLASSES = "classes of SemanticKITTI (labels/*.label), or poses (poses.txt)"
@@ -52,7 +52,7 @@ def kitti_object(path: Path) -> Layout | None:
                     f"scan {one.name} has no {what} {folder / stem(one)}.txt: add it, or move the scan elsewhere"
                 )
 
-    def objects(n: int) -> Objects:
+    def objects(n: int) -> Boxes:
         name = f"{stem(scans[n])}.txt"
         return read_kitti_objects(path / "label_2" / name, read_kitti_calibration(path / "calib" / name))
 
@@ -77,7 +77,7 @@ def kitti_tracking(path: Path) -> Layout | None:
         return None
 
     @lru_cache(8)
-    def tracks(label: Path) -> dict[int, Objects]:
+    def tracks(label: Path) -> dict[int, Boxes]:
         return read_kitti_tracks(label, read_kitti_calibration(path / "calib" / label.name))
 
     shots: list[Shot] = []
@@ -92,7 +92,7 @@ def kitti_tracking(path: Path) -> Layout | None:
         tuple(shots),
         lambda n: Seen(read_points(files[n][1])),
         _TRACKS,
-        lambda n: tracks(files[n][0]).get(int(stem(files[n][1])), _NOBODY),
+        lambda n: tracks(files[n][0]).get(int(stem(files[n][1])), _NONE),
         own=KITTI_CAR,
         view=FRONT,
     )
@@ -126,7 +126,7 @@ def kitti_drive(path: Path) -> Layout | None:
         stamps = times[[int(name) for name in names]]
 
     @lru_cache(1)
-    def tracks() -> dict[int, Objects]:
+    def tracks() -> dict[int, Boxes]:
         return read_kitti_tracks(labels[0], _calibration(path))
 
     return Layout(
@@ -134,7 +134,7 @@ def kitti_drive(path: Path) -> Layout | None:
         drive(path.name, scans, poses_of(pose_files(path), names), stamps),
         lambda n: Seen(read_points(scans[n])),
         _TRACKS,
-        (lambda n: tracks().get(int(names[n]), _NOBODY)) if labels else None,
+        (lambda n: tracks().get(int(names[n]), _NONE)) if labels else None,
         own=KITTI_CAR,
         view=FRONT if labels else "",
     )

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io import Axes, LabelledPoints, Objects, read_poses
+from ogm.io import Axes, LabelledPoints, read_poses
 from ogm.io.axes import rotation_to_flu
+from ogm.scan import Boxes
 from ogm.truth import Kind
 
 __all__ = [
@@ -97,7 +98,7 @@ class Layout:
     shots: tuple[Shot, ...]
     read: Callable[[int], Seen]
     looked_for: str
-    objects: Callable[[int], Objects] | None = None
+    objects: Callable[[int], Boxes] | None = None
     plan: Callable[[int], Plan] | None = None
     classes: bool = False
     own: tuple[float, float] = CAR

@@ -9,7 +9,6 @@ from ogm.io import (
     NUSCENES_ELEVEN,
     SEMANTIC_KITTI_TRAINING,
     NuScenes,
-    Objects,
     estimate_sensor_height,
     read_argoverse2,
     read_mmdet3d,
@@ -33,7 +32,7 @@ from ogm.recordings.layout import (
     scans_in,
     stem,
 )
-from ogm.truth import move_boxes
+from ogm.scan import Boxes
 
 __all__ = ["argoverse2", "mmdet3d", "nuscenes", "range_images", "scans_and_poses", "sustech"]
 
@@ -77,7 +76,7 @@ def _nuscenes(content: NuScenes, name: str) -> Layout:
         shots,
         read,
         "boxes of nuScenes (sample_annotation.json, instance.json, category.json)",
-        content.objects if content.annotated else None,
+        content.boxes if content.annotated else None,
         heights=height,
     )
 
@@ -110,9 +109,8 @@ def argoverse2(path: Path) -> Layout | None:
         around = sweep.points - np.array([*origin, 0], np.float32)
         return Seen(np.ascontiguousarray(around[sweep.ring < _UPPER]), around=around)
 
-    def objects(n: int) -> Objects:
-        found = log.objects(n)
-        return Objects(move_boxes(found.boxes, back), found.labels, found.tracks)
+    def objects(n: int) -> Boxes:
+        return log.boxes(n).moved(back)
 
     def plan(n: int) -> Plan:
         city = log.map

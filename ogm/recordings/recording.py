@@ -9,30 +9,28 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io import Objects, estimate_sensor_height
+from ogm.io import estimate_sensor_height
 from ogm.pose import inverse, transform_points
 from ogm.recordings.around import choose_others, stood_here, truth_from_others
 from ogm.recordings.layout import Layout, Seen
+from ogm.scan import Boxes
+from ogm.state import CellState, Truth
 from ogm.truth import (
-    IGNORE,
     MARGIN,
     MIN_RETURNS,
-    OCCUPIED,
     TRUTH_SPEC,
-    Truth,
     boxes_over_points,
     cells_in_areas,
-    cells_in_box,
     cells_in_boxes,
+    cells_in_footprint,
     combine_truths,
     count_returns,
     free_road,
-    move_boxes,
+    ignore_cells,
     moving_tracks,
     truth_from_boxes,
     truth_from_points,
     truth_from_road,
-    widen_boxes,
 )
 
 __all__ = ["SOURCES", "Frame", "Recording"]
@@ -82,7 +80,7 @@ class Frame:
         return self.recording._seen(self.number).points
 
     @cached_property
-    def objects(self) -> Objects | None:
+    def objects(self) -> Boxes | None:
         """The boxes around it, in the sensor's frame; None where the recording has none."""
         return self.recording._objects(self.number)
 
@@ -213,7 +211,7 @@ class Recording(Sequence[Frame]):
         x, y = self._layout.own
         return (np.abs(points[:, 0]) > x) | (np.abs(points[:, 1]) > y)
 
-    def _objects(self, n: int) -> Objects | None:
+    def _objects(self, n: int) -> Boxes | None:
         return None if self._layout.objects is None else self._layout.objects(n)
 
     def _find_height(self, sequence: str) -> float:
@@ -236,24 +234,21 @@ class Recording(Sequence[Frame]):
     def _find_moving(self, sequence: str) -> frozenset[str]:
         """Return the tracks of a drive that move."""
         stamps: list[float] = []
-        places: list[NDArray[np.float64]] = []
-        tracks: list[str] = []
+        boxes: list[Boxes] = []
         for n in self._members[sequence]:
             T, objects = self._layout.shots[n].T_map_sensor, self._objects(n)
             if T is not None and objects is not None:
-                boxes = move_boxes(objects.boxes, T)
-                stamps += [self._layout.shots[n].stamp] * len(boxes)
-                places += [boxes[:, :2]]
-                tracks += objects.tracks
-        return frozenset(moving_tracks(stamps, np.concatenate(places), tracks) if tracks else ())
+                stamps.append(self._layout.shots[n].stamp)
+                boxes.append(objects.moved(T))
+        return moving_tracks(stamps, boxes)
 
-    def _moving_boxes(self, n: int) -> NDArray[np.float64]:
+    def _moving_boxes(self, n: int) -> Boxes:
         """Return the boxes of objects that move, in scan n and its frame; and of those that nobody can follow."""
         objects = self._objects(n)
         if objects is None:
-            return np.empty((0, 7))
+            return Boxes.empty()
         moving = self._moving(self._layout.shots[n].sequence)
-        return objects.chosen([not track or track in moving for track in objects.tracks]).boxes
+        return objects.select([not track or track in moving for track in objects.track])
 
     # --- Truth ---------------------------------------------------------------------------------------
 
@@ -267,20 +262,19 @@ class Recording(Sequence[Frame]):
         if "aggregated" in self.sources:
             parts.append(self._from_others(n))
         if "boxes" in self.sources and (objects := self._objects(n)) is not None:
-            returns = count_returns(self._seen(n).points, objects.boxes + [0, 0, 0, 0, 0, ABOVE_BOTTOM, 0])
-            boxes = truth_from_boxes(objects.boxes, returns, TRUTH_SPEC)
-            uncertain = cells_in_boxes(objects.boxes[returns < MIN_RETURNS], TRUTH_SPEC)
-        own = np.zeros(TRUTH_SPEC.shape, bool)
-        own[cells_in_box(self._own_box(), TRUTH_SPEC)] = True
-        return combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=own)
+            returns = count_returns(self._seen(n).points, objects, above_bottom=ABOVE_BOTTOM)
+            boxes = truth_from_boxes(objects, returns, TRUTH_SPEC)
+            uncertain = cells_in_boxes(objects.select(returns < MIN_RETURNS), TRUTH_SPEC)
+        return combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
 
-    def _own_box(self) -> tuple[float, ...]:
-        return 0.0, 0.0, 0.0, 2 * self._layout.own[0], 2 * self._layout.own[1]
+    def _ego_cells(self) -> NDArray[np.bool_]:
+        x, y = self._layout.own
+        return cells_in_footprint((-x, x, -y, y), TRUTH_SPEC)
 
     def _from_classes(self, n: int) -> Truth:
         seen = self._seen(n)
         kinds = np.zeros(0, np.uint8) if seen.kinds is None else seen.kinds
-        return truth_from_points(seen.points, kinds, TRUTH_SPEC, own=self._own_box())
+        return truth_from_points(seen.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
 
     def _from_map(self, n: int) -> Truth:
         """Free where one may drive. Where the map has no ground, it is taken to be as low as under the vehicle."""
@@ -298,15 +292,15 @@ class Recording(Sequence[Frame]):
             around,
             around[:, 2] - np.where(np.isnan(below), low, below),
             TRUTH_SPEC,
-            boxes=() if objects is None else objects.boxes,
-            own_reach=self._layout.own[0],
+            boxes=objects,
+            min_range=self._layout.own[0],
         )
         return truth_from_road(road, TRUTH_SPEC)
 
     def _from_others(self, n: int) -> Truth:
         """Say what other scans of the drive know about the cells around scan n."""
         shot = self._layout.shots[n]
-        truth = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, IGNORE, np.uint8))
+        truth = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, np.uint8(CellState.IGNORE)))
         if shot.T_map_sensor is None:
             return truth
         members = [k for k in self._members[shot.sequence] if self._layout.shots[k].T_map_sensor is not None]
@@ -319,7 +313,7 @@ class Recording(Sequence[Frame]):
         clouds = []
         for k in others:
             seen = self._seen(members[k])
-            kept = ~boxes_over_points(seen.points, widen_boxes(self._moving_boxes(members[k]), MARGIN))
+            kept = ~boxes_over_points(seen.points, self._moving_boxes(members[k]).widened(MARGIN))
             if seen.moving is not None:
                 kept &= ~seen.moving
             clouds.append(transform_points(back[k], seen.points[kept]))
@@ -333,10 +327,9 @@ class Recording(Sequence[Frame]):
         )
         moving = self._seen(n).moving
         if moving is not None and moving.any():
-            truth.state[_near(self._seen(n).points[moving])] = IGNORE
+            truth = ignore_cells(truth, _near(self._seen(n).points[moving]))
         # Where the own vehicle stood, at any time, nothing does that stays: somebody followed it
-        truth.state[stood_here(back) & (truth.state == OCCUPIED)] = IGNORE
-        return truth
+        return ignore_cells(truth, stood_here(back) & (truth.state == CellState.OCCUPIED))
 
 
 def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
