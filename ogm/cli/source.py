@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.io.grids import GRID_ENDINGS, read_grid
-from ogm.state import predict_state
-from ogm.truth import IGNORE, UNKNOWN, Truth
+from ogm.state import CellState, Truth, predict_state
 
 __all__ = ["Frame", "Item", "Source", "grids_in", "shown_name", "source_of"]
 
@@ -197,7 +196,9 @@ def _store(path: Path, split: str | None, judged: str) -> Source:
 
 
 def _known_only(truth: Truth) -> Truth:
-    return Truth(truth.spec, np.where(truth.state == UNKNOWN, np.uint8(IGNORE), truth.state))
+    return Truth(
+        truth.spec, np.where(truth.state == CellState.UNKNOWN, np.uint8(CellState.IGNORE), truth.state)
+    )
 
 
 def _is_recording(path: Path) -> bool:
@@ -259,7 +260,11 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
             state = np.load(path, mmap_mode="r", allow_pickle=False)
         except (ValueError, EOFError, OverflowError) as error:
             raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
-        if state.dtype != np.uint8 or state.shape != spec.shape or (state.size and state.max() > IGNORE):
+        if (
+            state.dtype != np.uint8
+            or state.shape != spec.shape
+            or (state.size and state.max() > CellState.IGNORE)
+        ):
             raise ValueError(
                 f"{path} must hold states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}, got "
                 f"{state.dtype} {state.shape}"
