@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import FrameRef, HdMap, Layout, RawFrame
 from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
 from ogm.pose import pose
@@ -43,7 +42,7 @@ def argoverse2(path: Path) -> Layout | None:
         return RawFrame(upper, all_points=every)
 
     def boxes(n: int) -> Boxes:
-        return as_boxes(log.objects(n)).moved(pose(*-origin))
+        return log.boxes(n).moved(pose(*-origin))
 
     def hd_map(n: int) -> HdMap:
         city = log.map

@@ -1,7 +1,8 @@
 """Data sets as sequences of frames."""
 
+import copy
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,12 +20,14 @@ from ogm.datasets.reader import FrameReader
 from ogm.datasets.scans import scans
 from ogm.datasets.simulated import simulated
 from ogm.datasets.sustech import sustech
+from ogm.datasets.truth import RecordedTruth
 from ogm.datasets.truth_grids import grid_files, truth_grids
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.pose import Trajectory
 from ogm.scan import Frame
+from ogm.state import Truth
 
 __all__ = ["Dataset", "open_dataset"]
 
@@ -69,20 +72,26 @@ class Dataset(Sequence[Frame]):
 
     def __init__(
         self,
-        reader: FrameReader,
+        layout: Layout,
         options: Mapping[str, Any],
         numbers: Sequence[int] | None = None,
         facts: Mapping[str, Any] | None = None,
         trajectory: Trajectory | None = None,
     ) -> None:
-        layout = reader.layout
-        self.reader, self._options = reader, dict(options)
+        path = Path(options["path"][0])
+        self.reader = FrameReader(layout, path, options["sensor_height"], options["sensor_position"])
+        self._truth: Callable[[int], Truth]
+        if layout.truth is not None:
+            self._truth, self.description = layout.truth, layout.description
+        else:
+            self._truth = RecordedTruth(self.reader, options["truth"], options["others"])
+            self.description = self._truth.description
+        self.layout, self._options = layout, options
         self._numbers = tuple(range(len(layout.frames)) if numbers is None else numbers)
-        self.name = layout.name or reader.path.name or reader.path.resolve().name or str(reader.path)
-        self.format, self.description = layout.format, reader.description
-        self.files = layout.files or (reader.path,)
-        self.motion_distorted, self.trajectory = layout.motion_distorted, trajectory
-        self._more_facts = dict(facts or {})
+        self._more_facts, self.trajectory = dict(facts or {}), trajectory
+        self.name = layout.name or path.name or path.resolve().name or str(path)
+        self.format, self.motion_distorted = layout.format, layout.motion_distorted
+        self.files = layout.files or (path,)
         stated = layout.facts or {"format": layout.format, "frames": len(layout.frames)}
         self.facts: dict[str, Any] = {**stated, **self._more_facts}
 
@@ -98,12 +107,12 @@ class Dataset(Sequence[Frame]):
         if isinstance(n, slice):
             return self.select(range(*n.indices(len(self))))
         k = self._numbers[n]
-        ref, reader = self.reader.layout.frames[k], self.reader
+        ref, reader = self.layout.frames[k], self.reader
         return Frame(
             partial(reader.scan, k),
             partial(reader.mount, k),
             partial(reader.boxes, k),
-            partial(reader.truth, k),
+            partial(self._truth, k),
             T_map_sensor=ref.T_map_sensor,
             stamp=ref.stamp,
             name=ref.name,
@@ -114,24 +123,24 @@ class Dataset(Sequence[Frame]):
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        arguments = (
+        return _reopened, (
             self._options,
+            self.layout.frames,
             self._numbers,
-            self.reader.layout.frames,
             self._more_facts,
             self.trajectory,
         )
-        return _reopened, arguments
 
     def select(self, numbers: ArrayLike | Iterable[int]) -> "Dataset":
-        """Return the data set of some frames, by their numbers in this one."""
-        chosen = [self._numbers[int(n)] for n in np.asarray(numbers).ravel()]
-        return Dataset(self.reader, self._options, chosen, self._more_facts, self.trajectory)
+        """Return the data set of some frames, by their numbers in this one; they share what was read."""
+        chosen = copy.copy(self)
+        chosen._numbers = tuple(self._numbers[int(n)] for n in np.asarray(numbers).ravel())
+        return chosen
 
     @property
     def refs(self) -> tuple[FrameRef, ...]:
         """Name, sequence, stamp and pose of every frame; no frame is made for it."""
-        return tuple(self.reader.layout.frames[k] for k in self._numbers)
+        return tuple(self.layout.frames[k] for k in self._numbers)
 
     @property
     def sequences(self) -> dict[str, list[int]]:
@@ -147,7 +156,7 @@ class Dataset(Sequence[Frame]):
         stamps: NDArray[np.float64],
         poses: NDArray[np.float64],
         facts: Mapping[str, Any],
-        trajectory: Trajectory | None = None,
+        trajectory: Trajectory,
     ) -> "Dataset":
         """Return the data set with other stamps and poses, as one sequence; NaN where a frame has none.
 
@@ -159,19 +168,17 @@ class Dataset(Sequence[Frame]):
             ``T_map_sensor``.
         facts : dict
             What is added to the facts.
-        trajectory : Trajectory, optional
+        trajectory : Trajectory
         """
-        frames = [one._replace(T_map_sensor=None) for one in self.reader.layout.frames]
-        sequences = {ref.sequence for ref in self.refs}
-        sequence = sequences.pop() if len(sequences) == 1 and "" not in sequences else self.name
+        frames = [one._replace(T_map_sensor=None) for one in self.layout.frames]
+        names = {ref.sequence for ref in self.refs}
+        sequence = names.pop() if len(names) == 1 and "" not in names else self.name
         for k, stamp, T in zip(self._numbers, stamps, poses, strict=True):
             known = bool(np.isfinite(stamp) and np.isfinite(T).all())
-            frames[k] = FrameRef(
-                frames[k].name, sequence, float(stamp) if known else None, T if known else None
-            )
-        return _with_frames(
-            self._options, tuple(frames), self._numbers, {**self._more_facts, **facts}, trajectory, self.reader
-        )
+            place = (float(stamp), T) if known else (None, None)
+            frames[k] = FrameRef(frames[k].name, sequence, *place)
+        layout = replace(self.layout, frames=tuple(frames))
+        return Dataset(layout, self._options, self._numbers, self._more_facts | facts, trajectory)
 
 
 def open_dataset(
@@ -240,24 +247,25 @@ def open_dataset(
         **{"sensor_height": sensor_height, "sensor_position": sensor_position, "split": split},
         **{"truth": (truth,) if isinstance(truth, str) else tuple(truth), "others": others, "spec": spec},
     }
-    return Dataset(_reader(options), options)
+    return Dataset(_opened(options), options)
 
 
-def _reader(options: Mapping[str, Any], frames: tuple[FrameRef, ...] | None = None) -> FrameReader:
-    """Open a data set by the options of `open_dataset`, perhaps with other poses."""
+def _opened(options: Mapping[str, Any]) -> Layout:
+    """Return the layout of a data set by the options of `open_dataset`."""
     paths = [Path(one) for one in options["path"]]
-    names = ("axes", "intensity_max", "time_unit")
-    reading = {name: options[name] for name in names}
+    reading = {name: options[name] for name in ("axes", "intensity_max", "time_unit")}
     layout = _layout(paths, options["split"], options["others"], options["spec"], reading)
-    chosen = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
-    if layout.known_axes and (chosen or options["intensity_max"] or options["time_unit"]):
+    turned = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
+    if layout.known_axes and (turned or options["intensity_max"] or options["time_unit"]):
         raise ValueError(
             f"{paths[0]} ({layout.format}) has known axes and units; leave out axes, intensity_max and time_unit "
             "(--axes, --intensity-max, --time-unit), or give its scans as files"
         )
-    layout = replace(layout, frames=frames or _named_apart(layout.frames))
-    asked = ("truth", "others", "sensor_height", "sensor_position")
-    return FrameReader(layout, paths[0], **{name: options[name] for name in asked})
+    if layout.truth is not None and options["truth"]:
+        raise ValueError(
+            f"truth (--truth) is for recordings; {paths[0]} ({layout.format}) holds its truth itself: leave it out"
+        )
+    return replace(layout, frames=_named_apart(layout.frames))
 
 
 def _layout(
@@ -309,30 +317,6 @@ def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
     )
 
 
-def _with_frames(
-    options: Mapping[str, Any],
-    frames: tuple[FrameRef, ...],
-    numbers: Sequence[int],
-    facts: Mapping[str, Any],
-    trajectory: Trajectory | None,
-    reader: FrameReader | None = None,
-) -> Dataset:
-    if reader is None:
-        reader = _reader(options, frames)
-    else:
-        asked = ("truth", "others", "sensor_height", "sensor_position")
-        reader = FrameReader(
-            replace(reader.layout, frames=frames), reader.path, **{name: options[name] for name in asked}
-        )
-    return Dataset(reader, options, numbers, facts, trajectory)
-
-
-def _reopened(
-    options: Mapping[str, Any],
-    numbers: Sequence[int],
-    frames: tuple[FrameRef, ...],
-    facts: Mapping[str, Any],
-    trajectory: Trajectory | None,
-) -> Dataset:
-    """Open a pickled data set again."""
-    return _with_frames(options, frames, numbers, facts, trajectory)
+def _reopened(options: Mapping[str, Any], frames: tuple[FrameRef, ...], *more: Any) -> Dataset:
+    """Open a pickled data set again, with its poses."""
+    return Dataset(replace(_opened(options), frames=frames), options, *more)

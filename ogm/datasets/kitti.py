@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
 from ogm.io import (
@@ -44,9 +43,7 @@ def kitti_object(path: Path) -> Layout | None:
 
     def boxes(n: int) -> Boxes:
         name = f"{scan_name(scans[n])}.txt"
-        return as_boxes(
-            read_kitti_objects(path / "label_2" / name, read_kitti_calibration(path / "calib" / name))
-        )
+        return read_kitti_objects(path / "label_2" / name, read_kitti_calibration(path / "calib" / name))
 
     return Layout(
         "KITTI object recordings",
@@ -69,8 +66,7 @@ def kitti_tracking(path: Path) -> Layout | None:
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
-        found = read_kitti_tracks(label, read_kitti_calibration(path / "calib" / label.name))
-        return {number: as_boxes(one) for number, one in found.items()}
+        return read_kitti_tracks(label, read_kitti_calibration(path / "calib" / label.name))
 
     frames: list[FrameRef] = []
     files: list[tuple[Path, Path]] = []
@@ -118,8 +114,7 @@ def kitti_raw(path: Path) -> Layout | None:
 
     @lru_cache(1)
     def tracks() -> dict[int, Boxes]:
-        found = read_kitti_tracks(labels[0], _calibration(path))
-        return {number: as_boxes(one) for number, one in found.items()}
+        return read_kitti_tracks(labels[0], _calibration(path))
 
     return Layout(
         "KITTI raw drive",

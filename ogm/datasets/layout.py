@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ogm.io import Axes, LabelledPoints
 from ogm.scan import Boxes, Mount, Scan
-from ogm.truth import Kind, Truth
+from ogm.state import Truth
+from ogm.truth import Kind
 
 __all__ = ["EGO", "KITTI_EGO", "Footprint", "FrameRef", "HdMap", "Layout", "RawFrame", "kinds_of"]
 

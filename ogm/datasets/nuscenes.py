@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.datasets.paths import scan_name
 from ogm.io import NuScenes, estimate_sensor_height, read_mmdet3d, read_nuscenes, read_scan
@@ -43,6 +42,6 @@ def _layout(content: NuScenes, name: str) -> Layout:
         tuple(FrameRef(scan_name(one.path), one.scene, one.stamp, one.T_map_sensor) for one in frames),
         read,
         "boxes of nuScenes (sample_annotation.json, instance.json, category.json)",
-        (lambda n: as_boxes(content.objects(n))) if content.annotated else None,
+        content.boxes if content.annotated else None,
         sensor_height=height,
     )

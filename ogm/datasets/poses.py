@@ -54,7 +54,7 @@ def with_poses(
     ValueError
         If nothing tells which pose belongs to which scan, or the data set states its poses itself.
     """
-    layout = dataset.reader.layout
+    layout = dataset.layout
     if layout.mount is not None:
         raise ValueError(
             f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)"
