@@ -65,5 +65,6 @@ def argoverse2(path: Path) -> Layout | None:
         None if log.map is None else hd_map,
         view="seen from the upper lidar",
         sensor_height=height,
+        stamped=True,
         motion_distorted=False,
     )

@@ -36,6 +36,7 @@ _LAYOUTS = (
     *(nuscenes, mmdet3d, argoverse2, sustech),
     *(kitti_object, kitti_tracking, kitti_odometry, kitti_raw, range_images),
 )
+_OTHERS = ("all", "later")
 _KNOWN = (
     "KITTI object (velodyne/ label_2/ calib/), tracking (velodyne/0000/ label_02/ calib/), raw drives "
     "(velodyne_points/data/ or scans, label_02*.txt, calib*.txt) and odometry (velodyne/ poses.txt calib.txt); "
@@ -178,7 +179,7 @@ class Dataset(Sequence[Frame]):
             place = (float(stamp), T) if known else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
         layout = replace(self.layout, frames=tuple(frames))
-        return Dataset(layout, self._options, self._numbers, self._more_facts | facts, trajectory)
+        return Dataset(layout, self._options, self._numbers, {**self._more_facts, **facts}, trajectory)
 
 
 def open_dataset(
@@ -252,6 +253,8 @@ def open_dataset(
 
 def _opened(options: Mapping[str, Any]) -> Layout:
     """Return the layout of a data set by the options of `open_dataset`."""
+    if options["others"] not in _OTHERS:
+        raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {options['others']!r}")
     paths = [Path(one) for one in options["path"]]
     reading = {name: options[name] for name in ("axes", "intensity_max", "time_unit")}
     layout = _layout(paths, options["split"], options["others"], options["spec"], reading)

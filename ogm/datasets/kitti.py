@@ -124,6 +124,7 @@ def kitti_raw(path: Path) -> Layout | None:
         (lambda n: tracks().get(int(names[n]), Boxes.empty())) if labels else None,
         ego_footprint=KITTI_EGO,
         view=FRONT if labels else "",
+        stamped=stamps is not None,
     )
 
 
@@ -176,4 +177,13 @@ def kitti_odometry(path: Path) -> Layout | None:
         return RawFrame(Scan(found.points), kinds_of(found), moving)
 
     name = "SemanticKITTI" if labelled else "KITTI odometry"
-    return Layout(name, tuple(frames), read, _CLASSES, classes=bool(labelled), ego_footprint=KITTI_EGO)
+    stamped = all((folder / "times.txt").is_file() for folder in folders)
+    return Layout(
+        name,
+        tuple(frames),
+        read,
+        _CLASSES,
+        classes=bool(labelled),
+        ego_footprint=KITTI_EGO,
+        stamped=stamped,
+    )

@@ -49,7 +49,7 @@ class HdMap(NamedTuple):
     """A map around one scan, in its sensor's frame."""
 
     outlines: list[NDArray[np.float64]]  # (N, 2) each: drivable areas
-    ground: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (N, 3) -> (N,) z of the ground, NaN: unknown
+    ground: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (N, 3) -> (N,) z of the ground or NaN
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,8 @@ class Layout:
         Where the data set holds the truth itself; made of labels and scans otherwise.
     description : str
         What that truth is made of.
+    stamped : bool
+        Whether the stamps of the frames are stated, not counted from their names at 10 Hz.
     axes : Axes
         Which way the axes of the files point.
     known_axes : bool
@@ -107,6 +109,7 @@ class Layout:
     mount: Callable[[int], Mount] | None = None
     truth: Callable[[int], Truth] | None = None
     description: str = ""
+    stamped: bool = False
     axes: Axes = "flu"
     known_axes: bool = True
     motion_distorted: bool = True

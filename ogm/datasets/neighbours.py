@@ -167,7 +167,7 @@ def find_ground(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
 
     ground = low[tuple(distance_transform_edt(np.isnan(low), return_distances=False, return_indices=True))]
     usual = median_filter(ground, _MEDIAN)
-    ground = np.maximum(ground, usual - _PIT)
+    ground = np.where(ground < usual - _PIT, usual, ground)
     steps = np.arange(-_RADIUS, _RADIUS + 1)
     cone = -_SLOPE * _SQUARE * np.hypot(*np.meshgrid(steps, steps))
     ceiling = grey_erosion(ground, structure=cone) + _STEP  # how high ground may lie by the squares around

@@ -44,4 +44,5 @@ def _layout(content: NuScenes, name: str) -> Layout:
         "boxes of nuScenes (sample_annotation.json, instance.json, category.json)",
         content.boxes if content.annotated else None,
         sensor_height=height,
+        stamped=True,
     )

@@ -41,9 +41,7 @@ class FrameReader:
         self.layout, self.path = layout, path
         self._given_height, self.sensor_position = sensor_height, sensor_position
         if layout.mount is not None and sensor_height is not None:
-            raise ValueError(
-                f"{path} states its sensor's height; leave out sensor_height (--sensor-height)"
-            )
+            raise ValueError(f"{path} states its sensor's height; leave out sensor_height (--sensor-height)")
         if sensor_position is not None and (layout.mount is not None or layout.known_axes):
             raise ValueError(
                 f"the points of {path} ({layout.format}) are in the sensor's frame; leave out sensor_position"
@@ -94,7 +92,9 @@ class FrameReader:
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
-        height = float(np.median(heights)) + (0.0 if self.sensor_position is None else self.sensor_position[2])
+        height = float(np.median(heights)) + (
+            0.0 if self.sensor_position is None else self.sensor_position[2]
+        )
         if not _PLAUSIBLE[0] <= height <= _PLAUSIBLE[1]:
             raise ValueError(
                 f"the sensor height of {group} in {self.path}, {height:.2f} m, estimated from its scans, is not "

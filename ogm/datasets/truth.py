@@ -34,7 +34,6 @@ from ogm.truth import (
 __all__ = ["SOURCES", "RecordedTruth"]
 
 SOURCES = ("boxes", "classes", "map", "aggregated")
-_OTHERS = ("all", "later")
 _ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
 _AT_MOVING_POINTS = 0.3  # [m] around points whose class tells that they move, neighbours do not decide
 _FEW = 3  # neighbouring scans, below which one is enough to know a cell; else two must agree
@@ -62,8 +61,6 @@ class RecordedTruth:
     """
 
     def __init__(self, reader: FrameReader, wanted: Sequence[str] = (), others: str = "all") -> None:
-        if others not in _OTHERS:
-            raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {others!r}")
         unknown = [one for one in wanted if one not in SOURCES]
         if unknown:
             raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
@@ -159,7 +156,9 @@ class RecordedTruth:
         hd_map, raw = self.layout.hd_map(n), self.reader.raw(n)
         low = -self.reader.height(n)
         x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
-        ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
+        ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(
+            x.shape
+        )
         points = raw.scan.points if raw.all_points is None else raw.all_points
         below = hd_map.ground(points[:, :3].astype(np.float64))
         road = free_road(
@@ -179,9 +178,7 @@ class RecordedTruth:
         nothing = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, np.uint8(CellState.IGNORE)))
         if frame.T_map_sensor is None:
             return nothing
-        members = [
-            k for k in self.reader.groups[frame.sequence] if layout.frames[k].T_map_sensor is not None
-        ]
+        members = [k for k in self.reader.groups[frame.sequence] if layout.frames[k].T_map_sensor is not None]
         poses = np.array([layout.frames[k].T_map_sensor for k in members])
         stamps = np.array([layout.frames[k].stamp for k in members], np.float64)
         T_here_other = inverse(frame.T_map_sensor) @ poses

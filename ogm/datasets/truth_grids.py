@@ -14,9 +14,9 @@ __all__ = ["grid_files", "truth_grids"]
 
 
 def grid_files(folder: Path) -> dict[str, Path]:
-    """Return the grids of a folder by the names of their frames."""
+    """Return the grids of a folder by the names of their frames; none where it is no folder."""
     found: dict[str, Path] = {}
-    for file in sorted(folder.iterdir()):
+    for file in sorted(folder.iterdir()) if folder.is_dir() else []:
         if file.suffix.lower() in GRID_ENDINGS and file.is_file():
             if file.stem in found:
                 raise ValueError(
@@ -35,28 +35,26 @@ def truth_grids(folder: Path, spec: GridSpec) -> Layout | None:
     spec : GridSpec
         The cells of states and pictures, which do not state it, and those that masses must fit.
     """
-    files = grid_files(folder) if folder.is_dir() else {}
-    if not files:
-        return None
+    files = grid_files(folder)
     paths = tuple(files.values())
 
-    def read(k: int) -> NoReturn:
+    def refuse(k: int) -> NoReturn:
         raise ValueError(
-            f"{folder} holds grids of truth, no scans: compare it with grids (--grids FOLDER), or give a data set that "
-            "has scans"
+            f"{folder} holds grids of truth, no scans: compare them with grids (--grids FOLDER), or give a data set "
+            "that has scans"
         )
 
-    return Layout(
+    return None if not files else Layout(
         "truth grids",
         tuple(FrameRef(name) for name in files),
-        read,
-        mount=read,
+        refuse,
+        mount=refuse,
         truth=lambda k: _truth(paths[k], spec),
         description="Grids of a folder: a cell has the state with most mass, unknown included; where pictures show "
         "none, it is unknown.",
         facts={"files": len(files)},
         files=paths,
-    )
+    )  # fmt: skip
 
 
 def _truth(path: Path, spec: GridSpec) -> Truth:
@@ -69,30 +67,19 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
             state = np.load(path, mmap_mode="r", allow_pickle=False)
         except (ValueError, EOFError, OverflowError) as error:
             raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
-        if (
-            state.dtype != np.uint8
-            or state.shape != spec.shape
-            or (state.size and state.max() > CellState.IGNORE)
-        ):
+        if state.dtype != np.uint8 or state.shape != spec.shape or state.max(initial=0) > CellState.IGNORE:
             raise ValueError(
                 f"{path} must hold states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}, got "
                 f"{state.dtype} {state.shape}"
             )
         return Truth(spec, np.array(state))
     grid = read_grid(path, spec)
-    if not _fit(grid.spec, spec):
+    ratio = grid.spec.resolution / spec.resolution
+    places = np.array([ratio, *(np.array(grid.spec.origin) - spec.origin) / spec.resolution])
+    if round(ratio) < 1 or not np.allclose(places, np.rint(places), rtol=0, atol=1e-3):
         raise ValueError(
             f"{path} has cells of {grid.spec.resolution:g} m from x {grid.spec.origin[0]:g}, y "
             f"{grid.spec.origin[1]:g} m on, but wanted are cells of {spec.resolution:g} m from x {spec.origin[0]:g}, "
             f"y {spec.origin[1]:g} m on; a truth is not resampled: save it on those, or on whole multiples of them"
         )
     return Truth(grid.spec, predict_state(grid.mass))
-
-
-def _fit(cells: GridSpec, spec: GridSpec) -> bool:
-    """Tell whether each cell of `spec` lies in one cell of others, or outside of them all."""
-    ratio = cells.resolution / spec.resolution
-    steps = (np.array(cells.origin) - spec.origin) / spec.resolution
-    return round(ratio) >= 1 and bool(
-        np.allclose([ratio, *steps], np.rint([ratio, *steps]), rtol=0, atol=1e-3)
-    )
