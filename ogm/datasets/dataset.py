@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ogm.datasets.argoverse2 import argoverse2
 from ogm.datasets.kitti import kitti_object, kitti_odometry, kitti_raw, kitti_tracking
 from ogm.datasets.layout import FrameRef, Layout
 from ogm.datasets.nuscenes import mmdet3d, nuscenes
+from ogm.datasets.paths import SCAN_ENDINGS
 from ogm.datasets.range_images import range_images
 from ogm.datasets.reader import FrameReader
 from ogm.datasets.scans import scans
@@ -124,18 +125,13 @@ class Dataset(Sequence[Frame]):
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopened, (
-            self._options,
-            self.layout.frames,
-            self._numbers,
-            self._more_facts,
-            self.trajectory,
-        )
+        more = self._numbers, self._more_facts, self.trajectory
+        return _reopened, (self._options, self.layout.frames, *more)
 
-    def select(self, numbers: ArrayLike | Iterable[int]) -> "Dataset":
+    def select(self, numbers: Iterable[int]) -> "Dataset":
         """Return the data set of some frames, by their numbers in this one; they share what was read."""
         chosen = copy.copy(self)
-        chosen._numbers = tuple(self._numbers[int(n)] for n in np.asarray(numbers).ravel())
+        chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
         return chosen
 
     @property
@@ -172,11 +168,11 @@ class Dataset(Sequence[Frame]):
         trajectory : Trajectory
         """
         frames = [one._replace(T_map_sensor=None) for one in self.layout.frames]
-        names = {ref.sequence for ref in self.refs}
-        sequence = names.pop() if len(names) == 1 and "" not in names else self.name
-        for k, stamp, T in zip(self._numbers, stamps, poses, strict=True):
-            known = bool(np.isfinite(stamp) and np.isfinite(T).all())
-            place = (float(stamp), T) if known else (None, None)
+        names = list({ref.sequence for ref in self.refs})
+        sequence = (names[0] if len(names) == 1 else "") or self.name
+        known = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
+        for n, k in enumerate(self._numbers):
+            place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
         layout = replace(self.layout, frames=tuple(frames))
         return Dataset(layout, self._options, self._numbers, {**self._more_facts, **facts}, trajectory)
@@ -258,6 +254,12 @@ def _opened(options: Mapping[str, Any]) -> Layout:
     paths = [Path(one) for one in options["path"]]
     reading = {name: options[name] for name in ("axes", "intensity_max", "time_unit")}
     layout = _layout(paths, options["split"], options["others"], options["spec"], reading)
+    if layout is None:
+        grids = "it holds grids: give spec, their cells, to open them"
+        raise ValueError(
+            f"{paths[0]} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
+            + (grids if grid_files(paths[0]) else f"known are: {_KNOWN}")
+        )
     turned = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
     if layout.known_axes and (turned or options["intensity_max"] or options["time_unit"]):
         raise ValueError(
@@ -273,42 +275,27 @@ def _opened(options: Mapping[str, Any]) -> Layout:
 
 def _layout(
     paths: Sequence[Path], split: str | None, others: str, spec: GridSpec | None, reading: Mapping[str, Any]
-) -> Layout:
+) -> Layout | None:
     """Return what the first layout that knows the paths makes of them."""
-    if len(paths) > 1:
-        return scans(paths, **reading)
-    (path,) = paths
-    if not path.exists():
+    path = paths[0]
+    if len(paths) == 1 and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
-    if (path / "zarr.json").exists():
+    if len(paths) == 1 and (path / "zarr.json").exists():
         return simulated(path, split, others)
     if split is not None:
         raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
-    grids = spec is not None and path.is_dir() and bool(grid_files(path))
+    if len(paths) > 1:
+        return scans(paths, **reading)
+    grids = {} if spec is None else grid_files(path)
     try:
         layout = next((one for find in _LAYOUTS if (one := find(path)) is not None), None)
     except ValueError:
-        if not grids:
+        if not grids:  # else arrays that state nothing of themselves, or a damaged recording
             raise
-        layout = None  # arrays that state nothing of themselves
-    if layout is None and spec is not None and grids:
-        layout = truth_grids(path, spec)
+        layout = None
     if layout is not None:
         return layout
-    if path.is_dir() and grid_files(path) and not any(_is_scan(one) for one in path.iterdir()):
-        raise ValueError(f"{path} holds grids; give spec, the cells of the truth, to open them as such")
-    try:
-        return scans(paths, **reading)
-    except ValueError as error:
-        if "holds no scans" not in str(error):
-            raise
-        raise ValueError(f"{path} is no data set that is known, and {error}. Known are: {_KNOWN}") from error
-
-
-def _is_scan(path: Path) -> bool:
-    from ogm.datasets.paths import ending_of
-
-    return bool(ending_of(path))
+    return truth_grids(path, spec) if spec is not None and grids else scans(paths, **reading)
 
 
 def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:

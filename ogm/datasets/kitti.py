@@ -104,10 +104,10 @@ def kitti_raw(path: Path) -> Layout | None:
     stamps = None
     if (raw / "timestamps.txt").is_file():
         times = read_kitti_stamps(raw / "timestamps.txt")
-        strange = [name for name in names if not name.isdigit() or int(name) >= len(times)]
-        if strange:
+        beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
+        if beyond:
             raise ValueError(
-                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {strange[-1]}: wanted a line for "
+                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for "
                 "every scan from 0 on"
             )
         stamps = times[[int(name) for name in names]]

@@ -23,8 +23,11 @@ KITTI_EGO: Footprint = (-2.6, 2.6, -1.7, 1.7)  # with the mirrors and what else 
 
 # Classes by what they mean to a car, under the names of all data sets. What is not here is an obstacle.
 _GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain", "lane-marking")
-_PLANTS = ("vegetation",)
-_OTHER = ("unlabeled", "outlier", "none")
+_KINDS = {
+    **dict.fromkeys(_GROUND, Kind.GROUND),
+    "vegetation": Kind.PLANT,
+    **dict.fromkeys(("unlabeled", "outlier", "none"), Kind.OTHER),
+}
 
 
 class FrameRef(NamedTuple):
@@ -120,11 +123,7 @@ class Layout:
 
 def kinds_of(labelled: LabelledPoints) -> NDArray[np.uint8]:
     """Return what each point is to a car, (N,), by the name of its class."""
-    names = sorted(set(labelled.names.values()))
-    kind = {one: Kind.OBSTACLE for one in names}
-    for group, value in ((_GROUND, Kind.GROUND), (_PLANTS, Kind.PLANT), (_OTHER, Kind.OTHER)):
-        kind |= {one: value for one in group}
     table = np.full(max(labelled.names) + 1, Kind.OTHER, np.uint8)
     for number, name in labelled.names.items():
-        table[number] = kind[name]
+        table[number] = _KINDS.get(name, Kind.OBSTACLE)
     return table[labelled.classes]

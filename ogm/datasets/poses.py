@@ -153,7 +153,8 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
     rows = np.full(count, -1)
     if numbers is not None and poses.numbers is not None:
         how = "by frame number"
-        rows = _rows(numbers, poses.numbers)
+        row = {int(number): k for k, number in enumerate(poses.numbers)}
+        rows = np.array([row.get(int(number), -1) for number in numbers])
         if (rows < 0).all():
             raise ValueError(
                 f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
@@ -213,13 +214,6 @@ def _placed(
     T_points_sensor = np.eye(4) if position is None else pose(*position)
     trajectory = Trajectory(known.stamps, known.poses @ T_points_sensor)
     return dataset.placed(stamps, poses @ T_points_sensor, {"poses": how}, trajectory)
-
-
-def _rows(wanted: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where each number stands among others, -1 where it does not."""
-    order = np.argsort(given, kind="stable")
-    place = np.clip(np.searchsorted(given[order], wanted), 0, len(given) - 1)
-    return np.where(given[order][place] == wanted, order[place], -1)
 
 
 def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:

@@ -92,9 +92,7 @@ class FrameReader:
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
-        height = float(np.median(heights)) + (
-            0.0 if self.sensor_position is None else self.sensor_position[2]
-        )
+        height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
         if not _PLAUSIBLE[0] <= height <= _PLAUSIBLE[1]:
             raise ValueError(
                 f"the sensor height of {group} in {self.path}, {height:.2f} m, estimated from its scans, is not "

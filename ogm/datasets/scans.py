@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame
 from ogm.datasets.paths import (  # fmt: skip
-    SCAN_ENDINGS,
     clock_stamps,
     ending_of,
     in_order,
@@ -34,8 +33,8 @@ def scans(
     axes: Axes = "flu",
     intensity_max: float | None = None,
     time_unit: float | None = None,
-) -> Layout:
-    """Line up scans: files, or one folder of them, which may hold poses.
+) -> Layout | None:
+    """Line up scans: files, or one folder of them, which may hold poses; None where it holds no scans.
 
     Parameters
     ----------
@@ -49,13 +48,15 @@ def scans(
     FileNotFoundError
         If none of the files exists.
     ValueError
-        If there is a folder beside files, it holds no scans, or several formats.
+        If there is a folder beside files, or it holds several formats.
     """
     rotation_to_flu(axes)  # refuses what are none, before any scan is read
     folder = next((path for path in paths if path.is_dir()), None)
     if folder is not None and len(paths) > 1:
         raise ValueError(f"{folder} is a folder; give one folder alone, or files")
     files = in_order(paths if folder is None else _files_in(folder))
+    if not files:
+        return None
     if not any(path.exists() for path in files):
         raise FileNotFoundError(f"there is no file or folder {files[0]}")
     names = [scan_name(path) for path in files]
@@ -105,12 +106,8 @@ def _files_in(folder: Path) -> list[Path]:
         for path in place.iterdir() if place.is_dir() and not formats else ():
             if path.is_file() and not path.name.startswith(".") and (ending := ending_of(path)):
                 formats.setdefault(ending, []).append(path)
-    if not formats:
-        raise ValueError(
-            f"{folder} holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); give the folder that does"
-        )
     if len(formats) > 1:
         raise ValueError(
             f"{folder} holds scans of several formats ({', '.join(formats)}); give the files of one"
         )
-    return next(iter(formats.values()))
+    return next(iter(formats.values()), [])

@@ -98,17 +98,12 @@ class RecordedTruth:
         if not self.sources:
             return ""
         layout = self.layout
+        which = "later" if self._later else "other"
         labelled = layout.boxes is not None or layout.classes
-        words = {
-            "which": "later" if self._later else "other",
-            "movers": "labelled objects that move taken out" if labelled else "without labels of what moves",
-            "ground": "labelled ground"
-            if layout.classes
-            else "the map's ground"
-            if layout.hd_map is not None
-            else "the lowest returns per square metre",
-        }
-        parts = [_DESCRIPTIONS[one].format(**words) for one in self.sources]
+        movers = "labelled objects that move taken out" if labelled else "without labels of what moves"
+        ground = "the lowest returns per square metre" if layout.hd_map is None else "the map's ground"
+        ground = "labelled ground" if layout.classes else ground
+        parts = [_DESCRIPTIONS[one].format(which=which, movers=movers, ground=ground) for one in self.sources]
         end = "ignored: everything else, and where these contradict each other (boxes win)"
         view = f" ({layout.view})" if layout.view else ""
         return f"{layout.format}{view}; {'; '.join(parts)}; {end}."
@@ -206,7 +201,7 @@ class RecordedTruth:
         )
         if here.moving is not None and here.moving.any():
             truth = ignore_cells(truth, _near(here.scan.points[here.moving]))
-        # Where the ego vehicle was, at any time, nothing stands that stays: somebody followed it
+        # No static object stands where the ego vehicle was at any time: another road user followed it
         return ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
 
     def _find_moving(self, sequence: str) -> frozenset[str]:

@@ -26,8 +26,8 @@ def grid_files(folder: Path) -> dict[str, Path]:
     return found
 
 
-def truth_grids(folder: Path, spec: GridSpec) -> Layout | None:
-    """Find grids in a folder.
+def truth_grids(folder: Path, spec: GridSpec) -> Layout:
+    """Line up the grids of a folder.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def truth_grids(folder: Path, spec: GridSpec) -> Layout | None:
             "that has scans"
         )
 
-    return None if not files else Layout(
+    return Layout(
         "truth grids",
         tuple(FrameRef(name) for name in files),
         refuse,
@@ -54,7 +54,7 @@ def truth_grids(folder: Path, spec: GridSpec) -> Layout | None:
         "none, it is unknown.",
         facts={"files": len(files)},
         files=paths,
-    )  # fmt: skip
+    )
 
 
 def _truth(path: Path, spec: GridSpec) -> Truth:

@@ -131,7 +131,7 @@ def test_boxes_are_filled_to_their_edges(written, street, name):
 
 
 def test_moving_cars_leave_no_trail(written):
-    """Nor do cars that nobody can follow, as in mmdetection3d's info, or whose points are labelled as moving."""
+    """Nor do cars without tracks, as in mmdetection3d's info, or whose points are labelled as moving."""
     for name in ("kitti raw", "semantic kitti", "mmdet3d"):
         truth = open_dataset(written(name), truth=("aggregated",))[0].truth
         x = np.arange(6.4, 10.0, 0.16)  # where it drives from scan 1 to scan 3

@@ -21,7 +21,7 @@ from ogm.truth import TRUTH_SPEC, cells_in_boxes
 
 FREE, OCCUPIED, IGNORE = CellState.FREE, CellState.OCCUPIED, CellState.IGNORE
 
-opened = lru_cache(None)(open_dataset)  # what several tests look at is read once
+opened = lru_cache(None)(open_dataset)  # what several tests use is read once
 
 RECORDINGS = {  # frames, sources, sensor height [m], shares of free and occupied cells of frame 0: least and most
     "kitti_object": (3, ("boxes",), 1.73, (0, 0), (0, 0.01)),
@@ -48,8 +48,8 @@ def test_a_dataset_opens_by_its_path_and_its_truth_is_plausible(real, name):
     assert frame.truth.state[TRUTH_SPEC.index(0.0, 0.0)] == IGNORE
 
 
-def test_the_drive_0005_says_what_its_labels_say(real):
-    """Judged by later scans alone, to read few of them: frame 80 of 60 to 83."""
+def test_the_truth_of_drive_0005_is_that_of_its_labels(real):
+    """With truth of later scans alone, to read few of them: frame 80 of 60 to 83."""
     folder = real("kitti_raw_0005")
     dataset = opened(folder, others="later")
     assert len(dataset) == 24
@@ -130,7 +130,7 @@ def test_kittis_own_layout_of_a_drive_gives_the_same_truth(real, tmp_path):
     assert (one.scan.points == other.scan.points).all()
     assert (one.boxes.center == other.boxes.center).all()
     np.testing.assert_allclose(one.T_map_sensor, other.T_map_sensor)
-    agree = one.truth.state == other.truth.state  # which objects move is told from fewer scans here
+    agree = one.truth.state == other.truth.state  # moving objects follow from fewer scans here
     assert agree.mean() > 0.99
 
 

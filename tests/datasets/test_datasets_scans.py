@@ -161,7 +161,7 @@ def test_grids_need_the_cells_that_they_show(grids: tuple[Path, Truth]) -> None:
     folder, _ = grids
     for name in ("b.npy", "c.npz"):
         (folder / name).unlink()
-    with pytest.raises(ValueError, match="holds grids; give spec"):
+    with pytest.raises(ValueError, match="it holds grids: give spec"):
         open_dataset(folder)
     with pytest.raises(ValueError, match=r"truth .* is for recordings"):
         open_dataset(folder, spec=SPEC, truth="boxes")
