@@ -23,6 +23,7 @@ from ogm.datasets.simulated import simulated
 from ogm.datasets.sustech import sustech
 from ogm.datasets.truth import RecordedTruth
 from ogm.datasets.truth_grids import grid_files, truth_grids
+from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
@@ -60,7 +61,7 @@ class Dataset(Sequence[Frame]):
         What it is, in words.
     description : str
         What the truth is made of, in one sentence; it states "this scan" where the frame's own scan is used. ""
-        where there is no truth: asking a frame for it then raises a ValueError with the way out.
+        where there is no truth: asking a frame for it then raises an error with the way out.
     facts : dict
         What else there is to know, as JSON can hold it.
     files : tuple of Path
@@ -256,7 +257,7 @@ def _opened(options: Mapping[str, Any]) -> Layout:
     layout = _layout(paths, options["split"], options["others"], options["spec"], reading)
     if layout is None:
         grids = "it holds grids: give spec, their cells, to open them"
-        raise ValueError(
+        raise OgmError(
             f"{paths[0]} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
             + (grids if grid_files(paths[0]) else f"known are: {_KNOWN}")
         )

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.datasets.paths import scan_name
+from ogm.files import OgmError
 from ogm.io import NuScenes, estimate_sensor_height, read_mmdet3d, read_nuscenes, read_scan
 
 __all__ = ["mmdet3d", "nuscenes"]
@@ -23,7 +24,7 @@ def mmdet3d(path: Path) -> Layout | None:
     if not files or not (path.suffix == ".json" or sorted(path.glob("*.pcd.bin"))):
         return None
     if len(files) > 1:
-        raise ValueError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
+        raise OgmError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
     return _layout(read_mmdet3d(files[0]), "nuScenes (mmdetection3d's info)")
 
 

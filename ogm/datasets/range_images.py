@@ -4,6 +4,7 @@ from pathlib import Path
 
 from ogm.datasets.layout import EGO, KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import ending_of, scan_name
+from ogm.files import OgmError
 from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI_TRAINING, read_range_image
 from ogm.io.documents import read_array
 from ogm.io.source import read_bytes
@@ -25,7 +26,7 @@ def range_images(path: Path) -> Layout | None:
         return None
     folder = path.resolve() if path.is_dir() else path.resolve().parent
     if folder.name not in _KNOWN:
-        raise ValueError(
+        raise OgmError(
             f"{path} may hold labelled range images, but nothing in them tells what their classes mean and which way "
             f"their axes point: wanted a folder named {' or '.join(_KNOWN)}, after their data set, got {folder.name}"
         )

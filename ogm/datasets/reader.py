@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import Footprint, Layout, RawFrame
+from ogm.files import OgmError
 from ogm.io import estimate_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
@@ -88,13 +89,13 @@ class FrameReader:
                 failed = f" ({error})"
         heights = [one for one in found if one is not None]
         if not heights:
-            raise ValueError(
+            raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
         height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
         if not _PLAUSIBLE[0] <= height <= _PLAUSIBLE[1]:
-            raise ValueError(
+            raise OgmError(
                 f"the sensor height of {group} in {self.path}, {height:.2f} m, estimated from its scans, is not "
                 f"plausible ({_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} m): if the points are in the vehicle's frame, give "
                 "sensor_position x y z (--sensor-position); if not, give sensor_height [m] (--sensor-height), and "

@@ -18,6 +18,7 @@ from ogm.datasets.paths import (  # fmt: skip
     scan_name,
     sequence_of,
 )
+from ogm.files import OgmError
 from ogm.io import Axes, read_scan
 from ogm.io.axes import rotation_to_flu
 
@@ -63,7 +64,7 @@ def scans(
     if len(set(names)) < len(names):
         if folder is not None:
             double = next(name for name in names if names.count(name) > 1)
-            raise ValueError(f"{folder} holds {double} twice; give the files one by one")
+            raise OgmError(f"{folder} holds {double} twice; give the files one by one")
         files, names = list(paths), [str(path) for path in paths]
     place = files[0].resolve().parent if folder is None else folder.resolve()
     poses: Sequence[NDArray[np.float64] | None] = [None] * len(files)
@@ -107,7 +108,7 @@ def _files_in(folder: Path) -> list[Path]:
             if path.is_file() and not path.name.startswith(".") and (ending := ending_of(path)):
                 formats.setdefault(ending, []).append(path)
     if len(formats) > 1:
-        raise ValueError(
+        raise OgmError(
             f"{folder} holds scans of several formats ({', '.join(formats)}); give the files of one"
         )
     return next(iter(formats.values()), [])

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
+from ogm.files import OgmError
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE
 from ogm.simulation.sample import LABELS, Sample
@@ -46,7 +47,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     found = {name: store[name].finished for name in store.counts if split is None or _is(name, split)}
     name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
     if name is None:
-        raise ValueError(_no_sample(store, path, split))
+        raise OgmError(_no_sample(store, path, split))
     part, numbers = store[name], found[name]
     facts = part.facts[numbers]
     poses, mounts = (_poses(facts, f"T_{one}_00") for one in ("world_sensor", "vehicle_sensor"))

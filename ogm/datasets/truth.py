@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ogm.datasets.layout import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.reader import FrameReader
+from ogm.files import OgmError
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
@@ -81,11 +82,11 @@ class RecordedTruth:
 
         Raises
         ------
-        ValueError
+        OgmError
             If the data set has no labels and no poses.
         """
         if not self.sources:
-            raise ValueError(
+            raise OgmError(
                 f"{self.reader.path} ({self.layout.format}) has nothing to make truth of; looked for: "
                 f"{self.layout.labels}. add them, or give a folder that has them; poses of the scans are enough for "
                 "aggregated truth"

@@ -6,6 +6,7 @@ from typing import NoReturn
 import numpy as np
 
 from ogm.datasets.layout import FrameRef, Layout
+from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io.grids import GRID_ENDINGS, read_grid
 from ogm.state import CellState, Truth, predict_state
@@ -19,7 +20,7 @@ def grid_files(folder: Path) -> dict[str, Path]:
     for file in sorted(folder.iterdir()) if folder.is_dir() else []:
         if file.suffix.lower() in GRID_ENDINGS and file.is_file():
             if file.stem in found:
-                raise ValueError(
+                raise OgmError(
                     f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}"
                 )
             found[file.stem] = file
@@ -39,7 +40,7 @@ def truth_grids(folder: Path, spec: GridSpec) -> Layout:
     paths = tuple(files.values())
 
     def refuse(k: int) -> NoReturn:
-        raise ValueError(
+        raise OgmError(
             f"{folder} holds grids of truth, no scans: compare them with grids (--grids FOLDER), or give a data set "
             "that has scans"
         )
@@ -66,9 +67,9 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
         try:
             state = np.load(path, mmap_mode="r", allow_pickle=False)
         except (ValueError, EOFError, OverflowError) as error:
-            raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
+            raise OgmError(f"{path} is damaged or no .npy file of numbers: {error}") from error
         if state.dtype != np.uint8 or state.shape != spec.shape or state.max(initial=0) > CellState.IGNORE:
-            raise ValueError(
+            raise OgmError(
                 f"{path} must hold states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}, got "
                 f"{state.dtype} {state.shape}"
             )
@@ -77,7 +78,7 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
     ratio = grid.spec.resolution / spec.resolution
     places = np.array([ratio, *(np.array(grid.spec.origin) - spec.origin) / spec.resolution])
     if round(ratio) < 1 or not np.allclose(places, np.rint(places), rtol=0, atol=1e-3):
-        raise ValueError(
+        raise OgmError(
             f"{path} has cells of {grid.spec.resolution:g} m from x {grid.spec.origin[0]:g}, y "
             f"{grid.spec.origin[1]:g} m on, but wanted are cells of {spec.resolution:g} m from x {spec.origin[0]:g}, "
             f"y {spec.origin[1]:g} m on; a truth is not resampled: save it on those, or on whole multiples of them"
