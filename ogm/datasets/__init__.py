@@ -7,10 +7,10 @@
 """
 
 from ogm.datasets.dataset import Dataset, open_dataset
-from ogm.datasets.labelled import SOURCES
 from ogm.datasets.neighbours import truth_from_neighbours
 from ogm.datasets.paths import frame_numbers
 from ogm.datasets.poses import with_odometry, with_poses
+from ogm.datasets.truth import SOURCES
 
 __all__ = [
     "SOURCES",

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import FrameRef, HdMap, Layout, RawFrame
+from ogm.files import OgmError
 from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
 from ogm.pose import pose
 from ogm.scan import Boxes
@@ -27,7 +27,7 @@ def argoverse2(path: Path) -> Layout | None:
         return None
     log = read_argoverse2(path)
     if "up_lidar" not in log.lidars:
-        raise ValueError(
+        raise OgmError(
             f"{path} does not state where its upper lidar is mounted: wanted calibration/egovehicle_SE3_sensor.feather "
             "with up_lidar; that of another log of the data set will do, for the cars are alike"
         )
@@ -37,18 +37,18 @@ def argoverse2(path: Path) -> Layout | None:
     def read(n: int) -> RawFrame:
         sweep = read_scan(log.sweeps[n], axes="argoverse")
         if sweep.ring is None:
-            raise ValueError(f"{log.sweeps[n]} has no laser_number, which tells the two lidars apart")
+            raise OgmError(f"{log.sweeps[n]} has no laser_number, which tells the two lidars apart")
         every = sweep.points - np.array([*origin, 0], np.float32)
         upper = replace(sweep, points=every).select(sweep.ring < _UPPER)
         return RawFrame(upper, all_points=every)
 
     def boxes(n: int) -> Boxes:
-        return as_boxes(log.objects(n)).moved(pose(*-origin))
+        return log.boxes(n).moved(pose(*-origin))
 
     def hd_map(n: int) -> HdMap:
         city = log.map
         if city is None:
-            raise ValueError(f"{path} has no map")
+            raise OgmError(f"{path} has no map")
         return HdMap(city.outlines(poses[n]), lambda xyz: city.ground(xyz, poses[n]))
 
     def height(n: int) -> float:
@@ -66,5 +66,6 @@ def argoverse2(path: Path) -> Layout | None:
         None if log.map is None else hd_map,
         view="seen from the upper lidar",
         sensor_height=height,
+        stamped=True,
         motion_distorted=False,
     )

@@ -1,30 +1,35 @@
 """Data sets as sequences of frames."""
 
+import copy
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ogm.datasets.argoverse2 import argoverse2
 from ogm.datasets.kitti import kitti_object, kitti_odometry, kitti_raw, kitti_tracking
 from ogm.datasets.layout import FrameRef, Layout
 from ogm.datasets.nuscenes import mmdet3d, nuscenes
+from ogm.datasets.paths import SCAN_ENDINGS
 from ogm.datasets.range_images import range_images
 from ogm.datasets.reader import FrameReader
 from ogm.datasets.scans import scans
 from ogm.datasets.simulated import simulated
 from ogm.datasets.sustech import sustech
+from ogm.datasets.truth import RecordedTruth
 from ogm.datasets.truth_grids import grid_files, truth_grids
+from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.pose import Trajectory
 from ogm.scan import Frame
+from ogm.state import Truth
 
 __all__ = ["Dataset", "open_dataset"]
 
@@ -33,6 +38,7 @@ _LAYOUTS = (
     *(nuscenes, mmdet3d, argoverse2, sustech),
     *(kitti_object, kitti_tracking, kitti_odometry, kitti_raw, range_images),
 )
+_OTHERS = ("all", "later")
 _KNOWN = (
     "KITTI object (velodyne/ label_2/ calib/), tracking (velodyne/0000/ label_02/ calib/), raw drives "
     "(velodyne_points/data/ or scans, label_02*.txt, calib*.txt) and odometry (velodyne/ poses.txt calib.txt); "
@@ -55,7 +61,7 @@ class Dataset(Sequence[Frame]):
         What it is, in words.
     description : str
         What the truth is made of, in one sentence; it states "this scan" where the frame's own scan is used. ""
-        where there is no truth: asking a frame for it then raises a ValueError with the way out.
+        where there is no truth: asking a frame for it then raises an error with the way out.
     facts : dict
         What else there is to know, as JSON can hold it.
     files : tuple of Path
@@ -69,20 +75,26 @@ class Dataset(Sequence[Frame]):
 
     def __init__(
         self,
-        reader: FrameReader,
+        layout: Layout,
         options: Mapping[str, Any],
         numbers: Sequence[int] | None = None,
         facts: Mapping[str, Any] | None = None,
         trajectory: Trajectory | None = None,
     ) -> None:
-        layout = reader.layout
-        self.reader, self._options = reader, dict(options)
+        path = Path(options["path"][0])
+        self.reader = FrameReader(layout, path, options["sensor_height"], options["sensor_position"])
+        self._truth: Callable[[int], Truth]
+        if layout.truth is not None:
+            self._truth, self.description = layout.truth, layout.description
+        else:
+            self._truth = RecordedTruth(self.reader, options["truth"], options["others"])
+            self.description = self._truth.description
+        self.layout, self._options = layout, options
         self._numbers = tuple(range(len(layout.frames)) if numbers is None else numbers)
-        self.name = layout.name or reader.path.name or reader.path.resolve().name or str(reader.path)
-        self.format, self.description = layout.format, reader.description
-        self.files = layout.files or (reader.path,)
-        self.motion_distorted, self.trajectory = layout.motion_distorted, trajectory
-        self._more_facts = dict(facts or {})
+        self._more_facts, self.trajectory = dict(facts or {}), trajectory
+        self.name = layout.name or path.name or path.resolve().name or str(path)
+        self.format, self.motion_distorted = layout.format, layout.motion_distorted
+        self.files = layout.files or (path,)
         stated = layout.facts or {"format": layout.format, "frames": len(layout.frames)}
         self.facts: dict[str, Any] = {**stated, **self._more_facts}
 
@@ -98,12 +110,12 @@ class Dataset(Sequence[Frame]):
         if isinstance(n, slice):
             return self.select(range(*n.indices(len(self))))
         k = self._numbers[n]
-        ref, reader = self.reader.layout.frames[k], self.reader
+        ref, reader = self.layout.frames[k], self.reader
         return Frame(
             partial(reader.scan, k),
             partial(reader.mount, k),
             partial(reader.boxes, k),
-            partial(reader.truth, k),
+            partial(self._truth, k),
             T_map_sensor=ref.T_map_sensor,
             stamp=ref.stamp,
             name=ref.name,
@@ -114,24 +126,19 @@ class Dataset(Sequence[Frame]):
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        arguments = (
-            self._options,
-            self._numbers,
-            self.reader.layout.frames,
-            self._more_facts,
-            self.trajectory,
-        )
-        return _reopened, arguments
+        more = self._numbers, self._more_facts, self.trajectory
+        return _reopened, (self._options, self.layout.frames, *more)
 
-    def select(self, numbers: ArrayLike | Iterable[int]) -> "Dataset":
-        """Return the data set of some frames, by their numbers in this one."""
-        chosen = [self._numbers[int(n)] for n in np.asarray(numbers).ravel()]
-        return Dataset(self.reader, self._options, chosen, self._more_facts, self.trajectory)
+    def select(self, numbers: Iterable[int]) -> "Dataset":
+        """Return the data set of some frames, by their numbers in this one; they share what was read."""
+        chosen = copy.copy(self)
+        chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
+        return chosen
 
     @property
     def refs(self) -> tuple[FrameRef, ...]:
         """Name, sequence, stamp and pose of every frame; no frame is made for it."""
-        return tuple(self.reader.layout.frames[k] for k in self._numbers)
+        return tuple(self.layout.frames[k] for k in self._numbers)
 
     @property
     def sequences(self) -> dict[str, list[int]]:
@@ -147,7 +154,7 @@ class Dataset(Sequence[Frame]):
         stamps: NDArray[np.float64],
         poses: NDArray[np.float64],
         facts: Mapping[str, Any],
-        trajectory: Trajectory | None = None,
+        trajectory: Trajectory,
     ) -> "Dataset":
         """Return the data set with other stamps and poses, as one sequence; NaN where a frame has none.
 
@@ -159,19 +166,17 @@ class Dataset(Sequence[Frame]):
             ``T_map_sensor``.
         facts : dict
             What is added to the facts.
-        trajectory : Trajectory, optional
+        trajectory : Trajectory
         """
-        frames = [one._replace(T_map_sensor=None) for one in self.reader.layout.frames]
-        sequences = {ref.sequence for ref in self.refs}
-        sequence = sequences.pop() if len(sequences) == 1 and "" not in sequences else self.name
-        for k, stamp, T in zip(self._numbers, stamps, poses, strict=True):
-            known = bool(np.isfinite(stamp) and np.isfinite(T).all())
-            frames[k] = FrameRef(
-                frames[k].name, sequence, float(stamp) if known else None, T if known else None
-            )
-        return _with_frames(
-            self._options, tuple(frames), self._numbers, {**self._more_facts, **facts}, trajectory, self.reader
-        )
+        frames = [one._replace(T_map_sensor=None) for one in self.layout.frames]
+        names = list({ref.sequence for ref in self.refs})
+        sequence = (names[0] if len(names) == 1 else "") or self.name
+        known = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
+        for n, k in enumerate(self._numbers):
+            place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
+            frames[k] = FrameRef(frames[k].name, sequence, *place)
+        layout = replace(self.layout, frames=tuple(frames))
+        return Dataset(layout, self._options, self._numbers, {**self._more_facts, **facts}, trajectory)
 
 
 def open_dataset(
@@ -240,64 +245,58 @@ def open_dataset(
         **{"sensor_height": sensor_height, "sensor_position": sensor_position, "split": split},
         **{"truth": (truth,) if isinstance(truth, str) else tuple(truth), "others": others, "spec": spec},
     }
-    return Dataset(_reader(options), options)
+    return Dataset(_opened(options), options)
 
 
-def _reader(options: Mapping[str, Any], frames: tuple[FrameRef, ...] | None = None) -> FrameReader:
-    """Open a data set by the options of `open_dataset`, perhaps with other poses."""
+def _opened(options: Mapping[str, Any]) -> Layout:
+    """Return the layout of a data set by the options of `open_dataset`."""
+    if options["others"] not in _OTHERS:
+        raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {options['others']!r}")
     paths = [Path(one) for one in options["path"]]
-    names = ("axes", "intensity_max", "time_unit")
-    reading = {name: options[name] for name in names}
+    reading = {name: options[name] for name in ("axes", "intensity_max", "time_unit")}
     layout = _layout(paths, options["split"], options["others"], options["spec"], reading)
-    chosen = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
-    if layout.known_axes and (chosen or options["intensity_max"] or options["time_unit"]):
+    if layout is None:
+        grids = "it holds grids: give spec, their cells, to open them"
+        raise OgmError(
+            f"{paths[0]} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
+            + (grids if grid_files(paths[0]) else f"known are: {_KNOWN}")
+        )
+    turned = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
+    if layout.known_axes and (turned or options["intensity_max"] or options["time_unit"]):
         raise ValueError(
             f"{paths[0]} ({layout.format}) has known axes and units; leave out axes, intensity_max and time_unit "
             "(--axes, --intensity-max, --time-unit), or give its scans as files"
         )
-    layout = replace(layout, frames=frames or _named_apart(layout.frames))
-    asked = ("truth", "others", "sensor_height", "sensor_position")
-    return FrameReader(layout, paths[0], **{name: options[name] for name in asked})
+    if layout.truth is not None and options["truth"]:
+        raise ValueError(
+            f"truth (--truth) is for recordings; {paths[0]} ({layout.format}) holds its truth itself: leave it out"
+        )
+    return replace(layout, frames=_named_apart(layout.frames))
 
 
 def _layout(
     paths: Sequence[Path], split: str | None, others: str, spec: GridSpec | None, reading: Mapping[str, Any]
-) -> Layout:
+) -> Layout | None:
     """Return what the first layout that knows the paths makes of them."""
-    if len(paths) > 1:
-        return scans(paths, **reading)
-    (path,) = paths
-    if not path.exists():
+    path = paths[0]
+    if len(paths) == 1 and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
-    if (path / "zarr.json").exists():
+    if len(paths) == 1 and (path / "zarr.json").exists():
         return simulated(path, split, others)
     if split is not None:
         raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
-    grids = spec is not None and path.is_dir() and bool(grid_files(path))
+    if len(paths) > 1:
+        return scans(paths, **reading)
+    grids = {} if spec is None else grid_files(path)
     try:
         layout = next((one for find in _LAYOUTS if (one := find(path)) is not None), None)
     except ValueError:
-        if not grids:
+        if not grids:  # else arrays that state nothing of themselves, or a damaged recording
             raise
-        layout = None  # arrays that state nothing of themselves
-    if layout is None and spec is not None and grids:
-        layout = truth_grids(path, spec)
+        layout = None
     if layout is not None:
         return layout
-    if path.is_dir() and grid_files(path) and not any(_is_scan(one) for one in path.iterdir()):
-        raise ValueError(f"{path} holds grids; give spec, the cells of the truth, to open them as such")
-    try:
-        return scans(paths, **reading)
-    except ValueError as error:
-        if "holds no scans" not in str(error):
-            raise
-        raise ValueError(f"{path} is no data set that is known, and {error}. Known are: {_KNOWN}") from error
-
-
-def _is_scan(path: Path) -> bool:
-    from ogm.datasets.paths import ending_of
-
-    return bool(ending_of(path))
+    return truth_grids(path, spec) if spec is not None and grids else scans(paths, **reading)
 
 
 def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
@@ -309,30 +308,6 @@ def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
     )
 
 
-def _with_frames(
-    options: Mapping[str, Any],
-    frames: tuple[FrameRef, ...],
-    numbers: Sequence[int],
-    facts: Mapping[str, Any],
-    trajectory: Trajectory | None,
-    reader: FrameReader | None = None,
-) -> Dataset:
-    if reader is None:
-        reader = _reader(options, frames)
-    else:
-        asked = ("truth", "others", "sensor_height", "sensor_position")
-        reader = FrameReader(
-            replace(reader.layout, frames=frames), reader.path, **{name: options[name] for name in asked}
-        )
-    return Dataset(reader, options, numbers, facts, trajectory)
-
-
-def _reopened(
-    options: Mapping[str, Any],
-    numbers: Sequence[int],
-    frames: tuple[FrameRef, ...],
-    facts: Mapping[str, Any],
-    trajectory: Trajectory | None,
-) -> Dataset:
-    """Open a pickled data set again."""
-    return _with_frames(options, frames, numbers, facts, trajectory)
+def _reopened(options: Mapping[str, Any], frames: tuple[FrameRef, ...], *more: Any) -> Dataset:
+    """Open a pickled data set again, with its poses."""
+    return Dataset(replace(_opened(options), frames=frames), options, *more)

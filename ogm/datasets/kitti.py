@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
+from ogm.files import OgmError
 from ogm.io import (
     SEMANTIC_KITTI_MOVING,
     read_kitti_calibration,
@@ -38,15 +38,13 @@ def kitti_object(path: Path) -> Layout | None:
     for folder, what in folders if labelled else []:
         for one in scans:
             if not (folder / f"{scan_name(one)}.txt").is_file():
-                raise ValueError(
+                raise OgmError(
                     f"scan {one.name} has no {what} {folder / scan_name(one)}.txt: add it, or move the scan elsewhere"
                 )
 
     def boxes(n: int) -> Boxes:
         name = f"{scan_name(scans[n])}.txt"
-        return as_boxes(
-            read_kitti_objects(path / "label_2" / name, read_kitti_calibration(path / "calib" / name))
-        )
+        return read_kitti_objects(path / "label_2" / name, read_kitti_calibration(path / "calib" / name))
 
     return Layout(
         "KITTI object recordings",
@@ -69,8 +67,7 @@ def kitti_tracking(path: Path) -> Layout | None:
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
-        found = read_kitti_tracks(label, read_kitti_calibration(path / "calib" / label.name))
-        return {number: as_boxes(one) for number, one in found.items()}
+        return read_kitti_tracks(label, read_kitti_calibration(path / "calib" / label.name))
 
     frames: list[FrameRef] = []
     files: list[tuple[Path, Path]] = []
@@ -97,29 +94,26 @@ def kitti_raw(path: Path) -> Layout | None:
     if not scans or not (scans[0].parent != path or labels or sorted(path.glob("calib*.txt"))):
         return None
     if len(labels) > 1:
-        raise ValueError(
+        raise OgmError(
             f"{path} has {len(labels)} files of labels ({labels[0].name}, {labels[1].name} ...), wanted one drive's"
         )
     names = [scan_name(one) for one in scans]
     if labels and not all(name.isdigit() for name in names):
-        raise ValueError(
-            f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}"
-        )
+        raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
     stamps = None
     if (raw / "timestamps.txt").is_file():
         times = read_kitti_stamps(raw / "timestamps.txt")
-        strange = [name for name in names if not name.isdigit() or int(name) >= len(times)]
-        if strange:
-            raise ValueError(
-                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {strange[-1]}: wanted a line for "
+        beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
+        if beyond:
+            raise OgmError(
+                f"{raw / 'timestamps.txt'} has {len(times)} times, too few for scan {beyond[-1]}: wanted a line for "
                 "every scan from 0 on"
             )
         stamps = times[[int(name) for name in names]]
 
     @lru_cache(1)
     def tracks() -> dict[int, Boxes]:
-        found = read_kitti_tracks(labels[0], _calibration(path))
-        return {number: as_boxes(one) for number, one in found.items()}
+        return read_kitti_tracks(labels[0], _calibration(path))
 
     return Layout(
         "KITTI raw drive",
@@ -129,6 +123,7 @@ def kitti_raw(path: Path) -> Layout | None:
         (lambda n: tracks().get(int(names[n]), Boxes.empty())) if labels else None,
         ego_footprint=KITTI_EGO,
         view=FRONT if labels else "",
+        stamped=stamps is not None,
     )
 
 
@@ -140,7 +135,7 @@ def _calibration(path: Path) -> NDArray[np.float64]:
         files = sorted(folder.glob("calib*.txt"))
         if len(files) == 1:
             return read_kitti_calibration(files[0])
-    raise ValueError(
+    raise OgmError(
         f"{path} has boxes but no calibration, without which their places are unknown: wanted one calib*.txt with "
         "Tr_velo_to_cam and R0_rect, or calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or above it"
     )
@@ -161,13 +156,13 @@ def kitti_odometry(path: Path) -> Layout | None:
         T = read_kitti_calibration(calib) if calib.is_file() else None
         times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
         if times is not None and len(times) != len(scans):
-            raise ValueError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
+            raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
         poses = poses_of([*pose_files(folder), more], names, T_camera_sensor=T)
         frames += sequence_of(folder.name, names, poses, times)
         for one in scans:
             label = folder / "labels" / f"{scan_name(one)}.label" if labelled else None
             if label is not None and not label.is_file():
-                raise ValueError(f"scan {one} has no labels {label}: add them, or move the scan elsewhere")
+                raise OgmError(f"scan {one} has no labels {label}: add them, or move the scan elsewhere")
             files.append((one, label))
     if not files:
         return None
@@ -181,4 +176,13 @@ def kitti_odometry(path: Path) -> Layout | None:
         return RawFrame(Scan(found.points), kinds_of(found), moving)
 
     name = "SemanticKITTI" if labelled else "KITTI odometry"
-    return Layout(name, tuple(frames), read, _CLASSES, classes=bool(labelled), ego_footprint=KITTI_EGO)
+    stamped = all((folder / "times.txt").is_file() for folder in folders)
+    return Layout(
+        name,
+        tuple(frames),
+        read,
+        _CLASSES,
+        classes=bool(labelled),
+        ego_footprint=KITTI_EGO,
+        stamped=stamped,
+    )

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from ogm.io import Axes, LabelledPoints
 from ogm.scan import Boxes, Mount, Scan
-from ogm.truth import Kind, Truth
+from ogm.state import Truth
+from ogm.truth import Kind
 
 __all__ = ["EGO", "KITTI_EGO", "Footprint", "FrameRef", "HdMap", "Layout", "RawFrame", "kinds_of"]
 
@@ -22,8 +23,11 @@ KITTI_EGO: Footprint = (-2.6, 2.6, -1.7, 1.7)  # with the mirrors and what else 
 
 # Classes by what they mean to a car, under the names of all data sets. What is not here is an obstacle.
 _GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain", "lane-marking")
-_PLANTS = ("vegetation",)
-_OTHER = ("unlabeled", "outlier", "none")
+_KINDS = {
+    **dict.fromkeys(_GROUND, Kind.GROUND),
+    "vegetation": Kind.PLANT,
+    **dict.fromkeys(("unlabeled", "outlier", "none"), Kind.OTHER),
+}
 
 
 class FrameRef(NamedTuple):
@@ -48,7 +52,7 @@ class HdMap(NamedTuple):
     """A map around one scan, in its sensor's frame."""
 
     outlines: list[NDArray[np.float64]]  # (N, 2) each: drivable areas
-    ground: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (N, 3) -> (N,) z of the ground, NaN: unknown
+    ground: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (N, 3) -> (N,) z of the ground or NaN
 
 
 @dataclass(frozen=True)
@@ -79,6 +83,8 @@ class Layout:
         Where the data set holds the truth itself; made of labels and scans otherwise.
     description : str
         What that truth is made of.
+    stamped : bool
+        Whether the stamps of the frames are stated, not counted from their names at 10 Hz.
     axes : Axes
         Which way the axes of the files point.
     known_axes : bool
@@ -106,6 +112,7 @@ class Layout:
     mount: Callable[[int], Mount] | None = None
     truth: Callable[[int], Truth] | None = None
     description: str = ""
+    stamped: bool = False
     axes: Axes = "flu"
     known_axes: bool = True
     motion_distorted: bool = True
@@ -116,11 +123,7 @@ class Layout:
 
 def kinds_of(labelled: LabelledPoints) -> NDArray[np.uint8]:
     """Return what each point is to a car, (N,), by the name of its class."""
-    names = sorted(set(labelled.names.values()))
-    kind = {one: Kind.OBSTACLE for one in names}
-    for group, value in ((_GROUND, Kind.GROUND), (_PLANTS, Kind.PLANT), (_OTHER, Kind.OTHER)):
-        kind |= {one: value for one in group}
     table = np.full(max(labelled.names) + 1, Kind.OTHER, np.uint8)
     for number, name in labelled.names.items():
-        table[number] = kind[name]
+        table[number] = _KINDS.get(name, Kind.OBSTACLE)
     return table[labelled.classes]

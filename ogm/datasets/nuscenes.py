@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.datasets.paths import scan_name
+from ogm.files import OgmError
 from ogm.io import NuScenes, estimate_sensor_height, read_mmdet3d, read_nuscenes, read_scan
 
 __all__ = ["mmdet3d", "nuscenes"]
@@ -24,7 +24,7 @@ def mmdet3d(path: Path) -> Layout | None:
     if not files or not (path.suffix == ".json" or sorted(path.glob("*.pcd.bin"))):
         return None
     if len(files) > 1:
-        raise ValueError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
+        raise OgmError(f"{path} has {len(files)} files that end in .json, wanted one info file: give it")
     return _layout(read_mmdet3d(files[0]), "nuScenes (mmdetection3d's info)")
 
 
@@ -43,6 +43,7 @@ def _layout(content: NuScenes, name: str) -> Layout:
         tuple(FrameRef(scan_name(one.path), one.scene, one.stamp, one.T_map_sensor) for one in frames),
         read,
         "boxes of nuScenes (sample_annotation.json, instance.json, category.json)",
-        (lambda n: as_boxes(content.objects(n))) if content.annotated else None,
+        content.boxes if content.annotated else None,
         sensor_height=height,
+        stamped=True,
     )

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import FrameRef
+from ogm.files import OgmError
 from ogm.io import Axes, read_poses
 from ogm.io.axes import rotation_to_flu
 
@@ -135,7 +136,7 @@ def poses_of(
     poses = turn @ found.poses @ turn.T
     if found.numbers is None:
         if len(poses) != len(names):
-            raise ValueError(
+            raise OgmError(
                 f"{path} has {len(poses)} poses, but there are {len(names)} scans: wanted as many, or the number of "
                 "the scan at the beginning of each line"
             )

@@ -54,7 +54,7 @@ def with_poses(
     ValueError
         If nothing tells which pose belongs to which scan, or the data set states its poses itself.
     """
-    layout = dataset.reader.layout
+    layout = dataset.layout
     if layout.mount is not None:
         raise ValueError(
             f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)"
@@ -94,7 +94,7 @@ def with_odometry(
     """
     from ogm.fusion import odometry
 
-    clock = None if _have_stamps(dataset) else _stamps(dataset, rate, iter)
+    clock = _clock(dataset, rate)
     stamps = np.full(len(dataset), np.nan)
     taken: list[int] = []
     waiting: deque[NDArray[np.float64] | None] = deque()
@@ -109,7 +109,7 @@ def with_odometry(
             stamp = scan.stamp if clock is None else clock[k]
             distance = np.linalg.norm(scan.points[:, :3], axis=1)
             enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
-            if not enough or stamp is None or (taken and not stamp > stamps[taken[-1]]):
+            if not enough or stamp is None or np.isnan(stamp) or (taken and not stamp > stamps[taken[-1]]):
                 continue
             stamps[k] = stamp
             taken.append(k)
@@ -153,14 +153,15 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
     rows = np.full(count, -1)
     if numbers is not None and poses.numbers is not None:
         how = "by frame number"
-        rows = _rows(numbers, poses.numbers)
+        row = {int(number): k for k, number in enumerate(poses.numbers)}
+        rows = np.array([row.get(int(number), -1) for number in numbers])
         if (rows < 0).all():
             raise ValueError(
                 f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
                 f"{_span(numbers)}"
             )
-    elif poses.stamps is not None and _have_stamps(dataset):
-        return _by_stamp(dataset, poses, source, progress)
+    elif poses.stamps is not None and ((clock := _clock(dataset, 1.0)) is None or dataset.layout.stamped):
+        return _by_stamp(dataset, poses, source, _read_stamps(dataset, progress) if clock is None else clock)
     elif total == count:
         how, rows = "in their order", np.arange(count)
     elif numbers is not None and poses.stamps is None and numbers[-1] < total:
@@ -171,34 +172,33 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
             "poses with frame numbers (KITTI-360) or stamps (TUM) that the scans have too, or --odometry"
         )
     has = rows >= 0
-    placed = np.full((count, 4, 4), np.nan)
+    placed, stamps = np.full((count, 4, 4), np.nan), np.full(count, np.nan)
     placed[has] = poses.poses[rows[has]]
-    if poses.stamps is None:
-        stamps = _stamps(dataset, rate, progress)
-    else:
-        stamps = np.full(count, np.nan)
+    if poses.stamps is not None:
         stamps[has] = poses.stamps[rows[has]]
-    how = f"{_counted(has)}, {total} poses of {source} ({poses.format}), {how}"
+    else:
+        clock = _clock(dataset, rate)
+        stamps = _read_stamps(dataset, progress) if clock is None else clock
     known = np.isfinite(stamps) & has
     t, first = np.unique(stamps[known], return_index=True)
     if not len(t):
         raise ValueError("no scan has both a pose and a time")
+    how = f"{_counted(has)}, {total} poses of {source} ({poses.format}), {how}"
     return _placed(dataset, stamps, placed, how, Trajectory(t, placed[known][first]))
 
 
-def _by_stamp(dataset: Dataset, poses: Poses, source: str, progress: Progress) -> Dataset:
+def _by_stamp(dataset: Dataset, poses: Poses, source: str, stamps: NDArray[np.float64]) -> Dataset:
     known = poses.trajectory()
-    t, stamps = known.stamps, _stamps(dataset, 1.0, progress)
+    t = known.stamps
     with np.errstate(invalid="ignore"):
         inside = (stamps >= t[0]) & (stamps <= t[-1])
     after = np.clip(np.searchsorted(t, stamps), 1, max(len(t) - 1, 1))
     if len(t) > 1:
         inside &= (t[after] - t[after - 1] <= _GAP) | np.isin(stamps, t)
     if not inside.any():
-        spans = f"{_span(t)} s, those of the scans {_span(stamps[np.isfinite(stamps)])} s"
         raise ValueError(
-            f"no scan lies between two poses of {source} that are at most {_GAP:g} s apart: its stamps are {spans}; are "
-            "they of one clock?"
+            f"no scan lies between two poses of {source} that are at most {_GAP:g} s apart: its stamps are {_span(t)} "
+            f"s, those of the scans {_span(stamps[np.isfinite(stamps)])} s; are they of one clock?"
         )
     placed = np.full((len(dataset), 4, 4), np.nan)
     placed[inside] = known.at(stamps[inside])
@@ -216,37 +216,32 @@ def _placed(
     return dataset.placed(stamps, poses @ T_points_sensor, {"poses": how}, trajectory)
 
 
-def _rows(wanted: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return where each number stands among others, -1 where it does not."""
-    order = np.argsort(given, kind="stable")
-    place = np.clip(np.searchsorted(given[order], wanted), 0, len(given) - 1)
-    return np.where(given[order][place] == wanted, order[place], -1)
-
-
-def _have_stamps(dataset: Dataset) -> bool:
-    """Tell whether the scans have stamps: the first that can be read does."""
-    for frame in dataset:
-        try:
-            return frame.scan.stamp is not None
-        except _UNREADABLE:
-            continue
-    return False
-
-
-def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.float64]:
-    """Return when the scans were taken [s]: their own stamps, NaN where one cannot be read; else counted by a rate."""
+def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
+    """Return when the scans were taken [s]: as the data set states, else counted by a rate; None: their scans tell."""
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be above 0 [Hz], got {rate} (--rate)")
-    if not _have_stamps(dataset):
-        numbers = frame_numbers([ref.name for ref in dataset.refs])
-        return (np.arange(len(dataset)) if numbers is None else numbers) / rate
+    refs = dataset.refs
+    if dataset.layout.stamped:
+        return np.array([ref.stamp for ref in refs], np.float64)
+    for frame in dataset:
+        try:
+            if frame.scan.stamp is not None:
+                return None
+            break  # the first that can be read decides
+        except _UNREADABLE:
+            continue
+    numbers = frame_numbers([ref.name for ref in refs])
+    return (np.arange(len(refs)) if numbers is None else numbers) / rate
+
+
+def _read_stamps(dataset: Dataset, progress: Progress) -> NDArray[np.float64]:
+    """Return the stamps of the scans [s], NaN where one cannot be read, or has none."""
     stamps = np.full(len(dataset), np.nan)
     for k in progress(range(len(dataset))):
         try:
-            stamp = dataset[k].scan.stamp
+            stamps[k] = dataset[k].scan.stamp
         except _UNREADABLE:
             continue  # the mapping reports it
-        stamps[k] = np.nan if stamp is None else stamp
     return stamps
 
 

@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from ogm.datasets.layout import EGO, KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import ending_of, scan_name
+from ogm.files import OgmError
 from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI_TRAINING, read_range_image
+from ogm.io.documents import read_array
 from ogm.io.source import read_bytes
 from ogm.scan import Scan
 
@@ -26,7 +26,7 @@ def range_images(path: Path) -> Layout | None:
         return None
     folder = path.resolve() if path.is_dir() else path.resolve().parent
     if folder.name not in _KNOWN:
-        raise ValueError(
+        raise OgmError(
             f"{path} may hold labelled range images, but nothing in them tells what their classes mean and which way "
             f"their axes point: wanted a folder named {' or '.join(_KNOWN)}, after their data set, got {folder.name}"
         )
@@ -49,15 +49,10 @@ def range_images(path: Path) -> Layout | None:
 
 def _is_range_image(path: Path) -> bool:
     """Tell whether an array has the shape of a range image with classes."""
-    import io
-
-    stream = io.BytesIO(read_bytes(path)[0])
     try:
-        version = np.lib.format.read_magic(stream)
-        read_header = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        read_array(
+            read_bytes(path)[0], path, lambda shape, _: len(shape) == 3 and shape[2] == 6, "a range image"
         )
-        shape = read_header(stream)[0]
-    except Exception:  # the header is Python text, which can be wrong in many ways; the reader reports it
+    except ValueError:  # another array, or a damaged one, which its reader reports
         return False
-    return len(shape) == 3 and shape[2] == 6
+    return True

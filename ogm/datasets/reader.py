@@ -1,26 +1,22 @@
-"""Scans, mounts and truth of a data set, read and made when they are asked for, the last ones kept."""
+"""Scans and mounts of a data set, read when they are asked for; the last scans are kept."""
 
-from collections.abc import Iterable
-from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.labelled import SOURCES, LabelledTruth
 from ogm.datasets.layout import Footprint, Layout, RawFrame
+from ogm.files import OgmError
 from ogm.io import estimate_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
-from ogm.state import Truth
 
 __all__ = ["FrameReader"]
 
-_OTHERS = ("all", "later")
 _HEIGHTS = 5  # scans of a sequence whose median is its sensor's height
 _PLAUSIBLE = 0.5, 5.0  # [m] of heights that are estimated
-_SCANS, _TRUTHS = 64, 128  # kept in memory: some 2 MB and 0.4 MB each
+_KEPT = 64  # scans in memory: some 2 MB each
 _UNREADABLE = (ValueError, TypeError, OSError)
 
 
@@ -32,8 +28,6 @@ class FrameReader:
     layout : Layout
     path : Path
         For messages.
-    truth, others
-        As for `ogm.datasets.open_dataset`.
     sensor_height : float, optional
     sensor_position : (x, y, z), optional
     """
@@ -42,43 +36,22 @@ class FrameReader:
         self,
         layout: Layout,
         path: Path,
-        truth: str | Iterable[str] = (),
-        others: str = "all",
         sensor_height: float | None = None,
         sensor_position: tuple[float, float, float] | None = None,
     ) -> None:
         self.layout, self.path = layout, path
         self._given_height, self.sensor_position = sensor_height, sensor_position
         if layout.mount is not None and sensor_height is not None:
-            raise ValueError(
-                f"{path} states its sensor's height; leave out sensor_height (--sensor-height)"
-            )
+            raise ValueError(f"{path} states its sensor's height; leave out sensor_height (--sensor-height)")
         if sensor_position is not None and (layout.mount is not None or layout.known_axes):
             raise ValueError(
                 f"the points of {path} ({layout.format}) are in the sensor's frame; leave out sensor_position"
             )
-        wanted = (truth,) if isinstance(truth, str) else tuple(truth)
-        if others not in _OTHERS:
-            raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {others!r}")
-        unknown = [one for one in wanted if one not in SOURCES]
-        if unknown:
-            raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
-        if layout.truth is not None and wanted:
-            raise ValueError(
-                f"truth (--truth) is for recordings; {path} ({layout.format}) holds its truth itself: leave it out"
-            )
         self.groups: dict[str, list[int]] = {}  # frames whose sensor has one height
         for n, frame in enumerate(layout.frames):
             self.groups.setdefault(frame.sequence or frame.name, []).append(n)
-        self.raw = lru_cache(_SCANS)(self._read)
+        self.raw = lru_cache(_KEPT)(self._read)
         self._height = lru_cache(None)(self._find_height)
-        self._labelled = LabelledTruth(self, wanted, others) if layout.truth is None else None
-        self._truth = lru_cache(_TRUTHS)(layout.truth or self._labelled)  # type: ignore[arg-type]
-
-    @property
-    def description(self) -> str:
-        """What the truth is made of, in one sentence; "" where there is none."""
-        return self.layout.description if self._labelled is None else self._labelled.description
 
     def scan(self, n: int) -> Scan:
         """Return a scan, without the returns from the ego vehicle where the layout knows its footprint."""
@@ -87,10 +60,6 @@ class FrameReader:
     def boxes(self, n: int) -> Boxes | None:
         """Return the boxes around a scan, in the sensor's frame."""
         return None if self.layout.boxes is None else self.layout.boxes(n)
-
-    def truth(self, n: int) -> Truth:
-        """Return the truth around a scan."""
-        return self._truth(n)
 
     def mount(self, n: int) -> Mount:
         """Return how the sensor of a scan is mounted, above the ground below it."""
@@ -120,13 +89,13 @@ class FrameReader:
                 failed = f" ({error})"
         heights = [one for one in found if one is not None]
         if not heights:
-            raise ValueError(
+            raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
-        height = float(np.median(heights)) + (0.0 if self.sensor_position is None else self.sensor_position[2])
+        height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
         if not _PLAUSIBLE[0] <= height <= _PLAUSIBLE[1]:
-            raise ValueError(
+            raise OgmError(
                 f"the sensor height of {group} in {self.path}, {height:.2f} m, estimated from its scans, is not "
                 f"plausible ({_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} m): if the points are in the vehicle's frame, give "
                 "sensor_position x y z (--sensor-position); if not, give sensor_height [m] (--sensor-height), and "

@@ -5,9 +5,11 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame
-from ogm.datasets.paths import (
-    SCAN_ENDINGS,
+from ogm.datasets.paths import (  # fmt: skip
     clock_stamps,
     ending_of,
     in_order,
@@ -16,6 +18,7 @@ from ogm.datasets.paths import (
     scan_name,
     sequence_of,
 )
+from ogm.files import OgmError
 from ogm.io import Axes, read_scan
 from ogm.io.axes import rotation_to_flu
 
@@ -31,8 +34,8 @@ def scans(
     axes: Axes = "flu",
     intensity_max: float | None = None,
     time_unit: float | None = None,
-) -> Layout:
-    """Line up scans: files, or one folder of them, which may hold poses.
+) -> Layout | None:
+    """Line up scans: files, or one folder of them, which may hold poses; None where it holds no scans.
 
     Parameters
     ----------
@@ -46,65 +49,50 @@ def scans(
     FileNotFoundError
         If none of the files exists.
     ValueError
-        If there is a folder beside files, it holds no scans, or several formats.
+        If there is a folder beside files, or it holds several formats.
     """
     rotation_to_flu(axes)  # refuses what are none, before any scan is read
     folder = next((path for path in paths if path.is_dir()), None)
     if folder is not None and len(paths) > 1:
         raise ValueError(f"{folder} is a folder; give one folder alone, or files")
-    files = list(paths) if folder is None else _files_in(folder)
+    files = in_order(paths if folder is None else _files_in(folder))
+    if not files:
+        return None
     if not any(path.exists() for path in files):
         raise FileNotFoundError(f"there is no file or folder {files[0]}")
     names = [scan_name(path) for path in files]
-    if len(set(names)) == len(names):
-        files = in_order(files)
-        names = [scan_name(path) for path in files]
-    elif folder is not None:
-        double = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{folder} holds {double} twice; give the files one by one")
+    if len(set(names)) < len(names):
+        if folder is not None:
+            double = next(name for name in names if names.count(name) > 1)
+            raise OgmError(f"{folder} holds {double} twice; give the files one by one")
+        files, names = list(paths), [str(path) for path in paths]
+    place = files[0].resolve().parent if folder is None else folder.resolve()
+    poses: Sequence[NDArray[np.float64] | None] = [None] * len(files)
+    labels = _POSES
+    if folder is not None:
+        try:
+            poses = poses_of(pose_files(folder), names, axes=axes)
+        except ValueError as error:  # of no interest where poses are given otherwise, or not needed
+            log.warning("the poses beside the scans of %s are not used: %s", folder, error)
+            labels = f"{_POSES}, which are not used: {error}"
+    posed = any(T is not None for T in poses)
+    if posed:
+        frames = sequence_of(place.name, names, poses)
     else:
-        names = [str(path) for path in files]
-    frames, labels = _frames(folder, files, names, axes)
-    posed = any(one.T_map_sensor is not None for one in frames)
-
-    def read(n: int) -> RawFrame:
-        return RawFrame(read_scan(files[n], axes=axes, intensity_max=intensity_max, time_unit=time_unit))
-
+        sequence = place.name if folder is not None or _one_drive(files) else ""
+        stamps: Sequence[float | None] = clock_stamps(names) or [None] * len(names)
+        frames = tuple(FrameRef(name, sequence, t) for name, t in zip(names, stamps, strict=True))
     return Layout(
         "scans with poses" if posed else "scans",
         frames,
-        read,
+        lambda n: RawFrame(read_scan(files[n], axes, intensity_max=intensity_max, time_unit=time_unit)),
         labels,
         ego_footprint=KITTI_EGO if posed else None,
         axes=axes,
         known_axes=False,
+        name=place.name if len(paths) > 1 else "",
         files=() if folder is not None else tuple(files),
     )
-
-
-def _frames(
-    folder: Path | None, files: list[Path], names: list[str], axes: Axes
-) -> tuple[tuple[FrameRef, ...], str]:
-    """Return the frames, and which labels were looked for."""
-    stamps: Sequence[float | None] = clock_stamps(names) or [None] * len(names)
-    if folder is None:
-        sequence = files[0].parent.name or "scans" if _one_drive(files) else ""
-        return tuple(FrameRef(name, sequence, t) for name, t in zip(names, stamps, strict=True)), _POSES
-    sequence = folder.resolve().name
-    try:
-        poses = poses_of(pose_files(folder), names, axes=axes)
-    except ValueError as error:  # of no interest where poses are given otherwise, or not needed
-        log.warning("the poses beside the scans of %s are not used: %s", folder, error)
-        return _frames_of(names, sequence, stamps), f"{_POSES}, which are not used: {error}"
-    if any(T is not None for T in poses):
-        return sequence_of(sequence, names, poses), _POSES
-    return _frames_of(names, sequence, stamps), _POSES
-
-
-def _frames_of(
-    names: Sequence[str], sequence: str, stamps: Sequence[float | None]
-) -> tuple[FrameRef, ...]:
-    return tuple(FrameRef(name, sequence, t) for name, t in zip(names, stamps, strict=True))
 
 
 def _one_drive(files: Sequence[Path]) -> bool:
@@ -119,12 +107,8 @@ def _files_in(folder: Path) -> list[Path]:
         for path in place.iterdir() if place.is_dir() and not formats else ():
             if path.is_file() and not path.name.startswith(".") and (ending := ending_of(path)):
                 formats.setdefault(ending, []).append(path)
-    if not formats:
-        raise ValueError(
-            f"{folder} holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); give the folder that does"
-        )
     if len(formats) > 1:
-        raise ValueError(
+        raise OgmError(
             f"{folder} holds scans of several formats ({', '.join(formats)}); give the files of one"
         )
-    return next(iter(formats.values()))
+    return next(iter(formats.values()), [])

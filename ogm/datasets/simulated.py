@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
+from ogm.files import OgmError
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE
 from ogm.simulation.sample import LABELS, Sample
 from ogm.simulation.store import FACTS, Store
 from ogm.state import CellState, Truth
+from ogm.truth import ignore_cells
 
 __all__ = ["simulated"]
 
@@ -45,7 +47,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     found = {name: store[name].finished for name in store.counts if split is None or _is(name, split)}
     name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
     if name is None:
-        raise ValueError(_no_sample(store, path, split))
+        raise OgmError(_no_sample(store, path, split))
     part, numbers = store[name], found[name]
     facts = part.facts[numbers]
     poses, mounts = (_poses(facts, f"T_{one}_00") for one in ("world_sensor", "vehicle_sensor"))
@@ -67,12 +69,14 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         one = sample(k).truth
         if others == "all":
             return one
-        return Truth(one.spec, np.where(one.state == CellState.UNKNOWN, np.uint8(CellState.IGNORE), one.state))
+        return ignore_cells(one, one.state == CellState.UNKNOWN)
 
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
-    description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; what nothing hit is unknown."
+    description = (
+        f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
+    )
     if others == "later":
-        description += " Maps may know that from other frames: it is left out."
+        description += " Maps may know such cells from other frames: they are left out."
     return Layout(
         "simulated data set",
         frames,
@@ -82,12 +86,10 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         mount=lambda k: Mount(mounts[k, 2, 3], mounts[k]),
         truth=truth,
         description=description,
+        stamped=drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts={
-            **{"split": name, "plan": store.plan, "versions": store.versions},
-            "samples": numbers.tolist(),
-        },
+        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()},
         files=(path / "zarr.json", path / name),
     )
 
@@ -133,5 +135,5 @@ def _boxes(sample: Sample) -> Boxes:
         np.column_stack([columns[name] for name in names])
         for names in (("x", "y", "z"), ("length", "width", "height"), ("vx", "vy"))
     )
-    labels = [LABELS[number] for number in sample.objects["label"]]
-    return Boxes(center, size, columns["yaw"], velocity, labels, [str(one) for one in sample.objects["track"]])
+    labels, tracks = [LABELS[one] for one in sample.objects["label"]], map(str, sample.objects["track"])
+    return Boxes(center, size, columns["yaw"], velocity, labels, tuple(tracks))

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from ogm.datasets.compat import as_boxes
 from ogm.datasets.layout import Layout, RawFrame
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
 from ogm.io import read_scan, read_sustech
@@ -24,6 +23,6 @@ def sustech(path: Path) -> Layout | None:
         sequence_of(path.name, names, poses_of(pose_files(path), names, axes="sustech")),
         lambda n: RawFrame(read_scan(scans[n], axes="sustech")),
         "boxes (label/*.json)",
-        lambda n: as_boxes(read_sustech(labels[n])),
+        lambda n: read_sustech(labels[n]),
         axes="sustech",
     )
