@@ -265,7 +265,9 @@ class _Gif:
 
     def add(self, frame: "Image", seconds: float) -> None:
         """Write a frame at once, so that an interrupt leaves whole frames."""
-        self.file.write(b"".join(self.encode(_indexed(frame), duration=10 * round(100 * seconds))))
+        parts = self.encode(_indexed(frame), duration=10 * round(100 * seconds))
+        self.file.write(b"".join(parts))
+        parts.clear()  # Pillow holds the list in a reference cycle
 
     def close(self) -> None:
         """Write the trailer."""
