@@ -39,7 +39,7 @@ class Drive:
     ----------
     frames : list of Frame
     poses : (K, 4, 4) float64
-        ``T_map_sensor``, from the first frame on.
+        Of the levelled sensor, in which grids lie; the first is at x = y = 0.
     spec : GridSpec
         The lattice.
     static : (NX, NY) uint8
@@ -106,7 +106,7 @@ def planar(
 def read_drive(frames: Sequence[Frame]) -> Drive:
     """Read the frames of a drive, and evaluate the world's static truth and labels of all of them."""
     frames = list(frames)
-    poses = np.array([frame.T_map_sensor for frame in frames])
+    poses = np.array([frame.T_map_sensor @ frame.mount.T_sensor_level for frame in frames])
     poses[:, :2, 3] -= poses[0, :2, 3].copy()
     r, n = TRUTH_SPEC.resolution, TRUTH_SPEC.shape[0]
     middles = np.rint(poses[:, :2, 3] / r).astype(np.int64)

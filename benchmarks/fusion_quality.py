@@ -7,7 +7,7 @@ DRIVES holds drives of 10 s at 10 Hz that `ogm simulate --sequences N` made. All
 runs/fusion_quality.json) and a picture beside it.
 
 The record benchmarks/results/fusion_quality.json and its pictures were measured with the longer version of this
-benchmark at commit 28273fa, which also chose the parameter of each rule on other drives, and evaluated conflict,
+benchmark, of commit 07dd60b, which also chose the parameter of each rule on other drives, and evaluated conflict,
 clearing times and the meaning of P = 1/2.
 
 Definitions, see `_fusion_drives`:
