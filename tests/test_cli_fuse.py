@@ -99,7 +99,7 @@ def test_all_formats_of_poses_give_the_same_map(scans: Path, tmp_path: Path, pos
 
 
 def test_poses_are_interpolated_to_the_stamps_of_the_scans(tmp_path: Path) -> None:
-    """Scans that know their time between poses that know theirs; the last scan is beyond."""
+    """Scans with stamps between poses with stamps; the last scan is beyond."""
     folder = tmp_path / "drive"
     folder.mkdir()
     start = 1_700_000_000.0
@@ -383,11 +383,11 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--odometry", "kiss-icp"), "exclude each other"),
         (("{scans}", "--poses", "{short}"), "has 3 poses for 8 scans"),
         (("{scans}", "--poses", "{other}"), "its frame numbers are 90 ... 97, those of the scans 5 ... 12"),
-        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "--rule must be one of cautious"),
+        (("{scans}", "--poses", "{poses}", "--rule", "magic"), "there is no rule 'magic'; there are cautious"),
         (("{scans}", "--poses", "{poses}", "--ism", "magic"), "magic"),
         (("{scans}", "--poses", "{poses}", "--window", "round"), "rolling, fixed"),
-        (("{scans}", "--odometry", "magic"), "kiss-icp, small-gicp"),
-        (("{scans}", "--poses", "{poses}", "--half-life", "-1"), "--half-life must be"),
+        (("{scans}", "--odometry", "magic"), "kiss-icp or small-gicp"),
+        (("{scans}", "--poses", "{poses}", "--half-life", "-1"), "half_life must be greater than 0 s"),
         (("{scans}", "--poses", "{poses}", "--rate", "0"), "rate must be above 0 [Hz]"),
         (("{scans}", "--poses", "{poses}", "--length", "10.3"), "use 10 m or 10.5 m"),
         (("{scans}", "--poses", "{poses}", "--out", "{poses}/x.npz"), "--out cannot write into"),
@@ -405,7 +405,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}/scan_5.bin", "--sequence", "1"), "--sequence picks one of several drives"),
         (("{folder}/none.bin", "--poses", "{poses}"), "none.bin: check the name"),
         (("{scans}", "--poses", "{poses}", "--axes", "foo"), "axes"),
-        (("{scans}", "--poses", "{poses}", "--half-life", "0"), "--half-life must be greater than 0 s"),
+        (("{scans}", "--poses", "{poses}", "--half-life", "0"), "half_life must be greater than 0 s"),
         (("{scans}", "--poses", "{poses}", "--calib", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{data}", "--sequence", "7"), "--sequence must be one of sequence 0, got 7"),
         (("{data}", "--poses", "{poses}"), "knows its poses"),

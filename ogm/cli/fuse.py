@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     from ogm.plot import Panel
     from ogm.scan import Frame
 
-METHODS = ("kiss-icp", "small-gicp")
-WINDOWS = ("rolling", "fixed")
+ENDINGS = {"--out": (".npz",), "--picture": (".png",), "--save-poses": (".csv", ".txt", ".tum")}
 
-Scans = Annotated[
+ScanPaths = Annotated[
     list[Path], typer.Argument(help="Scans, a folder of them, or a data set with drives.", metavar="SCANS")
 ]
 PosesFile = Annotated[
@@ -107,7 +106,7 @@ MovieFile = Annotated[
 
 @report_errors
 def fuse(
-    scans: Scans,
+    scans: ScanPaths,
     poses: PosesFile = None,
     calib: Calibration = None,
     odometry: Odometry = None,
@@ -154,11 +153,11 @@ def fuse(
 
     if out_path is None and picture is None and movie is None:
         out_path, picture = Path("map.npz"), Path("map.png")
-    _check_choices(rule, window, odometry, half_life)
     _check_poses(poses, calib, odometry, save_poses, first)
-    _prepare_outputs(out_path, picture, movie, save_poses)
+    _prepare_outputs({"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses})
     spec = GridSpec.centered(length, width, resolution)
     model = PerMount(model_factory(ism, spec))
+    make_mapper(rule, spec, half_life, window)  # type: ignore[arg-type]  # refuses what is no choice, before any work
     dataset = open_dataset(
         scans,
         axes=parsed_axes(axes),
@@ -202,21 +201,6 @@ def fuse(
         raise typer.Exit(code)
 
 
-def _check_choices(rule: str, window: str, odometry: str | None, half_life: float | None) -> None:
-    """Refuse names that are no choices before any work."""
-    from ogm.fusion import BAYES, RULES
-
-    for option, given, choices in (
-        ("--rule", rule, (*RULES, BAYES)),
-        ("--window", window, WINDOWS),
-        ("--odometry", odometry, (None, *METHODS)),
-    ):
-        if given not in choices:
-            raise ValueError(f"{option} must be one of {', '.join(filter(None, choices))}, got {given}")
-    if half_life is not None and not half_life > 0:
-        raise ValueError(f"--half-life must be greater than 0 s, got {half_life}; inf forgets nothing")
-
-
 def _check_poses(
     poses: Path | None, calib: Path | None, odometry: str | None, save_poses: Path | None, first: int | None
 ) -> None:
@@ -232,26 +216,18 @@ def _check_poses(
             raise ValueError(f"--save-poses would overwrite {path}; give another name")
 
 
-def _prepare_outputs(
-    out_path: Path | None, picture: Path | None, film: Path | None, poses: Path | None
-) -> None:
+def _prepare_outputs(wanted: dict[str, Path | None]) -> None:
     """Make the folders of all outputs, and see that they can be written, before hours of work."""
     from ogm.movie import check_movie
 
-    if film is not None:
-        check_movie(film)
-    wanted = {
-        "--out": (out_path, (".npz",)),
-        "--picture": (picture, (".png",)),
-        "--save-poses": (poses, (".csv", ".txt", ".tum")),
-        "--movie": (film, (".gif", ".webp", ".png")),
-    }
     used: dict[Path, str] = {}
-    for option, (path, endings) in wanted.items():
+    for option, path in wanted.items():
         if path is None:
             continue
-        if path.suffix.lower() not in endings:
-            raise ValueError(f"{option} writes {' or '.join(endings)}, got {path}")
+        if option == "--movie":
+            check_movie(path)
+        elif path.suffix.lower() not in ENDINGS[option]:
+            raise ValueError(f"{option} writes {' or '.join(ENDINGS[option])}, got {path}")
         if path.is_dir():
             raise ValueError(f"{option} {path} is a folder; give a file name")
         other = used.setdefault(path.resolve(), option)
@@ -473,5 +449,5 @@ def _shares(grid: "EvidentialGrid") -> str:
 
 
 def _shortened(name: str, width: int = 28) -> str:
-    """Return a name of limited width; names of one drive differ at their end."""
+    """Return a name of at most `width` characters; names of one drive differ at their end."""
     return name if len(name) <= width else f"...{name[3 - width :]}"
