@@ -81,8 +81,8 @@ class Trail(NamedTuple):
     Attributes
     ----------
     left, age, touched : (L,) arrays
-        Static free cells in view that a moving, seen participant covered within 5 s and nothing covers now; frames since
-        then; whether a scan was occupied (> 0.5) there while they were covered.
+        Static free cells in view that a moving, seen participant covered within 5 s and nothing covers now; frames
+        since then; whether a scan was occupied (> 0.5) there while they were covered.
     covered, since : (C,) arrays
         Cells that one covers, from the first scan on that is occupied there; frames since that scan.
     """
