@@ -224,7 +224,7 @@ def test_the_fusion_pages_figures_are_the_measured_ones() -> None:
         if name.count(",") == 1:
             cells = [f"{100 * means[key]:.1f}" for key in ("complete", "iou_occupied", "false_free", "brier")]
             assert f"| {' | '.join(cells)} |" in page, name
-    for name in ("update, as it comes", "RayISM + update", "scipy", "update, slow twin"):
+    for name in ("update, default", "RayISM + update", "scipy", "update, numpy reference"):
         median = speed["times [ms]"][name]["median"]
         assert f"| {median:.3g} | {median / speed['times [ms]']['copy']['median']:.3g} |" in page, name
     assert not re.search(r"<!-- (\w+) -->\s*<!-- /\1 -->", page)  # tables that were not filled

@@ -50,7 +50,7 @@ def demo(
             ism(scan)
         grids[title], seconds = _timed(partial(ism, scan), repeats=9)
         _row(table, name, len(scan), grids[title], seconds)
-    cloud = plot.points(scan.points, spec, f"{len(scan)} points", -DEMO_HEIGHT)
+    cloud = plot.points_panel(scan.points, spec, f"{len(scan)} points", -DEMO_HEIGHT)
     picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
     plot.save_picture(picture, cloud, *grids.values(), titles=["", *grids])
     grids[DEMO_MODELS["ray"]].save(archive)
@@ -138,7 +138,7 @@ def map_(
             if grid_path is not None:
                 grid.save(grid_path)
             if picture_path is not None:
-                cloud = plot.points(frame.scan.points, grid.spec, frame.name)
+                cloud = plot.points_panel(frame.scan.points, grid.spec, frame.name)
                 plot.save_picture(picture_path, cloud, grid, titles=["", ism])
             _row(table, short, len(frame.scan), grid, seconds)
             if estimated:

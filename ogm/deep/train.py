@@ -373,7 +373,7 @@ def _facts(recipe: Recipe, facts: Mapping[str, Any] | None, result: Mapping[str,
 def _picture(path: Path, network: Network, scenes: PillarDataset, device: torch.device | str) -> None:
     """Show two fixed samples: points, truth, and what the network says."""
     from ogm.grid import EvidentialGrid
-    from ogm.plot import Panel, masses, points, save_picture
+    from ogm.plot import Panel, mass_panel, points_panel, save_picture
     from ogm.state import Truth
 
     panels: list[Panel] = []
@@ -382,9 +382,9 @@ def _picture(path: Path, network: Network, scenes: PillarDataset, device: torch.
         evidence = network(batch.pillars.to(device))[0].cpu().numpy()
         grid = EvidentialGrid.trusted(scenes.spec, evidence_to_mass(evidence))
         panels += [
-            points(batch.pillars.features[:, :4].numpy(), scenes.spec, f"sample {i}", 0.0),
-            masses(Truth(scenes.spec, batch.state[0].numpy()).grid, "truth"),
-            masses(grid, "network"),
+            points_panel(batch.pillars.features[:, :4].numpy(), scenes.spec, f"sample {i}", 0.0),
+            mass_panel(Truth(scenes.spec, batch.state[0].numpy()).grid, "truth"),
+            mass_panel(grid, "network"),
         ]
     save_picture(path, *panels)
 

@@ -66,7 +66,7 @@ def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> Evide
         Cells per block along each axis; both counts must be multiples of it.
     reduce : {"mean", "occupied", "cautious"}
         "mean": the mixture, in which one occupied cell among free ones nearly vanishes. "occupied": the
-        greatest occupied of the block, and the mean of free as far as there is room. "cautious": the greatest
+        greatest occupied of the block, and the mean of free as far as the sum allows. "cautious": the greatest
         occupied and the least free.
     """
     if reduce not in get_args(Reduce):
