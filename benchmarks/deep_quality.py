@@ -45,7 +45,7 @@ from ogm.metrics import ConfusionSums, accumulate, score
 from ogm.scan import run_model
 from ogm.simulation.store import Store
 from ogm.state import CellState, predict_state
-from ogm.truth import MIN_RETURNS, cells_in_box
+from ogm.truth import MIN_RETURNS, cells_in_boxes
 
 PAPER = GridSpec.centered()
 MODELS = ("height-band", "height-band-released", "ray")
@@ -118,9 +118,7 @@ def missed_by_kind(
     counts = {name: np.zeros((len(kinds), 3)) for name in methods}  # cells, false free, predicted occupied
     for frame, sample in zip(dataset, samples, strict=True):
         occupied = frame.truth.crop(PAPER).state == CellState.OCCUPIED
-        there = np.zeros(PAPER.shape, bool)
-        for one in sample.objects[sample.objects["returns"] >= MIN_RETURNS]:
-            there[cells_in_box([one[key] for key in ("x", "y", "yaw", "length", "width")], PAPER)] = True
+        there = cells_in_boxes(frame.boxes.select(sample.objects["returns"] >= MIN_RETURNS), PAPER)
         thick = binary_opening(occupied, np.ones((3, 3)))
         for name, method in methods.items():
             grid = resample_to(run_model(method.model, frame), PAPER)
