@@ -263,7 +263,7 @@ def turned(spec: GridSpec, ahead: float, steps: int = 360) -> dict[str, float]:
     spec : GridSpec
         The label, around the sensor.
     ahead : float
-        [m] a cell so far ahead of the sensor is looked at alone.
+        [m] distance of a cell straight ahead of the sensor that is reported alone.
     steps : int
         Angles, evenly spread over the full turn.
     """

@@ -60,8 +60,8 @@ def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArra
 
 def few(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> None:
     """Compute five of them by scikit-learn: IoU, Brier, log loss, AUROC of unknown, average precision of occupied."""
-    seen = state < 3
-    truth, (free, occupied) = state[seen], mass[seen].T
+    kept = state < 3
+    truth, (free, occupied) = state[kept], mass[kept].T
     rest = 1 - free - occupied
     peer.jaccard_score(truth, np.argmax([rest, free, occupied], axis=0), average=None, labels=[0, 1, 2])
     known = truth > 0

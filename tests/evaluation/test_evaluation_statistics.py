@@ -73,7 +73,7 @@ def test_wilcoxon_without_a_difference_is_nan() -> None:
 
 
 def test_of_few_frames_the_interval_is_too_narrow_and_p_is_not() -> None:
-    """Without any difference: docs/evaluation.md says that one interval of seven leaves out zero at six frames."""
+    """Without any difference one interval of seven leaves out zero at six frames, as docs/evaluation.md has it."""
     rng = np.random.default_rng(8)
     nothing = np.zeros(6)
     found = [compare_paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]
