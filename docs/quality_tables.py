@@ -1,10 +1,9 @@
-"""The tables of docs/quality.md, made from the record alone, and how they come into the page."""
+"""Tables of docs/quality.md and sentences of docs/reproduction.md, made from the record alone."""
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-__all__ = ["fill", "sentences", "tables"]
+__all__ = ["sentences", "tables"]
 
 Record = Mapping[str, Any]
 TITLES = {
@@ -91,7 +90,7 @@ def tables(record: Record) -> dict[str, str]:
 
 
 def sentences(record: Record) -> dict[str, str]:
-    """Return what docs/reproduction.md says of the comparison, by the names of its markers."""
+    """Return the sentences of docs/reproduction.md on the comparison, by the names of their markers."""
     found: dict[str, str] = {}
     if record.get("town"):
         found |= _sentences_of_town(record["town"])
@@ -102,31 +101,8 @@ def sentences(record: Record) -> dict[str, str]:
     return found
 
 
-def fill(page: str, made: Mapping[str, str]) -> str:
-    """Put tables and sentences between their markers, ``<!-- name -->`` and ``<!-- /name -->``, indented as these.
-
-    Raises
-    ------
-    ValueError
-        If the page has no place for one of them.
-    """
-    for name, text in made.items():
-        marks = f"<!-- {name} -->", f"<!-- /{name} -->"
-        place = re.compile(
-            rf"^([ \t]*){re.escape(marks[0])}\n.*?^[ \t]*{re.escape(marks[1])}", re.DOTALL | re.MULTILINE
-        )
-        found = place.search(page)
-        if found is None:
-            raise ValueError(
-                f"the page has no place for {name}: {marks[0]} and {marks[1]}, each on a line of its own"
-            )
-        lines = "\n".join(found[1] + line for line in (marks[0], *text.splitlines(), marks[1]))
-        page = page[: found.start()] + lines + page[found.end() :]
-    return page
-
-
 def _sentences_of_town(town: Record) -> dict[str, str]:
-    models, said = town["models"], town["as the released code would report"]
+    models, published = town["models"], town["as the released code would report"]
     claimed = {
         name: _percent(1 - one["called unknown, free, occupied, of truly unknown, free, occupied"][0][0])
         for name, one in models.items()
@@ -134,15 +110,15 @@ def _sentences_of_town(town: Record) -> dict[str, str]:
     mean = {m: {name: _value(one["mean"][m][0]) for name, one in models.items()} for m in TITLES}
     return {
         "quality: unknown": (
-            f"Of the cells that are unknown in truth, `lite` calls {claimed['lite']} free or occupied, `ray` "
+            f"Of the cells that are unknown in truth, `lite` predicts {claimed['lite']} free or occupied, `ray` "
             f"{claimed['ray']}, the baseline {claimed['height-band']} (`python benchmarks/quality.py`, [all\nfigures]"
             "(quality.md))."
         ),
         "quality: divergence": (
-            f"The released code would report {_value(said['KL, deep'])} for `lite` and "
-            f"{_value(said['KL, geometric, mean of both'])} for the released baseline, whose own value is "
-            f"{_value(said['KL, geometric itself'])},\nand an accuracy of {_value(said['accuracy, deep'])} for "
-            f"`lite` and {_value(said['accuracy, geometric'])} for the baseline, which says nothing "
+            f"The released code would report {_value(published['KL, deep'])} for `lite` and "
+            f"{_value(published['KL, geometric, mean of both'])} for the released baseline, whose own value is "
+            f"{_value(published['KL, geometric itself'])},\nand an accuracy of "
+            f"{_value(published['accuracy, deep'])} for `lite` and {_value(published['accuracy, geometric'])} for the baseline, which predicts no cell "
             "(`python benchmarks/quality.py`)."
         ),
         "quality: calibration": (
@@ -159,28 +135,28 @@ def _sentence_of_drives(part: Record) -> str:
     shown = [
         name for name in ("ray", "ray + bayes", "ray + cautious", "lite", "lite + cautious") if name in models
     ]
-    said = "; ".join(
+    values = "; ".join(
         f"`{name}` {_value(models[name]['mean']['iou_occupied'][0])} and "
         f"{_percent(models[name]['mean']['false_free'][0])}"
         for name in shown
     )
     return (
-        f"Against what each frame itself can see, {part['drives']} drives, IoU of occupied cells and share of them "
-        f"called free:\n{said} (`python benchmarks/quality.py`, [all rules](quality.md))."
+        f"On the cells that each frame itself observes, {part['drives']} drives, IoU of occupied cells and share of "
+        f"them predicted free:\n{values} (`python benchmarks/quality.py`, [all rules](quality.md))."
     )
 
 
 def _sentence_of_real(recordings: Record) -> str:
-    said = []
+    rows = []
     for name, one in recordings.items():
         models = one.get("alone", {}).get("models", {})
         values = [models[m]["mean"]["iou_occupied"][0] for m in ("lite", "ray", "height-band") if m in models]
         if len(values) == 3 and None not in values:
-            said.append(f"{name} {' / '.join(map(_value, values))}")
+            rows.append(f"{name} {' / '.join(map(_value, values))}")
     return (
         "IoU of occupied on labelled cells, `lite` / `ray` / baseline, by truth from boxes, classes, maps and other\n"
         "scans: "
-        f"{'; '.join(said)} (`python benchmarks/quality.py`, [all figures](quality.md))."
+        f"{'; '.join(rows)} (`python benchmarks/quality.py`, [all figures](quality.md))."
     )
 
 
@@ -210,13 +186,13 @@ def _pairs(part: Record, names: Iterable[str], metrics: Sequence[str]) -> str:
             if one is None:
                 continue
             wins, ties, losses = one["wins, ties, losses"]
-            said = [
+            cells = [
                 f"{wins} / {ties} / {losses}",
                 _with_ends(one["difference"]),
                 _with_ends(one["ratio"]),
                 _p(one["p"]),
             ]
-            rows.append([name if m == metrics[0] else "", TITLES[m], *said])
+            rows.append([name if m == metrics[0] else "", TITLES[m], *cells])
     return _markdown(["", "", "wins / ties / losses", "difference (95 %)", "ratio (95 %)", "p"], rows, left=2)
 
 
@@ -234,21 +210,23 @@ def _range(part: Record) -> str:
     return _markdown(["", "", *bins], rows, left=2)
 
 
-def _published(said: Record) -> str:
+def _published(published: Record) -> str:
     lower = "frames in which the geometric one is lower"
     rows = [
-        ["KL, deep", _value(said["KL, deep"])],
-        ["KL, geometric, as plotted: the mean of both", _value(said["KL, geometric, mean of both"])],
-        ["KL, geometric itself", _value(said["KL, geometric itself"])],
-        [lower, str(said[lower])],
-        ["accuracy, deep", _value(said["accuracy, deep"])],
-        ["accuracy, geometric", _value(said["accuracy, geometric"])],
+        ["KL, deep", _value(published["KL, deep"])],
+        ["KL, geometric, as plotted: the mean of both", _value(published["KL, geometric, mean of both"])],
+        ["KL, geometric itself", _value(published["KL, geometric itself"])],
+        [lower, str(published[lower])],
+        ["accuracy, deep", _value(published["accuracy, deep"])],
+        ["accuracy, geometric", _value(published["accuracy, geometric"])],
     ]
-    return _markdown([f"as the released code reports `{said['deep']}` and `{said['geometric']}`", ""], rows)
+    return _markdown(
+        [f"as the released code reports `{published['deep']}` and `{published['geometric']}`", ""], rows
+    )
 
 
 def _memory(part: Record) -> str:
-    """Say what fusing gives: each map against the scans that it is made of."""
+    """Compare each map with the scans that it is made of."""
     metrics = ("iou_occupied", "iou_free", "false_free", "missed_occupied", "brier")
     rows = []
     for name in part["models"]:
@@ -273,8 +251,8 @@ def _real(recordings: Record, kind: str) -> str:
 
 def _what(name: str, part: Record) -> str:
     shares, frames = part["truth, mean shares"], part["frames"]
-    said = f"{_percent(shares['free'])} free, {_percent(shares['occupied'])} occupied"
-    return f"{name}, {frames} {'frame' if frames == 1 else 'frames'}; {said}"
+    text = f"{_percent(shares['free'])} free, {_percent(shares['occupied'])} occupied"
+    return f"{name}, {frames} {'frame' if frames == 1 else 'frames'}; {text}"
 
 
 def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]], left: int = 1) -> str:
