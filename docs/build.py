@@ -402,13 +402,21 @@ def results() -> str:
         "real and simulated data side by side: [quality.md](quality.md). What is compared in each: "
         "[benchmarks](../benchmarks/README.md). The 100 test frames are scans of **one** simulated drive, 1 s apart: "
         "their intervals, over frames, are too narrow.",
-        section("Sensor models, simulated test drive", "deep_quality", deep_quality(), deep_targets(), deep_occupied()),
+        section(
+            "Sensor models, simulated test drive",
+            "deep_quality",
+            *(deep_quality(), deep_targets(), deep_occupied()),
+        ),
         section("Objects in real scans", "deep_real", boxes, deep_boxes()),
         section("Losses of the network", "deep_losses", deep_losses()),
         section("Time per scan", "speed", speed()),
         section("Time of the network", "deep_speed", deep_speed()),
         section("Ground estimates, labelled returns not used while parameters were chosen", "ground", ground()),
-        section("Maps over time, 12 simulated test drives", "fusion_quality", "Behind `RayISM`:", fusion("maps"), "Behind `lite`:", fusion("maps behind lite")),
+        section(
+            "Maps over time, 12 simulated test drives",
+            "fusion_quality",
+            *("Behind `RayISM`:", fusion("maps"), "Behind `lite`:", fusion("maps behind lite")),
+        ),
         section("Maps over time, a real drive", "fusion_real", fusion_real()),
         section("Time of a map update", "fusion_speed", fusion_speed()),
         section("Truth of the simulator", "truth_modes", truth_modes()),
