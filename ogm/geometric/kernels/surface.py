@@ -1,24 +1,23 @@
-"""Surfaces of heights: the ground under a scan, and looking it up."""
+"""Surfaces of heights: the ground under a scan, and interpolation in it."""
 
+# mypy: allow-untyped-defs
 import math
 
 import numpy as np
 
-from ogm.geometric.core.jit import inline, kernel
+from ogm.geometric.kernels.arguments import Surface
+from ogm.jit import inline, kernel
 
-__all__ = ["fill", "local_ground", "lower_envelope", "sample", "sample_many"]
+__all__ = ["fill", "ground_heights", "lower_envelope", "sample", "sample_many"]
 
 
 @inline
-def sample(height, x0, y0, inverse_resolution, x, y):
-    """Interpolate `height`, at least 2 x 2 cells, bilinearly at (x, y); the edge's value holds outside (kernel)."""
-    u = min(
-        max((x - x0) * inverse_resolution - np.float32(0.5), np.float32(0.0)), np.float32(height.shape[0] - 1)
-    )
-    v = min(
-        max((y - y0) * inverse_resolution - np.float32(0.5), np.float32(0.0)), np.float32(height.shape[1] - 1)
-    )
-    # The masks tell the compiler that an index is not negative, which saves numba's wrap-around.
+def sample(surface, x, y):
+    """Interpolate a `Surface` bilinearly at (x, y); beyond the outermost middles the edge's height holds."""
+    height, half, zero = surface.height, np.float32(0.5), np.float32(0.0)
+    u = min(max((x - surface.x0) * surface.per_metre - half, zero), np.float32(height.shape[0] - 1))
+    v = min(max((y - surface.y0) * surface.per_metre - half, zero), np.float32(height.shape[1] - 1))
+    # Here and elsewhere, a mask shows the compiler that an index is not negative: no wrap-around is needed.
     i, j = min(int(u), height.shape[0] - 2) & 0xFFFF, min(int(v), height.shape[1] - 2) & 0xFFFF
     a, b = u - np.float32(i), v - np.float32(j)
     low = height[i, j] + (height[i, j + 1] - height[i, j]) * b
@@ -27,110 +26,119 @@ def sample(height, x0, y0, inverse_resolution, x, y):
 
 
 @kernel
-def sample_many(height, x0, y0, resolution, x, y, result):
+def sample_many(surface, x, y):
     """Do `sample` for each of many points."""
-    x0, y0, inverse = np.float32(x0), np.float32(y0), np.float32(1.0 / resolution)
+    result = np.empty(x.shape[0], np.float32)
     for n in range(x.shape[0]):
-        result[n] = sample(height, x0, y0, inverse, x[n], y[n])
+        result[n] = sample(surface, x[n], y[n])
+    return result
 
 
 @kernel
-def local_ground(
-    px, py, pz, ground_point, x0, y0, resolution, max_slope, max_descent, low_tolerance, band, height
-):
+def ground_heights(points, ground_point, cells, shape, limits):
     """Estimate the ground: see `ogm.geometric.local_ground`, whose four steps these are.
 
     Parameters
     ----------
-    px, py, pz : (N,) float32
-        Points [m].
-    foot : (x, y, z)
+    points : Points
+    ground_point : (x, y, z)
         The ground under the sensor [m], inside the grid.
-    x0, y0, resolution : float
-        Corner and cell side of the grid of heights [m].
-    max_slope, max_descent : float
-        Rise over run: from cell to cell, and on average down from the foot.
-    low_tolerance, band : float
-        [m]; see the constants of `ogm.geometric.ground`.
-    height : (nx, ny) float32
-        Filled.
+    cells : Cells, shape : (nx, ny)
+        The grid of heights.
+    limits : GroundLimits
+
+    Returns
+    -------
+    (nx, ny) float32
+        Heights [m].
     """
-    nx, ny = height.shape
-    rise = np.float32(max_slope * resolution)
-    x0, y0, inverse = np.float32(x0), np.float32(y0), np.float32(1.0 / resolution)
-    foot_x, foot_y = np.float32(ground_point[0]), np.float32(ground_point[1])
+    gx, gy, gz = np.float32(ground_point[0]), np.float32(ground_point[1]), np.float32(ground_point[2])
+    inverse = np.float32(1.0 / cells.resolution)
+    i0 = min(max(int((gx - np.float32(cells.x0)) * inverse), 0), shape[0] - 1)
+    j0 = min(max(int((gy - np.float32(cells.y0)) * inverse), 0), shape[1] - 1)
 
     # 1. lowest return of each cell, but for what no road could lead down to
-    flat = np.full(nx * ny, np.inf, np.float32)
-    cell = np.empty(px.shape[0], np.int32)
-    bottom, steepest = np.float32(ground_point[2] - low_tolerance), np.float32(max_descent * max_descent)
-    for n in range(px.shape[0]):
-        x, y, z = px[n], py[n], pz[n]
-        u, v = (x - x0) * inverse, (y - y0) * inverse
-        cell[n] = -1
-        if u >= 0 and u < nx and v >= 0 and v < ny:
-            c = (
-                int(u) * ny + int(v)
-            ) & 0x7FFFFFFF  # the mask says "not negative", which saves numba's wrap-around
-            cell[n] = c
-            if z < flat[c]:
-                dx, dy, depth = x - foot_x, y - foot_y, bottom - z
-                if depth <= 0 or depth * depth <= steepest * (dx * dx + dy * dy):
-                    flat[c] = z
-    lowest = flat.reshape((nx, ny))  # a view
-    i0 = min(max(int((foot_x - x0) * inverse), 0), nx - 1)
-    j0 = min(max(int((foot_y - y0) * inverse), 0), ny - 1)
-    _drop_strays(
-        lowest,
-        i0,
-        j0,
-        np.float32(ground_point[2]),
-        np.float32(max_descent * resolution),
-        np.float32(low_tolerance),
-    )
+    cell, lowest = _lowest_returns(points, ground_point, cells, shape, limits)
+    descent = np.float32(limits.max_descent * cells.resolution)
+    _drop_strays(lowest, i0, j0, gz, descent, np.float32(limits.low_tolerance))
 
-    # 2. lower envelope under the slope limit, from these and from the foot: only cells that touch it are ground
-    lowest[i0, j0] = min(lowest[i0, j0], np.float32(ground_point[2]))
+    # 2. lower envelope under the slope limit, from these and from the ground point: what touches it is ground
+    lowest[i0, j0] = min(lowest[i0, j0], gz)
     envelope = lowest.copy()
-    lower_envelope(envelope, rise)
-    for i in range(nx):
-        for j in range(ny):
+    lower_envelope(envelope, np.float32(limits.max_slope * cells.resolution))
+    for i in range(shape[0]):
+        for j in range(shape[1]):
             if lowest[i, j] > envelope[i, j]:
                 lowest[i, j] = np.inf
 
     # 3. mean of their lowest layer, or of the one above it
+    height, weight = _layer_means(points.z, cell, lowest, np.float32(1.0 / limits.band))
+    if weight[i0, j0] == 0 and math.isfinite(lowest[i0, j0]):
+        height[i0, j0], weight[i0, j0] = gz, np.float32(1.0)
+
+    # 4. a smooth surface through them
+    fill(height, weight, gz)
+    return height
+
+
+@kernel
+def _lowest_returns(points, ground_point, cells, shape, limits):
+    """Return the cell of each point (-1 outside), and the lowest return of each cell above the steepest descent."""
+    x, y, z = points
+    nx, ny = shape
+    x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
+    gx, gy = np.float32(ground_point[0]), np.float32(ground_point[1])
+    bottom = np.float32(ground_point[2] - limits.low_tolerance)
+    steepest = np.float32(limits.max_descent * limits.max_descent)
+    lowest = np.full(nx * ny, np.inf, np.float32)
+    cell = np.empty(x.shape[0], np.int32)
+    for n in range(x.shape[0]):
+        u, v = (x[n] - x0) * inverse, (y[n] - y0) * inverse
+        cell[n] = -1
+        if u >= 0 and u < nx and v >= 0 and v < ny:
+            c = (int(u) * ny + int(v)) & 0x7FFFFFFF
+            cell[n] = c
+            if z[n] < lowest[c]:
+                dx, dy, depth = x[n] - gx, y[n] - gy, bottom - z[n]
+                if depth <= 0 or depth * depth <= steepest * (dx * dx + dy * dy):
+                    lowest[c] = z[n]
+    return cell, lowest.reshape((nx, ny))
+
+
+@kernel
+def _layer_means(z, cell, lowest, layers_per_metre):
+    """Return the mean height of each ground cell's lowest layer of returns, and how many returns are in it.
+
+    The layer above it is taken where the layers below and above that one have less than a tenth of its returns.
+    """
+    nx, ny = lowest.shape
+    flat = lowest.reshape(-1)
     total, count = np.zeros((nx * ny, 3), np.float32), np.zeros((nx * ny, 3), np.float32)
-    layers = np.float32(1.0 / band)
-    for n in range(px.shape[0]):
+    for n in range(z.shape[0]):
         if cell[n] >= 0:
             c = cell[n] & 0x7FFFFFFF
-            above = pz[n] - flat[c]
-            layer = above * layers
+            above = z[n] - flat[c]
+            layer = above * layers_per_metre
             if layer >= 0 and layer < 3:
                 total[c, int(layer) & 3] += above
                 count[c, int(layer) & 3] += np.float32(1.0)
-    weight = np.zeros((nx, ny), np.float32)
+    height, weight = np.zeros((nx, ny), np.float32), np.zeros((nx, ny), np.float32)
     for i in range(nx):
         for j in range(ny):
             c = i * ny + j
             k = 1 if count[c, 1] >= 10 * count[c, 0] and count[c, 1] >= 10 * count[c, 2] else 0
-            height[i, j] = 0
             if count[c, k] > 0:
                 height[i, j] = lowest[i, j] + total[c, k] / count[c, k]
                 weight[i, j] = min(count[c, k], np.float32(8.0))
-            elif i == i0 and j == j0 and math.isfinite(lowest[i, j]):
-                height[i, j], weight[i, j] = ground_point[2], np.float32(1.0)
-
-    # 4. a smooth surface through them
-    fill(height, weight, np.float32(ground_point[2]))
+    return height, weight
 
 
 @kernel
 def _drop_strays(lowest, i0, j0, ground_z, rise, tolerance):
-    """Set cells to inf whose lowest return lies under the ground: mirror images and multipath.
+    """Set cells to inf whose lowest return lies under the ground: multipath and ghost returns.
 
     Square rings of cells are visited outward from cell (i0, j0), where the ground is known. Each cell expects
-    the height of its up to three inner neighbours, the more the fewer steps ago they saw ground, and may lie
+    the height of its up to three inner neighbours, the more the fewer steps ago they had ground, and may lie
     below it by `tolerance` plus `rise` for each of these steps. What a stray return spoils stays behind it.
     """
     nx, ny = lowest.shape
@@ -220,14 +228,9 @@ def fill(height, weight, otherwise):
                 coarse[i, j] /= total[i, j]
                 total[i, j] = min(total[i, j], np.float32(8.0))
     fill(coarse, total, otherwise)
+    half, zero = np.float32(0.5), np.float32(0.0)
+    surface = Surface(coarse, zero, zero, half)
     for i in range(nx):  # push: what is missing comes from the level above, interpolated
         for j in range(ny):
             if weight[i, j] == 0:
-                height[i, j] = sample(
-                    coarse,
-                    np.float32(0.0),
-                    np.float32(0.0),
-                    np.float32(0.5),
-                    np.float32(i) + np.float32(0.5),
-                    np.float32(j) + np.float32(0.5),
-                )
+                height[i, j] = sample(surface, np.float32(i) + half, np.float32(j) + half)
