@@ -352,7 +352,7 @@ class EvidentialGrid:
                 size = sum(item.file_size for item in archive.infolist())
                 if size > _MAX_CELLS * 8 + 2**20:
                     raise ValueError(
-                        f"{path} claims {size} bytes of arrays, more than any grid has; refusing to unpack"
+                        f"{path} announces {size} bytes of arrays, more than any grid has; it is not unpacked"
                     )
             with np.load(path, allow_pickle=False) as data:
                 if "format" not in data or str(data["format"]) != _FORMAT:

@@ -67,7 +67,9 @@ class Scan:
                 continue
             column = np.asarray(getattr(self, name), dtype)
             if column.shape != (len(self.points),):
-                raise ValueError(f"{name} must be ({len(self.points)},) like points, got shape {column.shape}")
+                raise ValueError(
+                    f"{name} must be ({len(self.points)},) like points, got shape {column.shape}"
+                )
             object.__setattr__(self, name, column)
         if self.no_returns is not None:
             directions = np.asarray(self.no_returns)
