@@ -196,10 +196,9 @@ def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
 
 
 @lru_cache(maxsize=16)
-def _ground_spec(spec: GridSpec, resolution: float = 1.0) -> GridSpec:
-    """Return cells of about 1 m over the area of a grid."""
-    nx, ny = (max(math.ceil(size / resolution), 2) for size in (spec.length, spec.width))
-    return GridSpec(resolution, (nx, ny), spec.origin)
+def _ground_spec(spec: GridSpec) -> GridSpec:
+    """Return cells of 1 m over the area of a grid."""
+    return GridSpec(1.0, (max(math.ceil(spec.length), 2), max(math.ceil(spec.width), 2)), spec.origin)
 
 
 @lru_cache(maxsize=64)

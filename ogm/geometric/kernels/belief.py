@@ -96,12 +96,8 @@ def _belief(passing, level, reach, share, free):
         q = np.float32(1.0) + z * (
             np.float32(1.0) + z * (np.float32(0.5) + z * (np.float32(1.0 / 6) + z * np.float32(1.0 / 24)))
         )
-        q *= q
-        q *= q
-        q *= q
-        q *= q
-        q *= q
-        q *= q  # ** 64
+        for _ in range(6):  # ** 64
+            q *= q
         free[k] = first * (np.float32(1.0) - np.float32(1.0) / q)
 
 

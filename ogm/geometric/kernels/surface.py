@@ -174,30 +174,21 @@ def lower_envelope(height, rise):
     """Lower every cell to what its neighbours allow: a two-pass chamfer distance transform in height."""
     nx, ny = height.shape
     diagonal = rise * np.float32(math.sqrt(2.0))
-    for i in range(nx):
-        for j in range(ny):
-            low = height[i, j]
-            if i > 0:
-                low = min(low, height[i - 1, j] + rise)
-                if j > 0:
-                    low = min(low, height[i - 1, j - 1] + diagonal)
-                if j < ny - 1:
-                    low = min(low, height[i - 1, j + 1] + diagonal)
-            if j > 0:
-                low = min(low, height[i, j - 1] + rise)
-            height[i, j] = low
-    for i in range(nx - 1, -1, -1):
-        for j in range(ny - 1, -1, -1):
-            low = height[i, j]
-            if i < nx - 1:
-                low = min(low, height[i + 1, j] + rise)
-                if j > 0:
-                    low = min(low, height[i + 1, j - 1] + diagonal)
-                if j < ny - 1:
-                    low = min(low, height[i + 1, j + 1] + diagonal)
-            if j < ny - 1:
-                low = min(low, height[i, j + 1] + rise)
-            height[i, j] = low
+    for step in (1, -1):  # from the first corner to the last, and back
+        for row in range(nx):
+            i = row if step > 0 else nx - 1 - row
+            for column in range(ny):
+                j = column if step > 0 else ny - 1 - column
+                low = height[i, j]
+                if 0 <= i - step < nx:
+                    low = min(low, height[i - step, j] + rise)
+                    if j > 0:
+                        low = min(low, height[i - step, j - 1] + diagonal)
+                    if j < ny - 1:
+                        low = min(low, height[i - step, j + 1] + diagonal)
+                if 0 <= j - step < ny:
+                    low = min(low, height[i, j - step] + rise)
+                height[i, j] = low
 
 
 @kernel
