@@ -1,8 +1,9 @@
 """Straight lines of cells: what `HeightBandISM` draws."""
 
+# mypy: allow-untyped-defs
 import numpy as np
 
-from ogm.geometric.core.jit import kernel
+from ogm.jit import kernel
 
 __all__ = ["draw_lines", "height_band_states", "state_mass"]
 
@@ -54,7 +55,7 @@ def draw_lines(state, ends, i0, j0):
 
 
 @kernel
-def height_band_states(x, y, z, origin, i0, j0, z_low, z_high, min_range, x0, y0, resolution, state, ends):
+def height_band_states(points, origin, start, cells, shape, band):
     """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
 
     Van Kempen et al. 2021, Sec. VI-A: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
@@ -63,26 +64,25 @@ def height_band_states(x, y, z, origin, i0, j0, z_low, z_high, min_range, x0, y0
 
     Parameters
     ----------
-    x, y, z : (N,) float32
-        Points in the frame of the grid [m].
+    points : Points
     origin : (3,) float32
         The sensor [m].
-    i0, j0 : int
+    start : (i0, j0)
         The cell that holds it.
-    z_low, z_high : float
-        Open interval of heights that are obstacles, in the frame of the grid [m].
-    min_range : float
-        Returns at most this far from the sensor are ignored [m].
-    x0, y0, resolution : float
-        Corner and cell side of the grid [m].
-    state : (nx, ny) uint8
-        Zeros on entry; UNKNOWN, FREE or OCCUPIED on return (or BEYOND: a ray's exit that it did not reach).
-    ends : (nx * ny, 2) int32
-        Work space.
+    cells : Cells, shape : (nx, ny)
+    band : HeightBand
+
+    Returns
+    -------
+    (nx, ny) uint8
+        UNKNOWN, FREE or OCCUPIED (or BEYOND: a ray's exit that it did not reach).
     """
-    nx, ny = state.shape
-    low, high, near = np.float32(z_low), np.float32(z_high), np.float32(min_range) * np.float32(min_range)
-    count = 0
+    x, y, z = points
+    x0, y0, resolution = cells
+    nx, ny = shape
+    low, high = np.float32(band.low), np.float32(band.high)
+    near = np.float32(band.min_range) * np.float32(band.min_range)
+    state, ends, count = np.zeros(shape, np.uint8), np.empty((min(x.shape[0], nx * ny), 2), np.int32), 0
     for n in range(x.shape[0]):
         if not (z[n] > low and z[n] < high):
             continue
@@ -111,11 +111,12 @@ def height_band_states(x, y, z, origin, i0, j0, z_low, z_high, min_range, x0, y0
             count += 1
         if mark == OCCUPIED or before == UNKNOWN:
             state[i, j] = mark
-    draw_lines(state, ends[:count], i0, j0)
+    draw_lines(state, ends[:count], start[0], start[1])
+    return state
 
 
 @kernel
-def state_mass(state, evidence, factor, mass):
+def state_mass(state, evidence, factor):
     """Turn states into masses, e / (2 + sum of e), averaging evidence over `factor` x `factor` cells.
 
     Parameters
@@ -124,11 +125,15 @@ def state_mass(state, evidence, factor, mass):
     evidence : float
         Dirichlet evidence of a free or occupied cell, > 0.
     factor : int
-        Cells of `state` per cell of `mass` along each axis.
-    mass : (nx, ny, 2) float32
-        Filled: free and occupied.
+        Cells of `state` per cell of the result along each axis.
+
+    Returns
+    -------
+    (nx, ny, 2) float32
+        Free and occupied.
     """
-    nx, ny = mass.shape[0], mass.shape[1]
+    nx, ny = state.shape[0] // factor, state.shape[1] // factor
+    mass = np.empty((nx, ny, 2), np.float32)
     if factor == 1:
         table = np.zeros((4, 2), np.float32)
         table[FREE, 0] = table[OCCUPIED, 1] = evidence / (2 + evidence)
@@ -136,7 +141,7 @@ def state_mass(state, evidence, factor, mass):
             for j in range(ny):
                 s = state[i, j]
                 mass[i, j, 0], mass[i, j, 1] = table[s, 0], table[s, 1]
-        return
+        return mass
     for i in range(nx):
         for j in range(ny):
             free, occupied = 0, 0
@@ -146,3 +151,4 @@ def state_mass(state, evidence, factor, mass):
                     occupied += state[k, l] == OCCUPIED
             strength = 2 * factor * factor / evidence + free + occupied
             mass[i, j, 0], mass[i, j, 1] = free / strength, occupied / strength
+    return mass

@@ -1,21 +1,23 @@
-"""Slow twins: what the kernels of `core` say, once more in plain Python.
+"""Slow references: what the kernels compute, in plain Python.
 
-They follow the definitions (one ray after the other, one cell after the other, float64) and none of the
+They follow the definitions (one ray after the other, one cell after the other, float64) and take none of the
 kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one against the other.
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.height_band import HeightBandISM
+from ogm.geometric.ray import RayISM
 from ogm.grid import GridSpec
 
 __all__ = [
-    "clear_from_rays",
-    "height_band_mass",
     "ground_map",
+    "height_band_mass",
     "line_cells",
     "lower_envelope",
     "ray_grid_mass",
@@ -40,63 +42,45 @@ def line_cells(start: tuple[int, int], end: tuple[int, int]) -> Iterator[tuple[i
         yield i0 + (a if di >= 0 else -a), j0 + (b if dj >= 0 else -b)
 
 
-def height_band_mass(
-    xyz: NDArray,
-    origin: Point,
-    z_low: float,
-    z_high: float,
-    min_range: float,
-    spec: GridSpec,
-    evidence: float,
-) -> NDArray[np.float32]:
-    """Return the masses of the paper's geometric ISM, one line per return (see `HeightBandISM`).
+def height_band_mass(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
+    """Return the masses of `HeightBandISM`, without supersampling, by one line per return.
 
     Parameters
     ----------
     xyz : (N, 3) float array
         Points in the frame of the grid [m].
-    origin : (x, y, z)
-        The sensor, inside the grid [m].
-    z_low, z_high : float
-        Open interval of obstacle heights in that frame [m].
-    min_range : float
-        Nearer returns are ignored [m].
-    spec : GridSpec
-    evidence : float
-        Dirichlet evidence of an observed cell.
+    ism : HeightBandISM
 
     Returns
     -------
     (nx, ny, 2) float32
     """
-    nx, ny = spec.shape
+    spec, (x0, y0, ground) = ism.spec, ism.mount.ground_point
+    origin = (x0, y0, float(ism.mount.origin[2]))
+    low, high = ground + ism.z_min, ground + ism.z_max
     occupied, free = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)
-    band = [p for p in xyz.tolist() if z_low < p[2] < z_high and math.dist(p, origin) > min_range]
-
-    def to_cell(x: float, y: float) -> tuple[int, int]:
-        return (
-            math.floor((x - spec.origin[0]) / spec.resolution),
-            math.floor((y - spec.origin[1]) / spec.resolution),
-        )
-
-    start = to_cell(origin[0], origin[1])
     ends = []
-    for x, y, _ in band:
-        i, j = to_cell(x, y)
-        if 0 <= i < nx and 0 <= j < ny:
-            occupied[i, j] = True
-            ends.append((i, j))
+    for x, y, z in xyz.tolist():
+        if not low < z < high or math.dist((x, y, z), origin) <= ism.min_range:
+            continue
+        if spec.contains(x, y):
+            ends.append(_cell(spec, x, y))
+            occupied[ends[-1]] = True
         else:
             ends.append(_leave(spec, origin, x, y))
     for end in ends:
-        for cell in line_cells(start, end):
+        for cell in line_cells(_cell(spec, x0, y0), end):
             if occupied[cell]:
                 break
             free[cell] = True
-    mass = np.zeros((nx, ny, 2), np.float32)
-    mass[free, 0] = evidence / (evidence + 2)
-    mass[occupied] = 0, evidence / (evidence + 2)
+    mass = np.zeros((*spec.shape, 2), np.float32)
+    mass[free, 0] = mass[occupied, 1] = ism.evidence / (ism.evidence + 2)
     return mass
+
+
+def _cell(spec: GridSpec, x: float, y: float) -> tuple[int, int]:
+    i, j = spec.index(x, y)
+    return int(i), int(j)
 
 
 def _leave(spec: GridSpec, origin: Point, x: float, y: float) -> tuple[int, int]:
@@ -108,8 +92,8 @@ def _leave(spec: GridSpec, origin: Point, x: float, y: float) -> tuple[int, int]
             share = min(share, (start - low) / (start - end))
         elif end >= high:
             share = min(share, (high - start) / (end - start))
-    i, j = spec.index(origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
-    return min(max(int(i), 0), spec.shape[0] - 1), min(max(int(j), 0), spec.shape[1] - 1)
+    i, j = _cell(spec, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
+    return min(max(i, 0), spec.shape[0] - 1), min(max(j, 0), spec.shape[1] - 1)
 
 
 def lower_envelope(height: NDArray, rise: float) -> NDArray:
@@ -141,11 +125,11 @@ def ground_map(
     ----------
     xyz : (N, 3) float array
         Points [m].
-    foot : (x, y, z)
+    ground_point : (x, y, z)
         The ground under the sensor [m].
     spec : GridSpec
     max_slope, max_descent : float
-        Rise over run: from cell to cell, and on average down from the foot.
+        Rise over run: from cell to cell, and on average down from the ground point.
     low_tolerance, band : float
         [m]
 
@@ -154,17 +138,17 @@ def ground_map(
     (nx, ny) float64
         Heights [m].
     """
-    home = tuple(int(k) for k in spec.index(ground_point[0], ground_point[1]))
-    cells: dict[tuple[int, ...], list[float]] = {}
+    home = _cell(spec, ground_point[0], ground_point[1])
+    cells: dict[tuple[int, int], list[float]] = {}
     lowest = np.full(spec.shape, np.inf)
     for x, y, z in xyz.tolist():
         if spec.contains(x, y):
-            cell = tuple(int(k) for k in spec.index(x, y))
+            cell = _cell(spec, x, y)
             cells.setdefault(cell, []).append(z)
             if ground_point[2] - low_tolerance - z <= max_descent * math.dist((x, y), ground_point[:2]):
                 lowest[cell] = min(lowest[cell], z)
 
-    # Strays: from ring to ring of cells, away from the foot
+    # Strays: from ring to ring of cells, away from the ground point
     ring_of = lambda cell: max(abs(cell[0] - home[0]), abs(cell[1] - home[1]))  # noqa: E731
     ground, steps = {home: ground_point[2]}, {home: 0}
     for cell in sorted(np.ndindex(*spec.shape), key=ring_of):
@@ -218,118 +202,114 @@ def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
     return result
 
 
-def clear_from_rays(
+def _clear_from_rays(
     slopes: NDArray, level: float, reach: float, per_cell: float, p_miss: float, weights: NDArray
 ) -> float:
-    """Return the belief in free of one polar bin from the rays that pass it, one by one.
+    """Return the belief in free of one polar bin from the (R,) rays that pass it, one by one.
 
-    Parameters
-    ----------
-    slopes : (R,) float array
-        Rise over run of each ray.
-    level : float
-        Say of a level ray, 1 - (sensor's height above the ground there) / clearance.
-    reach : float
-        Distance of the bin's middle over clearance.
-    per_cell : float
-        How much of the sector a cell covers there.
-    p_pass : float
-        Chance that a ray passes what it reaches.
-    weights : (R,) float array
-        1, or less for beams that came back empty.
+    `level` is the weight of a level ray, 1 - (sensor's height above the ground there) / clearance; `reach` the
+    distance of the bin's middle over clearance; `per_cell` how much of the sector a cell covers there.
     """
-    if len(slopes) == 0:
-        return 0.0
-    says = np.maximum(level - slopes * reach, 0)  # above clearance a ray says nothing
-    first = min(says.max(), 1.0)
+    visible = np.maximum(level - slopes * reach, 0)  # 0 above clearance
+    first = min(visible.max(initial=0), 1.0)
     if first == 0:
         return 0.0
-    count = min(max(float((says * weights).sum()) / first, 0.0), float(weights[says > 0].sum()))
+    count = min(max(float((visible * weights).sum()) / first, 0.0), float(weights[visible > 0].sum()))
     return first * (1 - p_miss ** (count * per_cell))
 
 
 def ray_grid_mass(
-    xyz: NDArray,
-    origin: Point,
-    ground: float,
-    spec: GridSpec,
-    ego_footprint: tuple[float, float, float, float],
-    sectors: int,
-    missing: NDArray,
-    obstacle_height: float,
-    clearance: float,
-    below_ground: float,
-    range_noise: float,
-    p_miss: float,
-    p_false_alarm: float,
-    free_reliability_at_hits: float,
-    max_mass: float,
-    max_range: float,
-    no_return_weight: float,
+    xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int
 ) -> NDArray[np.float32]:
-    """Return the masses of `RayISM` over flat ground at height `ground`, by a loop over cells and rays.
+    """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
 
-    Parameters as in `RayISM`; `xyz` (N, 3) and unit vectors `missing` (M, 3) in the frame of the grid,
-    returns from the own vehicle already removed.
+    Parameters
+    ----------
+    xyz : (N, 3) float array
+        Points in the frame of the grid, without returns from the ego vehicle [m].
+    no_returns : (M, 3) float array
+        Unit directions of beams without echo, in the frame of the grid.
+    ground : float
+        Height of the ground [m].
+    ism : RayISM
+        Its `ground` and `azimuth_step` are not used.
+    sectors : int
+
+    Returns
+    -------
+    (nx, ny, 2) float32
     """
-    step = spec.resolution
-    height, level = origin[2] - ground, 1 - (origin[2] - ground) / clearance
-    x0, x1, y0, y1 = spec.extent
-    far = math.hypot(max(x1 - origin[0], origin[0] - x0), max(y1 - origin[1], origin[1] - y0))
-    bins = math.ceil(far / step) + 1
-    hits = np.zeros(spec.shape)
-    rays: list[list[tuple[float, float, float]]] = [[] for _ in range(sectors)]  # slope, end bin, weight
-
-    def add(x: float, y: float, slope: float, end: float, weight: float) -> None:
-        sector = int((math.atan2(y, x) % (2 * math.pi)) * sectors / (2 * math.pi))
-        rays[min(sector, sectors - 1)].append((slope, int(min(end, bins)), weight))
-
-    for x, y, z in xyz.tolist():
-        dx, dy, above = x - origin[0], y - origin[1], z - ground
-        r = math.hypot(dx, dy)
-        if above < -below_ground or r < step:
+    hits = np.zeros(ism.spec.shape)
+    rays = _returned_rays(xyz, ground, ism, hits) + _no_return_rays(no_returns, ground, ism)
+    free = _polar_free(rays, ground, ism, sectors)
+    spec, (x0, y0, _) = ism.spec, ism.mount.origin.tolist()
+    x_min, x_max, y_min, y_max = ism.mount.ego_footprint
+    mass = np.zeros((*spec.shape, 2), np.float32)
+    for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in spec.cell_centers)):
+        if x_min < x < x_max and y_min < y < y_max:
             continue
-        end = r / step
-        if above <= obstacle_height:
+        r = math.hypot(x - x0, y - y0)
+        ring = min(int(r / spec.resolution), free.shape[1] - 1)
+        width = min(spec.resolution / max(r, spec.resolution / 8) / (2 * math.pi), 1) * sectors
+        span = max(round(width), 1)
+        begin = round(math.atan2(y - y0, x - x0) * sectors / (2 * math.pi) - span / 2)
+        cleared = np.mean([free[(begin + n) % sectors, ring] for n in range(span)])
+        alarm = ism.p_false_alarm ** (hits[i, j] / 2)
+        if hits[i, j]:
+            cleared *= ism.free_reliability_at_hits
+        mass[i, j] = min(cleared * alarm, ism.max_mass), min((1 - alarm) * (1 - cleared), ism.max_mass)
+    return mass
+
+
+Ray = tuple[float, float, float, float]  # azimuth [rad], slope, first bin that it does not clear, weight
+
+
+def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> list[Ray]:
+    """Return the ray to each return, and count the half hits of obstacles."""
+    spec, (x0, y0, z0) = ism.spec, ism.mount.origin.tolist()
+    rays = []
+    for x, y, z in xyz.tolist():
+        dx, dy, above = x - x0, y - y0, z - ground
+        r = math.hypot(dx, dy)
+        if above < -ism.below_ground or r < spec.resolution:
+            continue
+        end = r / spec.resolution
+        if above <= ism.obstacle_height:
             end += 1
-        elif above < clearance:
-            end = (r - 2 * range_noise) / step
-            for side in (-range_noise, range_noise):
+        elif above < ism.clearance:
+            end = (r - 2 * ism.range_noise) / spec.resolution
+            for side in (-ism.range_noise, ism.range_noise):
                 u, v = x + dx / r * side, y + dy / r * side
                 if spec.contains(u, v):
                     hits[spec.index(u, v)] += 1
-        add(dx, dy, (z - origin[2]) / r, end, 1.0)
-    for dx, dy, dz in missing.tolist():
-        across = math.hypot(dx, dy)
-        end = int(min(max_range * across / step, bins))
-        ground_hit = next((k for k in range(end) if height + dz / across * (k + 0.5) * step < 0), end)
-        add(dx, dy, dz / across, ground_hit, no_return_weight)
+        rays.append((math.atan2(dy, dx), (z - z0) / r, end, 1.0))
+    return rays
 
-    table = [np.array(sector).reshape(-1, 3) for sector in rays]
+
+def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray]:
+    """Return the rays of beams without echo, up to the ground or to `max_range`."""
+    step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
+    rays: list[Ray] = []
+    for dx, dy, dz in no_returns.tolist():
+        run = math.hypot(dx, dy)
+        end = int(ism.max_range * run / step)
+        end = next((k for k in range(end) if height + dz / run * (k + 0.5) * step < 0), end)
+        rays.append((math.atan2(dy, dx), dz / run, end, ism.no_return_weight))
+    return rays
+
+
+def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> NDArray[np.float64]:
+    """Return the belief in free of every polar bin, (sectors, bins)."""
+    spec, (x, y, z) = ism.spec, ism.mount.origin.tolist()
+    step, (x0, x1, y0, y1) = spec.resolution, spec.extent
+    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / step) + 1
+    table = np.array(rays).reshape(-1, 4)
+    sector = np.minimum((table[:, 0] % (2 * math.pi) * sectors / (2 * math.pi)).astype(int), sectors - 1)
+    level = 1 - (z - ground) / ism.clearance
     free = np.zeros((sectors, bins))
-    for s in range(sectors):
-        for k in range(bins):
-            through = table[s][table[s][:, 1] > k]
-            per_cell = sectors / (2 * math.pi) / (k + 0.5)
-            free[s, k] = clear_from_rays(
-                through[:, 0], level, (k + 0.5) * step / clearance, per_cell, p_miss, through[:, 2]
-            )
-
-    mass = np.zeros((*spec.shape, 2), np.float32)
-    for i, j in np.ndindex(*spec.shape):
-        x, y = spec.origin[0] + (i + 0.5) * step, spec.origin[1] + (j + 0.5) * step
-        if ego_footprint[0] < x < ego_footprint[1] and ego_footprint[2] < y < ego_footprint[3]:
-            continue
-        dx, dy = x - origin[0], y - origin[1]
-        r = math.hypot(dx, dy)
-        width = min(step / max(r, step / 8) / (2 * math.pi), 1) * sectors
-        span = max(round(width), 1)
-        begin = round(math.atan2(dy, dx) * sectors / (2 * math.pi) - span / 2)
-        cleared = np.mean([free[(begin + n) % sectors, min(int(r / step), bins - 1)] for n in range(span)])
-        if hits[i, j]:
-            doubt = p_false_alarm ** (hits[i, j] / 2)
-            cleared *= free_reliability_at_hits
-            mass[i, j] = min(cleared * doubt, max_mass), min((1 - doubt) * (1 - cleared), max_mass)
-        else:
-            mass[i, j, 0] = min(cleared, max_mass)
-    return mass
+    for s, k in np.ndindex(sectors, bins):
+        through = table[(sector == s) & (table[:, 2].astype(int) > k)]
+        per_cell = sectors / (2 * math.pi) / (k + 0.5)
+        reach = (k + 0.5) * step / ism.clearance
+        free[s, k] = _clear_from_rays(through[:, 1], level, reach, per_cell, ism.p_miss, through[:, 3])
+    return free
