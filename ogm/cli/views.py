@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ogm import plot
 from ogm.grid import GridSpec
-from ogm.state import predict_state
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+from ogm.state import CellState, predict_state
 
 __all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "error_classes", "frame_view", "height_colours"]
 
@@ -64,10 +63,10 @@ ERRORS = {
 _RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `STATES`
 _CLASS = np.zeros((4, 3), np.uint8)  # [true state, call] -> number in `ERRORS`
 for _truth, _calls in {
-    UNKNOWN: ("right unknown", "claim", "claim"),
-    FREE: ("missed free", "right free", "false occupied"),
-    OCCUPIED: ("missed occupied", "false free", "right occupied"),
-    IGNORE: ("ignored", "ignored", "ignored"),
+    CellState.UNKNOWN: ("right unknown", "claim", "claim"),
+    CellState.FREE: ("missed free", "right free", "false occupied"),
+    CellState.OCCUPIED: ("missed occupied", "false free", "right occupied"),
+    CellState.IGNORE: ("ignored", "ignored", "ignored"),
 }.items():
     _CLASS[_truth] = [list(ERRORS).index(name) for name in _calls]
 

@@ -16,7 +16,7 @@ from torch.utils.data import Dataset, Sampler
 
 from ogm.deep.pillars import EGO_FOOTPRINT, Pillars, cap_pillars, collate, pillarize
 from ogm.grid import GridSpec
-from ogm.truth import Truth
+from ogm.state import Truth
 
 __all__ = [
     "PLAIN",

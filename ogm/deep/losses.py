@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ogm.evidence import dirichlet_kl
-from ogm.truth import FREE, IGNORE, OCCUPIED
+from ogm.state import CellState
 
 __all__ = [
     "Loss",
@@ -216,7 +216,7 @@ def targets(state: Tensor) -> tuple[Tensor, Tensor]:
     """
     if state.dtype != torch.uint8:
         raise TypeError(f"state must be uint8, got {state.dtype}; convert it with .to(torch.uint8)")
-    return torch.stack([state == FREE, state == OCCUPIED], -1).float(), state != IGNORE
+    return torch.stack([state == CellState.FREE, state == CellState.OCCUPIED], -1).float(), state != CellState.IGNORE
 
 
 def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Tensor:

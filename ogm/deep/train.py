@@ -374,7 +374,7 @@ def _picture(path: Path, network: Network, scenes: PillarDataset, device: torch.
     """Show two fixed samples: points, truth, and what the network says."""
     from ogm.grid import EvidentialGrid
     from ogm.plot import Panel, masses, points, save_picture
-    from ogm.truth import Truth
+    from ogm.state import Truth
 
     panels: list[Panel] = []
     for i in sorted({0, len(scenes) // 2}):

@@ -5,7 +5,7 @@ from ogm.io.axes import AXES, Axes
 from ogm.io.calibration import read_calibration
 from ogm.io.kitti import read_kitti_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.nuscenes import NuScenes, NuScenesFrame, read_mmdet3d, read_nuscenes
-from ogm.io.objects import LabelledPoints, Objects, upright_boxes
+from ogm.io.objects import LabelledPoints
 from ogm.io.points import read_points, read_scan, read_scan_file
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
@@ -35,7 +35,6 @@ __all__ = [
     "LabelledPoints",
     "NuScenes",
     "NuScenesFrame",
-    "Objects",
     "Poses",
     "describe",
     "estimate_sensor_height",
@@ -54,6 +53,5 @@ __all__ = [
     "read_scan_file",
     "read_semantic_kitti",
     "read_sustech",
-    "upright_boxes",
     "write_poses",
 ]

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.io.documents import need, numbers, read_array, read_json
-from ogm.io.objects import Objects, upright_boxes
+from ogm.io.objects import BoxRow, boxes_of
 from ogm.io.source import optional, read_bytes
 from ogm.pose import inverse, transform_points
+from ogm.scan import Boxes
 
 __all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
 
@@ -101,24 +102,19 @@ class Argoverse2Log:
     annotations: Mapping[str, NDArray[Any]] | None
     map: Argoverse2Map | None
 
-    def objects(self, n: int) -> Objects:
+    def boxes(self, n: int) -> Boxes:
         """Return the boxes at sweep n, in the vehicle's frame: none where there are no annotations."""
         if self.annotations is None:
-            return Objects(np.empty((0, 7)), (), ())
+            return Boxes.empty()
         table = self.annotations
         at = np.flatnonzero(table["timestamp_ns"] == self.stamps[n])
         file = self.folder / "annotations.feather"
         T = _poses({name: table[name][at] for name in (*_PLACE, *_TURN)}, file)
         yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
         sizes = _columns({name: table[name][at] for name in _SIZE}, _SIZE, file)
-        try:
-            return Objects(
-                upright_boxes(T[:, :3, 3], yaw, sizes),
-                tuple(map(str, table["category"][at])),
-                tuple(map(str, table["track_uuid"][at])),
-            )
-        except ValueError as error:
-            raise ValueError(f"annotations.feather of {self.folder} at {self.stamps[n]}: {error}") from error
+        names = (map(str, table[name][at]) for name in ("category", "track_uuid"))
+        rows = map(BoxRow, T[:, :3, 3], sizes, yaw, *names)
+        return boxes_of(list(rows), f"{file} at {self.stamps[n]}")
 
 
 def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:

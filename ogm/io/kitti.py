@@ -8,8 +8,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.io.calibration import read_calibration
 from ogm.io.documents import numbers, read_lines
-from ogm.io.objects import Objects, upright_boxes
+from ogm.io.objects import BoxRow, boxes_of
 from ogm.pose import check_pose, inverse
+from ogm.scan import Boxes
 
 __all__ = ["read_kitti_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
@@ -19,7 +20,7 @@ _OBJECT = (
 _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
-def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> Objects:
+def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> Boxes:
     """Read the boxes of one scan of the object recordings (``label_2/000000.txt``).
 
     KITTI labels what its front camera sees, and nothing else. ``DontCare`` has no box and is left out.
@@ -33,7 +34,7 @@ def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike)
 
     Returns
     -------
-    Objects
+    Boxes
         Without tracks: these scans have nothing to do with each other. No objects if the file is empty.
 
     Raises
@@ -48,7 +49,7 @@ def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike)
     return _objects(path, rows, inverse(check_pose(T_camera_sensor, "T_camera_sensor")))
 
 
-def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> dict[int, Objects]:
+def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> dict[int, Boxes]:
     """Read the boxes of all scans of a drive (``label_02/0000.txt`` of the tracking recordings).
 
     Parameters
@@ -61,7 +62,7 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
 
     Returns
     -------
-    dict of int to Objects
+    dict of int to Boxes
         By the number of the scan. Scans without a line are not in it: nothing was seen there, or nobody looked.
 
     Raises
@@ -167,9 +168,9 @@ def _whole(word: str, n: int, path: Path) -> int:
         raise ValueError(f"line {n} of {path} must begin with two whole numbers, got {word!r}") from error
 
 
-def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.float64]) -> Objects:
+def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.float64]) -> Boxes:
     """Bring boxes from the camera's frame, x right, y down, z forward, to the lidar's."""
-    boxes, labels, tracks = [], [], []
+    boxes = []
     for n, words, track in rows:
         if words[0] == "DontCare":
             continue
@@ -179,10 +180,10 @@ def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.f
                 f"the {words[0]} in line {n} of {path} must have height, width and length above 0 m, got {height:g}, "
                 f"{width:g}, {length:g}: drop the line, or call it DontCare"
             )
-        bottom = T[:3, :3] @ [x, y, z] + T[:3, 3]
+        center = (
+            T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]
+        )  # the file has the middle of the bottom
         ahead = T[:3, :3] @ [np.cos(turn), 0.0, -np.sin(turn)]
         yaw = np.arctan2(ahead[1], ahead[0])
-        boxes.append(upright_boxes(bottom, yaw, [length, width, height], from_bottom=0.0)[0])
-        labels.append(words[0])
-        tracks.append(track)
-    return Objects(np.array(boxes).reshape(-1, 7), tuple(labels), tuple(tracks))
+        boxes.append(BoxRow(center, [length, width, height], yaw, words[0], track))
+    return boxes_of(boxes, path)

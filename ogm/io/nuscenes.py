@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ogm.io.axes import rotation_to_flu
 from ogm.io.documents import need, numbers, read_json
-from ogm.io.objects import Objects, upright_boxes
+from ogm.io.objects import BoxRow, boxes_of
 from ogm.pose import check_pose, inverse
+from ogm.scan import Boxes
 
 __all__ = ["NuScenes", "NuScenesFrame", "read_mmdet3d", "read_nuscenes"]
 
@@ -30,7 +31,7 @@ class NuScenesFrame(NamedTuple):
     stamp: float  # [s] since 1970
     T_map_sensor: NDArray[np.float64]  # (4, 4); the sensor's frame has x forward, y left, z up
     height: float  # [m] of the sensor above the vehicle's origin, which lies on the road
-    annotations: tuple[Mapping[str, Any], ...]  # as the file has them; `NuScenes.objects` makes boxes of them
+    annotations: tuple[Mapping[str, Any], ...]  # as the file has them; `NuScenes.boxes` makes boxes of them
 
 
 @dataclass(frozen=True)
@@ -51,31 +52,25 @@ class NuScenes:
     annotated: bool
     labels: Mapping[str, str]
 
-    def objects(self, n: int) -> Objects:
+    def boxes(self, n: int) -> Boxes:
         """Return the boxes of frame n, in the sensor's frame."""
         frame = self.frames[n]
-        boxes = _mmdet3d_boxes if frame.annotations and "bbox_3d" in frame.annotations[0] else self._boxes
-        rows, labels, tracks = boxes(frame)
-        try:
-            return Objects(np.array(rows).reshape(-1, 7), tuple(labels), tuple(tracks))
-        except ValueError as error:
-            raise ValueError(f"key frame {frame.name}: {error}") from error
+        rows = _mmdet3d_boxes if frame.annotations and "bbox_3d" in frame.annotations[0] else self._rows
+        return boxes_of(rows(frame), f"key frame {frame.name}")
 
-    def _boxes(self, frame: NuScenesFrame) -> tuple[list[NDArray[np.float64]], list[str], list[str]]:
+    def _rows(self, frame: NuScenesFrame) -> list[BoxRow]:
         T_sensor_map = inverse(frame.T_map_sensor)
-        rows, labels, tracks = [], [], []
+        rows = []
         for note in frame.annotations:
             where = f"an annotation of key frame {frame.name}"
             width, length, height = numbers(need(note, "size", where), 3, f"size of {where}")
             T = T_sensor_map @ _pose(note, where)
             yaw = np.arctan2(T[1, 0], T[0, 0])
-            rows.append(upright_boxes(T[:3, 3], yaw, [length, width, height])[0])
             track = str(need(note, "instance_token", where))
             if track not in self.labels:
                 raise ValueError(f"instance {track} of {where} is in no table of instances: is it complete?")
-            labels.append(self.labels[track])
-            tracks.append(track)
-        return rows, labels, tracks
+            rows.append(BoxRow(T[:3, 3], [length, width, height], yaw, self.labels[track], track))
+        return rows
 
 
 def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
@@ -202,15 +197,14 @@ def _named(note: Mapping[str, Any], names: Mapping[int, str]) -> str:
     return names.get(number, "other") if isinstance(number, int) else "other"
 
 
-def _mmdet3d_boxes(frame: NuScenesFrame) -> tuple[list[NDArray[np.float64]], list[str], list[str]]:
+def _mmdet3d_boxes(frame: NuScenesFrame) -> list[BoxRow]:
     """Turn bbox_3d, told in the lidar's frame: x right, y forward, z of the middle."""
-    rows, labels = [], []
+    rows = []
     for n, note in enumerate(frame.annotations):
         where = f"object {n} of key frame {frame.name}"
         box = numbers(need(note, "bbox_3d", where), 7, f"bbox_3d of {where}")
-        rows.append(upright_boxes(_TURN[:3, :3] @ box[:3], box[6] - np.pi / 2, box[3:6])[0])
-        labels.append(note["name"])
-    return rows, labels, [""] * len(rows)
+        rows.append(BoxRow(_TURN[:3, :3] @ box[:3], box[3:6], box[6] - np.pi / 2, note["name"]))
+    return rows
 
 
 def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:

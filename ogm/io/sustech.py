@@ -7,12 +7,13 @@ import numpy as np
 
 from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.documents import need, numbers, read_json
-from ogm.io.objects import Objects, upright_boxes
+from ogm.io.objects import BoxRow, boxes_of
+from ogm.scan import Boxes
 
 __all__ = ["read_sustech"]
 
 
-def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Objects:
+def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Boxes:
     """Read the boxes of one scan (``label/000965.json``).
 
     Parameters
@@ -24,8 +25,8 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Object
 
     Returns
     -------
-    Objects
-        Boxes are taken as upright: roll and pitch are left out.
+    Boxes
+        They are taken as upright: roll and pitch are left out.
 
     Raises
     ------
@@ -36,7 +37,7 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Object
     """
     path = Path(path)
     turn = rotation_to_flu(axes)
-    boxes, labels, tracks = [], [], []
+    boxes = []
     for n, note in enumerate(read_json(path, list, "the objects of a scan, each with psr, obj_type, obj_id")):
         where = f"object {n} of {path}"
         psr = need(note, "psr", where)
@@ -46,10 +47,7 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Object
             for part in [need(psr, key, where)]
         )
         ahead = turn @ [np.cos(angles[2]), np.sin(angles[2]), 0.0]
-        boxes.append(upright_boxes(turn @ place, np.arctan2(ahead[1], ahead[0]), size)[0])
-        labels.append(str(need(note, "obj_type", where)))
-        tracks.append("" if note.get("obj_id") is None else str(note["obj_id"]))
-    try:
-        return Objects(np.array(boxes).reshape(-1, 7), tuple(labels), tuple(tracks))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        track = "" if note.get("obj_id") is None else str(note["obj_id"])
+        yaw = np.arctan2(ahead[1], ahead[0])
+        boxes.append(BoxRow(turn @ place, size, yaw, str(need(note, "obj_type", where)), track))
+    return boxes_of(boxes, path)

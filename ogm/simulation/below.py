@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.grid import GridSpec
 from ogm.pose import check_pose
 from ogm.simulation.scene import Scene
-from ogm.truth import OBSTACLE_HEIGHT, TRUTH_SPEC
+from ogm.truth import TRUTH_SPEC, HeightLimits
 
 __all__ = ["Below", "look_down"]
 
@@ -36,7 +36,7 @@ class Below(NamedTuple):
 
 
 def look_down(
-    ground: Scene, T_world_sensor: ArrayLike, spec: GridSpec = TRUTH_SPEC, step: float = OBSTACLE_HEIGHT
+    ground: Scene, T_world_sensor: ArrayLike, spec: GridSpec = TRUTH_SPEC, step: float = HeightLimits.obstacle
 ) -> Below:
     """Find the ground in the middle of every cell, and the steps in it.
 

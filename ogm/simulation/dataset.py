@@ -15,10 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.pose import inverse, pose
+from ogm.scan import Boxes
 from ogm.simulation.plan import Plan, moment, mount_of, random
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
-from ogm.truth import TRUTH_SPEC, Truth, boxes_seen_from
+from ogm.state import Truth
+from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 try:
     from ogm.simulation.lidar import CLEAR, Weather, scan
@@ -188,9 +190,9 @@ def truth_of(plan: Plan, here: Look, returns: NDArray[np.int64], *, salt: int = 
     boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
     low, high = _own().vertices.min(axis=0), _own().vertices.max(axis=0)
     middle = here.frame.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-    own = _boxes(T, [(middle, high - low)])[0]
+    ego = cells_in_boxes(_boxes(T, [(middle, high - low)]), TRUTH_SPEC)
     below = look_down(here.world.ground, here.T_world_sensor)
-    known = {"boxes": boxes, "returns": returns, "own": own, "salt": salt}
+    known: dict[str, Any] = {"boxes": boxes, "returns": returns, "unobserved": ego, "salt": salt}
     if plan.truth == "hd":
         rays = hd_directions(here.spec, plan.hd_layers)
         return hd_truth(here.world.scene, below, here.T_world_sensor, rays, TRUTH_SPEC, **known)
@@ -198,7 +200,7 @@ def truth_of(plan: Plan, here: Look, returns: NDArray[np.int64], *, salt: int = 
     return aimed_truth(here.world.scene, below, here.T_world_sensor, ends, TRUTH_SPEC, **known)
 
 
-def _boxes(T: NDArray[np.float64], things: Sequence[tuple[NDArray, NDArray]]) -> NDArray[np.float64]:
+def _boxes(T: NDArray[np.float64], things: Sequence[tuple[NDArray, NDArray]]) -> Boxes:
     poses = np.array([one for one, _ in things], np.float64).reshape(-1, 4, 4)
     sizes = np.array([one for _, one in things], np.float64).reshape(-1, 3)
     return boxes_seen_from(T, poses, sizes)
@@ -209,12 +211,12 @@ def _listed(here: Look, returns: NDArray[np.int64]) -> NDArray[Any]:
     rows = np.zeros(len(here.objects), OBJECT)
     T = inverse(here.T_world_sensor)
     boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
-    for row, one, (x, y, yaw, length, width, bottom, top) in zip(rows, here.objects, boxes, strict=True):
+    rows["x"], rows["y"], rows["z"] = boxes.center.T
+    rows["length"], rows["width"], rows["yaw"] = boxes.size[:, 0], boxes.size[:, 1], boxes.yaw
+    for row, one in zip(rows, here.objects, strict=True):
         velocity = T[:3, :3] @ np.asarray(one.velocity)
         row["label"] = LABELS.index(one.label)
-        row["x"], row["y"], row["z"] = x, y, (bottom + top) / 2
-        row["length"], row["width"], row["height"] = length, width, one.size[2]
-        row["yaw"], row["vx"], row["vy"], row["track"] = yaw, velocity[0], velocity[1], one.track
+        row["height"], row["vx"], row["vy"], row["track"] = one.size[2], *velocity[:2], one.track
     rows["returns"] = returns
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")

@@ -15,7 +15,7 @@ from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
 from ogm.simulation.sample import Sample
 from ogm.simulation.store import Store
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
+from ogm.state import CellState, Truth
 
 __all__ = ["COLOURS", "Camera", "contact_sheet", "materials_panel", "sample_panels", "truth_panel"]
 
@@ -92,7 +92,10 @@ SKY = np.array([0.72, 0.82, 0.93])
 def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
     """Show a truth grid: green free, red occupied, black unknown, grey to be ignored."""
     colours = np.empty((4, 3))
-    colours[[FREE, OCCUPIED, UNKNOWN, IGNORE]] = *plot.LEGEND.values(), GREY
+    colours[[CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]] = (
+        *plot.LEGEND.values(),
+        GREY,
+    )
     legend = plot.LEGEND | ({"ignored": GREY} if truth.ignored.any() else {})
     return plot.cells(colours[truth.state], truth.spec, title, legend)
 

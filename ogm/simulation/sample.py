@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.truth import Truth
+from ogm.state import Truth
 
 __all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "Sample", "Weather", "pack", "unpack"]
 

@@ -37,7 +37,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, Weather, pack, unpack
-from ogm.truth import TRUTH_SPEC, Truth
+from ogm.state import Truth
+from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FORMAT", "SHARD", "Damaged", "Split", "Store"]
 

@@ -12,23 +12,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
 from ogm.pose import check_pose
+from ogm.scan import Boxes
 from ogm.simulation.aims import AIMS, Aim, Aims, aimed_directions
 from ogm.simulation.below import Below, look_down
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.scene import Hits, Scene
+from ogm.state import Truth
 from ogm.truth import (
-    CLEARANCE,
+    HEIGHT_LIMITS,
     MIN_RETURNS,
-    OBSTACLE_HEIGHT,
     OBSTACLE_SEEN,
-    PLANT_HEIGHT,
     TRUTH_SPEC,
+    HeightLimits,
     Kind,
-    Truth,
-    check_heights,
     finalize_truth,
-    tally_rays,
 )
+from ogm.truth.rays import observe_rays
 
 __all__ = [
     "AIMS",
@@ -65,13 +64,11 @@ def hd_truth(
     directions: NDArray[np.float32],
     spec: GridSpec = TRUTH_SPEC,
     *,
-    obstacle_height: float = OBSTACLE_HEIGHT,
-    plant_height: float = PLANT_HEIGHT,
-    clearance: float = CLEARANCE,
-    boxes: ArrayLike | None = None,
+    limits: HeightLimits = HEIGHT_LIMITS,
+    boxes: Boxes | None = None,
     returns: ArrayLike | None = None,
     min_returns: int = MIN_RETURNS,
-    own: ArrayLike | None = None,
+    unobserved: NDArray[np.bool_] | None = None,
     salt: int = 0,
 ) -> Truth:
     """Look around with an HD lidar.
@@ -90,24 +87,22 @@ def hd_truth(
         Of all rays, in the sensor's frame: `ogm.simulation.lidar.hd_directions`.
     spec : GridSpec
         Cells in the sensor's frame.
-    obstacle_height, plant_height, clearance, boxes, returns, min_returns, own
+    limits, boxes, returns, min_returns, unobserved
         As in `ogm.truth.truth_grid`.
     salt : int
         Decides which rays pass through glass, as in `Scene.cast`.
     """
-    check_heights(obstacle_height, plant_height, clearance)
     _check_below(below, spec)
-    heights = (obstacle_height, plant_height, clearance)
     seen = np.zeros(spec.shape, np.uint8)
     room = Hits.room(BATCH)
-    _look(seen, scene, below, T_world_sensor, directions.reshape(-1, 3), spec, heights, salt, 0, room)
+    _look(seen, scene, below, T_world_sensor, directions.reshape(-1, 3), spec, limits, salt, 0, room)
     return finalize_truth(
         seen,
         spec,
         boxes=boxes,
         returns=returns,
         min_returns=min_returns,
-        own=own,
+        unobserved=unobserved,
         beyond=np.isnan(below.z),
     )
 
@@ -120,13 +115,11 @@ def aimed_truth(
     spec: GridSpec = TRUTH_SPEC,
     *,
     aims: Aims = AIMS,
-    obstacle_height: float = OBSTACLE_HEIGHT,
-    plant_height: float = PLANT_HEIGHT,
-    clearance: float = CLEARANCE,
-    boxes: ArrayLike | None = None,
+    limits: HeightLimits = HEIGHT_LIMITS,
+    boxes: Boxes | None = None,
     returns: ArrayLike | None = None,
     min_returns: int = MIN_RETURNS,
-    own: ArrayLike | None = None,
+    unobserved: NDArray[np.bool_] | None = None,
     salt: int = 0,
 ) -> Truth:
     """Look at every cell.
@@ -144,9 +137,7 @@ def aimed_truth(
 
     Others as in `hd_truth`.
     """
-    check_heights(obstacle_height, plant_height, clearance)
     _check_below(below, spec)
-    heights = (obstacle_height, plant_height, clearance)
     seen = np.zeros(spec.shape, np.uint8)
     room = Hits.room(BATCH)
     if not -np.pi / 2 <= elevations[0] < elevations[1] <= np.pi / 2:
@@ -156,7 +147,7 @@ def aimed_truth(
     def look(z: NDArray[np.float32], aim: Aim, chosen: NDArray[np.bool_]) -> None:
         nonlocal number
         directions = aimed_directions(z, spec, aim, elevations, chosen)
-        _look(seen, scene, below, T_world_sensor, directions, spec, heights, salt, number, room)
+        _look(seen, scene, below, T_world_sensor, directions, spec, limits, salt, number, room)
         number += len(directions)
 
     for aim in aims.every:
@@ -164,7 +155,7 @@ def aimed_truth(
     colour = np.add.outer(np.arange(spec.shape[0]), np.arange(spec.shape[1])) % 2
     for n, aim in enumerate(aims.alternate):
         look(below.z, aim, colour == n % 2)
-    steps = (below.rise >= obstacle_height) & (seen < OBSTACLE_SEEN)
+    steps = (below.rise >= limits.obstacle) & (seen < OBSTACLE_SEEN)
     for aim in aims.step:
         look((below.ground + below.rise / 2).astype(np.float32), aim, steps)
     beside = _touching(seen >= OBSTACLE_SEEN) & (seen < OBSTACLE_SEEN)
@@ -179,7 +170,7 @@ def aimed_truth(
         boxes=boxes,
         returns=returns,
         min_returns=min_returns,
-        own=own,
+        unobserved=unobserved,
         beyond=np.isnan(below.z),
     )
 
@@ -207,7 +198,7 @@ def _look(
     T_world_sensor: ArrayLike,
     directions: NDArray[np.float32],
     spec: GridSpec,
-    heights: tuple[float, float, float],
+    limits: HeightLimits,
     salt: int,
     number: int,
     room: Hits,
@@ -219,4 +210,5 @@ def _look(
         n = len(part)
         out = Hits(room.distance[:n], room.material[:n], room.object[:n], room.cosine[:n])
         hits = scene.cast(T, part, salt=salt, number=number + start, out=out)
-        tally_rays(seen, hits.distance, part, hits.material, KINDS, below.ground, below.rise, spec, *heights)
+        kind = KINDS[hits.material]
+        observe_rays(seen, hits.distance, part, kind, below.ground, below.rise, spec, limits)

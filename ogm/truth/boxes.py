@@ -1,78 +1,104 @@
-"""Boxes of traffic participants: the cells they cover, the points they hold."""
+"""Truth of the boxes around objects: the cells they cover, the points they hold, and which of them move."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
+from ogm.scan import Boxes
+from ogm.state import CellState, Truth
 
-__all__ = ["boxes_seen_from", "cells_in_box", "check_boxes", "count_returns", "over"]
+__all__ = [
+    "MIN_RETURNS",
+    "boxes_over_points",
+    "boxes_seen_from",
+    "cells_in_boxes",
+    "cells_in_footprint",
+    "count_returns",
+    "moving_tracks",
+    "truth_from_boxes",
+]
+
+MIN_RETURNS = 50  # points in the input scan that make all cells of an object occupied (Sec. IV-B)
+MOVING_SPEED = 1.0  # [m/s] from the first box of a track to the last, above which an object moves
+MOVING_DISTANCE = (
+    3.0  # [m] or so far from its first box at any time: it may have driven a little, then waited
+)
 
 
-def check_boxes(value: ArrayLike, name: str) -> NDArray[np.float64]:
-    """Refuse what are no boxes; return them as an array (B, 5) or (B, 7)."""
-    boxes = np.asarray(value, np.float64)
-    if boxes.size == 0:
-        return boxes.reshape(0, 5)
-    if boxes.ndim != 2 or boxes.shape[1] not in (5, 7):
-        raise ValueError(
-            f"{name} must hold x, y, yaw, length, width (and bottom, top) per box, shape (B, 5) or (B, 7), "
-            f"got {boxes.shape}"
-        )
-    if not np.isfinite(boxes).all() or not (boxes[:, 3:5] > 0).all():
-        raise ValueError(f"{name} must be finite, with length and width above 0 m")
-    return boxes
-
-
-def over(box: ArrayLike, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Tell which places lie on the footprint of a box, (5 or more,); in float64, whatever the places are in."""
-    x0, y0, yaw, length, width = np.asarray(box, np.float64)[:5]
-    c, s, px, py = np.cos(yaw), np.sin(yaw), x - x0, y - y0
+def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return which places lie on the footprint of box k; in float64, whatever the places are in."""
+    c, s = np.cos(boxes.yaw[k]), np.sin(boxes.yaw[k])
+    px, py = x - boxes.center[k, 0], y - boxes.center[k, 1]
+    length, width = boxes.size[k, :2]
     return (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
 
 
-def cells_in_box(box: ArrayLike, spec: GridSpec) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the cells that a box covers: those whose middle lies in it, and the one that holds its middle.
+def cells_in_boxes(boxes: Boxes, spec: GridSpec) -> NDArray[np.bool_]:
+    """Return which cells any of some boxes covers.
 
-    Counting middles keeps the area right on average; what sticks out into further cells is hit there anyhow.
+    A box covers the cells whose centers lie in it, and the cell that holds its own center. Counting centers keeps
+    the area right on average.
 
     Parameters
     ----------
-    box : (5 or more,) float
-        x, y of the middle [m], yaw [rad], length, width [m].
+    boxes : Boxes
+        In the grid's frame; heights are not used.
     spec : GridSpec
 
     Returns
     -------
-    ix, iy : (C,) int64
-        Cells inside the grid only.
+    (nx, ny) bool
     """
-    x, y, _, length, width = (float(value) for value in np.asarray(box)[:5])
-    reach = 0.5 * np.hypot(length, width) + spec.resolution
-    (ix0, ix1), (iy0, iy1) = spec.index(*np.array([[x - reach, x + reach], [y - reach, y + reach]]))
-    nx, ny = spec.shape
-    ix = np.arange(max(ix0, 0), min(ix1 + 1, nx))[:, None]
-    iy = np.arange(max(iy0, 0), min(iy1 + 1, ny))[None, :]
-    inside = over(
-        box, spec.origin[0] + (ix + 0.5) * spec.resolution, spec.origin[1] + (iy + 0.5) * spec.resolution
-    )
-    mx, my = spec.index(x, y)
-    inside |= (ix == mx) & (iy == my)
-    at = np.nonzero(inside)
-    return at[0] + max(int(ix0), 0), at[1] + max(int(iy0), 0)
+    result = np.zeros(spec.shape, bool)
+    x, y = spec.cell_centers
+    for k, (bx, by) in enumerate(boxes.center[:, :2]):
+        reach = 0.5 * np.hypot(*boxes.size[k, :2]) + spec.resolution
+        window = spec.index(*np.array([[bx - reach, bx + reach], [by - reach, by + reach]]))
+        rows, columns = (slice(max(first, 0), max(last + 1, 0)) for first, last in window)
+        result[rows, columns] |= _covers(boxes, k, x[rows], y[:, columns])
+        if spec.contains(bx, by):
+            result[spec.index(bx, by)] = True
+    return result
 
 
-def count_returns(points: ArrayLike, boxes: ArrayLike) -> NDArray[np.int64]:
+def cells_in_footprint(footprint: Sequence[float], spec: GridSpec) -> NDArray[np.bool_]:
+    """Return which cells have their centers on the ego vehicle.
+
+    Parameters
+    ----------
+    footprint : (x_min, x_max, y_min, y_max)
+        In the grid's frame [m], as `Mount.ego_footprint`.
+    spec : GridSpec
+
+    Returns
+    -------
+    (nx, ny) bool
+    """
+    x_min, x_max, y_min, y_max = footprint
+    x, y = spec.cell_centers
+    return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+
+
+def boxes_over_points(points: NDArray[np.floating], boxes: Boxes) -> NDArray[np.bool_]:
+    """Return which points lie over, in or under any of the boxes, (N,): at any height."""
+    result = np.zeros(len(points), bool)
+    for k in range(len(boxes)):
+        result |= _covers(boxes, k, points[:, 0], points[:, 1])
+    return result
+
+
+def count_returns(points: ArrayLike, boxes: Boxes, *, above_bottom: float = 0.0) -> NDArray[np.int64]:
     """Count the points of a scan in each box.
-
-    Ground under a vehicle is in its box too: leave those points out if you can tell them, or raise `bottom`.
 
     Parameters
     ----------
     points : (N, 3 or more) float
         x, y, z [m] in the boxes' frame.
-    boxes : (B, 5) or (B, 7) float
-        x, y of the middle [m], yaw [rad], length, width [m]; and bottom, top, the lowest and highest z [m],
-        without which points at all heights count.
+    boxes : Boxes
+    above_bottom : float
+        Points lower than this over a box's bottom [m] are left out, as ground. 0 if ground was removed before.
 
     Returns
     -------
@@ -81,18 +107,19 @@ def count_returns(points: ArrayLike, boxes: ArrayLike) -> NDArray[np.int64]:
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] < 3:
         raise ValueError(f"points must have shape (N, 3 or more), got {points.shape}")
-    result = np.zeros(len(check_boxes(boxes, "boxes")), np.int64)
-    for n, box in enumerate(check_boxes(boxes, "boxes")):
-        near = points[np.abs(points[:, 0] - box[0]) <= 0.5 * np.hypot(box[3], box[4])]
-        inside = over(box, near[:, 0], near[:, 1])
-        if len(box) == 7:
-            inside &= (near[:, 2] >= box[5]) & (near[:, 2] <= box[6])
-        result[n] = np.count_nonzero(inside)
+    result = np.zeros(len(boxes), np.int64)
+    bottom, top = boxes.bottom + above_bottom, boxes.top
+    for k in range(len(boxes)):
+        reach = 0.5 * np.hypot(*boxes.size[k, :2])
+        near = points[np.abs(points[:, 0] - boxes.center[k, 0]) <= reach]
+        inside = _covers(boxes, k, near[:, 0], near[:, 1])
+        inside &= (near[:, 2] >= bottom[k]) & (near[:, 2] <= top[k])
+        result[k] = np.count_nonzero(inside)
     return result
 
 
-def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> NDArray[np.float64]:
-    """Bring upright boxes from their own frames to the rows that `truth_grid` and `count_returns` take.
+def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> Boxes:
+    """Return upright boxes around objects, in the grid's frame.
 
     Parameters
     ----------
@@ -105,19 +132,87 @@ def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> NDArray
 
     Returns
     -------
-    (B, 7) float64
-        x, y of the middle, yaw, length, width, bottom, top. Where the frames tilt against each other, the middle
-        is that of the body at half its height, and bottom and top hold the whole box.
+    Boxes
+        Where the frames tilt against each other, the center is that of the body at half its height, and the
+        box's height holds the whole body.
     """
-    poses, sizes = (
-        np.asarray(poses, np.float64).reshape(-1, 4, 4),
-        np.asarray(sizes, np.float64).reshape(-1, 3),
-    )
+    poses = np.asarray(poses, np.float64).reshape(-1, 4, 4)
+    sizes = np.asarray(sizes, np.float64).reshape(-1, 3)
     if len(poses) != len(sizes):
-        raise ValueError(f"poses and sizes must be as many, got {len(poses)} and {len(sizes)}")
+        raise ValueError(f"there must be one size per pose, got {len(poses)} poses and {len(sizes)} sizes")
     seen = np.asarray(T, np.float64) @ poses
-    middle = seen[:, :3, 3] + 0.5 * sizes[:, 2, None] * seen[:, :3, 2]
-    reach = 0.5 * np.abs(seen[:, 2, :3] * sizes).sum(axis=1)
+    center = seen[:, :3, 3] + 0.5 * sizes[:, 2, None] * seen[:, :3, 2]
+    height = np.abs(seen[:, 2, :3] * sizes).sum(axis=1)
     yaw = np.arctan2(seen[:, 1, 0], seen[:, 0, 0])
-    bottom, top = middle[:, 2] - reach, middle[:, 2] + reach
-    return np.column_stack([middle[:, :2], yaw, sizes[:, :2], bottom, top])
+    return Boxes(center, np.column_stack([sizes[:, :2], height]), yaw)
+
+
+def moving_tracks(
+    stamps: Sequence[float],
+    boxes: Sequence[Boxes],
+    *,
+    speed: float = MOVING_SPEED,
+    distance: float = MOVING_DISTANCE,
+) -> frozenset[str]:
+    """Return the tracks of the objects that move while they are recorded.
+
+    Parameters
+    ----------
+    stamps : sequence of K float
+        Times of some frames [s], in any order.
+    boxes : sequence of K Boxes
+        The boxes of each, in the map's frame. Those without a track are left out.
+    speed : float
+        From first to last box, over the time between [m/s].
+    distance : float
+        From the first box at any time [m].
+
+    Returns
+    -------
+    frozenset of str
+        Tracks above either. An object that was seen once is none of them.
+    """
+    if len(stamps) != len(boxes):
+        raise ValueError(
+            f"there must be one stamp per frame, got {len(stamps)} stamps and {len(boxes)} frames"
+        )
+    track: dict[str, list[tuple[float, float, float]]] = {}
+    for k in np.argsort(np.asarray(stamps, np.float64), kind="stable"):
+        for name, (x, y) in zip(boxes[k].track, boxes[k].center[:, :2], strict=True):
+            track.setdefault(name, []).append((stamps[k], x, y))
+    track.pop("", None)
+    moving = set()
+    for name, rows in track.items():
+        t, *place = np.array(rows).T
+        away, time = np.hypot(*(np.array(place) - np.array(place)[:, :1])), t[-1] - t[0]
+        if away.max() > distance or (time > 0 and away[-1] > speed * time):
+            moving.add(name)
+    return frozenset(moving)
+
+
+def truth_from_boxes(
+    boxes: Boxes, returns: ArrayLike, spec: GridSpec, *, min_returns: int = MIN_RETURNS
+) -> Truth:
+    """Return the truth of boxes alone: objects with enough returns are occupied (van Kempen et al. 2021, Sec. IV-B).
+
+    Parameters
+    ----------
+    boxes : Boxes
+        In the grid's frame.
+    returns : (B,) integer
+        Points that each has in the scan: `count_returns`.
+    spec : GridSpec
+    min_returns : int
+        Boxes with at least so many make their cells occupied.
+
+    Returns
+    -------
+    Truth
+        Never free or unknown: boxes with fewer returns, and all outside of boxes, are to be ignored.
+    """
+    counts = np.asarray(returns)
+    if counts.shape != (len(boxes),):
+        raise ValueError(f"returns must have shape ({len(boxes)},), one per box, got {counts.shape}")
+    state = np.full(spec.shape, np.uint8(CellState.IGNORE))
+    state[cells_in_boxes(boxes.select(counts >= min_returns), spec)] = CellState.OCCUPIED
+    return Truth(spec, state)

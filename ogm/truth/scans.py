@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
-from ogm.truth.state import FREE, IGNORE, OCCUPIED, Truth
+from ogm.state import CellState, Truth
 
 __all__ = ["MARGIN", "contradicted", "truth_from_scans"]
 
@@ -78,12 +78,12 @@ def truth_from_scans(
             any_here |= count > 0
         seen += any_here
     enough = (returns >= AT_LEAST) & (scans >= min_scans)
-    state = np.full(cells, IGNORE, np.uint8)
-    state[enough[0] & (returns[1] == 0) & (returns[2] == 0)] = FREE
-    state[enough[2] & (scans[2] >= HALF * seen)] = OCCUPIED
+    state = np.full(cells, np.uint8(CellState.IGNORE))
+    state[enough[0] & (returns[1] == 0) & (returns[2] == 0)] = CellState.FREE
+    state[enough[2] & (scans[2] >= HALF * seen)] = CellState.OCCUPIED
     state = state.reshape(spec.shape)
     if moving is not None:
-        state[moving] = IGNORE
+        state[moving] = CellState.IGNORE
     return Truth(spec, state)
 
 
@@ -122,7 +122,7 @@ def contradicted(
     near_standing = binary_dilation(standing, np.ones((3, 3), bool))
     steps = max(1, int(np.ceil(reach / spec.resolution - 1e-9)))
     result = np.zeros(spec.shape, bool)
-    for state, against in ((FREE, standing), (OCCUPIED, ground & ~near_standing)):
+    for state, against in ((CellState.FREE, standing), (CellState.OCCUPIED, ground & ~near_standing)):
         mine = truth.state == state
         result |= mine & binary_dilation(mine & against, iterations=steps)
     return result

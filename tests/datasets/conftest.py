@@ -1,6 +1,6 @@
 """A small made-up street, and writers that put it down as every data set would.
 
-The street is flat. A wall stands ahead, a car is parked, another drives past, and the own vehicle goes 1 m forward
+The street is flat. A wall stands ahead, a car is parked, another drives past, and the ego vehicle goes 1 m forward
 from scan to scan. The writers use the data sets' own axes and units and nothing of the library.
 """
 

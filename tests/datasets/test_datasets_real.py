@@ -1,4 +1,4 @@
-"""Real recordings open by their path, and their truth is plausible. Without the recordings, tests are skipped."""
+"""Real datasets open by their path, and their truth is plausible. Without the datasets, tests are skipped."""
 
 import json
 from functools import lru_cache
@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ogm import GridSpec
+from ogm.datasets import open_dataset
 from ogm.io import (
     SEMANTIC_KITTI,
     SEMANTIC_KITTI_TRAINING,
@@ -15,10 +16,12 @@ from ogm.io import (
     read_points,
     read_range_image,
 )
-from ogm.recordings import open_recording
-from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, cells_in_box, cells_in_boxes, widen_boxes
+from ogm.state import CellState
+from ogm.truth import TRUTH_SPEC, cells_in_boxes
 
-opened = lru_cache(None)(open_recording)  # what several tests look at is read once
+FREE, OCCUPIED, IGNORE = CellState.FREE, CellState.OCCUPIED, CellState.IGNORE
+
+opened = lru_cache(None)(open_dataset)  # what several tests use is read once
 
 RECORDINGS = {  # frames, sources, sensor height [m], shares of free and occupied cells of frame 0: least and most
     "kitti_object": (3, ("boxes",), 1.73, (0, 0), (0, 0.01)),
@@ -32,12 +35,12 @@ RECORDINGS = {  # frames, sources, sensor height [m], shares of free and occupie
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
-def test_a_recording_opens_by_its_path_and_its_truth_is_plausible(real, name):
+def test_a_dataset_opens_by_its_path_and_its_truth_is_plausible(real, name):
     frames, sources, height, free, occupied = RECORDINGS[name]
-    recording = opened(real(name))
-    assert (len(recording), recording.sources) == (frames, sources)
-    frame = recording[0]
-    assert frame.T_vehicle_sensor[2, 3] == pytest.approx(height, abs=0.06)
+    dataset = opened(real(name))
+    assert (len(dataset), dataset._truth.sources) == (frames, sources)
+    frame = dataset[0]
+    assert frame.mount.sensor_height == pytest.approx(height, abs=0.06)
     shares = frame.truth.shares()
     assert free[0] <= shares.free <= free[1]
     assert occupied[0] <= shares.occupied <= occupied[1]
@@ -45,54 +48,51 @@ def test_a_recording_opens_by_its_path_and_its_truth_is_plausible(real, name):
     assert frame.truth.state[TRUTH_SPEC.index(0.0, 0.0)] == IGNORE
 
 
-def test_the_drive_0005_says_what_its_labels_say(real):
-    """Judged by later scans alone, to read few of them: frame 80 of 60 to 83."""
+def test_the_truth_of_drive_0005_is_that_of_its_labels(real):
+    """With truth of later scans alone, to read few of them: frame 80 of 60 to 83."""
     folder = real("kitti_raw_0005")
-    recording = opened(folder, others="later")
-    assert len(recording) == 24
-    assert recording.sources == ("boxes", "aggregated")
-    frame = recording[20]
+    dataset = opened(folder, others="later")
+    assert len(dataset) == 24
+    assert dataset._truth.sources == ("boxes", "aggregated")
+    frame = dataset[20]
     assert frame.name == "0000000080"
-    assert frame.T_vehicle_sensor[2, 3] == pytest.approx(1.76, abs=0.06)
+    assert frame.mount.sensor_height == pytest.approx(1.76, abs=0.06)
     T = read_kitti_calibration(folder / "calib_2011_09_26.txt")
     objects = read_kitti_tracks(folder / "label_02_0000.txt", T)[80]
-    assert (frame.objects.boxes == objects.boxes).all()
-    assert set(recording._moving(frame.sequence)) == {"0", "1"}  # the van and the cyclist ahead
+    assert (frame.boxes.center == objects.center).all()
+    assert set(dataset._truth._moving_tracks(frame.sequence)) == {"0", "1"}  # the van and the cyclist ahead
     state = frame.truth.state
-    for box in objects.boxes[[name in ("0", "1") for name in objects.tracks]]:
-        assert (state[cells_in_box(box, TRUTH_SPEC)] == OCCUPIED).all()
+    seen = objects.select([name in ("0", "1") for name in objects.track])
+    assert (state[cells_in_boxes(seen, TRUTH_SPEC)] == OCCUPIED).all()
     ahead = state[TRUTH_SPEC.index(np.arange(6.0, 9.0, 0.16), np.zeros(19))]
     assert np.mean(ahead == FREE) > 0.8
-    first, last = recording[0].T_map_sensor, recording[23].T_map_sensor
+    first, last = dataset[0].T_map_sensor, dataset[23].T_map_sensor
     assert np.linalg.norm((np.linalg.inv(first) @ last)[:3, 3]) == pytest.approx(9, abs=1)
 
 
 def test_moving_objects_leave_no_trail_in_sustechpoints(real):
     """Where a car drove in another scan, and none stands now, nothing is occupied by other scans."""
-    recording = open_recording(real("sustechpoints"), truth=("aggregated",))
-    frame, other = recording[1], recording[2]
-    moving = recording._moving(frame.sequence)
+    dataset = open_dataset(real("sustechpoints"), truth=("aggregated",))
+    frame, other = dataset[1], dataset[2]
+    moving = dataset._truth._moving_tracks(frame.sequence)
     assert len(moving) > 3
-    from ogm.truth import move_boxes
-
     T = np.linalg.inv(frame.T_map_sensor) @ other.T_map_sensor
-    there = other.objects.chosen([name in moving for name in other.objects.tracks])
-    inner = move_boxes(there.boxes, T) - [0, 0, 0, 0.3, 0.3, 0, 0]
-    left = cells_in_boxes(inner, TRUTH_SPEC)
-    left &= ~cells_in_boxes(widen_boxes(frame.objects.boxes, 0.3), TRUTH_SPEC)
+    there = other.boxes.select([name in moving for name in other.boxes.track])
+    left = cells_in_boxes(there.moved(T).widened(-0.15), TRUTH_SPEC)
+    left &= ~cells_in_boxes(frame.boxes.widened(0.3), TRUTH_SPEC)
     assert left.sum() > 100
     assert np.mean(frame.truth.state[left] == OCCUPIED) < 0.02
 
 
 def test_argoverse_is_seen_from_its_upper_lidar(real):
-    recording = opened(real("argoverse2_adcf"))
-    frame = recording[0]
-    assert "upper lidar" in recording.truth_description
+    dataset = opened(real("argoverse2_adcf"))
+    frame = dataset[0]
+    assert "upper lidar" in dataset.description
     every = read_points(next(real("argoverse2_adcf").glob("sensors/lidar/*.feather")))
-    assert 0.4 * len(every) < len(frame.points) < 0.6 * len(every)
-    angle = np.degrees(np.arctan2(frame.points[:, 2], np.hypot(*frame.points[:, :2].T)))
+    assert 0.4 * len(every) < len(frame.scan.points) < 0.6 * len(every)
+    angle = np.degrees(np.arctan2(frame.scan.points[:, 2], np.hypot(*frame.scan.points[:, :2].T)))
     assert len(np.unique(np.round(angle, 1))) < 120  # 32 beams, seen from where they start
-    assert len(frame.objects) == 47
+    assert len(frame.boxes) == 47
     road = frame.truth.state[TRUTH_SPEC.index(np.arange(-20.0, -4.0, 0.5), np.full(32, 2.0))]
     assert (road == FREE).mean() > 0.9
 
@@ -106,10 +106,10 @@ def test_semantic_kittis_own_files_give_the_same_truth_as_the_range_image(real, 
     image.points.tofile(tmp_path / "sequences" / "00" / "velodyne" / "000001.bin")
     numbers = np.array([back[word] for word in image.named()], "<u4")
     numbers.tofile(tmp_path / "sequences" / "00" / "labels" / "000001.label")
-    own, packed = open_recording(tmp_path), open_recording(folder / "1.npy.xz")
-    assert (own.format, len(own), own.sources) == ("SemanticKITTI", 1, ("classes",))
+    own, packed = open_dataset(tmp_path), open_dataset(folder / "1.npy.xz")
+    assert (own.format, len(own), own._truth.sources) == ("SemanticKITTI", 1, ("classes",))
     assert (own[0].truth.state == packed[0].truth.state).all()
-    assert (own[0].points == packed[0].points).all()
+    assert (own[0].scan.points == packed[0].scan.points).all()
 
 
 def test_kittis_own_layout_of_a_drive_gives_the_same_truth(real, tmp_path):
@@ -125,19 +125,19 @@ def test_kittis_own_layout_of_a_drive_gives_the_same_truth(real, tmp_path):
     (drive / "derived").mkdir()
     poses = (folder / "derived" / "poses_lidar_gicp.txt").read_text()
     (drive / "derived" / "poses.txt").write_text(poses)
-    one, other = open_recording(drive, others="later")[0], opened(folder, others="later")[21]
+    one, other = open_dataset(drive, others="later")[0], opened(folder, others="later")[21]
     assert one.name == other.name == "0000000081"
-    assert (one.points == other.points).all()
-    assert (one.objects.boxes == other.objects.boxes).all()
+    assert (one.scan.points == other.scan.points).all()
+    assert (one.boxes.center == other.boxes.center).all()
     np.testing.assert_allclose(one.T_map_sensor, other.T_map_sensor)
-    agree = one.truth.state == other.truth.state  # which objects move is told from fewer scans here
+    agree = one.truth.state == other.truth.state  # moving objects follow from fewer scans here
     assert agree.mean() > 0.99
 
 
 def test_a_truth_is_that_of_the_scans_own_surroundings(real):
     """Turned by 10 degrees or moved half a metre aside, a scan's obstacles no longer lie on those of the truth."""
     frame = opened(real("kitti_odometry_00"))[0]
-    high = frame.points[(frame.points[:, 2] > -1.2) & (frame.points[:, 2] < 0)]
+    high = frame.scan.points[(frame.scan.points[:, 2] > -1.2) & (frame.scan.points[:, 2] < 0)]
     x, y = high[np.hypot(*high[:, :2].T) < 30][:, :2].T
 
     def found(dy: float, yaw: float) -> float:
@@ -151,13 +151,15 @@ def test_a_truth_is_that_of_the_scans_own_surroundings(real):
     assert found(0, np.radians(10)) < 0.7
 
 
-def test_an_unlabelled_scan_says_what_is_missing(real):
+def test_an_unlabelled_scan_has_no_truth_and_keeps_its_beams_without_echo(real):
+    frame = open_dataset(real("autoware_apache2"))[0]
+    assert len(frame.scan.no_returns) > 1000
     with pytest.raises(ValueError, match=r"looked for: poses .*add them"):
-        open_recording(real("autoware_apache2"))
+        _ = frame.truth
 
 
 def test_crops_for_the_papers_grid(real):
-    """The truth lies on the canvas, from which any turn of the paper's grid can be cut."""
+    """The truth lies on an extent from which any turn of the paper's grid can be cut."""
     frame = opened(real("labelled_range_images/nuscenes"))[0]
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
     straight = frame.truth.crop(spec)
@@ -166,11 +168,11 @@ def test_crops_for_the_papers_grid(real):
 
 def test_boxes_of_nuscenes_are_those_of_the_file(real):
     path = real("nuscenes_n015/*.json")
-    frame = open_recording(path.parent)[0]
+    frame = open_dataset(path.parent)[0]
     instances = json.loads(path.read_text())["frame"]["instances"]
-    assert len(frame.objects) == len(instances) == 69
+    assert len(frame.boxes) == len(instances) == 69
     counts = np.array([one["num_lidar_pts"] for one in instances])
-    sure = frame.objects.chosen(counts >= 70).boxes  # some of those returns are from the ground
+    sure = frame.boxes.select(counts >= 70)  # some of those returns are from the ground
     covered = cells_in_boxes(sure, TRUTH_SPEC)
     assert covered.sum() > 100
     assert (frame.truth.state[covered] == OCCUPIED).all()

@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
-from ogm.truth.aggregated import MARGIN, STANDING
-from ogm.truth.moving import cells_in_boxes, widen_boxes
-from ogm.truth.state import FREE, IGNORE, Truth
+from ogm.scan import Boxes
+from ogm.state import CellState, Truth
+from ogm.truth.boxes import cells_in_boxes
+from ogm.truth.scans import MARGIN, STANDING
 
 __all__ = ["Road", "cells_in_areas", "free_road", "truth_from_road"]
 
@@ -64,8 +65,8 @@ def free_road(
     above: NDArray[np.floating],
     spec: GridSpec,
     *,
-    boxes: ArrayLike = (),
-    own_reach: float = 0.0,
+    boxes: Boxes | None = None,
+    min_range: float = 0.0,
 ) -> Road:
     """Tell which cells of the road should be free, and which of them a sensor at (0, 0, 0) can see.
 
@@ -86,7 +87,7 @@ def free_road(
     spec : GridSpec
     boxes : (B, 7) float
         Objects; their heights are not looked at.
-    own_reach : float
+    min_range : float
         Cells nearer than this [m] are left out: the own vehicle stands there.
 
     Returns
@@ -95,13 +96,13 @@ def free_road(
     """
     xyz = np.asarray(points, np.float64)[:, :3]
     standing = xyz[(above > STANDING[0]) & (above < STANDING[1])]
-    taken = cells_in_boxes(widen_boxes(boxes, MARGIN), spec)
+    taken = cells_in_boxes((boxes or Boxes.empty()).widened(MARGIN), spec)
     here = standing[spec.contains(*standing[:, :2].T)]
     taken[spec.index(*here[:, :2].T)] = True
 
     x, y = spec.cell_centers
     distance = np.hypot(x, y)
-    clear = drivable & ~taken & (distance >= own_reach)
+    clear = drivable & ~taken & (distance >= min_range)
     sector = np.floor(np.arctan2(y, x) / SECTOR).astype(int).ravel()
     slope = (
         ground / np.maximum(distance, 1e-9)
@@ -124,4 +125,4 @@ def free_road(
 
 def truth_from_road(road: Road, spec: GridSpec) -> Truth:
     """Make a truth grid of the road: free where it is in sight; all else is to be ignored, never occupied."""
-    return Truth(spec, np.where(road.in_sight, FREE, IGNORE).astype(np.uint8))
+    return Truth(spec, np.where(road.in_sight, np.uint8(CellState.FREE), np.uint8(CellState.IGNORE)))

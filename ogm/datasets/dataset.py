@@ -1,0 +1,313 @@
+"""Data sets as sequences of frames."""
+
+import copy
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.datasets.argoverse2 import argoverse2
+from ogm.datasets.kitti import kitti_object, kitti_odometry, kitti_raw, kitti_tracking
+from ogm.datasets.layout import FrameRef, Layout
+from ogm.datasets.nuscenes import mmdet3d, nuscenes
+from ogm.datasets.paths import SCAN_ENDINGS
+from ogm.datasets.range_images import range_images
+from ogm.datasets.reader import FrameReader
+from ogm.datasets.scans import scans
+from ogm.datasets.simulated import simulated
+from ogm.datasets.sustech import sustech
+from ogm.datasets.truth import RecordedTruth
+from ogm.datasets.truth_grids import grid_files, truth_grids
+from ogm.files import OgmError
+from ogm.grid import GridSpec
+from ogm.io import Axes
+from ogm.io.axes import rotation_to_flu
+from ogm.pose import Trajectory
+from ogm.scan import Frame
+from ogm.state import Truth
+
+__all__ = ["Dataset", "open_dataset"]
+
+# The first that knows a path reads it: the more a layout asks for, the earlier it is tried.
+_LAYOUTS = (
+    *(nuscenes, mmdet3d, argoverse2, sustech),
+    *(kitti_object, kitti_tracking, kitti_odometry, kitti_raw, range_images),
+)
+_OTHERS = ("all", "later")
+_KNOWN = (
+    "KITTI object (velodyne/ label_2/ calib/), tracking (velodyne/0000/ label_02/ calib/), raw drives "
+    "(velodyne_points/data/ or scans, label_02*.txt, calib*.txt) and odometry (velodyne/ poses.txt calib.txt); "
+    "SemanticKITTI (velodyne/ labels/, or sequences/*/); nuScenes (v1.0-*/ samples/) and mmdetection3d's info as JSON; "
+    "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); labelled range images "
+    "(*.npy in semantic_kitti/ or nuscenes/); data sets that `ogm simulate` made (zarr.json)"
+)
+
+
+class Dataset(Sequence[Frame]):
+    """Frames of a recording or of simulated drives; `open_dataset` makes one.
+
+    A frame reads its scan, and makes its truth, when it is first asked for them; the last ones are kept. Slices and
+    `select` give data sets of some frames. Pickled, a data set goes to another process as its path.
+
+    Attributes
+    ----------
+    name : str
+    format : str
+        What it is, in words.
+    description : str
+        What the truth is made of, in one sentence; it states "this scan" where the frame's own scan is used. ""
+        where there is no truth: asking a frame for it then raises an error with the way out.
+    facts : dict
+        What else there is to know, as JSON can hold it.
+    files : tuple of Path
+        Files and folders that it reads from.
+    motion_distorted : bool
+        Whether points may be shifted by the ego motion during a scan, so that de-skewing makes sense.
+    trajectory : Trajectory or None
+        Poses between the frames, where they are known better than by the frames' own: of `with_poses`,
+        `with_odometry`.
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        options: Mapping[str, Any],
+        numbers: Sequence[int] | None = None,
+        facts: Mapping[str, Any] | None = None,
+        trajectory: Trajectory | None = None,
+    ) -> None:
+        path = Path(options["path"][0])
+        self.reader = FrameReader(layout, path, options["sensor_height"], options["sensor_position"])
+        self._truth: Callable[[int], Truth]
+        if layout.truth is not None:
+            self._truth, self.description = layout.truth, layout.description
+        else:
+            self._truth = RecordedTruth(self.reader, options["truth"], options["others"])
+            self.description = self._truth.description
+        self.layout, self._options = layout, options
+        self._numbers = tuple(range(len(layout.frames)) if numbers is None else numbers)
+        self._more_facts, self.trajectory = dict(facts or {}), trajectory
+        self.name = layout.name or path.name or path.resolve().name or str(path)
+        self.format, self.motion_distorted = layout.format, layout.motion_distorted
+        self.files = layout.files or (path,)
+        stated = layout.facts or {"format": layout.format, "frames": len(layout.frames)}
+        self.facts: dict[str, Any] = {**stated, **self._more_facts}
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    @overload
+    def __getitem__(self, n: int) -> Frame: ...
+    @overload
+    def __getitem__(self, n: slice) -> "Dataset": ...
+    def __getitem__(self, n: int | slice) -> "Frame | Dataset":
+        """Return a frame, of which nothing is read yet, or a data set of several."""
+        if isinstance(n, slice):
+            return self.select(range(*n.indices(len(self))))
+        k = self._numbers[n]
+        ref, reader = self.layout.frames[k], self.reader
+        return Frame(
+            partial(reader.scan, k),
+            partial(reader.mount, k),
+            partial(reader.boxes, k),
+            partial(self._truth, k),
+            T_map_sensor=ref.T_map_sensor,
+            stamp=ref.stamp,
+            name=ref.name,
+            sequence=ref.sequence,
+        )
+
+    def __repr__(self) -> str:
+        return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        more = self._numbers, self._more_facts, self.trajectory
+        return _reopened, (self._options, self.layout.frames, *more)
+
+    def select(self, numbers: Iterable[int]) -> "Dataset":
+        """Return the data set of some frames, by their numbers in this one; they share what was read."""
+        chosen = copy.copy(self)
+        chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
+        return chosen
+
+    @property
+    def refs(self) -> tuple[FrameRef, ...]:
+        """Name, sequence, stamp and pose of every frame; no frame is made for it."""
+        return tuple(self.layout.frames[k] for k in self._numbers)
+
+    @property
+    def sequences(self) -> dict[str, list[int]]:
+        """Numbers of the frames of each sequence, in order; frames that stand alone are left out."""
+        result: dict[str, list[int]] = {}
+        for n, ref in enumerate(self.refs):
+            if ref.sequence:
+                result.setdefault(ref.sequence, []).append(n)
+        return result
+
+    def placed(
+        self,
+        stamps: NDArray[np.float64],
+        poses: NDArray[np.float64],
+        facts: Mapping[str, Any],
+        trajectory: Trajectory,
+    ) -> "Dataset":
+        """Return the data set with other stamps and poses, as one sequence; NaN where a frame has none.
+
+        Parameters
+        ----------
+        stamps : (K,) float
+            [s].
+        poses : (K, 4, 4) float
+            ``T_map_sensor``.
+        facts : dict
+            What is added to the facts.
+        trajectory : Trajectory
+        """
+        frames = [one._replace(T_map_sensor=None) for one in self.layout.frames]
+        names = list({ref.sequence for ref in self.refs})
+        sequence = (names[0] if len(names) == 1 else "") or self.name
+        known = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
+        for n, k in enumerate(self._numbers):
+            place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
+            frames[k] = FrameRef(frames[k].name, sequence, *place)
+        layout = replace(self.layout, frames=tuple(frames))
+        return Dataset(layout, self._options, self._numbers, {**self._more_facts, **facts}, trajectory)
+
+
+def open_dataset(
+    path: str | Path | Sequence[str | Path],
+    *,
+    axes: Axes = "flu",
+    intensity_max: float | None = None,
+    time_unit: float | None = None,
+    sensor_height: float | None = None,
+    sensor_position: tuple[float, float, float] | None = None,
+    split: str | None = None,
+    truth: str | Iterable[str] = (),
+    others: str = "all",
+    spec: GridSpec | None = None,
+) -> Dataset:
+    """Open a data set as a sequence of frames. No scan is read.
+
+    Parameters
+    ----------
+    path : path or sequence of paths
+        A scan, several scans, a folder of scans (with or without poses), or a data set: KITTI object, tracking, raw
+        and odometry recordings, SemanticKITTI, nuScenes, mmdetection3d's info (as JSON), an Argoverse 2 log,
+        SUSTechPOINTS, labelled range images, what ``ogm simulate`` made, or a folder of truth grids. What lies in it
+        decides.
+    axes, intensity_max, time_unit
+        Of files of scans, as for `ogm.io.read_scan`; those of data sets are known.
+    sensor_height : float, optional
+        Of the sensor above ground [m]; by default known from the data set, or estimated: the median of up to five
+        scans of the sequence. Estimates outside of 0.5 to 5 m are refused.
+    sensor_position : (x, y, z), optional
+        Of the sensor in the frame of the points [m], where that is the vehicle's.
+    split : str, optional
+        Of a simulated data set: training (train), validation (val), test or sequences. By default validation, or the
+        first of sequences, test and training that has samples.
+    truth : iterable of str
+        Of a recording: what to make the truth of; by default all that there is.
+
+        * ``"boxes"``: cells of boxes with 50 returns or more are occupied; those with fewer are never free;
+        * ``"classes"``: cells in which the scan hit ground are free, those with obstacles are occupied;
+        * ``"map"``: drivable area that is in sight is free;
+        * ``"aggregated"``: what neighbouring scans agree on, brought to the frame by the poses, without what moves.
+
+        Where they contradict each other, a cell is ignored, but boxes win. What has no label is ignored too: nothing
+        is unknown in the truth of a recording.
+    others : {"all", "later"}
+        Which neighbouring scans aggregated truth takes: all that are near in space and time, or only those after the
+        frame. "later" is for maps that are fused over time, which must not be evaluated on the scans that they are
+        made of; the last frames then know little. For such maps, what nothing hit is ignored in the truth of a
+        simulated data set: another frame may have seen it.
+    spec : GridSpec, optional
+        Of a folder of truth grids: the cells of states and pictures, which do not state it.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is nothing at the path.
+    ValueError
+        If it is no known data set, lacks what `truth` or `split` ask for, a part of it is damaged or missing, or an
+        option does not belong to it.
+    """
+    given = [path] if isinstance(path, str | Path) else list(path)
+    if not given:
+        raise ValueError("there is no path to open: give files of scans, or a folder")
+    options = {
+        **{"path": given, "axes": axes, "intensity_max": intensity_max, "time_unit": time_unit},
+        **{"sensor_height": sensor_height, "sensor_position": sensor_position, "split": split},
+        **{"truth": (truth,) if isinstance(truth, str) else tuple(truth), "others": others, "spec": spec},
+    }
+    return Dataset(_opened(options), options)
+
+
+def _opened(options: Mapping[str, Any]) -> Layout:
+    """Return the layout of a data set by the options of `open_dataset`."""
+    if options["others"] not in _OTHERS:
+        raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {options['others']!r}")
+    paths = [Path(one) for one in options["path"]]
+    reading = {name: options[name] for name in ("axes", "intensity_max", "time_unit")}
+    layout = _layout(paths, options["split"], options["others"], options["spec"], reading)
+    if layout is None:
+        grids = "it holds grids: give spec, their cells, to open them"
+        raise OgmError(
+            f"{paths[0]} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
+            + (grids if grid_files(paths[0]) else f"known are: {_KNOWN}")
+        )
+    turned = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
+    if layout.known_axes and (turned or options["intensity_max"] or options["time_unit"]):
+        raise ValueError(
+            f"{paths[0]} ({layout.format}) has known axes and units; leave out axes, intensity_max and time_unit "
+            "(--axes, --intensity-max, --time-unit), or give its scans as files"
+        )
+    if layout.truth is not None and options["truth"]:
+        raise ValueError(
+            f"truth (--truth) is for recordings; {paths[0]} ({layout.format}) holds its truth itself: leave it out"
+        )
+    return replace(layout, frames=_named_apart(layout.frames))
+
+
+def _layout(
+    paths: Sequence[Path], split: str | None, others: str, spec: GridSpec | None, reading: Mapping[str, Any]
+) -> Layout | None:
+    """Return what the first layout that knows the paths makes of them."""
+    path = paths[0]
+    if len(paths) == 1 and not path.exists():
+        raise FileNotFoundError(f"there is no {path}: check the name and the folder")
+    if len(paths) == 1 and (path / "zarr.json").exists():
+        return simulated(path, split, others)
+    if split is not None:
+        raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
+    if len(paths) > 1:
+        return scans(paths, **reading)
+    grids = {} if spec is None else grid_files(path)
+    try:
+        layout = next((one for find in _LAYOUTS if (one := find(path)) is not None), None)
+    except ValueError:
+        if not grids:  # else arrays that state nothing of themselves, or a damaged recording
+            raise
+        layout = None
+    if layout is not None:
+        return layout
+    return truth_grids(path, spec) if spec is not None and grids else scans(paths, **reading)
+
+
+def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
+    """Give each frame a name of its own: some data sets count the frames of each sequence from 0."""
+    times = Counter(one.name for one in frames)
+    return tuple(
+        one if times[one.name] == 1 else one._replace(name=f"{one.sequence} {one.name}".strip())
+        for one in frames
+    )
+
+
+def _reopened(options: Mapping[str, Any], frames: tuple[FrameRef, ...], *more: Any) -> Dataset:
+    """Open a pickled data set again, with its poses."""
+    return Dataset(replace(_opened(options), frames=frames), options, *more)

@@ -1,0 +1,236 @@
+"""Truth of recordings, made of boxes, classes, a map's road, and neighbouring scans."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.datasets.layout import EGO
+from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
+from ogm.datasets.reader import FrameReader
+from ogm.files import OgmError
+from ogm.pose import inverse, transform_points
+from ogm.scan import Boxes
+from ogm.state import CellState, Truth
+from ogm.truth import (
+    MARGIN,
+    MIN_RETURNS,
+    TRUTH_SPEC,
+    Kind,
+    boxes_over_points,
+    cells_in_areas,
+    cells_in_boxes,
+    cells_in_footprint,
+    combine_truths,
+    count_returns,
+    free_road,
+    ignore_cells,
+    moving_tracks,
+    truth_from_boxes,
+    truth_from_points,
+    truth_from_road,
+)
+
+__all__ = ["SOURCES", "RecordedTruth"]
+
+SOURCES = ("boxes", "classes", "map", "aggregated")
+_ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
+_AT_MOVING_POINTS = 0.3  # [m] around points whose class tells that they move, neighbours do not decide
+_FEW = 3  # neighbouring scans, below which one is enough to know a cell; else two must agree
+_KEPT = 128  # truths in memory: some 0.4 MB each
+
+_DESCRIPTIONS = {
+    "boxes": f"occupied: all cells of boxes with {MIN_RETURNS} returns or more in this scan (with fewer: never free)",
+    "classes": "free and occupied: cells in which this scan hit labelled ground, or an obstacle 0.05 to 2 m above it",
+    "map": "free: drivable area of the map that is in sight and where nothing stands",
+    "aggregated": "free and occupied: what {which} scans agree on and this one does not contradict, {movers}, heights "
+    "above {ground}",
+}
+
+
+class RecordedTruth:
+    """Makes the truth of the frames of a recording. Called with the number of a frame, it returns a `Truth`.
+
+    Parameters
+    ----------
+    reader : FrameReader
+    wanted : sequence of str
+        Some of `SOURCES`; all that there are where empty.
+    others : {"all", "later"}
+        Which neighbouring scans are taken.
+    """
+
+    def __init__(self, reader: FrameReader, wanted: Sequence[str] = (), others: str = "all") -> None:
+        unknown = [one for one in wanted if one not in SOURCES]
+        if unknown:
+            raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
+        self.reader, self.layout, self._later = reader, reader.layout, others == "later"
+        there = self._there()
+        missing = [one for one in wanted if one not in there]
+        if missing:
+            raise ValueError(
+                f"{reader.path} ({self.layout.format}) has no {' and '.join(missing)} to make truth of; has "
+                f"{', '.join(there) or 'no labels'}. give truth=({', '.join(map(repr, there))},) or less"
+            )
+        self.sources = tuple(one for one in SOURCES if one in (wanted or there))
+        self._moving_tracks = lru_cache(None)(self._find_moving)
+        self._made = lru_cache(_KEPT)(self._make)
+
+    def __call__(self, n: int) -> Truth:
+        """Return the truth of frame n, on `TRUTH_SPEC`: free, occupied, or ignored.
+
+        Raises
+        ------
+        OgmError
+            If the data set has no labels and no poses.
+        """
+        if not self.sources:
+            raise OgmError(
+                f"{self.reader.path} ({self.layout.format}) has nothing to make truth of; looked for: "
+                f"{self.layout.labels}. add them, or give a folder that has them; poses of the scans are enough for "
+                "aggregated truth"
+            )
+        return self._made(n)
+
+    @property
+    def description(self) -> str:
+        """What the truth is made of, in one sentence; "this scan" is the frame's own. "" where there is no truth."""
+        if not self.sources:
+            return ""
+        layout = self.layout
+        which = "later" if self._later else "other"
+        labelled = layout.boxes is not None or layout.classes
+        movers = "labelled objects that move taken out" if labelled else "without labels of what moves"
+        ground = "the lowest returns per square metre" if layout.hd_map is None else "the map's ground"
+        ground = "labelled ground" if layout.classes else ground
+        parts = [_DESCRIPTIONS[one].format(which=which, movers=movers, ground=ground) for one in self.sources]
+        end = "ignored: everything else, and where these contradict each other (boxes win)"
+        view = f" ({layout.view})" if layout.view else ""
+        return f"{layout.format}{view}; {'; '.join(parts)}; {end}."
+
+    def _there(self) -> tuple[str, ...]:
+        layout = self.layout
+        posed = [frame.sequence for frame in layout.frames if frame.T_map_sensor is not None]
+        there = {
+            "boxes": layout.boxes is not None,
+            "classes": layout.classes,
+            "map": layout.hd_map is not None,
+            "aggregated": len(posed) > len(set(posed)),
+        }
+        return tuple(name for name in SOURCES if there[name])
+
+    def _make(self, n: int) -> Truth:
+        parts = []
+        labelled, boxes, uncertain = self.reader.boxes(n), None, None
+        if "classes" in self.sources:
+            parts.append(self._from_classes(n))
+        if "map" in self.sources:
+            parts.append(self._from_map(n))
+        if "aggregated" in self.sources:
+            parts.append(self._from_neighbours(n))
+        if "boxes" in self.sources and labelled is not None:
+            returns = count_returns(self.reader.scan(n).points, labelled, above_bottom=_ABOVE_BOTTOM)
+            boxes = truth_from_boxes(labelled, returns, TRUTH_SPEC)
+            uncertain = cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
+        return combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
+
+    def _ego_cells(self) -> NDArray[np.bool_]:
+        return cells_in_footprint(self.layout.ego_footprint or EGO, TRUTH_SPEC)
+
+    # --- Parts ---------------------------------------------------------------------------------------
+
+    def _from_classes(self, n: int) -> Truth:
+        raw = self.reader.raw(n)
+        kinds = np.zeros(0, np.uint8) if raw.kinds is None else raw.kinds
+        return truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
+
+    def _from_map(self, n: int) -> Truth:
+        """Return the free road. Where the map has no ground, it is taken to be as low as under the vehicle."""
+        if self.layout.hd_map is None:
+            raise ValueError(f"{self.reader.path} has no map")
+        hd_map, raw = self.layout.hd_map(n), self.reader.raw(n)
+        low = -self.reader.height(n)
+        x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
+        ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(
+            x.shape
+        )
+        points = raw.scan.points if raw.all_points is None else raw.all_points
+        below = hd_map.ground(points[:, :3].astype(np.float64))
+        road = free_road(
+            cells_in_areas(hd_map.outlines, TRUTH_SPEC),
+            np.where(np.isnan(ground), low, ground),
+            points,
+            points[:, 2] - np.where(np.isnan(below), low, below),
+            TRUTH_SPEC,
+            boxes=self.reader.boxes(n),
+            min_range=(self.layout.ego_footprint or EGO)[1],
+        )
+        return truth_from_road(road, TRUTH_SPEC)
+
+    def _from_neighbours(self, n: int) -> Truth:
+        """Return what neighbouring scans of the sequence agree on around scan n."""
+        layout, frame = self.layout, self.layout.frames[n]
+        nothing = Truth(TRUTH_SPEC, np.full(TRUTH_SPEC.shape, np.uint8(CellState.IGNORE)))
+        if frame.T_map_sensor is None:
+            return nothing
+        members = [k for k in self.reader.groups[frame.sequence] if layout.frames[k].T_map_sensor is not None]
+        poses = np.array([layout.frames[k].T_map_sensor for k in members])
+        stamps = np.array([layout.frames[k].stamp for k in members], np.float64)
+        T_here_other = inverse(frame.T_map_sensor) @ poses
+        chosen = choose_neighbours(members.index(n), stamps, poses[:, :3, 3], later=self._later)
+        if not chosen:
+            return nothing
+        clouds, is_ground = [], []
+        for k in chosen:
+            raw = self.reader.raw(members[k])
+            kept = ~boxes_over_points(raw.scan.points, self._moving_boxes(members[k]).widened(MARGIN))
+            if raw.moving is not None:
+                kept &= ~raw.moving
+            clouds.append(transform_points(T_here_other[k], raw.scan.points[kept]))
+            if raw.kinds is not None:
+                is_ground.append(raw.kinds[kept] == Kind.GROUND)
+        here = self.reader.raw(n)
+        truth = truth_from_neighbours(
+            clouds,
+            TRUTH_SPEC,
+            self._moving_boxes(n),
+            own=here.scan.points,
+            is_ground=is_ground or None,
+            map_ground=None if layout.hd_map is None else layout.hd_map(n).ground,
+            min_scans=1 if len(chosen) < _FEW else 2,
+        )
+        if here.moving is not None and here.moving.any():
+            truth = ignore_cells(truth, _near(here.scan.points[here.moving]))
+        # No static object stands where the ego vehicle was at any time: another road user followed it
+        return ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
+
+    def _find_moving(self, sequence: str) -> frozenset[str]:
+        """Return the tracks of a sequence that move."""
+        stamps: list[float] = []
+        boxes: list[Boxes] = []
+        for n in self.reader.groups[sequence]:
+            frame, around = self.layout.frames[n], self.reader.boxes(n)
+            if frame.T_map_sensor is not None and frame.stamp is not None and around is not None:
+                stamps.append(frame.stamp)
+                boxes.append(around.moved(frame.T_map_sensor))
+        return moving_tracks(stamps, boxes)
+
+    def _moving_boxes(self, n: int) -> Boxes:
+        """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""
+        boxes = self.reader.boxes(n)
+        if boxes is None:
+            return Boxes.empty()
+        moving = self._moving_tracks(self.layout.frames[n].sequence)
+        return boxes.select([not track or track in moving for track in boxes.track])
+
+
+def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return the cells that lie near points."""
+    from scipy.ndimage import binary_dilation
+
+    result = np.zeros(TRUTH_SPEC.shape, bool)
+    inside = TRUTH_SPEC.contains(points[:, 0], points[:, 1])
+    result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
+    reach = int(np.ceil(_AT_MOVING_POINTS / TRUTH_SPEC.resolution))
+    return np.asarray(binary_dilation(result, iterations=reach))

@@ -1,0 +1,159 @@
+"""The simulator's store as a data set."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ogm.datasets import open_dataset, with_poses
+from ogm.pose import pose
+from ogm.scan import Mount
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.store import Store
+from ogm.state import CellState, Truth
+from ogm.truth import TRUTH_SPEC
+
+BEAMS = Beams(
+    "test-16",
+    elevation=tuple(np.radians(np.linspace(-20, 3, 16))),
+    azimuth=(np.pi,) * 16,
+    step=-2 * np.pi / 360,
+    columns=360,
+    rate=10.0,
+    origin=((0.0, 0.0, 0.0),) * 16,
+)
+
+
+def sample(split: str, index: int) -> Sample:
+    """Flat ground around a vehicle that goes 0.4 m forward per sample; a car stands ahead."""
+    z = BEAMS.directions[..., 2].astype(np.float64)
+    with np.errstate(divide="ignore"):
+        distance = np.where(z < 0, -1.9 / z, np.inf)
+    steps = np.where(distance < 60, distance / RANGE_STEP, 0).astype(np.uint16)
+    state = np.zeros(TRUTH_SPEC.shape, np.uint8)
+    state[200:400], state[400:410] = CellState.FREE, CellState.OCCUPIED
+    car = np.zeros(1, OBJECT)
+    car[["x", "y", "z", "length", "width", "height"]] = [(9.0, 1.0, -1.1, 4.0, 2.0, 1.5)]
+    car["track"], car["vx"], car["yaw"] = 7, 3.0, 0.25
+    return Sample(
+        beams=BEAMS,
+        steps=steps,
+        intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
+        truth=Truth(TRUTH_SPEC, state),
+        objects=car,
+        T_world_sensor=pose(0.4 * index, 0, 1.9),
+        T_vehicle_sensor=pose(1.0, 0.1, 1.9, pitch=0.02),
+        velocity=np.zeros(3),
+        yaw_rate=0.0,
+        stamp=20 + 0.1 * index,
+        split=split,
+        index=index,
+        scenario=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Samples of training and two sequences; validation is planned but not made, of the test there is none."""
+    folder = tmp_path_factory.mktemp("simulated") / "data"
+    counts = {"training": 10, "validation": 10, "test": 0, "sequences": 102}
+    made = Store.create(folder, {"seed": 1, "truth": "aimed"}, counts, [BEAMS], {"ogm": "0"})
+    made.write("training", 0, [sample("training", k) for k in range(10)])
+    made.write("sequences", 0, [sample("sequences", k) for k in range(10)])
+    made.write("sequences", 10, [sample("sequences", 100 + k) for k in range(2)])
+    return folder
+
+
+def test_without_a_split_the_one_that_has_samples_is_taken_and_named(store: Path) -> None:
+    dataset = open_dataset(store)
+    assert (dataset.name, dataset.format) == ("data, sequences", "simulated data set")
+    assert dataset.facts["split"] == "sequences"
+    assert dataset.facts["samples"] == [*range(10), 100, 101]
+    assert dataset.facts["plan"] == {"seed": 1, "truth": "aimed"}
+    assert dataset.files == (store / "zarr.json", store / "sequences")
+    assert not dataset.motion_distorted
+    assert {name: len(frames) for name, frames in dataset.sequences.items()} == {
+        "sequence 0": 10,
+        "sequence 1": 2,
+    }
+    assert dataset[11].name == "sequence 1 frame 1"
+    assert dataset[3].stamp == pytest.approx(20.3)
+    assert "rays from the sensor's place, aimed at every cell, hit" in dataset.description
+
+
+def test_splits_have_short_names(store: Path) -> None:
+    dataset = open_dataset(store, split="train")
+    assert (dataset.name, len(dataset)) == ("data, training", 10)
+    frame = dataset[3]
+    assert (frame.name, frame.sequence, frame.stamp) == ("training 3", "", None)
+    assert dataset.sequences == {}
+
+
+@pytest.mark.parametrize(
+    ("split", "message"),
+    [
+        ("val", "has no sample of validation; go on with `ogm simulate"),
+        ("test", "has no sample of test$"),
+        ("lanes", "has no split 'lanes'; it has training, validation, test, sequences$"),
+    ],
+)
+def test_splits_without_samples_are_refused(store: Path, split: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        open_dataset(store, split=split)
+
+
+def test_a_store_without_sequences_names_the_command_that_makes_one(tmp_path: Path) -> None:
+    Store.create(tmp_path, {"seed": 1}, {"training": 10}, [BEAMS], {"ogm": "0"})
+    with pytest.raises(ValueError, match="`ogm simulate .* --resume --sequences 1`"):
+        open_dataset(tmp_path, split="sequences")
+    with pytest.raises(ValueError, match="has no finished sample"):
+        open_dataset(tmp_path)
+
+
+def test_frames_hold_all_that_a_sample_holds(store: Path) -> None:
+    frame, made = open_dataset(store)[3], sample("sequences", 3)
+    assert np.array_equal(frame.scan.points, made.points)
+    assert np.array_equal(frame.scan.time, made.time)
+    assert np.array_equal(frame.scan.ring, made.ring)
+    assert (frame.scan.sensor, frame.scan.stamp) == ("test-16", made.stamp)
+    assert np.array_equal(frame.scan.no_returns, BEAMS.directions[made.steps == 0])
+    assert np.array_equal(frame.T_map_sensor, made.T_world_sensor)
+    T = made.T_vehicle_sensor.copy()
+    T[:2, 3] = 0
+    assert frame.mount == Mount(1.9, T)
+    assert np.array_equal(frame.truth.state, made.truth.state)
+    (label,), (track,) = frame.boxes.label, frame.boxes.track
+    assert (label, track) == (LABELS[0], "7")
+    np.testing.assert_allclose(frame.boxes.center, [[9.0, 1.0, -1.1]], rtol=1e-6)
+    np.testing.assert_allclose(frame.boxes.size, [[4.0, 2.0, 1.5]])
+    assert (frame.boxes.yaw[0], frame.boxes.velocity.tolist()) == (0.25, [[3.0, 0.0]])
+
+
+def test_for_maps_what_a_frame_cannot_see_is_ignored(store: Path) -> None:
+    scans, maps = (open_dataset(store, others=others) for others in ("all", "later"))
+    own, known = scans[3].truth.state, maps[3].truth.state
+    assert set(np.unique(own)) == {CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED}
+    assert (known[own == CellState.UNKNOWN] == CellState.IGNORE).all()
+    assert (known[own != CellState.UNKNOWN] == own[own != CellState.UNKNOWN]).all()
+    assert "left out" in maps.description
+    assert "left out" not in scans.description
+    with pytest.raises(ValueError, match="others must be one of all, later, got 'earlier'"):
+        open_dataset(store, others="earlier")
+
+
+def test_what_the_store_states_is_not_given(store: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="leave out sensor_height"):
+        open_dataset(store, sensor_height=2.0)
+    with pytest.raises(ValueError, match="leave out axes"):
+        open_dataset(store, axes="nuscenes")
+    with pytest.raises(ValueError, match="holds its truth itself"):
+        open_dataset(store, truth="boxes")
+    with pytest.raises(ValueError, match="knows its poses"):
+        with_poses(open_dataset(store), tmp_path / "poses.txt")
+
+
+def test_a_store_goes_to_another_process(store: Path) -> None:
+    dataset = pickle.loads(pickle.dumps(open_dataset(store, split="train")[4:]))
+    assert [frame.name for frame in dataset] == [f"training {k}" for k in range(4, 10)]
+    assert np.array_equal(dataset[0].scan.points, sample("training", 4).points)
