@@ -1,4 +1,4 @@
-"""Truth of a scan from other scans of the same drive."""
+"""Truth of a scan from neighbouring scans of the same drive."""
 
 import math
 from collections.abc import Sequence
@@ -8,20 +8,11 @@ from numpy.typing import NDArray
 
 from ogm.geometric import ground_height, local_ground
 from ogm.grid import GridSpec
-from ogm.recordings.layout import CAR
-from ogm.truth import (
-    IGNORE,
-    MARGIN,
-    TRUTH_SPEC,
-    Truth,
-    cells_in_boxes,
-    contradicted,
-    move_boxes,
-    truth_from_scans,
-    widen_boxes,
-)
+from ogm.datasets.layout import EGO
+from ogm.state import CellState, Truth
+from ogm.truth import MARGIN, TRUTH_SPEC, cells_in_boxes, contradicted, move_boxes, truth_from_scans, widen_boxes
 
-__all__ = ["choose_others", "stood_here", "truth_from_others"]
+__all__ = ["choose_neighbours", "ego_path_cells", "truth_from_neighbours"]
 
 REACH = 50.0  # [m] scans that were taken further away hardly see the same cells
 SPAN = 30.0  # [s] before and after: later, parked cars have left and poses have drifted
@@ -32,7 +23,7 @@ THINNED = (
 )
 
 
-def choose_others(
+def choose_neighbours(
     n: int,
     stamps: NDArray[np.float64],
     places: NDArray[np.float64],
@@ -62,7 +53,7 @@ def choose_others(
     return [int(one) for one in found]
 
 
-def stood_here(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+def ego_path_cells(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return the cells of `TRUTH_SPEC` on which the own vehicle stood in any of some scans.
 
     Parameters
@@ -70,19 +61,19 @@ def stood_here(poses: NDArray[np.float64]) -> NDArray[np.bool_]:
     poses : (K, 4, 4) float
         Of its sensor in those scans, as seen from the one that is judged.
     """
-    car = np.array([[0.0, 0.0, 0.0, 2 * CAR[0], 2 * CAR[1], -1.0, 0.0]])
+    car = np.array([[0.0, 0.0, 0.0, EGO[1] - EGO[0], EGO[3] - EGO[2], -1.0, 0.0]])
     near = poses[np.linalg.norm(poses[:, :3, 3], axis=1) <= TRUTH_SPEC.length]
     return cells_in_boxes(np.concatenate([move_boxes(car, T) for T in near]), TRUTH_SPEC)
 
 
-def truth_from_others(
+def truth_from_neighbours(
     clouds: Sequence[NDArray[np.float32]],
     height: float,
     spec: GridSpec,
     moving: NDArray[np.float64],
     *,
     min_scans: int = 2,
-    judged: NDArray[np.float32] | None = None,
+    own: NDArray[np.float32] | None = None,
 ) -> Truth:
     """Make a truth grid of several scans, brought to the frame of the sensor that is judged.
 
@@ -99,7 +90,7 @@ def truth_from_others(
         Boxes of moving objects in the judged scan: the cells under them and `MARGIN` around are ignored.
     min_scans : int
         As in `truth_from_scans`.
-    judged : (N, 4) float32, optional
+    own : (N, 4) float32, optional
         Points of the judged scan itself. It says nothing about what is there, but cells in which it shows the
         opposite of the others are ignored: `contradicted`.
     """
@@ -113,8 +104,8 @@ def truth_from_others(
     above = [cloud[:, 2] - ground_height(ground, raster, cloud) for cloud in near]
     now = cells_in_boxes(widen_boxes(moving, MARGIN), spec)
     truth = truth_from_scans(near, above, spec, min_scans=min_scans, moving=now)
-    if judged is not None:
-        truth.state[contradicted(truth, judged, judged[:, 2] - ground_height(ground, raster, judged))] = (
-            IGNORE
-        )
-    return truth
+    if own is None:
+        return truth
+    state = truth.state.copy()
+    state[contradicted(truth, own, own[:, 2] - ground_height(ground, raster, own))] = CellState.IGNORE
+    return Truth(spec, state)

@@ -1,0 +1,23 @@
+"""Data sets as sequences of frames: any known folder, files of scans, or what the simulator made.
+
+>>> from ogm.datasets import open_dataset
+>>> dataset = open_dataset("2011_09_26_drive_0005")             # doctest: +SKIP
+>>> frame = dataset[3]                                          # doctest: +SKIP
+>>> frame.scan, frame.mount, frame.truth, frame.T_map_sensor    # doctest: +SKIP
+"""
+
+from ogm.datasets.dataset import Dataset, open_dataset
+from ogm.datasets.labelled import SOURCES
+from ogm.datasets.neighbours import truth_from_neighbours
+from ogm.datasets.paths import frame_numbers
+from ogm.datasets.poses import with_odometry, with_poses
+
+__all__ = [
+    "SOURCES",
+    "Dataset",
+    "frame_numbers",
+    "open_dataset",
+    "truth_from_neighbours",
+    "with_odometry",
+    "with_poses",
+]

@@ -1,0 +1,260 @@
+"""Where and when each frame was taken: poses of a file matched with scans, or estimated from them."""
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.datasets.dataset import Dataset
+from ogm.datasets.paths import frame_numbers
+from ogm.io import Axes, Poses, read_calibration, read_poses
+from ogm.io.axes import rotation_to_flu
+from ogm.pose import Trajectory, pose
+
+__all__ = ["with_odometry", "with_poses"]
+
+_SAVED = "ogm.poses/1"  # the format of what --save-poses writes: always x forward, y left
+_GAP = 2.0  # [s] between two poses, beyond which nothing is known of what lies between them
+_RANGE = 2.5, 100.0  # [m] of points that odometry uses: the near ones are the ego vehicle's
+_FEWEST = 200  # of them, below which a scan is left out
+_UNREADABLE = (ValueError, TypeError, OSError)
+
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+def with_poses(
+    dataset: Dataset,
+    path: str | os.PathLike[str],
+    calibration: str | os.PathLike[str] | None = None,
+    rate: float = 10.0,
+    progress: Progress = iter,
+) -> Dataset:
+    """Return a data set with the poses of a file: by frame number, by stamp, or by order, in this order.
+
+    Its frames are one sequence. Where a frame gets no pose, its pose and stamp are None. How poses were matched
+    stands in ``facts["poses"]``.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    path : path
+        KITTI, KITTI-360, TUM or our own format, see `ogm.io.read_poses`; in the files' own axes, as the points are.
+    calibration : path, optional
+        KITTI's calib.txt, where the poses are those of its camera.
+    rate : float
+        Scans per second [1/s], where neither scans nor poses have stamps.
+    progress : function
+        Iterates over numbers, and may draw how far the reading of stamps is, as ``rich.progress.track`` does.
+
+    Raises
+    ------
+    ValueError
+        If nothing tells which pose belongs to which scan, or the data set states its poses itself.
+    """
+    layout = dataset.reader.layout
+    if layout.mount is not None:
+        raise ValueError(
+            f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)"
+        )
+    T_camera_sensor = None if calibration is None else read_calibration(calibration)
+    try:
+        poses = read_poses(path, T_camera_sensor=T_camera_sensor)
+    except ValueError as error:
+        if calibration is None and "T_camera_sensor" in str(error):
+            raise ValueError(f"{error} (give calibration; on the command line: --calib calib.txt)") from error
+        raise
+    return _matched(dataset, _to_flu(poses, layout.axes), os.path.basename(path), rate, progress)
+
+
+def with_odometry(
+    dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter
+) -> Dataset:
+    """Return a data set with poses that are estimated from its scans alone; its frames are one sequence.
+
+    Scans that cannot be read, or have too few points between 2.5 and 100 m, get no pose.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    method : {"kiss-icp", "small-gicp"}
+    rate : float
+        Scans per second [1/s], where the scans have no stamps.
+    progress : function
+        Iterates over the numbers of the frames, and may draw how far it is, as ``rich.progress.track`` does.
+
+    Raises
+    ------
+    ImportError
+        If the package is missing.
+    ValueError
+        If there is no such method, or no scan can be read.
+    """
+    from ogm.fusion import odometry
+
+    clock = None if _have_stamps(dataset) else _stamps(dataset, rate, iter)
+    stamps = np.full(len(dataset), np.nan)
+    taken: list[int] = []
+    waiting: deque[NDArray[np.float64] | None] = deque()
+
+    def clouds() -> Iterator[NDArray[np.float32]]:
+        """Yield what can be registered; the mapping reports the rest."""
+        for k in progress(range(len(dataset))):
+            try:
+                scan = dataset[k].scan
+            except _UNREADABLE:
+                continue
+            stamp = scan.stamp if clock is None else clock[k]
+            distance = np.linalg.norm(scan.points[:, :3], axis=1)
+            enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
+            if not enough or stamp is None or (taken and not stamp > stamps[taken[-1]]):
+                continue
+            stamps[k] = stamp
+            taken.append(k)
+            waiting.append(scan.time if dataset.motion_distorted else None)
+            yield scan.points
+
+    def times() -> Iterator[NDArray[np.float64] | None]:
+        while waiting:
+            yield waiting.popleft()
+
+    known = odometry(
+        clouds(),
+        (stamps[k] for k in taken),  # grows as the scans are read
+        method,
+        times(),
+        range_min=_RANGE[0],
+        range_max=_RANGE[1],
+    )
+    placed = np.full((len(dataset), 4, 4), np.nan)
+    placed[taken] = known.poses
+    how = f"{len(taken)} of {len(dataset)} scans, estimated by {method}"
+    return _placed(dataset, stamps, placed, how, known)
+
+
+def _to_flu(poses: Poses, axes: Axes) -> Poses:
+    """Return the poses of a sensor whose x points forward and y left, as its points are read.
+
+    A file of poses has the axes that the scans have on disk; the map keeps its own. What ``--save-poses`` wrote is
+    left as it is.
+    """
+    if poses.format == _SAVED:
+        return poses
+    T_flu_file = np.eye(4)
+    T_flu_file[:3, :3] = rotation_to_flu(axes)
+    return replace(poses, poses=poses.poses @ T_flu_file.T)
+
+
+def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress: Progress) -> Dataset:
+    count, total = len(dataset), len(poses)
+    numbers = frame_numbers([ref.name for ref in dataset.refs])
+    rows = np.full(count, -1)
+    if numbers is not None and poses.numbers is not None:
+        how = "by frame number"
+        rows = _rows(numbers, poses.numbers)
+        if (rows < 0).all():
+            raise ValueError(
+                f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
+                f"{_span(numbers)}"
+            )
+    elif poses.stamps is not None and _have_stamps(dataset):
+        return _by_stamp(dataset, poses, source, progress)
+    elif total == count:
+        how, rows = "in their order", np.arange(count)
+    elif numbers is not None and poses.stamps is None and numbers[-1] < total:
+        how, rows = "row by frame number, counted from 0", numbers
+    else:
+        raise ValueError(
+            f"{source} has {total} poses for {count} scans, and nothing tells which belongs to which: give as many, "
+            "poses with frame numbers (KITTI-360) or stamps (TUM) that the scans have too, or --odometry"
+        )
+    has = rows >= 0
+    placed = np.full((count, 4, 4), np.nan)
+    placed[has] = poses.poses[rows[has]]
+    if poses.stamps is None:
+        stamps = _stamps(dataset, rate, progress)
+    else:
+        stamps = np.full(count, np.nan)
+        stamps[has] = poses.stamps[rows[has]]
+    how = f"{_counted(has)}, {total} poses of {source} ({poses.format}), {how}"
+    known = np.isfinite(stamps) & has
+    t, first = np.unique(stamps[known], return_index=True)
+    if not len(t):
+        raise ValueError("no scan has both a pose and a time")
+    return _placed(dataset, stamps, placed, how, Trajectory(t, placed[known][first]))
+
+
+def _by_stamp(dataset: Dataset, poses: Poses, source: str, progress: Progress) -> Dataset:
+    known = poses.trajectory()
+    t, stamps = known.stamps, _stamps(dataset, 1.0, progress)
+    with np.errstate(invalid="ignore"):
+        inside = (stamps >= t[0]) & (stamps <= t[-1])
+    after = np.clip(np.searchsorted(t, stamps), 1, max(len(t) - 1, 1))
+    if len(t) > 1:
+        inside &= (t[after] - t[after - 1] <= _GAP) | np.isin(stamps, t)
+    if not inside.any():
+        spans = f"{_span(t)} s, those of the scans {_span(stamps[np.isfinite(stamps)])} s"
+        raise ValueError(
+            f"no scan lies between two poses of {source} that are at most {_GAP:g} s apart: its stamps are {spans}; are "
+            "they of one clock?"
+        )
+    placed = np.full((len(dataset), 4, 4), np.nan)
+    placed[inside] = known.at(stamps[inside])
+    how = f"{_counted(inside)}, {len(poses)} poses of {source} ({poses.format}), by stamp"
+    return _placed(dataset, stamps, placed, how, known)
+
+
+def _placed(
+    dataset: Dataset, stamps: NDArray[np.float64], poses: NDArray[np.float64], how: str, known: Trajectory
+) -> Dataset:
+    """Return the data set with poses of the frame of its points, which is the sensor's or the vehicle's."""
+    position = dataset.reader.sensor_position
+    T_points_sensor = np.eye(4) if position is None else pose(*position)
+    trajectory = Trajectory(known.stamps, known.poses @ T_points_sensor)
+    return dataset.placed(stamps, poses @ T_points_sensor, {"poses": how}, trajectory)
+
+
+def _rows(wanted: NDArray[np.int64], given: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return where each number stands among others, -1 where it does not."""
+    order = np.argsort(given, kind="stable")
+    place = np.clip(np.searchsorted(given[order], wanted), 0, len(given) - 1)
+    return np.where(given[order][place] == wanted, order[place], -1)
+
+
+def _have_stamps(dataset: Dataset) -> bool:
+    """Tell whether the scans have stamps: the first that can be read does."""
+    for frame in dataset:
+        try:
+            return frame.scan.stamp is not None
+        except _UNREADABLE:
+            continue
+    return False
+
+
+def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.float64]:
+    """Return when the scans were taken [s]: their own stamps, NaN where one cannot be read; else counted by a rate."""
+    if not 0 < rate < np.inf:
+        raise ValueError(f"rate must be above 0 [Hz], got {rate} (--rate)")
+    if not _have_stamps(dataset):
+        numbers = frame_numbers([ref.name for ref in dataset.refs])
+        return (np.arange(len(dataset)) if numbers is None else numbers) / rate
+    stamps = np.full(len(dataset), np.nan)
+    for k in progress(range(len(dataset))):
+        try:
+            stamp = dataset[k].scan.stamp
+        except _UNREADABLE:
+            continue  # the mapping reports it
+        stamps[k] = np.nan if stamp is None else stamp
+    return stamps
+
+
+def _counted(has: NDArray[np.bool_]) -> str:
+    if has.all():
+        return f"{len(has)} scans"
+    return f"{np.count_nonzero(has)} of {len(has)} scans have a pose"
+
+
+def _span(values: NDArray) -> str:
+    return f"{values.min():.15g} ... {values.max():.15g}" if len(values) else "none"

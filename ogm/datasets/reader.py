@@ -1,0 +1,158 @@
+"""Scans, mounts and truth of a data set, read and made when they are asked for, the last ones kept."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.datasets.labelled import SOURCES, LabelledTruth
+from ogm.datasets.layout import Footprint, Layout, RawFrame
+from ogm.io import estimate_sensor_height
+from ogm.pose import pose
+from ogm.scan import Boxes, Mount, Scan
+from ogm.state import Truth
+
+__all__ = ["FrameReader"]
+
+_OTHERS = ("all", "later")
+_HEIGHTS = 5  # scans of a sequence whose median is its sensor's height
+_PLAUSIBLE = 0.5, 5.0  # [m] of heights that are estimated
+_SCANS, _TRUTHS = 64, 128  # kept in memory: some 2 MB and 0.4 MB each
+_UNREADABLE = (ValueError, TypeError, OSError)
+
+
+class FrameReader:
+    """What reads the frames of a layout.
+
+    Parameters
+    ----------
+    layout : Layout
+    path : Path
+        For messages.
+    truth, others
+        As for `ogm.datasets.open_dataset`.
+    sensor_height : float, optional
+    sensor_position : (x, y, z), optional
+    """
+
+    def __init__(
+        self,
+        layout: Layout,
+        path: Path,
+        truth: str | Iterable[str] = (),
+        others: str = "all",
+        sensor_height: float | None = None,
+        sensor_position: tuple[float, float, float] | None = None,
+    ) -> None:
+        self.layout, self.path = layout, path
+        self._given_height, self.sensor_position = sensor_height, sensor_position
+        if layout.mount is not None and sensor_height is not None:
+            raise ValueError(
+                f"{path} states its sensor's height; leave out sensor_height (--sensor-height)"
+            )
+        if sensor_position is not None and (layout.mount is not None or layout.known_axes):
+            raise ValueError(
+                f"the points of {path} ({layout.format}) are in the sensor's frame; leave out sensor_position"
+            )
+        wanted = (truth,) if isinstance(truth, str) else tuple(truth)
+        if others not in _OTHERS:
+            raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {others!r}")
+        unknown = [one for one in wanted if one not in SOURCES]
+        if unknown:
+            raise ValueError(f"truth must be of {', '.join(SOURCES)}, got {', '.join(map(repr, unknown))}")
+        if layout.truth is not None and wanted:
+            raise ValueError(
+                f"truth (--truth) is for recordings; {path} ({layout.format}) holds its truth itself: leave it out"
+            )
+        self.groups: dict[str, list[int]] = {}  # frames whose sensor has one height
+        for n, frame in enumerate(layout.frames):
+            self.groups.setdefault(frame.sequence or frame.name, []).append(n)
+        self.raw = lru_cache(_SCANS)(self._read)
+        self._height = lru_cache(None)(self._find_height)
+        self._labelled = LabelledTruth(self, wanted, others) if layout.truth is None else None
+        self._truth = lru_cache(_TRUTHS)(layout.truth or self._labelled)  # type: ignore[arg-type]
+
+    @property
+    def description(self) -> str:
+        """What the truth is made of, in one sentence; "" where there is none."""
+        return self.layout.description if self._labelled is None else self._labelled.description
+
+    def scan(self, n: int) -> Scan:
+        """Return a scan, without the returns from the ego vehicle where the layout knows its footprint."""
+        return self.raw(n).scan
+
+    def boxes(self, n: int) -> Boxes | None:
+        """Return the boxes around a scan, in the sensor's frame."""
+        return None if self.layout.boxes is None else self.layout.boxes(n)
+
+    def truth(self, n: int) -> Truth:
+        """Return the truth around a scan."""
+        return self._truth(n)
+
+    def mount(self, n: int) -> Mount:
+        """Return how the sensor of a scan is mounted, above the ground below it."""
+        if self.layout.mount is not None:
+            return self.layout.mount(n)
+        height = self.height(n)
+        if self.sensor_position is not None:
+            return Mount(height, pose(*self.sensor_position), points_in="vehicle")
+        return Mount(height, pose(z=height))
+
+    def height(self, n: int) -> float:
+        """Return the height of the sensor above ground [m]."""
+        frame = self.layout.frames[n]
+        return self._height(frame.sequence or frame.name)
+
+    def _find_height(self, group: str) -> float:
+        """Return the median over some scans: the vehicle stays the same."""
+        if self._given_height is not None:
+            return self._given_height
+        members = self.groups[group]
+        chosen = np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int))
+        found, failed = [], ""
+        for k in chosen:
+            try:
+                found.append(self._one_height(members[k]))
+            except _UNREADABLE as error:
+                failed = f" ({error})"
+        heights = [one for one in found if one is not None]
+        if not heights:
+            raise ValueError(
+                f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
+                "so its height is not known: give sensor_height [m] (--sensor-height)"
+            )
+        height = float(np.median(heights)) + (0.0 if self.sensor_position is None else self.sensor_position[2])
+        if not _PLAUSIBLE[0] <= height <= _PLAUSIBLE[1]:
+            raise ValueError(
+                f"the sensor height of {group} in {self.path}, {height:.2f} m, estimated from its scans, is not "
+                f"plausible ({_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} m): if the points are in the vehicle's frame, give "
+                "sensor_position x y z (--sensor-position); if not, give sensor_height [m] (--sensor-height), and "
+                "check the axes"
+            )
+        return height
+
+    def _one_height(self, n: int) -> float | None:
+        known = self.layout.sensor_height
+        return known(n) if known else estimate_sensor_height(self.layout.read(n).scan.points)
+
+    def _read(self, n: int) -> RawFrame:
+        """Read a scan without the ego vehicle."""
+        raw, box = self.layout.read(n), self.layout.ego_footprint
+        if box is None:
+            return raw
+        kept = outside(box, raw.scan.points)
+        return RawFrame(
+            raw.scan.select(kept),
+            None if raw.kinds is None else raw.kinds[kept],
+            None if raw.moving is None else raw.moving[kept],
+            None if raw.all_points is None else raw.all_points[outside(box, raw.all_points)],
+        )
+
+
+def outside(box: Footprint, points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which points lie outside of a footprint, (N,)."""
+    x, y = points[:, 0], points[:, 1]
+    return (x < box[0]) | (x > box[1]) | (y < box[2]) | (y > box[3])

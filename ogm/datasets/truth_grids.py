@@ -1,0 +1,98 @@
+"""Folders of truth grids without scans: states (.npy), labels of the paper (.png), masses (.npz)."""
+
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from ogm.datasets.layout import FrameRef, Layout
+from ogm.grid import GridSpec
+from ogm.io.grids import GRID_ENDINGS, read_grid
+from ogm.state import CellState, Truth, predict_state
+
+__all__ = ["grid_files", "truth_grids"]
+
+
+def grid_files(folder: Path) -> dict[str, Path]:
+    """Return the grids of a folder by the names of their frames."""
+    found: dict[str, Path] = {}
+    for file in sorted(folder.iterdir()):
+        if file.suffix.lower() in GRID_ENDINGS and file.is_file():
+            if file.stem in found:
+                raise ValueError(
+                    f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}"
+                )
+            found[file.stem] = file
+    return found
+
+
+def truth_grids(folder: Path, spec: GridSpec) -> Layout | None:
+    """Find grids in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    spec : GridSpec
+        The cells of states and pictures, which do not state it, and those that masses must fit.
+    """
+    files = grid_files(folder) if folder.is_dir() else {}
+    if not files:
+        return None
+    paths = tuple(files.values())
+
+    def read(k: int) -> NoReturn:
+        raise ValueError(
+            f"{folder} holds grids of truth, no scans: compare it with grids (--grids FOLDER), or give a data set that "
+            "has scans"
+        )
+
+    return Layout(
+        "truth grids",
+        tuple(FrameRef(name) for name in files),
+        read,
+        mount=read,
+        truth=lambda k: _truth(paths[k], spec),
+        description="Grids of a folder: a cell has the state with most mass, unknown included; where pictures show "
+        "none, it is unknown.",
+        facts={"files": len(files)},
+        files=paths,
+    )
+
+
+def _truth(path: Path, spec: GridSpec) -> Truth:
+    if path.suffix.lower() == ".png":
+        from ogm.simulation.exchange import read_label
+
+        return read_label(path, spec)
+    if path.suffix.lower() == ".npy":
+        try:
+            state = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (ValueError, EOFError, OverflowError) as error:
+            raise ValueError(f"{path} is damaged or no .npy file of numbers: {error}") from error
+        if (
+            state.dtype != np.uint8
+            or state.shape != spec.shape
+            or (state.size and state.max() > CellState.IGNORE)
+        ):
+            raise ValueError(
+                f"{path} must hold states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}, got "
+                f"{state.dtype} {state.shape}"
+            )
+        return Truth(spec, np.array(state))
+    grid = read_grid(path, spec)
+    if not _fit(grid.spec, spec):
+        raise ValueError(
+            f"{path} has cells of {grid.spec.resolution:g} m from x {grid.spec.origin[0]:g}, y "
+            f"{grid.spec.origin[1]:g} m on, but wanted are cells of {spec.resolution:g} m from x {spec.origin[0]:g}, "
+            f"y {spec.origin[1]:g} m on; a truth is not resampled: save it on those, or on whole multiples of them"
+        )
+    return Truth(grid.spec, predict_state(grid.mass))
+
+
+def _fit(cells: GridSpec, spec: GridSpec) -> bool:
+    """Tell whether each cell of `spec` lies in one cell of others, or outside of them all."""
+    ratio = cells.resolution / spec.resolution
+    steps = (np.array(cells.origin) - spec.origin) / spec.resolution
+    return round(ratio) >= 1 and bool(
+        np.allclose([ratio, *steps], np.rint([ratio, *steps]), rtol=0, atol=1e-3)
+    )
