@@ -244,16 +244,18 @@ def augment(
         keep &= (rng.random(int(scan.ring.max(initial=0)) + 1) >= lost_layers)[scan.ring]
     if lost_points:
         keep &= rng.random(len(scan), np.float32) >= lost_points
-    points = scan.points[keep]
+    points = scan.points[keep] if lost_layers or lost_points else scan.points.copy()
     errors = np.zeros(len(points), np.float32)
     if noise:
         errors = noise * rng.standard_normal(len(points), np.float32)
     c, s = np.cos(yaw), np.sin(yaw)
     flip = -1.0 if mirrored else 1.0
     # Small angles: z changes by -pitch x + roll y, x and y hardly; so too with the tilt that the mount has.
-    up = T[2, :3] + (-pitch, roll, 0)
-    matrix = np.array([[c, -s * flip, 0, 0], [s, c * flip, 0, 0], [*up, height]], np.float32)
-    _disturb(points, errors, matrix, np.float32(gain))
+    matrix = np.zeros((3, 4))
+    matrix[:2, :2] = [[c, -s * flip], [s, c * flip]]
+    matrix[:2, 3] = matrix[:2, :2] @ T[:2, 3]
+    matrix[2] = *(T[2, :3] + (-pitch, roll, 0)), height
+    _disturb(points, errors, matrix.astype(np.float32), np.float32(gain))
     return points, (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
 
 

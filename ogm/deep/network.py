@@ -101,10 +101,11 @@ class PillarNetwork(nn.Module):
     def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
         super().__init__()
         if any(n % config.stride for n in spec.shape):
-            up = tuple(-(-n // config.stride) * config.stride for n in spec.shape)
+            nx, ny = (-(-n // config.stride) * config.stride for n in spec.shape)
             raise ValueError(
                 f"the network halves the grid {len(config.blocks)} times, so both sides must be multiples of "
-                f"{config.stride} cells, got {spec.shape}; use {up} cells"
+                f"{config.stride} cells, got {spec.shape}; use ({nx}, {ny}) cells, length {nx * spec.resolution:g} m "
+                f"and width {ny * spec.resolution:g} m"
             )
         if config.bearings and len(config.blocks) < 2:
             raise ValueError(f"bearings join at the second block, got {len(config.blocks)} block")

@@ -61,8 +61,8 @@ class Pillars(NamedTuple):
 
     def to(self, device: torch.device | str) -> "Pillars":
         """Return the same on another device."""
-        arrays = (array.to(device, non_blocking=True) for array in self[:3])
-        return Pillars(*arrays, self.batch)
+        features, lengths, cells = (array.to(device, non_blocking=True) for array in self[:3])
+        return Pillars(features, lengths, cells, self.batch)
 
 
 def to_ground_frame(mount: Mount) -> tuple[NDArray[np.float64], Rectangle]:
