@@ -61,7 +61,7 @@ class DeepISM:
     sensor. Intensities are in [0, 1], Velodyne's calibrated value / 255. A scan without intensities (three columns, or
     all 0) is mapped without them.
 
-    Scans unlike those of the training are mapped too, with one warning in the log for each reason. Intensities whose
+    A scan unlike those of the training is mapped too, with one warning in the log for each reason. Intensities whose
     mean lies outside the training's range are left out, since manufacturers calibrate differently. A scan of over 1.2
     times the most points of the training is thinned to that number, by the same random choice every time. A scan of a
     tenth of the fewest points of the training, or less, gives an unknown grid.
