@@ -181,7 +181,7 @@ class DeepISM:
             pillars = pillarize(points, *options, self._T)
         else:
             T = torch.from_numpy(self._T).float().to(self.device)
-            pillars = pillarize_torch(torch.from_numpy(points).to(self.device), *options, T)
+            pillars = pillarize_torch(torch.tensor(points, device=self.device), *options, T)
         self._compare(pillars)
         return pillars
 

@@ -12,7 +12,7 @@ from typing import Literal
 
 import torch
 from torch import nn
-from torch.nn.functional import conv2d, interpolate, pixel_shuffle, relu, softplus
+from torch.nn.functional import batch_norm, conv2d, interpolate, pixel_shuffle, relu, softplus
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from ogm.deep.pillars import FEATURES, Pillars
@@ -195,13 +195,11 @@ class PillarFeatures(nn.Module):
 
     def forward(self, features: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
         """Return (P, channels) from (N, 9) features of points sorted by pillar, and the pillars' lengths."""
+        x, norm = self.linear(features if self.scale is None else features * self.scale), self.norm
         if len(features) < 2 and self.training:  # no statistics of one point
-            x = nn.functional.batch_norm(
-                self.linear(features * self.scale), self.norm.running_mean, self.norm.running_var,
-                self.norm.weight, self.norm.bias, eps=1e-3,
-            )  # fmt: skip
+            x = batch_norm(x, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=norm.eps)
         else:
-            x = self.norm(self.linear(features if self.scale is None else features * self.scale))
+            x = norm(x)
         if len(features) == 0:
             return x
         return torch.segment_reduce(relu(x, inplace=True), "max", lengths=lengths, unsafe=True)

@@ -10,6 +10,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,6 +55,9 @@ class ValidationScores(NamedTuple):
     kl: float
     free: float
     occupied: float
+
+    def __str__(self) -> str:
+        return f"validation {self.loss:.4f}, IoU free {self.free:.2f} occupied {self.occupied:.2f}"
 
 
 def train(
@@ -112,7 +116,7 @@ def train(
     MemoryError
         If the memory does not suffice.
     """
-    _check(training, validation, recipe, out, resume)
+    _check(validation, recipe, out, resume)
     fabric = _launch(accelerator, devices, nodes, precision)
     options = recipe.network.z_range, recipe.seed, recipe.most_pillars, recipe.most_points
     frames = PillarDataset(training, spec, recipe.augmentation, *options)
@@ -132,14 +136,14 @@ def train(
                 order.epoch, order.skip = run.epoch, (first - run.epoch * run.steps_per_epoch) * recipe.batch
                 for batch in loader:
                     run.do_step(batch)
-                    show(run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
+                    show(completed=run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
                     if time.monotonic() - saved > save_every:
                         saved = run.save()
                 if fabric.is_global_zero:
                     speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
                     scores = validate(run.average, fixed, recipe, fabric.device)
                     run.record(scores._asdict(), speed, facts)
-                    show(run.step, scores=scores)
+                    show(scores=scores)
                     if picture_every and (run.epoch + 1) % picture_every == 0:
                         picture = out / f"epoch-{run.epoch + 1:03d}.png"
                         draw_predictions(picture, run.average, fixed, fabric.device)
@@ -217,7 +221,7 @@ def _memory_advice(recipe: Recipe) -> Iterator[None]:
 
 @contextmanager
 def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
-    """Show a progress bar; the function that is returned updates it."""
+    """Show a progress bar; the function that is returned updates its fields."""
     columns = (
         TextColumn("epoch {task.fields[epoch]:.1f}"),
         BarColumn(),
@@ -226,28 +230,16 @@ def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
     )
     with Progress(*columns, disable=not visible) as bar:
         task = bar.add_task("training", total=total, completed=done, loss=math.nan, epoch=0.0, scores="")
-
-        def show(step: int, scores: ValidationScores | None = None, **fields: float) -> None:
-            text = {}
-            if scores is not None:
-                free, occupied = f"free {scores.free:.2f}", f"occupied {scores.occupied:.2f}"
-                text["scores"] = f"validation {scores.loss:.4f}, IoU {free} {occupied}"
-            bar.update(task, completed=step, **fields, **text)  # type: ignore[arg-type]
-
-        yield show
+        yield partial(bar.update, task)
 
 
-def _check(
-    training: Sequence[Frame], validation: Sequence[Frame], recipe: Recipe, out: Path, resume: bool
-) -> None:
+def _check(validation: Sequence[Frame], recipe: Recipe, out: Path, resume: bool) -> None:
     if recipe.loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {recipe.loss!r}")
     if recipe.epochs < 1 or recipe.batch < 1:
         raise ValueError(f"epochs and batch must be at least 1, got {recipe.epochs} and {recipe.batch}")
     if not (recipe.learning_rate > 0 and recipe.strength > 0):
         raise ValueError("learning_rate and strength must be greater than 0")
-    if len(training) < recipe.batch:
-        raise ValueError(f"{len(training)} training frames are fewer than one batch of {recipe.batch}")
     if len(validation) == 0:
         raise ValueError("there are no validation frames to choose the weights by")
     if not resume and (out / "state.pt").exists():

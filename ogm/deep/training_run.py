@@ -56,8 +56,8 @@ class TrainingRun:
         self.steps = self.steps_per_epoch * recipe.epochs
         if self.steps == 0:
             raise ValueError(
-                f"{training} training frames are fewer than {fabric.world_size} batches of {recipe.batch}, one per "
-                "process"
+                f"{training} training frames are fewer than one batch of {recipe.batch} for each of "
+                f"{fabric.world_size} processes; use a smaller --batch"
             )
         self._setup = {
             "recipe": repr(
