@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from ogm.cli import app
 from ogm.cli.source import source_of
 from ogm.deep.checkpoint import save_network
-from ogm.deep.network import NetworkConfig, PillarNetwork
+from ogm.deep.network import Network, NetworkConfig
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
@@ -100,7 +100,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bearings=False,
         scale=(15, 10, 2, 0.5, 0.2, 0.2, 0.3, 0.3, 0.3),
     )
-    return save_network(tmp_path_factory.mktemp("run") / "small.safetensors", PillarNetwork(config, PAPER), {})
+    return save_network(tmp_path_factory.mktemp("run") / "small.safetensors", Network(config, PAPER), {})
 
 
 @pytest.fixture
