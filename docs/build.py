@@ -281,8 +281,8 @@ def deep_speed() -> str:
     parts = {
         "points to `EvidentialGrid`": ("lite, whole", "paper, whole"),
         "pillars": ("pillars", "pillars"),
-        "features and feature map": ("lite, pillars to canvas", "paper, pillars to canvas"),
-        "feature map to evidence": ("lite, canvas to evidence", "paper, canvas to evidence"),
+        "features and feature map": ("lite, pillars to feature map", "paper, pillars to feature map"),
+        "feature map to evidence": ("lite, feature map to evidence", "paper, feature map to evidence"),
         "its convolutions alone": ("lite, convolutions", "paper, convolutions"),
     }
     rows = [[title, *map(ms, names)] for title, names in parts.items()]
@@ -450,6 +450,7 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": headline()},
+    "docs/lite.md": lambda: {"results": headline()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/reproduction.md": lambda: (
         sentences(record("quality")) | {"losses": losses_of_the_paper(), "divergence": divergences()}

@@ -10,7 +10,7 @@ import torch
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER, NetworkConfig
 from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
-from ogm.deep.train import train
+from ogm.deep.training import train
 
 
 @pytest.fixture(autouse=True)
@@ -27,8 +27,8 @@ def recipe(tiny):
 
 
 @pytest.fixture
-def go(scenes, small, recipe, tmp_path):
-    def run(out="run", training=scenes[:8], validation=scenes[8:], **options):
+def go(frames, small, recipe, tmp_path):
+    def run(out="run", training=frames[:8], validation=frames[8:], **options):
         options = {
             "workers": 0,
             "accelerator": "cpu",
@@ -62,10 +62,10 @@ def test_training_learns(go, recipe, tmp_path):
 
 
 class Interrupted(list):
-    """Samples of which reading the n-th is interrupted."""
+    """Frames of which reading the n-th is interrupted."""
 
-    def __init__(self, samples, reads):
-        super().__init__(samples)
+    def __init__(self, frames, reads):
+        super().__init__(frames)
         self.left = reads
 
     def __getitem__(self, i):
@@ -76,11 +76,11 @@ class Interrupted(list):
 
 
 @pytest.mark.parametrize("dropout", [0.0, 0.1])
-def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, scenes, tmp_path, dropout):
+def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, frames, tmp_path, dropout):
     recipe = replace(recipe, network=replace(recipe.network, dropout=dropout))
     whole = go("whole", recipe=recipe)
     with pytest.raises(KeyboardInterrupt):
-        go("stopped", recipe=recipe, training=Interrupted(scenes[:8], 13))  # in the second epoch
+        go("stopped", recipe=recipe, training=Interrupted(frames[:8], 13))  # in the second epoch
     stopped = go("stopped", recipe=recipe, resume=True)
     for name, value in torch.load(tmp_path / "whole" / "state.pt", weights_only=True)["network"].items():
         other = torch.load(tmp_path / "stopped" / "state.pt", weights_only=True)["network"][name]
@@ -98,23 +98,23 @@ def test_a_run_is_not_overwritten(go):
         go()
 
 
-def test_another_recipe_or_data_does_not_resume(go, recipe, scenes):
+def test_another_recipe_or_data_does_not_resume(go, recipe, frames):
     go()
     with pytest.raises(ValueError, match="another recipe"):
         go(resume=True, recipe=replace(recipe, weight_decay=0.5))
-    with pytest.raises(ValueError, match="another samples"):
-        go(resume=True, training=scenes[:7])
+    with pytest.raises(ValueError, match="another frames"):
+        go(resume=True, training=frames[:7])
 
 
-def test_a_run_goes_on_with_another_learning_rate(go, recipe, scenes, tmp_path):
+def test_a_run_goes_on_with_another_learning_rate(go, recipe, frames, tmp_path):
     with pytest.raises(KeyboardInterrupt):
-        go(training=Interrupted(scenes[:8], 13))
+        go(training=Interrupted(frames[:8], 13))
     go(resume=True, recipe=replace(recipe, learning_rate=1e-4))
     assert len(curve(tmp_path / "run")) == 2
 
 
-def test_an_epoch_is_judged_even_if_its_judgement_was_interrupted(go, monkeypatch, tmp_path):
-    from ogm.deep import train as module
+def test_an_epoch_is_validated_even_if_its_validation_was_interrupted(go, monkeypatch, tmp_path):
+    from ogm.deep import training as module
 
     def stop(*_):
         raise KeyboardInterrupt
@@ -149,22 +149,22 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_batch(go, recipe, tmp_pat
         assert len(batch["numbers"]) == 4
 
 
-def test_only_the_process_whose_loss_it_was_keeps_its_batch(scenes, small, tmp_path):
+def test_only_the_process_whose_loss_it_was_keeps_its_batch(frames, small, tmp_path):
     from ogm.deep.data import PillarDataset
-    from ogm.deep.train import _nonfinite_loss_error
+    from ogm.deep.training_run import nonfinite_loss_error
 
-    batch = PillarDataset(scenes, small)[0]
-    assert "another process" in str(_nonfinite_loss_error(tmp_path, batch, 0.5, 3))
+    batch = PillarDataset(frames, small)[0]
+    assert "another process" in str(nonfinite_loss_error(tmp_path, batch, 0.5, 3))
     assert not list(tmp_path.iterdir())
-    assert "nan" in str(_nonfinite_loss_error(tmp_path, batch, math.nan, 3))
+    assert "nan" in str(nonfinite_loss_error(tmp_path, batch, math.nan, 3))
     assert [file.name for file in tmp_path.iterdir()] == ["batch-3.npz"]
 
 
-def test_too_little_memory_says_what_to_lower(go, monkeypatch):
+def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
     def full(*_):
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    monkeypatch.setattr("ogm.deep.train.mean_loss", full)
+    monkeypatch.setattr("ogm.deep.training_run.mean_loss", full)
     with pytest.raises(MemoryError, match="--batch"):
         go()
 
@@ -192,7 +192,7 @@ def test_the_published_recipe_runs(go, tmp_path):
         ({"batch": 9}, "fewer than one batch"),
     ],
 )
-def test_recipes_that_make_no_sense_are_refused(go, recipe, change, match):
+def test_recipes_out_of_range_are_refused(go, recipe, change, match):
     with pytest.raises(ValueError, match=match):
         go(recipe=replace(recipe, **change))
 
