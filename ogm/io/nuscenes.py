@@ -9,10 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.files import OgmError
 from ogm.io.axes import rotation_to_flu
-from ogm.io.documents import need, numbers, read_json
-from ogm.io.objects import BoxRow, boxes_of
-from ogm.pose import check_pose, inverse
+from ogm.io.labels import BoxRow, boxes_of
+from ogm.io.reading import from_quaternions, need, numbers, read_json, rigid
+from ogm.pose import inverse
 from ogm.scan import Boxes
 
 __all__ = ["NuScenes", "NuScenesFrame", "read_mmdet3d", "read_nuscenes"]
@@ -68,7 +69,7 @@ class NuScenes:
             yaw = np.arctan2(T[1, 0], T[0, 0])
             track = str(need(note, "instance_token", where))
             if track not in self.labels:
-                raise ValueError(f"instance {track} of {where} is in no table of instances: is it complete?")
+                raise OgmError(f"instance {track} of {where} is in no table of instances: is it complete?")
             rows.append(BoxRow(T[:3, 3], [length, width, height], yaw, self.labels[track], track))
         return rows
 
@@ -92,7 +93,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
     ------
     FileNotFoundError
         If a table is not there.
-    ValueError
+    OgmError
         If there are several versions, a table is of another kind, or a row refers to what is not there.
     """
     folder = Path(path)
@@ -100,7 +101,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
         versions = sorted(one for one in folder.glob("v1.*-*") if one.is_dir())
         if len(versions) != 1:
             found = ", ".join(one.name for one in versions) or "none"
-            raise ValueError(
+            raise OgmError(
                 f"{folder} must have one folder of tables (v1.0-...), found {found}: give that folder"
             )
         folder = versions[0]
@@ -131,13 +132,13 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
             T_map_vehicle = _pose(_look_up(tables, "ego_pose", row, "sample_data"), "a row of ego_pose.json")
             T_vehicle_sensor = _pose(mounting, "a row of calibrated_sensor.json")
             token = str(row["sample_token"])
-            T = T_map_vehicle @ T_vehicle_sensor @ _TURN.T
+            T = T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T
             kept = tuple(notes.get(token, ()))
             frames.append(
                 NuScenesFrame(scene, file.name, file, stamp, T, float(T_vehicle_sensor[2, 3]), kept)
             )
     if not frames:
-        raise ValueError(f"{folder} names no key frame of {_LIDAR} whose points are under {folder.parent}")
+        raise OgmError(f"{folder} names no key frame of {_LIDAR} whose points are under {folder.parent}")
     return NuScenes(tuple(sorted(frames, key=lambda one: (one.scene, one.stamp))), annotated, labels)
 
 
@@ -159,16 +160,16 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If it is another data set's, or an entry lacks something.
     """
     path = Path(path)
     if path.suffix == ".pkl":
-        raise ValueError(f"{path} is pickled, and nothing is unpickled here: write it as JSON first")
+        raise OgmError(f"{path} is pickled, and nothing is unpickled here: write it as JSON first")
     content = read_json(path, dict, "mmdetection3d's info: metainfo, data_list")
     about = need(content, "metainfo", str(path))
     if str(need(about, "dataset", f"metainfo of {path}")).lower() != "nuscenes":
-        raise ValueError(f"{path} is of {about['dataset']}, wanted nuscenes")
+        raise OgmError(f"{path} is of {about['dataset']}, wanted nuscenes")
     categories = need(about, "categories", f"metainfo of {path}", dict)
     names = {number: str(name) for name, number in categories.items() if isinstance(number, int)}
     entries = [content["frame"]] if "frame" in content else need(content, "data_list", str(path), list)
@@ -178,7 +179,7 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
         lidar = need(entry, "lidar_points", where)
         file = path.parent / Path(str(need(lidar, "lidar_path", where))).name
         T_vehicle_sensor = _matrix(lidar, "lidar2ego", where)
-        T = _matrix(entry, "ego2global", where) @ T_vehicle_sensor @ _TURN.T
+        T = _matrix(entry, "ego2global", where) @ T_vehicle_sensor @ _T_FLU_LIDAR.T
         notes = tuple(
             {"bbox_3d": need(note, "bbox_3d", f"an object of {where}"), **note, "name": _named(note, names)}
             for note in need(entry, "instances", where, list)
@@ -198,12 +199,12 @@ def _named(note: Mapping[str, Any], names: Mapping[int, str]) -> str:
 
 
 def _mmdet3d_boxes(frame: NuScenesFrame) -> list[BoxRow]:
-    """Turn bbox_3d, told in the lidar's frame: x right, y forward, z of the middle."""
+    """Return the boxes of bbox_3d, which is in the lidar's frame: x right, y forward, z up, about the center."""
     rows = []
     for n, note in enumerate(frame.annotations):
         where = f"object {n} of key frame {frame.name}"
         box = numbers(need(note, "bbox_3d", where), 7, f"bbox_3d of {where}")
-        rows.append(BoxRow(_TURN[:3, :3] @ box[:3], box[3:6], box[6] - np.pi / 2, note["name"]))
+        rows.append(BoxRow(_T_FLU_LIDAR[:3, :3] @ box[:3], box[3:6], box[6] - np.pi / 2, note["name"]))
     return rows
 
 
@@ -216,7 +217,7 @@ def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
 def _inside(folder: Path, name: str) -> Path:
     """Return a file of the data set by the name that a table gives it."""
     if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise ValueError(
+        raise OgmError(
             f"sample_data.json names the file {name[:200]!r}, wanted one under {folder}, such as "
             "samples/LIDAR_TOP/...: tables of nuScenes name no other, so do not trust these"
         )
@@ -229,7 +230,7 @@ def _look_up(
     """Follow a row's reference to another table."""
     token = str(need(row, f"{name}_token", f"a row of {of}.json"))
     if token not in tables[name]:
-        raise ValueError(
+        raise OgmError(
             f"{of}.json refers to {name} {token}, which {name}.json does not have: are they of one version?"
         )
     return tables[name][token]
@@ -237,20 +238,14 @@ def _look_up(
 
 def _pose(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
     """Read a translation and a quaternion with w first."""
-    from scipy.spatial.transform import Rotation
-
-    T = np.eye(4)
     w, x, y, z = numbers(need(row, "rotation", where), 4, f"rotation of {where}")
-    if abs(np.linalg.norm([w, x, y, z]) - 1) > 1e-2:
-        raise ValueError(f"rotation of {where} must be a quaternion of length 1, got {[w, x, y, z]}")
-    T[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
-    T[:3, 3] = numbers(need(row, "translation", where), 3, f"translation of {where}")
-    return T
+    position = numbers(need(row, "translation", where), 3, f"translation of {where}")
+    return from_quaternions(position[None], np.array([[x, y, z, w]]), lambda _: where)[0]
 
 
 def _matrix(entry: Mapping[str, Any], key: str, where: str) -> NDArray[np.float64]:
-    return check_pose(numbers(need(entry, key, where), (4, 4), f"{key} of {where}"), f"{key} of {where}")
+    return rigid(numbers(need(entry, key, where), (4, 4), f"{key} of {where}"), f"{key} of {where}")
 
 
-_TURN = np.eye(4)
-_TURN[:3, :3] = rotation_to_flu("nuscenes")
+_T_FLU_LIDAR = np.eye(4)
+_T_FLU_LIDAR[:3, :3] = rotation_to_flu("nuscenes")

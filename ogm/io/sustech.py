@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.documents import need, numbers, read_json
-from ogm.io.objects import BoxRow, boxes_of
+from ogm.io.labels import BoxRow, boxes_of
+from ogm.io.reading import need, numbers, read_json
 from ogm.scan import Boxes
 
 __all__ = ["read_sustech"]
@@ -32,7 +32,7 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Boxes:
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If it is no such list, or an entry lacks something or has no numbers.
     """
     path = Path(path)
