@@ -4,14 +4,23 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.io.labels import BoxRow, boxes_of
-from ogm.io.reading import from_quaternions, need, numbers, optional, parse_array, read_bytes, read_json
+from ogm.io.reading import (
+    from_quaternions,
+    need,
+    need_numbers,
+    numbers,
+    optional,
+    parse_array,
+    read_bytes,
+    read_json,
+)
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 
@@ -88,7 +97,7 @@ class Argoverse2Log:
         ``T_city_vehicle`` at those times.
     lidars : dict of str to (3,) float64
         Positions of ``up_lidar`` and ``down_lidar`` in the vehicle's frame [m]. Empty without calibration.
-    annotations : dict of str to array, or None
+    annotations : table or None
         The table of boxes; None where there is none, as in the test part.
     map : Argoverse2Map or None
         None where the log has no map.
@@ -99,7 +108,7 @@ class Argoverse2Log:
     stamps: tuple[int, ...]
     poses: Mapping[int, NDArray[np.float64]]
     lidars: Mapping[str, NDArray[np.float64]]
-    annotations: Mapping[str, NDArray[Any]] | None
+    annotations: "_Table | None"
     map: Argoverse2Map | None
 
     def boxes(self, n: int) -> Boxes:
@@ -107,14 +116,12 @@ class Argoverse2Log:
         if self.annotations is None:
             return Boxes.empty()
         table = self.annotations
-        at = np.flatnonzero(table["timestamp_ns"] == self.stamps[n])
-        file = self.folder / "annotations.feather"
-        T = _poses({name: table[name][at] for name in (*_POSITION, *_QUATERNION)}, file)
+        at = np.flatnonzero(table.columns["timestamp_ns"] == self.stamps[n])
+        T = table.poses(at)
         yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-        sizes = _columns({name: table[name][at] for name in _SIZE}, _SIZE, file)
-        names = (map(str, table[name][at]) for name in ("category", "track_uuid"))
-        rows = map(BoxRow, T[:, :3, 3], sizes, yaw, *names)
-        return boxes_of(list(rows), f"{file} at {self.stamps[n]}")
+        names = (map(str, table.columns[name][at]) for name in ("category", "track_uuid"))
+        rows = map(BoxRow, T[:, :3, 3], table.numbers(_SIZE)[at], yaw, *names)
+        return boxes_of(list(rows), f"{table.path} at {self.stamps[n]}")
 
 
 def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
@@ -148,12 +155,11 @@ def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
         raise OgmError(f"sweeps of {folder} must be named by their times [ns]: {error}") from error
     file = folder / "city_SE3_egovehicle.feather"
     table = _table(file, ("timestamp_ns", *_POSITION, *_QUATERNION))
-    row = {int(stamp): n for n, stamp in enumerate(table["timestamp_ns"])}
+    row = {int(stamp): n for n, stamp in enumerate(table.columns["timestamp_ns"])}
     lost = [stamp for stamp in stamps if stamp not in row]
     if lost:
         raise OgmError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
-    chosen = np.array([row[stamp] for stamp in stamps])
-    poses = _poses({name: table[name][chosen] for name in (*_POSITION, *_QUATERNION)}, file)
+    poses = table.poses(np.array([row[stamp] for stamp in stamps]))
     notes = folder / "annotations.feather"
     wanted = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_POSITION)
     return Argoverse2Log(
@@ -174,12 +180,10 @@ def _lidars(folder: Path) -> dict[str, NDArray[np.float64]]:
     if file is None:
         return {}
     table = _table(file, ("sensor_name", *_POSITION))
-    places = _columns(table, _POSITION, file)
-    if not np.isfinite(places).all():
-        raise OgmError(
-            f"{file} has sensors whose position is not finite: take the calibration of another log"
-        )
-    return {str(name): place for name, place in zip(table["sensor_name"], places, strict=True)}
+    positions = table.numbers(_POSITION)
+    if not np.isfinite(positions).all():
+        raise OgmError(f"{file} has sensors without finite position: take the calibration of another log")
+    return dict(zip(map(str, table.columns["sensor_name"]), positions, strict=True))
 
 
 def _map(folder: Path) -> Argoverse2Map | None:
@@ -205,8 +209,7 @@ def _map(folder: Path) -> Argoverse2Map | None:
     )
     position = read_json(placing, dict, "the position of the raster in the city: R, t, s")
     rotation, shift, scale = (
-        numbers(need(position, key, placing), shape, f"{key} of {placing}")
-        for key, shape in (("R", 4), ("t", 2), ("s", ()))
+        need_numbers(position, key, shape, placing) for key, shape in (("R", 4), ("t", 2), ("s", ()))
     )
     return Argoverse2Map(tuple(areas), raster.astype(np.float64), rotation.reshape(2, 2), shift, float(scale))
 
@@ -214,45 +217,46 @@ def _map(folder: Path) -> Argoverse2Map | None:
 _MAP_FILES = ("log_map_archive_*.json", "*_ground_height_surface_*.npy", "*___img_Sim2_city.json")
 
 
-def _table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
+class _Table(NamedTuple):
+    """Columns of a Feather table."""
+
+    path: Path
+    columns: Mapping[str, NDArray[Any]]
+
+    def numbers(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return columns of numbers side by side, (K, C)."""
+        wrong = [name for name in names if self.columns[name].dtype.kind not in "iuf"]
+        if wrong:
+            got = self.columns[wrong[0]].dtype
+            raise OgmError(f"{', '.join(wrong)} of {self.path} must be columns of numbers, got {got}")
+        return np.column_stack([self.columns[name] for name in names]).astype(np.float64)
+
+    def poses(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return transforms (K, 4, 4) of some rows."""
+        positions, quaternions = self.numbers(_POSITION)[rows], self.numbers(_QUATERNION)[rows]
+        return from_quaternions(positions, quaternions, lambda k: f"row {rows[k]} of {self.path}")
+
+
+def _table(path: Path, columns: Sequence[str]) -> _Table:
     """Read some columns of a Feather table."""
     pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
     data = read_bytes(path)[0]
     try:
-        table = ipc.open_file(pyarrow.BufferReader(data)).read_all()
+        table = ipc.open_file(pyarrow.py_buffer(data)).read_all()
+        found = {
+            name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names
+        }
     except (pyarrow.ArrowException, ValueError, OSError, MemoryError) as error:
         raise OgmError(
-            f"{path} is no readable Feather table ({error}): it is damaged or wrongly named"
+            f"{path} is no readable Feather table: it is damaged or wrongly named ({str(error)[:120]})"
         ) from error
-    missing = [name for name in columns if name not in table.column_names]
+    missing = [name for name in columns if name not in found]
     if missing:
         raise OgmError(
             f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}"
         )
-    try:
-        found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns}
-    except (pyarrow.ArrowException, ValueError) as error:
-        raise OgmError(
-            f"{path} has columns that cannot be read ({str(error)[:120]}): it is damaged"
-        ) from error
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
         raise OgmError(
             f"timestamp_ns of {path} must be whole numbers [ns], all of them, got {table['timestamp_ns'].type}"
         )
-    return found
-
-
-def _columns(table: Mapping[str, NDArray[Any]], names: Sequence[str], path: Path) -> NDArray[np.float64]:
-    """Return columns of numbers side by side, (K, C)."""
-    wrong = [name for name in names if table[name].dtype.kind not in "iuf"]
-    if wrong:
-        raise OgmError(
-            f"{', '.join(wrong)} of {path} must be columns of numbers, got {table[wrong[0]].dtype}"
-        )
-    return np.column_stack([table[name] for name in names]).astype(np.float64)
-
-
-def _poses(table: Mapping[str, NDArray[Any]], path: Path) -> NDArray[np.float64]:
-    """Return transforms (K, 4, 4) from positions and quaternions."""
-    positions, quaternions = _columns(table, _POSITION, path), _columns(table, _QUATERNION, path)
-    return from_quaternions(positions, quaternions, lambda k: f"row {k} of {path}")
+    return _Table(path, found)

@@ -86,7 +86,7 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
 
     The number of columns gives the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
     row), 13 KITTI-360 (the frame number before them), 16 and 17 the same with the fourth row, 8 TUM (stamp,
-    position, quaternion with w last). Columns stand apart by blanks; what follows ``#`` is a comment. A
+    position, quaternion with w last). Columns are separated by blanks; what follows ``#`` is a comment. A
     ``.csv`` has the header ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and perhaps a column ``number``. Each
     may be packed as ``.xz`` or ``.gz``.
 

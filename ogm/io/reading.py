@@ -22,6 +22,7 @@ __all__ = [
     "BYTE_LIMIT",
     "from_quaternions",
     "need",
+    "need_numbers",
     "numbers",
     "optional",
     "parse_array",
@@ -169,6 +170,11 @@ def need(value: Any, key: str, where: object, kind: type = object) -> Any:
             f"{key!r} of {where} is a {type(value[key]).__name__}, wanted a {kind.__name__}: is it of this data set?"
         )
     return value[key]
+
+
+def need_numbers(value: Any, key: str, count: int | tuple[int, ...], where: object) -> NDArray[np.float64]:
+    """Return an entry of a JSON object, which must be finite numbers of a shape."""
+    return numbers(need(value, key, where), count, f"{key} of {where}")
 
 
 def numbers(value: Any, count: int | tuple[int, ...], where: str) -> NDArray[np.float64]:

@@ -16,8 +16,8 @@ _SQUARES = 30  # square metres that must agree before a height is estimated from
 def plausible_sensor_height(height: float, where: object = "the scan") -> float:
     """Return an estimated height of the sensor if it is plausible: 0.5 m to 5 m above ground.
 
-    Clouds in the vehicle frame, whose origin lies near the ground (Argoverse 2), look like those of a sensor at
-    0.3 m: a model that believes that starts its rays at the wrong point.
+    The origin of clouds in the vehicle frame lies near the ground (about 0.3 m above it in Argoverse 2). A model
+    that takes it for the sensor's height starts its rays at the wrong point.
 
     Parameters
     ----------

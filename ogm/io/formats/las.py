@@ -25,7 +25,7 @@ def parse_las(data: bytes, path: Path) -> Table:
     if data[_FORMAT] & 0x80:
         optional("lazrs", path)
     try:
-        # Of its decoders, the one of a single thread believes less of what a damaged file claims.
+        # Of its decoders, the one of a single thread trusts less of the counts of a damaged file.
         decoder = laspy.LazBackend.Lazrs
         with laspy.open(io.BytesIO(data), laz_backend=decoder, read_evlrs=False) as reader:
             header = reader.header

@@ -1,7 +1,7 @@
 """PLY clouds: ascii, binary_little_endian and binary_big_endian.
 
 Read here rather than by `plyfile` 1.1, which is slower by more than a factor of 2 (135 times for a million points
-from a packed file, 4 times for text) and allocates what a damaged header claims.
+from a packed file, 4 times for text) and allocates what a damaged header promises.
 """
 
 import re
@@ -59,7 +59,7 @@ def parse_ply(data: bytes, path: Path) -> Table:
 
 
 def _split(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Field | None]]], memoryview]:
-    """Take the header off; a property that is a list stands as None among its element's fields."""
+    """Take the header off; a property that is a list is None among its element's fields."""
     end = _END.search(data, 0, _HEADER_LIMIT)
     if not data.startswith(b"ply") or end is None:
         raise OgmError(f"{path} has no whole PLY header: it is cut short or no PLY file")
