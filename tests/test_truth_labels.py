@@ -204,7 +204,7 @@ def test_an_empty_street_is_free() -> None:
 
 
 def test_a_return_hides_the_road_behind_it() -> None:
-    """It stands 1.7 m high at 1 m ahead: the sensor looks over it only from 17 m on."""
+    """It is 1.7 m high at 1 m ahead: the sensor sees over it only from 17 m on."""
     truth = road_with([[1.0, 0.0, -0.1]])
     assert draw(truth) == [
         "... ...",
@@ -217,7 +217,7 @@ def test_a_return_hides_the_road_behind_it() -> None:
     ]
 
 
-def test_low_returns_stand_but_one_looks_over_them() -> None:
+def test_low_returns_stand_but_they_hide_little() -> None:
     """0.5 m high at 1 m: the line of sight over it meets the road at 1.8 / 1.3 m."""
     assert draw(road_with([[1.0, 0.0, -1.3]]))[:3] == [".......", ".......", "... ..."]
 

@@ -42,16 +42,15 @@ def read_grid(path: str | os.PathLike[str], area: GridSpec) -> EvidentialGrid:
             return EvidentialGrid.load(path)
         return EvidentialGrid(*(_array(path, area) if ending == ".npy" else _picture(path, area)))
     except ValueError as error:
-        if str(path) in str(error):
-            raise
-        raise OgmError(f"{path}: {error}") from error
+        message = str(error)
+        raise OgmError(message if str(path) in message else f"{path}: {message}") from error
 
 
 def _array(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
     try:
         array = np.load(
             path, mmap_mode="r", allow_pickle=False
-        )  # a shape that the file does not hold is refused
+        )  # refuses a shape that the file does not hold
     except (ValueError, EOFError, OverflowError) as error:
         raise OgmError(f"{path} is damaged or no .npy file of numbers: {error}") from error
     if array.ndim != 3 or array.shape[-1] != 2 or array.dtype.kind != "f":

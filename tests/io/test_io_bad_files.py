@@ -541,7 +541,7 @@ def test_a_file_cut_short_anywhere_is_refused_or_shorter(whole):
         scan, message = read_or_refuse(whole)
         if scan is None:
             assert whole.name in message
-        else:  # KITTI and nuScenes files do not say how long they are; a text may lack its last digits
+        else:  # KITTI and nuScenes files do not hold their length; a text may lack its last digits
             assert len(scan.points) < 60 or (
                 whole.name in ("ascii.pcd", "text.ply") and end > len(content) - 20
             )

@@ -92,9 +92,9 @@ def test_labelled_points_must_fit():
     points = np.zeros((3, 4), np.float32)
     found = LabelledPoints(points, np.array([0, 2, 0]), {0: "road", 1: "car", 2: "none"})
     assert found.named().tolist() == ["road", "none", "road"]
-    with pytest.raises(ValueError, match=r"one of classes per point, shape \(3,\), got \(2,\)"):
+    with pytest.raises(OgmError, match=r"one of classes per point, shape \(3,\), got \(2,\)"):
         LabelledPoints(points, np.zeros(2, np.int64), {0: "road"})
-    with pytest.raises(ValueError, match=r"class 5, 7 is not one of the 1 that are known \(0 road"):
+    with pytest.raises(OgmError, match=r"class 5, 7 is not one of the 1 that are known \(0 road"):
         LabelledPoints(points, np.array([0, 5, 7]), {0: "road"})
 
 
@@ -151,17 +151,17 @@ def test_an_empty_file_of_labels_has_no_objects(tmp_path):
 def test_damaged_labels_are_named(tmp_path, content, message):
     path = tmp_path / "labels.txt"
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_kitti_objects(path, TO_CAMERA)
 
 
 def test_damaged_tracks_are_named(tmp_path):
     path = tmp_path / "0000.txt"
     path.write_text(f"one 7 {LINE} 0\n")
-    with pytest.raises(ValueError, match="line 1 of .* must begin with two whole numbers, got 'one'"):
+    with pytest.raises(OgmError, match="line 1 of .* must begin with two whole numbers, got 'one'"):
         read_kitti_tracks(path, TO_CAMERA)
     path.write_text(f"1 7 {LINE} 0\n1 7 {LINE} 0\n")
-    with pytest.raises(ValueError, match="line 2 of .* second box of track 7 in scan 1"):
+    with pytest.raises(OgmError, match="line 2 of .* second box of track 7 in scan 1"):
         read_kitti_tracks(path, TO_CAMERA)
     with pytest.raises(FileNotFoundError):
         read_kitti_tracks(tmp_path / "none.txt", TO_CAMERA)
@@ -175,7 +175,7 @@ def test_a_days_calibration_is_two_files(tmp_path):
     assert T[:3, :3] == pytest.approx(half @ TO_CAMERA[:3, :3])
     assert T[:3, 3] == pytest.approx(half @ [0.1, 0.2, 0.3])
     (tmp_path / "calib_cam_to_cam.txt").write_text("S_00: 1 2\n")
-    with pytest.raises(ValueError, match="no entry R_rect_00, only S_00"):
+    with pytest.raises(OgmError, match="no entry R_rect_00, only S_00"):
         read_calibration(tmp_path)
     (tmp_path / "calib_cam_to_cam.txt").unlink()
     with pytest.raises(FileNotFoundError):
@@ -192,10 +192,10 @@ def test_stamps_are_dates_or_seconds(tmp_path):
     assert read_kitti_stamps(path).tolist() == [0, 0.1039014]
     for last in ("noon", "nan", "1e400"):
         path.write_text(f"0.1\n{last}\n")
-        with pytest.raises(ValueError, match="line 2 of .* must be a time"):
+        with pytest.raises(OgmError, match="line 2 of .* must be a time"):
             read_kitti_stamps(path)
     path.write_text("0.1\n\n0.3\n")
-    with pytest.raises(ValueError, match="line 2 of .* is empty, but lines follow"):
+    with pytest.raises(OgmError, match="line 2 of .* is empty, but lines follow"):
         read_kitti_stamps(path)
     path.write_text("0.1\n0.2\n\n")
     assert len(read_kitti_stamps(path)) == 2
@@ -259,13 +259,13 @@ def test_a_label_is_a_class_and_an_instance(tmp_path):
 
 def test_labels_must_be_as_many_as_points(tmp_path):
     files = write_labelled(tmp_path, np.ones((3, 4)), [40, 40])
-    with pytest.raises(ValueError, match=r"0.label has 2 labels, .*0.bin has 3 points"):
+    with pytest.raises(OgmError, match=r"0.label has 2 labels, .*0.bin has 3 points"):
         read_semantic_kitti(*files)
     files = write_labelled(tmp_path, [[1, 1, 1, 0], [1, 1e30, 1, 0]], [40, 40])
-    with pytest.raises(ValueError, match=r"0.bin has coordinates of more than 100000 m"):
+    with pytest.raises(OgmError, match=r"0.bin has coordinates of more than 100000 m"):
         read_semantic_kitti(*files)
     files = write_labelled(tmp_path, np.ones((2, 4)), [40, 77])
-    with pytest.raises(ValueError, match=r"0.label: class 77 is not one of the 34 that are known"):
+    with pytest.raises(OgmError, match=r"0.label: class 77 is not one of the 34 that are known"):
         read_semantic_kitti(*files)
 
 
@@ -324,7 +324,7 @@ def test_a_range_image_is_read_with_its_axes(tmp_path):
 )
 def test_damaged_range_images_are_refused(tmp_path, content, message):
     np.save(tmp_path / "0.npy", content, allow_pickle=True)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_range_image(tmp_path / "0.npy", NUSCENES_ELEVEN)
 
 
@@ -333,7 +333,7 @@ def test_a_range_image_must_be_whole(tmp_path):
     whole = (tmp_path / "0.npy").read_bytes()
     for part, message in ((whole[:-8], "cut short"), (whole[:20], "no readable numpy header")):
         (tmp_path / "0.npy").write_bytes(part)
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises(OgmError, match=message):
             read_range_image(tmp_path / "0.npy", NUSCENES_ELEVEN)
 
 
@@ -508,7 +508,7 @@ def test_damaged_annotations_are_named(tmp_path, change, message):
     tables = tables_of(INFO)
     change(tables)
     content = read_nuscenes(write_tables(tmp_path, tables))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         content.boxes(0)
 
 
@@ -531,16 +531,16 @@ def test_damaged_tables_are_named(tmp_path, change, message):
     (tmp_path / "v1.0-mini").mkdir()
     for name, rows in tables.items():
         (tmp_path / "v1.0-mini" / f"{name}.json").write_text(json.dumps(rows))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_nuscenes(tmp_path)
 
 
 def test_which_version_of_nuscenes(tmp_path):
-    with pytest.raises(ValueError, match=r"one folder of tables \(v1.0-...\), found none"):
+    with pytest.raises(OgmError, match=r"one folder of tables \(v1.0-...\), found none"):
         read_nuscenes(tmp_path)
     for version in ("v1.0-mini", "v1.0-trainval"):
         write_tables(tmp_path, tables_of(INFO), version)
-    with pytest.raises(ValueError, match="found v1.0-mini, v1.0-trainval: give that folder"):
+    with pytest.raises(OgmError, match="found v1.0-mini, v1.0-trainval: give that folder"):
         read_nuscenes(tmp_path)
     assert len(read_nuscenes(tmp_path / "v1.0-mini").frames) == 1
 
@@ -565,7 +565,7 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
     (tmp_path / "a.pcd.bin").touch()
     tables["sample_data"][0]["filename"] = name
     (tmp_path / "data" / "v1.0-mini" / "sample_data.json").write_text(json.dumps(tables["sample_data"]))
-    with pytest.raises(ValueError, match=r"sample_data.json names the file .*, wanted one under .*data"):
+    with pytest.raises(OgmError, match=r"sample_data.json names the file .*, wanted one under .*data"):
         read_nuscenes(tmp_path / "data")
 
 
@@ -590,7 +590,7 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
 )
 def test_json_of_another_kind_is_refused(tmp_path, content, message):
     (tmp_path / "info.json").write_text(content)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_mmdet3d(tmp_path / "info.json")
 
 
@@ -604,7 +604,7 @@ def test_json_of_another_kind_is_refused(tmp_path, content, message):
 def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
     info = INFO | {"frame": INFO["frame"] | {"instances": [note]}}
     (tmp_path / "info.json").write_text(json.dumps(info))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_mmdet3d(tmp_path / "info.json")
 
 
@@ -618,7 +618,7 @@ def test_objects_of_no_known_category_are_other(tmp_path, number):
 
 def test_a_pickle_is_not_opened(tmp_path):
     (tmp_path / "infos.pkl").write_bytes(b"\x80\x04")
-    with pytest.raises(ValueError, match="nothing is unpickled here"):
+    with pytest.raises(OgmError, match="nothing is unpickled here"):
         read_mmdet3d(tmp_path / "infos.pkl")
 
 
@@ -723,7 +723,7 @@ def test_a_log_without_map_or_calibration(tmp_path):
 )
 def test_damaged_logs_are_named(tmp_path, changed, message):
     write_log(tmp_path, **changed)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_argoverse2(tmp_path).boxes(0)
 
 
@@ -732,7 +732,7 @@ def test_no_log_at_all(tmp_path):
         read_argoverse2(tmp_path)
     write_log(tmp_path)
     (tmp_path / "city_SE3_egovehicle.feather").write_bytes(b"ARROW1 and nothing more")
-    with pytest.raises(ValueError, match="no readable Feather table"):
+    with pytest.raises(OgmError, match="no readable Feather table"):
         read_argoverse2(tmp_path)
 
 
@@ -751,7 +751,7 @@ def write_map(folder, heights=None, place=None, areas=None):
 def test_a_raster_is_an_array_and_nothing_else(tmp_path, content):
     write_map(write_log(tmp_path))
     (tmp_path / "map" / "a_ground_height_surface_b.npy").write_bytes(content)
-    with pytest.raises(ValueError, match="no readable numpy header"):
+    with pytest.raises(OgmError, match="no readable numpy header"):
         read_argoverse2(tmp_path)
 
 
@@ -760,7 +760,7 @@ def test_a_raster_must_hold_what_its_header_claims(tmp_path):
     write_map(write_log(tmp_path))
     path = tmp_path / "map" / "a_ground_height_surface_b.npy"
     path.write_bytes(path.read_bytes().replace(b"(3, 4), }" + b" " * 12, b"(3, 4000000000000), }"))
-    with pytest.raises(ValueError, match="cut short"):
+    with pytest.raises(OgmError, match="cut short"):
         read_argoverse2(tmp_path)
 
 
@@ -804,7 +804,7 @@ def test_a_raster_has_rows_along_y(tmp_path):
 )
 def test_damaged_maps_are_named(tmp_path, what, message):
     write_map(write_log(tmp_path), **what)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_argoverse2(tmp_path)
 
 
@@ -852,7 +852,7 @@ def test_an_object_without_a_name_has_no_track(tmp_path):
 )
 def test_damaged_notes_are_named(tmp_path, content, message):
     (tmp_path / "0.json").write_text(json.dumps(content))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_sustech(tmp_path / "0.json")
 
 

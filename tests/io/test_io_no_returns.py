@@ -73,19 +73,19 @@ def test_rows_and_columns_that_tell_no_angle_are_left_out(spinning, tmp_path):
     returned[0, 5:10] = True
     returned[:, 77] = False
     scan = read_scan(save(tmp_path, np.where(returned, way * distance, 0.0)))
-    told = ~returned
-    told[0], told[:, 77] = False, False
-    assert angles(scan.no_returns, way[:, told].T).max() < 0.05
+    known = ~returned
+    known[0], known[:, 77] = False, False
+    assert angles(scan.no_returns, way[:, known].T).max() < 0.05
 
 
-def test_a_raster_seen_from_elsewhere_tells_no_beams(spinning, tmp_path):
+def test_a_raster_seen_from_elsewhere_has_no_beams(spinning, tmp_path):
     way, distance, returned = spinning
     image = np.where(returned, way * distance + np.array([1.5, 0, 1.6])[:, None, None], 0.0)
     assert read_scan(save(tmp_path, image)).no_returns is None
     assert read_scan(save(tmp_path, image), origin=(1.5, 0, 1.6)).no_returns is not None
 
 
-def test_a_raster_in_no_order_tells_no_beams(spinning, tmp_path):
+def test_a_raster_in_no_order_has_no_beams(spinning, tmp_path):
     way, distance, returned = spinning
     image = np.where(returned, way * distance, 0.0).reshape(3, -1)
     image = image[:, np.random.default_rng(1).permutation(ROWS * COLUMNS)].reshape(way.shape)
@@ -93,11 +93,11 @@ def test_a_raster_in_no_order_tells_no_beams(spinning, tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(0, 10), (10, 0), (1, 50), (4, 5)])
-def test_a_small_raster_tells_no_beams(shape, tmp_path):
+def test_a_small_raster_has_no_beams(shape, tmp_path):
     assert read_scan(save(tmp_path, np.ones((3, *shape)))).no_returns is None
     assert read_scan(save(tmp_path, np.zeros((3, *shape)))).no_returns is None
 
 
-def test_a_list_of_points_tells_no_beams(cloud, tmp_path):
+def test_a_list_of_points_has_no_beams(cloud, tmp_path):
     np.save(tmp_path / "a.npy", cloud)
     assert read_scan(tmp_path / "a.npy").no_returns is None

@@ -55,7 +55,7 @@ def unpacked(path):
 
 
 def inside(points, centre, size, way):
-    """Tell which points lie in a box whose length points along `way`."""
+    """Return which points lie in a box whose length points along `way`."""
     left = np.array([-way[1], way[0]])
     offset = points[:, :3] - centre
     along = np.column_stack([offset[:, :2] @ way, offset[:, :2] @ left, offset[:, 2]])
@@ -79,14 +79,14 @@ def turned(axes, centre, yaw):
 def test_nuscenes_boxes_hold_their_points(real):
     points = read_points(real(NUSCENES), "nuscenes")
     boxes = json.loads(real("nuscenes_n015/*.json").read_text())["frame"]["instances"]
-    told = np.array([box["num_lidar_pts"] for box in boxes])
+    counted = np.array([box["num_lidar_pts"] for box in boxes])
     boxes = [(turned("nuscenes", box[:3], box[6]), box[3:6]) for box in (b["bbox_3d"] for b in boxes)]
     found = np.array([inside(points, c, size, np.array(way)).sum() for (c, way), size in boxes])
-    assert np.corrcoef(found, told)[0, 1] > 0.999
-    assert found.sum() == pytest.approx(told.sum(), rel=0.02)
+    assert np.corrcoef(found, counted)[0, 1] > 0.999
+    assert found.sum() == pytest.approx(counted.sum(), rel=0.02)
     unturned = read_points(real(NUSCENES))
     wrong = sum(inside(unturned, c, size, np.array(way)).sum() for (c, way), size in boxes)
-    assert wrong < 0.05 * told.sum()
+    assert wrong < 0.05 * counted.sum()
 
 
 @pytest.mark.parametrize("frame", ["000965", "000970", "000975"])
@@ -258,7 +258,7 @@ def test_zeros_of_an_organised_cloud_are_beams_without_a_return(real):
     np.testing.assert_allclose(np.linalg.norm(scan.no_returns, axis=1), 1, atol=1e-6)
     elevation = np.degrees(np.arcsin(scan.no_returns[:, 2]))
     assert -21 < elevation.min() < elevation.max() < 23
-    assert np.median(elevation) > 8  # nearly all look into the sky
+    assert np.median(elevation) > 8  # nearly all point to the sky
 
 
 @pytest.mark.parametrize(

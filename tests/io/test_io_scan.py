@@ -1,4 +1,4 @@
-"""Axes, intensities, times, dropped rows, and what is told of a scan."""
+"""Axes, intensities, times, dropped rows, and the description of a scan."""
 
 import logging
 
@@ -49,7 +49,7 @@ def test_axes_never_mirror(axes, save):
     ("axes", "forward", "left"),
     [("flu", "x", "y"), ("kitti", "x", "y"), ("nuscenes", "y", "-x"), ("sustech", "-y", "x")],
 )
-def test_named_axes_point_where_the_data_set_says(axes, forward, left, save):
+def test_named_axes_point_as_in_the_data_set(axes, forward, left, save):
     ways = {"x": [1, 0, 0], "y": [0, 1, 0], "-x": [-1, 0, 0], "-y": [0, -1, 0]}
     points = read_points(save(np.float32([ways[forward], ways[left], [0, 0, 1]])), axes)
     np.testing.assert_array_equal(points[:, :3], np.eye(3))
@@ -175,7 +175,7 @@ def test_a_row_without_a_point_may_lack_everything(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_a_wall_of_unknown_intensity_is_no_missing_beam(save):
+def test_a_wall_of_unknown_intensity_is_no_beam_without_return(save):
     azimuth, elevation = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-0.3, 0.1, 8))
     way = np.stack(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -208,7 +208,7 @@ def test_one_point_is_a_cloud(save):
     np.testing.assert_array_equal(read_points(save(np.float32([[1, 2, 3, 0.5]]))), [[1, 2, 3, 0.5]])
 
 
-def test_the_own_vehicle_and_the_underground_are_kept(save):
+def test_the_ego_vehicle_and_what_is_below_ground_are_kept(save):
     rows = np.float32([[0.5, 0, -0.3, 0], [1, 1, -28.0, 0], [-2, 0.5, -1, 0]])
     np.testing.assert_array_equal(read_points(save(rows)), rows)
 
@@ -232,7 +232,7 @@ def test_intensity_scale_follows_type_then_values(raw, expected, scale, tmp_path
     assert facts.intensity_max == scale
 
 
-def test_intensity_max_is_taken_at_its_word(tmp_path, caplog):
+def test_intensity_max_is_used_as_given(tmp_path, caplog):
     path = feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=np.float32([0, 500, 3000]))
     with pytest.raises(ValueError, match="intensities up to 3000, wanted at most 255: give as intensity_max"):
         read_scan(path)
@@ -325,7 +325,7 @@ def timed(path, times):
         (np.uint64([0, 10**10 + 1, 2 * 10**10]), 5e-12, None),
     ],
 )
-def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_told(times, unit, stamp, tmp_path):
+def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_given(times, unit, stamp, tmp_path):
     path = timed(tmp_path, times)
     with pytest.raises(
         ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"
@@ -337,7 +337,7 @@ def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_told(times,
     np.testing.assert_array_equal(read_points(path, time_unit=unit), scan.points)
 
 
-def test_whole_microseconds_are_remarked_unless_their_unit_is_told(tmp_path, caplog):
+def test_whole_microseconds_are_remarked_unless_their_unit_is_given(tmp_path, caplog):
     path = timed(tmp_path, np.uint32([4_000_000_000, 4_000_050_000, 4_000_100_000]))
     scan = read_scan(path, time_unit=1e-6)
     np.testing.assert_allclose(scan.time, [0, 0.05, 0.1])
@@ -353,7 +353,7 @@ def test_times_of_one_value_and_of_ten_seconds_are_a_sweep(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_a_long_recording_is_read_if_its_unit_is_told(tmp_path):
+def test_a_long_recording_is_read_if_its_unit_is_given(tmp_path):
     scan = read_scan(timed(tmp_path, np.float64([3, 60, 600])), time_unit=1.0)
     np.testing.assert_array_equal(scan.time, [3, 60, 600])
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ogm.files import OgmError
 from ogm.io import Poses, read_calibration, read_poses, write_poses
 from ogm.pose import Trajectory, inverse, pose
 
@@ -182,7 +183,7 @@ def test_errors_of_damaged_files_name_the_line(
 ) -> None:
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_poses(path)
 
 
@@ -193,12 +194,12 @@ def test_a_missing_file_is_missing(tmp_path: Path) -> None:
 
 @settings(deadline=None, max_examples=60)
 @given(st.binary(max_size=300) | st.text("0123456789.- \n,#einfa", max_size=300))
-def test_junk_is_poses_or_a_value_error(tmp_path_factory: pytest.TempPathFactory, junk: bytes | str) -> None:
+def test_junk_is_poses_or_an_ogm_error(tmp_path_factory: pytest.TempPathFactory, junk: bytes | str) -> None:
     path = tmp_path_factory.getbasetemp() / "junk.txt"
     path.write_bytes(junk if isinstance(junk, bytes) else junk.encode())
     try:
         read = read_poses(path)
-    except ValueError:
+    except OgmError:
         return
     assert np.isfinite(read.poses).all()
 
@@ -260,7 +261,7 @@ def test_calibrations_of_all_recordings_are_read(tmp_path: Path) -> None:
 def test_damaged_calibrations_are_named(text: str, name: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "calib.txt"
     path.write_text(text)
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(OgmError, match=message):
         read_calibration(path, name)
 
 
