@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.io.names import refuse_doubles
-from ogm.io.records import Field, binary_columns, check_size, text_columns
-from ogm.io.source import Table, optional
+from ogm.files import OgmError
+from ogm.io.formats.table import Field, Table, binary_columns, check_size, refuse_doubles, text_columns
+from ogm.io.reading import optional
 
 __all__ = ["parse_pcd"]
 
 _HEADER_LIMIT = 2**16  # [byte] within which the DATA line must end
-_LZF_EXPANSION = 88  # at most: 3 bytes of LZF stand for 264
+_LZF_EXPANSION = 88  # at most: 3 bytes of LZF unpack to 264
 _KINDS = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 
 
@@ -63,7 +63,7 @@ def _split(data: bytes, path: Path) -> tuple[_Header, memoryview]:
     while "DATA" not in entries:
         end = data.find(b"\n", start, _HEADER_LIMIT)
         if end < 0:
-            raise ValueError(f"{path} has no DATA line, wanted a PCD header: it is cut short or no PCD file")
+            raise OgmError(f"{path} has no DATA line, wanted a PCD header: it is cut short or no PCD file")
         words = data[start:end].decode("ascii", "replace").split()
         start = end + 1
         if words and not words[0].startswith("#"):
@@ -75,28 +75,28 @@ def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     """Hold the header's lines against each other."""
     missing = [key for key in ("FIELDS", "SIZE", "TYPE", "WIDTH", "HEIGHT") if not entries.get(key)]
     if missing:
-        raise ValueError(f"{path} has no {', '.join(missing)} in its header: it is damaged or no PCD file")
+        raise OgmError(f"{path} has no {', '.join(missing)} in its header: it is damaged or no PCD file")
     names = entries["FIELDS"]
     refuse_doubles((name for name in names if name != "_"), path)
     kinds = [kind.upper() + size for kind, size in zip(entries["TYPE"], entries["SIZE"], strict=False)]
     if not len(names) == len(entries["TYPE"]) == len(entries["SIZE"]) or not _KINDS.issuperset(kinds):
-        raise ValueError(
+        raise OgmError(
             f"{path} has TYPE and SIZE {' '.join(kinds)[:80]} for {len(names)} FIELDS in its PCD header, "
             f"wanted one of {', '.join(sorted(_KINDS))} for each: it is damaged"
         )
     counts = _integers(entries, "COUNT", len(names), path) if "COUNT" in entries else [1] * len(names)
     if any(count < 1 for name, count in zip(names, counts, strict=True) if name != "_"):
-        raise ValueError(f"{path} has COUNT {counts} in its PCD header, wanted 1 or more: it is damaged")
+        raise OgmError(f"{path} has COUNT {counts} in its PCD header, wanted 1 or more: it is damaged")
     (width,), (height,) = (_integers(entries, key, 1, path) for key in ("WIDTH", "HEIGHT"))
     (points,) = _integers(entries, "POINTS", 1, path) if "POINTS" in entries else [width * height]
     if min(width, height) < 0 or points != width * height:
-        raise ValueError(
+        raise OgmError(
             f"{path} has POINTS {points} in its PCD header, wanted WIDTH {width} times HEIGHT {height}: "
             "it is damaged"
         )
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in ("ascii", "binary", "binary_compressed"):
-        raise ValueError(f"{path} has DATA {encoding[:40]!r}, wanted ascii, binary or binary_compressed")
+        raise OgmError(f"{path} has DATA {encoding[:40]!r}, wanted ascii, binary or binary_compressed")
     types = [np.dtype(f"<{kind.lower()}") for kind in kinds]
     fields = [Field(*parts) for parts in zip(names, types, counts, strict=True)]
     return _Header(fields, width, height, points, encoding)
@@ -106,7 +106,7 @@ def _integers(entries: dict[str, list[str]], key: str, wanted: int, path: Path) 
     words = entries[key]
     digits = (word.removeprefix("-") for word in words)
     if len(words) != wanted or not all(d.isascii() and d.isdigit() and len(d) < 19 for d in digits):
-        raise ValueError(
+        raise OgmError(
             f"{path} has {key} {' '.join(words)[:80]!r} in its PCD header, wanted {wanted} whole number(s): "
             "it is damaged"
         )
@@ -131,7 +131,7 @@ def _repaired(fields: list[Field], path: Path) -> list[Field]:
     end, record = (sum(field.length for field in some) for some in (repaired, fields))
     repaired.append(Field("_", np.dtype("u1"), record - end))
     if min(field.count for field in repaired) < 0:
-        raise ValueError(f"{path} has COUNT {[f.count for f in fields]} in its PCD header: it is damaged")
+        raise OgmError(f"{path} has COUNT {[f.count for f in fields]} in its PCD header: it is damaged")
     return repaired
 
 
@@ -144,16 +144,16 @@ def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.nda
     needed = sum(field.length for field in header.fields) * header.points
     check_size(8 + packed, header.points, body, path)
     if size != needed or size > _LZF_EXPANSION * packed or min(field.count for field in header.fields) < 1:
-        raise ValueError(
+        raise OgmError(
             f"{path} has {packed} bytes that shall unpack to {size}, wanted {needed} for {header.points} "
             "points: it is damaged"
         )
     try:
         content = optional("lzf", path).decompress(bytes(body[8 : 8 + packed]), size)
     except ValueError as error:
-        raise ValueError(f"{path} has points that do not unpack ({error}): it is damaged") from error
+        raise OgmError(f"{path} has points that do not unpack ({error}): it is damaged") from error
     if content is None or len(content) != size:
-        raise ValueError(f"{path} has points that do not unpack to {size} bytes: it is damaged")
+        raise OgmError(f"{path} has points that do not unpack to {size} bytes: it is damaged")
     columns = {}
     offset = 0
     for field in header.fields:

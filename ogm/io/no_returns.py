@@ -1,19 +1,21 @@
-"""Beams without a return, from the raster of an organised cloud."""
+"""Directions of beams without a return, from the raster of an organised cloud."""
 
 import numpy as np
 
-__all__ = ["missing_beams"]
+__all__ = ["directions_without_return"]
 
 _PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a column is believed
 _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster
 
 
-def missing_beams(x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray) -> np.ndarray | None:
-    """Directions of the beams that came back empty.
+def directions_without_return(
+    x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray
+) -> np.ndarray | None:
+    """Return the directions of the beams without a return.
 
     A spinning lidar's raster has one elevation per row and one azimuth per column, plus, on some sensors, an
-    offset of the azimuth per row. The returns tell all three. Rows with fewer than 8 returns and
-    columns with fewer than 2 tell no angle, so their empty beams are left out.
+    offset of the azimuth per row. All three are found from the returns. Rows with fewer than 8 returns and
+    columns with fewer than 2 give no angle, so their beams without return are left out.
 
     Parameters
     ----------

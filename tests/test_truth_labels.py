@@ -7,12 +7,9 @@ from hypothesis import strategies as st
 
 from ogm import GridSpec
 from ogm.pose import inverse, pose, transform_points
+from ogm.scan import Boxes
+from ogm.state import CellState, Truth
 from ogm.truth import (
-    FREE,
-    IGNORE,
-    OCCUPIED,
-    UNKNOWN,
-    Truth,
     boxes_over_points,
     cells_in_areas,
     cells_in_boxes,
@@ -20,17 +17,24 @@ from ogm.truth import (
     contradicted,
     count_returns,
     free_road,
-    move_boxes,
+    ignore_cells,
     moving_tracks,
     truth_from_boxes,
     truth_from_road,
     truth_from_scans,
-    widen_boxes,
 )
+
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 
 SMALL = GridSpec.centered(7.0, 7.0, 1.0)  # 7 x 7 cells of 1 m around (0, 0)
 LETTERS = "?.# "  # unknown, free, occupied, to be ignored
 BOX = [1.0, 0.0, 0.0, 3.0, 2.0, -1.8, -0.3]
+
+
+def boxes_of(*rows: list[float]) -> Boxes:
+    """Return boxes given as x, y, yaw, length, width, bottom, top."""
+    x, y, yaw, length, width, bottom, top = np.array(rows or np.empty((0, 7)), float).T
+    return Boxes(np.stack([x, y, (bottom + top) / 2], 1), np.stack([length, width, top - bottom], 1), yaw)
 
 
 def draw(truth: Truth) -> list[str]:
@@ -64,7 +68,7 @@ def seen(scans: list[tuple[np.ndarray, np.ndarray]], **how) -> int:
 
 
 def test_a_box_with_enough_returns_is_occupied_and_nothing_else_is_known() -> None:
-    truth = truth_from_boxes([BOX, [-2, 2, 0, 2, 2, 0, 1]], [50, 49], SMALL)
+    truth = truth_from_boxes(boxes_of(BOX, [-2, 2, 0, 2, 2, 0, 1]), [50, 49], SMALL)
     assert draw(truth) == [
         "       ",
         "  ###  ",
@@ -78,40 +82,42 @@ def test_a_box_with_enough_returns_is_occupied_and_nothing_else_is_known() -> No
 
 def test_boxes_need_their_returns() -> None:
     with pytest.raises(ValueError, match=r"shape \(1,\), one per box, got \(2,\)"):
-        truth_from_boxes([BOX], [50, 50], SMALL)
+        truth_from_boxes(boxes_of(BOX), [50, 50], SMALL)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.floats(-20, 20), st.floats(-20, 20), st.floats(-3, 3), st.integers(0, 100))
 def test_moved_boxes_hold_the_same_points(x: float, y: float, yaw: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    boxes = np.array([BOX, [-3, 2, 0.7, 2, 1, -1, 1]])
+    boxes = boxes_of(BOX, [-3, 2, 0.7, 2, 1, -1, 1])
     points = rng.uniform(-4, 4, (400, 3))
     T = pose(x, y, 0.3, yaw=yaw)
     there = transform_points(T, points)
-    assert (count_returns(there, move_boxes(boxes, T)) == count_returns(points, boxes)).all()
-    assert (boxes_over_points(there, move_boxes(boxes, T)) == boxes_over_points(points, boxes)).all()
-    np.testing.assert_allclose(move_boxes(move_boxes(boxes, T), inverse(T)), boxes, atol=1e-9)
+    assert (count_returns(there, boxes.moved(T)) == count_returns(points, boxes)).all()
+    assert (boxes_over_points(there, boxes.moved(T)) == boxes_over_points(points, boxes)).all()
+    back = boxes.moved(T).moved(inverse(T))
+    for name in ("center", "size", "yaw"):
+        np.testing.assert_allclose(getattr(back, name), getattr(boxes, name), atol=1e-9)
 
 
 def test_wider_boxes_hold_what_lies_beside() -> None:
     beside = np.array([[2.6, 0.0, -5.0], [1.0, 1.2, 9.0], [2.6, 1.2, 0.0], [3.0, 0.0, 0.0]])
-    assert not boxes_over_points(beside, [BOX]).any()
-    assert boxes_over_points(beside, widen_boxes([BOX], 0.3)).tolist() == [True, True, True, False]
-    wide = widen_boxes([BOX], 0.3)[0]
-    assert wide[5:] == pytest.approx([-2.1, 0.0])
+    box = boxes_of(BOX)
+    assert not boxes_over_points(beside, box).any()
+    assert boxes_over_points(beside, box.widened(0.3)).tolist() == [True, True, True, False]
+    assert (box.widened(0.3).bottom[0], box.widened(0.3).top[0]) == pytest.approx((-2.1, 0.0))
 
 
 def test_no_boxes_are_no_boxes() -> None:
-    none = np.empty((0, 7))
-    assert move_boxes(none, np.eye(4)).shape == widen_boxes(none, 1.0).shape == (0, 7)
+    none = Boxes.empty()
+    assert len(none.moved(np.eye(4))) == len(none.widened(1.0)) == 0
     assert not cells_in_boxes(none, SMALL).any()
     assert not boxes_over_points(np.zeros((2, 3)), none).any()
     assert (truth_from_boxes(none, [], SMALL).state == IGNORE).all()
 
 
 def test_cells_in_boxes_join_what_each_covers() -> None:
-    covered = cells_in_boxes([BOX, [-2, 2, 0, 1, 1, 0, 1]], SMALL)
+    covered = cells_in_boxes(boxes_of(BOX, [-2, 2, 0, 1, 1, 0, 1]), SMALL)
     assert draw(Truth(SMALL, np.where(covered, OCCUPIED, IGNORE).astype(np.uint8))) == [
         "       ",
         "  ###  ",
@@ -123,7 +129,7 @@ def test_cells_in_boxes_join_what_each_covers() -> None:
     ]
 
 
-def test_who_moves() -> None:
+def test_which_tracks_move() -> None:
     tracks = {
         "parked": [(0.0, 0, 0), (1.0, 0.2, 0), (2.0, 0, 0.1)],
         "drives": [(0.0, 0, 0), (2.0, 2.1, 0)],
@@ -135,11 +141,13 @@ def test_who_moves() -> None:
     }
     rows = [(name, *row) for name, track in tracks.items() for row in track]
     order = np.random.default_rng(0).permutation(len(rows))  # a track need not come in order
-    names, stamps, x, y = zip(*(rows[n] for n in order), strict=True)
-    found = moving_tracks(stamps, np.column_stack([x, y]), names)
-    assert found == {"drives", "drives and waits", "there and back"}
-    with pytest.raises(ValueError, match="as many"):
-        moving_tracks([0.0], [[0, 0], [1, 1]], ["a", "b"])
+    stamps, boxes = [], []
+    for name, stamp, x, y in (rows[n] for n in order):
+        stamps.append(stamp)
+        boxes.append(Boxes(np.array([x, y, 0]), np.ones(3), np.zeros(1), track=[name]))
+    assert moving_tracks(stamps, boxes) == {"drives", "drives and waits", "there and back"}
+    with pytest.raises(ValueError, match="one stamp per frame"):
+        moving_tracks([0.0], boxes)
 
 
 # --- A map's road -----------------------------------------------------------------------------------
@@ -182,21 +190,21 @@ def test_areas_must_be_outlines() -> None:
     assert not cells_in_areas([], SMALL).any()
 
 
-def road_with(points: list[list[float]], boxes: list[list[float]] | None = None, own: float = 0.0) -> Truth:
+def road_with(points: list[list[float]], *boxes: list[float], near: float = 0.0) -> Truth:
     """Return the road of a flat street, all of it drivable, 1.8 m below the sensor."""
     xyz = np.array(points or np.empty((0, 3)), float).reshape(-1, 3)
     everywhere, ground = np.ones(SMALL.shape, bool), np.full(SMALL.shape, -1.8)
-    road = free_road(everywhere, ground, xyz, xyz[:, 2] + 1.8, SMALL, boxes=boxes or (), own_reach=own)
+    road = free_road(everywhere, ground, xyz, xyz[:, 2] + 1.8, SMALL, boxes=boxes_of(*boxes), min_range=near)
     return truth_from_road(road, SMALL)
 
 
 def test_an_empty_street_is_free() -> None:
     assert (road_with([]).state == FREE).all()
-    assert draw(road_with([], own=1.2))[2:5] == ["... ...", "..   ..", "... ..."]
+    assert draw(road_with([], near=1.2))[2:5] == ["... ...", "..   ..", "... ..."]
 
 
 def test_a_return_hides_the_road_behind_it() -> None:
-    """It stands 1.7 m high at 1 m ahead: the sensor looks over it only from 17 m on."""
+    """It is 1.7 m high at 1 m ahead: the sensor sees over it only from 17 m on."""
     truth = road_with([[1.0, 0.0, -0.1]])
     assert draw(truth) == [
         "... ...",
@@ -209,7 +217,7 @@ def test_a_return_hides_the_road_behind_it() -> None:
     ]
 
 
-def test_low_returns_stand_but_one_looks_over_them() -> None:
+def test_low_returns_stand_but_they_hide_little() -> None:
     """0.5 m high at 1 m: the line of sight over it meets the road at 1.8 / 1.3 m."""
     assert draw(road_with([[1.0, 0.0, -1.3]]))[:3] == [".......", ".......", "... ..."]
 
@@ -220,7 +228,7 @@ def test_road_and_bridges_hide_nothing(high: float) -> None:
 
 
 def test_boxes_are_no_road_however_few_returns_they_have() -> None:
-    truth = road_with([], [[2.0, 2.0, 0.0, 1.0, 1.0, -1.8, 0.0]])
+    truth = road_with([], [2.0, 2.0, 0.0, 1.0, 1.0, -1.8, 0.0])
     assert draw(truth)[:2] == [".......", ". ....."]
 
 
@@ -260,7 +268,7 @@ def test_what_scans_agree_on(scans, state) -> None:
     assert seen(scans) == state
 
 
-def test_one_scan_is_enough_where_it_is_said_so() -> None:
+def test_one_scan_is_enough_where_min_scans_is_one() -> None:
     assert seen([WALL], min_scans=1) == OCCUPIED
     assert seen([GROUND], min_scans=1) == FREE
     assert seen([GROUND], min_scans=1, moving=np.ones(SMALL.shape, bool)) == IGNORE
@@ -303,7 +311,7 @@ def test_sources_add_up_and_contradictions_are_ignored() -> None:
     assert draw(combine_truths([one]))[6] == ".#.#   "
 
 
-def test_boxes_win_and_doubt_takes_what_is_free() -> None:
+def test_boxes_win_and_uncertain_cells_are_never_free() -> None:
     rows = ["       "] * 6
     scans, boxes = drawn(*rows, "..##   "), drawn(*rows, "# #    ")
     assert draw(combine_truths([scans], boxes=boxes))[6] == "#.##   "
@@ -324,6 +332,14 @@ def test_the_order_of_sources_does_not_matter(seed: int, order: list[int]) -> No
     assert not (state == UNKNOWN).any()
     for known in (FREE, OCCUPIED):
         assert (np.any([one.state == known for one in sources], axis=0) | (state != known)).all()
+
+
+def test_ignored_cells_are_those_and_the_truth_stays_as_it_was() -> None:
+    rows = ["       "] * 6
+    truth, cells = drawn(*rows, "..##   "), np.zeros(SMALL.shape, bool)
+    cells[0, 5] = True
+    assert draw(ignore_cells(truth, cells))[6] == ". ##   "
+    assert draw(truth)[6] == "..##   "
 
 
 def test_only_truths_of_one_grid_combine() -> None:

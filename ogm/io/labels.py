@@ -67,14 +67,14 @@ class LabelledPoints:
     classes : (N,) int64
         Number of each point's class.
     names : mapping of int to str
-        What the numbers mean.
+        Name of each class.
     instances : (N,) int64 or None
-        Number of the object that each point belongs to, within its class; 0 for none. None where the file does
-        not say.
+        Number of the object that each point belongs to, within its class; 0 for none. None where the file has
+        none.
 
     Raises
     ------
-    ValueError
+    OgmError
         If the counts disagree, or a class has no name.
     """
 
@@ -87,14 +87,14 @@ class LabelledPoints:
         wanted = (len(self.points),)
         for name, column in (("classes", self.classes), ("instances", self.instances)):
             if column is not None and column.shape != wanted:
-                raise ValueError(
+                raise OgmError(
                     f"there must be one of {name} per point, shape {wanted}, got {column.shape}: do the labels belong "
                     "to this scan?"
                 )
-        strangers = sorted(set(np.unique(self.classes).tolist()) - set(self.names))
-        if strangers:
-            raise ValueError(
-                f"class {', '.join(map(str, strangers[:8]))} is not one of {_range(self.names)}: are these labels of "
+        unknown = sorted(set(np.unique(self.classes).tolist()) - set(self.names))
+        if unknown:
+            raise OgmError(
+                f"class {', '.join(map(str, unknown[:8]))} is not one of {_range(self.names)}: are these labels of "
                 "another data set, or in another order of bytes?"
             )
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ogm.io import read_scan
+from ogm.io import read_scan, read_scan_file
 
 ROWS, COLUMNS = 16, 360
 
@@ -36,35 +36,35 @@ def angles(a, b):
 
 
 @pytest.mark.parametrize("nothing", [0.0, np.nan])
-def test_missing_beams_are_found(nothing, spinning, tmp_path):
+def test_beams_without_return_are_found(nothing, spinning, tmp_path):
     way, distance, returned = spinning
-    scan = read_scan(save(tmp_path, np.where(returned, way * distance, nothing)))
-    assert len(scan.missing) == scan.dropped == np.count_nonzero(~returned)
-    assert scan.missing.dtype == np.float32
-    assert len(scan.points) + len(scan.missing) == ROWS * COLUMNS
-    assert angles(scan.missing, way[:, ~returned].T).max() < 0.05
+    scan, facts = read_scan_file(save(tmp_path, np.where(returned, way * distance, nothing)))
+    assert len(scan.no_returns) == facts.dropped == np.count_nonzero(~returned)
+    assert scan.no_returns.dtype == np.float32
+    assert len(scan.points) + len(scan.no_returns) == ROWS * COLUMNS
+    assert angles(scan.no_returns, way[:, ~returned].T).max() < 0.05
 
 
-def test_missing_beams_turn_with_the_points(spinning, tmp_path):
+def test_beams_without_return_turn_with_the_points(spinning, tmp_path):
     way, distance, returned = spinning
     path = save(tmp_path, np.where(returned, way * distance, 0.0))
-    x, y, z = read_scan(path).missing.T
-    np.testing.assert_allclose(read_scan(path, "nuscenes").missing.T, [y, -x, z], atol=1e-5)
+    x, y, z = read_scan(path).no_returns.T
+    np.testing.assert_allclose(read_scan(path, "nuscenes").no_returns.T, [y, -x, z], atol=1e-5)
 
 
-def test_missing_beams_do_not_mind_which_way_the_raster_lies(spinning, tmp_path):
+def test_beams_without_return_do_not_mind_which_way_the_raster_lies(spinning, tmp_path):
     way, distance, returned = spinning
-    upright = read_scan(save(tmp_path, np.where(returned, way * distance, 0.0))).missing
-    lying = read_scan(save(tmp_path, np.where(returned, way * distance, 0.0).swapaxes(1, 2))).missing
+    upright = read_scan(save(tmp_path, np.where(returned, way * distance, 0.0))).no_returns
+    lying = read_scan(save(tmp_path, np.where(returned, way * distance, 0.0).swapaxes(1, 2))).no_returns
     assert len(upright) == len(lying)
     assert angles(np.array(sorted(upright.tolist())), np.array(sorted(lying.tolist()))).max() < 0.05
 
 
-def test_missing_beams_survive_noise(spinning, tmp_path):
+def test_beams_without_return_survive_noise(spinning, tmp_path):
     way, distance, returned = spinning
     noise = np.random.default_rng(9).normal(0, 0.02, way.shape)
     scan = read_scan(save(tmp_path, np.where(returned, way * distance + noise, 0.0)))
-    assert angles(scan.missing, way[:, ~returned].T).max() < 0.5
+    assert angles(scan.no_returns, way[:, ~returned].T).max() < 0.5
 
 
 def test_rows_and_columns_that_tell_no_angle_are_left_out(spinning, tmp_path):
@@ -73,31 +73,31 @@ def test_rows_and_columns_that_tell_no_angle_are_left_out(spinning, tmp_path):
     returned[0, 5:10] = True
     returned[:, 77] = False
     scan = read_scan(save(tmp_path, np.where(returned, way * distance, 0.0)))
-    told = ~returned
-    told[0], told[:, 77] = False, False
-    assert angles(scan.missing, way[:, told].T).max() < 0.05
+    known = ~returned
+    known[0], known[:, 77] = False, False
+    assert angles(scan.no_returns, way[:, known].T).max() < 0.05
 
 
-def test_a_raster_seen_from_elsewhere_tells_no_beams(spinning, tmp_path):
+def test_a_raster_seen_from_elsewhere_has_no_beams(spinning, tmp_path):
     way, distance, returned = spinning
     image = np.where(returned, way * distance + np.array([1.5, 0, 1.6])[:, None, None], 0.0)
-    assert read_scan(save(tmp_path, image)).missing is None
-    assert read_scan(save(tmp_path, image), origin=(1.5, 0, 1.6)).missing is not None
+    assert read_scan(save(tmp_path, image)).no_returns is None
+    assert read_scan(save(tmp_path, image), origin=(1.5, 0, 1.6)).no_returns is not None
 
 
-def test_a_raster_in_no_order_tells_no_beams(spinning, tmp_path):
+def test_a_raster_in_no_order_has_no_beams(spinning, tmp_path):
     way, distance, returned = spinning
     image = np.where(returned, way * distance, 0.0).reshape(3, -1)
     image = image[:, np.random.default_rng(1).permutation(ROWS * COLUMNS)].reshape(way.shape)
-    assert read_scan(save(tmp_path, image)).missing is None
+    assert read_scan(save(tmp_path, image)).no_returns is None
 
 
 @pytest.mark.parametrize("shape", [(0, 10), (10, 0), (1, 50), (4, 5)])
-def test_a_small_raster_tells_no_beams(shape, tmp_path):
-    assert read_scan(save(tmp_path, np.ones((3, *shape)))).missing is None
-    assert read_scan(save(tmp_path, np.zeros((3, *shape)))).missing is None
+def test_a_small_raster_has_no_beams(shape, tmp_path):
+    assert read_scan(save(tmp_path, np.ones((3, *shape)))).no_returns is None
+    assert read_scan(save(tmp_path, np.zeros((3, *shape)))).no_returns is None
 
 
-def test_a_list_of_points_tells_no_beams(cloud, tmp_path):
+def test_a_list_of_points_has_no_beams(cloud, tmp_path):
     np.save(tmp_path / "a.npy", cloud)
-    assert read_scan(tmp_path / "a.npy").missing is None
+    assert read_scan(tmp_path / "a.npy").no_returns is None
