@@ -34,8 +34,9 @@ def plausible_sensor_height(height: float, where: object = "the scan") -> float:
     low, high = PLAUSIBLE_HEIGHTS
     if not low <= height <= high:
         raise OgmError(
-            f"{where} has its ground {height:.2f} m below the origin of the points, wanted {low:g} to {high:g} m below "
-            "the sensor: are the points in the vehicle frame? Give the sensor's position, or its height above ground"
+            f"the sensor height of {where} is {height:.2f} m, estimated from points, which is not plausible ({low:g} to "
+            f"{high:g} m): if the points are in the vehicle frame, give sensor_position x y z (--sensor-position); if not, give "
+            "sensor_height (--sensor-height) and check the axes"
         )
     return height
 

@@ -462,6 +462,6 @@ def test_a_plausible_height_is_returned(height):
 
 @pytest.mark.parametrize("height", [0.37, 0.49, 5.1, -1.0, np.nan])
 def test_a_height_of_no_sensor_is_refused_with_the_way_out(height):
-    message = f"a.feather has its ground {height:.2f} m below .* vehicle frame.* Give the sensor's position"
+    message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
     with pytest.raises(OgmError, match=message):
         plausible_sensor_height(height, "a.feather")
