@@ -7,7 +7,6 @@ See `docs/evidence.md` for every rule with its formula, properties and edge poli
 """
 
 from ogm.evidence.arrays import check_mass, renormalize
-from ogm.evidence.consensus import consensus_compromise
 from ogm.evidence.dirichlet import dirichlet_entropy, dirichlet_kl
 from ogm.evidence.discounting import (
     contextual_discount,
@@ -51,7 +50,7 @@ from ogm.evidence.probability import (
     plausibility_transform,
     probability_to_mass,
 )
-from ogm.evidence.proportional import murphy, pcr5, pcr6, pcr6_plus
+from ogm.evidence.proportional import consensus_compromise, murphy, pcr5, pcr6, pcr6_plus
 from ogm.evidence.rules import dempster, dubois_prade, normalized_cautious, yager
 from ogm.evidence.subjective import (
     averaging,

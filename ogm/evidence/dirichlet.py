@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, anywhere, check_alike, dtype_name, namespace
+from ogm.evidence.arrays import Array, check_alike, dtype_name, maybe_any, namespace
 
 __all__ = ["dirichlet_entropy", "dirichlet_kl"]
 
@@ -68,7 +68,7 @@ def dirichlet_kl(alpha: Array, other: Array) -> Array:
     divergence = means + spread + rest
     # Very near densities: two terms of the series in the difference, the first one the Fisher information.
     close = (abs(t) < _CLOSE).all(-1)
-    if anywhere(xp, close):
+    if maybe_any(xp, close):
         near = _series(xp, x, y).sum(-1) - _series(xp, x_sum, y_sum)
         divergence = xp.where(close, near, divergence)
     return _cast(xp, divergence.clip(0), alpha)

@@ -6,7 +6,7 @@ belief function framework using contextual discounting" (2008); Jøsang, *Subjec
 
 from typing import Any
 
-from ogm.evidence.arrays import Array, check_alike, like, namespace, pack, split
+from ogm.evidence.arrays import Array, as_like, check_alike, namespace, split, stack_last
 
 __all__ = [
     "contextual_discount",
@@ -30,11 +30,11 @@ def discount(mass: Array, reliability: Any) -> Array:
         In [0, 1]; 1 keeps all, 0 leaves nothing.
     """
     free, occupied, _ = split(mass)
-    r = like(reliability, free, "reliability")
+    r = as_like(reliability, free, "reliability")
     if isinstance(r, float):  # the same, in one pass
         given: Any = mass
         return given * r
-    return pack(namespace(mass), [r * free, r * occupied], mass)
+    return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 
 def discount_evidence(mass: Array, reliability: Any) -> Array:
@@ -51,10 +51,10 @@ def discount_evidence(mass: Array, reliability: Any) -> Array:
     """
     free, occupied, unknown = split(mass)
     xp = namespace(mass)
-    r = like(reliability, free, "reliability")
+    r = as_like(reliability, free, "reliability")
     strength = unknown + r * (free + occupied)
     strength = strength + (strength == 0)
-    return pack(xp, [r * free / strength, r * occupied / strength], mass)
+    return stack_last(xp, [r * free / strength, r * occupied / strength], mass)
 
 
 def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
@@ -74,7 +74,7 @@ def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
         raise ValueError(
             f"half_life must be greater than 0 s, got {half_life}; use infinity to forget nothing"
         )
-    age = like(elapsed, split(mass)[0], "elapsed", high=float("inf"))
+    age = as_like(elapsed, split(mass)[0], "elapsed", high=float("inf"))
     return discount(mass, 0.5 ** (age / half_life))
 
 
@@ -100,9 +100,9 @@ def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_oc
     puts 1 - reliability on that context and the rest on the empty set.
     """
     free, occupied, _ = split(mass)
-    if_free = like(reliability_if_free, free, "reliability_if_free")
-    if_occupied = like(reliability_if_occupied, free, "reliability_if_occupied")
-    return pack(namespace(mass), [if_occupied * free, if_free * occupied], mass)
+    if_free = as_like(reliability_if_free, free, "reliability_if_free")
+    if_occupied = as_like(reliability_if_occupied, free, "reliability_if_occupied")
+    return stack_last(namespace(mass), [if_occupied * free, if_free * occupied], mass)
 
 
 def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
@@ -124,8 +124,8 @@ def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
     free, occupied, _ = split(mass)
     check_alike(mass, trust, ("mass", "trust"))
     _, trusted, unknown = split(trust, "trust")
-    r = trusted + like(base_rate, free, "base_rate") * unknown
-    return pack(namespace(mass), [r * free, r * occupied], mass)
+    r = trusted + as_like(base_rate, free, "base_rate") * unknown
+    return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 
 def trust_discount_opposite(mass: Array, trust: Array) -> Array:
@@ -148,7 +148,7 @@ def trust_discount_opposite(mass: Array, trust: Array) -> Array:
     free, occupied, _ = split(mass)
     check_alike(mass, trust, ("mass", "trust"))
     distrusted, trusted, _ = split(trust, "trust")
-    return pack(
+    return stack_last(
         namespace(mass),
         [trusted * free + distrusted * occupied, trusted * occupied + distrusted * free],
         mass,

@@ -5,7 +5,7 @@ Entropies are in bits. Sources are named with each measure.
 
 from typing import Any
 
-from ogm.evidence.arrays import Array, check_alike, namespace, pack, per_cell, split
+from ogm.evidence.arrays import Array, check_alike, namespace, per_cell, split, stack_last
 from ogm.evidence.opinion import unknown
 from ogm.evidence.probability import mass_to_probability, plausibility_transform
 
@@ -54,7 +54,7 @@ def conflict_direction(before: Array, now: Array) -> Array:
     (..., 2): free_before occupied_now, and occupied_before free_now; they sum to `conflict`
     """
     f, o, g, p = _two(before, now, ("before", "now"))
-    return pack(namespace(before), [f * p, o * g], before)
+    return stack_last(namespace(before), [f * p, o * g], before)
 
 
 def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:

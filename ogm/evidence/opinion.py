@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_form, like, namespace, pack, per_cell, rounding, split
+from ogm.evidence.arrays import Array, as_like, check_form, namespace, per_cell, rounding, split, stack_last
 
 __all__ = [
     "Opinion",
@@ -136,7 +136,7 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     _check_weight(prior_weight)
     free, occupied, ignorance = split(mass)
     xp = namespace(mass)
-    floor = like(min_unknown, free, "min_unknown")
+    floor = as_like(min_unknown, free, "min_unknown")
     ignorance = ignorance.clip(floor)
     dogmatic = ignorance <= rounding(mass)
     safe = xp.where(dogmatic, xp.ones_like(ignorance), ignorance)
@@ -145,7 +145,7 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
         infinite = xp.where(belief > 0, xp.inf, 0.0)
         return xp.where(dogmatic, xp.asarray(infinite, dtype=belief.dtype), prior_weight * belief / safe)
 
-    return pack(xp, [of(free), of(occupied)], mass)
+    return stack_last(xp, [of(free), of(occupied)], mass)
 
 
 def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
@@ -168,7 +168,7 @@ def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
     _check_positive(evidence, "evidence")
     given: Any = evidence
     strength = prior_weight + given[..., 0] + given[..., 1]
-    return pack(xp, [given[..., 0] / strength, given[..., 1] / strength], evidence)
+    return stack_last(xp, [given[..., 0] / strength, given[..., 1] / strength], evidence)
 
 
 def evidence_to_alpha(evidence: Array, prior_weight: float = 2.0, base_rate: float = 0.5) -> Array:
@@ -177,8 +177,8 @@ def evidence_to_alpha(evidence: Array, prior_weight: float = 2.0, base_rate: flo
     xp = check_form(evidence, "evidence")
     _check_positive(evidence, "evidence")
     given: Any = evidence
-    rate = like(base_rate, given[..., 0], "base_rate")
-    return pack(
+    rate = as_like(base_rate, given[..., 0], "base_rate")
+    return stack_last(
         xp, [given[..., 0] + prior_weight * (1 - rate), given[..., 1] + prior_weight * rate], evidence
     )
 
@@ -194,8 +194,8 @@ def alpha_to_evidence(alpha: Array, prior_weight: float = 2.0, base_rate: float 
     _check_weight(prior_weight)
     xp = check_form(alpha, "alpha")
     given: Any = alpha
-    rate = like(base_rate, given[..., 0], "base_rate")
-    evidence = pack(
+    rate = as_like(base_rate, given[..., 0], "base_rate")
+    evidence = stack_last(
         xp, [given[..., 0] - prior_weight * (1 - rate), given[..., 1] - prior_weight * rate], alpha
     )
     _check_positive(evidence, "alpha - prior (the evidence)")

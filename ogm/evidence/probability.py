@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, dtype_name, like, namespace, pack, per_cell, split
+from ogm.evidence.arrays import Array, as_like, dtype_name, namespace, per_cell, split, stack_last
 
 __all__ = [
     "counts_to_mass",
@@ -40,7 +40,7 @@ def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
     (...), in [0, 1]
     """
     _, occupied, ignorance = split(mass)
-    return per_cell(occupied + like(base_rate, occupied, "base_rate") * ignorance, mass)
+    return per_cell(occupied + as_like(base_rate, occupied, "base_rate") * ignorance, mass)
 
 
 def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) -> Any:
@@ -57,14 +57,14 @@ def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) ->
     xp = namespace(probability, "probability")
     if dtype_name(probability) not in ("float32", "float64"):
         raise TypeError(f"probability must be float32 or float64, got {dtype_name(probability)}")
-    ignorance = like(unknown, probability, "unknown")
-    rate = like(base_rate, probability, "base_rate")
-    like(probability, probability, "probability")
+    ignorance = as_like(unknown, probability, "unknown")
+    rate = as_like(base_rate, probability, "base_rate")
+    as_like(probability, probability, "probability")
     free = 1 - probability - (1 - rate) * ignorance
     occupied = probability - rate * ignorance
-    mass = pack(xp, [free, occupied], probability)
+    mass = stack_last(xp, [free, occupied], probability)
     free, occupied, _ = split(mass, "the mass of this probability and unknown")
-    return pack(xp, [free, occupied], probability)
+    return stack_last(xp, [free, occupied], probability)
 
 
 def pignistic(mass: Array) -> Array:
@@ -110,7 +110,7 @@ def log_odds_to_mass(log_odds: Array) -> Array:
     if xp is np and np.isnan(log_odds).any():  # type: ignore[call-overload]
         raise ValueError("log_odds must not be NaN")
     given: Any = log_odds
-    return pack(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
+    return stack_last(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
 
 
 def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
@@ -126,7 +126,7 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     """
     free, occupied, ignorance = split(mass)
     xp = namespace(mass)
-    rate = like(base_rate, occupied, "base_rate")
+    rate = as_like(base_rate, occupied, "base_rate")
     probability = occupied + rate * ignorance
     opposite = free + (1 - rate) * ignorance
     # Cross-multiplied, and no bound where a base rate is 0 or 1: nothing is divided by zero.
@@ -136,7 +136,7 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     as_free = opposite - (1 - rate) * probability / xp.where(occupied_wins, 1.0 + zero, rate + zero).clip(
         1e-30
     )
-    return pack(
+    return stack_last(
         xp,
         [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)],
         mass,
@@ -168,8 +168,8 @@ def counts_to_mass(
             f"hits must be float32 or float64, got {dtype_name(hits)}; convert it: hits.astype(np.float32)"
         )
     reflections: Any = hits
-    transmissions = like(passes, hits, "passes", high=float("inf"))
-    like(hits, hits, "hits", high=float("inf"))
-    missed = like(false_negative, hits, "false_negative") ** transmissions
-    false = like(false_positive, hits, "false_positive") ** reflections
-    return pack(xp, [false * (1 - missed), missed * (1 - false)], hits)
+    transmissions = as_like(passes, hits, "passes", high=float("inf"))
+    as_like(hits, hits, "hits", high=float("inf"))
+    missed = as_like(false_negative, hits, "false_negative") ** transmissions
+    false = as_like(false_positive, hits, "false_positive") ** reflections
+    return stack_last(xp, [false * (1 - missed), missed * (1 - false)], hits)
