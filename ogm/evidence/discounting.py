@@ -1,4 +1,4 @@
-"""Discounting: how a mass fades when its source is not to be trusted, or is old.
+"""Discounting: reduce masses of unreliable or old sources.
 
 Sources: Shafer (1976), chapter 11; Mercier, Quost and Denœux, "Refined modeling of sensor reliability in the
 belief function framework using contextual discounting" (2008); Jøsang, *Subjective Logic* (2016), chapter 14.
@@ -27,7 +27,7 @@ def discount(mass: Array, reliability: Any) -> Array:
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     reliability : float or (...) array
-        In [0, 1]; 1 keeps all, 0 leaves nothing.
+        In [0, 1]; 1 keeps all, 0 makes the mass vacuous.
     """
     free, occupied, _ = split(mass)
     r = as_like(reliability, free, "reliability")
@@ -41,13 +41,13 @@ def discount_evidence(mass: Array, reliability: Any) -> Array:
     """Return the mass whose evidence is `reliability` times that of `mass`.
 
     b' = r b / (u + r (1 - u)). Gentler than `discount` on strong masses. A dogmatic mass has infinite
-    evidence and stays as it is for every r > 0; with r = 0 all is forgotten.
+    evidence and stays as it is for every r > 0; with r = 0 the result is vacuous.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     reliability : float or (...) array
-        In [0, 1]; 1 keeps all, 0 leaves nothing.
+        In [0, 1]; 1 keeps all, 0 makes the mass vacuous.
     """
     free, occupied, unknown = split(mass)
     xp = namespace(mass)
@@ -79,9 +79,9 @@ def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
 
 
 def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_occupied: Any) -> Array:
-    """Return the mass of a source whose reliability depends on what is really there.
+    """Return the mass of a source whose reliability depends on the true state.
 
-    A source that is unreliable *when the cell is occupied* cannot be believed when it says free, so
+    A source that is unreliable *when the cell is occupied* gives weak evidence for free, so
 
     free' = reliability_if_occupied * free,   occupied' = reliability_if_free * occupied.
 
@@ -111,11 +111,11 @@ def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        What the advisor says.
+        The advisor's opinion.
     trust : (..., 2) of the same library and dtype
         Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
     base_rate : float or (...) array
-        Trust in an advisor of whom nothing is known, in [0, 1].
+        Prior trust in an advisor, in [0, 1].
 
     Notes
     -----
@@ -129,14 +129,14 @@ def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
 
 
 def trust_discount_opposite(mass: Array, trust: Array) -> Array:
-    """Return an advisor's mass where a distrusted advisor is believed to say the opposite of the truth.
+    """Return an advisor's mass where distrust in the advisor supports the opposite of the advisor's opinion.
 
     free' = trust free + distrust occupied,   occupied' = trust occupied + distrust free.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        What the advisor says.
+        The advisor's opinion.
     trust : (..., 2) of the same library and dtype
         Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
 

@@ -1,4 +1,4 @@
-"""How much two masses conflict, and how much one mass does not know.
+"""Measures of conflict between masses, and of the uncertainty of one mass.
 
 Entropies are in bits. Sources are named with each measure.
 """
@@ -41,8 +41,8 @@ def conflict(a: Array, b: Array) -> Array:
 def conflict_direction(before: Array, now: Array) -> Array:
     """Return the conflict split by its direction: (free -> occupied, occupied -> free).
 
-    Something appeared in the first case and went away in the second: the usual sign of moving objects in a
-    map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
+    The first is large where an object appeared, the second where one disappeared: the usual sign of moving objects
+    in a map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
 
     Parameters
     ----------
@@ -102,17 +102,17 @@ def nonspecificity(mass: Array) -> Array:
 
 def specificity(mass: Array) -> Array:
     """Return Yager's specificity, sum m(A) / |A| = free + occupied + unknown / 2, in [0.5, 1]."""
-    free, occupied, ignorance = split(mass)
-    return per_cell(free + occupied + 0.5 * ignorance, mass)
+    free, occupied, u = split(mass)
+    return per_cell(free + occupied + 0.5 * u, mass)
 
 
 def yager_entropy(mass: Array) -> Array:
     """Return Yager's entropy (dissonance in his words), -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983)."""
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
     # Plausibility as belief + unknown: 1 - the other belief may round to less than the belief, even to zero.
-    logs = _times_log2(xp, free, (free + ignorance).clip(None, 1))
-    return per_cell(-logs - _times_log2(xp, occupied, (occupied + ignorance).clip(None, 1)), mass)
+    logs = _times_log2(xp, free, (free + u).clip(None, 1))
+    return per_cell(-logs - _times_log2(xp, occupied, (occupied + u).clip(None, 1)), mass)
 
 
 def pignistic_entropy(mass: Array) -> Array:
@@ -134,10 +134,10 @@ def deng_entropy(mass: Array) -> Array:
     Largest, log2(5), at free = occupied = 1/5 and not at the vacuous mass (log2(3)): do not use it as a
     measure of the unknown.
     """
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
     logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
-    return per_cell(-logs - _times_log2(xp, ignorance, ignorance / 3), mass)
+    return per_cell(-logs - _times_log2(xp, u, u / 3), mass)
 
 
 def _two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any, Any, Any]:

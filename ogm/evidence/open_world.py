@@ -2,7 +2,7 @@
 
 They return triples ``(free, occupied, conflict)`` and take triples and pairs; a pair is a triple without
 conflict. Without the conflict, the pair of the conjunctive rule would be numerically Yager's, and the unknown
-derived from it would count conflict as ignorance. `close_world` returns pairs. All four rules are associative.
+derived from it would include the conflict. `close_world` returns pairs. All four rules are associative.
 
 Sources: Smets and Kennes, "The transferable belief model" (1994); Smets, "Belief functions: the disjunctive
 rule of combination" (1993); Denœux, "Conjunctive and disjunctive combination of belief functions induced by

@@ -1,4 +1,4 @@
-"""What the pair means: mass, subjective opinion, Dirichlet evidence.
+"""The readings of a pair: mass, subjective opinion, Dirichlet evidence.
 
 A cell holds ``mass = (free, occupied)``, the belief masses of a binary frame; ``unknown = 1 - free -
 occupied`` is derived. The same pair is, in other words,
@@ -16,7 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, as_like, check_form, namespace, per_cell, rounding, split, stack_last
+from ogm.evidence.arrays import (
+    Array,
+    as_like,
+    check_form,
+    namespace,
+    per_cell,
+    rounding,
+    split,
+    stack_last,
+    worst_index,
+)
 
 __all__ = [
     "Opinion",
@@ -30,16 +40,16 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class Opinion:
-    """One opinion about one cell, for people to read; work on many cells is done on arrays.
+    """The opinion about one cell, with a readable repr; computations on many cells use arrays.
 
     Parameters
     ----------
     free, occupied : float
         Belief masses in [0, 1].
     unknown : float, optional
-        What is left to one, and by default derived; where given, the three must sum to one (within 1e-6).
+        The rest to one, derived by default; where given, the three must sum to one (within 1e-6).
     base_rate : float
-        Prior probability of occupied, in [0, 1]; 0.5 says nothing.
+        Prior probability of occupied, in [0, 1]; 0.5 prefers neither state.
 
     Raises
     ------
@@ -76,8 +86,8 @@ class Opinion:
         check_form(mass)
         if tuple(mass.shape) != (2,):
             raise ValueError(f"an opinion is one cell, mass of shape (2,); got shape {tuple(mass.shape)}")
-        free, occupied, ignorance = split(mass)
-        return cls(float(free), float(occupied), float(ignorance), base_rate)
+        free, occupied, u = split(mass)
+        return cls(float(free), float(occupied), float(u), base_rate)
 
     @property
     def mass(self) -> np.ndarray:
@@ -106,7 +116,7 @@ class Opinion:
 
 
 def unknown(mass: Array) -> Array:
-    """Return what is not committed, 1 - free - occupied, never below zero.
+    """Return the mass of unknown, 1 - free - occupied, never below zero.
 
     In float32 it is exact to 6e-8: below an unknown of 1e-5 its relative error exceeds 0.6 %.
     """
@@ -120,7 +130,7 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     prior_weight : float
-        W > 0, the weight of ignorance; 2 makes the vacuous opinion the uniform density.
+        W > 0, the prior weight; 2 makes the vacuous opinion the uniform density.
     min_unknown : float
         Floor of u in [0, 1). At 0 a dogmatic cell has infinite evidence for what it believes; a floor of 2e-5
         caps evidence at 1e5, the most that float32 masses can carry with an error below one percent.
@@ -134,12 +144,12 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     Jøsang (2016), eq. 3.33 [the mapping of opinions and Dirichlet densities].
     """
     _check_weight(prior_weight)
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
     floor = as_like(min_unknown, free, "min_unknown")
-    ignorance = ignorance.clip(floor)
-    dogmatic = ignorance <= rounding(mass)
-    safe = xp.where(dogmatic, xp.ones_like(ignorance), ignorance)
+    u = u.clip(floor)
+    dogmatic = u <= rounding(mass)
+    safe = xp.where(dogmatic, xp.ones_like(u), u)
 
     def of(belief: Any) -> Any:
         infinite = xp.where(belief > 0, xp.inf, 0.0)
@@ -214,5 +224,5 @@ def _check_positive(values: Any, name: str) -> None:
     if values.min() >= 0 and np.isfinite(values.max()):
         return
     badness = np.where(np.isfinite(values), -values, np.inf)
-    index = tuple(int(i) for i in np.unravel_index(int(badness.argmax()), values.shape))
+    index = worst_index(badness)
     raise ValueError(f"{name} must be finite and not negative, but at {list(index)} it is {values[index]}")
