@@ -16,7 +16,7 @@ Three ways to compute it, one per use:
   the large parts cancel analytically, and the rest is a sum of numbers about as small as the result. Computed in
   float64 whatever the input; the result has the dtype of the input.
 * `dirichlet_kl_gradient`, value and gradient for training: in float32 by a short series, much faster.
-* `ogm.metrics.kernels`, ln Gamma and digamma from a table, for sums over the cells of a grid.
+* `ogm.metrics.divergence`, ln Gamma and digamma from a table, for sums over the cells of a grid.
 """
 
 from typing import Any
