@@ -1,4 +1,4 @@
-"""Every score from its definition, in plain Python and without histograms: the slow twin of `ogm.metrics.score`."""
+"""Every score from its definition, in plain Python and without histograms: the reference of `ogm.metrics.score`."""
 
 import math
 
@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evidence import dirichlet_kl
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+from ogm.state import CellState
+
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 
 STEPS = 4096  # of the lattice: on it, no histogram rounds anything
 
@@ -26,7 +28,7 @@ def lattice_grid(
 
 
 def plain_scores(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> dict[str, float]:
-    """Return all scores but those by kind of call, which `tests/test_metrics.py` counts."""
+    """Return all scores but those of predicted states, which `test_metrics_counts.py` counts."""
     cells = [
         (float(f), float(o), int(s))
         for (f, o), s in zip(mass.reshape(-1, 2).astype(float), state.ravel(), strict=True)

@@ -6,7 +6,7 @@ from plain import lattice_grid
 from scipy import stats
 
 from ogm.grid import GridSpec
-from ogm.metrics import Evaluation, ConfusionSums, bootstrap_mean, bootstrap_ratio, paired, score, accumulate
+from ogm.metrics import ConfusionSums, Evaluation, accumulate, bootstrap_mean, bootstrap_ratio, paired, score
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
@@ -29,7 +29,7 @@ def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
 
 
 @pytest.mark.parametrize(
-    ("models", "frames", "says"),
+    ("models", "frames", "description"),
     [
         ([], [], "models need names, each once"),
         (["a", "a"], [], "models need names, each once"),
