@@ -209,11 +209,7 @@ def class_weights(target: Tensor, free: float = 1.0, occupied: float = 1.0, unkn
 
 
 def undo_class_weights(
-    evidence: Tensor,
-    free: float = 1.0,
-    occupied: float = 1.0,
-    unknown: float = 1.0,
-    strength: float = 10.0,
+    evidence: Tensor, free: float = 1.0, occupied: float = 1.0, unknown: float = 1.0, strength: float = 10.0
 ) -> Tensor:
     """Return the evidence that minimises `reverse_kl` without these class weights.
 

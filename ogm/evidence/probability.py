@@ -133,9 +133,7 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
         1e-30
     )
     return stack_last(
-        xp,
-        [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)],
-        mass,
+        xp, [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)], mass
     )
 
 

@@ -125,7 +125,4 @@ def _histograms(score: NDArray, positive: NDArray) -> tuple[NDArray[np.int64], N
         )
     values, rank = np.unique(given.ravel(), return_inverse=True)
     rank = rank.ravel()
-    return (
-        np.bincount(rank[kind], minlength=len(values)),
-        np.bincount(rank[~kind], minlength=len(values)),
-    )
+    return (np.bincount(rank[kind], minlength=len(values)), np.bincount(rank[~kind], minlength=len(values)))

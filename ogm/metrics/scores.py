@@ -105,9 +105,7 @@ METRICS: dict[str, Metric] = {
     "ause": Metric("AUSE", "lower", "the same minus its least value, that of cells sorted by their error"),
     "ece": Metric("ECE", "lower", "expected calibration error of P(occupied) on known cells, 15 bins"),
     "ece_relative": Metric(
-        "ECE, relative",
-        "lower",
-        "the same of occupied / (free + occupied), 1/2 where both are 0",
+        "ECE, relative", "lower", "the same of occupied / (free + occupied), 1/2 where both are 0"
     ),
     "ece_called": Metric(
         "ECE, predicted known",
@@ -163,10 +161,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "iou_unknown": ("unknown",),
     **dict.fromkeys(("iou_free", "iou_free_known"), ("free",)),
     **dict.fromkeys(("iou_occupied", "iou_occupied_known"), ("occupied",)),
-    **dict.fromkeys(
-        ("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"),
-        ("unknown", "known"),
-    ),
+    **dict.fromkeys(("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"), ("unknown", "known")),
     **dict.fromkeys(
         ("brier", "nll", "aurc", "ause", "ece", "ece_relative", "ece_called", "ace", "interval_violation"),
         ("known",),
