@@ -79,20 +79,31 @@ def main() -> None:
         print(f"{'met   ' if one['met'] else 'MISSED'} {one['what']}: {one['value']} ({one['wanted']})")
 
 
-def map_loop(name: str) -> Any:
-    """Return a kernel that discounts a map and combines it with a scan, cell by cell, as those of fusion do."""
+def map_loops(name: str) -> tuple[Any, Any]:
+    """Return kernels that discount a map and combine it with a scan, cell by cell: into a new map, and in place.
+
+    Two loops: where `out` may be `a`, the compiler cannot use vector instructions.
+    """
     cell = RULES[name].cell
+    compiled = njit(nogil=True, error_model="numpy", fastmath={"contract"})
 
-    @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-    def loop(a: Any, b: Any, reliability: Any, out: Any) -> None:
+    @compiled
+    def combine(f: Any, o: Any, g: Any, p: Any) -> Any:
+        free, occupied, whole = cell(FLOAT32, f, o, g, p)
+        half = np.float32(0.5)
+        return half if whole == 0 else free / whole, half if whole == 0 else occupied / whole
+
+    @compiled
+    def into(a: Any, b: Any, r: Any, out: Any) -> None:
         for i in range(a.size // 2):
-            free, occupied, whole = cell(
-                FLOAT32, reliability * a[2 * i], reliability * a[2 * i + 1], b[2 * i], b[2 * i + 1]
-            )
-            out[2 * i] = np.float32(0.5) if whole == 0 else free / whole
-            out[2 * i + 1] = np.float32(0.5) if whole == 0 else occupied / whole
+            out[2 * i], out[2 * i + 1] = combine(r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1])
 
-    return loop
+    @compiled
+    def in_place(a: Any, b: Any, r: Any) -> None:
+        for i in range(a.size // 2):
+            a[2 * i], a[2 * i + 1] = combine(r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1])
+
+    return into, in_place
 
 
 def tasks() -> dict[str, tuple[Task, int]]:
@@ -109,13 +120,12 @@ def tasks() -> dict[str, tuple[Task, int]]:
         "copy": (lambda: np.copyto(target, source), 1),
         "copy of half": (lambda: np.copyto(target[:half], source[:half]), 1),
     }
+    flat_a, flat_b = a.reshape(-1), b.reshape(-1)
     for name in FUSED:
-        rule, loop, flat = getattr(evidence, name), map_loop(name), (a.reshape(-1), b.reshape(-1))
+        rule, (into, in_place) = getattr(evidence, name), map_loops(name)
         for key, task in {
-            f"numba {name} with discount": lambda loop=loop, flat=flat: loop(*flat, r, out),
-            f"numba {name} with discount, in place": lambda loop=loop, flat=flat: loop(
-                state, flat[1], r, state
-            ),
+            f"numba {name} with discount": lambda into=into: into(flat_a, flat_b, r, out),
+            f"numba {name} with discount, in place": lambda in_place=in_place: in_place(state, flat_b, r),
             f"numpy {name} with discount": lambda rule=rule: rule(evidence.discount(a, RELIABILITY), b),
         }.items():
             result[key] = task, 1

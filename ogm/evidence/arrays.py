@@ -107,10 +107,7 @@ def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
 
 
 def rounding(mass: Any) -> float:
-    """Return the unknown that counts as none: 4 units of rounding, 4.8e-7 (float32) or 8.9e-16 (float64).
-
-    1 - (free + occupied) of a dogmatic mass is not always exactly zero.
-    """
+    """Return the unknown that counts as none, as rounding leaves it: 4.8e-7 (float32) or 8.9e-16 (float64)."""
     return float(4 * np.finfo(dtype_name(mass)).eps)
 
 
@@ -168,6 +165,13 @@ def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
     return free, occupied, unknown
 
 
+def split_two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any]:
+    """Check two pairs that must fit each other; return (free, occupied, unknown) of each."""
+    parts = split(a, names[0]), split(b, names[1])
+    check_alike(a, b, names)
+    return parts
+
+
 def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
     """Return (free, occupied, unknown, conflict) of a pair (its conflict is 0) or an open-world triple."""
     xp = check_form(mass, name, states=(2, 3))
@@ -184,10 +188,7 @@ def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
 
 
 def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[list[Any], Any]:
-    """Check an array whose unknown is known, and correct what rounding left outside the simplex.
-
-    Two minima; more work only where they are negative, and the full check only where they fail.
-    """
+    """Check an array by two minima, and correct what rounding left outside the simplex."""
     given, least = float(mass.min(initial=0)), float(unknown.min(initial=0))
     if not (given >= -tolerance_of(mass) and least >= -tolerance_of(mass)):
         check_mass(mass, name=name)
@@ -202,10 +203,7 @@ def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[lis
 
 
 def sources(a: Any, b: Any, axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
-    """Return (module, parts) of a rule's sources: of the two in ``(a, b)``, or of those along `axis` of `a`.
-
-    Each part is (free, occupied, unknown).
-    """
+    """Return (module, parts) of the sources ``(a, b)`` or along `axis` of `a`; a part is (free, occupied, unknown)."""
     return _sources(a, b, axis, (2,), split)
 
 

@@ -6,7 +6,7 @@ belief function framework using contextual discounting" (2008); Jøsang, *Subjec
 
 from typing import Any
 
-from ogm.evidence.arrays import Array, as_like, check_alike, namespace, split, stack_last
+from ogm.evidence.arrays import Array, as_like, namespace, split, split_two, stack_last
 
 __all__ = [
     "contextual_discount",
@@ -121,9 +121,7 @@ def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
     -----
     Jøsang (2016), section 14.3 (probability-sensitive trust discounting).
     """
-    free, occupied, _ = split(mass)
-    check_alike(mass, trust, ("mass", "trust"))
-    _, trusted, unknown = split(trust, "trust")
+    (free, occupied, _), (_, trusted, unknown) = split_two(mass, trust, ("mass", "trust"))
     r = trusted + as_like(base_rate, free, "base_rate") * unknown
     return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
@@ -145,11 +143,6 @@ def trust_discount_opposite(mass: Array, trust: Array) -> Array:
     Jøsang, Marsh and Pope, "Exploring different types of trust propagation" (2006), opposite belief
     favouring.
     """
-    free, occupied, _ = split(mass)
-    check_alike(mass, trust, ("mass", "trust"))
-    distrusted, trusted, _ = split(trust, "trust")
-    return stack_last(
-        namespace(mass),
-        [trusted * free + distrusted * occupied, trusted * occupied + distrusted * free],
-        mass,
-    )
+    (free, occupied, _), (distrusted, trusted, _) = split_two(mass, trust, ("mass", "trust"))
+    opposite = [trusted * free + distrusted * occupied, trusted * occupied + distrusted * free]
+    return stack_last(namespace(mass), opposite, mass)

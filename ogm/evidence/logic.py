@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, as_like, check_alike, namespace, per_cell, split, stack_last
+from ogm.evidence.arrays import Array, as_like, namespace, per_cell, split_two, stack_last
 
 __all__ = ["Conclusion", "comultiplication", "deduction", "multiplication"]
 
@@ -75,8 +75,7 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
         In [0, 1].
     """
     xp, (d, b, u), (d1, b1, u1), a, _ = _two(x, y_if_x, base_rate_x, 0.5, ("x", "y_if_x"))
-    check_alike(x, y_if_not_x, ("x", "y_if_not_x"))
-    d0, b0, u0 = split(y_if_not_x, "y_if_not_x")
+    _, (d0, b0, u0) = split_two(x, y_if_not_x, ("x", "y_if_not_x"))
     # Marginal base rate of y: where it is consistent with itself.
     known = 1 - a * u1 - (1 - a) * u0
     nothing = known <= 0
@@ -99,8 +98,7 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
 def _two(
     x: Any, y: Any, base_rate_x: Any, base_rate_y: Any, names: tuple[str, str] = ("x", "y")
 ) -> tuple[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    first, second = split(x, names[0]), split(y, names[1])
-    check_alike(x, y, names)
+    first, second = split_two(x, y, names)
     rates = as_like(base_rate_x, first[0], "base_rate_x"), as_like(base_rate_y, second[0], "base_rate_y")
     return namespace(x), first, second, *rates
 

@@ -5,7 +5,7 @@ Entropies are in bits. Sources are named with each measure.
 
 from typing import Any
 
-from ogm.evidence.arrays import Array, check_alike, namespace, per_cell, split, stack_last
+from ogm.evidence.arrays import Array, namespace, per_cell, split, split_two, stack_last
 from ogm.evidence.opinion import unknown
 from ogm.evidence.probability import mass_to_probability, plausibility_transform
 
@@ -34,7 +34,7 @@ def conflict(a: Array, b: Array) -> Array:
     ----------
     a, b : (..., 2) float32 or float64, numpy or torch
     """
-    f, o, g, p = _two(a, b)
+    (f, o, _), (g, p, _) = split_two(a, b)
     return per_cell(f * p + o * g, a)
 
 
@@ -53,7 +53,7 @@ def conflict_direction(before: Array, now: Array) -> Array:
     -------
     (..., 2): free_before occupied_now, and occupied_before free_now; they sum to `conflict`
     """
-    f, o, g, p = _two(before, now, ("before", "now"))
+    (f, o, _), (g, p, _) = split_two(before, now, ("before", "now"))
     return stack_last(namespace(before), [f * p, o * g], before)
 
 
@@ -62,7 +62,7 @@ def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:
 
     Projected distance times conjunctive certainty (Jøsang 2016, section 4.8).
     """
-    f, o, g, p = _two(a, b)
+    (f, o, _), (g, p, _) = split_two(a, b)
     p_a: Any = mass_to_probability(a, base_rate)
     distance = abs(p_a - mass_to_probability(b, base_rate))
     return per_cell(distance * (f + o) * (g + p), a)
@@ -74,7 +74,7 @@ def jousselme_distance(a: Array, b: Array) -> Array:
     sqrt(d' D d / 2) with D the Jaccard indices of the focal sets (Jousselme, Grenier and Bossé, 2001); with
     two states it reduces to the Euclidean distance of the pairs over sqrt(2).
     """
-    f, o, g, p = _two(a, b)
+    (f, o, _), (g, p, _) = split_two(a, b)
     xp = namespace(a)
     square = 0.5 * ((f - g) ** 2 + (o - p) ** 2)
     same = square == 0
@@ -138,13 +138,6 @@ def deng_entropy(mass: Array) -> Array:
     xp = namespace(mass)
     logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
     return per_cell(-logs - _times_log2(xp, u, u / 3), mass)
-
-
-def _two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any, Any, Any]:
-    f, o, _ = split(a, names[0])
-    g, p, _ = split(b, names[1])
-    check_alike(a, b, names)
-    return f, o, g, p
 
 
 def _times_log2(xp: Any, x: Any, y: Any) -> Any:

@@ -99,16 +99,6 @@ class Opinion:
         """Projected probability of occupied, occupied + base_rate * unknown."""
         return self.occupied + self.base_rate * self.unknown
 
-    @property
-    def u(self) -> float:
-        """The uncertainty u of subjective logic: `unknown`."""
-        return self.unknown
-
-    @property
-    def a(self) -> float:
-        """The base rate a of subjective logic: `base_rate`."""
-        return self.base_rate
-
     def __repr__(self) -> str:
         base_rate = "" if self.base_rate == 0.5 else f", base_rate={self.base_rate:.2f}"
         masses = f"free={self.free:.2f}, occupied={self.occupied:.2f}, unknown={self.unknown:.2f}"

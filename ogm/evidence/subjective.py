@@ -25,13 +25,12 @@ import numpy as np
 from ogm.evidence.arrays import (
     Array,
     as_like,
-    check_alike,
     maybe_any,
     namespace,
     per_cell,
     rounding,
     sources,
-    split,
+    split_two,
     stack_last,
     tolerance_of,
     worst_index,
@@ -130,10 +129,8 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
     ValueError
         If a numpy `part` holds more evidence than `fused`, beyond rounding.
     """
-    check_alike(fused, part, ("fused", "part"))
     xp = namespace(fused)
-    f, o, u = split(fused, "fused")
-    g, p, v = split(part, "part")
+    (f, o, u), (g, p, v) = split_two(fused, part, ("fused", "part"))
     free, occupied = f * v - g * u, o * v - p * u
     if xp is np:
         least = np.minimum(free, occupied)
@@ -215,7 +212,7 @@ def cumulative_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any)
     base_rate_a, base_rate_b : float or (...) array
         Base rates of occupied, in [0, 1].
     """
-    (f, o, u), (g, p, v) = sources(a, b, None)[1]
+    (f, o, u), (g, p, v) = split_two(a, b)
     return _weighted_rate(a, (base_rate_a, base_rate_b), (v * (f + o), u * (g + p)))
 
 
@@ -230,7 +227,7 @@ def confidence_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any)
     a, b, base_rate_a, base_rate_b
         As for `cumulative_base_rate`.
     """
-    (f, o, _), (g, p, _) = sources(a, b, None)[1]
+    (f, o, _), (g, p, _) = split_two(a, b)
     return _weighted_rate(a, (base_rate_a, base_rate_b), (f + o, g + p))
 
 

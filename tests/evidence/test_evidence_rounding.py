@@ -1,4 +1,4 @@
-"""Masses a little outside the simplex, as rounding leaves them: tolerated, and no rule makes nonsense of them."""
+"""Masses a little outside the simplex, as rounding leaves them: tolerated by all rules."""
 
 import warnings
 from typing import Any

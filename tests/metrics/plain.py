@@ -108,14 +108,14 @@ def divergences(cells: list[tuple[float, float, int]]) -> dict[str, float]:
     f, o, s = np.array(cells).T
     evidence = 2 * np.stack([f, o], axis=-1) / np.maximum(1 - f - o, 2e-5)[:, None]
     truth = np.stack([s == FREE, s == OCCUPIED], axis=-1).astype(float)
-    label, claim = np.clip(truth, 1e-7, 1), np.clip(evidence, 1e-7, 1)
+    label, clipped = np.clip(truth, 1e-7, 1), np.clip(evidence, 1e-7, 1)
     return {
         "kl_e10": dirichlet_kl(1 + evidence, 1 + 10 * truth).mean(),
         "kl_e1": dirichlet_kl(1 + evidence, 1 + truth).mean(),
         "kl_e1_scaled": dirichlet_kl(1 + evidence / 10, 1 + truth).mean(),
         "kl_e10_reverse": dirichlet_kl(1 + 10 * truth, 1 + evidence).mean(),
         "kl_e1_reverse": dirichlet_kl(1 + truth, 1 + evidence).mean(),
-        "legacy_kl": (label * np.log(label / claim)).sum(axis=-1).mean(),
+        "legacy_kl": (label * np.log(label / clipped)).sum(axis=-1).mean(),
     }
 
 

@@ -106,11 +106,11 @@ def test_areas_of_the_best_and_the_worst_order_are_the_closed_forms() -> None:
     state = rng.choice([FREE, OCCUPIED], SHAPE).astype(np.uint8)
     truth = np.stack([state == FREE, state == OCCUPIED], axis=-1)
     wrong = rng.random(SHAPE) < 0.2
-    claim = np.where(wrong[..., None], ~truth, truth)
+    detected = np.where(wrong[..., None], ~truth, truth)
     r = wrong.mean()
     best, worst = r + (1 - r) * np.log(1 - r), r - r * np.log(r)
     for weak, area in ((wrong, best), (~wrong, worst)):
-        scores = score(accumulate(claim * np.where(weak, 0.3, 0.9)[..., None], state))
+        scores = score(accumulate(detected * np.where(weak, 0.3, 0.9)[..., None], state))
         assert scores["aurc"] == pytest.approx(area)
         assert scores["ause"] == pytest.approx(area - best, abs=1e-12)
 

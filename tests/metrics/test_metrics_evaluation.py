@@ -1,4 +1,4 @@
-"""Evaluations from counts, and what is said of two methods over many frames."""
+"""Evaluations from counts, and comparisons of two methods over many frames."""
 
 import numpy as np
 import pytest
@@ -66,7 +66,7 @@ def test_wilcoxon_without_a_difference_is_nan() -> None:
 
 
 def test_of_few_frames_the_interval_is_too_narrow_and_p_is_not() -> None:
-    """Without any difference: docs/evaluation.md says that one interval of seven leaves out zero at six frames."""
+    """Without any difference: docs/evaluation.md states that one interval of seven leaves out zero at six frames."""
     rng = np.random.default_rng(8)
     nothing = np.zeros(6)
     found = [paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]
