@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ogm.files import atomic_write
-from ogm.metrics import METRICS, Evaluation, legacy_published
+from ogm.metrics import METRICS, Evaluation, evilog_published
 
 __all__ = ["COLOURS", "by_distance", "chosen", "maps", "papers_figures", "recordings"]
 
@@ -47,7 +47,7 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
         strict, result, "kl_e1", deep, "KL[grid || truth], truth of evidence 1, as the released code's labels"
     )
     ours, theirs = result.of(deep, "legacy_kl"), result.of("height-band-released", "legacy_kl")
-    said = legacy_published(ours, theirs)
+    said = evilog_published(ours, theirs)
     for values, style, colour, name in (
         (said.first, "-", COLOURS.get(deep, OTHER), deep),
         (said.second, ":", COLOURS["height-band-released"], "height-band-released, as it would be plotted"),

@@ -19,7 +19,7 @@ from ogm.metrics import (
     Interval,
     Paired,
     by_range,
-    legacy_published,
+    evilog_published,
     paired,
     reasons,
 )
@@ -95,7 +95,7 @@ def of_evaluation(
             "mean": {m: _interval(result.interval(name, m, rng, groups)) for m in KEPT},
             "pooled": {m: pooled[m] for m in KEPT},
             "by range": {m: column.tolist() for m, column in ranges.items()},
-            "called unknown, free, occupied, of truly unknown, free, occupied": _rows(counts.calls),
+            "called unknown, free, occupied, of truly unknown, free, occupied": _rows(counts.confusion),
             "missing": {m: why for m, why in reasons(counts).items() if m in KEPT},
         }
     return {
@@ -122,7 +122,7 @@ def brief(part: Mapping[str, Any]) -> dict[str, Any]:
 def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
     """Return what the released code would report of two methods on these frames."""
     ours, theirs = result.of(deep, "legacy_kl"), result.of(geometric, "legacy_kl")
-    said = legacy_published(ours, theirs)
+    said = evilog_published(ours, theirs)
     return {
         "deep": deep,
         "geometric": geometric,

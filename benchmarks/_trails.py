@@ -162,7 +162,7 @@ def run_evaluation(
             counts = accumulate(mapper.view(PAPER).mass, state)
             scores = score(counts)
             views.append([scores[name] for name in VIEW])
-            shares.append(counts.calls[1:, 1:].sum() / counts.cells[1:].sum())
+            shares.append(counts.confusion[1:, 1:].sum() / counts.cells[1:].sum())
     return Counts(
         static, trail, clearing, appearing, body, ghosts, float(drive.objects), conflict,
         np.array(views), np.array(shares),

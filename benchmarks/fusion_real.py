@@ -307,7 +307,7 @@ def run_evaluation(grid: EvidentialGrid, state: NDArray[np.uint8]) -> dict[str, 
     """
     counts = accumulate(grid.mass, state)
     values = score(counts)
-    known = counts.calls[1:]
+    known = counts.confusion[1:]
     return {
         "complete": float(known[:, 1:].sum() / known.sum()),
         "right": float((known[0, 1] + known[1, 2]) / known.sum()),

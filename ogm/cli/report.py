@@ -88,7 +88,7 @@ def report(
                 "macro": {m: result.interval(name, m, rng, groups)._asdict() for m in METRICS},
                 "micro": result.micro(name),
                 "missing": reasons(counts),
-                "confusion [truth][call], unknown free occupied": counts.calls.astype(int).tolist(),
+                "confusion [truth][call], unknown free occupied": counts.confusion.astype(int).tolist(),
                 "by range": {key: column.tolist() for key, column in by_range(counts).items()},
                 "curves": _curves(counts),
                 "per frame": {m: result.of(name, m).tolist() for m in METRICS},

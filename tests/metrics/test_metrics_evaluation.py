@@ -1,4 +1,4 @@
-"""Evaluations from counts, and what is said of two methods over many frames."""
+"""Evaluations from counts, and comparisons of two methods over many frames."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from plain import lattice_grid
 from scipy import stats
 
 from ogm.grid import GridSpec
-from ogm.metrics import Evaluation, ConfusionSums, bootstrap_mean, bootstrap_ratio, paired, score, accumulate
+from ogm.metrics import ConfusionSums, Evaluation, accumulate, bootstrap_mean, bootstrap_ratio, paired, score
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
@@ -29,7 +29,7 @@ def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
 
 
 @pytest.mark.parametrize(
-    ("models", "frames", "says"),
+    ("models", "frames", "description"),
     [
         ([], [], "models need names, each once"),
         (["a", "a"], [], "models need names, each once"),
@@ -66,7 +66,7 @@ def test_wilcoxon_without_a_difference_is_nan() -> None:
 
 
 def test_of_few_frames_the_interval_is_too_narrow_and_p_is_not() -> None:
-    """Without any difference: docs/evaluation.md says that one interval of seven leaves out zero at six frames."""
+    """Without any difference: docs/evaluation.md states that one interval of seven leaves out zero at six frames."""
     rng = np.random.default_rng(8)
     nothing = np.zeros(6)
     found = [paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]

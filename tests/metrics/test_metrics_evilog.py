@@ -1,24 +1,23 @@
-"""What the released code reports, and why it must not be ranked by."""
+"""The values that the EviLOG code reports, and why they are no basis of a ranking."""
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from plain import lattice_grid
+from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 
 from ogm.evidence import evidence_to_mass
 from ogm.metrics import (
-    legacy_accuracy,
-    legacy_kl,
-    legacy_published,
-    legacy_unmixed,
-    score,
     accumulate,
+    evilog_accuracy,
+    evilog_kl,
+    evilog_published,
+    evilog_unmixed,
+    score,
 )
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
 
 class KerasMean:
-    """The metric object of the released code: a running mean over all that it is called with."""
+    """The metric object of the EviLOG code: a running mean over all updates."""
 
     def __init__(self) -> None:
         self.total, self.count = 0.0, 0
@@ -48,13 +47,13 @@ def label(state: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 def own_values() -> tuple[list[float], list[float]]:
-    pairs = [(legacy_kl(a, s).mean(), legacy_kl(b, s).mean()) for a, b, s in frames()]
+    pairs = [(evilog_kl(a, s).mean(), evilog_kl(b, s).mean()) for a, b, s in frames()]
     return [a for a, _ in pairs], [b for _, b in pairs]
 
 
 def test_published_values_are_those_of_a_metric_that_is_not_reset() -> None:
     first, second = own_values()
-    published = legacy_published(first, second)
+    published = evilog_published(first, second)
     never = KerasMean()
     for k, (a, b, state) in enumerate(frames()):
         each = KerasMean()
@@ -64,15 +63,15 @@ def test_published_values_are_those_of_a_metric_that_is_not_reset() -> None:
         assert never(label(state), b) == pytest.approx(published.running_second[k])
 
 
-def test_published_values_can_be_told_apart_again() -> None:
+def test_published_values_can_be_separated_again() -> None:
     first, second = own_values()
-    published = legacy_published(first, second)
-    np.testing.assert_allclose(legacy_unmixed(published.first, published.second), second)
+    published = evilog_published(first, second)
+    np.testing.assert_allclose(evilog_unmixed(published.first, published.second), second)
 
 
 def test_the_published_loser_is_halfway_between_both() -> None:
     """A rival that is k times as bad is published as (1 + k) / 2 times; it never wins by being mixed."""
-    published = legacy_published([1.0, 1.0, 1.0], [3.0, 1.0, 0.5])
+    published = evilog_published([1.0, 1.0, 1.0], [3.0, 1.0, 0.5])
     assert published.second.tolist() == [2.0, 1.0, 0.75]
     assert published.running_second.tolist() == pytest.approx([2.0, 1.5, 1.25])
     assert ((published.second > published.first) == (np.array([3.0, 1.0, 0.5]) > 1.0)).all()
@@ -81,13 +80,13 @@ def test_the_published_loser_is_halfway_between_both() -> None:
 @pytest.mark.parametrize("second", [[1.0], [[1.0, 2.0]], [1.0, float("nan")]])
 def test_values_that_do_not_pair_are_refused(second: list) -> None:
     with pytest.raises(ValueError, match="one finite value per frame"):
-        legacy_published([1.0, 2.0], second)
+        evilog_published([1.0, 2.0], second)
     with pytest.raises(ValueError, match="one finite value per frame"):
-        legacy_unmixed([1.0, 2.0], second)
+        evilog_unmixed([1.0, 2.0], second)
 
 
-def test_the_released_divergence_is_blind_to_false_claims() -> None:
-    """Both states claimed everywhere is perfect to it, and worthless to every other score."""
+def test_the_evilog_divergence_ignores_false_detections() -> None:
+    """Evidence for both states everywhere has its best value, and a bad one of every other score."""
     _, state = lattice_grid(1, (12, 12))
     loud = score(accumulate(evidence_to_mass(np.full((12, 12, 2), 100.0)), state))
     honest = score(accumulate(evidence_to_mass(0.9 * label(state)), state))
@@ -99,18 +98,18 @@ def test_the_released_divergence_is_blind_to_false_claims() -> None:
         assert loud[name] < honest[name]
 
 
-def test_false_claims_beside_right_ones_cost_nothing() -> None:
+def test_false_evidence_beside_right_one_costs_nothing() -> None:
     _, state = lattice_grid(2, (12, 12))
     truth = label(state)
     for spoilt in (truth + 7 * (truth == 0), np.maximum(truth, 0.99)):
-        assert np.nanmean(legacy_kl(spoilt, state)) == pytest.approx(0, abs=1e-5)
+        assert np.nanmean(evilog_kl(spoilt, state)) == pytest.approx(0, abs=1e-5)
 
 
-def test_the_released_accuracy_is_the_share_of_cells_called_unknown() -> None:
+def test_the_evilog_accuracy_is_the_share_of_cells_predicted_unknown() -> None:
     mass, state = lattice_grid(3, (12, 12))
-    assert legacy_accuracy(mass, state) == pytest.approx(score(accumulate(mass, state))["legacy_accuracy"])
-    assert legacy_accuracy(np.zeros_like(mass), state) == 1.0
-    assert legacy_accuracy(evidence_to_mass(100 * label(state)), state) == pytest.approx(
+    assert evilog_accuracy(mass, state) == pytest.approx(score(accumulate(mass, state))["legacy_accuracy"])
+    assert evilog_accuracy(np.zeros_like(mass), state) == 1.0
+    assert evilog_accuracy(evidence_to_mass(100 * label(state)), state) == pytest.approx(
         (state == UNKNOWN).sum() / (state != IGNORE).sum()
     )
-    assert np.isnan(legacy_accuracy(mass, np.full_like(state, IGNORE)))
+    assert np.isnan(evilog_accuracy(mass, np.full_like(state, IGNORE)))
