@@ -5,9 +5,9 @@ from pathlib import Path
 from ogm import GridSpec
 from ogm.cli.methods import Map, Methods, SingleScanMethod, fused, methods_of
 from ogm.cli.models import models_of, weights_facts
-from ogm.cli.rules import BAYES, RULES, rolling
 from ogm.evidence import dempster
-from ogm.fusion import EvidentialMapper
+from ogm.fusion import BAYES, RULES, EvidentialMapper
+from ogm.fusion import rolling_window as rolling
 
 __all__ = ["AGAINST", "BASELINE", "alone", "at_work", "fused_over_time", "made_of"]
 

@@ -1,10 +1,10 @@
-"""How well is the own motion taken out of scans, and how well is it filtered? On simulated drives, exactly known.
+"""Errors of de-skewing and of the ego motion filter, on simulated drives with exact poses.
 
     python benchmarks/egomotion.py [--frames N] [--drives N]
 
-De-skewing: a VLP-32C (10 Hz) drives through a simulated town; every scan is cast twice, bent by the own motion and
+De-skewing: a VLP-32C (10 Hz) drives through a simulated town; every scan is cast twice, distorted by the ego motion and
 as if all of it were measured at once. Distances are those of static points above the ground from the planes of
-the map that the unbent scans make. Filtering: drives of 20 s by the filter's own model (white accelerations of
+the map of undistorted scans. Filtering: drives of 20 s by the filter's own model (white accelerations of
 1 m/s^2 and 0.2 rad/s^2), wheels 0.2 m/s at 10 Hz, gyro 0.02 rad/s at 20 Hz, fixes 1 m at 2 Hz. Writes
 benchmarks/results/egomotion.json.
 """
@@ -27,18 +27,18 @@ from ogm.pose import Trajectory, pose, transform_points
 SEED, DRIVES = 61, (1, 3)  # of the town; sequences in it: through a bend, and straight on
 GNSS, WHEELS, GYRO = 1.0, 0.2, 0.02  # [m], [m/s], [rad/s]
 SECONDS, STEP = 20.0, 0.01  # [s]
-ABOVE = -1.2  # [m] below the sensor; what lies lower is ground, on which every scan looks alike
+ABOVE = -1.2  # [m] below the sensor; lower points are ground, on which all scans are alike
 NEAR, FLAT = 1.0, 0.03  # [m] a plane's point is this close, its neighbours this flat
 
 
 def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, NDArray]], list[NDArray]]:
-    """Cast a drive twice: poses; points and times of bent scans; points of unbent ones. Static points only."""
+    """Cast a drive twice: poses; points and times of distorted scans; points of undistorted ones. Static points."""
     from ogm.simulation.dataset import look, moment
     from ogm.simulation.lidar import returns, scan
     from ogm.simulation.plan import SEQUENCE, Plan, only
 
     plan = Plan(seed=SEED, samples=0, validation=0, test=0, sequences=4, mounts=only("vlp-32c"))
-    stamps, poses, bent, still = [], [], [], []
+    stamps, poses, distorted, still = [], [], [], []
     for k in range(frames):
         i = SEQUENCE * sequence + k
         here = look(plan, "sequences", i)
@@ -57,24 +57,24 @@ def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, N
             static = found.object == -1
             points = found.points[static, :3].astype(np.float32)
             if moves:
-                bent.append((points, np.asarray(found.time, np.float64)[static]))
+                distorted.append((points, np.asarray(found.time, np.float64)[static]))
             else:
                 still.append(points)
-    return Trajectory(np.array(stamps), np.array(poses)), bent, still
+    return Trajectory(np.array(stamps), np.array(poses)), distorted, still
 
 
 def straightened(sequence: int, frames: int) -> dict[str, Any]:
-    """Measure how far points lie from the planes of the unbent map: as measured, de-skewed, never bent."""
-    trajectory, bent, still = scans(sequence, frames)
+    """Measure how far points lie from the planes of the undistorted map: as measured, de-skewed, never distorted."""
+    trajectory, distorted, still = scans(sequence, frames)
     longer = extrapolate(trajectory, 0.06)
-    kinds: dict[str, list[NDArray]] = {"as measured": [], "de-skewed": [], "never bent": []}
-    for k, (points, time) in enumerate(bent):
+    kinds: dict[str, list[NDArray]] = {"as measured": [], "de-skewed": [], "never distorted": []}
+    for k, (points, time) in enumerate(distorted):
         straight = deskew(points, time, longer, float(trajectory.stamps[k]))
         for name, cloud in zip(kinds, (points, straight, still[k]), strict=True):
             kinds[name].append(
                 transform_points(trajectory.poses[k], cloud[cloud[:, 2] > ABOVE].astype(float))
             )
-    world = np.concatenate(kinds["never bent"])[::4]
+    world = np.concatenate(kinds["never distorted"])[::4]
     tree = cKDTree(world)
     around = world[tree.query(world, k=15)[1]]
     middle = around.mean(axis=1)
@@ -97,7 +97,7 @@ def straightened(sequence: int, frames: int) -> dict[str, Any]:
 
 
 def driven(rng: np.random.Generator) -> tuple[NDArray[np.float64], list[tuple[float, str, Any, float]]]:
-    """Drive: the states x, y, yaw, speed, yaw rate every 10 ms, and what the sensors told, in order."""
+    """Drive: the states x, y, yaw, speed, yaw rate every 10 ms, and the measurements, in order."""
     count = round(SECONDS / STEP)
     states = np.empty((count + 1, 5))
     states[0] = 0, 0, rng.uniform(-math.pi, math.pi), 8, 0
@@ -107,15 +107,15 @@ def driven(rng: np.random.Generator) -> tuple[NDArray[np.float64], list[tuple[fl
         noise = rng.normal(size=2) * math.sqrt(STEP)
         ahead = x + speed * STEP * math.cos(middle), y + speed * STEP * math.sin(middle)
         states[k + 1] = *ahead, yaw + rate * STEP, speed + noise[0], rate + 0.2 * noise[1]
-    told: list[tuple[float, str, Any, float]] = []
+    measured: list[tuple[float, str, Any, float]] = []
     for k in range(5, count + 1, 5):
         t = k * STEP
-        told.append((t, "yaw_rate", states[k, 4] + rng.normal(0, GYRO), GYRO))
+        measured.append((t, "yaw_rate", states[k, 4] + rng.normal(0, GYRO), GYRO))
         if k % 10 == 0:
-            told.append((t, "speed", states[k, 3] + rng.normal(0, WHEELS), WHEELS))
+            measured.append((t, "speed", states[k, 3] + rng.normal(0, WHEELS), WHEELS))
         if k % 50 == 0:
-            told.append((t, "position", states[k, :2] + rng.normal(0, GNSS, 2), GNSS))
-    return states, told
+            measured.append((t, "position", states[k, :2] + rng.normal(0, GNSS, 2), GNSS))
+    return states, measured
 
 
 def filtered(drives: int) -> dict[str, Any]:
@@ -124,7 +124,7 @@ def filtered(drives: int) -> dict[str, Any]:
     refused, nees = [], []
     for seed in range(drives):
         rng = np.random.default_rng(seed)
-        states, told = driven(rng)
+        states, measured = driven(rng)
         deviation = np.array([0.5, 0.5, 0.05, 0.5, 0.05])
         start = states[0] + rng.normal(size=5) * deviation
         for name in ("filter", "dead reckoning"):
@@ -137,7 +137,7 @@ def filtered(drives: int) -> dict[str, Any]:
                 acceleration=1.0,
                 yaw_acceleration=0.2,
             )
-            used = told if name == "filter" else [one for one in told if one[1] != "position"]
+            used = measured if name == "filter" else [one for one in measured if one[1] != "position"]
             taken = [getattr(ego, kind)(t, value, sigma) for t, kind, value, sigma in used]
             rows[name].append(rmse(ego.filtered(), states))
             if name == "filter":
@@ -145,7 +145,7 @@ def filtered(drives: int) -> dict[str, Any]:
                 refused.append(1 - np.mean(taken))
                 error = ego.state[:2] - states[round(ego.stamp / STEP), :2]
                 nees.append(float(error @ np.linalg.solve(ego.covariance[:2, :2], error)))
-        fixes = [v - states[round(t / STEP), :2] for t, kind, v, _ in told if kind == "position"]
+        fixes = [v - states[round(t / STEP), :2] for t, kind, v, _ in measured if kind == "position"]
         rows["fixes"].append(float(np.sqrt(np.mean(np.sum(np.square(fixes), axis=1)))))
     low, high = chi2.ppf([0.025, 0.975], 2 * drives) / drives
     return {

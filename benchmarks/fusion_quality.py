@@ -1,420 +1,248 @@
 """What fusing over time gives, by which rule, and against the classical Bayes filter.
 
-    python benchmarks/fusion_quality.py --dev DIR [--data DIR] [--quick] [--keep]
+    python benchmarks/fusion_quality.py DRIVES [--ism ray|lite|WEIGHTS] [--first N] [--out FILE]
 
-Both folders hold drives of 10 s at 10 Hz that `ogm simulate --sequences N` made, DATA in other towns than DEV. All
-rules run on DEV with several parameters; each rule's parameter is chosen there (least ghost area at the static
-accuracy of the classical filter), and what was chosen is measured once on DATA (without it, on DEV again). Intervals
-are 95 % bootstrap intervals over drives: the frames of a drive are not independent. Writes
-benchmarks/results/fusion_quality.json, docs/pictures/fusion_quality.png and fusion_quality_moment.png.
+DRIVES holds drives of 10 s at 10 Hz that `ogm simulate --sequences N` made. All maps run over all drives. Intervals are
+95 % bootstrap intervals over drives: the frames of a drive are not independent. Writes a record (JSON, by default
+runs/fusion_quality.json) and a picture beside it.
 
-Definitions, see `_sequences` and `_trails`:
+The record benchmarks/results/fusion_quality.json and its pictures were measured with the longer version of this
+benchmark, of commit 07dd60b, which also chose the parameter of each rule on other drives, and evaluated conflict,
+clearing times and the meaning of P = 1/2.
 
-* static: cells whose truth, over all frames of the drive and without whoever ever moves, is free (occupied in at most
-  a tenth of the frames that see it) or occupied (in half of them and more); in the view of the frame, visible from
-  some frame so far, and nobody moved there within 5 s. A cell is called by P(occupied) = occupied + unknown / 2;
-* ghosts: cells that a moving (> 1 m/s), seen (10 returns and more) participant covered up to 5 s ago, that nobody
-  covers or touches now, and that are static and free with all eight neighbours. Shares are of the cells in
-  which a scan had said occupied while they were covered; areas are of all of them, per moving participant;
-* clearing: time from leaving until P < 1/2 (until free > 1/2), by Kaplan and Meier, as cells are covered again or
-  leave the view;
-* appearing: time from the first scan that says occupied in a cell that a moving participant covers until P > 1/2;
-* conflict: positive are cells that a moving, seen participant covers and did not 0.5 s ago (front) and
-  those that it left within 0.5 s (back); cells that touch these are left out, and so is whoever moves unseen.
+Definitions, see `_fusion_drives`:
+
+* static: cells whose truth, over all frames of the drive and without whatever ever moves, is free (occupied in at most
+  a tenth of the frames that see it) or occupied (in half of them and more); in view, visible from some frame so far,
+  and with no motion within 5 s. A cell is predicted by P(occupied) = occupied + unknown / 2;
+* ghosts: cells that a moving (> 1 m/s), seen (10 points and more) participant covered up to 5 s ago, that nothing
+  covers now, and that are static and free with all eight neighbours. Areas are per moving participant and frame; shares
+  are of cells in which a scan was occupied while they were covered;
+* appears: share of cells under a moving participant that are occupied in the map (P > 1/2) at the first scan that is.
 """
 
-from _run import PICTURES, RESULTS, caption, environment, write_json
+from _run import ROOT, caption, environment, write_json
 
 # isort: split
 import argparse
-import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _fusion_extras import (
-    conflict_kinds,
-    conflict_report,
-    lost_by_cells,
-    same_filter,
-    unknown_report,
-    what_half_means,
-)
-from _fusion_methods import BASELINE, DEFAULT, FAMILIES, PLAIN, SCAN, SLOW, chosen, make, named
-from _fusion_pictures import AHEAD, curves, gallery
-from _sequences import EGO_FOOTPRINT, PAPER, Drive, drives, read_drive, trails
-from _trails import (
-    WINDOW,
-    Counts,
-    completeness,
-    conflict_scores,
-    run_evaluation,
-    quantile_of,
-    summary,
-    survival,
-)
+from _fusion_drives import MEMORY, PAPER, WINDOW, Drive, Trail, read_drive, trails, window
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import EvidentialGrid
-from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
-from ogm.geometric import RayISM
-from ogm.metrics import bootstrap_mean, bootstrap_ratio
-from ogm.simulation.store import Split, Store
+from ogm.datasets import open_dataset
+from ogm.evaluation import bootstrap_mean, bootstrap_ratio, model_factory
+from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
+from ogm.files import atomic_write
+from ogm.fusion import BinaryBayesMapper, EvidentialMapper, map_scans
+from ogm.metrics import accumulate, score
+from ogm.scan import PerMount
+from ogm.state import CellState
 
-SEED = 0
-TABLE = {  # what the main table shows, and in how many digits
+INF, SEED, EVERY = (
+    float("inf"),
+    0,
+    5,
+)  # EVERY: frames from one comparison with a frame's own truth to the next
+EVEN = 1e-4  # how near to 1/2 a probability is neither
+SCAN, BAYES = "scan alone", "classical Bayes"
+MATCHED = (0.02 / 1.02, 1 / 1.02)  # the plausibilities that min_unknown = 0.02 allows
+
+
+class ScanAlone:
+    """No memory: the map is the last scan."""
+
+    def __init__(self) -> None:
+        self.mapper = EvidentialMapper(WINDOW, dempster, INF, moving_half_life=INF, min_unknown=0.0)
+
+    def update(self, grid: EvidentialGrid, T_map_sensor: NDArray[np.float64], *, stamp: float) -> None:
+        """Forget the last scan and take this one."""
+        self.mapper.reset()
+        self.mapper.update(grid, T_map_sensor, stamp=stamp)
+        self.grid, self.scan = self.mapper.grid, grid
+
+    def view(self, spec: Any) -> EvidentialGrid:
+        """Return the scan as it is."""
+        return self.scan
+
+
+def evidential(*arguments: Any, **options: Any) -> Callable[[], EvidentialMapper]:
+    """Return what makes a map whose dynamic cells decay like all others, unless stated."""
+    return lambda: EvidentialMapper(WINDOW, *arguments, **{"moving_half_life": INF, **options})
+
+
+MAPS: dict[str, Callable[[], Any]] = {
+    SCAN: ScanAlone,
+    BAYES: lambda: BinaryBayesMapper(WINDOW),
+    "EvidentialMapper, default": lambda: EvidentialMapper(WINDOW),
+    "Dempster, 2 s": evidential(dempster, 2.0),
+    "Dempster, dynamic decay 0.5 s": evidential(dempster, 2.0, moving_half_life=0.5),
+    "Dempster, evidence fades, 0.5 s": evidential(dempster, 0.5, discounting=discount_evidence),
+    "Bayes by plausibility, limits as Dempster, 0.5 s": lambda: BinaryBayesMapper(
+        WINDOW, 0.5, match="plausibility", limits=MATCHED
+    ),
+    "Yager, never forgets": evidential(yager, INF),
+    "cumulative, 1 s": evidential(cumulative, 1.0),
+    "cumulative, dynamic decay 0.2 s": evidential(cumulative, 2.0, moving_half_life=0.2),
+    "cumulative, evidence fades, 0.5 s": evidential(cumulative, 0.5, discounting=discount_evidence),
+    "cautious, 1 s": evidential(normalized_cautious, 1.0),
+}
+TABLE = {  # score: heading, digits
     "static_iou_occupied": ("IoU occupied, static", 3),
     "static_false_free": ("static occupied, P < 1/4", 3),
     "static_brier": ("Brier, static", 3),
     "static_known": ("static known rightly", 3),
     "ghost_area": ("ghost area [m²]", 2),
-    "ghost_share": ("ghosts 0.5-5 s", 4),
-    "clear_90": ("90 % cleared [s]", 1),
-    "appear_first": ("appears at once", 2),
+    "ghost_share": ("ghosts 0.5 to 5 s", 4),
+    "appears": ("appears at once", 2),
     "body_recall": ("moving cells occupied", 2),
     "view_iou_occupied_known": ("IoU occupied, frame", 3),
-    "view_iou_free_known": ("IoU free, frame", 3),
     "view_ece": ("ECE, frame", 3),
 }
-COMPARED = (
-    *TABLE,
-    "ghost_1s",
-    "ghost_hidden",
-    "ghost_unmeasured",
-    "ghost_measured",
-    "view_brier",
-    "view_false_free",
-)
-DRAWN = (
-    SCAN,
-    "Bayes, pignistic",
-    "Dempster",
-    "Yager",
-    "cumulative",
-    "cautious",
-    "cautious, what came leaves",
-)
-Method = tuple[str, float]
 
 
-def say(words: str) -> None:
-    """Report progress."""
-    print(words, file=sys.stderr, flush=True)
+def evaluate_map(
+    drive: Drive, mapper: Any, grids: Sequence[EvidentialGrid], left: Sequence[Trail]
+) -> tuple[dict[str, float], NDArray[np.float64]]:
+    """Run a map over a drive; return its scores, and how many cells that were left are ghosts by age, (51, 2)."""
+    static, views = np.zeros((2, 6)), []
+    ages, body, shown, ghosts = np.zeros((MEMORY + 1, 2)), np.zeros(2), np.zeros(2), 0
+    for k, (frame, grid) in enumerate(zip(drive.frames, grids, strict=True)):
+        mapper.update(grid, drive.poses[k], stamp=frame.stamp)
+        now = mapper.grid
+        offset = np.rint((np.array(now.spec.origin) - drive.spec.origin) / drive.spec.resolution).astype(int)
+        around = window(drive.corners[k] - offset, len(drive.labels[k]))
+        for row, state in enumerate((CellState.FREE, CellState.OCCUPIED)):
+            mass = now.mass[around][drive.labels[k] == state].astype(np.float64)
+            p = mass[:, 1] + 0.5 * (1 - mass.sum(axis=1))
+            hits = p > 0.5 + EVEN, p < 0.5 - EVEN, p < 0.25, mass[:, row] > 0.5
+            static[row] += [len(p), *map(np.count_nonzero, hits), float(((p - row) ** 2).sum())]
 
-
-def scans_of(drive: Drive, ism: Any) -> list[NDArray[np.float32]]:
-    """Return the measurement grids of a drive."""
-    return [ism(one).mass for one in drive.points]
-
-
-def ray(drive: Drive) -> RayISM:
-    """Return the geometric model for the sensor of a drive."""
-    return RayISM(PAPER, sensor_height=drive.height, ego_footprint=EGO_FOOTPRINT)
-
-
-def lite(drive: Drive) -> Any:
-    """Return the shipped network for the sensor of a drive."""
-    from ogm.deep import DeepISM
-
-    return DeepISM.load("lite", spec=PAPER, sensor_height=drive.height, ego_footprint=EGO_FOOTPRINT)
-
-
-def run(
-    drive: Drive, scans: Sequence[NDArray[np.float32]], methods: Sequence[Method]
-) -> dict[Method, Counts]:
-    """Run maps over a drive."""
-    left = list(trails(drive, scans))
-    return {(family, p): run_evaluation(drive, make(family, p), scans, left) for family, p in methods}
-
-
-def read(part: Split, numbers: Sequence[int], what: str) -> Iterator[Drive]:
-    """Read drives one after the other and say so."""
-    for n, number in enumerate(numbers):
-        say(f"{what}: drive {n + 1} of {len(numbers)}")
-        yield read_drive(part, number)
-
-
-def tabulated(counts: dict[Method, list[Counts]]) -> dict[Method, dict[str, NDArray[np.float64]]]:
-    """Return every score of every map on every drive."""
-    result = {}
-    for method, ones in counts.items():
-        rows = [summary(one) for one in ones]
-        result[method] = {name: np.array([row.get(name, np.nan) for row in rows]) for name in rows[0]}
-    return result
-
-
-def pooled(ones: Sequence[Counts]) -> dict[str, Any]:
-    """Return what is said of all drives' cells together: curves and latencies."""
-    trail = np.sum([one.trail for one in ones], axis=0)
-    clearing = np.sum([one.clearing for one in ones], axis=0)
-    appearing = np.sum([one.appearing for one in ones], axis=0)
-    touched = trail[1:, :, 1]
-    result: dict[str, Any] = {
-        "ghost share by age 0.1 s, 0.2 s, ...": _rounded(
-            touched[..., 2].sum(axis=1) / np.maximum(touched[..., 0].sum(axis=1), 1)
-        ),
-        "not called free by age": _rounded(
-            touched[..., 3].sum(axis=1) / np.maximum(touched[..., 0].sum(axis=1), 1)
-        ),
-        "cells that were left, by hidden, visible, measured": touched[..., 0].sum(axis=0).tolist(),
-        "cleared (P < 1/2) [s]": {
-            f"{q:g}": _or_none(quantile_of(clearing[0, 0], q)) for q in (0.5, 0.9, 0.99)
-        },
-        "free > 1/2 [s]": {f"{q:g}": _or_none(quantile_of(clearing[1, 0], q)) for q in (0.5, 0.9, 0.99)},
-        "cleared, visible cells [s]": {
-            f"{q:g}": _or_none(quantile_of(clearing[0, 1], q)) for q in (0.5, 0.9, 0.99)
-        },
-        "appeared (P > 1/2) by scans after the first": _rounded(1 - survival(appearing[0])[:6]),
-        "appeared (occupied > 1/2) by scans after the first": _rounded(1 - survival(appearing[1])[:6]),
-        "known rightly by frame": {
-            name: _rounded(np.nanmean([completeness(one)[name] for one in ones], axis=0))
-            for name in ("seen so far", "all", "ring")
-        },
+        trail = left[k]
+        p = _probability(now, drive, trail.left, offset)
+        ghosts += np.count_nonzero(p > 0.5 + EVEN)
+        for column, kept in enumerate((trail.touched, trail.touched & (p > 0.5 + EVEN))):
+            ages[:, column] += np.bincount(trail.age[kept], minlength=MEMORY + 1)
+        p = _probability(now, drive, trail.covered, offset)
+        body += len(p), np.count_nonzero(p > 0.5 + EVEN)
+        shown += np.count_nonzero(trail.since == 0), np.count_nonzero(p[trail.since == 0] > 0.5 + EVEN)
+        if k % EVERY == EVERY - 1:
+            state = frame.truth.crop(PAPER).state
+            state = np.where(state == CellState.UNKNOWN, np.uint8(CellState.IGNORE), state)
+            views.append(score(accumulate(mapper.view(PAPER).mass, state)))
+    (free, miss, right, _, free_known, free_square), (cells, hit, lost, sure, known, square) = static
+    scores = {
+        "static_iou_occupied": hit / (cells + miss),
+        "static_iou_free": right / (free + lost),
+        "static_false_free": sure / cells,
+        "static_brier": (square + free_square) / (cells + free),
+        "static_known": (known + free_known) / (cells + free),
+        "ghost_area": ghosts * PAPER.resolution**2 / max(drive.objects, 1),
+        "ghost_share": ages[5:, 1].sum() / max(ages[5:, 0].sum(), 1),
+        "appears": shown[1] / max(shown[0], 1),
+        "body_recall": body[1] / max(body[0], 1),
     }
-    fill = np.nanmean([completeness(one)["seen so far"] for one in ones], axis=0)
-    ring = np.nanmean([completeness(one)["ring"] for one in ones], axis=0)
-    for name, curve in (("seen so far", fill), ("ring", ring)):
-        end = np.nanmean(curve[-10:])
-        result[f"time to 90 % of the end, {name} [s]"] = 0.1 * int(np.argmax(curve >= 0.9 * end))
-        result[f"end, {name}"] = round(float(end), 4)
-    if any(one.conflict.any() for one in ones):
-        found = conflict_scores(np.sum([one.conflict for one in ones], axis=0))
-        result["conflict"] = {name: round(value, 4) for name, value in found.items()}
-    return result
+    for name in ("iou_free_known", "iou_occupied_known", "brier", "ece"):
+        scores[f"view_{name}"] = np.nanmean([one[name] for one in views])
+    return {name: float(value) for name, value in scores.items()}, ages
 
 
-def report(counts: dict[Method, list[Counts]], rng: np.random.Generator) -> dict[str, Any]:
-    """Return what is measured of every map, with intervals, and against the classical filter."""
-    values = tabulated(counts)
-    result: dict[str, Any] = {}
-    for method, scores in values.items():
-        name = SCAN if method[0] == SCAN else named(*method)
-        result[name] = {
-            "mean and 95 % interval": {
-                key: [_or_none(round(float(v), 5)) for v in bootstrap_mean(scores[key], rng)]
-                for key in scores
-            },
-            "ratio to the classical filter": {
-                key: [
-                    _or_none(round(float(v), 4))
-                    for v in bootstrap_ratio(scores[key], values[BASELINE][key], rng)
-                ]
-                for key in COMPARED
-            },
-            **pooled(counts[method]),
-        }
-    return result
+def _probability(
+    grid: EvidentialGrid, drive: Drive, cells: NDArray[np.int64], offset: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    ix, iy = np.divmod(cells, drive.spec.shape[1])
+    mass = grid.mass[ix - offset[0], iy - offset[1]].astype(np.float64)
+    return mass[:, 1] + 0.5 * (1 - mass.sum(axis=1))
 
 
-def table(counts: dict[Method, list[Counts]]) -> list[str]:
-    """Return the main table, in Markdown."""
-    values = tabulated(counts)
-    lines = ["| map | " + " | ".join(title for title, _ in TABLE.values()) + " |"]
+def table(values: dict[str, dict[str, NDArray[np.float64]]]) -> list[str]:
+    """Return means over drives, in Markdown."""
+    lines = ["| map | " + " | ".join(heading for heading, _ in TABLE.values()) + " |"]
     lines.append("|---|" + "---:|" * len(TABLE))
-    for method, scores in values.items():
-        name = SCAN if method[0] == SCAN else named(*method)
-        cells = []
-        for key, (_, digits) in TABLE.items():
-            kept = scores[key][~np.isnan(scores[key])]
-            cells.append(f"{kept.mean():.{digits}f}" if len(kept) else "> 5")
+    for name, scores in values.items():
+        cells = [f"{np.nanmean(scores[key]):.{digits}f}" for key, (_, digits) in TABLE.items()]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
     return lines
 
 
-def moment(many: Sequence[int], part: Split) -> tuple[int, int]:
-    """Return the drive and frame of the picture: most returns of movers near ahead times their speed."""
-    best, where = 0.0, (many[0], 60)
-    for number in many:
-        for frame in range(20, 100, 2):
-            one = part[number * 100 + frame].objects
-            speed = np.hypot(one["vx"], one["vy"])
-            near = (np.abs(one["x"]) < 20) & (np.abs(one["y"]) < 14) & (one["returns"] >= 100)
-            worth = float((np.minimum(speed, 10) * (near & (speed > 3)) * one["length"]).sum())
-            if worth > best:
-                best, where = worth, (number, frame)
-    return where
-
-
-def draw_moment(path: Path, part: Split, numbers: Sequence[int], note: str) -> dict[str, int]:
-    """Draw the gallery."""
-    number, frame = moment(numbers, part)
-    drive = read_drive(part, number)
-    scans = scans_of(drive, ray(drive))
-    ours, theirs = EvidentialMapper(WINDOW), BinaryBayesMapper(WINDOW)
-    for k in range(frame + 1):
-        for mapper in (ours, theirs):
-            mapper.update(
-                EvidentialGrid.trusted(PAPER, scans[k]), drive.poses[k], stamp=float(drive.stamps[k])
-            )
-    scan = warp(EvidentialGrid.trusted(PAPER, scans[frame]), AHEAD, np.eye(4), "nearest")
-    layers = ours.conflict_view(AHEAD)
-    gallery(path, drive, frame, scan, ours.view(AHEAD), theirs.view(AHEAD), layers, note)
-    return {"drive": number, "frame": frame}
-
-
-def swept(part: Split, numbers: Sequence[int], quick: bool) -> dict[Method, dict[str, float]]:
-    """Run every rule with every parameter on the drives that choices may be made on; return mean scores."""
-    methods: list[Method] = [
-        (family, p)
-        for family, one in FAMILIES.items()
-        if not (quick and family in SLOW)
-        for p in (one.parameters[1::2] if quick and family != BASELINE[0] else one.parameters)
-    ]
-    methods = list(dict.fromkeys([(SCAN, 0.0), BASELINE, DEFAULT, PLAIN, *methods]))
-    tried: dict[Method, list[Counts]] = {method: [] for method in methods}
-    for drive in read(part, numbers, "dev"):
-        for method, one in run(drive, scans_of(drive, ray(drive)), methods).items():
-            tried[method].append(one)
-    return {
-        method: {name: float(np.nanmean(v)) for name, v in scores.items() if not np.isnan(v).all()}
-        for method, scores in tabulated(tried).items()
-    }
-
-
-def kept(path: Path) -> dict[Method, dict[str, float]]:
-    """Return what an earlier run found on the drives that choices may be made on."""
-    rows = json.loads(path.read_text())["dev sweep"]
-    return {(row.pop("family"), float(row.pop("parameter"))): row for row in rows}
+def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any], note: str) -> None:
+    """Draw ghosts over time, and ghosts against static accuracy."""
+    figure = Figure(figsize=(14, 5.5), layout="constrained")
+    first, second = figure.subplots(1, 2)
+    for name, counts in ages.items():
+        share = 100 * counts[1:, 1] / np.maximum(counts[1:, 0], 1)
+        (line,) = first.plot(0.1 * np.arange(1, len(counts)), np.maximum(share, 1e-2), label=name)
+        area, iou = (np.nanmean(rows[name][key]) for key in ("ghost_area", "static_iou_occupied"))
+        second.plot(area, 100 * iou, "o", color=line.get_color(), label=name)
+    first.set(xscale="log", yscale="log", xlabel="time since the participant left the cell [s]")
+    first.set_ylabel("cells still occupied, P > 1/2 [%]")
+    second.set(
+        xlabel="ghost area behind a moving participant [m²]", ylabel="IoU of static occupied cells [%]"
+    )
+    second.legend(fontsize=8)
+    figure.supxlabel(note, fontsize=7.5, color="#555555")
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=110)
 
 
 def main() -> None:
-    """Measure, print the table, write the record and the pictures."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--dev", type=Path, required=True, help="drives to choose parameters on")
-    parser.add_argument("--data", type=Path, help="drives to measure on (default: those of --dev)")
-    parser.add_argument("--quick", action="store_true", help="one drive each, few parameters, no numpy rules")
-    parser.add_argument(
-        "--keep", action="store_true", help="measure anew, but keep the choices of the last record"
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--no-lite", action="store_true", help="without the network")
-    parser.add_argument("--out", type=Path, default=RESULTS / "fusion_quality.json")
-    parser.add_argument("--picture", type=Path, default=PICTURES / "fusion_quality.png")
-    options = parser.parse_args()
-    record = environment()
-    words = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
-    record["command"] = " ".join(["python benchmarks/fusion_quality.py", *words])
-    rng = np.random.default_rng(SEED)
-
-    store = Store.open(options.dev)
-    part = store["sequences"]
-    numbers = drives(part, 1 if options.quick else None)
-    count = len(numbers)
-    rows = kept(options.out) if options.keep else swept(part, numbers, options.quick)
-    points = chosen({method: row for method, row in rows.items() if method[0] != SCAN})
-
-    # What was chosen, on the drives that nothing was chosen on
-    judged_store, judged = store, "dev"
-    finals: list[Method] = list(dict.fromkeys([(SCAN, 0.0), BASELINE, DEFAULT, PLAIN, *points.items()]))
-    deep: list[Method] = list(dict.fromkeys([(SCAN, 0.0), BASELINE, DEFAULT, PLAIN, ("cautious", 2.0)]))
-    if options.data:
-        judged_store, judged = Store.open(options.data), "test"
-        part = judged_store["sequences"]
-        numbers = drives(part, 1 if options.quick else None)
-    final: dict[Method, list[Counts]] = {method: [] for method in finals}
-    network: dict[Method, list[Counts]] = {method: [] for method in deep}
-    kinds: Any = 0
-    found: Any = 0
-    uncertain: list[dict[str, NDArray[np.float32]]] = []
-    same: list[dict[str, float]] = []
-    lost: list[dict[str, float]] = []
-    for drive in read(part, numbers, judged):
-        scans = scans_of(drive, ray(drive))
-        for method, one in run(drive, scans, finals).items():
-            final[method].append(one)
-        histograms, levels = conflict_kinds(drive, scans, PLAIN[1])
-        kinds, found = kinds + histograms, found + levels
-        uncertain.append(what_half_means(drive, scans, PLAIN[1]))
-        lost += lost_by_cells(drive)
-        if len(same) < 3:
-            same.append(same_filter(drive, scans))
-        if not options.no_lite:
-            for method, one in run(drive, scans_of(drive, lite(drive)), deep).items():
-                network[method].append(one)
-    frames = 100 * len(numbers)
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--ism", default="ray")
+    parser.add_argument("--first", type=int, help="drives only")
+    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "fusion_quality.json")
+    given = parser.parse_args()
+    record: dict[str, Any] = {"environment": environment(), "definitions": __doc__}
+    dataset = open_dataset(given.drives, split="sequences")
+    ism, rng = PerMount(model_factory(given.ism, PAPER)), np.random.default_rng(SEED)
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in MAPS}
+    ages: dict[str, NDArray[np.float64]] = {name: np.zeros((MEMORY + 1, 2)) for name in MAPS}
+    sequences = dict(list(dataset.sequences.items())[: given.first])
+    for name, numbers in sequences.items():
+        print(f"{name} of {len(sequences)}", file=sys.stderr, flush=True)
+        drive = read_drive(dataset.select(numbers))
+        grids = [grid for _, grid in map_scans(drive.frames, ism)]
+        left = list(trails(drive, [grid.mass for grid in grids]))
+        for method, make in MAPS.items():
+            scores, counts = evaluate_map(drive, make(), grids, left)
+            found[method].append(scores)
+            ages[method] += counts
+    values = {
+        name: {key: np.array([row[key] for row in rows]) for key in rows[0]} for name, rows in found.items()
+    }
     record |= {
-        "definitions": __doc__,
-        "dev": {"plan": store.plan, "drives": count},
-        "judged": {"what": judged, "plan": judged_store.plan, "drives": len(numbers), "frames": frames},
+        "drives": dataset.facts,
+        "ism": given.ism,
         "bootstrap seed": SEED,
-        "dev sweep": [
-            {"family": family, "parameter": _parameter(p), **{key: round(v, 5) for key, v in row.items()}}
-            for (family, p), row in rows.items()
-        ],
-        "chosen on dev": {family: _parameter(p) for family, p in points.items()},
-        "moving, seen participants in view, frames times participants": sum(
-            one.objects for one in final[BASELINE]
-        ),
-        "maps": report(final, rng),
-        "maps behind lite": report(network, rng) if network[BASELINE] else {},
-        "truth through the map's cells": {
-            key: round(float(np.mean([one[key] for one in lost])), 4) for key in lost[0]
+        "maps": {
+            name: {
+                "mean and 95 % interval": {key: _plain(bootstrap_mean(v, rng)) for key, v in scores.items()},
+                "ratio to the classical filter": {
+                    key: _plain(bootstrap_ratio(v, values[BAYES][key], rng)) for key, v in scores.items()
+                },
+                "ghost share by age 0.1 s, 0.2 s, ...": _plain(
+                    ages[name][1:, 1] / np.maximum(ages[name][1:, 0], 1)
+                ),
+            }
+            for name, scores in values.items()
         },
-        "conflict as a cue for motion": _clean(conflict_report(kinds, found, frames)),
-        "where Bayes says 0.4 to 0.6": _clean(
-            unknown_report({key: np.concatenate([one[key] for one in uncertain]) for key in uncertain[0]})
-        ),
-        "Dempster and Bayes by plausibility": {key: max(one[key] for one in same) for key in same[0]},
+        "table": table(values),
     }
-    lines = table(final)
-    if network[BASELINE]:
-        lines += ["", "Behind lite:", "", *table(network)]
-    record["table"] = lines
-    write_json(options.out, record)
-    print("\n".join(lines))
-
-    sweep = [{"family": family, "parameter": p, **row} for (family, p), row in rows.items()]
-    drawn = {
-        (SCAN if method[0] == SCAN else named(*method)): (method[0], ones)
-        for method, ones in final.items()
-        if method[0] in DRAWN
-    }
-    ghosts = {
-        name: (
-            family,
-            np.array(record["maps"][name]["ghost share by age 0.1 s, 0.2 s, ..."]),
-        )
-        for name, (family, _) in drawn.items()
-    }
-    filled = {
-        name: (
-            family,
-            {
-                kind: np.nanmean([completeness(one)[kind] for one in ones], axis=0)
-                for kind in ("seen so far", "ring")
-            },
-        )
-        for name, (family, ones) in drawn.items()
-        if family in (SCAN, BASELINE[0], PLAIN[0], DEFAULT[0])
-    }
-    said = {
-        "judged": f"{len(numbers)} {judged} drives",
-        "dev": f"{count} dev drives",
-    }
-    curves(options.picture, ghosts, filled, sweep, points, said, caption(record))
-    at = options.picture.with_name(options.picture.stem + "_moment.png")
-    record["moment"] = draw_moment(at, part, numbers, caption(record))
-    write_json(options.out, record)
-    say(f"wrote {options.out}, {options.picture} and {at}")
+    write_json(given.out, record)
+    print("\n".join(record["table"]))
+    draw(given.out.with_suffix(".png"), ages, values, caption(record["environment"]))
 
 
-def _rounded(values: NDArray[np.float64]) -> list[float | None]:
-    return [_or_none(round(float(value), 5)) for value in values]
-
-
-def _or_none(value: float) -> float | None:
-    return None if np.isnan(value) or np.isinf(value) else float(value)
-
-
-def _parameter(value: float) -> float | str:
-    return "inf" if np.isinf(value) else value
-
-
-def _clean(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _clean(one) for key, one in value.items()}
-    return _or_none(round(float(value), 5))
+def _plain(numbers: Any) -> list[float | None]:
+    return [round(float(one), 5) if np.isfinite(one) else None for one in numbers]
 
 
 if __name__ == "__main__":

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from speed import street
 
-from ogm import EvidentialGrid, GridSpec
+from ogm import EvidentialGrid, GridSpec, Mount
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious, yager
 from ogm.files import atomic_write
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
@@ -96,7 +96,7 @@ def by_scipy(grid: EvidentialGrid) -> Contender:
 
 
 def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
-    ism = RayISM(SPEC, HEIGHT)
+    ism = RayISM(SPEC, Mount(HEIGHT))
     grid = ism(points)
     arrays = [(np.zeros_like(grid.mass), np.empty_like(grid.mass)) for _ in range(3)]
 
@@ -114,13 +114,15 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
     fixed = mapper.grid
     return {
         "copy": Contender(copy),
-        "update, as it comes": updating(EvidentialMapper(SPEC), grid),
+        "update, default": updating(EvidentialMapper(SPEC), grid),
         "update, dempster": updating(EvidentialMapper(SPEC, dempster), grid),
         "update, yager": updating(EvidentialMapper(SPEC, yager), grid),
         "update, cumulative": updating(EvidentialMapper(SPEC, cumulative), grid),
         "update, forget observed": updating(EvidentialMapper(SPEC, forget="observed"), grid),
         "update, BinaryBayesMapper": updating(BinaryBayesMapper(SPEC), grid),
-        "update, slow twin": updating(EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid),
+        "update, numpy reference": updating(
+            EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid
+        ),
         "scipy": by_scipy(grid),
         "view, nearest": Contender(lambda _: mapper.view(SPEC)),
         "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),
@@ -133,7 +135,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
 def long_drive(points: NDArray[np.float32], scans: int) -> dict[str, Any]:
     """Drive on and on, and see whether scans stay as cheap, memory as small, and masses masses."""
     rng = np.random.default_rng(0)
-    ism = RayISM(SPEC, HEIGHT)
+    ism = RayISM(SPEC, Mount(HEIGHT))
     grids = [ism(points[rng.random(len(points)) < share]) for share in (1.0, 0.7, 0.4)]
     mapper, ahead = EvidentialMapper(SPEC), drive()
     for _ in range(20):  # memory and caches as they will be
@@ -175,7 +177,7 @@ def resident() -> float:
 
 
 def verdicts(times: Mapping[str, Times], drive: Mapping[str, Any]) -> list[dict[str, Any]]:
-    update, copy = times["update, as it comes"].median, times["copy"].median
+    update, copy = times["update, default"].median, times["copy"].median
     rate = 1e3 / times["RayISM + update"].median
     rows = [
         ("update / copy", update / copy, 6.0, "x", False),
@@ -200,15 +202,20 @@ def report(record: Mapping[str, Any], times: Mapping[str, Times]) -> None:
         f"{drive['last hundred [ms]']:.3f} ms, memory grown by {drive['memory grown [MB]']:.2f} MB"
     )
     for row in record["verdicts"]:
-        said = f"{row['what']}: {row['got']:.4g} {row['unit']} (wanted {row['wanted']:g})"
-        print(f"{'ok    ' if row['met'] else 'MISSED'} {said}")
+        line = f"{row['what']}: {row['got']:.4g} {row['unit']} (wanted {row['wanted']:g})"
+        print(f"{'ok    ' if row['met'] else 'MISSED'} {line}")
 
 
 def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -> None:
     figure = Figure(figsize=(12.5, 5.4), layout="constrained")
     bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
     names = list(times)[::-1]
-    colours = {"copy": FLOOR, "scipy": PEER, "update, slow twin": TWIN, "update, BinaryBayesMapper": PEER}
+    colours = {
+        "copy": FLOOR,
+        "scipy": PEER,
+        "update, numpy reference": TWIN,
+        "update, BinaryBayesMapper": PEER,
+    }
     values = [times[name].median for name in names]
     bars.barh(names, values, color=[colours.get(name, OURS) for name in names])
     for y, value in enumerate(values):
@@ -250,7 +257,7 @@ def main() -> None:
     found = environment()
     points = street(POINTS, sensor_height=HEIGHT)
     rivals = contenders(points)
-    alone = measure({name: rivals[name] for name in ("copy", "update, as it comes")}, rounds)
+    alone = measure({name: rivals[name] for name in ("copy", "update, default")}, rounds)
     times = measure(rivals, rounds)
     far = long_drive(points, scans)
     record = {
@@ -263,7 +270,7 @@ def main() -> None:
         "long drive": far,
         "verdicts": verdicts(times, far),
     }
-    print(f"alone, with warm caches: copy {alone['copy']}, update {alone['update, as it comes']}")
+    print(f"alone, with warm caches: copy {alone['copy']}, update {alone['update, default']}")
     report(record, times)
     if not given.quick:
         write_json(RESULTS / "fusion_speed.json", record)

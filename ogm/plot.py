@@ -9,22 +9,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import atomic_write
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = [
     "Panel",
-    "cells",
-    "conflict",
-    "dots",
-    "masses",
-    "points",
-    "probability",
+    "cells_panel",
+    "conflict_panel",
+    "dots_panel",
+    "mass_panel",
+    "points_panel",
+    "probability_panel",
     "save_picture",
     "show",
-    "unknown",
+    "unknown_panel",
 ]
 
 GREEN, RED, BLACK = (0.10, 0.80, 0.20), (0.93, 0.16, 0.16), (0.0, 0.0, 0.0)
@@ -61,7 +61,7 @@ def _bytes(colours: NDArray) -> NDArray[np.uint8]:
     return np.round(255 * np.clip(colours, 0, 1)).astype(np.uint8)
 
 
-def cells(
+def cells_panel(
     colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
 ) -> Panel:
     """Show a colour for every cell.
@@ -77,7 +77,7 @@ def cells(
     return Panel(_upright(_bytes(colours)), spec, title, legend)
 
 
-def dots(
+def dots_panel(
     xyz: NDArray,
     colours: NDArray,
     spec: GridSpec,
@@ -102,56 +102,46 @@ def dots(
     order = np.argsort(xyz[:, 2], kind="stable")  # the highest of a cell is drawn last
     order = order[fine.contains(xyz[order, 0], xyz[order, 1])]
     image[fine.index(xyz[order, 0], xyz[order, 1])] = colours[order]
-    return cells(image, spec, title, legend)
+    return cells_panel(image, spec, title, legend)
 
 
-def masses(grid: EvidentialGrid, title: str = "") -> Panel:
+def mass_panel(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show belief: green free, red occupied, black unknown, mixed by their masses."""
     colours = grid.free[..., None] * np.array(GREEN) + grid.occupied[..., None] * np.array(RED)
-    return cells(colours, grid.spec, title or "belief", LEGEND)
+    return cells_panel(colours, grid.spec, title or "belief", LEGEND)
 
 
-def probability(grid: EvidentialGrid, title: str = "") -> Panel:
+def probability_panel(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the expected probability of occupied: white 0, grey 1/2 (also where nothing is known), black 1."""
     grey = np.repeat(1 - grid.probability[..., None], 3, axis=-1)
     legend = {"P(occupied) = 0": (1.0, 1.0, 1.0), "1/2": (0.5, 0.5, 0.5), "1": (0.0, 0.0, 0.0)}
-    return cells(grey, grid.spec, title or "probability of occupied", legend)
+    return cells_panel(grey, grid.spec, title or "probability of occupied", legend)
 
 
-def unknown(grid: EvidentialGrid, title: str = "") -> Panel:
+def unknown_panel(grid: EvidentialGrid, title: str = "") -> Panel:
     """Show the mass of unknown: black 0, yellow 1 (matplotlib's "inferno")."""
     colours = _colour_map("inferno", grid.unknown * 0.92)
     legend = {f"unknown = {u:g}": tuple(_colour_map("inferno", np.array([u * 0.92]))[0]) for u in (0, 0.5, 1)}
-    return cells(colours, grid.spec, title or "unknown", legend)
+    return cells_panel(colours, grid.spec, title or "unknown", legend)
 
 
-def conflict(layers: NDArray, spec: GridSpec, title: str = "") -> Panel:
+def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
     """Show where sources contradict each other: orange what appeared, blue what went away, black no conflict.
 
     Parameters
     ----------
-    layers : (nx, ny, 2) float array
-        Conflict [0, 1] of each cell of `spec`: first free -> occupied, then occupied -> free.
-    spec : GridSpec
+    conflict : LayeredGrid
+        With the layers ``free_to_occupied`` and ``occupied_to_free`` in [0, 1], as `ogm.fusion.EvidentialMapper` has
+        them.
     title : str
-
-    Raises
-    ------
-    ValueError
-        If the layers are not of the shape of `spec`.
     """
-    layers = np.asarray(layers)
-    if layers.shape != (*spec.shape, 2):
-        raise ValueError(
-            f"layers must be (nx, ny, 2), free -> occupied and occupied -> free, here {(*spec.shape, 2)}, "
-            f"got {layers.shape}"
-        )
-    colours = layers[..., :1] * np.array(APPEARED) + layers[..., 1:] * np.array(WENT_AWAY)
+    appeared, went_away = conflict["free_to_occupied"], conflict["occupied_to_free"]
+    colours = appeared[..., None] * np.array(APPEARED) + went_away[..., None] * np.array(WENT_AWAY)
     legend = {"appeared": APPEARED, "went away": WENT_AWAY, "no conflict": BLACK}
-    return cells(colours, spec, title or "conflict", legend)
+    return cells_panel(colours, conflict.spec, title or "conflict", legend)
 
 
-def points(
+def points_panel(
     cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None
 ) -> Panel:
     """Show points from above, coloured by height.
@@ -177,7 +167,7 @@ def points(
         )
         for height in (0, 1, 2, 3)
     }
-    return dots(cloud, colours, spec, title or "points by height", legend)
+    return dots_panel(cloud, colours, spec, title or "points by height", legend)
 
 
 def _colour_map(name: str, values: NDArray) -> NDArray[np.float64]:
@@ -192,7 +182,7 @@ def show(*items: EvidentialGrid | NDArray | Panel, titles: Sequence[str] = ()) -
     Parameters
     ----------
     *items : EvidentialGrid, (N, 4) array or Panel
-        A grid is shown by its `masses`; an array is shown as `points` over the area of the first grid or panel.
+        A grid is shown by its `mass_panel`; an array by its `points_panel` over the area of the first grid or panel.
     titles : sequence of str, optional
         One per item.
 
@@ -249,13 +239,13 @@ def _panels(items: Sequence[EvidentialGrid | NDArray | Panel], titles: Sequence[
         if isinstance(item, Panel):
             panels.append(item._replace(title=title or item.title))
         elif isinstance(item, EvidentialGrid):
-            panels.append(masses(item, title))
+            panels.append(mass_panel(item, title))
         elif spec is None:
             raise ValueError(
-                "points need an area: show them beside a grid, or as ogm.plot.points(cloud, spec)"
+                "points need an area: show them beside a grid, or as ogm.plot.points_panel(cloud, spec)"
             )
         else:
-            panels.append(points(item, spec, title))
+            panels.append(points_panel(item, spec, title))
     return panels
 
 

@@ -86,7 +86,7 @@ def test_masses_have_the_colours_of_the_house() -> None:
     state, mass = blank()
     mass[...] = np.linspace(0, 1, 16)[:, None, None] * np.array([0.6, 0.4])
     shown = seen(frame_view(None, state, [mass], SPEC)["mass 0"]).astype(float)
-    expected = plot.cells(mass @ np.array([plot.GREEN, plot.RED]), SPEC, "", {}).image
+    expected = plot.cells_panel(mass @ np.array([plot.GREEN, plot.RED]), SPEC, "", {}).image
     assert np.abs(shown - expected).max() <= 255 / 8  # masses are shown in steps of 1/8
     assert np.abs(shown - expected).mean() < 8
 
@@ -97,7 +97,7 @@ def test_soft_masses_are_smooth_where_that_is_smaller() -> None:
     soft = (0.5 + 0.4 * np.sin(x) * np.cos(y))[..., None] * np.array([0.9, 0.1])
     soft += np.random.default_rng(0).uniform(0, 0.02, soft.shape)
     view = frame_view(None, np.zeros(spec.shape, np.uint8), [soft.astype(np.float32)], spec)["mass 0"]
-    expected = plot.cells(soft @ np.array([plot.GREEN, plot.RED]), spec, "", {}).image
+    expected = plot.cells_panel(soft @ np.array([plot.GREEN, plot.RED]), spec, "", {}).image
     assert np.abs(seen(view).astype(float) - expected).mean() < 4
     assert len(view) < 5000
 

@@ -11,7 +11,7 @@ import typer
 from rich.progress import track
 
 from ogm.cli.console import out, report_errors, stderr
-from ogm.cli.rules import BAYES, RULES
+from ogm.fusion import BAYES, RULES
 
 if TYPE_CHECKING:
     import numpy as np
@@ -110,7 +110,7 @@ def evaluate(
     from ogm.cli.page import write_page
     from ogm.cli.report import print_tables, report, versions, write_csv, write_report
     from ogm.cli.source import source_of
-    from ogm.fusion.warp import Method
+    from ogm.fusion.resample import ResampleMethod as Method
     from ogm.grid import GridSpec
     from ogm.recordings import SOURCES
 

@@ -117,7 +117,7 @@ def demo(
             ism(scan)
         grids[title], seconds = _timed(ism, scan, repeats=9)
         _row(table, name, len(scan.points), grids[title], seconds)
-    cloud = plot.points(scan.points, spec, f"{len(scan.points)} points", -DEMO_HEIGHT)
+    cloud = plot.points_panel(scan.points, spec, f"{len(scan.points)} points", -DEMO_HEIGHT)
     out_folder.mkdir(parents=True, exist_ok=True)
     picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
     plot.save_picture(picture, cloud, *grids.values(), titles=["", *grids])
@@ -199,7 +199,7 @@ def map_(
             if grid_path is not None:
                 grid.save(grid_path)
             if picture_path is not None:
-                cloud = plot.points(scan.points, grid.spec, path.name)
+                cloud = plot.points_panel(scan.points, grid.spec, path.name)
                 plot.save_picture(picture_path, cloud, grid, titles=["", ism])
             _row(table, name, len(scan.points), grid, seconds)
         except (ValueError, TypeError, OSError) as error:

@@ -7,19 +7,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ogm.cli.mapping import levelled
 from ogm.cli.models import describe_model, models_of, weights_facts
-from ogm.cli.rules import BAYES, mapper_of, rolling
 from ogm.cli.source import Frame, Item, grids_in, shown_name
-from ogm.fusion import BinaryBayesMapper, EvidentialMapper, PoseJump
-from ogm.fusion.warp import warp
+from ogm.fusion import BAYES, BinaryBayesMapper, EvidentialMapper, PoseJump, warp
+from ogm.fusion import make_mapper as mapper_of
+from ogm.fusion import rolling_window as rolling
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
 from ogm.metrics import ModelFor, Mounted, resample_to
-from ogm.scan import InverseSensorModel, as_scan
+from ogm.scan import InverseSensorModel, Mount, as_scan
 
 if TYPE_CHECKING:
-    from ogm.fusion.warp import Method as Resampling
+    from ogm.fusion.resample import ResampleMethod as Resampling
 
 __all__ = ["Map", "Methods", "SingleScanMethod", "PrecomputedGrids", "fused", "methods_of"]
 
@@ -181,7 +180,7 @@ def _update(
         )
     T = item.T_map_sensor
     if item.T_vehicle_sensor is not None:
-        T = T @ levelled(item.T_vehicle_sensor)
+        T = T @ Mount(1.0, item.T_vehicle_sensor).T_sensor_level
     try:
         mapper.update(grid, T, stamp=frame.stamp)
     except PoseJump as jump:

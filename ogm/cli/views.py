@@ -147,7 +147,7 @@ def frame_view(
 
 def height_colours() -> list[tuple[int, int, int]]:
     """Return the colours of points at `HEIGHTS` over the ground."""
-    legend = plot.points(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
+    legend = plot.points_panel(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
     return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
 
 
@@ -159,8 +159,8 @@ def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float | None) -
     ground = _ground(points) if ground_z is None else ground_z
     points = points.copy()
     points[:, 2] = np.rint((points[:, 2] - ground) / LAYER) * LAYER  # fewer colours, half the bytes
-    image = plot.points(points, shown, ground_z=0.0).image
-    nothing = plot.points(points[:0], shown.centered(1.0, 1.0, 1.0)).image[0, 0]
+    image = plot.points_panel(points, shown, ground_z=0.0).image
+    nothing = plot.points_panel(points[:0], shown.centered(1.0, 1.0, 1.0)).image[0, 0]
     for _ in range(2):  # down, then, the picture lying on its side, to the right
         above = np.concatenate([np.broadcast_to(nothing, image[:1].shape), image[:-1]])
         image = np.where((image == nothing).all(axis=2, keepdims=True), above, image).swapaxes(0, 1)
@@ -176,7 +176,7 @@ def _ground(points: NDArray) -> float:
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:
     """Paint every cell by its class; of a block, the last of its classes shows."""
     colours = np.array([shade.colour for shade in shades.values()], np.float32) / 255
-    return _encode(plot.cells(colours[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
+    return _encode(plot.cells_panel(colours[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
 
 
 def _blocks(cells: NDArray, size: int) -> NDArray:
@@ -198,7 +198,7 @@ def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
 
 def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
     colours = mass @ np.array([plot.GREEN, plot.RED], np.float32)
-    return plot.cells(colours, spec, "", {}).image
+    return plot.cells_panel(colours, spec, "", {}).image
 
 
 def _encode(image: NDArray[np.uint8], quality: int | None = None) -> bytes:

@@ -1,27 +1,40 @@
-"""Scans of a moving vehicle into maps: fusion over time, resampling, ego motion.
+"""Scans of a moving vehicle fused into maps: mappers, pipelines, resampling, de-skewing, odometry, ego motion.
 
->>> from ogm.fusion import EvidentialMapper
->>> mapper = EvidentialMapper(spec, half_life=2.0)                                     # doctest: +SKIP
->>> mapper.update(ism(scan.points), T_map_sensor, stamp=scan.stamp); mapper.grid      # doctest: +SKIP
+>>> from ogm.fusion import EvidentialMapper, fuse
+>>> for step in fuse(frames, ism, EvidentialMapper(spec, half_life=2.0)):      # doctest: +SKIP
+...     print(step.frame.name, step.grid)
 """
 
-from ogm.fusion.arrival import PoseJump
 from ogm.fusion.bayes import BinaryBayesMapper
-from ogm.fusion.deskew import deskew, extrapolate
 from ogm.fusion.egomotion import EgoMotion
+from ogm.fusion.factory import BAYES, RULES, Mapper, covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import EvidentialMapper
-from ogm.fusion.odometry import odometry
-from ogm.fusion.warp import coarsen, refine, warp
+from ogm.fusion.motion import deskew, extrapolate
+from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, map_scans, update_map
+from ogm.fusion.registration import odometry
+from ogm.fusion.resample import coarsen, resample_to, warp
+from ogm.fusion.update_gate import PoseJump
 
 __all__ = [
+    "BAYES",
+    "RULES",
     "BinaryBayesMapper",
     "EgoMotion",
     "EvidentialMapper",
+    "FusionStep",
+    "Mapper",
     "PoseJump",
     "coarsen",
+    "covering_window",
     "deskew",
+    "deskew_frame",
     "extrapolate",
+    "fuse",
+    "make_mapper",
+    "map_scans",
     "odometry",
-    "refine",
+    "resample_to",
+    "rolling_window",
+    "update_map",
     "warp",
 ]

@@ -1,4 +1,4 @@
-"""The classical binary Bayes filter on the interface of `EvidentialMapper`, for comparisons that are fair.
+"""The classical binary Bayes filter on the interface of `EvidentialMapper`.
 
 Sources: Elfes, "Using occupancy grids for mobile robot perception and navigation" (1989); Thrun, Burgard and Fox,
 *Probabilistic Robotics* (2005), chapters 4.2 and 9.
@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import expit
 
-from ogm.fusion.arrival import Log
+from ogm.fusion import map_access
 from ogm.fusion.kernels import bayes_update, log_odds_of
-from ogm.fusion.mapper import Forget, checked_forget
-from ogm.fusion.warp import Method, view_of
-from ogm.fusion.window import Kind, Window
+from ogm.fusion.lookup import ScanLookup
+from ogm.fusion.map_access import Forget, check_forget
+from ogm.fusion.update_gate import UpdateGate
+from ogm.fusion.window import Window, WindowMode
 from ogm.grid import EvidentialGrid, GridSpec
 
 __all__ = ["BinaryBayesMapper", "Match"]
@@ -26,8 +27,8 @@ Match = Literal["pignistic", "plausibility"]
 class BinaryBayesMapper:
     """A map of one probability per cell: log-odds that add up, between two limits.
 
-    A scan adds the log-odds of its own probability of occupied, so both kinds of map get the same sensor model. A cell
-    that nobody saw and one that was contradicted evenly are both 1/2.
+    A scan adds the log-odds of its own probability of occupied, so both kinds of map take the same sensor model. An
+    unobserved cell and one with as much evidence for free as for occupied are both 1/2.
 
     Parameters
     ----------
@@ -36,8 +37,8 @@ class BinaryBayesMapper:
     half_life : float
         Time in which log-odds halve [s]; infinity, the classical filter, forgets nothing.
     match : {"pignistic", "plausibility"}
-        What a mass means as a probability: occupied + unknown / 2, or the normalised plausibility. With the latter the
-        log-odds are those that Dempster's rule adds up too (Cobb and Shenoy, 2006).
+        The probability of a mass: occupied + unknown / 2, or the normalised plausibility, whose log-odds Dempster's
+        rule adds up too (Cobb and Shenoy, 2006).
     limits : (float, float)
         Between which the probability is kept; the default is OctoMap's.
     forget, window, max_speed, max_delay
@@ -52,7 +53,7 @@ class BinaryBayesMapper:
         match: Match = "pignistic",
         limits: tuple[float, float] = (0.12, 0.97),
         forget: Forget = "everywhere",
-        window: Kind = "rolling",
+        window: WindowMode = "rolling",
         max_speed: float = 70.0,
         max_delay: float = 0.5,
     ) -> None:
@@ -66,9 +67,9 @@ class BinaryBayesMapper:
                 f"limits must be two probabilities around 1/2, 0 < low < 0.5 < high < 1, got {limits}"
             )
         self.half_life, self.match, self.limits = float(half_life), match, (float(low), float(high))
-        self.forget = checked_forget(forget)
+        self.forget = check_forget(forget)
         self._window = Window(spec, window)
-        self._log = Log(max_speed, max_delay, needs_stamps=self.half_life != math.inf)
+        self._gate = UpdateGate(max_speed, max_delay, needs_stamps=self.half_life != math.inf)
         self._log_odds = np.zeros(spec.shape, np.float32)
 
     def update(
@@ -81,25 +82,25 @@ class BinaryBayesMapper:
         reliability: float = 1.0,
     ) -> None:
         """Age the map to a new scan's time and add the scan's log-odds: `EvidentialMapper.update`."""
-        arrival = self._log.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
         mass = np.ascontiguousarray(grid.mass) * np.float32(reliability)
-        said: NDArray[np.float32] = np.empty_like(mass)
+        log_odds: NDArray[np.float32] = np.empty(grid.spec.shape, np.float32)
         low, high = (math.log(p / (1 - p)) for p in self.limits)
-        log_odds_of(mass.reshape(-1, 2), self.match == "plausibility", max(-low, high), said.reshape(-1, 2))
-        self._window.move_to(arrival.corner, self._log_odds)
-        keep = 0.5 ** (abs(arrival.elapsed) / self.half_life)
-        if arrival.elapsed < 0:  # late: what ageing would have left of it
-            said, keep = said * np.float32(keep), 1.0
-        bayes_update(
-            self._log_odds, *self._window.ring, said, arrival.affine, arrival.samples, keep,
-            self.forget == "observed", low, high,
-        )  # fmt: skip
-        self._log.accept(arrival)
+        log_odds_of(mass.reshape(-1, 2), self.match == "plausibility", max(-low, high), log_odds.reshape(-1))
+        self._window.move_to(scan.corner, self._log_odds)
+        keep = 0.5 ** (abs(scan.elapsed) / self.half_life)
+        if scan.elapsed < 0:  # late: what ageing would have left of it
+            log_odds, keep = log_odds * np.float32(keep), 1.0
+        lookup = ScanLookup(log_odds, scan.affine, scan.samples)
+        bayes_update(self._log_odds, self._window.ring, lookup, keep, self.forget == "observed", (low, high))
+        self._gate.accept(scan)
 
-    @property
-    def spec(self) -> GridSpec:
-        """The window's cells now, in map coordinates."""
-        return self._window.spec
+    def __repr__(self) -> str:
+        memory = "never forgets" if math.isinf(self.half_life) else f"half-life {self.half_life:g} s"
+        return f"BinaryBayesMapper({self.match}, {memory}, {self.scans} scans, {self.spec})"
+
+    spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
+    scans, view = map_access.scans, map_access.view
 
     @property
     def probability(self) -> NDArray[np.float32]:
@@ -109,39 +110,13 @@ class BinaryBayesMapper:
 
     @property
     def grid(self) -> EvidentialGrid:
-        """The map as masses: the least committed ones with the filter's probability, unknown 1 where it is 1/2."""
+        """The map as masses: the least committed ones with this probability; unknown is 1 where it is 1/2."""
         p = self.probability
         mass = np.stack([np.maximum(1 - 2 * p, 0), np.maximum(2 * p - 1, 0)], axis=-1)
         return EvidentialGrid.trusted(self.spec, mass)
-
-    @property
-    def stamp(self) -> float | None:
-        """Time of the map [s]: that of the newest scan."""
-        return self._log.stamp
-
-    @property
-    def T_map_vehicle(self) -> NDArray[np.float64] | None:
-        """Where the vehicle was at that time, (4, 4)."""
-        return self._log.T_map_vehicle
-
-    @property
-    def scans(self) -> int:
-        """Number of scans in the map."""
-        return self._log.scans
-
-    def view(
-        self,
-        spec: GridSpec | None = None,
-        T_map_vehicle: ArrayLike | None = None,
-        *,
-        method: Method = "nearest",
-    ) -> EvidentialGrid:
-        """Return the map in the vehicle's axes: `EvidentialMapper.view`."""
-        T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        return view_of(self.grid, spec or self._window.around, T, method)
 
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map."""
         self._log_odds[:] = 0
         self._window.corner = (0, 0)
-        self._log.clear()
+        self._gate.clear()

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from ogm.pose import Trajectory, check_pose
 
@@ -16,9 +16,7 @@ __all__ = ["EgoMotion", "Motion"]
 log = logging.getLogger(__name__)
 
 _X, _Y, _YAW, _SPEED, _YAW_RATE = range(5)
-_LONGEST = (
-    0.25  # [s] of one prediction: longer ones are made of several, for the noise turns with the vehicle
-)
+_MAX_STEP = 0.25  # [s] of one prediction; longer ones are split, because the noise turns with the vehicle
 
 
 class Motion(NamedTuple):
@@ -55,22 +53,22 @@ class _Node(NamedTuple):
     stamp: float
     x: NDArray[np.float64]  # after all measurements of that stamp
     P: NDArray[np.float64]
-    foreseen: NDArray[np.float64]  # before them, from the node before
-    P_foreseen: NDArray[np.float64]
-    C: NDArray[np.float64]  # (5, 5) covariance of the node before with what was foreseen from it
+    predicted: NDArray[np.float64]  # before them, from the node before
+    P_predicted: NDArray[np.float64]
+    C: NDArray[np.float64]  # (5, 5) covariance of the node before with the prediction from it
 
 
 class EgoMotion:
-    """Where the vehicle is and how it moves, from measurements as they come.
+    """Where the vehicle is and how it moves, from measurements in the order of their stamps.
 
     The state is x, y, yaw, speed and yaw rate, at constant turn rate and velocity between measurements
     (CTRV; Schubert et al., FUSION 2008). The filter is the unscented one (Wan and van der Merwe 2000, by
     filterpy). Measurements have their own stamps, and any number may share one; each is accepted, or refused
     where it is less likely than `gate` allows.
 
-    A filter that is lost refuses what is right. So the `patience`-th measurement of one kind that would be
-    refused in a row is believed: all covariances are doubled until it passes the gate. `smoothed` sees no bridge
-    there: what was estimated before stays where it was.
+    A filter that diverged refuses right measurements. So the `patience`-th measurement of one kind that would be
+    refused in a row is accepted: the covariance of what it measures is doubled until it passes the gate. `smoothed`
+    does not reach back across such a step.
 
     The filter remembers every stamp for `smoothed`: about 1 kB each.
 
@@ -84,8 +82,8 @@ class EgoMotion:
         [m/s], [rad/s], then.
     deviation : 5 float
         How well x, y [m], yaw [rad], speed [m/s] and yaw rate [rad/s] are known then, 1 sigma each, above 0.
-        A heading that nobody knows has pi / 2; fixes much better than the way between them then want a gyro, or a
-        heading taken from the first two of them: the filter is local, and may take a wrong turn for right.
+        An unknown heading has pi / 2; fixes much more precise than the distance between them then need a gyro, or a
+        heading taken from the first two of them: the filter is local, and may converge to a wrong heading.
     acceleration : float
         By how much the speed changes within a second, 1 sigma [m/s^2]; the change grows with the root of
         time, so it does not matter how often there are measurements.
@@ -98,7 +96,7 @@ class EgoMotion:
     tolerance : float
         By how much a stamp may lie before the last one [s]; it then counts as equal.
     longest_gap : float
-        Time between two measurements [s] above which a stamp is taken for a mistake.
+        Time between two measurements [s] above which a stamp is an error.
 
     Raises
     ------
@@ -147,14 +145,16 @@ class EgoMotion:
                 "patience must be 1 or more, tolerance 0 s or more and longest_gap above 0 s, "
                 f"got {patience}, {tolerance}, {longest_gap}"
             )
-        # alpha 1 and kappa 0: no negative weight, so no covariance that is none, however unsure the yaw
+        # alpha 1 and kappa 0: no negative weight, so every covariance is one, however uncertain the yaw
         self._points = MerweScaledSigmaPoints(5, 1.0, 2.0, 0.0, subtract=np.subtract)
         self._filter = UnscentedKalmanFilter(
             5, 1, 1.0, hx=None, fx=_move, points=self._points, x_mean_fn=_mean, residual_x=np.subtract
         )
         self._filter.x, self._filter.P = np.array(start, np.float64), np.diag(sigmas**2)
         self._noise = acceleration**2, yaw_acceleration**2
-        self._gate, self._patience = gate, patience
+        # Quantiles of chi-square for 1, 2 and 3 measured numbers; scipy.stats would be a slow import.
+        self._limits = {count: 2 * float(gammaincinv(count / 2, gate)) for count in (1, 2, 3)}
+        self._patience = patience
         self._tolerance, self._longest_gap = tolerance, longest_gap
         self._in_a_row = dict.fromkeys(("speed", "yaw_rate", "position", "pose"), 0)
         self.refused = dict.fromkeys(self._in_a_row, 0)
@@ -178,7 +178,7 @@ class EgoMotion:
         return self._filter.P.copy()
 
     def speed(self, stamp: float, value: float, deviation: float) -> bool:
-        """Take in a speed along the vehicle's x axis, as wheels tell it [m/s]; negative is backwards.
+        """Take in a speed along the vehicle's x axis, of the wheels [m/s]; negative is backwards.
 
         Parameters
         ----------
@@ -203,18 +203,18 @@ class EgoMotion:
         return self._measure("speed", stamp, [value], _deviations("deviation", deviation, 1), [_SPEED])
 
     def yaw_rate(self, stamp: float, value: float, deviation: float) -> bool:
-        """Take in a yaw rate, as a gyro tells it [rad/s], to the left; all else as `speed`."""
+        """Take in a yaw rate, of a gyro [rad/s], to the left; all else as `speed`."""
         return self._measure("yaw_rate", stamp, [value], _deviations("deviation", deviation, 1), [_YAW_RATE])
 
     def position(self, stamp: float, xy: ArrayLike, deviation: ArrayLike) -> bool:
-        """Take in a position in the map, as GNSS tells it: x, y [m] of the vehicle's origin.
+        """Take in a position in the map, of GNSS: x, y [m] of the vehicle's origin.
 
         `deviation` is 1 sigma, one number or one each; all else as `speed`.
         """
         return self._measure("position", stamp, xy, _deviations("deviation", deviation, 2), [_X, _Y])
 
     def pose(self, stamp: float, pose: ArrayLike, deviation: ArrayLike) -> bool:
-        """Take in a pose in the map, as a registration tells it.
+        """Take in a pose in the map, of a registration.
 
         `pose` is x, y [m] and yaw [rad], or ``T_map_vehicle`` (4, 4); `deviation` is 1 sigma of x, y [m] and
         yaw [rad]; all else as `speed`.
@@ -226,19 +226,19 @@ class EgoMotion:
         return self._measure("pose", stamp, value, _deviations("deviation", deviation, 3), [_X, _Y, _YAW])
 
     def filtered(self) -> Motion:
-        """Return the states as they were known at each stamp, from what had been measured by then."""
+        """Return the states at each stamp, from the measurements up to it."""
         return self._motion([node.x for node in self._nodes], [node.P for node in self._nodes])
 
     def smoothed(self) -> Motion:
-        """Return the states as they are known now, from all measurements before and after each stamp.
+        """Return the states at each stamp, from all measurements before and after it.
 
         Rauch, Tung and Striebel's smoother on the filter's sigma points (Sarkka, IEEE TAC 2008).
         """
         x, P = [self._nodes[-1].x], [self._nodes[-1].P]
         for node, after in zip(self._nodes[-2::-1], self._nodes[:0:-1], strict=True):
-            gain = np.linalg.solve(after.P_foreseen, after.C.T).T
-            x.append(node.x + gain @ (x[-1] - after.foreseen))
-            P.append(_symmetric(node.P + gain @ (P[-1] - after.P_foreseen) @ gain.T))
+            gain = np.linalg.solve(after.P_predicted, after.C.T).T
+            x.append(node.x + gain @ (x[-1] - after.predicted))
+            P.append(_symmetric(node.P + gain @ (P[-1] - after.P_predicted) @ gain.T))
         return self._motion(x[::-1], P[::-1])
 
     def trajectory(self) -> Trajectory:
@@ -260,20 +260,20 @@ class EgoMotion:
         if not -self._tolerance <= gap <= self._longest_gap:
             raise ValueError(
                 f"this {kind} has the stamp {float(stamp)!r} s, {gap:+.6g} s from the last one; wanted between "
-                f"{-self._tolerance:+g} and {self._longest_gap:+g} s: sort the measurements by stamp, or begin anew "
-                "behind a gap"
+                f"{-self._tolerance:+g} and {self._longest_gap:+g} s: sort the measurements by stamp, or start a new "
+                "filter after a gap"
             )
         self._advance(float(stamp))
-        if _YAW in rows:  # of all turns that mean the same, the nearest
+        if _YAW in rows:  # of all equivalent yaws, the nearest
             k = rows.index(_YAW)
             z = z.copy()
             z[k] -= 2 * math.pi * round((z[k] - self._filter.x[_YAW]) / (2 * math.pi))
         return self._update(kind, z, np.diag(sigmas**2), rows)
 
     def _advance(self, stamp: float) -> None:
-        """Let time pass, in steps that are short enough."""
+        """Predict up to `stamp`, in steps that are short enough."""
         gap = max(stamp - self._stamp, 0.0)
-        begin, count = self._stamp, math.ceil(gap / _LONGEST)
+        begin, count = self._stamp, math.ceil(gap / _MAX_STEP)
         for step in range(1, count + 1):
             until = stamp if step == count else begin + gap * step / count
             dt = until - self._stamp
@@ -289,7 +289,7 @@ class EgoMotion:
             )
 
     def _update(self, kind: str, z: NDArray[np.float64], R: NDArray[np.float64], rows: list[int]) -> bool:
-        limit = float(chi2.ppf(self._gate, len(rows)))
+        limit = self._limits[len(rows)]
         if self._distance(z, R, rows) > limit:
             if self._in_a_row[kind] + 1 < self._patience:
                 self._in_a_row[kind] += 1
@@ -304,7 +304,7 @@ class EgoMotion:
             before = self._filter.P.copy()
             wider = np.zeros_like(
                 before
-            )  # what is measured alone: a jump of the position says nothing of the yaw
+            )  # of what is measured: a jump of the position does not concern the yaw
             wider[rows, rows] = np.maximum(np.diag(R), np.diag(before)[rows])
             while self._distance(z, R, rows) > limit:
                 self._filter.P = self._filter.P + wider
@@ -318,14 +318,14 @@ class EgoMotion:
         return True
 
     def _distance(self, z: NDArray[np.float64], R: NDArray[np.float64], rows: list[int]) -> float:
-        """Return the squared Mahalanobis distance of a measurement from what is foreseen."""
+        """Return the squared Mahalanobis distance of a measurement from the prediction."""
         away = z - self._filter.x[rows]
         return float(away @ np.linalg.solve(self._filter.P[np.ix_(rows, rows)] + R, away))
 
     def _note(
-        self, foreseen: NDArray[np.float64], P_foreseen: NDArray[np.float64], C: NDArray[np.float64]
+        self, predicted: NDArray[np.float64], P_predicted: NDArray[np.float64], C: NDArray[np.float64]
     ) -> None:
-        self._nodes.append(_Node(self._stamp, foreseen, P_foreseen, foreseen, P_foreseen, C))
+        self._nodes.append(_Node(self._stamp, predicted, P_predicted, predicted, P_predicted, C))
 
 
 def _move(state: NDArray[np.float64], dt: float) -> NDArray[np.float64]:

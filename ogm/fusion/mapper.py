@@ -1,29 +1,32 @@
-"""Measurement grids of a moving vehicle, one after the other, into a map that remembers and forgets.
+"""The map of belief masses: fuses the measurement grids of a moving vehicle, and forgets at a given rate.
 
-The map stays aligned with the world and scrolls by whole cells, so driving blurs nothing. It is looked up in the
-vehicle's axes by `EvidentialMapper.view`, resampled once, on the way out.
+The map stays aligned with the world and scrolls by whole cells, so driving blurs nothing. `EvidentialMapper.view`
+returns it in the vehicle's axes, resampled once.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.evidence import cumulative, dempster, discount, discount_evidence, normalized_cautious, yager
-from ogm.fusion.arrival import CheckedScan, Log
-from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, evidential_update, gather
-from ogm.fusion.warp import Method, view_of
-from ogm.fusion.window import Kind, Window
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.fusion import map_access
+from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, Aging, evidential_update
+from ogm.fusion.lookup import ScanLookup, gather
+from ogm.fusion.map_access import Forget, check_forget
+from ogm.fusion.resample import view_layers
+from ogm.fusion.update_gate import CheckedScan, UpdateGate
+from ogm.fusion.window import Window, WindowMode
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
-__all__ = ["EvidentialMapper", "Forget", "Rule"]
+__all__ = ["CONFLICT_LAYERS", "EvidentialMapper", "Rule"]
 
 Rule = Callable[[Any, Any], Any]
-Forget = Literal["everywhere", "observed"]
-MOVING = 50.0  # times faster than all else, what came is forgotten
-_FAST: dict[Rule, int] = {
+CONFLICT_LAYERS = ("free_to_occupied", "occupied_to_free")
+DYNAMIC_DECAY_RATIO = 50.0  # how many times faster dynamic cells are forgotten by default
+_COMPILED: dict[Rule, int] = {
     dempster: DEMPSTER,
     yager: YAGER,
     cumulative: CUMULATIVE,
@@ -32,7 +35,7 @@ _FAST: dict[Rule, int] = {
 
 
 class EvidentialMapper:
-    """A map of belief masses, kept from scan to scan.
+    """A map of belief masses that fuses scan after scan.
 
     Every `update` ages the map by the time since the last scan, combines it with the new measurement grid, bounds its
     certainty, and keeps where the two contradict each other.
@@ -46,30 +49,30 @@ class EvidentialMapper:
         Combines two masses, ``rule(map, scan)``. `ogm.evidence.normalized_cautious`, `dempster`, `yager` and
         `cumulative` run as one compiled pass; any other function of two (..., 2) arrays works too, ten times and more
         slower. Rules in an open world give triples: close them, ``lambda a, b: close_world(conjunctive(a, b))``. The
-        default takes scans for what they are, dependent: a hint that every scan repeats, such as rays that pass over
-        a roof, does not become certainty.
+        default treats scans as dependent, which they are: weak evidence that every scan repeats, such as rays that
+        pass over a roof, does not become certainty.
     half_life : float or (free, occupied)
         Time in which belief halves [s]; infinity forgets nothing.
     moving_half_life : float
-        The same [s] for occupied where something came, and what comes leaves: belief that a cell is occupied fades
-        this fast, in proportion to the excess of the conflict free -> occupied over occupied -> free. It takes the
-        trails away that moving things leave where no ray looks any more; infinity lets them stand. By default a
-        fiftieth of the half-life of occupied, so that a map that forgets nothing forgets nothing.
+        The same [s] for occupied in cells that were free and became occupied: the belief halves this fast where the
+        conflict free -> occupied exceeds occupied -> free by 1, and in proportion to the excess else. It removes the
+        trails that moving objects leave where no ray measures any more; infinity keeps them. By default a fiftieth of
+        the half-life of occupied, so that a map with infinite half-life forgets nothing.
     conflict_half_life : float
         Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
     discounting : {discount, discount_evidence}
         What fades: the mass (Shafer), or the evidence, which `cumulative` adds up.
     forget : {"everywhere", "observed"}
-        Whether all cells fade, or only those that the present scan says something about.
+        Whether all cells fade, or only those that the present scan has a belief about.
     min_unknown : float
-        What unknown never falls below, [0, 1), so that the map can change its mind: with Dempster's rule the number of
-        scans it takes grows with the logarithm of its inverse, and at 0 it may never do so in float32.
+        Lower bound of unknown, [0, 1), so that new scans can change the map: with Dempster's rule the number of scans
+        that this takes grows with the logarithm of its inverse, and at 0 it may be infinite in float32.
     window : {"rolling", "fixed"}
-        Follow the vehicle, or stay: for a yard, or a drive as a whole. Memory is that of one grid in both cases.
+        Follow the vehicle, or stay in place, for a yard or a whole drive. Memory is that of one grid in both cases.
     max_speed : float
         Beyond which a pose is a jump [m/s].
     max_delay : float
-        By which a scan may arrive late [s].
+        How much older than the map a scan may be [s].
 
     Raises
     ------
@@ -79,10 +82,10 @@ class EvidentialMapper:
     Notes
     -----
     Stamps. A repeated stamp is a scan of the same moment (another sensor's): nothing ages. A scan that is at most
-    `max_delay` older than the map counts as what ageing would have left of it; the window does not move back for
-    it, and it says nothing about what came or went. An older one, a missing stamp (unless nothing is ever
-    forgotten), a gap of more than a day, NaN: ValueError; so is every scan after one whose stamp was wrong by hours,
-    until `reset`. A pose jump: `PoseJump`. After an error the map is as it was.
+    `max_delay` older than the map counts as much as ageing would have left of it; the window does not move back for
+    it, and it changes no conflict layer. An older one, a missing stamp (unless nothing is ever forgotten), a gap of
+    more than a day, NaN: ValueError; so is every scan after one whose stamp was wrong by hours, until `reset`. A pose
+    jump: `PoseJump`. After an error the map is as it was.
     """
 
     def __init__(
@@ -96,7 +99,7 @@ class EvidentialMapper:
         discounting: Callable[..., Any] = discount,
         forget: Forget = "everywhere",
         min_unknown: float = 0.02,
-        window: Kind = "rolling",
+        window: WindowMode = "rolling",
         max_speed: float = 70.0,
         max_delay: float = 0.5,
     ) -> None:
@@ -116,14 +119,14 @@ class EvidentialMapper:
             raise ValueError(f"conflict_half_life must be 0 s or more, got {conflict_half_life}")
         self.rule, self.half_life = rule, _half_lives(half_life)
         self.moving_half_life = (
-            self.half_life[1] / MOVING if moving_half_life is None else float(moving_half_life)
+            self.half_life[1] / DYNAMIC_DECAY_RATIO if moving_half_life is None else float(moving_half_life)
         )
-        self.discounting, self.forget = discounting, checked_forget(forget)
+        self.discounting, self.forget = discounting, check_forget(forget)
         self.min_unknown = float(min_unknown)
         self.conflict_half_life = float(conflict_half_life)
         forgets = not math.inf == self.moving_half_life == min(self.half_life)
         self._window = Window(spec, window)
-        self._log = Log(max_speed, max_delay, needs_stamps=forgets)
+        self._gate = UpdateGate(max_speed, max_delay, needs_stamps=forgets)
         self._mass = np.zeros((*spec.shape, 2), np.float32)
         self._conflict = np.zeros((*spec.shape, 2), np.float32)
 
@@ -141,8 +144,8 @@ class EvidentialMapper:
         Parameters
         ----------
         grid : EvidentialGrid
-            What a sensor model made of the scan, in the frame that the next argument takes to the map. Its extent and
-            resolution are free: cells of the map take what is said at their middle, or, if the scan's cells are finer,
+            The measurement grid of a scan, in the frame that the next argument takes to the map. Its extent and
+            resolution are free: cells of the map take the masses at their centre, or, if the scan's cells are finer,
             the mean over the cell.
         T_map_sensor : (4, 4) array
             Takes the grid's frame to the map [m].
@@ -164,19 +167,24 @@ class EvidentialMapper:
             If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules above, or the
             grid and the window have no cell in common.
         """
-        arrival = self._log.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
-        mass = grid.mass if arrival.elapsed >= 0 else self._aged(grid.mass, -arrival.elapsed)
-        if self.rule in _FAST:
-            self._window.move_to(arrival.corner, self._mass, self._conflict)
-            self._fuse(np.ascontiguousarray(mass), arrival, reliability)
+        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+        mass = grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed)
+        mass = np.ascontiguousarray(mass)
+        if self.rule in _COMPILED:
+            self._window.move_to(scan.corner, self._mass, self._conflict)
+            self._fuse(mass, scan, reliability)
         else:
-            self._fuse_by_any_rule(np.ascontiguousarray(mass), arrival, reliability)
-        self._log.accept(arrival)
+            self._fuse_by_any_rule(mass, scan, reliability)
+        self._gate.accept(scan)
 
-    @property
-    def spec(self) -> GridSpec:
-        """The window's cells now, in map coordinates."""
-        return self._window.spec
+    def __repr__(self) -> str:
+        rule = getattr(self.rule, "__name__", repr(self.rule))
+        free, occupied = self.half_life
+        memory = f"{free:g} s" if free == occupied else f"({free:g}, {occupied:g}) s"
+        return f"EvidentialMapper({rule}, half-life {memory}, {self.scans} scans, {self.spec})"
+
+    spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
+    scans, view = map_access.scans, map_access.view
 
     @property
     def grid(self) -> EvidentialGrid:
@@ -184,143 +192,102 @@ class EvidentialMapper:
         return EvidentialGrid.trusted(self.spec, self._window.unrolled(self._mass))
 
     @property
-    def conflict(self) -> NDArray[np.float32]:
-        """Where map and scans contradicted each other of late, (nx, ny, 2) in [0, 1], on the cells of `grid`.
+    def conflict(self) -> LayeredGrid:
+        """Where map and scans contradicted each other of late, [0, 1], on the cells of `grid`.
 
-        First what was free and is measured occupied (something came), then what was occupied and is measured free
-        (something left): the greatest conflict mass, each fading with `conflict_half_life`.
+        The layer ``free_to_occupied`` is where the map was free and a scan occupied, ``occupied_to_free`` the reverse:
+        the greatest conflict mass, each fading with `conflict_half_life`.
         """
-        return self._window.unrolled(self._conflict)
-
-    @property
-    def stamp(self) -> float | None:
-        """Time of the map [s]: that of the newest scan."""
-        return self._log.stamp
-
-    @property
-    def T_map_vehicle(self) -> NDArray[np.float64] | None:
-        """Where the vehicle was at that time, (4, 4)."""
-        return self._log.T_map_vehicle
-
-    @property
-    def scans(self) -> int:
-        """Number of scans in the map."""
-        return self._log.scans
-
-    def view(
-        self,
-        spec: GridSpec | None = None,
-        T_map_vehicle: ArrayLike | None = None,
-        *,
-        method: Method = "nearest",
-    ) -> EvidentialGrid:
-        """Return the map in the vehicle's axes, resampled once, in one of the ways of `ogm.fusion.warp`.
-
-        Parameters
-        ----------
-        spec : GridSpec, optional
-            The cells, in the vehicle's frame; by default as many as the window has, around the vehicle. To see all of
-            them at any yaw the window must be a square as wide as their diagonal.
-        T_map_vehicle : (4, 4) array, optional
-            By default that of the newest scan.
-        method : {"nearest", "area", "cautious"}
-        """
-        T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        return view_of(self.grid, spec or self._window.around, T, method)
+        return _conflict_grid(self.spec, self._window.unrolled(self._conflict))
 
     def conflict_view(
         self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None
-    ) -> NDArray[np.float32]:
-        """Return `conflict` in the vehicle's axes, (nx, ny, 2), by nearest cells. Arguments as for `view`."""
+    ) -> LayeredGrid:
+        """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
+        cells = spec or self._window.around
         T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        layers = EvidentialGrid.trusted(self.spec, self.conflict)
-        return view_of(layers, spec or self._window.around, T, "nearest").mass
+        layers = self._window.unrolled(self._conflict)
+        return _conflict_grid(cells, view_layers(layers, self.spec, cells, T))
 
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map."""
         self._mass[:] = 0
         self._conflict[:] = 0
         self._window.corner = (0, 0)
-        self._log.clear()
+        self._gate.clear()
 
-    def _fuse(self, mass: NDArray[np.float32], arrival: CheckedScan, reliability: float) -> None:
+    def _fuse(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
         """Fuse a scan in one compiled pass over the map."""
-        nx, ny = self._window.given.shape
-        elapsed = max(arrival.elapsed, 0.0)
-        conflict = self._conflict if arrival.elapsed >= 0 else self._conflict.copy()
+        nx, ny = self._window.spec0.shape
+        conflict = self._conflict if scan.elapsed >= 0 else self._conflict.copy()
         evidential_update(
             self._mass.reshape(nx, 2 * ny),
             conflict.reshape(nx, 2 * ny),
-            *self._window.ring,
-            mass,
-            arrival.affine,
-            arrival.samples,
-            _FAST[self.rule],
-            *self._kept(elapsed),
-            self._leaving(elapsed),
-            self.discounting is discount_evidence,
-            self.forget == "observed",
+            self._window.ring,
+            ScanLookup(mass, scan.affine, scan.samples),
             float(reliability),
+            self._aging(max(scan.elapsed, 0.0)),
+            _COMPILED[self.rule],
             1.0 - self.min_unknown,
-            self._fade(elapsed),
         )
 
-    def _fuse_by_any_rule(self, mass: NDArray[np.float32], arrival: CheckedScan, reliability: float) -> None:
-        """Do the same in numpy, with a rule that is only a function of two masses: the slow twin of `_fuse`."""
+    def _fuse_by_any_rule(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
+        """Do the same in numpy, with a rule that is only a function of two masses: the slow reference of `_fuse`."""
         before = self._window.corner, self._mass.copy(), self._conflict.copy()
         try:
-            self._window.move_to(arrival.corner, self._mass, self._conflict)
-            scan = np.empty_like(self._mass)
-            rows = scan.reshape(len(scan), -1)
-            gather(mass, arrival.affine, arrival.samples, *self._window.ring, rows)
-            said = scan * np.float32(reliability)
-            elapsed = max(arrival.elapsed, 0.0)
+            self._window.move_to(scan.corner, self._mass, self._conflict)
+            measured = np.empty_like(self._mass)
+            lookup = ScanLookup(mass, scan.affine, scan.samples)
+            gather(lookup, self._window.ring, measured.reshape(len(measured), -1))
+            measured *= np.float32(reliability)
+            aging = self._aging(max(scan.elapsed, 0.0))
             excess = self._conflict[..., 0] - self._conflict[..., 1]
-            stayed = self._mass.copy()
-            stayed[..., 1] *= np.exp(-self._leaving(elapsed) * np.maximum(excess, 0))
-            aged = self._aged(stayed, elapsed)
+            decayed = self._mass.copy()
+            decayed[..., 1] *= np.exp(-aging.dynamic_decay * np.maximum(excess, 0))
+            aged = self._aged(decayed, max(scan.elapsed, 0.0))
             if self.forget == "observed":
-                aged = np.where(said.sum(axis=-1, keepdims=True) > 0, aged, stayed)
-            self._mass[:] = bounded(self._combined(aged, said), self.min_unknown)
-            if arrival.elapsed < 0:
+                aged = np.where(measured.sum(axis=-1, keepdims=True) > 0, aged, decayed)
+            self._mass[:] = _bounded(self._combined(aged, measured), self.min_unknown)
+            if scan.elapsed < 0:
                 return
-            contradicted = aged * said[..., ::-1]  # free then and occupied now, occupied then and free now
-            np.maximum(self._conflict * np.float32(self._fade(elapsed)), contradicted, out=self._conflict)
+            contradicted = (
+                aged * measured[..., ::-1]
+            )  # free then and occupied now, occupied then and free now
+            np.maximum(self._conflict * np.float32(aging.keep_conflict), contradicted, out=self._conflict)
         except BaseException:
             self._window.corner, self._mass[:], self._conflict[:] = before
             raise
+
+    def _aging(self, seconds: float) -> Aging:
+        """Return what some time leaves of the map."""
+        free, occupied = self._kept(seconds)
+        evidence, observed = self.discounting is discount_evidence, self.forget == "observed"
+        if seconds == 0:  # a scan of the same moment
+            return Aging(free, occupied, 0.0, 1.0, evidence, observed)
+        keep = 0.5 ** (seconds / self.conflict_half_life) if self.conflict_half_life else 0.0
+        decay = math.log(2) * max(1 / self.moving_half_life - 1 / self.half_life[1], 0.0)
+        if 0 < self.conflict_half_life < math.inf:  # the excess itself fades in the meantime
+            fading = math.log(2) / self.conflict_half_life
+            decay = decay * -math.expm1(-fading * seconds) / fading
+        else:
+            decay *= seconds
+        return Aging(free, occupied, decay, keep, evidence, observed)
 
     def _kept(self, seconds: float) -> tuple[float, float]:
         """Return the shares of free and of occupied that are left after some time."""
         free, occupied = (0.5 ** (seconds / one) for one in self.half_life)
         return free, occupied
 
-    def _leaving(self, seconds: float) -> float:
-        """Return by how much the logarithm of occupied falls in some time where the excess of conflict was 1."""
-        if seconds == 0:
-            return 0.0
-        rate = math.log(2) * max(1 / self.moving_half_life - 1 / self.half_life[1], 0.0)
-        if not 0 < self.conflict_half_life < math.inf:
-            return rate * seconds
-        fading = math.log(2) / self.conflict_half_life  # the excess itself fades in the meantime
-        return rate * -math.expm1(-fading * seconds) / fading
-
-    def _fade(self, seconds: float) -> float:
-        """Return the share of the conflict that is left after some time; a scan of the same moment takes none."""
-        if seconds == 0:
-            return 1.0
-        return 0.5 ** (seconds / self.conflict_half_life) if self.conflict_half_life else 0.0
-
-    def _combined(self, aged: NDArray[np.float32], said: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _combined(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply a rule that has no kernel, and check that it gives masses."""
-        new = np.asarray(self.rule(aged, said))
+        new = np.asarray(self.rule(aged, measured))
         if new.shape != aged.shape or new.dtype.kind != "f":
             name = getattr(self.rule, "__name__", repr(self.rule))
             hint = "; close it: lambda a, b: close_world(rule(a, b))" if new.shape[-1:] == (3,) else ""
             raise ValueError(
                 f"rule {name} must return masses of shape {aged.shape}, got {new.dtype} of {new.shape}{hint}"
             )
-        return EvidentialGrid(self._window.given, new).mass
+        return EvidentialGrid(self._window.spec0, new).mass
 
     def _aged(self, mass: NDArray[np.float32], seconds: float) -> NDArray[np.float32]:
         """Return what is left of masses after some time."""
@@ -331,18 +298,15 @@ class EvidentialMapper:
         return (kept / np.where(total > 0, total, 1)).astype(np.float32, copy=False)
 
 
-def bounded(mass: NDArray[np.float32], min_unknown: float) -> NDArray[np.float32]:
-    """Scale beliefs down where they leave less than `min_unknown` to the unknown."""
+def _bounded(mass: NDArray[np.float32], min_unknown: float) -> NDArray[np.float32]:
+    """Scale beliefs down where they leave less than `min_unknown` to unknown."""
     known = mass.sum(axis=-1, keepdims=True)
     limit = np.float32(1 - min_unknown)
     return mass * np.minimum(1, limit / np.maximum(known, limit)).astype(np.float32)
 
 
-def checked_forget(forget: Forget) -> Forget:
-    """Return what to forget, or refuse what is no choice."""
-    if forget not in get_args(Forget):
-        raise ValueError(f"forget must be one of {', '.join(get_args(Forget))}, got {forget!r}")
-    return forget
+def _conflict_grid(spec: GridSpec, layers: NDArray[np.float32]) -> LayeredGrid:
+    return LayeredGrid(spec, dict(zip(CONFLICT_LAYERS, np.moveaxis(layers, -1, 0), strict=True)))
 
 
 def _half_lives(half_life: float | Sequence[float]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""Where a map lies in the world: cells that scroll by whole numbers, and grids that are looked up through poses."""
+"""Where a map lies in the world: cells that scroll by whole numbers, and affine maps between cells of two grids."""
 
 import math
 from typing import Literal, get_args
@@ -8,15 +8,23 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 
-__all__ = ["Kind", "Window", "affine_between", "cells_through", "flat", "meet", "samples_per_axis"]
+__all__ = [
+    "Window",
+    "WindowMode",
+    "affine_between",
+    "cell_transform",
+    "overlaps",
+    "planar_transform",
+    "samples_per_axis",
+]
 
-Kind = Literal["rolling", "fixed"]
-_MOST_TILT = 45.0  # [deg]
-_MOST_SAMPLES = 8  # per cell and axis, for scans with much finer cells than the map
+WindowMode = Literal["rolling", "fixed"]
+_MAX_TILT = 45.0  # [deg]
+_MAX_SAMPLES = 8  # per cell and axis, for scans with much finer cells than the map
 
 
-def flat(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the (2, 2) matrix and the (2,) shift that a rigid transform means for points of the grid's plane.
+def planar_transform(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the (2, 2) matrix and the (2,) shift by which a rigid transform moves points of a grid's plane.
 
     The plane is projected along the vertical of the "to" frame: a grid in a tilted sensor's x and y shrinks by the
     cosine of the tilt, as the road under it does. The height of the ground below the frame is neglected.
@@ -24,45 +32,45 @@ def flat(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float6
     Raises
     ------
     ValueError
-        If the z axis of `T` leans by more than 45 degrees: a grid seen from the side is no map.
+        If the z axis of `T` leans by more than 45 degrees.
     """
-    if T[2, 2] < np.cos(np.radians(_MOST_TILT)):
+    if T[2, 2] < np.cos(np.radians(_MAX_TILT)):
         lean = np.degrees(np.arccos(np.clip(T[2, 2], -1, 1)))
         raise ValueError(
-            f"a pose leans by {lean:.0f} degrees, at most {_MOST_TILT:g} are allowed; grids lie in x forward, y left "
+            f"a pose leans by {lean:.0f} degrees, at most {_MAX_TILT:g} are allowed; grids lie in x forward, y left "
             "with z up (REP 103): poses of a camera must be taken to such axes first"
         )
     return T[:2, :2], T[:2, 3]
 
 
 def affine_between(spec: GridSpec, source: GridSpec, T_to_from: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what takes cell coordinates of `spec` ("to" frame) to those of `source` ("from" frame), (2, 3)."""
-    A, b = flat(T_to_from)
+    """Return the affine map from cells of `spec` ("to" frame) to those of `source` ("from" frame), (2, 3)."""
+    A, b = planar_transform(T_to_from)
     (p, q), (r, t) = A.tolist()
     det = p * t - q * r
     back = np.array([[t / det, -q / det], [-r / det, p / det]])
-    return cells_through(spec, source, back, -back @ b)
+    return cell_transform(spec, source, back, -back @ b)
 
 
-def cells_through(
+def cell_transform(
     spec: GridSpec, source: GridSpec, A: NDArray[np.float64], b: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the same, (2, 3), for points of `spec` that lie at ``A p + b`` in the frame of `source`."""
+    """Return the affine map, (2, 3), for points p of `spec` that lie at ``A p + b`` in the frame of `source`."""
     shift = (A @ np.array(spec.origin) + b - np.array(source.origin)) / source.resolution
     return np.column_stack([A * (spec.resolution / source.resolution), shift])
 
 
 def samples_per_axis(spec: GridSpec, source: GridSpec) -> int:
-    """Return at how many points per cell and axis a grid of other cells is looked up: 1 unless its cells are finer."""
-    return min(max(math.ceil(spec.resolution / source.resolution - 1e-6), 1), _MOST_SAMPLES)
+    """Return at how many points per cell and axis `source` is looked up: 1 unless its cells are finer."""
+    return min(max(math.ceil(spec.resolution / source.resolution - 1e-6), 1), _MAX_SAMPLES)
 
 
-def meet(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> bool:
-    """Tell whether two grids overlap, given what `affine_between` them returned."""
+def overlaps(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> bool:
+    """Tell whether two grids overlap, given the affine map between their cells."""
     (a, b, c), (d, e, f) = affine.tolist()
     det = a * e - b * d
     back = (e / det, -b / det, (b * f - e * c) / det), (-d / det, a / det, (d * c - a * f) / det)
-    # Two parallelograms meet unless one lies beyond a side of the other (separating axes).
+    # Two parallelograms overlap unless one lies beyond a side of the other (separating axes).
     for rows, (nx, ny), sizes in (
         (((a, b, c), (d, e, f)), spec.shape, source.shape),
         (back, source.shape, spec.shape),
@@ -77,20 +85,20 @@ class Window:
     """The part of the world that a map holds: a lattice of cells, and a ring buffer that moves over it.
 
     The lattice runs through the corner of `spec`, so a vehicle at the identity pose has exactly the cells of `spec`.
-    A rolling window keeps the middle of `spec`, taken along with the vehicle, within half a cell of its own
-    middle; a fixed one never moves. Contents are never resampled.
+    A rolling window follows the vehicle: the middle of `spec`, moved with the vehicle, stays within half a cell of the
+    window's middle. A fixed one never moves. Contents are never resampled.
 
     Parameters
     ----------
     spec : GridSpec
         Cells and extent; its origin is relative to the vehicle if rolling, in map coordinates if fixed.
-    kind : {"rolling", "fixed"}
+    mode : {"rolling", "fixed"}
     """
 
-    def __init__(self, spec: GridSpec, kind: Kind) -> None:
-        if kind not in get_args(Kind):
-            raise ValueError(f"window must be one of {', '.join(get_args(Kind))}, got {kind!r}")
-        self.given, self.kind = spec, kind
+    def __init__(self, spec: GridSpec, mode: WindowMode) -> None:
+        if mode not in get_args(WindowMode):
+            raise ValueError(f"window must be one of {', '.join(get_args(WindowMode))}, got {mode!r}")
+        self.spec0, self.mode = spec, mode
         self.corner = (0, 0)  # lattice index of the first cell
 
     @property
@@ -100,42 +108,42 @@ class Window:
 
     @property
     def around(self) -> GridSpec:
-        """As many cells as the window has, in the vehicle's frame: those of a view if nobody says others."""
-        if self.kind == "rolling":
-            return self.given
-        (nx, ny), side = self.given.shape, self.given.resolution
-        return GridSpec(side, self.given.shape, (-nx * side / 2, -ny * side / 2))
+        """As many cells as the window has, in the vehicle's frame: the default cells of a view."""
+        if self.mode == "rolling":
+            return self.spec0
+        (nx, ny), side = self.spec0.shape, self.spec0.resolution
+        return GridSpec(side, self.spec0.shape, (-nx * side / 2, -ny * side / 2))
 
     def spec_at(self, corner: tuple[int, int]) -> GridSpec:
         """Return the cells of a window with some corner, in map coordinates."""
-        x, y = self.given.origin
-        resolution = self.given.resolution
+        x, y = self.spec0.origin
+        resolution = self.spec0.resolution
         i, j = corner
-        return GridSpec(resolution, self.given.shape, (x + i * resolution, y + j * resolution))
+        return GridSpec(resolution, self.spec0.shape, (x + i * resolution, y + j * resolution))
 
     @property
     def ring(self) -> tuple[int, int]:
         """Row and cell of the buffer at which the window's cell (0, 0) stands."""
-        return self.corner[0] % self.given.shape[0], self.corner[1] % self.given.shape[1]
+        return self.corner[0] % self.spec0.shape[0], self.corner[1] % self.spec0.shape[1]
 
     def corner_around(self, T_map_vehicle: NDArray[np.float64]) -> tuple[int, int]:
-        """Return the corner that a window around a vehicle has."""
-        if self.kind == "fixed":
+        """Return the corner of the window around a vehicle."""
+        if self.mode == "fixed":
             return self.corner
-        A, b = flat(T_map_vehicle)
+        A, b = planar_transform(T_map_vehicle)
         ((p, q), (r, t)), (u, v) = A.tolist(), b.tolist()
-        given = self.given
-        x, y = given.origin[0] + given.length / 2, given.origin[1] + given.width / 2
-        cells = (p * x + q * y + u - x) / given.resolution, (r * x + t * y + v - y) / given.resolution
+        spec = self.spec0
+        x, y = spec.origin[0] + spec.length / 2, spec.origin[1] + spec.width / 2
+        cells = (p * x + q * y + u - x) / spec.resolution, (r * x + t * y + v - y) / spec.resolution
         if max(abs(cells[0]), abs(cells[1])) > 2**52:
             raise ValueError(
-                f"the vehicle at {b} m is too far from the map's origin for cells to be told apart"
+                f"the vehicle at {b} m is too far from the map's origin: float64 has no digits left for cells"
             )
         return math.floor(cells[0] + 0.5), math.floor(cells[1] + 0.5)
 
     def move_to(self, corner: tuple[int, int], *arrays: NDArray[np.float32]) -> None:
         """Scroll, and clear the rows and columns of (nx, ny, ...) arrays that come into view."""
-        for axis, size in enumerate(self.given.shape):
+        for axis, size in enumerate(self.spec0.shape):
             step = corner[axis] - self.corner[axis]
             if step == 0:
                 continue

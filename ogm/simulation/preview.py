@@ -97,13 +97,13 @@ def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
         GREY,
     )
     legend = plot.LEGEND | ({"ignored": GREY} if truth.ignored.any() else {})
-    return plot.cells(colours[truth.state], truth.spec, title, legend)
+    return plot.cells_panel(colours[truth.state], truth.spec, title, legend)
 
 
 def sample_panels(sample: Sample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
     """Show a sample's points, coloured by height, and its truth."""
     ground = -float(sample.T_vehicle_sensor[2, 3])
-    cloud = plot.points(sample.points, spec, f"{len(sample.points)} points of {sample.lidar}", ground)
+    cloud = plot.points_panel(sample.points, spec, f"{len(sample.points)} points of {sample.lidar}", ground)
     return cloud, truth_panel(sample.truth.crop(spec))
 
 
@@ -125,7 +125,7 @@ def materials_panel(
     for colour, members in KINDS.values():
         colours[list(members)] = colour
     legend = {name: colour for name, (colour, _) in KINDS.items()}
-    return plot.dots(points, colours[material], spec, title, legend)
+    return plot.dots_panel(points, colours[material], spec, title, legend)
 
 
 def contact_sheet(path: str | os.PathLike[str], store: Store, *, most: int = 24, columns: int = 6) -> int:

@@ -1,4 +1,4 @@
-"""The classical filter: what it shares with Dempster's rule, and what it cannot say."""
+"""The classical filter: what it shares with Dempster's rule, and what it cannot represent."""
 
 import math
 
@@ -53,7 +53,7 @@ def test_log_odds_add_and_stop_at_the_limits():
 
 
 @pytest.mark.parametrize("match", ["pignistic", "plausibility"])
-def test_kernel_equals_its_slow_twin(match):
+def test_kernel_equals_its_slow_reference(match):
     mapper = BinaryBayesMapper(SPEC, half_life=1.0, match=match, limits=(0.05, 0.97))
     low, high = (math.log(p / (1 - p)) for p in (0.05, 0.97))
     expected = np.zeros(SPEC.shape)
@@ -61,12 +61,12 @@ def test_kernel_equals_its_slow_twin(match):
         mapper.update(noise(k), np.eye(4), stamp=0.3 * k)
         mass = noise(k).mass.astype(np.float64)
         if match == "plausibility":
-            said = mass_to_log_odds(mass)
+            log_odds = mass_to_log_odds(mass)
         else:
             p = mass_to_probability(mass)
-            said = np.log(p / (1 - p))
-        said = np.clip(said, -max(-low, high), max(-low, high))
-        expected = np.clip(expected * (0.5**0.3 if k else 1) + said, low, high)
+            log_odds = np.log(p / (1 - p))
+        log_odds = np.clip(log_odds, -max(-low, high), max(-low, high))
+        expected = np.clip(expected * (0.5**0.3 if k else 1) + log_odds, low, high)
     np.testing.assert_allclose(mapper.probability, 1 / (1 + np.exp(-expected)), atol=1e-5)
 
 
@@ -79,7 +79,7 @@ def test_forgetting_does_not_depend_on_the_rate(rate):
     assert mapper.probability[0, 0] == pytest.approx(1 / (1 + math.exp(-math.log(9) / 2)), abs=1e-5)
 
 
-def test_only_what_is_observed_is_forgotten_if_so_wanted():
+def test_with_forget_observed_only_observed_cells_are_forgotten():
     mapper = BinaryBayesMapper(SPEC, half_life=1.0, forget="observed", limits=WIDE)
     mapper.update(uniform(0.0, 0.5), np.eye(4), stamp=0)
     half = np.zeros((*SPEC.shape, 2), np.float32)
@@ -89,7 +89,7 @@ def test_only_what_is_observed_is_forgotten_if_so_wanted():
     np.testing.assert_allclose(mapper.probability[:16], 1 / (1 + 3**-1.5), atol=1e-5)
 
 
-def test_it_cannot_tell_contradicted_from_never_seen_and_the_evidential_map_can():
+def test_it_cannot_separate_contradicted_from_unobserved_cells_and_the_evidential_map_can():
     never = uniform(0.0, 0.0)
     torn = [uniform(0.6, 0.0), uniform(0.0, 0.6)]
     bayes, evidential = BinaryBayesMapper(SPEC), EvidentialMapper(SPEC, rules.dempster, math.inf)
@@ -99,15 +99,15 @@ def test_it_cannot_tell_contradicted_from_never_seen_and_the_evidential_map_can(
         bayes.update(grid, np.eye(4))
         evidential.update(grid, np.eye(4))
     np.testing.assert_allclose(bayes.probability, 0.5, atol=1e-6)
-    np.testing.assert_allclose(bayes.grid.unknown, 1.0, atol=1e-6)  # as if nobody had looked
+    np.testing.assert_allclose(bayes.grid.unknown, 1.0, atol=1e-6)  # as if unobserved
     np.testing.assert_allclose(evidential.grid.probability, 0.5, atol=1e-6)
     assert evidential.grid.unknown.max() < 0.3
-    assert evidential.conflict[..., 0].min() > 0.3
+    assert evidential.conflict["free_to_occupied"].min() > 0.3
     assert unseen.grid.unknown.min() == 1.0
-    assert unseen.conflict.max() == 0.0
+    assert not any(layer.any() for layer in unseen.conflict.layers.values())
 
 
-def test_it_scrolls_looks_and_resets_as_the_evidential_map_does():
+def test_it_scrolls_views_and_resets_as_the_evidential_map_does():
     mapper = BinaryBayesMapper(SPEC, half_life=2.0)
     mapper.update(noise(0), pose(10.0, -3.0), stamp=5.0)
     assert mapper.spec.contains(10.0, -3.0)

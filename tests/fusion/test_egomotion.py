@@ -19,7 +19,7 @@ WHEELS, GYRO = 0.2, 0.02  # [m/s], [rad/s]
 
 
 class Drive(NamedTuple):
-    """What a vehicle did, and what its sensors told: (stamp, kind, value, deviation), in order."""
+    """What a vehicle did, and the measurements of its sensors: (stamp, kind, value, deviation), in order."""
 
     stamps: np.ndarray
     states: np.ndarray
@@ -196,7 +196,7 @@ def test_a_lost_filter_comes_back() -> None:
     assert rms(errors(drive, elsewhere.smoothed())[-150:]) < 2.0
 
 
-def test_a_heading_that_nobody_knows_is_found() -> None:
+def test_an_unknown_heading_is_found() -> None:
     for wrong in (-1.5, 1.0):
         drive = simulated(5, gnss=10.0)
         ego = EgoMotion(
@@ -213,7 +213,7 @@ def test_a_heading_that_nobody_knows_is_found() -> None:
 def test_the_yaw_passes_pi_without_a_jump() -> None:
     ego = EgoMotion(0.0, pose(yaw=3.0), speed=3.0, yaw_rate=1.0, deviation=[0.1] * 5)
     for t in np.arange(0.1, 7.0, 0.1):
-        turn = (3.0 + t + np.pi) % (2 * np.pi) - np.pi  # as a compass says it
+        turn = (3.0 + t + np.pi) % (2 * np.pi) - np.pi  # as a compass message it
         assert ego.pose(
             t,
             [3 * (math.sin(3 + t) - math.sin(3)), -3 * (math.cos(3 + t) - math.cos(3)), turn],
@@ -273,10 +273,10 @@ def test_a_stamp_that_repeats_counts_twice_and_adds_no_pose() -> None:
 
 
 @pytest.mark.parametrize(
-    ("measure", "says"),
+    ("measure", "message"),
     [
         (lambda ego: ego.speed(0.9, 1.0, 0.1), "sort the measurements"),
-        (lambda ego: ego.speed(1.0 + 61, 1.0, 0.1), "begin anew"),
+        (lambda ego: ego.speed(1.0 + 61, 1.0, 0.1), "start a new filter"),
         (lambda ego: ego.speed(math.nan, 1.0, 0.1), "sort"),
         (lambda ego: ego.speed(1.1, math.nan, 0.1), "finite"),
         (lambda ego: ego.speed(1.1, 1.0, 0.0), "above 0"),
@@ -288,18 +288,18 @@ def test_a_stamp_that_repeats_counts_twice_and_adds_no_pose() -> None:
         (lambda ego: ego.pose(1.1, [1, 2, 3], 1.0), "3 numbers"),
     ],
 )
-def test_what_makes_no_sense_changes_nothing(measure: Callable[[EgoMotion], bool], says: str) -> None:
+def test_what_makes_no_sense_changes_nothing(measure: Callable[[EgoMotion], bool], message: str) -> None:
     ego = EgoMotion(0.0)
     ego.speed(1.0, 1.0, 0.1)
     before = ego.state, ego.covariance, ego.stamp, len(ego.trajectory())
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(ValueError, match=message):
         measure(ego)
     for one, other in zip(before, (ego.state, ego.covariance, ego.stamp, len(ego.trajectory())), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("given", "message"),
     [
         ({"stamp": math.inf}, "stamp must be finite"),
         ({"T_map_vehicle": np.zeros((4, 4))}, "T_map_vehicle"),
@@ -311,12 +311,12 @@ def test_what_makes_no_sense_changes_nothing(measure: Callable[[EgoMotion], bool
         ({"longest_gap": 0.0}, "longest_gap"),
     ],
 )
-def test_impossible_settings_are_refused(given: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_impossible_settings_are_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         EgoMotion(**{"stamp": 0.0, **given})
 
 
-def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_named_with_its_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
     real_import = builtins.__import__
 
     def without(module: str, *args: Any, **kwargs: Any) -> Any:

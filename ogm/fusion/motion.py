@@ -1,41 +1,40 @@
-"""De-skewing: points of a sweep that the motion bent, as if all had been measured at one moment."""
+"""Motion during a scan: de-skewing of points, and extrapolation of trajectories."""
 
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from ogm.jit import kernel
 from ogm.pose import Trajectory, interpolate, inverse
 
 __all__ = ["deskew", "extrapolate"]
 
-_MOST_KNOTS = 100  # poses by which a trajectory is extended at each end
+_MAX_KNOTS = 100  # poses added to a trajectory at each end
 _SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
 
 
 def deskew(
     points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp: float
 ) -> NDArray[np.float32]:
-    """Move each point to where the sensor would have seen it at `stamp`.
+    """Return each point where the sensor would have measured it at `stamp`.
 
     A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its
-    poses the trajectory goes on a straight line and turns on the shortest arc, as `ogm.pose.interpolate` has
-    it. That is right for what stands; what moves by itself stays bent by its own motion.
+    poses the trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.interpolate`. That
+    is right for static objects; dynamic ones stay distorted by their own motion.
 
     Parameters
     ----------
     points : (N, 3 or more) float
-        x, y, z [m] in the sensor's frame as the sensor measured them, each from where it then was; what stands
-        behind x, y, z is kept.
+        x, y, z [m] in the sensor's frame at the time of each point; further columns are kept.
     time : (N,) float
-        When each was measured [s], counted from `stamp`, as `ogm.io.Scan.time` is.
+        When each was measured [s], counted from `stamp`, as `ogm.Scan.time` is.
     trajectory : Trajectory
-        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. See `extrapolate` where it
-        ends before.
+        Poses of the sensor, ``T_map_sensor``, from the first to the last point's time. `extrapolate` makes it
+        longer.
     stamp : float
-        The moment [s] that the result is seen from, inside the trajectory.
+        Time of the result [s], inside the trajectory.
 
     Returns
     -------
@@ -60,23 +59,25 @@ def deskew(
     if not (first >= knots[0] - _SLACK and last <= knots[-1] + _SLACK):
         raise ValueError(
             f"the points were measured {first:+.4f} ... {last:+.4f} s about their stamp, {float(stamp)!r} s, but the "
-            f"trajectory knows {knots[0]:+.4f} ... {knots[-1]:+.4f} s; take one that is longer, or "
-            "ogm.fusion.deskew.extended(trajectory, seconds), which goes on as it ended"
+            f"trajectory covers {knots[0]:+.4f} ... {knots[-1]:+.4f} s; give a longer one, or "
+            "ogm.fusion.extrapolate(trajectory, seconds)"
         )
     result = cloud.astype(np.float32)
     if len(knots) > 1:
-        # The stretch that matters, seen from the sensor at `stamp`.
+        # The part around the points' times, in the sensor's frame at `stamp`.
         low = max(int(np.searchsorted(knots, first, "right")) - 1, 0)
         high = min(max(int(np.searchsorted(knots, last, "left")) + 1, 2), len(knots))
         low = min(low, high - 2)
-        stretch, poses = trajectory.stamps[low:high], trajectory.poses[low:high]
-        seen = inverse(interpolate(stretch, poses, np.clip(stamp, stretch[0], stretch[-1]))) @ poses
-        turns = Rotation.from_matrix(np.swapaxes(seen[:-1, :3, :3], 1, 2) @ seen[1:, :3, :3]).as_rotvec()
-        _deskew(cloud[:, :3].astype(np.float64), times, knots[low:high], seen, turns, result)
+        stamps, poses = trajectory.stamps[low:high], trajectory.poses[low:high]
+        relative = inverse(interpolate(stamps, poses, np.clip(stamp, stamps[0], stamps[-1]))) @ poses
+        turns = Rotation.from_matrix(
+            np.swapaxes(relative[:-1, :3, :3], 1, 2) @ relative[1:, :3, :3]
+        ).as_rotvec()
+        _deskew(cloud[:, :3].astype(np.float64), times, knots[low:high], relative, turns, result)
     return result
 
 
-@numba.njit(cache=True)
+@kernel
 def _deskew(
     xyz: NDArray, time: NDArray, knots: NDArray, poses: NDArray, turns: NDArray, result: NDArray
 ) -> None:
@@ -121,11 +122,11 @@ def _deskew(
 
 
 def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
-    """Let a trajectory begin earlier and end later, moving on as it did at its ends.
+    """Return a trajectory that begins earlier and ends later, with the motion that it has at its ends.
 
-    The sensor keeps its velocity and its turn, as felt on board, of the first and the last stretch: on a
-    circle it stays on the circle. For the last scan of a drive, some of whose points were measured after its
-    stamp, and for the first.
+    The sensor keeps the velocity and the turn rate, in its own frame, of the first and the last two poses: on a circle
+    it stays on the circle. For the last scan of a drive, some of whose points were measured after its stamp, and for
+    the first.
 
     Parameters
     ----------
@@ -137,7 +138,7 @@ def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
     Returns
     -------
     Trajectory
-        With one pose more at each end, or up to a hundred where `seconds` exceeds the stretch that it goes on from.
+        With one pose more at each end, or up to a hundred where `seconds` exceeds the time between the last two.
 
     Raises
     ------
@@ -145,24 +146,22 @@ def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
         If the trajectory has one pose only, or `seconds` is negative or not finite.
     """
     if len(trajectory) < 2:
-        raise ValueError(
-            "the trajectory knows one time only: it says nothing about the motion; give two poses"
-        )
+        raise ValueError("the trajectory has one pose only, and so no motion; give two poses")
     if not 0 <= seconds < np.inf:
         raise ValueError(f"seconds must be 0 or more, got {seconds}")
     t, T = trajectory.stamps, trajectory.poses
-    before_t, before_T = _go_on(t[1], t[0], T[1], T[0], -seconds)
-    after_t, after_T = _go_on(t[-2], t[-1], T[-2], T[-1], seconds)
+    before_t, before_T = _continued(t[1], t[0], T[1], T[0], -seconds)
+    after_t, after_T = _continued(t[-2], t[-1], T[-2], T[-1], seconds)
     return Trajectory(
         np.concatenate([before_t[::-1], t, after_t]), np.concatenate([before_T[::-1], T, after_T])
     )
 
 
-def _go_on(
+def _continued(
     t0: float, t1: float, T0: NDArray[np.float64], T1: NDArray[np.float64], seconds: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return stamps and poses after (t1, T1), up to `seconds` on, spaced as t0 and t1 are at most."""
-    count = min(int(np.ceil(round(min(seconds / (t1 - t0), 1e6), 9))), _MOST_KNOTS)
+    """Return stamps and poses after (t1, T1), up to `seconds` later, at most as far apart as t0 and t1."""
+    count = min(int(np.ceil(round(min(seconds / (t1 - t0), 1e6), 9))), _MAX_KNOTS)
     stamps = t1 + seconds * np.arange(1, count + 1) / max(count, 1)
     step = _twist(inverse(T0) @ T1)
     poses = [T1 @ _rigid(step * ((t - t1) / (t1 - t0))) for t in stamps]
@@ -172,18 +171,18 @@ def _go_on(
 def _twist(T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the constant motion (shift (3,), turn (3,)) that reaches a pose in one unit of time."""
     turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
-    return np.concatenate([np.linalg.solve(_bend(turn), T[:3, 3]), turn])
+    return np.concatenate([np.linalg.solve(_mean_rotation(turn), T[:3, 3]), turn])
 
 
 def _rigid(twist: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pose that a constant motion (shift, turn) reaches in one unit of time."""
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix()
-    T[:3, 3] = _bend(twist[3:]) @ twist[:3]
+    T[:3, 3] = _mean_rotation(twist[3:]) @ twist[:3]
     return T
 
 
-def _bend(turn: NDArray[np.float64]) -> NDArray[np.float64]:
+def _mean_rotation(turn: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return V, the mean of ``exp(s w)`` over s from 0 to 1 (Sola et al. 2018, arXiv 1812.01537, SE(3))."""
     angle = float(np.linalg.norm(turn))
     x, y, z = turn

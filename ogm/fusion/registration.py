@@ -1,4 +1,4 @@
-"""Poses for scans that come without: thin adapters to packages that register lidar scans."""
+"""Odometry: poses of scans from the scans alone, by packages that register lidar scans."""
 
 import itertools
 import logging
@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.deskew import deskew, extrapolate
+from ogm.fusion.motion import deskew, extrapolate
 from ogm.pose import Trajectory, inverse
 
-__all__ = ["METHODS", "follow", "odometry"]
+__all__ = ["METHODS", "odometry"]
 
 log = logging.getLogger(__name__)
 
-_FEWEST = 100  # points within range, below which no scan is registered
+_MIN_POINTS = 100  # points within range, below which no scan is registered
 _LEAF = 0.25  # [m] between the points that small-gicp registers
 _VOXEL = 1.0  # [m] side of the voxels of its map
-_NEIGHBOURS = 10  # points that tell it a surface
-_KEPT = 100  # scans for which it keeps a voxel that nobody sees
+_NEIGHBOURS = 10  # points from which it estimates a surface
+_HORIZON = 100  # scans for which it keeps a voxel that no scan hits
 
 _NAMES = ("scans", "stamps", "times")
 _ENDED = object()
@@ -36,10 +36,9 @@ def odometry(
     range_min: float = 2.5,
     range_max: float = 100.0,
 ) -> Trajectory:
-    """Find out how a lidar moved, from its scans alone.
+    """Return how a lidar moved, from its scans alone.
 
-    Each scan is registered to a map of those before it, beginning where the last motion, if it went on, would
-    have led.
+    Each scan is registered to a map of those before it, with constant velocity as first guess.
 
     Parameters
     ----------
@@ -51,12 +50,12 @@ def odometry(
         ``kiss-icp``: point to point, with a threshold that adapts (Vizzo et al., RA-L 2023). ``small-gicp``:
         distribution to distribution, on a map of voxels (Koide, JOSS 2024).
     times : iterable of (N,) float or None, optional
-        When each point was measured [s], counted from the scan's stamp, as `ogm.io.Scan.time` is; then scans
-        are de-skewed first, by the last motion. None, also for single scans, where they are de-skewed already
-        (KITTI) or nobody knows.
+        When each point was measured [s], counted from the scan's stamp, as `ogm.Scan.time` is; then scans are
+        de-skewed first, by the last motion. None, also for single scans, where they are de-skewed already (KITTI)
+        or the times are unknown.
     range_min, range_max : float
-        Points nearer or farther than this [m] are left out: the near ones are mostly the own vehicle's, which
-        never moves and would hold the others back.
+        Points nearer or farther than this [m] are left out: the near ones are mostly the ego vehicle's, which never
+        move and would hold the others back.
 
     Returns
     -------
@@ -69,99 +68,82 @@ def odometry(
         If there is no scan, a scan has too few points to be registered, stamps do not increase, or there are
         not as many of them (or of `times`) as scans.
     ImportError
-        If the package is not there.
+        If the package is not installed.
     """
+    if method not in METHODS:
+        raise ValueError(f"method must be {' or '.join(METHODS)}, got {method!r}")
+    if not 0 <= range_min < range_max:
+        raise ValueError(f"range_min must be 0 m or more and below range_max, got {range_min}, {range_max}")
+    register, within = METHODS[method](range_max), (range_min, range_max)
     known: list[float] = []
-    poses = list(
-        follow(scans, _noted(stamps, known), method, times, range_min=range_min, range_max=range_max)
-    )
+    poses: list[NDArray[np.float64]] = []
+    step, duration = np.eye(4), 0.0  # the last motion, T_before_last, and its time [s]
+    for k, (points, stamp, given) in enumerate(_together(scans, stamps, times)):
+        points, time = _checked(points, given, k)
+        if k == 0:
+            first = points, time
+            found = _nearest(register(_cloud(points, time, step, duration, within, k), np.eye(4)))
+        else:
+            if not stamp > known[-1]:
+                raise ValueError(
+                    f"stamps must increase, but stamps[{k - 1}]={known[-1]} is followed by {stamp}"
+                )
+            # Predict: the last motion goes on; where scans are missing, for longer.
+            guess = poses[-1] @ _times(step, (stamp - known[-1]) / duration) if duration else poses[-1]
+            found = _nearest(register(_cloud(points, time, step, duration, within, k), guess))
+            if k == 1 and (first[1].any() or time.any()):
+                # The first two scans were registered without de-skewing: once more, with the motion between them.
+                register, step, duration = METHODS[method](range_max), found, stamp - known[-1]
+                register(_cloud(*first, step, duration, within, 0), poses[-1])
+                found = _nearest(register(_cloud(points, time, step, duration, within, 1), found))
+            step, duration = inverse(poses[-1]) @ found, stamp - known[-1]
+        known.append(stamp)
+        poses.append(found)
     if not poses:
         raise ValueError("there is no scan to find poses for: got 0")
     return Trajectory(np.array(known), np.array(poses))
 
 
-def follow(
-    scans: Iterable[NDArray[Any]],
-    stamps: Iterable[float],
-    method: str = "kiss-icp",
-    times: Iterable[ArrayLike | None] | None = None,
-    *,
-    range_min: float = 2.5,
-    range_max: float = 100.0,
-) -> Iterator[NDArray[np.float64]]:
-    """Yield ``T_map_sensor`` (4, 4) of each scan as soon as it is known; all else as `odometry`."""
-    if method not in METHODS:
-        raise ValueError(f"method must be {' or '.join(METHODS)}, got {method!r}")
-    if not 0 <= range_min < range_max:
-        raise ValueError(f"range_min must be 0 m or more and below range_max, got {range_min}, {range_max}")
-    begin = METHODS[method]
-    begin(range_max)  # a missing package is told now
-    return _followed(lambda: begin(range_max), scans, stamps, times, (range_min, range_max))
-
-
-def _followed(
-    begin: Callable[[], _Register],
-    scans: Iterable[NDArray[Any]],
-    stamps: Iterable[float],
-    times: Iterable[ArrayLike | None] | None,
-    within: tuple[float, float],
-) -> Iterator[NDArray[np.float64]]:
-    register = begin()
-    T, step = np.eye(4), np.eye(4)  # the last pose, and the last motion: T_map_last, T_before_last
-    last, lasted = 0.0, 0.0  # [s] stamp of the last scan, and time between it and the one before
-    first: tuple[NDArray[Any], NDArray[np.float64]] | None = None
-    for k, (points, stamp, given) in enumerate(_together(scans, stamps, times)):
-        if k and not stamp > last:
-            raise ValueError(f"stamps must increase, but stamps[{k - 1}]={last} is followed by {stamp}")
-        points = np.asarray(points)
-        if points.ndim != 2 or points.shape[1] < 3:
-            raise ValueError(f"scan {k} must have shape (N, 3 or more), got {points.shape}")
-        time = np.zeros(len(points)) if given is None else np.asarray(given, np.float64)
-        if time.shape != points.shape[:1]:
-            raise ValueError(f"times of scan {k} must be ({len(points)},) like its points, got {time.shape}")
-        # The last motion goes on; where scans are missing, for longer.
-        guess = T @ _times(step, (stamp - last) / lasted) if lasted else T
-        found = _nearest(register(_cloud(points, time, step, lasted, within, k), guess))
-        if k == 0:
-            first = points, time
-        if first is not None and k == 1 and (first[1].any() or time.any()):
-            # Nobody knew the motion when these two were registered: once more, now that it is known.
-            register, step, lasted = begin(), found, stamp - last
-            register(_cloud(*first, step, lasted, within, 0), T)
-            found = _nearest(register(_cloud(points, time, step, lasted, within, 1), found))
-        if k:
-            step, lasted, first = inverse(T) @ found, stamp - last, None
-        T, last = found, stamp
-        yield T.copy()
+def _checked(
+    points: NDArray[Any], given: ArrayLike | None, k: int
+) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Return the points of scan `k` and their times, 0 where there are none."""
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] < 3:
+        raise ValueError(f"scan {k} must have shape (N, 3 or more), got {points.shape}")
+    time = np.zeros(len(points)) if given is None else np.asarray(given, np.float64)
+    if time.shape != points.shape[:1]:
+        raise ValueError(f"times of scan {k} must be ({len(points)},) like its points, got {time.shape}")
+    if not np.isfinite(time).all():
+        raise ValueError(f"the times of scan {k} must be finite [s]; give None where they are not known")
+    return points, time
 
 
 def _cloud(
     points: NDArray[Any],
     time: NDArray[np.float64],
     step: NDArray[np.float64],
-    lasted: float,
+    duration: float,
     within: tuple[float, float],
     k: int,
 ) -> NDArray[np.float64]:
     """Return the points of scan `k` to register: de-skewed by the last motion, not too near or far."""
-    if not np.isfinite(time).all():
-        raise ValueError(f"the times of scan {k} must be finite [s]; give None where they are not known")
     cloud = points[:, :3]
-    if lasted and time.any():
+    if duration and time.any():
         reach = float(np.abs(time).max())
-        cloud = deskew(cloud, time, extrapolate(_last(step, lasted), reach), 0.0)
+        cloud = deskew(cloud, time, extrapolate(_last(step, duration), reach), 0.0)
     distance = np.linalg.norm(cloud, axis=1)
     cloud = cloud[(distance >= within[0]) & (distance <= within[1])]  # NaN is left out
-    if len(cloud) < _FEWEST:
+    if len(cloud) < _MIN_POINTS:
         raise ValueError(
             f"scan {k} has {len(cloud)} points between {within[0]:g} and {within[1]:g} m, wanted at least "
-            f"{_FEWEST}: leave it out"
+            f"{_MIN_POINTS}: leave it out"
         )
     return cloud.astype(np.float64)
 
 
 def _kiss_icp(range_max: float) -> _Register:
-    """Return the registration of KISS-ICP, without its own de-skewing: that answers for a scan's end."""
+    """Return the registration of KISS-ICP, without its own de-skewing, which is for the end of a scan."""
     try:
         from kiss_icp.config.parser import load_config
         from kiss_icp.kiss_icp import KissICP
@@ -171,7 +153,7 @@ def _kiss_icp(range_max: float) -> _Register:
     config.data.deskew = False
     config.data.max_range = range_max
     config.mapping.voxel_size = range_max / 100
-    config.registration.max_num_threads = 1  # with more, sums are rounded in another order each time
+    config.registration.max_num_threads = 1  # with more, the order of sums, and so rounding, varies
     pipeline = KissICP(config)
 
     def register(cloud: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -189,7 +171,7 @@ def _small_gicp(_range_max: float) -> _Register:
     except ImportError as error:
         raise _missing("small-gicp", error) from error
     voxels = small_gicp.GaussianVoxelMap(_VOXEL)
-    voxels.set_lru(horizon=_KEPT, clear_cycle=10)
+    voxels.set_lru(horizon=_HORIZON, clear_cycle=10)
 
     def register(cloud: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
         scan, _ = small_gicp.preprocess_points(cloud, _LEAF, _NEIGHBOURS)
@@ -221,8 +203,8 @@ def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     return extrapolate(_last(step, 1.0), share).poses[-1]
 
 
-def _last(step: NDArray[np.float64], lasted: float) -> Trajectory:
-    return Trajectory(np.array([-lasted, 0.0]), np.array([inverse(step), np.eye(4)]))
+def _last(step: NDArray[np.float64], duration: float) -> Trajectory:
+    return Trajectory(np.array([-duration, 0.0]), np.array([inverse(step), np.eye(4)]))
 
 
 def _nearest(T: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -253,9 +235,3 @@ def _together(
                 f"{count}"
             )
         yield row[0], float(row[1]), row[2]
-
-
-def _noted(stamps: Iterable[float], known: list[float]) -> Iterator[float]:
-    for stamp in stamps:
-        known.append(float(stamp))
-        yield stamp

@@ -1,4 +1,4 @@
-"""Laws of resampling: masses stay masses, and what is mixed is said."""
+"""Laws of resampling: masses stay masses, and mixtures are exact."""
 
 import math
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm.fusion import coarsen, refine, warp
+from ogm.fusion import coarsen, resample_to, warp
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import inverse, pose
 
@@ -116,7 +116,7 @@ def test_nearest_mixes_nothing():
     assert (np.abs(known[:, None] - values[None]).sum(axis=-1).min(axis=1) == 0).all()
 
 
-def test_cautious_turns_what_is_mixed_into_ignorance_and_nothing_else():
+def test_cautious_turns_mixed_beliefs_into_unknown_and_nothing_else():
     mass = np.zeros((*SPEC.shape, 2), np.float32)
     mass[:16], mass[16:] = (0.9, 0.0), (0.0, 0.9)
     edge = EvidentialGrid(SPEC, mass)
@@ -158,10 +158,29 @@ def test_coarsening_keeps_means_or_the_worst_case():
         np.testing.assert_allclose(grid_.mass[1, 1], (0.8, 0.0), atol=1e-6)
 
 
-def test_refining_and_coarsening_give_back_the_grid():
-    fine = refine(noise(), 3)
+def test_finer_cells_repeat_the_masses_and_coarsening_gives_back_the_grid():
+    fine = resample_to(noise(), SPEC.refined(3))
     assert fine.spec.shape == (96, 72)
+    np.testing.assert_array_equal(fine.mass[::3, 1::3], noise().mass)
     np.testing.assert_allclose(coarsen(fine, 3).mass, noise().mass, atol=1e-6)
+    same = noise()
+    assert resample_to(same, SPEC) is same
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        GridSpec.centered(length=8, width=6, resolution=0.5),
+        GridSpec.centered(length=16, width=16, resolution=0.25),
+        GridSpec.centered(length=8, width=6, resolution=0.1),
+    ],
+)
+def test_other_cells_are_refused_unless_a_method_is_given(spec):
+    with pytest.raises(ValueError, match="give a resampling method"):
+        resample_to(noise(), spec)
+    np.testing.assert_array_equal(
+        resample_to(noise(), spec, "area").mass, warp(noise(), spec, np.eye(4), "area").mass
+    )
 
 
 def test_bad_arguments_are_named():

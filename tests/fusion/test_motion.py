@@ -1,14 +1,11 @@
-"""De-skewing: what stands still stands still again."""
-
-import importlib
+"""De-skewing: static points become static again."""
 
 import numpy as np
 import pytest
 
-from ogm.fusion.deskew import deskew, extrapolate
+from ogm.fusion import deskew, extrapolate, motion
 from ogm.pose import Trajectory, inverse, pose, transform_points
 
-room = importlib.import_module("ogm.fusion.deskew")  # the function of that name hides it
 STAMP = 735.25
 
 
@@ -29,7 +26,7 @@ def cloud(count: int, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def slow(points: np.ndarray, time: np.ndarray, trajectory: Trajectory, stamp: float) -> np.ndarray:
-    """Move every point by itself: the slow twin."""
+    """Move every point by itself: the slow reference."""
     result = points.astype(np.float64)
     for n, (point, t) in enumerate(zip(points, time, strict=True)):
         T = inverse(trajectory.at(stamp)) @ trajectory.at(stamp + t)
@@ -56,7 +53,7 @@ def test_a_clock_that_counts_from_1970_costs_no_more_than_its_rounding() -> None
 def test_the_kernel_is_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     points, time = cloud(100)
     fast = deskew(points, time, drive(), STAMP)
-    monkeypatch.setattr(room, "_deskew", room._deskew.py_func)
+    monkeypatch.setattr(motion, "_deskew", motion._deskew.py_func)
     np.testing.assert_allclose(deskew(points, time, drive(), STAMP), fast, atol=1e-5)
 
 
@@ -151,18 +148,18 @@ def test_the_ends_of_the_trajectory_are_inside() -> None:
 
 
 @pytest.mark.parametrize(
-    ("time", "stamp", "says"),
+    ("time", "stamp", "message"),
     [
         ([0.0, 0.6], STAMP, "extrapolate"),
         ([-0.25, 0.0], STAMP, "extrapolate"),
         ([0.0, 0.0], STAMP + 10, "extrapolate"),
         ([0.0, np.nan], STAMP, r"time\[1\] is not"),
         ([0.0], STAMP, "one per point"),
-        ([0.0, 0.0], np.nan, "knows"),
+        ([0.0, 0.0], np.nan, "covers"),
     ],
 )
-def test_times_that_nobody_knows_the_pose_of_are_refused(time: list, stamp: float, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_times_outside_the_trajectory_are_refused(time: list, stamp: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         deskew(np.zeros((2, 4), np.float32), time, drive(), stamp)
 
 
@@ -204,10 +201,10 @@ def test_a_trajectory_goes_on_straight_and_keeps_what_it_knew() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "seconds", "says"), [(1, 0.1, "two poses"), (3, -1, "0 or more"), (3, np.inf, "0")]
+    ("count", "seconds", "message"), [(1, 0.1, "two poses"), (3, -1, "0 or more"), (3, np.inf, "0")]
 )
-def test_what_cannot_be_extended_is_refused(count: int, seconds: float, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_what_cannot_be_extended_is_refused(count: int, seconds: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         extrapolate(drive(count), seconds)
 
 

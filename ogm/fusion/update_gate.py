@@ -1,4 +1,4 @@
-"""What comes in: scans with their poses and times, checked before a map changes."""
+"""Checks of a scan's pose and time before a map changes."""
 
 import logging
 import math
@@ -7,22 +7,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.window import Window, affine_between, meet, samples_per_axis
+from ogm.fusion.window import Window, affine_between, overlaps, samples_per_axis
 from ogm.grid import EvidentialGrid
 from ogm.pose import check_pose, inverse
 
-__all__ = ["CheckedScan", "Log", "PoseJump"]
+__all__ = ["CheckedScan", "PoseJump", "UpdateGate"]
 
-SLACK = 1.0  # [m] by which a pose may be off without being called a jump
-TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is called a jump
-LONG_GAP = 60.0  # [s] without a scan after which a word is said
-MOST_GAP = 86_400.0  # [s] after which stamps are taken to be no seconds
+SLACK = 1.0  # [m] added to the distance that a vehicle may travel between two scans
+TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is a jump
+LONG_GAP = 60.0  # [s] without a scan after which a warning is logged
+MAX_GAP = 86_400.0  # [s] beyond which stamps are taken to be no seconds
 
 _log = logging.getLogger(__name__)
 
 
 class PoseJump(ValueError):
-    """A pose further from the last one than a vehicle gets: a glitch of GNSS, or a closed loop."""
+    """A pose further from the last one than a vehicle can travel: a glitch of GNSS, or a closed loop."""
 
 
 class CheckedScan(NamedTuple):
@@ -35,9 +35,9 @@ class CheckedScan(NamedTuple):
         Time since the last scan [s]; below 0 for a late one.
     stamp : float or None
     corner : (int, int)
-        Where the window moves to.
+        Lattice index of the window's first cell, after the window has moved.
     affine : (2, 3) float64
-        From its cells to those of the grid.
+        From the window's cells to those of the grid.
     samples : int
         Points per cell and axis at which the grid is looked up.
     """
@@ -50,15 +50,15 @@ class CheckedScan(NamedTuple):
     samples: int
 
 
-class Log:
-    """The last scan that a map accepted, and what the next one must meet.
+class UpdateGate:
+    """The last scan that a map accepted, and the conditions for the next one.
 
     Parameters
     ----------
     max_speed : float
         Of the vehicle [m/s].
     max_delay : float
-        By which a scan may be older than the map [s].
+        How much older than the map a scan may be [s].
     needs_stamps : bool
         Whether the map forgets in time, so that a scan without a stamp is refused.
     """
@@ -89,7 +89,7 @@ class Log:
         T_vehicle_sensor: ArrayLike | None,
         reliability: float,
     ) -> CheckedScan:
-        """Say what a scan is, or why it cannot be fused; of a jump, the pose is remembered."""
+        """Check a scan: return what its fusion needs, or raise why it cannot be fused; the pose of a jump is kept."""
         if not isinstance(grid, EvidentialGrid):
             raise TypeError(
                 f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
@@ -97,7 +97,7 @@ class Log:
             )
         if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
             raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
-        T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may go on writing into it
+        T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may change its array
         if T_vehicle_sensor is not None:
             vehicle = T @ inverse(check_pose(T_vehicle_sensor, "T_vehicle_sensor"))
         time = self._time(stamp)
@@ -107,7 +107,7 @@ class Log:
                 f"stamp {time} s is {-elapsed:.6g} s older than the map ({self.stamp} s), allowed are "
                 f"{self.max_delay:g} s; sort the scans, set max_delay, or call reset() if the clock was put back"
             )
-        if elapsed > MOST_GAP:
+        if elapsed > MAX_GAP:
             raise ValueError(
                 f"stamp {time} follows {self.stamp}: a gap of {elapsed:.4g} s; are the stamps in seconds? "
                 "Call reset() to begin a new drive"
@@ -119,7 +119,7 @@ class Log:
         corner = window.corner_around(vehicle) if elapsed >= 0 else window.corner
         spec = window.spec_at(corner)
         affine = affine_between(spec, grid.spec, T)
-        if not meet(affine, spec, grid.spec):
+        if not overlaps(affine, spec, grid.spec):
             x0, x1, y0, y1 = grid.spec.extent
             raise ValueError(
                 f"the grid, x {x0:g} to {x1:g} m and y {y0:g} to {y1:g} m around a sensor at "
@@ -128,11 +128,11 @@ class Log:
             )
         return CheckedScan(vehicle, elapsed, time, corner, affine, samples_per_axis(spec, grid.spec))
 
-    def accept(self, arrival: CheckedScan) -> None:
+    def accept(self, scan: CheckedScan) -> None:
         """Take a scan as the last one, unless it came late."""
         self.scans += 1
-        if arrival.elapsed >= 0:
-            self.stamp, self.T_map_vehicle = arrival.stamp, arrival.T_map_vehicle
+        if scan.elapsed >= 0:
+            self.stamp, self.T_map_vehicle = scan.stamp, scan.T_map_vehicle
 
     def _time(self, stamp: float | None) -> float | None:
         if stamp is None:
@@ -150,22 +150,21 @@ class Log:
     def _check_jump(self, vehicle: NDArray[np.float64], time: float) -> None:
         if self.T_map_vehicle is None or self.stamp is None or math.isinf(self.max_speed):
             return
-        before = self.T_map_vehicle
-        way, turn = _between(before, vehicle)
+        distance, turn = _between(self.T_map_vehicle, vehicle)
         seconds = abs(time - self.stamp)
-        reachable = way <= self.max_speed * seconds + SLACK and turn <= TURN_RATE * seconds + TURN_SLACK
+        reachable = distance <= self.max_speed * seconds + SLACK and turn <= TURN_RATE * seconds + TURN_SLACK
         if reachable and self._refused is not None:
-            # A jump does not become a way by being refused for long enough: where the new pose goes on from the refused
-            # one rather than from the accepted one, it is still the same jump.
-            stamp, pose = self._refused
-            on_way, on_turn = _between(pose, vehicle)
-            pace, pace_on = max(seconds, 1e-3), max(abs(time - stamp), 1e-3)
-            effort = (way / self.max_speed + turn / TURN_RATE) / pace
-            reachable = effort <= (on_way / self.max_speed + on_turn / TURN_RATE) / pace_on
+            # A jump that is refused for long enough comes within reach by the time alone. It is still the same jump
+            # where the new pose follows the refused one better than the accepted one.
+            stamp, refused = self._refused
+            distance_on, turn_on = _between(refused, vehicle)
+            effort = (distance / self.max_speed + turn / TURN_RATE) / max(seconds, 1e-3)
+            effort_on = (distance_on / self.max_speed + turn_on / TURN_RATE) / max(abs(time - stamp), 1e-3)
+            reachable = effort <= effort_on
         if not reachable:
             self._refused = time, vehicle
             raise PoseJump(
-                f"the pose jumps by {way:.3g} m and {math.degrees(turn):.3g} degrees since the last scan that was "
+                f"the pose jumps by {distance:.3g} m and {math.degrees(turn):.3g} degrees since the last scan that was "
                 f"accepted, {seconds:.3g} s before (allowed: {self.max_speed:g} m/s): leave the scan out if it is a "
                 "glitch, call reset() after a closed loop, or set max_speed"
             )
@@ -173,7 +172,7 @@ class Log:
 
 
 def _between(T: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:
-    """Return how far two poses are apart in the plane [m], and by how much they are turned [rad]."""
+    """Return the distance of two poses in the plane [m] and the angle between them [rad]."""
     trace = float((T[:3, :3] * other[:3, :3]).sum())  # of the rotation from one to the other
     turn = math.acos(min(max((trace - 1) / 2, -1.0), 1.0))
     return math.dist(T[:2, 3].tolist(), other[:2, 3].tolist()), turn

@@ -1,30 +1,30 @@
-"""Grids through poses, and onto coarser or finer cells.
+"""Grids on other cells: through poses, coarser and finer.
 
-Every way keeps masses masses. They differ in what a cell that covers several others believes.
+All results are masses. The methods differ in the belief of a cell that covers several others.
 """
 
 import math
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.fusion.kernels import gather
-from ogm.fusion.window import affine_between, cells_through, flat
+from ogm.fusion.lookup import ScanLookup, gather
+from ogm.fusion.window import affine_between, cell_transform, planar_transform
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.jit import kernel
 from ogm.pose import check_pose
 
-__all__ = ["Method", "Reduce", "coarsen", "refine", "view_of", "warp"]
+__all__ = ["Reduce", "ResampleMethod", "coarsen", "resample_to", "view_layers", "warp"]
 
-Method = Literal["area", "nearest", "cautious"]
+ResampleMethod = Literal["area", "nearest", "cautious"]
 Reduce = Literal["mean", "occupied", "cautious"]
 
 
 def warp(
-    grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Method = "area"
+    grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: ResampleMethod = "area"
 ) -> EvidentialGrid:
-    """Resample a grid through a pose.
+    """Return a grid in another frame, resampled once.
 
     Parameters
     ----------
@@ -37,8 +37,8 @@ def warp(
     method : {"area", "nearest", "cautious"}
         "area": the mean of the cells it covers, weighted by the exact area of overlap: a mixture, right where it is
         uncertain which cell is meant. Sums of mass times area are kept, but for tilted poses, which shrink areas.
-        "nearest": the cell that holds its middle; nothing is mixed, but cells are lost where the new ones are coarser.
-        "cautious": as "area", but the dissonance that comes of mixing free cells with occupied ones becomes unknown.
+        "nearest": the cell that holds its centre; nothing is mixed, but cells are lost where the new ones are coarser.
+        "cautious": as "area", but the dissonance from mixing free cells with occupied ones becomes unknown.
         Outside `grid` all is unknown.
 
     Returns
@@ -50,9 +50,10 @@ def warp(
     "cautious": for m = min(F, O) of the mixture less the mixture of the cells' own min(F, O), F and O lose m each, and
     unknown gains 2 m. Repeated warping blurs: warp from the same original instead.
     """
-    if method not in get_args(Method):
-        raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
-    return _resampled(grid, spec, affine_between(spec, grid.spec, check_pose(T_to_from, "T_to_from")), method)
+    if method not in get_args(ResampleMethod):
+        raise ValueError(f"method must be one of {', '.join(get_args(ResampleMethod))}, got {method!r}")
+    affine = affine_between(spec, grid.spec, check_pose(T_to_from, "T_to_from"))
+    return EvidentialGrid.trusted(spec, _resampled(grid.mass, spec, affine, method))
 
 
 def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> EvidentialGrid:
@@ -64,8 +65,8 @@ def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> Evide
     factor : int
         Cells per block along each axis; both counts must be multiples of it.
     reduce : {"mean", "occupied", "cautious"}
-        "mean": the mixture, optimistic for planning: one occupied cell among free ones hardly shows. "occupied": the
-        greatest occupied of the block, and the mean of free as far as there is room. "cautious": the greatest
+        "mean": the mixture, in which one occupied cell among free ones nearly vanishes. "occupied": the
+        greatest occupied of the block, and the mean of free as far as the sum allows. "cautious": the greatest
         occupied and the least free.
     """
     if reduce not in get_args(Reduce):
@@ -88,46 +89,85 @@ def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> Evide
     return EvidentialGrid.trusted(spec, mass)
 
 
-def refine(grid: EvidentialGrid, factor: int) -> EvidentialGrid:
-    """Split every cell into `factor` x `factor` cells that believe what it believes: nothing is interpolated."""
-    spec = grid.spec.refined(factor)
-    return EvidentialGrid.trusted(spec, grid.mass.repeat(int(factor), axis=0).repeat(int(factor), axis=1))
+def resample_to(grid: EvidentialGrid, spec: GridSpec, method: ResampleMethod | None = None) -> EvidentialGrid:
+    """Return a grid on the cells of `spec`, in the same frame.
+
+    Where each cell of `spec` is a cell of the grid or a whole part of one, over the same area, masses are repeated and
+    nothing is interpolated.
+
+    Parameters
+    ----------
+    grid : EvidentialGrid
+    spec : GridSpec
+    method : {"area", "nearest", "cautious"}, optional
+        For all other cells, see `warp`; by default they are refused.
+
+    Raises
+    ------
+    ValueError
+        If `spec` covers another area, or its cells do not divide those of the grid, and no method is given.
+    """
+    if grid.spec == spec:
+        return grid
+    factor = round(grid.spec.resolution / spec.resolution)
+    if factor >= 1 and (
+        (grid.spec.shape[0] * factor, grid.spec.shape[1] * factor) == spec.shape
+        and np.allclose(grid.spec.extent, spec.extent, rtol=0, atol=1e-3 * spec.resolution)
+    ):
+        return EvidentialGrid.trusted(spec, grid.mass.repeat(factor, axis=0).repeat(factor, axis=1))
+    if method is None:
+        raise ValueError(
+            f"the grid has {grid.spec}, but wanted are {spec}; make the model with that spec, or with whole multiples "
+            "of its cells over the same area, or give a resampling method"
+        )
+    return warp(grid, spec, np.eye(4), method)
 
 
-def view_of(
-    grid: EvidentialGrid, spec: GridSpec, T_map_vehicle: ArrayLike | None, method: Method
-) -> EvidentialGrid:
-    """Return a map in the vehicle's axes: every cell looks where the vehicle's plane, projected, has its middle.
+def view_layers(
+    layers: NDArray[np.float32],
+    source: GridSpec,
+    spec: GridSpec,
+    T_map_vehicle: ArrayLike | None,
+    method: ResampleMethod = "nearest",
+) -> NDArray[np.float32]:
+    """Return pairs of layers of a map in the vehicle's axes.
 
-    This is the way back of how scans come into the map. It is not `warp` by the inverse pose, which projects along
-    the vehicle's own vertical.
+    The centre of every cell, in the vehicle's plane, is projected onto the map along the map's vertical, as scans are
+    when they are fused. It is not `warp` by the inverse pose, which projects along the vehicle's own vertical.
+
+    Parameters
+    ----------
+    layers : (mx, my, 2) float32
+    source, spec : GridSpec
+        Cells of the map, in its frame, and of the view, in the vehicle's.
+    T_map_vehicle : (4, 4) array
+    method : {"nearest", "area", "cautious"}
+
+    Returns
+    -------
+    (nx, ny, 2) float32
     """
     if T_map_vehicle is None:
-        raise ValueError(
-            "the map has seen no scan yet, so it knows no pose to be viewed from; give T_map_vehicle"
-        )
-    if method not in get_args(Method):
-        raise ValueError(f"method must be one of {', '.join(get_args(Method))}, got {method!r}")
-    A, b = flat(check_pose(T_map_vehicle, "T_map_vehicle"))
-    return _resampled(grid, spec, cells_through(spec, grid.spec, A, b), method)
+        raise ValueError("the map has no scan yet, and so no pose for a view; give T_map_vehicle")
+    if method not in get_args(ResampleMethod):
+        raise ValueError(f"method must be one of {', '.join(get_args(ResampleMethod))}, got {method!r}")
+    A, b = planar_transform(check_pose(T_map_vehicle, "T_map_vehicle"))
+    return _resampled(layers, spec, cell_transform(spec, source, A, b), method)
 
 
 def _resampled(
-    grid: EvidentialGrid, spec: GridSpec, affine: NDArray[np.float64], method: Method
-) -> EvidentialGrid:
+    layers: NDArray[np.float32], spec: GridSpec, affine: NDArray[np.float64], method: ResampleMethod
+) -> NDArray[np.float32]:
     out = np.empty((*spec.shape, 2), np.float32)
-    source = np.ascontiguousarray(grid.mass)
+    source = np.ascontiguousarray(layers)
     if method == "nearest":
-        gather(source, affine, 1, 0, 0, out.reshape(spec.shape[0], -1))
+        gather(ScanLookup(source, affine, 1), (0, 0), out.reshape(spec.shape[0], -1))
     else:
         _overlap(source, affine, method == "cautious", out)
-    return EvidentialGrid.trusted(spec, out)
+    return out
 
 
-_jit = njit(cache=True, nogil=True, error_model="numpy")
-
-
-@_jit
+@kernel
 def _overlap(source: np.ndarray, affine: np.ndarray, cautious: bool, out: np.ndarray) -> None:
     """Fill each cell with the mean of `source` over its parallelogram, weighted by exact areas."""
     nx, ny = out.shape[0], out.shape[1]
@@ -168,7 +208,7 @@ def _overlap(source: np.ndarray, affine: np.ndarray, cautious: bool, out: np.nda
             out[i, j, 0], out[i, j, 1] = free, occupied
 
 
-@_jit
+@kernel
 def _clipped_area(corners: Any, a: int, b: int, work: Any) -> float:
     """Return the area that a quadrilateral has in common with the cell (a, b) (Sutherland and Hodgman, 1974)."""
     count = 4

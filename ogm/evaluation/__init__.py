@@ -1,0 +1,1 @@
+"""Evaluation of sensor models and maps against the truth, frame by frame."""

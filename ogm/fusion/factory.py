@@ -1,0 +1,84 @@
+"""Maps by the name of their rule, and the windows that they need."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm import evidence
+from ogm.fusion.bayes import BinaryBayesMapper
+from ogm.fusion.mapper import EvidentialMapper
+from ogm.fusion.window import WindowMode
+from ogm.grid import GridSpec
+
+__all__ = ["BAYES", "RULES", "Mapper", "covering_window", "make_mapper", "rolling_window"]
+
+Mapper = EvidentialMapper | BinaryBayesMapper
+RULES = {
+    "cautious": evidence.normalized_cautious,
+    "dempster": evidence.dempster,
+    "yager": evidence.yager,
+    "cumulative": evidence.cumulative,
+    "pcr6": evidence.pcr6,
+    "averaging": evidence.averaging,
+    "weighted": evidence.weighted,
+}
+BAYES = "bayes"
+_MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
+
+
+def make_mapper(
+    rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling"
+) -> Mapper:
+    """Return a map that fuses by a rule, with defaults else.
+
+    Parameters
+    ----------
+    rule : str
+        A name in `RULES`, or ``"bayes"`` for `BinaryBayesMapper`.
+    spec : GridSpec
+        Its window.
+    half_life : float, optional
+        [s]; by default 2, and infinity for ``"bayes"``.
+    window : {"rolling", "fixed"}
+
+    Raises
+    ------
+    ValueError
+        If there is no such rule.
+    """
+    if rule == BAYES:
+        return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window)
+    if rule not in RULES:
+        raise ValueError(f"there is no rule {rule!r}; there are {', '.join(RULES)}, {BAYES}")
+    return EvidentialMapper(spec, RULES[rule], 2.0 if half_life is None else half_life, window=window)
+
+
+def rolling_window(spec: GridSpec) -> GridSpec:
+    """Return a square as wide as the diagonal of a grid: the vehicle's view of that size is complete at any yaw."""
+    side = 2 * math.ceil(math.hypot(spec.length, spec.width) / 2 / spec.resolution + 1)
+    corner = -side * spec.resolution / 2
+    return GridSpec(spec.resolution, (side, side), (corner, corner))
+
+
+def covering_window(spec: GridSpec, poses: NDArray[np.float64]) -> GridSpec:
+    """Return the cells, in map coordinates, that hold a grid at all poses (K, 4, 4) of a drive.
+
+    Raises
+    ------
+    ValueError
+        If there is no pose, or more than 2**24 cells would be needed.
+    """
+    if not len(poses):
+        raise ValueError("none of the scans has a pose, so a fixed window has no area")
+    step, reach = spec.resolution, math.hypot(spec.length, spec.width) / 2
+    xy = poses[:, :2, 3]
+    low = [math.floor((one - reach) / step) for one in xy.min(axis=0)]
+    high = [math.ceil((one + reach) / step) for one in xy.max(axis=0)]
+    nx, ny = (b - a for a, b in zip(low, high, strict=True))
+    if nx * ny > _MAX_CELLS:
+        raise ValueError(
+            f"a fixed window would need {nx} x {ny} cells for a drive over {nx * step:.0f} m x {ny * step:.0f} m, at "
+            f"most {_MAX_CELLS} are allowed; use a rolling window (--window rolling), or a coarser --resolution"
+        )
+    return GridSpec(step, (nx, ny), (low[0] * step, low[1] * step))

@@ -1,0 +1,70 @@
+"""What all maps share: how their window and last scan are read, and the view along the vehicle's axes.
+
+`EvidentialMapper` and `BinaryBayesMapper` take these as their own properties and method.
+"""
+
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.fusion.resample import ResampleMethod, view_layers
+from ogm.grid import EvidentialGrid, GridSpec
+
+__all__ = ["Forget", "T_map_vehicle", "check_forget", "scans", "spec", "stamp", "view"]
+
+Forget = Literal["everywhere", "observed"]
+
+
+@property  # type: ignore[misc]
+def spec(self: Any) -> GridSpec:
+    """The window's cells now, in map coordinates."""
+    return self._window.spec
+
+
+@property  # type: ignore[misc]
+def stamp(self: Any) -> float | None:
+    """Time of the map [s]: that of the newest scan."""
+    return self._gate.stamp
+
+
+@property  # type: ignore[misc]
+def T_map_vehicle(self: Any) -> NDArray[np.float64] | None:  # noqa: N802
+    """Where the vehicle was at that time, (4, 4)."""
+    return self._gate.T_map_vehicle
+
+
+@property  # type: ignore[misc]
+def scans(self: Any) -> int:
+    """Number of scans in the map."""
+    return self._gate.scans
+
+
+def view(
+    self: Any,
+    spec: GridSpec | None = None,
+    T_map_vehicle: ArrayLike | None = None,  # noqa: N803
+    *,
+    method: ResampleMethod = "nearest",
+) -> EvidentialGrid:
+    """Return the map in the vehicle's axes, resampled once, by one of the methods of `ogm.fusion.warp`.
+
+    Parameters
+    ----------
+    spec : GridSpec, optional
+        The cells, in the vehicle's frame; by default as many as the window has, around the vehicle. To see all of
+        them at any yaw the window must be a square as wide as their diagonal: `ogm.fusion.rolling_window`.
+    T_map_vehicle : (4, 4) array, optional
+        By default that of the newest scan.
+    method : {"nearest", "area", "cautious"}
+    """
+    grid, cells = self.grid, spec or self._window.around
+    T = self._gate.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+    return EvidentialGrid.trusted(cells, view_layers(grid.mass, grid.spec, cells, T, method))
+
+
+def check_forget(forget: Forget) -> Forget:
+    """Return which cells a map forgets, or refuse what is no choice."""
+    if forget not in get_args(Forget):
+        raise ValueError(f"forget must be one of {', '.join(get_args(Forget))}, got {forget!r}")
+    return forget

@@ -1,0 +1,260 @@
+"""From frames to grids and maps: `map_scans`, `fuse`, and the step that both share with evaluation, `update_map`."""
+
+import logging
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.fusion.factory import Mapper
+from ogm.fusion.motion import deskew, extrapolate
+from ogm.fusion.update_gate import PoseJump
+from ogm.grid import EvidentialGrid
+from ogm.pose import Trajectory, inverse
+from ogm.scan import Frame, InverseSensorModel, PerMount, Scan, run_model
+
+__all__ = ["FusionStep", "deskew_frame", "fuse", "map_scans", "update_map"]
+
+_DAMAGED = (ValueError, TypeError, OSError)  # what is wrong with one frame, not with the program
+_MARGIN = 0.5  # [s] by which a trajectory is extrapolated for the points of its first and last scans
+
+_log = logging.getLogger(__name__)
+
+OnError = Callable[[Frame, Exception], None]
+
+
+def log_error(frame: Frame, error: Exception) -> None:
+    """Log that a frame is skipped, and why."""
+    _log.warning("%s is skipped: %s", frame.name, error)
+
+
+def map_scans(
+    frames: Iterable[Frame], ism: InverseSensorModel | PerMount, *, on_error: OnError = log_error
+) -> Iterator[tuple[Frame, EvidentialGrid]]:
+    """Yield each frame with its measurement grid.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        A data set, or any other.
+    ism : callable with `spec`, or PerMount
+        The sensor model: ``ism(scan) -> EvidentialGrid``.
+    on_error : function
+        Called with a frame that is damaged or cannot be mapped, and its error; the frame is left out. By default it is
+        logged. A function that raises the error ends the loop.
+    """
+    for frame in frames:
+        try:
+            grid = run_model(ism, frame)
+        except _DAMAGED as error:
+            on_error(frame, error)
+            continue
+        yield frame, grid
+
+
+class FusionStep(NamedTuple):
+    """What `fuse` did with a frame.
+
+    Attributes
+    ----------
+    frame : Frame
+        With the scan that was mapped, de-skewed if that was wanted.
+    grid : EvidentialGrid or None
+        Its measurement grid; None if the frame was skipped.
+    T_map_grid : (4, 4) float64 or None
+        The pose at which the grid was fused: that of the levelled vehicle frame.
+    error : Exception or None
+        Why the frame was skipped.
+    restart : str
+        Why the map began anew with this frame: "pose jump" or "sequence"; "" if it did not.
+    previous_map : EvidentialGrid or None
+        The map up to there, if it began anew: nothing else keeps it.
+    seconds : (float, float)
+        Time that the sensor model and the mapper took [s].
+    """
+
+    frame: Frame
+    grid: EvidentialGrid | None = None
+    T_map_grid: NDArray[np.float64] | None = None
+    error: Exception | None = None
+    restart: str = ""
+    previous_map: EvidentialGrid | None = None
+    seconds: tuple[float, float] = (0.0, 0.0)
+
+
+def fuse(
+    frames: Iterable[Frame],
+    ism: InverseSensorModel | PerMount,
+    mapper: Mapper,
+    *,
+    deskew: bool | Trajectory = False,
+    max_jumps: int = 3,
+    on_error: OnError = log_error,
+) -> Iterator[FusionStep]:
+    """Fuse the scans of a drive into a map, one step per frame.
+
+    The map begins anew with every new `Frame.sequence`, and after `max_jumps` pose jumps in a row, at the last of them.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        In the order of their stamps; each needs `T_map_sensor` and, unless the map never forgets, `stamp`.
+    ism : callable with `spec`, or PerMount
+        The sensor model: ``ism(scan) -> EvidentialGrid``.
+    mapper : EvidentialMapper or BinaryBayesMapper
+        Updated in place.
+    deskew : bool or Trajectory
+        Undo the ego motion during each scan, by the times of its points: with the poses of `frames`, which must then be
+        a sequence, or with a trajectory of the sensor, for example of higher rate.
+    max_jumps : int
+        At least 1.
+    on_error : function
+        Called with every frame that is skipped, and its error; by default it is logged.
+
+    Yields
+    ------
+    FusionStep
+        Also for frames that were skipped: damaged, without pose, or with a pose jump. These leave the map as it was.
+
+    Raises
+    ------
+    ValueError
+        If `max_jumps` is below 1, or de-skewing has no poses.
+
+    Examples
+    --------
+    >>> mapper = EvidentialMapper(rolling_window(ism.spec))                 # doctest: +SKIP
+    >>> for step in fuse(open_dataset("drive/"), ism, mapper):             # doctest: +SKIP
+    ...     print(step.frame.name, step.error or step.grid)
+    >>> mapper.grid.save("map.npz")                                        # doctest: +SKIP
+    """
+    if max_jumps < 1:
+        raise ValueError(f"max_jumps must be 1 or more, got {max_jumps}")
+    trajectory = _trajectory(frames, deskew)
+    jumps, sequence = 0, None
+    for frame in frames:
+        if trajectory is not None:
+            frame = deskew_frame(frame, trajectory)
+        restart, previous = "", None
+        try:
+            T_map_grid = _T_map_grid(frame)
+            frame.scan  # noqa: B018  reading is not the model's time
+            start = time.perf_counter()
+            grid = run_model(ism, frame)
+            between = time.perf_counter()
+            if sequence not in (None, frame.sequence) and mapper.scans:
+                restart, previous, jumps = "sequence", mapper.grid, 0
+                mapper.reset()
+            jumped = update_map(mapper, grid, frame, restart=jumps + 1 >= max_jumps)
+            seconds = between - start, time.perf_counter() - between
+        except _DAMAGED as error:
+            jumps += isinstance(error, PoseJump)
+            on_error(frame, error)
+            yield FusionStep(frame, error=error, restart=restart, previous_map=previous)
+            continue
+        if jumped is not None:
+            restart, previous = "pose jump", jumped
+        jumps, sequence = 0, frame.sequence
+        yield FusionStep(frame, grid, T_map_grid, None, restart, previous, seconds)
+
+
+def update_map(
+    mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: bool = True
+) -> EvidentialGrid | None:
+    """Fuse the measurement grid of a frame, levelled by the frame's mount.
+
+    Parameters
+    ----------
+    mapper : EvidentialMapper or BinaryBayesMapper
+    grid : EvidentialGrid
+        In the frame's levelled vehicle frame, as sensor models return it.
+    frame : Frame
+    restart : bool
+        Whether the map begins anew at a pose jump; else the `PoseJump` is raised.
+
+    Returns
+    -------
+    EvidentialGrid or None
+        The map up to a pose jump, if it began anew.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no pose, and for all that the mapper refuses.
+    """
+    T_map_grid = _T_map_grid(frame)
+    try:
+        mapper.update(grid, T_map_grid, stamp=frame.stamp)
+    except PoseJump:
+        if not restart:
+            raise
+        before = mapper.grid
+        mapper.reset()
+        mapper.update(grid, T_map_grid, stamp=frame.stamp)
+        return before
+    return None
+
+
+def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
+    """Return a frame whose points are de-skewed when its scan is read.
+
+    Parameters
+    ----------
+    frame : Frame
+        With a stamp, and times of its points.
+    trajectory : Trajectory
+        Poses of the sensor, ``T_map_sensor``, around the stamp.
+    """
+
+    def read() -> Scan:
+        scan = frame.scan
+        if scan.time is None:
+            raise ValueError("its points have no times, so that they cannot be de-skewed")
+        if frame.stamp is None:
+            raise ValueError("it has no stamp, so that it cannot be de-skewed")
+        poses = trajectory
+        if frame.mount.points_in == "vehicle":
+            poses = Trajectory(poses.stamps, poses.poses @ inverse(frame.mount.T_vehicle_sensor))
+        return replace(scan, points=deskew(scan.points, scan.time, poses, frame.stamp))
+
+    return Frame(
+        read,
+        lambda: frame.mount,
+        lambda: frame.boxes,
+        lambda: frame.truth,
+        T_map_sensor=frame.T_map_sensor,
+        stamp=frame.stamp,
+        name=frame.name,
+        sequence=frame.sequence,
+    )
+
+
+def _T_map_grid(frame: Frame) -> NDArray[np.float64]:  # noqa: N802
+    """Return the pose of the frame in which a measurement grid lies: the vehicle's, level, projected to the ground."""
+    T = frame.T_map_sensor
+    if T is None:
+        raise ValueError("it has no pose, so that it cannot be fused")
+    T_level_vehicle = np.eye(4)
+    T_level_vehicle[:2, 3] = -frame.mount.origin[:2]
+    T_map_grid: NDArray[np.float64] = T @ frame.mount.T_sensor_level @ T_level_vehicle
+    return T_map_grid
+
+
+def _trajectory(frames: Iterable[Frame], given: bool | Trajectory) -> Trajectory | None:
+    """Return the poses by which scans are de-skewed, extrapolated at both ends."""
+    if given is False:
+        return None
+    if isinstance(given, Trajectory):
+        return extrapolate(given, _MARGIN)
+    if not isinstance(frames, Sequence):
+        raise ValueError(
+            "de-skewing needs the poses of all frames: give a sequence of frames, or a trajectory"
+        )
+    posed = [frame for frame in frames if frame.T_map_sensor is not None and frame.stamp is not None]
+    stamps, first = np.unique([frame.stamp for frame in posed], return_index=True)
+    if len(stamps) < 2:
+        raise ValueError("de-skewing needs two frames or more with pose and stamp")
+    return extrapolate(Trajectory(stamps, np.array([posed[k].T_map_sensor for k in first])), _MARGIN)

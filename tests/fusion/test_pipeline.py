@@ -1,0 +1,296 @@
+"""The pipelines: frames in, grids and maps out, with any callable as sensor model."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
+from ogm.fusion import (
+    BinaryBayesMapper,
+    EvidentialMapper,
+    covering_window,
+    deskew_frame,
+    fuse,
+    make_mapper,
+    map_scans,
+    rolling_window,
+    update_map,
+)
+from ogm.fusion.factory import RULES
+from ogm.pose import Trajectory, pose, transform_points
+from ogm.scan import PerMount
+
+SPEC = GridSpec.centered(length=8.0, width=6.0, resolution=0.5)
+MOUNT = Mount(1.8)
+
+
+class Marks:
+    """A sensor model of a few lines: cells with points are occupied."""
+
+    spec = SPEC
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        mass = np.zeros((*SPEC.shape, 2), np.float32)
+        inside = SPEC.contains(scan.points[:, 0], scan.points[:, 1])
+        mass[SPEC.index(scan.points[inside, 0], scan.points[inside, 1])] = 0.0, 0.8
+        return EvidentialGrid(SPEC, mass)
+
+
+def scan_of(T: np.ndarray) -> Scan:
+    """Return what a sensor at a pose measures of one post at (2.25, 1.25) m."""
+    post = np.array([[2.25, 1.25, 0.0, 0.0]])
+    return Scan(transform_points(np.linalg.inv(T), post).astype(np.float32))
+
+
+def drive(count: int = 6, **changed: object) -> list[Frame]:
+    """Return frames along x, 0.1 m and 0.1 s apart."""
+    poses = [pose(0.1 * k) for k in range(count)]
+    return [
+        Frame(
+            scan_of(T),
+            MOUNT,
+            None,
+            None,
+            T_map_sensor=T,
+            stamp=0.1 * k,
+            name=f"frame {k}",
+            sequence="a",
+        )
+        for k, T in enumerate(poses)
+    ]
+
+
+def changed(frame: Frame, **fields: object) -> Frame:
+    """Return a frame with some other fields."""
+    given = {"T_map_sensor": frame.T_map_sensor, "stamp": frame.stamp, "sequence": frame.sequence}
+    scan, mount = fields.pop("scan", lambda: frame.scan), fields.pop("mount", lambda: frame.mount)
+    return Frame(scan, mount, None, None, name=frame.name, **given | fields)
+
+
+def damaged() -> Scan:
+    raise ValueError("the file is cut off")
+
+
+def test_five_lines_make_a_map_with_any_callable() -> None:
+    mapper = EvidentialMapper(rolling_window(SPEC))
+    for step in fuse(drive(), Marks(), mapper):
+        assert step.error is None
+        assert step.grid == Marks()(step.frame.scan)
+    assert mapper.scans == 6
+    assert mapper.grid.at(2.25, 1.25).occupied == pytest.approx(0.8)
+
+
+def test_fusing_equals_updating_by_hand() -> None:
+    mapper, by_hand = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
+    steps = list(fuse(drive(), PerMount(lambda mount: Marks()), mapper))
+    for frame in drive():
+        by_hand.update(Marks()(frame.scan), frame.T_map_sensor, stamp=frame.stamp)
+    assert mapper.grid == by_hand.grid
+    np.testing.assert_array_equal(steps[3].T_map_grid, pose(0.1 * 3))
+    assert min(steps[3].seconds) > 0
+
+
+def test_map_scans_yields_grids_and_reports_damaged_frames() -> None:
+    frames = drive(3)
+    frames[1] = changed(frames[1], scan=damaged)
+    reported = []
+    found = list(map_scans(frames, Marks(), on_error=lambda frame, error: reported.append((frame, error))))
+    assert [frame.name for frame, _ in found] == ["frame 0", "frame 2"]
+    assert found[1][1] == Marks()(frames[2].scan)
+    assert [(frame.name, str(error)) for frame, error in reported] == [("frame 1", "the file is cut off")]
+
+
+def test_skipped_frames_are_logged_by_default(caplog: pytest.LogCaptureFixture) -> None:
+    frames = [changed(drive(1)[0], scan=damaged)]
+    assert list(map_scans(frames, Marks())) == []
+    assert "frame 0 is skipped: the file is cut off" in caplog.text
+
+
+def test_an_error_that_on_error_raises_ends_the_loop() -> None:
+    def strict(frame: Frame, error: Exception) -> None:
+        raise error
+
+    frames = [changed(drive(1)[0], scan=damaged)]
+    with pytest.raises(ValueError, match="cut off"):
+        list(map_scans(frames, Marks(), on_error=strict))
+    with pytest.raises(ValueError, match="cut off"):
+        list(fuse(frames, Marks(), EvidentialMapper(SPEC), on_error=strict))
+
+
+def test_an_error_of_the_program_is_not_taken_for_a_damaged_frame() -> None:
+    def broken() -> Scan:
+        raise RuntimeError("no memory on the device")
+
+    frames = drive(3)
+    frames[1] = changed(frames[1], scan=broken)
+    mapper = EvidentialMapper(SPEC)
+    with pytest.raises(RuntimeError, match="device"):
+        list(fuse(frames, Marks(), mapper))
+    assert mapper.scans == 1  # the map so far is kept
+
+
+def test_skipped_frames_leave_the_map_as_it_was() -> None:
+    frames = drive()
+    frames[1] = changed(frames[1], scan=damaged)
+    frames[2] = changed(frames[2], T_map_sensor=None)
+    frames[4] = changed(frames[4], T_map_sensor=pose(500.0))
+    mapper, without = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
+    steps = list(fuse(frames, Marks(), mapper, on_error=lambda *_: None))
+    assert [step.frame.name for step in steps] == [f"frame {k}" for k in range(6)]
+    assert [str(step.error)[:14] for step in steps if step.error] == [
+        "the file is cu",
+        "it has no pose",
+        "the pose jumps",
+    ]
+    list(fuse([frames[k] for k in (0, 3, 5)], Marks(), without))
+    assert mapper.grid == without.grid
+
+
+def test_after_jumps_in_a_row_the_map_so_far_is_handed_out_and_a_new_one_begins() -> None:
+    frames = drive()
+    frames[3:] = [changed(one, T_map_sensor=pose(500.0) @ one.T_map_sensor) for one in frames[3:]]
+    mapper, before = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
+    steps = list(fuse(frames, Marks(), mapper, on_error=lambda *_: None))
+    list(fuse(frames[:3], Marks(), before))
+    assert [step.error is None for step in steps] == [True, True, True, False, False, True]
+    assert [step.restart for step in steps] == ["", "", "", "", "", "pose jump"]
+    assert steps[-1].previous_map == before.grid
+    assert mapper.scans == 1
+    assert mapper.grid.at(502.25, 1.25).occupied == pytest.approx(0.8)
+
+
+def test_a_new_sequence_begins_a_new_map() -> None:
+    frames = drive(4)
+    frames[2:] = [changed(one, sequence="b") for one in frames[2:]]
+    mapper = EvidentialMapper(SPEC)
+    steps = list(fuse(frames, Marks(), mapper))
+    assert [step.restart for step in steps] == ["", "", "sequence", ""]
+    assert steps[2].previous_map is not None
+    assert mapper.scans == 2
+
+
+@pytest.mark.parametrize("offset", [0.0, 1.5])
+def test_tilted_and_shifted_mounts_are_levelled(offset: float) -> None:
+    """A post stays in its cell: grids lie in the level vehicle frame, poses are the sensor's."""
+    T_vehicle_sensor = pose(offset, 0.0, 1.8, pitch=0.2)
+    mount = Mount(1.8, T_vehicle_sensor)
+
+    class Levelled(Marks):
+        def __call__(self, scan: Scan) -> EvidentialGrid:
+            return super().__call__(Scan(transform_points(T_vehicle_sensor, scan.points)))
+
+    frames = []
+    for k in range(4):
+        T = pose(0.1 * k) @ T_vehicle_sensor
+        post = np.array([[2.25, 1.25, 0.0, 0.0]])
+        scan = Scan(transform_points(np.linalg.inv(T), post).astype(np.float32))
+        frames.append(Frame(scan, mount, None, None, T_map_sensor=T, stamp=0.1 * k, name=str(k)))
+    mapper = EvidentialMapper(SPEC)
+    assert all(step.error is None for step in fuse(frames, Levelled(), mapper))
+    assert mapper.grid.at(2.25, 1.25).occupied == pytest.approx(0.8)
+    assert np.count_nonzero(mapper.grid.occupied > 0.1) == 1
+
+
+def test_update_map_begins_anew_at_a_jump_and_returns_the_map_before() -> None:
+    for make in (EvidentialMapper, lambda spec: BinaryBayesMapper(spec, 2.0)):
+        mapper, (first, second) = make(SPEC), drive(2)
+        assert update_map(mapper, Marks()(first.scan), first) is None
+        before = mapper.grid
+        far = changed(second, T_map_sensor=pose(500.0))
+        with pytest.raises(ValueError, match="the pose jumps"):
+            update_map(mapper, Marks()(far.scan), far, restart=False)
+        assert mapper.grid == before
+        assert update_map(mapper, Marks()(far.scan), far) == before
+        assert mapper.scans == 1
+
+
+def test_deskewing_by_the_poses_of_the_frames() -> None:
+    """At 20 m/s points move by 2 m during a scan."""
+    poses = [pose(2.0 * k) for k in range(5)]
+    time = np.linspace(-0.05, 0.05, 50)
+    still, moving = [], []
+    for k, T in enumerate(poses):
+        points = np.repeat(scan_of(T).points, 50, axis=0)
+        one = Frame(Scan(points), MOUNT, None, None, T_map_sensor=T, stamp=0.1 * k, name=str(k))
+        distorted = points.copy()
+        distorted[:, 0] -= 20.0 * time.astype(np.float32)
+        still.append(one)
+        moving.append(changed(one, scan=Scan(distorted, time=time)))
+    maps = []
+    for frames, way in (
+        (still, False),
+        (moving, True),
+        (moving, Trajectory(0.1 * np.arange(5), poses)),
+        (moving, False),
+    ):
+        mapper = EvidentialMapper(GridSpec.centered(length=32.0, width=32.0, resolution=0.5))
+        assert all(step.error is None for step in fuse(frames, Marks(), mapper, deskew=way))
+        maps.append(mapper.grid.mass)
+    np.testing.assert_allclose(maps[1], maps[0], atol=1e-5)
+    np.testing.assert_allclose(maps[2], maps[0], atol=1e-5)
+    assert np.abs(maps[3] - maps[0]).max() > 0.5
+
+
+def test_points_in_the_vehicle_frame_are_deskewed_by_the_poses_of_the_vehicle() -> None:
+    """On a turn, the vehicle's origin moves otherwise than the sensor."""
+    T_vehicle_sensor = pose(2.0, 0.5, 1.8)
+    t = np.linspace(-0.3, 0.3, 7)
+    turns = np.array([pose(yaw=3.0 * s) for s in t])
+    time = np.array([-0.05, 0.0, 0.04])
+    world = np.array([[5.0, 1.0, 0.0, 0.0]] * 3)
+    points = np.concatenate(
+        [transform_points(pose(yaw=-3.0 * s), one[None]) for s, one in zip(time, world, strict=True)]
+    )
+    mount = Mount(1.8, T_vehicle_sensor, points_in="vehicle")
+    frame = Frame(Scan(points.astype(np.float32), time=time), mount, None, None, stamp=0.0)
+    moved = deskew_frame(frame, Trajectory(t, turns @ T_vehicle_sensor)).scan.points
+    np.testing.assert_allclose(moved, world, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("frames", "options", "message"),
+    [
+        (drive(1), {"deskew": True}, "two frames or more"),
+        (iter(drive(3)), {"deskew": True}, "sequence of frames, or a trajectory"),
+        (drive(1), {"max_jumps": 0}, "max_jumps must be 1 or more"),
+    ],
+)
+def test_impossible_options_are_refused(frames: object, options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        next(fuse(frames, Marks(), EvidentialMapper(SPEC), **options))
+
+
+def test_scans_without_times_are_skipped_when_deskewed() -> None:
+    (step, *_) = fuse(drive(2), Marks(), EvidentialMapper(SPEC), deskew=True, on_error=lambda *_: None)
+    assert "no times" in str(step.error)
+
+
+def test_maps_by_name_and_their_representation() -> None:
+    for rule in RULES:
+        assert make_mapper(rule, SPEC).rule is RULES[rule]
+    bayes = make_mapper("bayes", SPEC, window="fixed")
+    assert math.isinf(bayes.half_life)
+    assert make_mapper("yager", SPEC, 3.0).half_life == (3.0, 3.0)
+    with pytest.raises(ValueError, match="there is no rule 'magic'; there are cautious, dempster"):
+        make_mapper("magic", SPEC)
+    for mapper in (bayes, make_mapper("yager", SPEC, 3.0)):
+        assert "\n" not in repr(mapper)
+        assert "0 scans, 16 x 12 cells of 0.5 m" in repr(mapper)
+    assert "half-life 3 s" in repr(mapper)
+
+
+def test_a_rolling_window_holds_the_view_at_any_yaw_and_a_covering_one_the_whole_drive() -> None:
+    turned = np.array([pose(0, yaw=a) for a in np.linspace(0, 3, 4)] + [pose(100, 30)])
+    rolling = rolling_window(SPEC)
+    assert rolling.shape[0] == rolling.shape[1]
+    assert rolling.length >= np.hypot(8, 6) + 0.5
+    covering = covering_window(SPEC, turned)
+    corners = np.array([(x, y, 0) for x in (-4, 4) for y in (-3, 3)], float)
+    for T in turned:
+        x, y, _ = transform_points(T, corners).T
+        assert covering.contains(x, y).all()
+    with pytest.raises(ValueError, match="rolling window"):
+        covering_window(SPEC, np.array([pose(), pose(1e5, 1e5)]))
+    with pytest.raises(ValueError, match="has no area"):
+        covering_window(SPEC, turned[:0])

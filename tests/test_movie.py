@@ -1,0 +1,133 @@
+"""Films: every format, at the pace of the stamps, whole or not there, with flat memory."""
+
+import io
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ogm import EvidentialGrid, GridSpec, movie, plot
+
+SPEC = GridSpec(0.5, (48, 32), (-12.0, -8.0))
+TITLES = ("points", "measurement", "map", "conflict")
+SUFFIXES = tuple(movie._WRITERS)
+
+
+def panels(seed: int) -> tuple[plot.Panel, ...]:
+    mass = np.random.default_rng(seed).dirichlet([1, 1, 1], size=SPEC.shape)[..., :2].astype(np.float32)
+    return (plot.mass_panel(EvidentialGrid(SPEC, mass)),) * 3
+
+
+def add(film: movie.Movie, k: int, stamp: float) -> None:
+    points = np.random.default_rng(k).uniform(-5, 5, (50, 4)).astype(np.float32)
+    film.add(points, panels(k), f"scan {k}", stamp)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_frames_come_back_as_they_were_written(suffix: str) -> None:
+    frames = [Image.new("RGB", (21, 13), colour) for colour in ((26, 204, 51), (237, 41, 41), (0, 0, 0))]
+    frames[1].paste((240, 240, 240), (3, 4, 9, 8))
+    file = io.BytesIO()
+    writer = movie._WRITERS[suffix](file, io.BytesIO(), (21, 13))
+    for frame, seconds in zip(frames, (0.1, 0.05, 1.0), strict=True):
+        writer.add(frame, seconds)
+    writer.close()
+    with Image.open(io.BytesIO(file.getvalue())) as film:
+        assert film.n_frames == 3
+        assert film.size == (21, 13)
+        for k, (frame, duration) in enumerate(zip(frames, (100, 50, 1000), strict=True)):
+            film.seek(k)
+            shown = np.asarray(film.convert("RGB")).astype(int)
+            assert film.info["duration"] == duration
+            assert np.abs(shown - np.asarray(frame)).max() <= (0 if suffix != ".webp" else 60)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_film_has_a_frame_per_scan_at_the_pace_of_their_stamps(suffix: str, tmp_path: Path) -> None:
+    stamps = (0.0, 0.1, 0.4, 9.0, 9.001)
+    with movie.open_movie(tmp_path / f"m{suffix}", SPEC, TITLES, -1.8) as film:
+        for k, stamp in enumerate(stamps):
+            add(film, k, stamp)
+    with Image.open(tmp_path / f"m{suffix}") as read:
+        assert read.n_frames == len(stamps)
+        assert read.info.get("loop", 0) == 0
+        durations = []
+        for k in range(len(stamps)):
+            read.seek(k)
+            read.load()
+            durations.append(round(read.info["duration"]))
+    assert durations == [100, 300, 2000, 20, 1000]
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_memory_does_not_grow_with_the_number_of_frames(suffix: str, tmp_path: Path) -> None:
+    size, noise = (400, 300), np.random.default_rng(0)
+    held = []
+    with open(tmp_path / "film", "wb") as file, open(tmp_path / "spool", "w+b") as spool:
+        writer = movie._WRITERS[suffix](file, spool, size)
+        tracemalloc.start()
+        try:
+            for k in range(12):
+                pixels = noise.integers(0, 256, (size[1], size[0], 3)).astype(np.uint8)
+                writer.add(Image.fromarray(pixels), 0.1)
+                del pixels
+                if k in (2, 11):
+                    held.append(tracemalloc.get_traced_memory()[0])
+        finally:
+            tracemalloc.stop()
+        file.flush()
+        spool.flush()
+        assert file.tell() + spool.seek(0, 2) > 12 * size[0] * size[1] / 2  # noise hardly shrinks
+    assert held[1] - held[0] < size[0] * size[1] / 4
+
+
+def test_an_error_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
+    path = tmp_path / "m.gif"
+    path.write_bytes(b"old")
+
+    def broken() -> None:
+        with movie.open_movie(path, SPEC, TITLES, -1.8) as film:
+            add(film, 0, 0.0)
+            raise RuntimeError("stop")
+
+    with pytest.raises(RuntimeError):
+        broken()
+    with pytest.raises(ValueError, match="at least one frame"), movie.open_movie(path, SPEC, TITLES, -1.8):
+        pass
+    assert path.read_bytes() == b"old"
+    assert [one.name for one in tmp_path.iterdir()] == ["m.gif"]
+
+
+def test_an_interrupted_frame_leaves_a_whole_film(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while a frame is drawn: the frames before it are a film."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with movie.open_movie(tmp_path / "m.png", SPEC, TITLES, -1.8) as film:
+        add(film, 0, 0.0)
+        add(film, 1, 0.1)
+        with monkeypatch.context() as patch:
+            patch.setattr(film, "frame", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                add(film, 2, 0.2)
+    with Image.open(tmp_path / "m.png") as read:
+        assert read.n_frames == 2
+
+
+def test_colours_of_the_panels_are_exact_in_a_gif(tmp_path: Path) -> None:
+    mass = np.zeros((*SPEC.shape, 2), np.float32)
+    mass[:24, :, 0], mass[24:, :, 1] = 1, 1
+    shown = (plot.mass_panel(EvidentialGrid(SPEC, mass)),) * 3
+    with movie.open_movie(tmp_path / "m.gif", SPEC, TITLES, -1.8) as film:
+        film.add(np.zeros((1, 4), np.float32), shown, "", 0.0)
+    with Image.open(tmp_path / "m.gif") as read:
+        colours = {colour for _, colour in read.convert("RGB").getcolors(2**24)}
+    assert {(26, 204, 51), (237, 41, 41)} <= colours
+
+
+def test_other_formats_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"a movie is \.gif, \.webp, \.png"):
+        movie.check_movie(tmp_path / "m.mp4")
