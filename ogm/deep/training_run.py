@@ -165,16 +165,16 @@ def draw_predictions(
     path: Path, network: PillarNetwork, dataset: PillarDataset, device: torch.device | str
 ) -> None:
     """Draw points, truth and prediction of two fixed frames."""
-    from ogm.plot import Panel, masses, points, save_picture
+    from ogm.plot import Panel, mass_panel, points_panel, save_picture
 
     panels: list[Panel] = []
     for i in sorted({0, len(dataset) // 2}):
         batch = dataset[i]
         evidence = network(batch.pillars.to(device))[0].cpu().numpy()
         panels += [
-            points(batch.pillars.features[:, :4].numpy(), dataset.spec, f"sample {i}", 0.0),
-            masses(Truth(dataset.spec, batch.state[0].numpy()).grid, "truth"),
-            masses(EvidentialGrid.trusted(dataset.spec, evidence_to_mass(evidence)), "network"),
+            points_panel(batch.pillars.features[:, :4].numpy(), dataset.spec, f"sample {i}", 0.0),
+            mass_panel(Truth(dataset.spec, batch.state[0].numpy()).grid, "truth"),
+            mass_panel(EvidentialGrid.trusted(dataset.spec, evidence_to_mass(evidence)), "network"),
         ]
     save_picture(path, *panels)
 
