@@ -4,7 +4,7 @@ The curves are the coordinates in the LaTeX source of van Kempen, Lampe, Woopen,
 End-to-End Learning Framework for Evidential Occupancy Grid Mapping", IEEE IV 2021: mean masses of unknown, free and
 occupied, and "KL", of the deep and of the geometric model in 100 test frames. How the released code (EviLOG) makes
 them: it takes the evidence of a label and of the geometric model as 1 per observed cell, so that such a cell has the
-mass 1/3; its "KL" is the clipped categorical divergence of evidence (`ogm.metrics.legacy_kl`); and it does not reset
+mass 1/3; its "KL" is the clipped categorical divergence of evidence (`ogm.metrics.evilog_kl`); and it does not reset
 that metric between the two models, so that the second value is the mean of both.
 """
 
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ogm import GridSpec
 from ogm.evaluation import Comparison, bootstrap_mean, bootstrap_ratio, compare_paired
 from ogm.evidence import dirichlet_kl
-from ogm.metrics import legacy_unmixed
+from ogm.metrics import evilog_unmixed
 
 __all__ = [
     "Curves",
@@ -174,7 +174,7 @@ def order(curves: Curves, rng: np.random.Generator) -> dict[str, dict[str, float
 
 def demixed(curves: Curves) -> NDArray[np.float64]:
     """Return the geometric model's own value, if the plotted one is the mean of both: 2 g - d."""
-    return legacy_unmixed(curves.kl, curves.kl_geo)
+    return evilog_unmixed(curves.kl, curves.kl_geo)
 
 
 def bound(steps: int = 101) -> float:

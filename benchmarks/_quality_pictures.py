@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from ogm.evaluation import Evaluation
 from ogm.files import atomic_write
-from ogm.metrics import METRICS, legacy_published
+from ogm.metrics import METRICS, evilog_published
 
 __all__ = ["COLOURS", "by_distance", "chosen", "maps", "papers_figures", "recordings"]
 
@@ -48,7 +48,7 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
         strict, result, "kl_e1", deep, "KL[grid || truth], truth of evidence 1, as the released code's labels"
     )
     ours, theirs = result.of(deep, "legacy_kl"), result.of("height-band-released", "legacy_kl")
-    report = legacy_published(ours, theirs)
+    report = evilog_published(ours, theirs)
     for values, style, colour, name in (
         (report.first, "-", COLOURS.get(deep, OTHER), deep),
         (report.second, ":", COLOURS["height-band-released"], "height-band-released, as it would be plotted"),

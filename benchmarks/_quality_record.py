@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ogm.evaluation import Comparison, Evaluation, compare_paired
 from ogm.files import atomic_write
-from ogm.metrics import METRICS, RANGES, by_range, legacy_published, reasons
+from ogm.metrics import METRICS, RANGES, by_range, evilog_published, reasons
 
 __all__ = ["KEPT", "PAIRED", "brief", "published", "record_of", "write"]
 
@@ -42,7 +42,7 @@ def record_of(result: Evaluation, rng: np.random.Generator) -> dict[str, Any]:
             "mean": {m: list(result.interval(name, m, rng)) for m in KEPT},
             "pooled": {m: pooled[m] for m in KEPT},
             "by range": {m: column.tolist() for m, column in by_range(sums).items()},
-            CONFUSION: _shares(sums.calls),
+            CONFUSION: _shares(sums.confusion),
             "missing": {m: why for m, why in reasons(sums).items() if m in KEPT},
         }
     return {
@@ -70,7 +70,7 @@ def brief(part: Mapping[str, Any]) -> dict[str, Any]:
 def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
     """Return what the released code would report of two methods on these frames."""
     ours, theirs = result.of(deep, "legacy_kl"), result.of(geometric, "legacy_kl")
-    report = legacy_published(ours, theirs)
+    report = evilog_published(ours, theirs)
     return {
         "deep": deep,
         "geometric": geometric,

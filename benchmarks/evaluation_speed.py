@@ -49,7 +49,7 @@ def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArra
     counts = accumulate(mass, state, away)
     score(counts)
     by_range(counts)
-    for which in ("all", "called", "relative"):
+    for which in ("all", "predicted_known", "relative"):
         reliability(counts, which)  # type: ignore[arg-type]
     intervals(counts)
     risk_coverage(counts)

@@ -1,9 +1,11 @@
-"""Draw the opinion triangles of docs/evidence.md: ``python docs/make_evidence_pictures.py``.
+"""Make the pictures and the tables of times of docs/evidence.md: ``python docs/make_evidence_pictures.py``.
 
-Each picture shows two masses A and B, what the rule makes of them (star), and the way there: the rule applied
-to A and to B discounted by every reliability from 0 to 1.
+Opinion triangles show two masses A and B, their combination (star), and the path to it: the rule applied to A and to
+B discounted by every reliability from 0 to 1. Times are those of benchmarks/results/evidence.json.
 """
 
+import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,8 @@ import numpy as np
 from ogm import evidence
 
 PICTURES = Path(__file__).parent / "pictures"
+PAGE = Path(__file__).parent / "evidence.md"
+RECORD = Path(__file__).parents[1] / "benchmarks" / "results" / "evidence.json"
 A, B = np.array([0.5, 0.2]), np.array([0.1, 0.6])
 STEPS = np.linspace(0, 1, 101)
 BLUE, ORANGE, DARK, LIGHT = "#1f77b4", "#d55e00", "#222222", "#999999"
@@ -62,11 +66,11 @@ def save(figure: Any, name: str) -> None:
 
 
 def picture_of_a_rule(name: str, rule: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> None:
-    """Draw A, B, their combination, and the way from A to it."""
+    """Draw A, B, their combination, and the path from A to it."""
     figure, axes = plt.subplots(figsize=(2.4, 2.1), layout="constrained")
     triangle(axes)
-    faded = evidence.discount(np.broadcast_to(B, (len(STEPS), 2)), STEPS)
-    axes.plot(*place(rule(np.broadcast_to(A, faded.shape), faded)), color=LIGHT, linewidth=1.5)
+    discounted = evidence.discount(np.broadcast_to(B, (len(STEPS), 2)), STEPS)
+    axes.plot(*place(rule(np.broadcast_to(A, discounted.shape), discounted)), color=LIGHT, linewidth=1.5)
     dot(axes, A, "A", BLUE)
     dot(axes, B, "B", ORANGE)
     axes.plot(*place(rule(A, B)), "*", color=DARK, markersize=12)
@@ -74,12 +78,12 @@ def picture_of_a_rule(name: str, rule: Callable[[np.ndarray, np.ndarray], np.nda
 
 
 def picture_of_discounting() -> None:
-    """Draw how a mass fades by three kinds of discounting."""
+    """Draw the paths of a mass under three kinds of discounting."""
     figure, axes = plt.subplots(figsize=(3.4, 2.9), layout="constrained")
     triangle(axes)
     start = np.broadcast_to(np.array([0.3, 0.6]), (len(STEPS), 2))
     tenths = slice(0, None, 10)
-    # Both fade along the same line, at different speeds: rings around dots, a dashed line on a solid one.
+    # Two of them move along the same line, in different steps: rings around dots, a dashed line on a solid one.
     for discount, color, name, line, face, size in [
         (evidence.discount, BLUE, "mass", "-", "none", 6.5),
         (evidence.discount_evidence, ORANGE, "evidence", (0, (3, 3)), ORANGE, 3.0),
@@ -91,6 +95,89 @@ def picture_of_discounting() -> None:
     axes.plot(x, y, "--", color=LIGHT, linewidth=1.5, label="contextual, free only")
     axes.legend(loc="upper left", fontsize=7, frameon=False, bbox_to_anchor=(-0.08, 1.02))
     save(figure, "discounting")
+
+
+def times_per_grid(record: dict[str, Any]) -> dict[str, float]:
+    """Return the time of each task of the benchmark on the whole grid [ms]; other libraries are extrapolated."""
+    scale = math.prod(record["grid"]["shape"]) / record["grid"]["cells of other libraries"]
+    return {name: ms * scale if of_other_library(name) else ms for name, ms in record["milliseconds"].items()}
+
+
+def of_other_library(task: str) -> bool:
+    """Return whether another library was measured."""
+    return task.split()[0] not in ("copy", "numba", "numpy", "powerset")
+
+
+def picture_of_times(record: dict[str, Any]) -> None:
+    """Draw the times of the fused rules, of other libraries, of a copy and of a general frame."""
+    times = {
+        name: ms
+        for name, ms in times_per_grid(record).items()
+        if "with discount" in name or of_other_library(name) or name in ("copy", "powerset K=3 dempster")
+    }
+    names = sorted(times, key=times.__getitem__, reverse=True)
+    colors = {"copy": LIGHT, "numba": ORANGE, "numpy": BLUE, "powerset": "#56b4e9"}
+    figure, axes = plt.subplots(figsize=(8, 0.27 * len(names) + 1.3), layout="constrained")
+    bars = axes.barh(
+        names, [times[n] for n in names], color=[colors.get(n.split()[0], "#bbbbbb") for n in names]
+    )
+    texts = [f"{times[n]:,.0f}" if times[n] > 100 else f"{times[n]:.2g}" for n in names]
+    axes.bar_label(bars, texts, padding=3, fontsize=8)
+    axes.set_xscale("log")
+    axes.set_xlim(0.05, 5 * max(times.values()))
+    axes.tick_params(axis="y", labelsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    nx, ny = record["grid"]["shape"]
+    axes.set_xlabel(f"time for a grid of {nx} x {ny} cells [ms], one core; other libraries extrapolated")
+    axes.set_title(f"{record['machine']['cpu']}, {record['date']}", fontsize=9, loc="left")
+    figure.savefig(PICTURES / "evidence_speed.png", dpi=110, metadata={"Software": ""})
+    plt.close(figure)
+
+
+def write_tables(record: dict[str, Any]) -> None:
+    """Replace the tables of times in docs/evidence.md."""
+    times = times_per_grid(record)
+    rules = [
+        name.removeprefix("numpy ") for name in times if name.startswith("numpy") and name.count(" ") == 1
+    ]
+    lines = ["| rule | numpy [ms] | numba [ms] | fastest other library [ms] |", "|---|---|---|---|"]
+    for name in rules:
+        numba = times.get(f"numba {name} with discount")
+        others = [
+            (ms, key.split()[0])
+            for key, ms in times.items()
+            if of_other_library(key) and key.endswith(f" {name}")
+        ]
+        other = "{:,.0f} ({})".format(*min(others)) if others else ""
+        lines.append(
+            f"| `{name}` | {times[f'numpy {name}']:.1f} | {f'{numba:.2f}' if numba else ''} | {other} |"
+        )
+    machine = record["machine"]
+    versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
+    lines += ["", f"{machine['cpu']}, one core, {record['date']}; {versions}; `{record['command']}`."]
+    replace_between("times", lines)
+    copies = ("copy", "copy of half")
+    lines = [
+        "A copy of all bytes takes {:.2f} ms, one of half of them {:.2f} ms.".format(
+            *(times[c] for c in copies)
+        ),
+        "",
+        "| with the discount included | time [ms] | x copying the bytes | x the same traffic |",
+        "|---|---|---|---|",
+    ]
+    for task, ms in times.items():
+        if "with discount" in task:
+            ratios = " | ".join(f"{ms / times[copy]:.2f}" for copy in copies)
+            lines.append(f"| {task.replace(' with discount', '')} | {ms:.2f} | {ratios} |")
+    replace_between("copies", lines)
+
+
+def replace_between(name: str, lines: list[str]) -> None:
+    """Replace the text between two markers of docs/evidence.md."""
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    before, rest = PAGE.read_text().split(begin)
+    _, after = rest.split(end)
+    PAGE.write_text(f"{before}{begin}\n" + "\n".join(lines) + f"\n{end}{after}")
 
 
 def picture_of_the_maximal_unknown() -> None:
@@ -108,7 +195,7 @@ def picture_of_the_maximal_unknown() -> None:
 
 
 def main() -> None:
-    """Draw all pictures."""
+    """Make all pictures and tables."""
     plt.rcParams["font.family"] = "DejaVu Sans"
     for name in (
         "dempster",
@@ -127,6 +214,9 @@ def main() -> None:
     picture_of_a_rule("cautious", lambda a, b: evidence.close_world(evidence.cautious(a, b)))
     picture_of_discounting()
     picture_of_the_maximal_unknown()
+    record = json.loads(RECORD.read_text())
+    picture_of_times(record)
+    write_tables(record)
 
 
 if __name__ == "__main__":

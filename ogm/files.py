@@ -20,12 +20,12 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]
 
     The bytes go to a temporary file in the same folder; leaving the ``with`` block flushes it to disk and
     renames it over `path` in one step. An error or an interrupt inside the block removes the temporary file
-    and leaves whatever stood at `path` before untouched.
+    and leaves the file that was at `path` before untouched.
 
     Parameters
     ----------
     path : path
-        Where the file shall stand. Its folder must exist.
+        The file to write. Its folder must exist.
     mode : {"wb", "w"}
         Binary or text (UTF-8).
 

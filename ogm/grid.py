@@ -29,7 +29,7 @@ _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
     OSError,
 )
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
-_MAX_CELLS = 2**28  # a grid of 1 GiB of masses; a file that claims more is refused before it is unpacked
+_MAX_CELLS = 2**28  # a grid of 1 GiB of masses; a file that announces more is refused before it is unpacked
 
 
 @dataclass(frozen=True)
@@ -175,7 +175,7 @@ class GridSpec:
         return ix, iy
 
     def contains(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.bool_]:
-        """Tell for each point whether it lies in a cell of the grid (the far edges are outside)."""
+        """Return for each point whether it lies in a cell of the grid (the far edges are outside)."""
         ix = np.floor((np.asarray(x, np.float64) - self.origin[0]) / self.resolution)
         iy = np.floor((np.asarray(y, np.float64) - self.origin[1]) / self.resolution)
         return (ix >= 0) & (ix < self.shape[0]) & (iy >= 0) & (iy < self.shape[1])
@@ -229,7 +229,7 @@ class EvidentialGrid:
 
     @classmethod
     def trusted(cls, spec: GridSpec, mass: NDArray[np.float32]) -> Self:
-        """Make a grid without looking at the masses: for kernels whose results are masses by construction.
+        """Make a grid without checking the masses: for kernels whose results are masses by construction.
 
         Parameters as in the constructor; `mass` must be float32 of shape ``(*spec.shape, 2)`` and is not
         copied.
@@ -241,7 +241,7 @@ class EvidentialGrid:
 
     @classmethod
     def vacuous(cls, spec: GridSpec) -> Self:
-        """Return the grid that knows nothing: unknown = 1 everywhere."""
+        """Return the grid without any evidence: unknown = 1 everywhere."""
         return cls(spec, np.zeros((*spec.shape, 2), np.float32))
 
     @property
@@ -304,7 +304,7 @@ class EvidentialGrid:
         return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether the other is a grid of the same cells with the same masses."""
+        """Return whether the other is a grid of the same cells with the same masses."""
         if not isinstance(other, EvidentialGrid):
             return NotImplemented
         return self.spec == other.spec and np.array_equal(self.mass, other.mass)
@@ -313,8 +313,7 @@ class EvidentialGrid:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Give numpy the masses, (nx, ny, 2); without a copy where none is asked for or needed."""
-        array = self.mass if dtype is None else self.mass.astype(dtype, copy=False)
-        return array.copy() if copy else array
+        return np.array(self.mass, dtype, copy=copy)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
@@ -346,14 +345,14 @@ class EvidentialGrid:
         FileNotFoundError
             If there is no such file.
         ValueError
-            If the file is damaged, of another kind or version, or holds masses that are none.
+            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
         """
         try:
             with zipfile.ZipFile(path) as archive:
                 size = sum(item.file_size for item in archive.infolist())
                 if size > _MAX_CELLS * 8 + 2**20:
                     raise ValueError(
-                        f"{path} claims {size} bytes of arrays, more than any grid has; refusing to unpack"
+                        f"{path} announces {size} bytes of arrays, more than any grid has; it is not unpacked"
                     )
             with np.load(path, allow_pickle=False) as data:
                 if "format" not in data or str(data["format"]) != _FORMAT:

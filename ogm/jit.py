@@ -4,12 +4,36 @@ All kernels release the GIL and are cached on disk. numpy's error model spares d
 keep loops off the vector units.
 """
 
+import logging
+from functools import cache
+from pathlib import Path
+from typing import Any
+
 from numba import njit
 
-__all__ = ["inline", "kernel", "vector"]
+__all__ = ["inline", "kernel", "log_compilation", "vector"]
 
 kernel = njit(cache=True, nogil=True, error_model="numpy")
 inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
 vector = njit(  # for loops whose input holds no NaN
     cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan"}
 )
+
+
+@cache
+def log_compilation(main_kernel: Any) -> None:
+    """Log at level INFO, under the name of the kernel's package, that kernels will be compiled.
+
+    Nothing is logged if they are in memory or in numba's cache on disk.
+
+    Parameters
+    ----------
+    main_kernel : numba kernel
+        The one that stands for all that a model needs.
+    """
+    stats = getattr(main_kernel, "stats", None)  # None where numba's compiler is switched off
+    if stats is None or main_kernel.signatures:
+        return
+    if not any(Path(stats.cache_path).glob(f"*.{main_kernel.__name__}-*.nbi")):
+        package = ".".join(main_kernel.__module__.split(".")[:2])
+        logging.getLogger(package).info("compiling kernels, once per environment: up to a minute")

@@ -32,7 +32,7 @@ def pose(
     -------
     (4, 4) float64
     """
-    from scipy.spatial.transform import Rotation  # here, so that whoever only reads points does without it
+    from scipy.spatial.transform import Rotation  # here, so that reading points does not load it
 
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
@@ -41,13 +41,13 @@ def pose(
 
 
 def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
-    """Return `T` as a float64 array, or say why it is no rigid transform.
+    """Return `T` as a float64 array, or raise an error that states why it is no rigid transform.
 
     Parameters
     ----------
     T : (4, 4) array
     name : str
-        What the error calls it.
+        Its name in the error.
 
     Raises
     ------
@@ -206,7 +206,7 @@ class Trajectory:
             times = np.asarray(stamps, np.float64)
             if not (times == self.stamps[0]).all():
                 raise ValueError(
-                    f"the trajectory knows one time only, {self.stamps[0]} s, asked for {times.tolist()}"
+                    f"the trajectory has one time only, {self.stamps[0]} s, asked for {times.tolist()}"
                 )
             return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
         return _interpolate(self.stamps, self.poses, stamps)

@@ -1,4 +1,4 @@
-"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and what every sensor model is."""
+"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -61,12 +61,16 @@ class Scan:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", _checked_points(self.points))
-        for name in ("time", "ring", "doppler", "rcs"):
-            column = getattr(self, name)
-            if column is not None and np.shape(column) != (len(self.points),):
+        columns = {"time": np.float64, "ring": np.uint16, "doppler": np.float32, "rcs": np.float32}
+        for name, dtype in columns.items():
+            if getattr(self, name) is None:
+                continue
+            column = np.asarray(getattr(self, name), dtype)
+            if column.shape != (len(self.points),):
                 raise ValueError(
-                    f"{name} must be ({len(self.points)},) like points, got shape {np.shape(column)}"
+                    f"{name} must be ({len(self.points)},) like points, got shape {column.shape}"
                 )
+            object.__setattr__(self, name, column)
         if self.no_returns is not None:
             directions = np.asarray(self.no_returns)
             if directions.ndim != 2 or directions.shape[1] != 3:
@@ -173,7 +177,8 @@ class Mount:
             raise ValueError(f"sensor_height must be above ground and below 100 m, got {self.sensor_height}")
         if self.points_in not in ("sensor", "vehicle"):
             raise ValueError(f'points_in must be "sensor" or "vehicle", got {self.points_in!r}')
-        T = check_pose(self.T_vehicle_sensor, "T_vehicle_sensor")
+        T = check_pose(self.T_vehicle_sensor, "T_vehicle_sensor") + 0.0  # a copy, in which -0 is 0
+        T.flags.writeable = False
         x, y = float(T[0, 3]), float(T[1, 3])
         box = (
             (x - 2.5, x + 2.5, y - 1.1, y + 1.1)
@@ -276,7 +281,7 @@ class Boxes:
             k = int(np.argmin(good))
             raise ValueError(
                 f"box {k} ({label[k]}) must be finite, with length, width and height above 0 m, got center "
-                f"{center[k].tolist()}, size {size[k].tolist()}, yaw {yaw[k]}; drop it, or mend the label"
+                f"{center[k].tolist()}, size {size[k].tolist()}, yaw {yaw[k]}; drop it, or correct the label"
             )
         columns = {"center": center, "size": size, "yaw": yaw, "velocity": velocity}
         for name, value in {**columns, "label": label, "track": track}.items():
@@ -291,7 +296,8 @@ class Boxes:
         return len(self.center)
 
     def __repr__(self) -> str:
-        return f"Boxes({len(self)}: {', '.join(sorted(set(self.label)))})"
+        labels = ", ".join(sorted({label for label in self.label if label}))
+        return f"Boxes({len(self)}: {labels})" if labels else f"Boxes({len(self)})"
 
     @property
     def bottom(self) -> NDArray[np.float64]:
@@ -355,8 +361,8 @@ class _OnDemand(Generic[T_co]):
 class Frame:
     """One scan, where it was taken, and what is known of its truth.
 
-    `scan`, `mount`, `boxes` and `truth` may be given as functions without arguments: each is called when it is
-    first asked for, so that a data set reads only what is used, and raises only where something is missed.
+    `scan`, `mount`, `boxes` and `truth` may be given as functions without arguments: each is called at its
+    first access, so that a data set reads only what is used, and raises only where something is missed.
 
     Parameters
     ----------

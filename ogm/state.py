@@ -151,7 +151,7 @@ class Truth:
         return Truth(spec, state)
 
     def mirrored(self) -> "Truth":
-        """Return the scene seen in a mirror, left and right exchanged: y becomes -y."""
+        """Return the scene with left and right exchanged: y becomes -y."""
         x, y = self.spec.origin
         spec = GridSpec(self.spec.resolution, self.spec.shape, (x, -(y + self.spec.width)))
         return Truth(spec, np.ascontiguousarray(self.state[:, ::-1]))

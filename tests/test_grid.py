@@ -1,4 +1,4 @@
-"""GridSpec and EvidentialGrid: geometry, checks, files."""
+"""GridSpec, EvidentialGrid and LayeredGrid: geometry, checks, files."""
 
 import contextlib
 import os
@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm import EvidentialGrid, GridSpec, InverseSensorModel
+from ogm import EvidentialGrid, GridSpec, InverseSensorModel, LayeredGrid, Mount
 from ogm.geometric import HeightBandISM, RayISM
 
 SPEC = GridSpec(resolution=0.5, shape=(6, 4), origin=(-1.0, -2.0))
@@ -30,6 +30,25 @@ def test_centered_gives_the_papers_grid() -> None:
 def test_centered_refuses_broken_lengths_and_names_whole_ones() -> None:
     with pytest.raises(ValueError, match=r"length 10.0 m is 62.5 cells .* use 9.92 m or 10.08 m"):
         GridSpec.centered(length=10.0, width=1.6, resolution=0.16)
+
+
+@pytest.mark.parametrize("resolution", [0.1, 0.2, 0.16, 0.32, 0.3, 1.0, 7.0, 100.0])
+def test_default_extents_follow_the_resolution(resolution: float) -> None:
+    """Whole cells, centred, and as close to the paper's 81.92 m x 56.32 m as whole cells come."""
+    spec = GridSpec.centered(resolution=resolution)
+    assert spec.resolution == resolution
+    if resolution < 50:
+        assert abs(spec.length - 81.92) <= resolution / 2 + 1e-9
+        assert abs(spec.width - 56.32) <= resolution / 2 + 1e-9
+    x0, x1, y0, y1 = spec.extent
+    assert (x0 + x1, y0 + y1) == pytest.approx((0, 0), abs=1e-9)
+    assert min(spec.shape) >= 1
+
+
+def test_only_defaults_are_rounded() -> None:
+    assert GridSpec.centered(length=80.0, resolution=0.1).shape == (800, 563)
+    with pytest.raises(ValueError, match=r"width 56.32 m is 563.2 cells .* use 56.3 m or 56.4 m"):
+        GridSpec.centered(width=56.32, resolution=0.1)
 
 
 @pytest.mark.parametrize(
@@ -93,12 +112,66 @@ def test_at_returns_the_opinion_of_the_cell() -> None:
         grid.at(x=2.0, y=0.0)
 
 
-def test_vacuous_knows_nothing() -> None:
+def test_at_takes_arrays_of_points() -> None:
+    grid = random_grid()
+    cx, cy = (c.ravel() for c in np.broadcast_arrays(*SPEC.cell_centers))
+    np.testing.assert_array_equal(grid.at(cx, cy), grid.mass.reshape(-1, 2))
+    np.testing.assert_array_equal(grid.at(cx.reshape(6, 4), cy.reshape(6, 4)), grid.mass)
+    assert grid.at(np.array([0.3]), np.array([-0.6])).shape == (1, 2)
+    assert grid.at(np.array([]), np.array([])).shape == (0, 2)
+    with pytest.raises(ValueError, match=r"\(2\.0, -1\.0\) m lies outside the grid"):
+        grid.at(np.array([0.0, 2.0, 9.0]), np.array([-0.1, -1.0, -0.1]))
+
+
+def test_a_grid_is_printed_on_one_line() -> None:
+    mass = np.zeros((6, 4, 2), np.float32)
+    mass[:3, :, 0], mass[3, :, 1] = 0.5, 1.0
+    text = repr(EvidentialGrid(SPEC, mass))
+    assert text == (
+        "EvidentialGrid(6 x 4 cells of 0.5 m, x -1 to 2 m, y -2 to 0 m: "
+        "free 25.0%, occupied 16.7%, unknown 58.3%)"
+    )
+
+
+def test_grids_are_equal_if_cells_and_masses_are() -> None:
+    grid = random_grid(1)
+    assert grid == EvidentialGrid(SPEC, grid.mass.copy())
+    assert grid != random_grid(2)
+    assert grid != EvidentialGrid(GridSpec(0.5, (6, 4), (0.0, -2.0)), grid.mass)
+    assert grid != "a grid"
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(grid)
+
+
+def test_numpy_takes_a_grid_for_its_masses() -> None:
+    grid = random_grid()
+    assert np.asarray(grid) is grid.mass
+    np.testing.assert_array_equal(np.asarray(grid, np.float64), grid.mass.astype(np.float64))
+    assert not np.shares_memory(np.array(grid), grid.mass)
+    assert np.mean(grid) == grid.mass.mean()
+    with pytest.raises(ValueError, match="copy"):
+        np.asarray(grid, np.float64, copy=False)
+
+
+def test_layers_are_found_by_name_and_fit_the_cells() -> None:
+    height = np.arange(24.0).reshape(6, 4)
+    grid = LayeredGrid(SPEC, {"height": height, "speed": np.full((6, 4), np.nan)})
+    assert grid["height"].dtype == np.float32
+    np.testing.assert_array_equal(grid["height"], height)
+    assert np.isnan(grid["speed"]).all()
+    assert repr(grid) == "LayeredGrid(6 x 4 cells of 0.5 m, x -1 to 2 m, y -2 to 0 m: height, speed)"
+    with pytest.raises(KeyError, match="no layer 'conflict', only height, speed"):
+        grid["conflict"]
+    with pytest.raises(ValueError, match=r"layer 'height' has shape \(4, 6\), but the spec has \(6, 4\)"):
+        LayeredGrid(SPEC, {"height": height.T})
+
+
+def test_a_vacuous_grid_is_all_unknown() -> None:
     assert (EvidentialGrid.vacuous(SPEC).unknown == 1).all()
 
 
 @pytest.mark.parametrize(
-    ("bad", "error", "says"),
+    ("bad", "error", "message"),
     [
         (np.zeros((6, 4, 3), np.float32), ValueError, "2 states"),
         (np.zeros((4, 6, 2), np.float32), ValueError, r"\(4, 6\) cells, but the spec has \(6, 4\)"),
@@ -108,8 +181,8 @@ def test_vacuous_knows_nothing() -> None:
         (np.full((6, 4, 2), np.nan), ValueError, "nan"),
     ],
 )
-def test_masses_that_are_none_are_refused(bad: np.ndarray, error: type, says: str) -> None:
-    with pytest.raises(error, match=says):
+def test_what_are_no_masses_is_refused(bad: np.ndarray, error: type, message: str) -> None:
+    with pytest.raises(error, match=message):
         EvidentialGrid(SPEC, bad)
 
 
@@ -190,7 +263,7 @@ def test_flipped_bytes_are_a_value_error_or_a_grid(tmp_path: Path) -> None:
             EvidentialGrid.load(path)
 
 
-def test_a_file_that_claims_too_much_is_not_unpacked(tmp_path: Path) -> None:
+def test_a_file_that_announces_too_much_is_not_unpacked(tmp_path: Path) -> None:
     path = tmp_path / "bomb.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("mass.npy", b"x")
@@ -198,11 +271,11 @@ def test_a_file_that_claims_too_much_is_not_unpacked(tmp_path: Path) -> None:
     at = data.rfind(b"PK\x01\x02") + 24  # the uncompressed size in the archive's directory
     data[at : at + 4] = (2**32 - 2).to_bytes(4, "little")
     path.write_bytes(bytes(data))
-    with pytest.raises(ValueError, match="claims"):
+    with pytest.raises(ValueError, match="announces"):
         EvidentialGrid.load(path)
 
 
 def test_geometric_models_fit_the_protocol() -> None:
     spec = GridSpec.centered(8, 8, 0.5)
-    for ism in (HeightBandISM(spec, 1.7), RayISM(spec, 1.7)):
+    for ism in (HeightBandISM(spec, Mount(1.7)), RayISM(spec, Mount(1.7))):
         assert isinstance(ism, InverseSensorModel)

@@ -1,8 +1,8 @@
-"""The front door: what ``import ogm`` costs and loads, and that the house's walls stand."""
+"""What ``import ogm`` costs and loads, import contracts, and the documentation: examples run, tables match records."""
 
-import hashlib
+import doctest
+import importlib
 import inspect
-import json
 import re
 import subprocess
 import sys
@@ -14,6 +14,7 @@ import ogm
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {"torch", "open3d", "matplotlib", "numba", "scipy", "lightning", "filterpy", "zarr", "dask", "typer"}
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
 
 def run(code: str) -> str:
@@ -33,12 +34,16 @@ def test_import_ogm_is_quick() -> None:
     assert min(times) < 0.2
 
 
-def test_no_wing_loads_torch_open3d_or_matplotlib() -> None:
-    code = "import sys, ogm.geometric, ogm.fusion, ogm.recordings, ogm.metrics, ogm.evidence; print(*sys.modules)"
-    assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp"} & set(run(code).split())
+def test_heavy_packages_are_loaded_by_their_own_package_only() -> None:
+    code = (
+        "import sys, ogm.geometric, ogm.fusion, ogm.datasets, ogm.metrics, ogm.evidence; print(*sys.modules)"
+    )
+    assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp", "scipy.stats"} & set(
+        run(code).split()
+    )
 
 
-def test_the_front_door_holds_what_it_names() -> None:
+def test_the_package_exports_what_it_names() -> None:
     for name in ogm.__all__:
         assert getattr(ogm, name).__name__ == name
         assert name in dir(ogm)
@@ -47,243 +52,106 @@ def test_the_front_door_holds_what_it_names() -> None:
 
 
 def test_import_contracts_hold() -> None:
-    done = subprocess.run(
-        ["lint-imports", "--no-cache"], cwd=ROOT, capture_output=True, text=True, check=False
-    )
+    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
-def test_every_public_name_is_documented() -> None:
-    import importlib
+def modules() -> list[str]:
+    """Every module of the package by its dotted name."""
+    paths = sorted((ROOT / "ogm").rglob("*.py"))
+    return [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths
+    ]
 
-    ground = ("evidence", "pose", "files", "grid", "io", "truth", "geometric", "plot", "metrics")
-    for room in (*ground, "deep", "fusion", "recordings"):
-        module = importlib.import_module(f"ogm.{room}")
+
+def test_every_public_name_is_documented() -> None:
+    packages = (
+        "evidence",
+        "pose",
+        "files",
+        "grid",
+        "state",
+        "scan",
+        "io",
+        "truth",
+        "geometric",
+        "plot",
+        "movie",
+        "metrics",
+    )
+    for package in (*packages, "deep", "fusion", "datasets", "evaluation"):
+        module = importlib.import_module(f"ogm.{package}")
         for name in module.__all__:
             value = getattr(module, name)
             if inspect.isclass(value) or inspect.isroutine(value):
-                assert value.__doc__, f"ogm.{room}.{name} has no docstring"
+                assert value.__doc__, f"ogm.{package}.{name} has no docstring"
 
 
-def test_readme_blocks_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Run the README's Python blocks, one after the other, on the shipped scan."""
+def test_no_module_has_the_name_of_a_public_function_beside_it() -> None:
+    """``from ogm.fusion import warp`` must never give a module where a function is meant, or the reverse."""
+    names = modules()
+    for package in names:
+        source = ROOT / package.replace(".", "/") / "__init__.py"
+        below = {name.rpartition(".")[2] for name in names if name.rpartition(".")[0] == package}
+        if source.exists():
+            public = re.search(r"__all__ = \[(.*?)\]", source.read_text(), re.DOTALL)
+            exported = set(re.findall(r'"(\w+)"', public[1])) if public else set()
+            assert not below & exported, package
+
+
+def test_public_classes_have_names_of_their_own() -> None:
+    where: dict[str, list[str]] = {}
+    for path in (ROOT / "ogm").rglob("*.py"):
+        for name in re.findall(r"^class ([A-Z]\w*)", path.read_text(), re.MULTILINE):
+            where.setdefault(name, []).append(path.name)
+    assert {name: paths for name, paths in where.items() if len(paths) > 1} == {}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_examples_of_the_documentation_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Run a page's Python blocks, one after the other, on the shipped scan; then its interactive examples."""
     import matplotlib
 
     matplotlib.use("Agg")
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    assert blocks
-    (tmp_path / "scan.pcd.xz").write_bytes((ROOT / "ogm/data/vls128_road.pcd.xz").read_bytes())
+    packed = (ROOT / "ogm/data/vls128_road.pcd.xz").read_bytes()
+    (tmp_path / "drive").mkdir()
+    for name in ("scan.pcd.xz", "drive/000000.pcd.xz"):
+        (tmp_path / name).write_bytes(packed)
     monkeypatch.chdir(tmp_path)
+    text = page.read_text()
     namespace: dict = {}
-    for block in blocks:
-        exec(compile(block, "README.md", "exec"), namespace)
+    for block in re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+        if ">>>" not in block:
+            exec(compile(block, page.name, "exec"), namespace)
+    found = doctest.testfile(
+        str(page), module_relative=False, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+    )
+    assert found.failed == 0
     matplotlib.pyplot.close("all")
 
 
-def test_readme_figures_are_the_measured_ones() -> None:
-    """The README's tables hold what the benchmarks last wrote."""
-    text = (ROOT / "README.md").read_text()
-    result = {
-        name: json.loads((ROOT / f"benchmarks/results/{name}.json").read_text())
-        for name in ("speed", "ground")
-    }
-    scans = {c["size"]: c["times"] for c in result["speed"]["comparisons"] if c["scan"].startswith("KITTI")}
+@pytest.mark.parametrize(
+    "page", [*PAGES, ROOT / "benchmarks/README.md", ROOT / "CONTRIBUTING.md"], ids=lambda page: page.name
+)
+def test_links_of_the_documentation_lead_somewhere(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if link.startswith("http"):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.exists(), link
+        if anchor:
+            headings = re.findall(r"^#+ (.+)$", target.read_text(), re.MULTILINE)
+            slugs = [re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings]
+            assert anchor in slugs, link
 
-    def ms(size: str, name: str) -> str:
-        return f"{scans[size][name]['median [ms]']:.3g} ms"
 
-    copy = "copy of the bytes it must read and write"
-    for row, name in (
-        ("copying the bytes it must read and write", copy),
-        ("KISS-SLAM's native mapper", "KISS-SLAM mapper"),
-    ):
-        assert f"| {row} | {ms('57.6k', name)} | {ms('120k', name)} |" in text
-    assert (
-        f"**`HeightBandISM`** | **{ms('57.6k', 'HeightBandISM')}** | **{ms('120k', 'HeightBandISM')}**"
-        in text
+def test_tables_of_the_documentation_are_those_of_the_records() -> None:
+    done = subprocess.run(
+        [sys.executable, "docs/build.py", "--check"], cwd=ROOT, capture_output=True, text=True, check=False
     )
-    assert f"included | **{ms('57.6k', 'RayISM')}** | **{ms('120k', 'RayISM')}**" in text
-    for wanted in (
-        f"{v['got']:.0f}"
-        for v in result["speed"]["verdicts"]
-        if "KITTI" in v["what"] and "faster" in v["what"]
-    ):
-        assert re.search(rf"\b{wanted} times", text), wanted
-    for name, groups in result["ground"]["labelled"].items():
-        for who, scores in groups["not seen while choosing"]["together"].items():
-            for kind in ("obstacle", "ground"):
-                row = " / ".join(
-                    f"{100 * scores[f'{kind} {what}']:.1f}" for what in ("precision", "recall", "F1")
-                )
-                assert who == "flat_ground" or row in text, (name, who, kind)
-
-
-def test_the_simulators_figures_are_the_measured_ones() -> None:
-    """docs/simulation.md holds what the benchmarks last wrote, and says where it falls short of what is wanted."""
-    text = (ROOT / "docs/simulation.md").read_text()
-    results = ROOT / "benchmarks/results"
-    table = text[text.index("<!-- realism -->") : text.index("<!-- /realism -->")]
-    rows = [line for line in table.splitlines() if line.startswith("|")]
-    measured = (results / "realism.md").read_text().splitlines()
-    assert len(rows) > 25
-    assert [row for row in rows if row not in measured] == []
-    modes = json.loads((results / "truth_modes.json").read_text())["against the reference"]
-    for what in ("free found", "occupied found", "occupied called free"):
-        shares = (f"{100 * modes[mode][what]:.1f} %" for mode in ("hd", "aimed"))
-        assert f"| {what} | {' | '.join(shares)} |" in text
-    cost = json.loads((results / "simulation.json").read_text())
-    times, ratios = cost["one sample"]["seconds, median"], cost["one sample"]["times the rays alone, median"]
-    assert f"in one scene) | {times['rays alone']:.2f} s |" in text
-    assert f"written to disk | {times['hd']:.2f} s |" in text
-    assert f"(worst) | {ratios['hd']:.2f} (" in text
-    assert f"gain of the second | {cost['two workers']['gain']:.2f} |" in text
-    assert f"lidars | {cost['two workers']['bytes per sample']:,} |" in text
-    assert f"two processes | {cost['reading']['samples per second, 2 processes']:.0f} per second" in text
-
-
-def test_the_deep_models_figures_are_the_measured_ones() -> None:
-    """docs/deep.md, the model card and the README hold what the benchmarks last wrote, of the weights that ship."""
-    results = ROOT / "benchmarks/results"
-    page, card, front = ((ROOT / name).read_text() for name in ("docs/deep.md", "docs/lite.md", "README.md"))
-    record = {
-        name: json.loads((results / f"deep_{name}.json").read_text())
-        for name in ("quality", "real", "speed", "losses")
-    }
-    shipped = (ROOT / "ogm/data/lite.safetensors").read_bytes()
-    assert record["quality"]["weights"]["sha256"] == hashlib.sha256(shipped).hexdigest()
-    assert record["quality"]["data"]["split"] == "test"
-
-    means = {name: one["macro"] for name, one in record["quality"]["models"].items()}
-    for metric in (
-        "kl_e10",
-        "kl_e1",
-        "iou_free",
-        "iou_occupied",
-        "auroc_unknown",
-        "ece",
-        "ece_relative",
-        "false_free",
-    ):
-        cells = []
-        for name in ("height-band", "height-band-released", "ray", "lite"):
-            one = means[name][metric]
-            cells.append(f"{one['value']:.3f} ± {(one['high'] - one['low']) / 2:.3f}")
-        assert " | ".join(cells) in page, metric
-    for metric in ("kl_e10", "iou_free", "iou_occupied", "auroc_unknown", "false_free"):
-        values = {name: f"{means[name][metric]['value']:.3f}" for name in means}
-        assert f"| {values['height-band']} | {values['ray']} | {values['lite']} |" in front, metric
-        assert f"| {values['lite']} | {values['ray']} | {values['height-band']} |" in card, metric
-    for row in record["quality"]["wanted"]:
-        said = "met" if row["met"] else "**missed**"
-        assert f"| {row['what']} | {row['wanted']} | {row['value']:.3f} | {said} |" in page
-    for kind in ("participants", "thick", "thin"):
-        for what in ("false free", "called occupied"):
-            found = record["quality"]["occupied cells by what stands there, pooled"]
-            shares = [f"{100 * one[kind][what]:.1f} %" for one in found.values()]
-            assert " | ".join(shares) in page, (kind, what)
-    for weight, scores in record["quality"][
-        "occupied cells weighed more, 20 validation frames, pooled"
-    ].items():
-        assert f"| x {weight} | {' | '.join(f'{value:.3f}' for value in scores.values())} |" in page, weight
-    boxes = record["real"]["boxes"]["all, each place once"]["models"]
-    for what in ("occupied", "free"):
-        shares = [
-            f"{100 * boxes[n][what]['mean over objects']:.1f} %"
-            for n in ("HeightBandISM", "RayISM", "DeepISM")
-        ]
-        assert " | ".join(shares) in page
-        assert " | ".join(shares) in front
-    lite = record["speed"]["summary"]["lite"]
-    assert f"{lite['scans per second']:.1f} per second" in page
-    assert f"{lite['scans per second']:.1f} scans per second" in front
-    for name, scores in record["losses"]["scores"].items():
-        assert re.search(rf"\| \**{re.escape(name)}\** \| {scores['kl_e10']['value']:.3f} ", page), name
-    assert "LOSSES_SETUP" not in page
-    assert not re.search(r"<!-- (\w+) -->\s*<!-- /\1 -->", page)  # tables that were not filled
-
-
-def test_the_fusion_pages_figures_are_the_measured_ones() -> None:
-    """docs/fusion.md holds what the benchmarks last wrote."""
-    results = ROOT / "benchmarks/results"
-    page = (ROOT / "docs/fusion.md").read_text()
-    quality, real, speed = (
-        json.loads((results / f"fusion_{name}.json").read_text()) for name in ("quality", "real", "speed")
-    )
-    assert quality["judged"]["what"] == "test"
-    static = ("iou_occupied", "false_free", "brier", "known")
-    columns = (*((f"static_{name}", 3) for name in static), ("ghost_area", 2))
-    for maps in (quality["maps"], quality["maps behind lite"]):
-        for name in ("scan alone", "classical Bayes", "cautious, what came leaves, 0.04 s", "Dempster, 2 s"):
-            means = maps[name]["mean and 95 % interval"]
-            ratio = maps[name]["ratio to the classical filter"]["ghost_area"]
-            cells = [f"{means[key][0]:.{digits}f}" for key, digits in columns]
-            cells.append(f"{ratio[0]:.2f} ({ratio[1]:.2f} to {ratio[2]:.2f})")
-            assert f"| {' | '.join(cells)} |" in page, name
-    drive = real["recordings"]["KITTI drive 0005"]
-    for name, means in drive["maps"]["mean"].items():
-        if name.count(",") == 1:
-            cells = [f"{100 * means[key]:.1f}" for key in ("complete", "iou_occupied", "false_free", "brier")]
-            assert f"| {' | '.join(cells)} |" in page, name
-    for name in ("update, default", "RayISM + update", "scipy", "update, numpy reference"):
-        median = speed["times [ms]"][name]["median"]
-        assert f"| {median:.3g} | {median / speed['times [ms]']['copy']['median']:.3g} |" in page, name
-    assert not re.search(r"<!-- (\w+) -->\s*<!-- /\1 -->", page)  # tables that were not filled
-
-
-def test_the_deep_page_runs() -> None:
-    import doctest
-
-    assert (
-        doctest.testfile(
-            str(ROOT / "docs/deep.md"), module_relative=False, optionflags=doctest.ELLIPSIS
-        ).failed
-        == 0
-    )
-
-
-def test_the_page_on_evaluation_tells_every_metric_and_what_judging_costs() -> None:
-    from ogm.metrics import METRICS
-
-    page = (ROOT / "docs/evaluation.md").read_text()
-    rows = [
-        line.split(" | ")
-        for line in page.splitlines()
-        if re.match(r"\| `\w+` \| .* \| (lower|higher|-) \|", line)
-    ]
-    told = {name.strip("| `"): (title, better, says.removesuffix(" |")) for name, title, better, says in rows}
-    plain = str.maketrans({"∥": "|", "∣": "|"})
-    assert list(told) == list(METRICS)
-    for name, metric in METRICS.items():
-        title, better, says = told[name]
-        assert (title, better) == (metric.title, metric.better or "-")
-        assert says.translate(plain).replace("|", "") == metric.says.replace("|", "")
-    speed = json.loads((ROOT / "benchmarks/results/evaluation_speed.json").read_text())
-    (slowest,) = (
-        max(
-            one["median"]
-            for group in speed["frame [ms]"].values()
-            for what, one in group.items()
-            if start in what
-        )
-        for start in ("all ",)
-    )
-    report = speed["report"]
-    seconds = report["judging and pictures [s]"] + report["reporting [s]"]
-    mask = json.loads((ROOT / "benchmarks/results/truth_mask.json").read_text())["drives"][
-        "KITTI, drive 0005"
-    ]
-    every, later = (mask[others]["share that is taken out"] for others in ("all", "later"))
-    assert (
-        f"{100 * every['free']:.1f} % of the free and {100 * every['occupied']:.1f} % of the occupied" in page
-    )
-    assert f"({100 * later['free']:.1f} and {100 * later['occupied']:.1f} % where later" in page
-    pairs = [means for one in mask.values() for means in one["means, with and without"].values()]
-    for metric, words in (("iou_occupied", "IoU of occupied by"), ("false_free", "false\nfree by")):
-        gains = [abs(means[metric][0] - means[metric][1]) for means in pairs]
-        assert f"{words} {min(gains):.3f} to {max(gains):.3f}" in page, metric
-        moved = [
-            one["by how much differences between methods move, at most"][metric] for one in mask.values()
-        ]
-        assert max(moved) < 0.005
-    for said in (f"{slowest:.0f} ms", f"{seconds:.0f} s", f"{report['page [MB]']:.1f} MB"):
-        assert said in page, said
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -35,7 +35,7 @@ def test_transform_keeps_dtype_and_intensity() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bad", "says"),
+    ("bad", "message"),
     [
         (np.eye(3), "4x4"),
         (np.full((4, 4), np.nan), "NaN"),
@@ -44,8 +44,8 @@ def test_transform_keeps_dtype_and_intensity() -> None:
         (np.diag([1.0, 1, 1, 2]), "last row"),
     ],
 )
-def test_what_is_not_rigid_is_refused(bad: np.ndarray, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_what_is_not_rigid_is_refused(bad: np.ndarray, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         check_pose(bad)
 
 
@@ -56,11 +56,11 @@ def test_interpolate_takes_the_straight_line_and_the_shortest_arc() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stamps", "at", "says"),
+    ("stamps", "at", "message"),
     [([0.0, 0.0], 0.0, "increase"), ([0.0, 1.0], 1.1, "extrapolated"), ([0.0], 0.0, "at least 2")],
 )
-def test_interpolate_refuses(stamps: list, at: float, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_interpolate_refuses(stamps: list, at: float, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         interpolate(stamps, [np.eye(4)] * len(stamps), at)
 
 
@@ -69,7 +69,7 @@ def test_transform_points_refuses_wrong_shapes() -> None:
         transform_points(np.eye(4), np.zeros((3, 2)))
 
 
-def test_a_trajectory_tells_its_poses_and_those_between() -> None:
+def test_a_trajectory_returns_its_poses_and_those_between() -> None:
     trajectory = Trajectory([1, 2, 4], [pose(0), pose(2, yaw=1), pose(4, yaw=1)])
     assert len(trajectory) == 3
     np.testing.assert_allclose(trajectory.at(trajectory.stamps), trajectory.poses, atol=1e-12)
@@ -87,7 +87,7 @@ def test_a_trajectory_keeps_its_own_copy() -> None:
     np.testing.assert_array_equal(trajectory.poses[0], np.eye(4))
 
 
-def test_a_trajectory_of_one_pose_knows_one_time() -> None:
+def test_a_trajectory_of_one_pose_has_one_time() -> None:
     trajectory = Trajectory([3.0], [pose(1, 2)])
     np.testing.assert_array_equal(trajectory.at(3.0), pose(1, 2))
     np.testing.assert_array_equal(trajectory.at([3.0, 3.0]), [pose(1, 2)] * 2)
@@ -96,7 +96,7 @@ def test_a_trajectory_of_one_pose_knows_one_time() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stamps", "poses", "says"),
+    ("stamps", "poses", "message"),
     [
         ([], np.zeros((0, 4, 4)), "at least 1"),
         ([0.0, 1.0], [np.eye(4)], "agree"),
@@ -107,6 +107,6 @@ def test_a_trajectory_of_one_pose_knows_one_time() -> None:
         ([0.0], [np.full((4, 4), np.nan)], "NaN"),
     ],
 )
-def test_what_is_no_trajectory_is_refused(stamps: list, poses: list, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_what_is_no_trajectory_is_refused(stamps: list, poses: list, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         Trajectory(stamps, poses)

@@ -13,7 +13,7 @@ from ogm.cli.fuse import fuse
 from ogm.cli.info import info
 from ogm.cli.map_command import demo, map_
 from ogm.cli.simulate import simulate
-from ogm.cli.train import export, train
+from ogm.cli.train import export_command, train_command
 
 __all__ = ["app", "main"]
 
@@ -32,9 +32,9 @@ app.command(
     epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif"
 )(fuse)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
-app.command(epilog="Example:  ogm train data/ --model lite --out runs/lite")(train)
+app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)
-app.command(epilog="Example:  ogm export lite --out lite.onnx")(export)
+app.command("export", epilog="Example:  ogm export lite --out lite.onnx")(export_command)
 app.command(epilog="Example:  ogm info scan.pcd")(info)
 
 

@@ -20,7 +20,7 @@ def info(
     intensity_max: IntensityMax = None,
     time_unit: TimeUnit = None,
 ) -> None:
-    """Say what a file or a data set holds."""
+    """Show what a file or a data set holds."""
     from ogm import EvidentialGrid
     from ogm.io import describe, read_scan_file
 

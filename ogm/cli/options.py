@@ -9,7 +9,9 @@ IntensityMax = Annotated[
 ]
 TimeUnit = Annotated[
     float | None,
-    typer.Option(help="The file's unit of time [s], 1e-9 for nanoseconds; by default told by its type."),
+    typer.Option(
+        help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds."
+    ),
 ]
 
 

@@ -13,7 +13,7 @@ import typer
 from ogm.cli.console import out, print_facts, report_errors, stderr
 
 if TYPE_CHECKING:
-    from ogm.simulation.store import Store
+    from ogm.datasets import Dataset
 
 
 class Preset(StrEnum):
@@ -35,8 +35,8 @@ class LossName(StrEnum):
 
 
 @report_errors
-def train(
-    data: Annotated[Path, typer.Argument(help="Data set that `ogm simulate` made.")],
+def train_command(
+    data: Annotated[Path, typer.Argument(help="Data set of `ogm simulate`, or a recording with truth.")],
     model: Annotated[
         Preset,
         typer.Option(
@@ -44,18 +44,22 @@ def train(
             "(100 epochs, batch 5, squared error, occupied cells x 100, rotation only)."
         ),
     ] = Preset.lite,
+    validation: Annotated[
+        Path | None,
+        typer.Option(help="Data set that the weights are chosen by. [default: the validation split of DATA]"),
+    ] = None,
     out_folder: Annotated[
         Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")
     ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where the run in --out stopped.")] = False,
-    epochs: Annotated[int | None, typer.Option(help="Times that every sample is seen.")] = None,
-    batch: Annotated[int | None, typer.Option(help="Samples per step and device.")] = None,
+    epochs: Annotated[int | None, typer.Option(help="Passes over all frames.")] = None,
+    batch: Annotated[int | None, typer.Option(help="Frames per step and device.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="Largest step of AdamW.")] = None,
     loss: Annotated[LossName | None, typer.Option(help="What is minimised; see docs/deep.md.")] = None,
-    samples: Annotated[int | None, typer.Option(help="Use so many training samples. [default: all]")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of weights, order and augmentation.")] = None,
-    length: Annotated[float, typer.Option(help="Extent of the grid along x [m].")] = 81.92,
-    width: Annotated[float, typer.Option(help="Extent of the grid along y [m].")] = 56.32,
+    samples: Annotated[int | None, typer.Option(help="Use so many training frames. [default: all]")] = None,
+    seed: Annotated[int | None, typer.Option(help="Of weights, order and augmentation.", min=0)] = None,
+    length: Annotated[float | None, typer.Option(help="Extent along x [m]. [default: 81.92]")] = None,
+    width: Annotated[float | None, typer.Option(help="Extent along y [m]. [default: 56.32]")] = None,
     resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
     accelerator: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
     devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
@@ -65,52 +69,43 @@ def train(
         typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed on CUDA devices, else 32-true]"),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(help="Processes that prepare samples. [default: half the cores, 12 at most]")
+        int | None, typer.Option(help="Processes that prepare frames. [default: half the cores, 12 at most]")
     ] = None,
 ) -> None:
-    """Train a network on simulated scans.
+    """Train a network on frames with truth.
 
     Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and state.pt
     every two minutes, from which --resume goes on.
     """
-    from ogm.deep import recipe as recipes  # first: it says what to install if torch is missing
-    from ogm.deep import train as training
-    from ogm.deep.network import PAPER
+    from ogm.deep.recipe import PRESETS  # first: it states what to install if torch is missing
+    from ogm.deep.training import train
     from ogm.grid import GridSpec
-    from ogm.simulation.store import Store
 
-    spec = GridSpec.centered(length=length, width=width, resolution=resolution)
-    recipe = {
-        Preset.lite: recipes.LITE_RECIPE,
-        Preset.paper: recipes.Recipe(PAPER),
-        Preset.published: recipes.PAPER_RECIPE,
-    }[model]
-    given: dict[str, Any] = {
+    spec = GridSpec.centered(length, width, resolution)
+    given = {
         "epochs": epochs,
         "batch": batch,
         "learning_rate": learning_rate,
-        "loss": None if loss is None else loss.value,
+        "loss": loss and loss.value,
         "seed": seed,
     }
-    recipe = replace(recipe, **{name: value for name, value in given.items() if value is not None})
-    folder = Path("runs") / model.value if out_folder is None else out_folder
-    from torch.utils.data import Subset
-
-    if seed is not None and seed < 0:
-        raise ValueError(f"--seed must be at least 0, got {seed}")
-    store = Store.open(data)
-    splits = {name: _whole(store, name) for name in ("training", "validation")}
+    changes: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+    recipe = replace(PRESETS[model.value], **changes)
+    folder = out_folder or Path("runs") / model.value
+    parts = {"training": _open(data, "training")}
+    if validation is None and not (data / "zarr.json").exists():
+        raise ValueError(f"{data} has no validation split: give --validation, data to choose the weights by")
+    parts["validation"] = _open(validation or data, "validation")
     if samples is not None:
-        if not 1 <= samples <= len(splits["training"]):
-            raise ValueError(
-                f"--samples must be 1 to {len(splits['training'])}, which are there, got {samples}"
-            )
-        splits["training"] = splits["training"][:samples]
+        count = len(parts["training"])
+        if not 1 <= samples <= count:
+            raise ValueError(f"--samples must be 1 to {count}, which are there, got {samples}")
+        parts["training"] = parts["training"][:samples]
     _quiet()
     try:
-        path = training.train(
-            Subset(store["training"], splits["training"]),
-            Subset(store["validation"], splits["validation"]),
+        path = train(
+            parts["training"],
+            parts["validation"],
             spec,
             folder,
             recipe,
@@ -118,14 +113,14 @@ def train(
             accelerator=accelerator,
             devices=devices,
             nodes=nodes,
-            precision=precision or training.usual_precision(accelerator),
-            workers=training.usual_workers() if workers is None else workers,
-            facts=_provenance(store, splits),
+            precision=precision,
+            workers=workers,
+            facts={"data": {name: _provenance(part) for name, part in parts.items()}},
         )
     except KeyboardInterrupt:
         saved = "the run is saved: the same command with --resume goes on"
-        said = saved if (folder / "state.pt").exists() else "nothing was saved yet"
-        stderr.print(f"ogm: interrupted; {said} in {folder}", markup=False)
+        state = saved if (folder / "state.pt").exists() else "nothing was saved yet"
+        stderr.print(f"ogm: interrupted; {state} in {folder}", markup=False)
         raise typer.Exit(130) from None
     except FloatingPointError as error:
         stderr.print(f"ogm: {error}", markup=False)
@@ -135,7 +130,7 @@ def train(
 
 
 @report_errors
-def export(
+def export_command(
     source: Annotated[str, typer.Argument(help="lite, a run's folder, or a .safetensors file.")] = "lite",
     out_path: Annotated[Path, typer.Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
 ) -> None:
@@ -152,31 +147,27 @@ def export(
     print_facts({"file": str(out_path), **facts})
 
 
-def _whole(store: "Store", name: str) -> list[int]:
-    """Return the numbers of a split's finished samples, and say if some are missing."""
-    if name not in store.counts:
-        raise ValueError(
-            f"{store.path} has no samples for {name}; `ogm simulate` makes them (--validation 30)"
-        )
-    finished = store[name].finished.tolist()
-    if len(finished) < store.counts[name]:
+def _open(path: Path, split: str) -> "Dataset":
+    """Open a split of a simulated data set, or a recording; warn where samples are missing."""
+    from ogm.datasets import open_dataset
+
+    if not (path / "zarr.json").exists():
+        return open_dataset(path)
+    dataset = open_dataset(path, split=split)
+    planned = dataset.facts["plan"].get({"training": "samples"}.get(split, split), 0)
+    if len(dataset) < planned:
         stderr.print(
-            f"ogm: {len(finished)} of {store.counts[name]} {name} samples are made; "
-            f"`ogm simulate {store.path} --resume` makes the rest",
+            f"ogm: {len(dataset)} of {planned} {split} samples are made; "
+            f"`ogm simulate {path} --resume` makes the rest",
             markup=False,
         )
-    return finished
+    return dataset
 
 
-def _provenance(store: "Store", splits: dict[str, list[int]]) -> dict[str, Any]:
-    """Return what the weights' description says of the data."""
-    return {
-        "data": {
-            "plan": store.plan,
-            "samples": {name: len(numbers) for name, numbers in splits.items()},
-            "versions": store.versions,
-        },
-    }
+def _provenance(part: "Dataset") -> dict[str, Any]:
+    """Return what the description of the weights states about a data set."""
+    facts = {name: value for name, value in part.facts.items() if name != "samples"}
+    return {"name": part.name, "frames": len(part), **facts}
 
 
 def _quiet() -> None:

@@ -11,7 +11,7 @@ from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequ
 from ogm.files import OgmError
 from ogm.io import (
     SEMANTIC_KITTI_MOVING,
-    read_kitti_calibration,
+    read_calibration,
     read_kitti_objects,
     read_kitti_stamps,
     read_kitti_tracks,
@@ -44,7 +44,7 @@ def kitti_object(path: Path) -> Layout | None:
 
     def boxes(n: int) -> Boxes:
         name = f"{scan_name(scans[n])}.txt"
-        return read_kitti_objects(path / "label_2" / name, read_kitti_calibration(path / "calib" / name))
+        return read_kitti_objects(path / "label_2" / name, read_calibration(path / "calib" / name))
 
     return Layout(
         "KITTI object recordings",
@@ -67,7 +67,7 @@ def kitti_tracking(path: Path) -> Layout | None:
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
-        return read_kitti_tracks(label, read_kitti_calibration(path / "calib" / label.name))
+        return read_kitti_tracks(label, read_calibration(path / "calib" / label.name))
 
     frames: list[FrameRef] = []
     files: list[tuple[Path, Path]] = []
@@ -131,10 +131,10 @@ def _calibration(path: Path) -> NDArray[np.float64]:
     """Find a calibration in the folder of a drive, or in that of its day."""
     for folder in (path, path.parent):
         if (folder / "calib_velo_to_cam.txt").is_file():
-            return read_kitti_calibration(folder)
+            return read_calibration(folder)
         files = sorted(folder.glob("calib*.txt"))
         if len(files) == 1:
-            return read_kitti_calibration(files[0])
+            return read_calibration(files[0])
     raise OgmError(
         f"{path} has boxes but no calibration, without which their places are unknown: wanted one calib*.txt with "
         "Tr_velo_to_cam and R0_rect, or calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or above it"
@@ -153,7 +153,7 @@ def kitti_odometry(path: Path) -> Layout | None:
         scans = scan_paths(folder / "velodyne")
         names = [scan_name(one) for one in scans]
         calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
-        T = read_kitti_calibration(calib) if calib.is_file() else None
+        T = read_calibration(calib) if calib.is_file() else None
         times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
         if times is not None and len(times) != len(scans):
             raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")

@@ -6,8 +6,7 @@ from ogm.datasets.layout import EGO, KITTI_EGO, FrameRef, Layout, RawFrame, kind
 from ogm.datasets.paths import ending_of, scan_name
 from ogm.files import OgmError
 from ogm.io import NUSCENES_ELEVEN, SEMANTIC_KITTI_TRAINING, read_range_image
-from ogm.io.documents import read_array
-from ogm.io.source import read_bytes
+from ogm.io.reading import parse_array, read_bytes
 from ogm.scan import Scan
 
 __all__ = ["range_images"]
@@ -50,9 +49,7 @@ def range_images(path: Path) -> Layout | None:
 def _is_range_image(path: Path) -> bool:
     """Tell whether an array has the shape of a range image with classes."""
     try:
-        read_array(
-            read_bytes(path)[0], path, lambda shape, _: len(shape) == 3 and shape[2] == 6, "a range image"
-        )
+        parse_array(read_bytes(path)[0], path, lambda shape: len(shape) == 3 and shape[2] == 6, "a range image")
     except ValueError:  # another array, or a damaged one, which its reader reports
         return False
     return True

@@ -8,14 +8,13 @@ from numpy.typing import NDArray
 
 from ogm.datasets.layout import Footprint, Layout, RawFrame
 from ogm.files import OgmError
-from ogm.io import estimate_sensor_height
+from ogm.io import estimate_sensor_height, plausible_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
 
 __all__ = ["FrameReader"]
 
 _HEIGHTS = 5  # scans of a sequence whose median is its sensor's height
-_PLAUSIBLE = 0.5, 5.0  # [m] of heights that are estimated
 _KEPT = 64  # scans in memory: some 2 MB each
 _UNREADABLE = (ValueError, TypeError, OSError)
 
@@ -94,14 +93,7 @@ class FrameReader:
                 "so its height is not known: give sensor_height [m] (--sensor-height)"
             )
         height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
-        if not _PLAUSIBLE[0] <= height <= _PLAUSIBLE[1]:
-            raise OgmError(
-                f"the sensor height of {group} in {self.path}, {height:.2f} m, estimated from its scans, is not "
-                f"plausible ({_PLAUSIBLE[0]:g} to {_PLAUSIBLE[1]:g} m): if the points are in the vehicle's frame, give "
-                "sensor_position x y z (--sensor-position); if not, give sensor_height [m] (--sensor-height), and "
-                "check the axes"
-            )
-        return height
+        return plausible_sensor_height(height, f"{group} in {self.path}")
 
     def _one_height(self, n: int) -> float | None:
         known = self.layout.sensor_height

@@ -1,6 +1,6 @@
 """A trained network on disk: NAME.safetensors holds the weights, NAME.json what they are for and where they come from.
 
-Nothing is unpickled, and nothing is believed: sizes and names must be those that the description asks for.
+Nothing is unpickled. Sizes and names must be those that the description asks for.
 """
 
 import json
@@ -14,41 +14,41 @@ from typing import Any
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
+from torch import Tensor
 
-from ogm.deep.network import Network, NetworkConfig
-from ogm.files import atomic_write
+from ogm.deep.network import NetworkConfig, PillarNetwork
+from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
 
 __all__ = ["FORMAT", "load_network", "save_network"]
 
 FORMAT = "ogm.network/1"
-_MOST = 2**20  # [bytes] of a description
+_MAX_DESCRIPTION = 2**20  # [bytes]
 
 
-def save_network(path: str | os.PathLike[str], network: Network, facts: Mapping[str, Any]) -> Path:
+def save_network(path: str | os.PathLike[str], network: PillarNetwork, facts: Mapping[str, Any]) -> Path:
     """Write a network's weights and description, each in one step.
 
     Parameters
     ----------
     path : path
         Of the weights; ends in ``.safetensors``. The description stands beside it, ending in ``.json``.
-    network : Network
+    network : PillarNetwork
     facts : mapping
-        What else there is to say, as JSON holds it: provenance, recipe, results.
+        More for the description, as JSON holds it: provenance, recipe, results.
 
     Returns
     -------
     Path
         Of the weights.
     """
-    path = _named(path)
+    path = _checked_path(path)
     weights = {name: value.detach().cpu().contiguous() for name, value in network.state_dict().items()}
-    spec = network.spec
     description = {
         **facts,
         "format": FORMAT,
         "network": asdict(network.config),
-        "spec": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
+        "spec": asdict(network.spec),
         "parameters": sum(value.numel() for value in network.parameters()),
     }
     text = json.dumps(description, indent=1)  # before anything is written: facts may not be JSON
@@ -59,12 +59,12 @@ def save_network(path: str | os.PathLike[str], network: Network, facts: Mapping[
     return path
 
 
-def load_network(path: str | os.PathLike[str]) -> tuple[Network, dict[str, Any]]:
+def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str, Any]]:
     """Read a network that `save_network` wrote.
 
     Returns
     -------
-    network : Network
+    network : PillarNetwork
         In evaluation mode, on the CPU.
     description : dict
         All of the JSON file.
@@ -73,75 +73,86 @@ def load_network(path: str | os.PathLike[str]) -> tuple[Network, dict[str, Any]]
     ------
     FileNotFoundError
         If one of the two files is not there.
-    ValueError
-        If a file is damaged, foreign, or does not fit the other.
+    OgmError
+        If a file is damaged, of another kind, or does not fit the other.
     """
-    path = _named(path)
+    path = _checked_path(path)
     beside = path.with_suffix(".json")
     for file in (path, beside):
         if not file.is_file():
             raise FileNotFoundError(
                 f"{file} is not there; a network is two files, {path.name} and {beside.name}; `ogm train` writes them"
             )
+    description = _read_description(beside)
     try:
-        if beside.stat().st_size > _MOST:
-            raise ValueError(f"it has {beside.stat().st_size} bytes")
-        description = json.loads(beside.read_bytes())
-        found = description["format"]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(f"{beside} is no description of a network ({error!r})") from error
-    if found != FORMAT:
-        raise ValueError(f"{beside} has the format {found!r}, this version of ogm reads {FORMAT}")
-    try:
+        config = NetworkConfig.from_dict(description["network"])
+        _check_config(config)
         place = description["spec"]
         spec = GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"]))
-        config = NetworkConfig.from_dict(description["network"])
-        _plausible(config)
         with torch.device("meta"):  # its names and shapes, without memory for them
-            wanted = Network(config, spec).state_dict()
+            wanted = PillarNetwork(config, spec).state_dict()
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError) as error:
-        raise ValueError(f"{beside} describes no network that can be made: {error}") from error
+        raise OgmError(f"{beside} describes no network that can be made: {error}") from error
+    weights = _read_weights(path, wanted)
+    network = PillarNetwork(config, spec)
+    network.load_state_dict(weights)
+    return network.eval(), description
+
+
+def _read_description(path: Path) -> dict[str, Any]:
+    try:
+        if path.stat().st_size > _MAX_DESCRIPTION:
+            raise ValueError(f"it has {path.stat().st_size} bytes")
+        description = json.loads(path.read_bytes())
+        found = description["format"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise OgmError(f"{path} is no description of a network ({error!r})") from error
+    if found != FORMAT:
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm reads {FORMAT}")
+    _check_ranges(description.get("seen", {}), path)
+    return description
+
+
+def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Read the weights of these names, shapes and types."""
     try:
         with safe_open(path, "pt") as file:
             names = set(file.keys())
             if names != set(wanted):
                 odd = sorted(names ^ set(wanted))
-                raise ValueError(
-                    f"{path} does not hold the weights that {beside.name} asks for: {len(odd)} names differ, "
+                raise OgmError(
+                    f"{path} does not hold the weights that its description asks for: {len(odd)} names differ, "
                     f"such as {odd[0]}"
                 )
             for name, value in wanted.items():
                 shape = file.get_slice(name).get_shape()
                 if list(shape) != list(value.shape):
-                    raise ValueError(f"{path} has {name} of shape {shape}, wanted {list(value.shape)}")
+                    raise OgmError(f"{path} has {name} of shape {shape}, wanted {list(value.shape)}")
             weights = {name: file.get_tensor(name) for name in wanted}
     except (SafetensorError, OSError) as error:
-        raise ValueError(f"{path} is not a whole file of weights (.safetensors): {error}") from error
+        raise OgmError(f"{path} is not a whole file of weights (.safetensors): {error}") from error
     for name, value in weights.items():
         if value.dtype != wanted[name].dtype:
-            raise ValueError(f"{path} has {name} as {value.dtype}, wanted {wanted[name].dtype}")
+            raise OgmError(f"{path} has {name} as {value.dtype}, wanted {wanted[name].dtype}")
         if not torch.isfinite(value).all():
-            raise ValueError(f"{path} has weights that are NaN or infinite, in {name}")
+            raise OgmError(f"{path} has weights that are NaN or infinite, in {name}")
         if name.endswith("running_var") and (value < 0).any():
-            raise ValueError(f"{path} has a variance below 0, in {name}")
-    _check_seen(description.get("seen", {}), beside)
-    network = Network(config, spec)
-    network.load_state_dict(weights)
-    return network.eval(), description
+            raise OgmError(f"{path} has a variance below 0, in {name}")
+    return weights
 
 
-def _check_seen(seen: object, path: Path) -> None:
-    """Refuse ranges of the training data that are none: they decide what is done with a scan."""
-    fine = isinstance(seen, dict) and set(seen) <= {"height", "points", "intensity"}
-    for pair in seen.values() if isinstance(seen, dict) else ():
+def _check_ranges(ranges: object, path: Path) -> None:
+    """Refuse impossible ranges of the training data: `DeepISM` compares scans with them."""
+    good = isinstance(ranges, dict) and set(ranges) <= {"height", "points", "intensity"}
+    for pair in ranges.values() if isinstance(ranges, dict) else ():
         numbers = isinstance(pair, list) and len(pair) == 2 and all(type(n) in (int, float) for n in pair)
-        fine = fine and numbers and -math.inf < pair[0] <= pair[1] < math.inf
-    if not fine:
-        raise ValueError(f"{path} says of the scans seen in training what are no ranges: {seen}")
+        good = good and numbers and -math.inf < pair[0] <= pair[1] < math.inf
+    if not good:
+        raise OgmError(f"{path} has impossible ranges of the training data under 'seen': {ranges}")
 
 
-def _plausible(config: NetworkConfig) -> None:
-    """Refuse sizes that would fill the memory before the weights are looked at."""
+def _check_config(config: NetworkConfig) -> None:
+    """Refuse sizes that would fill the memory before the weights are read."""
     sizes = [config.pillar, config.up, *(n for block in config.blocks for n in block)]
     if not all(type(n) is int and 0 < n <= 4096 for n in sizes) or not 0 < len(config.blocks) <= 8:
         raise ValueError(f"sizes of blocks must be whole numbers from 1 to 4096, got {config.blocks}")
@@ -158,8 +169,8 @@ def _plausible(config: NetworkConfig) -> None:
         raise ValueError(f"dropout must be in [0, 1), got {config.dropout}")
 
 
-def _named(path: str | os.PathLike[str]) -> Path:
+def _checked_path(path: str | os.PathLike[str]) -> Path:
     path = Path(path)
     if path.suffix != ".safetensors":
-        raise ValueError(f"weights are kept as .safetensors, got {path}")
+        raise OgmError(f"weights are kept as .safetensors, got {path}")
     return path

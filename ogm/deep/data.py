@@ -1,58 +1,57 @@
-"""Training data: samples of a data set, turned and disturbed, as pillars and truth.
+"""Training data: frames of a data set, augmented, as pillars and truth.
 
-Every sample's disturbance follows from the seed, the epoch and the sample's
-number alone, so that a training which is resumed, or runs on more processes, sees the same.
+The augmentation of a frame follows from the seed, the epoch and the frame's number alone: a training that is
+resumed, or that runs on more processes, sees the same.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from numba import njit
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, Sampler
 
-from ogm.deep.pillars import EGO_FOOTPRINT, Pillars, cap_pillars, collate, pillarize
+from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, to_ground_frame
 from ogm.grid import GridSpec
-from ogm.state import Truth
+from ogm.jit import kernel
+from ogm.scan import Frame
 
 __all__ = [
     "PLAIN",
     "ROTATION",
     "Augmentation",
     "Batch",
-    "Sample",
-    "Samples",
+    "EpochSampler",
     "PillarDataset",
-    "Shuffled",
     "augment",
-    "join",
+    "join_batches",
     "training_ranges",
 ]
 
 
 @dataclass(frozen=True)
 class Augmentation:
-    """How a sample is changed before it is learned from. Zeros change nothing.
+    """How a frame is changed before a network is trained on it. Zeros change nothing.
 
     Parameters
     ----------
     turn : float
-        Share of samples that are turned by any angle; the rest keep their heading.
+        Share of frames that are turned by any angle; the rest keep their heading.
     mirror : float
-        Share of samples with left and right exchanged.
+        Share of frames with left and right exchanged.
     gain : float
         Standard deviation of the logarithm of a factor on all intensities.
     no_intensity : float
-        Share of samples whose intensities are all 0, as of a sensor that has none.
+        Share of frames whose intensities are all 0, as of a sensor that has none.
     layers : float
-        Share of samples that lose layers, each with a probability between 0 and 1/2.
+        Share of frames that lose layers, each with a probability between 0 and 1/2. Frames whose scan has no
+        rings keep all.
     points : float
-        Share of samples that lose points, each with a probability between 0 and 0.3.
+        Share of frames that lose points, each with a probability between 0 and 0.3.
     noise : float
-        Largest standard deviation of an error in range [m]; each sample has its own.
+        Largest standard deviation of an error in range [m]; each frame has its own.
     height : float
         Standard deviation of the error in the sensor's height [m].
     tilt : float
@@ -74,43 +73,16 @@ ROTATION = Augmentation(1, 0, 0, 0, 0, 0, 0, 0, 0)  # van Kempen et al. 2021: ro
 PLAIN = Augmentation(0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
-class Sample(Protocol):
-    """What is learned from; `ogm.simulation.store` gives such samples."""
-
-    @property
-    def points(self) -> NDArray[np.float32]:
-        """(N, 4): x, y, z in the sensor's frame [m], intensity [0, 1]."""
-
-    @property
-    def ring(self) -> NDArray[np.integer]:
-        """The layer of each point, (N,)."""
-
-    @property
-    def truth(self) -> Truth:
-        """Around the sensor, wide enough to be turned."""
-
-    @property
-    def T_vehicle_sensor(self) -> NDArray[np.float64]:
-        """How the sensor is mounted, (4, 4)."""
-
-
-class Samples(Protocol):
-    """A part of a data set."""
-
-    def __len__(self) -> int: ...
-    def __getitem__(self, index: int, /) -> Sample: ...
-
-
 class Batch(NamedTuple):
-    """Some samples, ready to be learned from.
+    """Some frames, ready for a network.
 
     Attributes
     ----------
     pillars : Pillars
     state : (batch, nx, ny) uint8
-        True states as in `ogm.truth`: 0 unknown, 1 free, 2 occupied, 3 to be ignored.
+        True states, values of `ogm.state.CellState`.
     numbers : list of int
-        The samples' numbers in their split.
+        The frames' numbers in their data set.
     """
 
     pillars: Pillars
@@ -119,17 +91,17 @@ class Batch(NamedTuple):
 
 
 class PillarDataset(Dataset[Batch]):
-    """Samples as batches of one.
+    """Frames as batches of one.
 
     Parameters
     ----------
-    samples : Samples
-        A split of a data set: ``Store.open(path)["training"]``.
+    frames : sequence of Frame
+        With scan, mount and truth: what ``ogm.datasets.open_dataset(path, split="training")`` gives.
     spec : GridSpec
         The network's grid, around the sensor.
     augmentation : Augmentation
     z_range : (float, float)
-        Heights above the ground that the network looks at [m].
+        Heights above the ground that are kept [m].
     seed : int
     most_pillars, most_points : int
         If above 0, the paper's limits; see `ogm.deep.pillars.cap_pillars`.
@@ -137,7 +109,7 @@ class PillarDataset(Dataset[Batch]):
 
     def __init__(
         self,
-        samples: Samples,
+        frames: Sequence[Frame],
         spec: GridSpec,
         augmentation: Augmentation = PLAIN,
         z_range: tuple[float, float] = (-3.0, 8.0),
@@ -145,19 +117,20 @@ class PillarDataset(Dataset[Batch]):
         most_pillars: int = 0,
         most_points: int = 0,
     ) -> None:
-        self.samples, self.spec, self.augmentation, self.z_range = samples, spec, augmentation, z_range
+        self.frames, self.spec, self.augmentation, self.z_range = frames, spec, augmentation, z_range
         self.seed, self.most = seed, (most_pillars, most_points)
 
     def __len__(self) -> int:
-        return len(self.samples)
+        return len(self.frames)
 
     def __getitem__(self, key: "int | tuple[int, int]") -> Batch:
-        """Return sample i, as disturbed in an epoch if the key is (epoch, i)."""
+        """Return frame i, as augmented in an epoch if the key is (epoch, i)."""
         epoch, i = key if isinstance(key, tuple) else (0, key)
         rng = np.random.default_rng((self.seed, epoch, i))
-        sample = self.samples[i]
-        points, state = augment(sample, self.spec, self.augmentation, rng)
-        pillars = pillarize(points, self.spec, self.z_range, EGO_FOOTPRINT)
+        frame = self.frames[i]
+        points, state = augment(frame, self.spec, self.augmentation, rng)
+        _, ego_footprint = to_ground_frame(frame.mount)
+        pillars = pillarize(points, self.spec, self.z_range, ego_footprint)
         if any(self.most):
             pillars = cap_pillars(
                 pillars, rng, self.most[0] or len(pillars.lengths), self.most[1] or len(pillars.features)
@@ -165,8 +138,14 @@ class PillarDataset(Dataset[Batch]):
         return Batch(pillars, torch.from_numpy(state)[None], [i])
 
 
-def training_ranges(scenes: PillarDataset, count: int = 300) -> dict[str, tuple[float, float]]:
-    """Return what a network trained on some scenes has seen: ranges over up to `count` of them, evenly spread.
+def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple[float, float]]:
+    """Return the ranges of a data set that `DeepISM` compares scans with.
+
+    Parameters
+    ----------
+    dataset : PillarDataset
+    count : int
+        Frames that are read at most, evenly spread.
 
     Returns
     -------
@@ -174,17 +153,16 @@ def training_ranges(scenes: PillarDataset, count: int = 300) -> dict[str, tuple[
         ``height``: of the sensor above ground [m]. ``points``: in a scan. ``intensity``: a scan's mean on the grid, of
         98 % of the scans, widened by two standard deviations of the augmentation's factor.
     """
-    numbers = np.unique(np.linspace(0, len(scenes) - 1, count).astype(int))
     rows = []
-    for i in numbers.tolist():
-        sample = scenes.samples[i]
-        points, _ = augment(sample, scenes.spec, PLAIN, np.random.default_rng(0))
-        pillars = pillarize(points, scenes.spec, scenes.z_range, EGO_FOOTPRINT)
-        mean = float(pillars.features[:, 3].mean()) if len(pillars.features) else 0.0
-        rows.append((float(sample.T_vehicle_sensor[2, 3]), len(sample.points), mean))
+    for i in np.unique(np.linspace(0, len(dataset) - 1, count).astype(int)).tolist():
+        frame = dataset.frames[i]
+        (batch,) = PillarDataset([frame], dataset.spec, PLAIN, dataset.z_range)
+        intensity = batch.pillars.features[:, 3]
+        mean = float(intensity.mean()) if len(intensity) else 0.0
+        rows.append((frame.mount.sensor_height, len(frame.scan), mean))
     low, high = np.min(rows, axis=0).tolist(), np.max(rows, axis=0).tolist()
     low[2], high[2] = np.quantile(np.array(rows)[:, 2], (0.01, 0.99)).tolist()
-    factor = float(np.exp(2 * scenes.augmentation.gain))
+    factor = float(np.exp(2 * dataset.augmentation.gain))
     return {
         "height": (low[0], high[0]),
         "points": (low[1], high[1]),
@@ -192,8 +170,8 @@ def training_ranges(scenes: PillarDataset, count: int = 300) -> dict[str, tuple[
     }
 
 
-class Shuffled(Sampler[tuple[int, int]]):
-    """The order of an epoch: every sample once, the share of this process, from a position on."""
+class EpochSampler(Sampler[tuple[int, int]]):
+    """The order of an epoch: every frame once, the share of this process, from a position on."""
 
     def __init__(self, count: int, seed: int, rank: int = 0, processes: int = 1) -> None:
         self.count, self.seed, self.rank, self.processes = count, seed, rank, processes
@@ -208,7 +186,7 @@ class Shuffled(Sampler[tuple[int, int]]):
         return iter([(self.epoch, int(i)) for i in order[self.skip :]])
 
 
-def join(batches: Sequence[Batch]) -> Batch:
+def join_batches(batches: Sequence[Batch]) -> Batch:
     """Make one batch of some batches of one."""
     nx, ny = batches[0].state.shape[1:]
     return Batch(
@@ -219,16 +197,17 @@ def join(batches: Sequence[Batch]) -> Batch:
 
 
 def augment(
-    sample: Sample, spec: GridSpec, augmentation: Augmentation, rng: np.random.Generator
+    frame: Frame, spec: GridSpec, augmentation: Augmentation, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Disturb a sample as another drive, another sensor or another calibration would.
+    """Change a frame as another drive, another sensor or another calibration would.
 
-    Turning and mirroring change points and truth alike; the truth is cut from a canvas that is wide enough, so that
-    no cell becomes unknown by turning. All else changes the points alone.
+    Turning and mirroring change points and truth alike; all else changes the points alone.
 
     Parameters
     ----------
-    sample : Sample
+    frame : Frame
+        Its sensor hardly tilts. A truth of the extent `ogm.truth.TRUTH_SPEC` keeps all cells known at any angle;
+        cells from outside its extent become `CellState.IGNORE`.
     spec : GridSpec
         The grid to fill, around the sensor.
     augmentation : Augmentation
@@ -240,8 +219,16 @@ def augment(
         x, y [m] around the sensor, z above the ground under it [m], intensity [0, 1].
     state : (nx, ny) uint8
         The truth on `spec`.
+
+    Raises
+    ------
+    ValueError
+        If the frame has no truth.
     """
-    a, truth = augmentation, sample.truth
+    a, scan, truth = augmentation, frame.scan, frame.truth
+    if truth is None:
+        raise ValueError(f"frame {frame.name!r} has no truth to train on; open a data set that has")
+    T, _ = to_ground_frame(frame.mount)
     # All numbers are drawn whether they are used or not: a share of 0 leaves the others' as they are.
     yaw = rng.uniform(-np.pi, np.pi) if rng.random() < a.turn else 0.0
     mirrored = rng.random() < a.mirror
@@ -249,33 +236,32 @@ def augment(
     lost_layers = rng.uniform(0, 0.5) * (rng.random() < a.layers)
     lost_points = rng.uniform(0, 0.3) * (rng.random() < a.points)
     noise = rng.uniform(0, a.noise) if a.noise else 0.0
-    height = float(sample.T_vehicle_sensor[2, 3]) + a.height * rng.standard_normal()
+    height = float(T[2, 3]) + a.height * rng.standard_normal()
     pitch, roll = a.tilt * rng.standard_normal(2)
 
-    points = sample.points
-    keep = np.ones(len(points), bool)
-    if lost_layers:
-        ring = sample.ring
-        keep &= (rng.random(int(ring.max(initial=0)) + 1) >= lost_layers)[ring]
+    keep = np.ones(len(scan), bool)
+    if lost_layers and scan.ring is not None:
+        keep &= (rng.random(int(scan.ring.max(initial=0)) + 1) >= lost_layers)[scan.ring]
     if lost_points:
-        keep &= rng.random(len(points), np.float32) >= lost_points
-    points = points[keep] if lost_layers or lost_points else points.copy()
-    errors = (
-        noise * rng.standard_normal(len(points), np.float32) if noise else np.zeros(len(points), np.float32)
-    )
-    if mirrored:
-        truth = truth.mirrored()
+        keep &= rng.random(len(scan), np.float32) >= lost_points
+    points = scan.points[keep] if lost_layers or lost_points else scan.points.copy()
+    errors = np.zeros(len(points), np.float32)
+    if noise:
+        errors = noise * rng.standard_normal(len(points), np.float32)
     c, s = np.cos(yaw), np.sin(yaw)
     flip = -1.0 if mirrored else 1.0
     # Small angles: z changes by -pitch x + roll y, x and y hardly; so too with the tilt that the mount has.
-    up = sample.T_vehicle_sensor[2, :3] + (-pitch, roll, 0)
-    matrix = np.array([[c, -s * flip, 0, 0], [s, c * flip, 0, 0], [*up, height]], np.float32)
-    _disturb(points, errors.astype(np.float32), matrix, np.float32(gain))
-    return points, truth.crop(spec, yaw).state
+    matrix = np.zeros((3, 4))
+    matrix[:2, :2] = [[c, -s * flip], [s, c * flip]]
+    matrix[:2, 3] = matrix[:2, :2] @ T[:2, 3]
+    matrix[2] = *(T[2, :3] + (-pitch, roll, 0)), height
+    _disturb(points, errors, matrix.astype(np.float32), np.float32(gain))
+    return points, (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _disturb(points: NDArray, errors: NDArray, T: NDArray, gain: float) -> None:
+    """Add errors along the rays, apply T, and scale the intensities, in place."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
         stretch = 1 + errors[i] / max(np.sqrt(x * x + y * y + z * z), np.float32(0.5))

@@ -6,10 +6,11 @@ The file holds the network with its normalisation folded in, for one scan at a t
     session = onnxruntime.InferenceSession("ogm.onnx")
     (mass,) = session.run(["mass"], {"features": features, "cells": cells})
 
-What the three arrays are is told in the file itself, as the documentation of its inputs and outputs and as
-metadata: ``format``, ``spec``, ``z_range``, ``network``, ``features``, ``cells`` and ``mass``.
+The file describes the three arrays itself, in the documentation of its inputs and outputs and in its metadata:
+``format``, ``spec``, ``z_range``, ``network``, ``features``, ``cells`` and ``mass``.
 """
 
+import importlib
 import json
 import os
 import warnings
@@ -23,27 +24,27 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from ogm.deep.network import Network, fused
+from ogm.deep.network import PillarNetwork, fused
 from ogm.deep.pillars import FEATURES, Pillars
-from ogm.files import atomic_write
+from ogm.files import OgmError, atomic_write
 
 __all__ = ["FORMAT", "export_onnx", "onnx_inputs", "run_onnx"]
 
 FORMAT = "ogm.network.onnx/1"
 _OPSET = 18  # the first whose scatter knows a maximum
 _PIP = 'pip install "ogm-toolkit[onnx]"'
-_EXPECTED = (  # what torch says of itself while it exports
+_EXPECTED = (  # torch's warnings about its own code
     (FutureWarning, r"`isinstance\(treespec, LeafSpec\)` is deprecated"),
     (UserWarning, r"# The axis name: points will not be used"),
 )
 
 
-def export_onnx(network: Network, path: str | os.PathLike[str]) -> dict[str, str]:
+def export_onnx(network: PillarNetwork, path: str | os.PathLike[str]) -> dict[str, str]:
     """Write a network as ONNX.
 
     Parameters
     ----------
-    network : Network
+    network : PillarNetwork
         As `ogm.deep.checkpoint.load_network` returns it.
     path : path
         Of the file, ending in ``.onnx``; it appears when it is whole.
@@ -51,7 +52,7 @@ def export_onnx(network: Network, path: str | os.PathLike[str]) -> dict[str, str
     Returns
     -------
     dict
-        Names and values that describe the file, for people.
+        Names and values that describe the file, to be printed.
 
     Raises
     ------
@@ -64,8 +65,8 @@ def export_onnx(network: Network, path: str | os.PathLike[str]) -> dict[str, str
     -----
     The file's inputs are ``features`` (N, 9) float32 and ``cells`` (N,) int64, its output is ``mass`` (nx, ny, 2)
     float32. In place of the maximum over segments, which ONNX lacks, the points' features are scattered onto a
-    canvas of zeros by their maximum. The features come from a ReLU, so this is the same, and needs no order of the
-    points.
+    feature map of zeros by their maximum. The features come from a ReLU, so this is the same, and needs no order of
+    the points.
     """
     path = Path(path)
     if path.suffix != ".onnx":
@@ -107,9 +108,9 @@ def onnx_inputs(pillars: Pillars) -> dict[str, NDArray[Any]]:
 
 
 def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float32]:
-    """Run an exported network once, by ONNX Runtime on the CPU: the twin of `Network`.
+    """Run an exported network once, by ONNX Runtime on the CPU.
 
-    It opens the file at each call. For many scans keep a session, as the head of this module does.
+    It opens the file at each call. For many scans keep a session, as in the docstring of this module.
 
     Parameters
     ----------
@@ -127,8 +128,10 @@ def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float
     ------
     FileNotFoundError
         If there is no such file.
+    OgmError
+        If the file is damaged or of another kind.
     ValueError
-        If the file is damaged or foreign, or the pillars are of more than one scan.
+        If the pillars are of more than one scan.
     ImportError
         If ONNX Runtime is absent; the message holds the pip command that adds it.
     """
@@ -140,10 +143,10 @@ def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float
     try:
         session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors have no other parent
-        raise ValueError(f"{path} is no whole ONNX file: {error}") from error
+        raise OgmError(f"{path} is no whole ONNX file: {error}") from error
     found = session.get_modelmeta().custom_metadata_map.get("format")
     if found != FORMAT:
-        raise ValueError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}")
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}")
     (mass,) = session.run(["mass"], inputs)
     return mass
 
@@ -151,7 +154,7 @@ def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float
 class _Masses(nn.Module):
     """From the points to belief masses, of operations that ONNX has."""
 
-    def __init__(self, network: Network) -> None:
+    def __init__(self, network: PillarNetwork) -> None:
         super().__init__()
         if isinstance(network.pillar.norm, nn.Identity):
             raise ValueError("the network is fused already: give the one that load_network returns")
@@ -160,15 +163,14 @@ class _Masses(nn.Module):
     def forward(self, features: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
         nx, ny = self.network.spec.shape
         x = torch.relu(self.network.pillar.linear(features))  # the features' scale is in the fused weights
-        canvas = x.new_zeros(nx * ny, x.shape[1])
-        canvas = canvas.scatter_reduce(0, cells[:, None].expand(-1, x.shape[1]), x, "amax")
-        canvas = canvas.view(1, nx, ny, -1).permute(0, 3, 1, 2)
-        evidence = self.network.evidence(canvas)[0]
+        feature_map = x.new_zeros(nx * ny, x.shape[1])
+        feature_map = feature_map.scatter_reduce(0, cells[:, None].expand(-1, x.shape[1]), x, "amax")
+        evidence = self.network.evidence(feature_map.view(1, nx, ny, -1).permute(0, 3, 1, 2))[0]
         return evidence / (evidence.sum(-1, keepdim=True) + 2)  # Sec. II: b = e / S
 
 
-def _model(network: Network) -> Any:
-    """Return the ONNX model, told in words and rid of what torch notes down of the machine."""
+def _model(network: PillarNetwork) -> Any:
+    """Return the ONNX model, with its documentation and without what torch notes of the machine."""
     points = torch.export.Dim("points")
     with warnings.catch_warnings():
         for category, message in _EXPECTED:
@@ -188,31 +190,31 @@ def _model(network: Network) -> Any:
     for part in (*model.graph.node, *model.graph.value_info, *model.graph.initializer):
         del part.metadata_props[:]  # paths of the machine, among others
         part.doc_string = ""
-    words = _words(network)
+    metadata = _metadata(network)
     for value in (*model.graph.input, *model.graph.output):
         del value.metadata_props[:]
-        value.doc_string = words[value.name]
+        value.doc_string = metadata[value.name]
     model.graph.name = "ogm"
     model.doc_string = "One lidar scan to an evidential grid map."
-    for name, text in words.items():
+    for name, text in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = name, text
     return model
 
 
-def _words(network: Network) -> dict[str, str]:
+def _metadata(network: PillarNetwork) -> dict[str, str]:
     """Return the metadata of a file: what the network is, and what its inputs and outputs mean."""
     spec, (low, high) = network.spec, network.config.z_range
     nx, ny = spec.shape
     return {
         "format": FORMAT,
-        "spec": json.dumps({"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin}),
+        "spec": json.dumps(asdict(spec)),
         "z_range": json.dumps([low, high]),
         "network": json.dumps(asdict(network.config)),
         "features": (
             "Of each point: x, y, z [m], intensity [0, 1]; x, y, z less the mean of all points in the point's cell "
-            "[m]; x, y less the middle of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
-            f"on the ground below it. Only points with {low} <= z < {high}, on the grid, finite, and not of the own "
+            "[m]; x, y less the center of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
+            f"on the ground below it. Only points with {low} <= z < {high}, on the grid, finite, and not of the ego "
             "vehicle; in any order."
         ),
         "cells": (
@@ -227,8 +229,6 @@ def _words(network: Network) -> dict[str, str]:
 
 
 def _package(name: str) -> ModuleType:
-    import importlib
-
     try:
         return importlib.import_module(name)
     except ImportError as error:

@@ -1,9 +1,9 @@
-"""What a network that outputs evidence is trained with: losses per cell, and how to average them.
+"""Losses per cell for networks that output evidence, and their mean over cells.
 
 A loss takes evidence (..., 2), free and occupied, at least 0, and a target (..., 2) in [0, 1], the
-probabilities that the truth is free and occupied; what they lack to one is `unknown`, and (0, 0) is an
-unobserved cell. It returns one number per cell, (...); `masked_mean` makes them one number. Half precision is
-computed in float32, and nothing is checked but shapes and types: a NaN in is a NaN out.
+probabilities that the truth is free and occupied; the rest to one is `unknown`, and (0, 0) is an unobserved cell.
+It returns float32, or float64 if `evidence` is, per cell, (...). Half precision is computed in float32, and only
+shapes and types are checked: a NaN in is a NaN out.
 
 The default is `reverse_kl`; the others are those of the literature, for comparison.
 
@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ogm.evidence import dirichlet_kl
+from ogm.evidence.dirichlet import dirichlet_kl_gradient
 from ogm.state import CellState
 
 __all__ = [
@@ -45,7 +45,7 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
     """Return KL[Dir(1 + e) || Dir(1 + E y)] / E, the divergence from the target Dirichlet, per cell.
 
     Over labels that vary, its mean is least at e = E P(label), exactly: the evidence is a probability, and
-    `unknown` is the probability that the truth does not know either.
+    `unknown` is the probability that the truth is unknown too.
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
 
     Returns
     -------
-    (...) float32, or float64 if `evidence` is
-        At least 0. A missed cell costs 1 - ln(1 + E) / E, an invented one (ln(1 + E) - E / (1 + E)) / E.
+    (...), at least 0
+        A missed cell costs 1 - ln(1 + E) / E, a false one (ln(1 + E) - E / (1 + E)) / E.
 
     Raises
     ------
@@ -68,9 +68,8 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
 
     Notes
     -----
-    Malinin and Gales 2019. The gradient (a - a') trigamma(a) - (S - S') trigamma(S), with a = 1 + e and
-    a' = 1 + E y, is computed with the value and is all that is kept; there is no second derivative. A cell
-    whose loss is not used has the gradient 0 even where its evidence is NaN.
+    Malinin and Gales 2019. Value and gradient are those of `ogm.evidence.dirichlet`; there is no second derivative.
+    A cell whose loss is not used has the gradient 0 even where its evidence is NaN.
     """
     _check(evidence, target)
     _check_strength(strength)
@@ -95,10 +94,6 @@ def sum_of_squares(
         states alike. "released": p = e / S, the belief masses, as in the code that the paper's authors
         published; least at no evidence in an unknown cell.
 
-    Returns
-    -------
-    (...) float32, or float64 if `evidence` is
-
     Notes
     -----
     Sensoy et al. 2018, eq. 5. With "paper" it is the mean of ||y - p||^2 over p ~ Dir(1 + e).
@@ -115,22 +110,8 @@ def sum_of_squares(
 def log_loss(evidence: Tensor, target: Tensor) -> Tensor:
     """Return sum y (ln S - ln alpha), per cell: the negative log of the marginal likelihood (type II).
 
-    It says nothing about unknown cells, and asks a known cell for evidence without bounds: add `uniform_kl`.
-
-    Parameters
-    ----------
-    evidence : (..., 2) floating point
-        At least 0.
-    target : (..., 2)
-        P(free), P(occupied).
-
-    Returns
-    -------
-    (...) float32, or float64 if `evidence` is
-
-    Notes
-    -----
-    Sensoy et al. 2018, eq. 3.
+    It is 0 for unknown cells, and its optimum in a known cell is infinite evidence: add `uniform_kl`. Sensoy et al.
+    2018, eq. 3.
     """
     _check(evidence, target)
     e, y = _precise(evidence, target)
@@ -140,22 +121,7 @@ def log_loss(evidence: Tensor, target: Tensor) -> Tensor:
 def digamma_loss(evidence: Tensor, target: Tensor) -> Tensor:
     """Return sum y (digamma(S) - digamma(alpha)), per cell: the expected cross entropy.
 
-    It is the mean of -sum y ln p over p ~ Dir(1 + e). What `log_loss` says about its optima holds for it too.
-
-    Parameters
-    ----------
-    evidence : (..., 2) floating point
-        At least 0.
-    target : (..., 2)
-        P(free), P(occupied).
-
-    Returns
-    -------
-    (...) float32, or float64 if `evidence` is
-
-    Notes
-    -----
-    Sensoy et al. 2018, eq. 4.
+    It is the mean of -sum y ln p over p ~ Dir(1 + e), and has the optima of `log_loss`. Sensoy et al. 2018, eq. 4.
     """
     _check(evidence, target)
     e, y = _precise(evidence, target)
@@ -167,17 +133,6 @@ def uniform_kl(evidence: Tensor, target: Tensor) -> Tensor:
 
     The losses of Sensoy et al. need it as a second term, weighted by `annealing`; alone it makes an unknown
     cell vacuous.
-
-    Parameters
-    ----------
-    evidence : (..., 2) floating point
-        At least 0.
-    target : (..., 2)
-        P(free), P(occupied).
-
-    Returns
-    -------
-    (...) float32, or float64 if `evidence` is
     """
     _check(evidence, target)
     e, y = _precise(evidence, target)
@@ -185,15 +140,7 @@ def uniform_kl(evidence: Tensor, target: Tensor) -> Tensor:
 
 
 def annealing(epoch: float, epochs: float = 10.0) -> float:
-    """Return the weight min(1, epoch / epochs) of `uniform_kl` in a sum of losses.
-
-    Parameters
-    ----------
-    epoch : float
-        Counts from 0; may be a fraction.
-    epochs : float
-        How long the weight grows; greater than 0.
-    """
+    """Return the weight min(1, epoch / epochs) of `uniform_kl` in a sum of losses; `epoch` counts from 0."""
     if not (epoch >= 0 and epochs > 0):
         raise ValueError(f"epoch must be at least 0 and epochs greater than 0, got {epoch} and {epochs}")
     return min(1.0, epoch / epochs)
@@ -216,7 +163,8 @@ def targets(state: Tensor) -> tuple[Tensor, Tensor]:
     """
     if state.dtype != torch.uint8:
         raise TypeError(f"state must be uint8, got {state.dtype}; convert it with .to(torch.uint8)")
-    return torch.stack([state == CellState.FREE, state == CellState.OCCUPIED], -1).float(), state != CellState.IGNORE
+    target = torch.stack([state == CellState.FREE, state == CellState.OCCUPIED], -1)
+    return target.float(), state != CellState.IGNORE
 
 
 def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Tensor:
@@ -225,8 +173,8 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
     Parameters
     ----------
     loss : (...) floating point
-        What stands in cells that are not valid has no influence on the mean, be it NaN. With `reverse_kl` and
-        `uniform_kl` neither has it on the gradient; with the other losses a NaN evidence has a NaN gradient.
+        Values of cells that are not valid do not change the mean, not even NaN. With `reverse_kl` and `uniform_kl`
+        they do not change the gradient either; with the other losses a NaN evidence has a NaN gradient.
     valid : (...) bool
     weight : (...), optional
         As from `class_weights`. The sum is divided by the number of valid cells, not of weights, as the
@@ -253,16 +201,7 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
 def class_weights(target: Tensor, free: float = 1.0, occupied: float = 1.0, unknown: float = 1.0) -> Tensor:
     """Return a weight per cell by its class; for soft targets the expected one. The paper has occupied=100.
 
-    Parameters
-    ----------
-    target : (..., 2)
-        P(free), P(occupied).
-    free, occupied, unknown : float
-        Greater than 0; `undo_class_weights` undoes them.
-
-    Returns
-    -------
-    (...), with the target's dtype
+    Weights are greater than 0, and `undo_class_weights` undoes them. Returns (...), with the target's dtype.
     """
     _check_weights(free, occupied, unknown)
     _check_states(target, "target")
@@ -270,13 +209,9 @@ def class_weights(target: Tensor, free: float = 1.0, occupied: float = 1.0, unkn
 
 
 def undo_class_weights(
-    evidence: Tensor,
-    free: float = 1.0,
-    occupied: float = 1.0,
-    unknown: float = 1.0,
-    strength: float = 10.0,
+    evidence: Tensor, free: float = 1.0, occupied: float = 1.0, unknown: float = 1.0, strength: float = 10.0
 ) -> Tensor:
-    """Return the evidence that `reverse_kl` would have led to without these class weights.
+    """Return the evidence that minimises `reverse_kl` without these class weights.
 
     With weights w the loss is least at e = E w P / sum(w P); so P is proportional to e / w for free and
     occupied, and to (E - sum e) / w for unknown. For the other losses there is no such closed form.
@@ -286,9 +221,9 @@ def undo_class_weights(
     evidence : (..., 2) floating point
         At least 0. Where the sum exceeds E, P(unknown) is 0 and the sum is kept.
     free, occupied, unknown : float
-        The weights that `class_weights` was given.
+        The weights given to `class_weights`.
     strength : float
-        E, as `reverse_kl` was given it.
+        E of `reverse_kl`.
 
     Returns
     -------
@@ -319,13 +254,13 @@ class _ReverseKL(torch.autograd.Function):
         free, occupied = e[..., 0].reshape(-1), e[..., 1].reshape(-1)
         t_free, t_occupied = t[..., 0].reshape(-1), t[..., 1].reshape(-1)
         loss, slope = torch.empty_like(free), e.new_empty((2, free.numel()))
-        formula = _divergence_single if e.dtype == torch.float32 else _divergence_double
         size = _CHUNK if e.device.type == "cpu" else max(free.numel(), 1)
         for start in range(0, free.numel(), size):
             chunk = slice(start, start + size)
-            loss[chunk], slope[:, chunk] = formula(
-                free[chunk], occupied[chunk], t_free[chunk], t_occupied[chunk], strength
-            )
+            alpha = torch.stack([free[chunk], occupied[chunk]]).add_(1)
+            other = torch.stack([t_free[chunk], t_occupied[chunk]]).mul_(strength).add_(1)
+            value, force = dirichlet_kl_gradient(alpha.T, other.T)
+            loss[chunk], slope[:, chunk] = value / strength, force.T / strength
         gradient[..., 0], gradient[..., 1] = slope.view(2, *e.shape[:-1])
         ctx.save_for_backward(gradient)
         ctx.dtype = evidence.dtype
@@ -337,65 +272,6 @@ class _ReverseKL(torch.autograd.Function):
         (gradient,) = ctx.saved_tensors
         outer = outer[..., None]
         return torch.where(outer == 0, 0, gradient * outer).to(ctx.dtype), None, None
-
-
-def _divergence_double(
-    free: Tensor, occupied: Tensor, t_free: Tensor, t_occupied: Tensor, strength: float
-) -> tuple[Tensor, Tensor]:
-    """Return the divergence (n,) and its gradient (2, n), both divided by E, in float64."""
-    alpha = 1 + torch.stack([free, occupied])
-    other = 1 + strength * torch.stack([t_free, t_occupied])
-    force = (alpha - other) * torch.special.polygamma(1, alpha)
-    total, other_total = alpha.sum(0), other.sum(0)
-    common = (total - other_total) * torch.special.polygamma(1, total)
-    return dirichlet_kl(alpha.T, other.T) / strength, (force - common) / strength
-
-
-def _divergence_single(
-    free: Tensor, occupied: Tensor, t_free: Tensor, t_occupied: Tensor, strength: float
-) -> tuple[Tensor, Tensor]:
-    """Return what `_divergence_double` does, in float32 and much faster.
-
-    The divergence is D(free) + D(occupied) - D(sum), D(x; y) = ln G(x) - ln G(y) - (x - y) digamma(y), where G is
-    the Gamma function, y = 1 + e and x = 1 + E t. The recurrence leads ln G to arguments where three terms of
-    Stirling's series (of the kind that expands about Y = y + 5/2) are exact to single precision:
-
-        ln G(y) = Y ln Y - Y - 1 / (24 Y) + 7 / (2880 Y^3) - ... + const - ln [y (y + 1) (y + 2)].
-
-    The large parts that are linear in y cancel on paper. With c = y + 1, the last product is c (c^2 - 1).
-    """
-    c, x = free.new_empty((3, *free.shape)), free.new_empty((3, *free.shape))
-    torch.add(free, 2, out=c[0])
-    torch.add(occupied, 2, out=c[1])
-    torch.add(c[0], c[1], out=c[2]).sub_(1)
-    torch.mul(t_free, strength, out=x[0]).add_(2)
-    torch.mul(t_occupied, strength, out=x[1]).add_(2)
-    torch.add(x[0], x[1], out=x[2]).sub_(1)
-    d = x - c
-    # What the recurrence adds: the sums of 1 / (y + k) and of 1 / (y + k)^2 for k = 0, 1, 2
-    p, s = c.reciprocal(), (c * c).sub_(1).reciprocal_()
-    product = (x * x).sub_(1).mul_(x).mul_(p).mul_(s)  # x (x + 1) (x + 2) / [y (y + 1) (y + 2)]
-    digamma = torch.addcmul(p, c, s, value=2)
-    trigamma = (p * p).addcmul_(s, s + 0.5, value=4)
-    # Stirling's series
-    x, v = x.add_(1.5), c.add_(1.5).reciprocal_()
-    w, v2 = x.reciprocal(), v * v
-    digamma.addcmul_(v2, _polynomial(v2, 31 / 8064, -7 / 960, 1 / 24), value=-1)
-    trigamma.addcmul_(v, _polynomial(v2, -31 / 1344, 7 / 240, -1 / 12, 1.0))
-    terms = (x * v).log_().mul_(x).addcmul_(d, digamma).sub_(product.log_())
-    terms.addcmul_(v, _polynomial(v2, 31 / 40320, -7 / 2880, 1 / 24))
-    terms.addcmul_(w, _polynomial(w * w, -31 / 40320, 7 / 2880, -1 / 24))
-    value = (terms[0] + terms[1]).sub_(terms[2]).clamp_(min=0).div_(strength)
-    force = trigamma.mul_(d)
-    return value, (force[2] - force[:2]).div_(strength)
-
-
-def _polynomial(x: Tensor, *coefficients: float) -> Tensor:
-    """Return the polynomial with these coefficients, that of the highest power first."""
-    result = x * coefficients[0]
-    for coefficient in coefficients[1:-1]:
-        result.add_(coefficient).mul_(x)
-    return result.add_(coefficients[-1])
 
 
 def _check(evidence: Tensor, target: Tensor) -> None:

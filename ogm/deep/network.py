@@ -1,10 +1,10 @@
 """The network: pillar features, a 2-D convolutional backbone, and a head that gives evidence for every cell.
 
-Two sizes of one idea. `PAPER` is PointPillars as van Kempen et al. 2021 describe it (Sec. III): three blocks of
-convolutions at 1/2, 1/4 and 1/8 of the resolution, each brought back to 1/2 and joined. `LITE` is made for
-processors without an accelerator: fewer channels, one block more for context, and a pyramid that merges by
-addition. In both the last convolution makes the four cells of each 2 x 2 square at once, so that the result has
-the full resolution of the grid.
+Two sizes. `PAPER` is PointPillars as van Kempen et al. 2021 describe it (Sec. III): three blocks of
+convolutions at 1/2, 1/4 and 1/8 of the resolution, each brought back to 1/2 and concatenated. `LITE` is made for
+processors without an accelerator: fewer channels, one block more for context, and a pyramid whose scales are
+added. In both, the last convolution gives the four cells of each 2 x 2 square at once, so that the result has the
+full resolution of the grid.
 """
 
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from typing import Literal
 
 import torch
 from torch import nn
-from torch.nn.functional import conv2d, interpolate, pixel_shuffle, relu, softplus
+from torch.nn.functional import batch_norm, conv2d, interpolate, pixel_shuffle, relu, softplus
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from ogm.deep.pillars import FEATURES, Pillars
 from ogm.grid import GridSpec
 
-__all__ = ["LITE", "PAPER", "Network", "NetworkConfig", "fused"]
+__all__ = ["LITE", "PAPER", "NetworkConfig", "PillarNetwork", "fused"]
 
 
 @dataclass(frozen=True)
@@ -32,20 +32,20 @@ class NetworkConfig:
     blocks : tuple of (channels, convolutions)
         One per scale 1/2, 1/4, 1/8, ...; the first convolution of each halves the resolution.
     join : "concatenate" or "add"
-        How the scales meet at 1/2: each brought up by a transposed convolution and concatenated (PointPillars), or
-        from the coarsest down, each added to the next finer one.
+        How the scales are joined at 1/2: each enlarged by a transposed convolution and concatenated (PointPillars),
+        or from the coarsest down, each added to the next finer one.
     up : int
-        Channels of each scale when they meet by concatenation.
+        Channels of each scale when they are concatenated.
     bearings : bool
-        Tell the network at every cell how far and in which direction the sensor is.
+        Give the network, at every cell, the distance and the direction of the sensor.
     evidence : "softplus" or "relu"
-        What makes the head's numbers evidence. ReLU is the paper's; it leaves cells without gradient.
+        Activation of the head. ReLU is the paper's; it leaves cells without gradient.
     dropout : float
         Share of the blocks' activations left out in training.
     scale : tuple of 9 floats
         The pillars' features are divided by these [the features' units].
     z_range : (float, float)
-        Heights above the ground that are looked at [m].
+        Heights above the ground that are kept [m].
     """
 
     pillar: int
@@ -60,7 +60,7 @@ class NetworkConfig:
 
     @classmethod
     def from_dict(cls, numbers: dict[str, object]) -> "NetworkConfig":
-        """Make from JSON, where tuples have become lists."""
+        """Make a configuration from JSON, where tuples are lists."""
         tuples = {name: _tuple(value) for name, value in numbers.items()}
         return cls(**tuples)  # type: ignore[arg-type]
 
@@ -82,7 +82,7 @@ LITE = NetworkConfig(
 )
 
 
-class Network(nn.Module):
+class PillarNetwork(nn.Module):
     """Pillars in, evidence for free and occupied out.
 
     Parameters
@@ -101,10 +101,11 @@ class Network(nn.Module):
     def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
         super().__init__()
         if any(n % config.stride for n in spec.shape):
-            up = tuple(-(-n // config.stride) * config.stride for n in spec.shape)
+            nx, ny = (-(-n // config.stride) * config.stride for n in spec.shape)
             raise ValueError(
                 f"the network halves the grid {len(config.blocks)} times, so both sides must be multiples of "
-                f"{config.stride} cells, got {spec.shape}; use {up} cells"
+                f"{config.stride} cells, got {spec.shape}; use ({nx}, {ny}) cells, length {nx * spec.resolution:g} m "
+                f"and width {ny * spec.resolution:g} m"
             )
         if config.bearings and len(config.blocks) < 2:
             raise ValueError(f"bearings join at the second block, got {len(config.blocks)} block")
@@ -117,19 +118,19 @@ class Network(nn.Module):
             for before, (size, count) in zip([config.pillar, *channels], config.blocks, strict=False)
         )
         if config.join == "concatenate":
-            self.join: nn.Module = Concatenate(channels, config.up)
+            self.join: nn.Module = ConcatenateNeck(channels, config.up)
             last = config.up * len(channels)
         else:
-            self.join = Add(channels)
+            self.join = AddNeck(channels)
             last = channels[0]
         self.head = nn.Conv2d(last, 2 * 4, 3, padding=1)
-        if config.evidence == "softplus":  # begin near what is usual: much free, little occupied
+        if config.evidence == "softplus":  # begin near the usual: much free, little occupied
             with torch.no_grad():
                 self.head.bias.copy_(torch.tensor([2.0] * 4 + [-1.0] * 4))
         if config.bearings:
-            self.register_buffer("around", _bearings(spec), persistent=False)
+            self.register_buffer("sensor_coords", _sensor_coords(spec), persistent=False)
 
-    def on(self, spec: GridSpec) -> "Network":
+    def on(self, spec: GridSpec) -> "PillarNetwork":
         """Return the same network for another grid of the same resolution.
 
         Raises
@@ -142,30 +143,30 @@ class Network(nn.Module):
                 f"the network was trained on cells of {self.spec.resolution} m, got {spec.resolution} m; "
                 "train another, or use that resolution"
             )
-        network = Network(self.config, spec)
+        network = PillarNetwork(self.config, spec)
         network.load_state_dict(self.state_dict())
         return network.train(self.training)
 
     def forward(self, pillars: Pillars) -> torch.Tensor:
         """Return evidence, (batch, nx, ny, 2) float32, at least 0; states last, free before occupied."""
-        return self.evidence(self.canvas(pillars))
+        return self.evidence(self.feature_map(pillars))
 
-    def canvas(self, pillars: Pillars) -> torch.Tensor:
+    def feature_map(self, pillars: Pillars) -> torch.Tensor:
         """Return the pillars' features on the grid, (batch, channels, nx, ny); 0 where no point is."""
         nx, ny = self.spec.shape
         features = self.pillar(pillars.features, pillars.lengths)
-        canvas = features.new_zeros(pillars.batch * nx * ny, features.shape[1])
-        canvas.index_copy_(0, pillars.cells, features)
-        return canvas.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # in memory: channels last
+        x = features.new_zeros(pillars.batch * nx * ny, features.shape[1])
+        x.index_copy_(0, pillars.cells, features)
+        return x.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # in memory: channels last
 
-    def evidence(self, canvas: torch.Tensor) -> torch.Tensor:
-        """Return evidence (batch, nx, ny, 2) from the canvas."""
+    def evidence(self, feature_map: torch.Tensor) -> torch.Tensor:
+        """Return evidence (batch, nx, ny, 2) from the feature map."""
         scales = []
-        x = canvas
+        x = feature_map
         for k, block in enumerate(self.blocks):
             x = block[0](x)
             if k == 1 and self.bearings is not None:
-                x = x + self.bearings(self.around)
+                x = x + self.bearings(self.sensor_coords)
             x = block[1:](x)
             scales.append(x)
         x = pixel_shuffle(self._head(self.join(scales)), 2)
@@ -173,7 +174,7 @@ class Network(nn.Module):
         return softplus(x) if self.config.evidence == "softplus" else relu(x)
 
     def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
-        """Apply the head to parts side by side: convolved one by one and added, they need not be copied together."""
+        """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
         sizes = [part.shape[1] for part in parts]
         x = conv2d(parts[0], self.head.weight[:, : sizes[0]], self.head.bias, padding=1)
         for part, weight in zip(
@@ -194,20 +195,18 @@ class PillarFeatures(nn.Module):
 
     def forward(self, features: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
         """Return (P, channels) from (N, 9) features of points sorted by pillar, and the pillars' lengths."""
+        x, norm = self.linear(features if self.scale is None else features * self.scale), self.norm
         if len(features) < 2 and self.training:  # no statistics of one point
-            x = nn.functional.batch_norm(
-                self.linear(features * self.scale), self.norm.running_mean, self.norm.running_var,
-                self.norm.weight, self.norm.bias, eps=1e-3,
-            )  # fmt: skip
+            x = batch_norm(x, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=norm.eps)
         else:
-            x = self.norm(self.linear(features if self.scale is None else features * self.scale))
+            x = norm(x)
         if len(features) == 0:
             return x
         return torch.segment_reduce(relu(x, inplace=True), "max", lengths=lengths, unsafe=True)
 
 
-class Concatenate(nn.Module):
-    """PointPillars' neck: every scale to 1/2 by a transposed convolution, then side by side."""
+class ConcatenateNeck(nn.Module):
+    """PointPillars' neck: every scale to 1/2 by a transposed convolution, then concatenated."""
 
     def __init__(self, channels: list[int], up: int) -> None:
         super().__init__()
@@ -219,11 +218,11 @@ class Concatenate(nn.Module):
         )
 
     def forward(self, scales: list[torch.Tensor]) -> list[torch.Tensor]:
-        """Return one (batch, up, nx / 2, ny / 2) per scale, to be seen side by side."""
+        """Return one (batch, up, nx / 2, ny / 2) per scale; the head concatenates them."""
         return [up(x) for up, x in zip(self.ups, scales, strict=True)]
 
 
-class Add(nn.Module):
+class AddNeck(nn.Module):
     """A pyramid from the coarsest scale down: enlarge, add to the next finer scale, convolve."""
 
     def __init__(self, channels: list[int]) -> None:
@@ -243,7 +242,7 @@ class Add(nn.Module):
 
 
 class ConvReLU(nn.Module):
-    """A convolution and its ReLU in one go, where oneDNN computes; else one after the other."""
+    """A convolution and its ReLU: one operation where oneDNN computes, else two."""
 
     def __init__(self, conv: nn.Conv2d) -> None:
         super().__init__()
@@ -277,16 +276,16 @@ def _block(before: int, after: int, count: int, dropout: float) -> nn.Sequential
     )
 
 
-def _bearings(spec: GridSpec) -> torch.Tensor:
-    """Return for each 4 x 4 cells: distance / 40 m and its logarithm, and the direction, (1, 4, nx / 4, ny / 4)."""
+def _sensor_coords(spec: GridSpec) -> torch.Tensor:
+    """Return polar coordinates of each 4 x 4 cells, (1, 4, nx / 4, ny / 4): r / 40 m, ln(r / 10 m), cos, sin."""
     x, y = (torch.from_numpy(axis).float() for axis in spec.cell_centers)
     x, y = x.view(-1, 4, 1).mean(1), y.view(1, -1, 4).mean(2)
     r = torch.sqrt(x**2 + y**2).clamp(min=spec.resolution)
-    around = torch.stack([r / 40, torch.log(r / 10), x / r, y / r])
-    return around[None].contiguous(memory_format=torch.channels_last)
+    coords = torch.stack([r / 40, torch.log(r / 10), x / r, y / r])
+    return coords[None].contiguous(memory_format=torch.channels_last)
 
 
-def fused(network: Network) -> Network:
+def fused(network: PillarNetwork) -> PillarNetwork:
     """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
     import copy
 

@@ -1,4 +1,4 @@
-"""Recipes: all that decides how a network is trained, as values; ours and the paper's."""
+"""Recipes: the settings of a training; ours and the paper's."""
 
 import math
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from ogm.deep import losses
 from ogm.deep.data import ROTATION, Augmentation
 from ogm.deep.network import LITE, PAPER, NetworkConfig
 
-__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "Recipe", "learning_rate", "mean_loss"]
+__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "PRESETS", "Recipe", "learning_rate", "mean_loss"]
 
 LOSSES: dict[
     str, Callable[[Tensor, Tensor, float], Tensor]
@@ -25,15 +25,15 @@ LOSSES: dict[
 
 @dataclass(frozen=True)
 class Recipe:
-    """All that decides how a network is trained; kept beside its weights.
+    """The settings of a training; kept beside the weights.
 
     Parameters
     ----------
     network : NetworkConfig
     epochs : int
-        Times that every sample is seen.
+        Passes over all frames.
     batch : int
-        Samples per step and process.
+        Frames per step and process.
     loss : str
         A name of `LOSSES`.
     strength : float
@@ -95,17 +95,18 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and 
     most_pillars=10_000,
     most_points=100,
 )
+PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
 
 
 def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:
-    """Return the mean over the cells that count, of the recipe's loss."""
+    """Return the recipe's loss, averaged over all cells that are not ignored."""
     target, valid = losses.targets(state)
     loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
     if recipe.uniform_kl:
         loss = loss + recipe.uniform_kl * losses.annealing(epoch) * losses.uniform_kl(evidence, target)
-    weight = (
-        None if recipe.occupied_weight == 1 else losses.class_weights(target, occupied=recipe.occupied_weight)
-    )
+    weight = None
+    if recipe.occupied_weight != 1:
+        weight = losses.class_weights(target, occupied=recipe.occupied_weight)
     return losses.masked_mean(loss, valid, weight)
 
 

@@ -127,7 +127,7 @@ def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str,
                 "macro": {m: result.interval(name, m, rng)._asdict() for m in METRICS},
                 "micro": result.micro(name),
                 "missing": reasons(sums),
-                "confusion": sums.calls.astype(int).tolist(),  # [truth][predicted], unknown free occupied
+                "confusion": sums.confusion.astype(int).tolist(),  # [truth][predicted], unknown free occupied
                 "by range": {key: column.tolist() for key, column in by_range(sums).items()},
                 "curves": _curves(sums),
                 "per frame": {m: result.of(name, m).tolist() for m in METRICS},

@@ -1,17 +1,14 @@
-"""What every function here does first: know its library, and refuse what is not a mass.
+"""Input checks, and the functions that let one source serve numpy and torch.
 
-One source serves numpy and torch because the two modules agree on the few functions the algebra needs
-(``where``, ``stack``, ``sqrt``, ``log``, ...). Torch is never imported: a tensor can only exist once somebody
-else has imported it, so it is found in ``sys.modules``.
+The two modules agree on the few functions the algebra needs (``where``, ``stack``, ``sqrt``, ``log``, ...).
+Torch is never imported: a tensor can only exist once its library is in ``sys.modules``.
 
 Two kinds of checks. *Form* (library, dtype, last axis, shapes) is checked on every call: it costs nothing.
 *Values* (the simplex, NaN) are checked on every call for numpy arrays, where a minimum is cheap, and never
-for tensors, where reading a value would stall the GPU and stop tracing: call `check_mass` where tensors
-enter.
+for tensors, where reading a value would stall the GPU and stop tracing: use `check_mass` where tensors enter.
 """
 
 import sys
-from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -32,12 +29,12 @@ def namespace(array: Any, name: str = "mass") -> Any:
     """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
     if isinstance(array, np.ma.MaskedArray):
         raise TypeError(
-            f"{name} must not be a masked array: masks are not looked at; fill it: {name}.filled(0)"
+            f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)"
         )
     if isinstance(array, np.ndarray | np.generic):
         return np
     torch = sys.modules.get("torch")
-    if isinstance(torch, ModuleType) and isinstance(array, torch.Tensor):
+    if torch is not None and isinstance(array, torch.Tensor):
         return torch
     raise TypeError(
         f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; "
@@ -55,18 +52,34 @@ def tolerance_of(mass: Any) -> float:
     return _TOLERANCE[dtype_name(mass)]
 
 
-def check_form(array: Any, name: str = "mass", states: tuple[int, ...] = (2,)) -> Any:
-    """Refuse a wrong library, dtype or last axis; return the library's module."""
+def check_float(array: Any, name: str) -> Any:
+    """Refuse a wrong library or dtype; return the library's module."""
     xp = namespace(array, name)
     if dtype_name(array) not in _TOLERANCE:
         raise TypeError(
             f"{name} must be float32 or float64, got {dtype_name(array)}; convert it, "
             f"for example {name}.{'astype(np.float32)' if xp is np else 'float()'}"
         )
+    return xp
+
+
+def check_form(array: Any, name: str = "mass", states: tuple[int, ...] = (2,)) -> Any:
+    """Refuse a wrong library, dtype or last axis; return the library's module."""
+    xp = check_float(array, name)
     if array.ndim == 0 or array.shape[-1] not in states:
         wanted = _STATES[states]
         raise ValueError(f"{name} must have {wanted} on its last axis, got shape {tuple(array.shape)}")
     return xp
+
+
+def first_index(condition: Any) -> list[int]:
+    """Return the index of the first true element."""
+    return [int(i) for i in np.unravel_index(condition.ravel().tolist().index(True), tuple(condition.shape))]
+
+
+def worst_index(badness: Any) -> tuple[int, ...]:
+    """Return the index of the greatest element, or of the first NaN."""
+    return tuple(int(i) for i in np.unravel_index(int(badness.argmax()), tuple(badness.shape)))
 
 
 def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
@@ -79,8 +92,7 @@ def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
         )
     if a.dtype != b.dtype:
         raise TypeError(
-            f"{first} and {second} must have one dtype, got {dtype_name(a)} and {dtype_name(b)}; "
-            f"cast one of them"
+            f"{first} and {second} must have one dtype, got {dtype_name(a)} and {dtype_name(b)}; cast one of them"
         )
     if namespace(a) is not np and a.device != b.device:
         raise TypeError(
@@ -95,14 +107,11 @@ def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
 
 
 def rounding(mass: Any) -> float:
-    """Return the unknown that counts as none: 4 units of rounding, 4.8e-7 (float32) or 8.9e-16 (float64).
-
-    1 - (free + occupied) of a dogmatic mass is not always exactly zero.
-    """
+    """Return the unknown that counts as none, as rounding leaves it: 4.8e-7 (float32) or 8.9e-16 (float64)."""
     return float(4 * np.finfo(dtype_name(mass)).eps)
 
 
-def like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1.0) -> Any:
+def as_like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1.0) -> Any:
     """Bring a number, or an array of one number per cell, to the library and dtype of `cells`.
 
     Numbers and numpy arrays are checked to lie in [low, high], arrays to broadcast with `cells`.
@@ -121,34 +130,30 @@ def like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1.0)
         np.broadcast_shapes(tuple(value.shape), tuple(cells.shape))
     except ValueError:
         raise ValueError(
-            f"{name} must have one number per cell, shape {tuple(cells.shape)}, "
-            f"got shape {tuple(value.shape)}"
+            f"{name} must have one number per cell, shape {tuple(cells.shape)}, got shape {tuple(value.shape)}"
         ) from None
     if xp is not np:
         return value.to(cells.dtype)
     outside = ~((value >= low) & (value <= high))
     if outside.any():
-        index = [int(i) for i in np.argwhere(outside)[0]]
+        index = first_index(outside)
         raise ValueError(
             f"{name} must lie in [{low:g}, {high:g}], but {name}{index} is {value[tuple(index)]}"
         )
     return value.astype(cells.dtype, copy=False)
 
 
-def anywhere(xp: Any, condition: Any) -> bool:
-    """Say whether a rare case occurs, so that numpy may skip its treatment.
-
-    A tensor is not read: there it always may.
-    """
+def maybe_any(xp: Any, condition: Any) -> bool:
+    """Return whether a rare case may occur, so that numpy can skip it. True for tensors, which are not read."""
     return xp is not np or bool(condition.any())
 
 
 def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
     """Check a pair and return its (free, occupied, unknown), each of the leading shape.
 
-    The derived unknown is 1 - free - occupied. What lies below zero, within the tolerance, is read as zero,
-    and in numpy a sum above one by more than rounding is divided by it: rules that divide small numbers would
-    make nonsense of them. The caller's array is not changed.
+    The derived unknown is 1 - free - occupied. A number below zero, within the tolerance, is read as zero, and
+    in numpy a pair whose sum exceeds one by more than rounding is divided by the sum, as rules that divide small
+    numbers would amplify the error. The caller's array is not changed.
     """
     xp = check_form(mass, name)
     free, occupied = mass[..., 0], mass[..., 1]
@@ -158,6 +163,13 @@ def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
     unknown = 1 - (free + occupied)  # in this order free and occupied are treated alike to the last bit
     (free, occupied), unknown = _inside([free, occupied], unknown, mass, name)
     return free, occupied, unknown
+
+
+def split_two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any]:
+    """Check two pairs that must fit each other; return (free, occupied, unknown) of each."""
+    parts = split(a, names[0]), split(b, names[1])
+    check_alike(a, b, names)
+    return parts
 
 
 def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
@@ -176,10 +188,7 @@ def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
 
 
 def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[list[Any], Any]:
-    """Check an array whose unknown is at hand, and bring within the simplex what rounding left outside.
-
-    Two minima; more work only where they are negative, and the full search only where they fail.
-    """
+    """Check an array by two minima, and correct what rounding left outside the simplex."""
     given, least = float(mass.min(initial=0)), float(unknown.min(initial=0))
     if not (given >= -tolerance_of(mass) and least >= -tolerance_of(mass)):
         check_mass(mass, name=name)
@@ -194,10 +203,7 @@ def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[lis
 
 
 def sources(a: Any, b: Any, axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
-    """Return (module, parts) of a rule's sources: of the two in ``(a, b)``, or of those along `axis` of `a`.
-
-    Each part is (free, occupied, unknown).
-    """
+    """Return (module, parts) of the sources ``(a, b)`` or along `axis` of `a`; a part is (free, occupied, unknown)."""
     return _sources(a, b, axis, (2,), split)
 
 
@@ -220,7 +226,7 @@ def _sources(
         raise TypeError(
             "give two masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0)"
         )
-    if a.ndim < 2 or not -a.ndim <= axis < a.ndim or axis % a.ndim == a.ndim - 1:
+    if not -a.ndim <= axis < a.ndim or axis % a.ndim == a.ndim - 1:
         raise ValueError(
             f"axis must be a leading axis of the stack, not the last one (the states), "
             f"got axis {axis} for shape {tuple(a.shape)}"
@@ -233,16 +239,11 @@ def _sources(
     return xp, list(zip(*stacks, strict=True))
 
 
-def broadcast(xp: Any, arrays: list[Any]) -> list[Any]:
-    """Bring arrays of either library to one shape."""
-    return list(xp.broadcast_arrays(*arrays) if xp is np else xp.broadcast_tensors(*arrays))
-
-
-def pack(xp: Any, numbers: list[Any], mass: Any) -> Any:
+def stack_last(xp: Any, numbers: list[Any], mass: Any) -> Any:
     """Stack numbers per cell on a new last axis, in the dtype of `mass`."""
     if xp is np:
-        return np.stack(broadcast(xp, numbers), axis=-1).astype(mass.dtype, copy=False)
-    return xp.stack(broadcast(xp, numbers), dim=-1)
+        return np.stack(np.broadcast_arrays(*numbers), axis=-1).astype(mass.dtype, copy=False)
+    return xp.stack(xp.broadcast_tensors(*numbers), dim=-1)
 
 
 def per_cell(value: Any, mass: Any) -> Any:
@@ -253,7 +254,7 @@ def per_cell(value: Any, mass: Any) -> Any:
 def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") -> None:
     """Raise unless every cell is a mass: free >= 0, occupied >= 0, free + occupied <= 1.
 
-    Call it where data enters, once. Nothing is changed; `renormalize` is the verb that repairs.
+    Use it once, where data enters. Nothing is changed; `renormalize` repairs.
 
     Parameters
     ----------
@@ -262,7 +263,7 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
     tolerance : float, optional
         How far outside the simplex a cell may lie; by default 1e-6 for float32 and 1e-12 for float64.
     name : str
-        What the error message calls the array.
+        Name of the array in error messages.
 
     Raises
     ------
@@ -275,14 +276,13 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
     xp = check_form(mass, name, states=(2, 3))
     tolerance = tolerance_of(mass) if tolerance is None else tolerance
     values = mass if xp is np else mass.detach()
-    # How far each cell lies outside: below zero, or above one in sum. NaN fails every comparison, and argmax finds it
-    # first.
+    # How far each cell lies outside: below zero, or above one in sum. NaN fails every comparison and comes first.
     below = -(values.min(-1) if xp is np else values.amin(-1))
     above = values.sum(-1) - 1
     outside = xp.where(below > above, below, above)
     if bool((outside <= tolerance).all()):
         return
-    index = tuple(int(i) for i in np.unravel_index(int(outside.argmax()), tuple(outside.shape)))
+    index = worst_index(outside)
     place = f"{name}[{', '.join(map(str, (*index, ':')))}]"
     count = int((~(outside <= tolerance)).sum())
     raise ValueError(
@@ -295,8 +295,8 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
 def renormalize(mass: Array) -> Array:
     """Return the mass with negative numbers set to 0 and sums above 1 divided by the sum.
 
-    An explicit repair, for data that comes from elsewhere with rounding or resampling errors in it; nothing
-    in this package calls it for you.
+    An explicit repair, for external data with rounding or resampling errors; no function of this package does it
+    implicitly.
 
     Parameters
     ----------
@@ -311,8 +311,8 @@ def renormalize(mass: Array) -> Array:
     xp = check_form(mass, states=(2, 3))
     given: Any = mass
     if xp is np and not np.isfinite(given).all():
-        index = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
-        raise ValueError(f"mass must be finite to be renormalized, but mass{list(index)} is {given[index]}")
+        index = first_index(~np.isfinite(given))
+        raise ValueError(f"mass must be finite to be renormalized, but mass{index} is {given[tuple(index)]}")
     positive = given.clip(0)
     total = positive.sum(-1)[..., None]
     return positive / xp.where(total > 1, total, xp.ones_like(total))

@@ -1,4 +1,4 @@
-"""Discounting: how a mass fades when its source is not to be trusted, or is old.
+"""Discounting: reduce masses of unreliable or old sources.
 
 Sources: Shafer (1976), chapter 11; Mercier, Quost and Denœux, "Refined modeling of sensor reliability in the
 belief function framework using contextual discounting" (2008); Jøsang, *Subjective Logic* (2016), chapter 14.
@@ -6,7 +6,7 @@ belief function framework using contextual discounting" (2008); Jøsang, *Subjec
 
 from typing import Any
 
-from ogm.evidence.arrays import Array, check_alike, like, namespace, pack, split
+from ogm.evidence.arrays import Array, as_like, namespace, split, split_two, stack_last
 
 __all__ = [
     "contextual_discount",
@@ -27,34 +27,34 @@ def discount(mass: Array, reliability: Any) -> Array:
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     reliability : float or (...) array
-        In [0, 1]; 1 keeps all, 0 leaves nothing.
+        In [0, 1]; 1 keeps all, 0 makes the mass vacuous.
     """
     free, occupied, _ = split(mass)
-    r = like(reliability, free, "reliability")
+    r = as_like(reliability, free, "reliability")
     if isinstance(r, float):  # the same, in one pass
         given: Any = mass
         return given * r
-    return pack(namespace(mass), [r * free, r * occupied], mass)
+    return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 
 def discount_evidence(mass: Array, reliability: Any) -> Array:
     """Return the mass whose evidence is `reliability` times that of `mass`.
 
     b' = r b / (u + r (1 - u)). Gentler than `discount` on strong masses. A dogmatic mass has infinite
-    evidence and stays as it is for every r > 0; with r = 0 all is forgotten.
+    evidence and stays as it is for every r > 0; with r = 0 the result is vacuous.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     reliability : float or (...) array
-        In [0, 1]; 1 keeps all, 0 leaves nothing.
+        In [0, 1]; 1 keeps all, 0 makes the mass vacuous.
     """
     free, occupied, unknown = split(mass)
     xp = namespace(mass)
-    r = like(reliability, free, "reliability")
+    r = as_like(reliability, free, "reliability")
     strength = unknown + r * (free + occupied)
     strength = strength + (strength == 0)
-    return pack(xp, [r * free / strength, r * occupied / strength], mass)
+    return stack_last(xp, [r * free / strength, r * occupied / strength], mass)
 
 
 def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
@@ -74,14 +74,14 @@ def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
         raise ValueError(
             f"half_life must be greater than 0 s, got {half_life}; use infinity to forget nothing"
         )
-    age = like(elapsed, split(mass)[0], "elapsed", high=float("inf"))
+    age = as_like(elapsed, split(mass)[0], "elapsed", high=float("inf"))
     return discount(mass, 0.5 ** (age / half_life))
 
 
 def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_occupied: Any) -> Array:
-    """Return the mass of a source whose reliability depends on what is really there.
+    """Return the mass of a source whose reliability depends on the true state.
 
-    A source that is unreliable *when the cell is occupied* cannot be believed when it says free, so
+    A source that is unreliable *when the cell is occupied* gives weak evidence for free, so
 
     free' = reliability_if_occupied * free,   occupied' = reliability_if_free * occupied.
 
@@ -100,9 +100,9 @@ def contextual_discount(mass: Array, reliability_if_free: Any, reliability_if_oc
     puts 1 - reliability on that context and the rest on the empty set.
     """
     free, occupied, _ = split(mass)
-    if_free = like(reliability_if_free, free, "reliability_if_free")
-    if_occupied = like(reliability_if_occupied, free, "reliability_if_occupied")
-    return pack(namespace(mass), [if_occupied * free, if_free * occupied], mass)
+    if_free = as_like(reliability_if_free, free, "reliability_if_free")
+    if_occupied = as_like(reliability_if_occupied, free, "reliability_if_occupied")
+    return stack_last(namespace(mass), [if_occupied * free, if_free * occupied], mass)
 
 
 def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
@@ -111,32 +111,30 @@ def trust_discount(mass: Array, trust: Array, base_rate: Any = 0.5) -> Array:
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        What the advisor says.
+        The advisor's opinion.
     trust : (..., 2) of the same library and dtype
         Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
     base_rate : float or (...) array
-        Trust in an advisor of whom nothing is known, in [0, 1].
+        Prior trust in an advisor, in [0, 1].
 
     Notes
     -----
     Jøsang (2016), section 14.3 (probability-sensitive trust discounting).
     """
-    free, occupied, _ = split(mass)
-    check_alike(mass, trust, ("mass", "trust"))
-    _, trusted, unknown = split(trust, "trust")
-    r = trusted + like(base_rate, free, "base_rate") * unknown
-    return pack(namespace(mass), [r * free, r * occupied], mass)
+    (free, occupied, _), (_, trusted, unknown) = split_two(mass, trust, ("mass", "trust"))
+    r = trusted + as_like(base_rate, free, "base_rate") * unknown
+    return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 
 def trust_discount_opposite(mass: Array, trust: Array) -> Array:
-    """Return an advisor's mass where a distrusted advisor is believed to say the opposite of the truth.
+    """Return an advisor's mass where distrust in the advisor supports the opposite of the advisor's opinion.
 
     free' = trust free + distrust occupied,   occupied' = trust occupied + distrust free.
 
     Parameters
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
-        What the advisor says.
+        The advisor's opinion.
     trust : (..., 2) of the same library and dtype
         Opinion about the advisor: (distrust, trust), in the place of (free, occupied).
 
@@ -145,11 +143,6 @@ def trust_discount_opposite(mass: Array, trust: Array) -> Array:
     Jøsang, Marsh and Pope, "Exploring different types of trust propagation" (2006), opposite belief
     favouring.
     """
-    free, occupied, _ = split(mass)
-    check_alike(mass, trust, ("mass", "trust"))
-    distrusted, trusted, _ = split(trust, "trust")
-    return pack(
-        namespace(mass),
-        [trusted * free + distrusted * occupied, trusted * occupied + distrusted * free],
-        mass,
-    )
+    (free, occupied, _), (distrusted, trusted, _) = split_two(mass, trust, ("mass", "trust"))
+    opposite = [trusted * free + distrusted * occupied, trusted * occupied + distrusted * free]
+    return stack_last(namespace(mass), opposite, mass)

@@ -1,228 +1,107 @@
-"""Numba twins of the rules that fusion runs on every scan.
+"""The combination rules of one cell, compiled by numba, and the table of all rules that have both forms.
 
-`dempster`, `yager` and `cumulative` discount the first mass (the map) and combine it with the second (the
-scan). They give the same numbers as their namesakes in `ogm.evidence` after `discount`, with one traversal of
-memory instead of dozens. They trust their input: values are not checked. A belief below zero is read as zero,
-but a sum above one is not brought back to one. NaN in a cell stays NaN in that cell; total conflict and two
-dogmatic masses (unknown of at most 4 units of rounding) give the mean. They run on one core, release the GIL,
-and their compiled code is cached on disk. `agreement` and `cumulative_cell` are what other kernels build on.
+Kernels of grids are built from them: `RULES` holds, by name, the rule on arrays and the same rule on one cell. The
+formulas are those of the array rules; where both are the same sums of products, they are the same function, compiled.
+
+A cell function takes `Constants` of the dtype to compute in and the masses (free, occupied) of two sources, and
+returns (free, occupied, whole): masses times `whole`, so that the caller divides once, limits included. Where `whole`
+is 0 the conflict is total. Values are not checked, and NaN stays NaN.
 
 Importing this module loads numba; `ogm.evidence` does not import it.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-__all__ = ["agreement", "cumulative", "cumulative_cell", "dempster", "yager"]
+from ogm.evidence import rules, subjective
+from ogm.jit import inline
 
-# "contract" lets a * b + c be one instruction. The flags that assume that NaN or infinity never happen stay
-# off.
-_jit = njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+__all__ = ["FLOAT32", "FLOAT64", "RULES", "Constants", "Rule", "agreement", "cumulative_cell"]
 
 
-def dempster(
-    a: np.ndarray, b: np.ndarray, *, reliability: float = 1.0, out: np.ndarray | None = None
-) -> np.ndarray:
-    """Discount `a` by `reliability` and combine it with `b` by Dempster's rule.
+class Constants(NamedTuple):
+    """Numbers of one dtype: a literal 1 would make float32 sums float64."""
 
-    Parameters
-    ----------
-    a, b : (..., 2) float32 or float64, C-contiguous, of one shape and dtype
-        Masses (free, occupied): the map and the scan.
-    reliability : float
-        Shafer's discount of `a`, in [0, 1]; 1 keeps all.
-    out : array, optional
-        Where the result goes: a new array by default; `a` itself for an update in place; or any other
-        writeable array of the same shape and dtype that shares no memory with `a` or `b`.
-
-    Returns
-    -------
-    (..., 2), `out`
-    """
-    return _run(_dempster_into, _dempster_in_place, a, b, reliability, out)
+    one: Any
+    dogmatic: Any  # an unknown that counts as none: 4 units of rounding
+    least_unknown: Any  # of the cautious rule
 
 
-def yager(
-    a: np.ndarray, b: np.ndarray, *, reliability: float = 1.0, out: np.ndarray | None = None
-) -> np.ndarray:
-    """Discount `a` by `reliability` and combine it with `b` by Yager's rule.
+class Rule(NamedTuple):
+    """A rule on arrays, ``arrays(a, b)``, and on one cell, ``cell(constants, f, o, g, p)``."""
 
-    Parameters
-    ----------
-    a, b, reliability, out
-        As for `dempster`.
-    """
-    return _run(_yager_into, _yager_in_place, a, b, reliability, out)
+    arrays: Callable[..., Any]
+    cell: Callable[..., Any]
 
 
-def cumulative(
-    a: np.ndarray, b: np.ndarray, *, reliability: float = 1.0, out: np.ndarray | None = None
-) -> np.ndarray:
-    """Discount `a` by `reliability` and fuse it with `b` by cumulative fusion.
+FLOAT32 = Constants(np.float32(1), np.float32(4 * 2.0**-23), np.float32(1e-6))
+FLOAT64 = Constants(np.float64(1), np.float64(4 * 2.0**-52), np.float64(1e-12))
 
-    Parameters
-    ----------
-    a, b, reliability, out
-        As for `dempster`.
-    """
-    return _run(_cumulative_into, _cumulative_in_place, a, b, reliability, out)
+_agreement = inline(rules.agreement)
+_added_evidence = inline(subjective.added_evidence)
 
 
-def _run(
-    into: Callable[..., None],
-    in_place: Callable[..., None],
-    a: np.ndarray,
-    b: np.ndarray,
-    reliability: float,
-    out: np.ndarray | None,
-) -> np.ndarray:
-    """Check the form of the arrays and run the loop that fits `out`."""
-    _check(a, "a", a)
-    _check(b, "b", a)
-    if not isinstance(reliability, int | float | np.generic):
-        raise TypeError(
-            f"reliability must be one number in a kernel, got {type(reliability).__name__}; "
-            f"for one per cell use evidence.discount"
-        )
-    if not 0 <= reliability <= 1:
-        raise ValueError(f"reliability must lie in [0, 1], got {reliability}")
-    if out is None:
-        out = np.empty_like(a)
-    _check(out, "out", a)
-    if not out.flags.writeable:
-        raise ValueError("out must be writeable, got a read-only array")
-    if np.may_share_memory(out, b):
-        raise ValueError("out must not share memory with b; only a may be updated in place")
-    if out.ctypes.data == a.ctypes.data:
-        # Its own loop: with a second name for the same memory the compiler could not use vector instructions.
-        in_place(out.reshape(-1), b.reshape(-1), reliability)
-        return out
-    if np.may_share_memory(out, a):
-        raise ValueError("out must be a itself or share no memory with it, got a part of it, shifted")
-    into(a.reshape(-1), b.reshape(-1), reliability, out.reshape(-1))
-    return out
-
-
-def _check(array: Any, name: str, a: np.ndarray) -> None:
-    if not isinstance(array, np.ndarray):
-        raise TypeError(f"{name} must be a numpy array, got {type(array).__name__}")
-    if array.dtype not in (np.float32, np.float64) or array.dtype != a.dtype:
-        raise TypeError(
-            f"a, b and out must all be float32 or all float64, got {a.dtype} and, as {name}, {array.dtype}"
-        )
-    if array.ndim == 0 or array.shape[-1] != 2:
-        raise ValueError(
-            f"{name} must have 2 states (free, occupied) on its last axis, got shape {array.shape}"
-        )
-    if array.shape != a.shape:
-        raise ValueError(f"a, b and out must have one shape, got {a.shape} and, as {name}, {array.shape}")
-    if not array.flags.c_contiguous:
-        raise ValueError(f"{name} must be C-contiguous; pass np.ascontiguousarray({name})")
-
-
-# Below, `a`, `b` and `out` are flat: cell i has free at 2 i and occupied at 2 i + 1. A stride that the
-# compiler knows is what lets it use vector instructions. `one` carries the dtype: a literal 1 would make
-# float32 sums float64.
-
-
-@_jit
-def _positive(one: Any, belief: Any) -> Any:
-    return one - one if belief < 0 else belief  # NaN < 0 is false: NaN stays
-
-
-@_jit
-def _unknown(one: Any, free: Any, occupied: Any) -> Any:
+@inline
+def _split(one: Any, free: Any, occupied: Any) -> Any:
+    """Return (free, occupied, unknown), each at least 0."""
+    zero = one - one
+    free, occupied = (
+        zero if free < 0 else free,
+        zero if occupied < 0 else occupied,
+    )  # NaN < 0 is false: NaN stays
     unknown = one - (free + occupied)
-    return one - one if unknown < 0 else unknown
+    return free, occupied, zero if unknown < 0 else unknown
 
 
-@_jit
+@inline
 def agreement(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
-    """Return (free, occupied, unknown) on which (f, o) and (g, p) agree."""
-    f, o, g, p = _positive(one, f), _positive(one, o), _positive(one, g), _positive(one, p)
-    u, v = _unknown(one, f, o), _unknown(one, g, p)
-    return f * (g + v) + u * g, o * (p + v) + u * p, u * v
+    """Return (free, occupied, unknown) on which (f, o) and (g, p) agree, see `ogm.evidence.rules.agreement`."""
+    f, o, u = _split(one, f, o)
+    g, p, v = _split(one, g, p)
+    return _agreement(f, o, u, g, p, v)
 
 
-@_jit
-def _dempster_cell(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied, unknown = agreement(one, f, o, g, p)
-    surviving = free + occupied + unknown
-    half = one / (one + one)
-    return (
-        half if surviving == 0 else free / surviving,
-        half if surviving == 0 else occupied / surviving,
-    )
-
-
-@_jit
-def _yager_cell(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied, _ = agreement(one, f, o, g, p)
-    return free, occupied
-
-
-@_jit
+@inline
 def cumulative_cell(one: Any, f: Any, o: Any, g: Any, p: Any, rounding: Any) -> Any:
     """Return (free, occupied) of (f, o) fused with (g, p); both are dogmatic where unknown is at most `rounding`."""
-    f, o, g, p = _positive(one, f), _positive(one, o), _positive(one, g), _positive(one, p)
-    u, v = _unknown(one, f, o), _unknown(one, g, p)
-    total = u + v * (f + o)
+    f, o, u = _split(one, f, o)
+    g, p, v = _split(one, g, p)
     both = (u <= rounding) & (v <= rounding)
     half = one / (one + one)
-    return (
-        half * (f + g) if both else (f * v + g * u) / total,
-        half * (o + p) if both else (o * v + p * u) / total,
-    )
+    free, occupied, whole = _added_evidence(f, o, u, g, p, v)
+    return half * (f + g) if both else free / whole, half * (o + p) if both else occupied / whole
 
 
-@_jit
-def _dempster_into(a: np.ndarray, b: np.ndarray, reliability: float, out: np.ndarray) -> None:
-    one, r = a.dtype.type(1), a.dtype.type(reliability)
-    for i in range(a.size // 2):
-        out[2 * i], out[2 * i + 1] = _dempster_cell(
-            one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1]
-        )
+@inline
+def _dempster(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    free, occupied, unknown = agreement(c.one, f, o, g, p)
+    return free, occupied, free + occupied + unknown
 
 
-@_jit
-def _dempster_in_place(a: np.ndarray, b: np.ndarray, reliability: float) -> None:
-    one, r = a.dtype.type(1), a.dtype.type(reliability)
-    for i in range(a.size // 2):
-        a[2 * i], a[2 * i + 1] = _dempster_cell(one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1])
+@inline
+def _yager(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    free, occupied, _ = agreement(c.one, f, o, g, p)
+    return free, occupied, c.one
 
 
-@_jit
-def _yager_into(a: np.ndarray, b: np.ndarray, reliability: float, out: np.ndarray) -> None:
-    one, r = a.dtype.type(1), a.dtype.type(reliability)
-    for i in range(a.size // 2):
-        out[2 * i], out[2 * i + 1] = _yager_cell(one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1])
+@inline
+def _cumulative(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    free, occupied = cumulative_cell(c.one, f, o, g, p, c.dogmatic)
+    return free, occupied, c.one
 
 
-@_jit
-def _yager_in_place(a: np.ndarray, b: np.ndarray, reliability: float) -> None:
-    one, r = a.dtype.type(1), a.dtype.type(reliability)
-    for i in range(a.size // 2):
-        a[2 * i], a[2 * i + 1] = _yager_cell(one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1])
+@inline
+def _normalized_cautious(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    u, v = max(c.one - (f + o), c.least_unknown), max(c.one - (g + p), c.least_unknown)
+    free, occupied = max(f * v, g * u), max(o * v, p * u)  # max(f / u, g / v) times u v
+    return free, occupied, free + occupied + u * v
 
 
-@_jit
-def _cumulative_into(a: np.ndarray, b: np.ndarray, reliability: float, out: np.ndarray) -> None:
-    one, r = a.dtype.type(1), a.dtype.type(reliability)
-    rounding = a.dtype.type(4 * np.finfo(a.dtype).eps)  # an unknown as good as zero
-    for i in range(a.size // 2):
-        out[2 * i], out[2 * i + 1] = cumulative_cell(
-            one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1], rounding
-        )
-
-
-@_jit
-def _cumulative_in_place(a: np.ndarray, b: np.ndarray, reliability: float) -> None:
-    one, r = a.dtype.type(1), a.dtype.type(reliability)
-    rounding = a.dtype.type(4 * np.finfo(a.dtype).eps)  # an unknown as good as zero
-    for i in range(a.size // 2):
-        a[2 * i], a[2 * i + 1] = cumulative_cell(
-            one, r * a[2 * i], r * a[2 * i + 1], b[2 * i], b[2 * i + 1], rounding
-        )
+RULES = {
+    "dempster": Rule(rules.dempster, _dempster),
+    "yager": Rule(rules.yager, _yager),
+    "cumulative": Rule(subjective.cumulative, _cumulative),
+    "normalized_cautious": Rule(rules.normalized_cautious, _normalized_cautious),
+}

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_alike, like, namespace, pack, per_cell, split
+from ogm.evidence.arrays import Array, as_like, namespace, per_cell, split_two, stack_last
 
 __all__ = ["Conclusion", "comultiplication", "deduction", "multiplication"]
 
@@ -39,7 +39,7 @@ def multiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any 
     scale = 1 - a * r
     _refuse_zero(scale, "base rates must not both be 1")
     belief = b * c + ((1 - a) * r * b * v + a * (1 - r) * u * c) / scale
-    return Conclusion(pack(xp, [d + e - d * e, belief], x), _rate(a * r, u, x))
+    return Conclusion(stack_last(xp, [d + e - d * e, belief], x), _rate(a * r, u, x))
 
 
 def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: Any = 0.5) -> Conclusion:
@@ -56,7 +56,7 @@ def comultiplication(x: Array, y: Array, base_rate_x: Any = 0.5, base_rate_y: An
     rate = a + r - a * r
     _refuse_zero(rate, "base rates must not both be 0")
     disbelief = d * e + (a * (1 - r) * d * v + (1 - a) * r * u * e) / rate
-    return Conclusion(pack(xp, [disbelief, b + c - b * c], x), _rate(rate, u, x))
+    return Conclusion(stack_last(xp, [disbelief, b + c - b * c], x), _rate(rate, u, x))
 
 
 def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5) -> Conclusion:
@@ -75,8 +75,7 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
         In [0, 1].
     """
     xp, (d, b, u), (d1, b1, u1), a, _ = _two(x, y_if_x, base_rate_x, 0.5, ("x", "y_if_x"))
-    check_alike(x, y_if_not_x, ("x", "y_if_not_x"))
-    d0, b0, u0 = split(y_if_not_x, "y_if_not_x")
+    _, (d0, b0, u0) = split_two(x, y_if_not_x, ("x", "y_if_not_x"))
     # Marginal base rate of y: where it is consistent with itself.
     known = 1 - a * u1 - (1 - a) * u0
     nothing = known <= 0
@@ -92,16 +91,15 @@ def deduction(x: Array, y_if_x: Array, y_if_not_x: Array, base_rate_x: Any = 0.5
     ).clip(0, 1)
     unknown = u * apex + b * u1 + d * u0
     disbelief, belief = 1 - p - (1 - rate) * unknown, p - rate * unknown
-    mass = pack(xp, [disbelief.clip(0), belief.clip(0)], x)  # rounding may leave them below zero
+    mass = stack_last(xp, [disbelief.clip(0), belief.clip(0)], x)  # rounding may leave them below zero
     return Conclusion(mass, per_cell(rate, x))
 
 
 def _two(
     x: Any, y: Any, base_rate_x: Any, base_rate_y: Any, names: tuple[str, str] = ("x", "y")
 ) -> tuple[Any, tuple[Any, Any, Any], tuple[Any, Any, Any], Any, Any]:
-    first, second = split(x, names[0]), split(y, names[1])
-    check_alike(x, y, names)
-    rates = like(base_rate_x, first[0], "base_rate_x"), like(base_rate_y, second[0], "base_rate_y")
+    first, second = split_two(x, y, names)
+    rates = as_like(base_rate_x, first[0], "base_rate_x"), as_like(base_rate_y, second[0], "base_rate_y")
     return namespace(x), first, second, *rates
 
 

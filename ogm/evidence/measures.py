@@ -1,11 +1,11 @@
-"""How much two masses conflict, and how much one mass does not know.
+"""Measures of conflict between masses, and of the uncertainty of one mass.
 
 Entropies are in bits. Sources are named with each measure.
 """
 
 from typing import Any
 
-from ogm.evidence.arrays import Array, check_alike, namespace, pack, per_cell, split
+from ogm.evidence.arrays import Array, namespace, per_cell, split, split_two, stack_last
 from ogm.evidence.opinion import unknown
 from ogm.evidence.probability import mass_to_probability, plausibility_transform
 
@@ -34,15 +34,15 @@ def conflict(a: Array, b: Array) -> Array:
     ----------
     a, b : (..., 2) float32 or float64, numpy or torch
     """
-    f, o, g, p = _two(a, b)
+    (f, o, _), (g, p, _) = split_two(a, b)
     return per_cell(f * p + o * g, a)
 
 
 def conflict_direction(before: Array, now: Array) -> Array:
     """Return the conflict split by its direction: (free -> occupied, occupied -> free).
 
-    Something appeared in the first case and went away in the second: the usual sign of moving objects in a
-    map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
+    The first is large where an object appeared, the second where one disappeared: the usual sign of moving objects
+    in a map (Moras, Cherfaoui and Bonnifait, "Credibilist occupancy grids for vehicle perception", 2011).
 
     Parameters
     ----------
@@ -53,8 +53,8 @@ def conflict_direction(before: Array, now: Array) -> Array:
     -------
     (..., 2): free_before occupied_now, and occupied_before free_now; they sum to `conflict`
     """
-    f, o, g, p = _two(before, now, ("before", "now"))
-    return pack(namespace(before), [f * p, o * g], before)
+    (f, o, _), (g, p, _) = split_two(before, now, ("before", "now"))
+    return stack_last(namespace(before), [f * p, o * g], before)
 
 
 def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:
@@ -62,7 +62,7 @@ def degree_of_conflict(a: Array, b: Array, base_rate: Any = 0.5) -> Array:
 
     Projected distance times conjunctive certainty (Jøsang 2016, section 4.8).
     """
-    f, o, g, p = _two(a, b)
+    (f, o, _), (g, p, _) = split_two(a, b)
     p_a: Any = mass_to_probability(a, base_rate)
     distance = abs(p_a - mass_to_probability(b, base_rate))
     return per_cell(distance * (f + o) * (g + p), a)
@@ -74,7 +74,7 @@ def jousselme_distance(a: Array, b: Array) -> Array:
     sqrt(d' D d / 2) with D the Jaccard indices of the focal sets (Jousselme, Grenier and Bossé, 2001); with
     two states it reduces to the Euclidean distance of the pairs over sqrt(2).
     """
-    f, o, g, p = _two(a, b)
+    (f, o, _), (g, p, _) = split_two(a, b)
     xp = namespace(a)
     square = 0.5 * ((f - g) ** 2 + (o - p) ** 2)
     same = square == 0
@@ -102,17 +102,17 @@ def nonspecificity(mass: Array) -> Array:
 
 def specificity(mass: Array) -> Array:
     """Return Yager's specificity, sum m(A) / |A| = free + occupied + unknown / 2, in [0.5, 1]."""
-    free, occupied, ignorance = split(mass)
-    return per_cell(free + occupied + 0.5 * ignorance, mass)
+    free, occupied, u = split(mass)
+    return per_cell(free + occupied + 0.5 * u, mass)
 
 
 def yager_entropy(mass: Array) -> Array:
     """Return Yager's entropy (dissonance in his words), -sum m(A) log2 Pl(A), in [0, 1] bit (Yager, 1983)."""
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
     # Plausibility as belief + unknown: 1 - the other belief may round to less than the belief, even to zero.
-    logs = _times_log2(xp, free, (free + ignorance).clip(None, 1))
-    return per_cell(-logs - _times_log2(xp, occupied, (occupied + ignorance).clip(None, 1)), mass)
+    logs = _times_log2(xp, free, (free + u).clip(None, 1))
+    return per_cell(-logs - _times_log2(xp, occupied, (occupied + u).clip(None, 1)), mass)
 
 
 def pignistic_entropy(mass: Array) -> Array:
@@ -134,17 +134,10 @@ def deng_entropy(mass: Array) -> Array:
     Largest, log2(5), at free = occupied = 1/5 and not at the vacuous mass (log2(3)): do not use it as a
     measure of the unknown.
     """
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
     logs = _times_log2(xp, free, free) + _times_log2(xp, occupied, occupied)
-    return per_cell(-logs - _times_log2(xp, ignorance, ignorance / 3), mass)
-
-
-def _two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any, Any, Any, Any]:
-    f, o, _ = split(a, names[0])
-    g, p, _ = split(b, names[1])
-    check_alike(a, b, names)
-    return f, o, g, p
+    return per_cell(-logs - _times_log2(xp, u, u / 3), mass)
 
 
 def _times_log2(xp: Any, x: Any, y: Any) -> Any:

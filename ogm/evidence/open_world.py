@@ -1,20 +1,29 @@
-"""Rules of the open world, in which conflict stays visible as mass on the empty set.
+"""Rules of the open world, in which conflict is kept as mass on the empty set.
 
 They return triples ``(free, occupied, conflict)`` and take triples and pairs; a pair is a triple without
-conflict. Were the conflict dropped, the surviving pair of the conjunctive rule would be numerically Yager's,
-and the unknown derived from it would count conflict as ignorance: so it stays. `close_world` leads back to
-pairs. All four rules are associative.
+conflict. Without the conflict, the pair of the conjunctive rule would be numerically Yager's, and the unknown
+derived from it would include the conflict. `close_world` returns pairs. All four rules are associative.
 
 Sources: Smets and Kennes, "The transferable belief model" (1994); Smets, "Belief functions: the disjunctive
 rule of combination" (1993); Denœux, "Conjunctive and disjunctive combination of belief functions induced by
 nondistinct bodies of evidence" (2008).
 """
 
+from collections.abc import Iterable
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_form, open_sources, pack, split_open, tolerance_of
+from ogm.evidence.arrays import (
+    Array,
+    check_form,
+    first_index,
+    open_sources,
+    split_open,
+    stack_last,
+    tolerance_of,
+)
 from ogm.evidence.rules import OnConflict, check_policy, normalized, resolve
 
 __all__ = ["bold", "cautious", "close_world", "conjunctive", "disjunctive"]
@@ -23,7 +32,7 @@ __all__ = ["bold", "cautious", "close_world", "conjunctive", "disjunctive"]
 def conjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     """Combine by the unnormalised conjunctive rule of the transferable belief model.
 
-    Commutative and associative; the vacuous mass is neutral. Conflict stays visible as mass on the empty set.
+    Commutative and associative; the vacuous mass is neutral. Conflict is kept as mass on the empty set.
 
     Parameters
     ----------
@@ -46,11 +55,11 @@ def conjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) ->
             unknown * u,
             free * o + occupied * f + conflict + c - conflict * c,
         )
-    return pack(xp, [free, occupied, conflict], a)
+    return stack_last(xp, [free, occupied, conflict], a)
 
 
 def disjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
-    """Combine by the disjunctive rule: at least one source is reliable, and nobody knows which.
+    """Combine by the disjunctive rule: at least one source is reliable, it is not known which.
 
     Commutative and associative; vacuous is absorbing, and total conflict (all mass on the empty set) is
     neutral. Never produces conflict.
@@ -76,13 +85,13 @@ def disjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) ->
             conflict * c,
         )
     closed = all(mass.shape[-1] == 2 for mass in (a, b) if mass is not None)  # type: ignore[attr-defined]
-    return pack(xp, [free, occupied] if closed else [free, occupied, conflict], a)
+    return stack_last(xp, [free, occupied] if closed else [free, occupied, conflict], a)
 
 
 def cautious(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     """Combine dependent sources by Denœux's cautious rule: the least committed that is as informed as each.
 
-    Commutative, associative and idempotent; evidence that is heard twice counts once. Vacuous is neutral only
+    Commutative, associative and idempotent; repeated evidence counts once. Vacuous is neutral only
     for separable masses (at most one state believed); in general the result is a w-least committed one.
 
     Parameters
@@ -102,15 +111,11 @@ def cautious(a: Array, b: Array | None = None, *, axis: int | None = None) -> Ar
     Undefined for unknown = 0: unknown is read as at least 1e-6 (float32) or 1e-12 (float64).
     """
     xp, parts = open_sources(a, b, axis)
-    w_free, w_occupied, w_empty = _conjunctive_weights(parts[0], tolerance_of(a))
-    for part in parts[1:]:
-        v_free, v_occupied, v_empty = _conjunctive_weights(part, tolerance_of(a))
-        w_free, w_occupied = xp.minimum(w_free, v_free), xp.minimum(w_occupied, v_occupied)
-        w_empty = xp.minimum(w_empty, v_empty)
+    w_free, w_occupied, w_empty = _least(xp, (_conjunctive_weights(part, tolerance_of(a)) for part in parts))
     free = (1 - w_free) * w_occupied * w_empty
     occupied = (1 - w_occupied) * w_free * w_empty
     conflict = (1 - free - occupied - w_free * w_occupied * w_empty).clip(0)
-    return pack(xp, [free, occupied, conflict], a)
+    return stack_last(xp, [free, occupied, conflict], a)
 
 
 def bold(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
@@ -137,14 +142,10 @@ def bold(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     xp, parts = open_sources(a, b, axis, states=(3,))
     if xp is np:
         refuse_no_conflict([conflict for *_, conflict in parts])
-    w_free, w_occupied, w_whole = _disjunctive_weights(parts[0])
-    for part in parts[1:]:
-        v_free, v_occupied, v_whole = _disjunctive_weights(part)
-        w_free, w_occupied = xp.minimum(w_free, v_free), xp.minimum(w_occupied, v_occupied)
-        w_whole = xp.minimum(w_whole, v_whole)
+    w_free, w_occupied, w_whole = _least(xp, map(_disjunctive_weights, parts))
     free = (1 - w_free) * w_occupied * w_whole
     occupied = (1 - w_occupied) * w_free * w_whole
-    return pack(xp, [free, occupied, w_free * w_occupied * w_whole], a)
+    return stack_last(xp, [free, occupied, w_free * w_occupied * w_whole], a)
 
 
 def close_world(open_mass: Array, *, on_conflict: OnConflict = "average") -> Array:
@@ -179,11 +180,15 @@ def refuse_no_conflict(conflicts: list[Any]) -> None:
     for number, conflict in enumerate(conflicts):
         none = ~(np.asarray(conflict) > 0)
         if none.any():
-            index = [int(i) for i in np.argwhere(none)[0]]
             raise ValueError(
-                f"the bold rule needs conflict > 0 in every cell of every source, but source {number} has none "
-                f"in {int(none.sum())} cells, the first at {index}; use disjunctive for masses without conflict"
+                f"the bold rule needs conflict > 0 in every cell of every source, but source {number} has none in "
+                f"{int(none.sum())} cells, the first at {first_index(none)}; use disjunctive without conflict"
             )
+
+
+def _least(xp: Any, weights: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """Return the least weight of each set over the sources."""
+    return [reduce(xp.minimum, column) for column in zip(*weights, strict=True)]
 
 
 def _conjunctive_weights(part: tuple[Any, Any, Any, Any], least: float) -> tuple[Any, Any, Any]:

@@ -1,4 +1,4 @@
-"""What the pair means: mass, subjective opinion, Dirichlet evidence.
+"""The readings of a pair: mass, subjective opinion, Dirichlet evidence.
 
 A cell holds ``mass = (free, occupied)``, the belief masses of a binary frame; ``unknown = 1 - free -
 occupied`` is derived. The same pair is, in other words,
@@ -16,7 +16,17 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_form, like, namespace, pack, per_cell, rounding, split
+from ogm.evidence.arrays import (
+    Array,
+    as_like,
+    check_form,
+    namespace,
+    per_cell,
+    rounding,
+    split,
+    stack_last,
+    worst_index,
+)
 
 __all__ = [
     "Opinion",
@@ -30,16 +40,16 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class Opinion:
-    """One opinion about one cell, for people to read; work on many cells is done on arrays.
+    """The opinion about one cell, with a readable repr; computations on many cells use arrays.
 
     Parameters
     ----------
     free, occupied : float
         Belief masses in [0, 1].
     unknown : float, optional
-        What is left to one, and by default derived; where given, the three must sum to one (within 1e-6).
+        The rest to one, derived by default; where given, the three must sum to one (within 1e-6).
     base_rate : float
-        Prior probability of occupied, in [0, 1]; 0.5 says nothing.
+        Prior probability of occupied, in [0, 1]; 0.5 prefers neither state.
 
     Raises
     ------
@@ -76,8 +86,8 @@ class Opinion:
         check_form(mass)
         if tuple(mass.shape) != (2,):
             raise ValueError(f"an opinion is one cell, mass of shape (2,); got shape {tuple(mass.shape)}")
-        free, occupied, ignorance = split(mass)
-        return cls(float(free), float(occupied), float(ignorance), base_rate)
+        free, occupied, u = split(mass)
+        return cls(float(free), float(occupied), float(u), base_rate)
 
     @property
     def mass(self) -> np.ndarray:
@@ -89,16 +99,6 @@ class Opinion:
         """Projected probability of occupied, occupied + base_rate * unknown."""
         return self.occupied + self.base_rate * self.unknown
 
-    @property
-    def u(self) -> float:
-        """The uncertainty u of subjective logic: `unknown`."""
-        return self.unknown
-
-    @property
-    def a(self) -> float:
-        """The base rate a of subjective logic: `base_rate`."""
-        return self.base_rate
-
     def __repr__(self) -> str:
         base_rate = "" if self.base_rate == 0.5 else f", base_rate={self.base_rate:.2f}"
         masses = f"free={self.free:.2f}, occupied={self.occupied:.2f}, unknown={self.unknown:.2f}"
@@ -106,7 +106,7 @@ class Opinion:
 
 
 def unknown(mass: Array) -> Array:
-    """Return what is not committed, 1 - free - occupied, never below zero.
+    """Return the mass of unknown, 1 - free - occupied, never below zero.
 
     In float32 it is exact to 6e-8: below an unknown of 1e-5 its relative error exceeds 0.6 %.
     """
@@ -120,7 +120,7 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     ----------
     mass : (..., 2) float32 or float64, numpy or torch
     prior_weight : float
-        W > 0, the weight of ignorance; 2 makes the vacuous opinion the uniform density.
+        W > 0, the prior weight; 2 makes the vacuous opinion the uniform density.
     min_unknown : float
         Floor of u in [0, 1). At 0 a dogmatic cell has infinite evidence for what it believes; a floor of 2e-5
         caps evidence at 1e5, the most that float32 masses can carry with an error below one percent.
@@ -134,18 +134,18 @@ def mass_to_evidence(mass: Array, prior_weight: float = 2.0, min_unknown: float 
     Jøsang (2016), eq. 3.33 [the mapping of opinions and Dirichlet densities].
     """
     _check_weight(prior_weight)
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
-    floor = like(min_unknown, free, "min_unknown")
-    ignorance = ignorance.clip(floor)
-    dogmatic = ignorance <= rounding(mass)
-    safe = xp.where(dogmatic, xp.ones_like(ignorance), ignorance)
+    floor = as_like(min_unknown, free, "min_unknown")
+    u = u.clip(floor)
+    dogmatic = u <= rounding(mass)
+    safe = xp.where(dogmatic, xp.ones_like(u), u)
 
     def of(belief: Any) -> Any:
         infinite = xp.where(belief > 0, xp.inf, 0.0)
         return xp.where(dogmatic, xp.asarray(infinite, dtype=belief.dtype), prior_weight * belief / safe)
 
-    return pack(xp, [of(free), of(occupied)], mass)
+    return stack_last(xp, [of(free), of(occupied)], mass)
 
 
 def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
@@ -168,7 +168,7 @@ def evidence_to_mass(evidence: Array, prior_weight: float = 2.0) -> Array:
     _check_positive(evidence, "evidence")
     given: Any = evidence
     strength = prior_weight + given[..., 0] + given[..., 1]
-    return pack(xp, [given[..., 0] / strength, given[..., 1] / strength], evidence)
+    return stack_last(xp, [given[..., 0] / strength, given[..., 1] / strength], evidence)
 
 
 def evidence_to_alpha(evidence: Array, prior_weight: float = 2.0, base_rate: float = 0.5) -> Array:
@@ -177,8 +177,8 @@ def evidence_to_alpha(evidence: Array, prior_weight: float = 2.0, base_rate: flo
     xp = check_form(evidence, "evidence")
     _check_positive(evidence, "evidence")
     given: Any = evidence
-    rate = like(base_rate, given[..., 0], "base_rate")
-    return pack(
+    rate = as_like(base_rate, given[..., 0], "base_rate")
+    return stack_last(
         xp, [given[..., 0] + prior_weight * (1 - rate), given[..., 1] + prior_weight * rate], evidence
     )
 
@@ -194,8 +194,8 @@ def alpha_to_evidence(alpha: Array, prior_weight: float = 2.0, base_rate: float 
     _check_weight(prior_weight)
     xp = check_form(alpha, "alpha")
     given: Any = alpha
-    rate = like(base_rate, given[..., 0], "base_rate")
-    evidence = pack(
+    rate = as_like(base_rate, given[..., 0], "base_rate")
+    evidence = stack_last(
         xp, [given[..., 0] - prior_weight * (1 - rate), given[..., 1] - prior_weight * rate], alpha
     )
     _check_positive(evidence, "alpha - prior (the evidence)")
@@ -214,5 +214,5 @@ def _check_positive(values: Any, name: str) -> None:
     if values.min() >= 0 and np.isfinite(values.max()):
         return
     badness = np.where(np.isfinite(values), -values, np.inf)
-    index = tuple(int(i) for i in np.unravel_index(int(badness.argmax()), values.shape))
+    index = worst_index(badness)
     raise ValueError(f"{name} must be finite and not negative, but at {list(index)} it is {values[index]}")

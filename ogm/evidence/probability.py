@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, dtype_name, like, namespace, pack, per_cell, split
+from ogm.evidence.arrays import Array, as_like, check_float, namespace, per_cell, split, stack_last
 
 __all__ = [
     "counts_to_mass",
@@ -39,8 +39,8 @@ def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
     -------
     (...), in [0, 1]
     """
-    _, occupied, ignorance = split(mass)
-    return per_cell(occupied + like(base_rate, occupied, "base_rate") * ignorance, mass)
+    _, occupied, u = split(mass)
+    return per_cell(occupied + as_like(base_rate, occupied, "base_rate") * u, mass)
 
 
 def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) -> Any:
@@ -54,17 +54,15 @@ def probability_to_mass(probability: Any, unknown: Any, base_rate: Any = 0.5) ->
     ValueError
         If `unknown` is too large for `probability`: the largest possible is that of `maximize_uncertainty`.
     """
-    xp = namespace(probability, "probability")
-    if dtype_name(probability) not in ("float32", "float64"):
-        raise TypeError(f"probability must be float32 or float64, got {dtype_name(probability)}")
-    ignorance = like(unknown, probability, "unknown")
-    rate = like(base_rate, probability, "base_rate")
-    like(probability, probability, "probability")
-    free = 1 - probability - (1 - rate) * ignorance
-    occupied = probability - rate * ignorance
-    mass = pack(xp, [free, occupied], probability)
+    xp = check_float(probability, "probability")
+    u = as_like(unknown, probability, "unknown")
+    rate = as_like(base_rate, probability, "base_rate")
+    as_like(probability, probability, "probability")
+    free = 1 - probability - (1 - rate) * u
+    occupied = probability - rate * u
+    mass = stack_last(xp, [free, occupied], probability)
     free, occupied, _ = split(mass, "the mass of this probability and unknown")
-    return pack(xp, [free, occupied], probability)
+    return stack_last(xp, [free, occupied], probability)
 
 
 def pignistic(mass: Array) -> Array:
@@ -77,14 +75,14 @@ def plausibility_transform(mass: Array) -> Array:
 
     Dempster's rule multiplies plausibilities, so the log-odds of this probability simply add under it.
     """
-    free, occupied, ignorance = split(mass)
-    return per_cell((occupied + ignorance) / ((free + ignorance) + (occupied + ignorance)), mass)
+    free, occupied, u = split(mass)
+    return per_cell((occupied + u) / ((free + u) + (occupied + u)), mass)
 
 
 def mass_to_log_odds(mass: Array) -> Array:
     """Return the log-odds of occupied of the plausibility transform, ln(Pl(O) / Pl(F)).
 
-    What a Bayesian log-odds grid would hold: under Dempster's rule these numbers add. A cell that is
+    The log-odds of a Bayesian grid: under Dempster's rule these numbers add. A cell that is
     dogmatically occupied (free) has +inf (-inf).
     """
     free, occupied, _ = split(mass)
@@ -104,13 +102,11 @@ def log_odds_to_mass(log_odds: Array) -> Array:
     log_odds : (...) float32 or float64, numpy or torch
         Natural logarithm of the odds of occupied.
     """
-    xp = namespace(log_odds, "log_odds")
-    if dtype_name(log_odds) not in ("float32", "float64"):
-        raise TypeError(f"log_odds must be float32 or float64, got {dtype_name(log_odds)}")
+    xp = check_float(log_odds, "log_odds")
     if xp is np and np.isnan(log_odds).any():  # type: ignore[call-overload]
         raise ValueError("log_odds must not be NaN")
     given: Any = log_odds
-    return pack(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
+    return stack_last(xp, [-xp.expm1(given.clip(None, 0)), -xp.expm1(-given.clip(0))], log_odds)
 
 
 def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
@@ -124,52 +120,44 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     base_rate : float or array of one value per cell
         Prior probability a of occupied, in [0, 1].
     """
-    free, occupied, ignorance = split(mass)
+    free, occupied, u = split(mass)
     xp = namespace(mass)
-    rate = like(base_rate, occupied, "base_rate")
-    probability = occupied + rate * ignorance
-    opposite = free + (1 - rate) * ignorance
+    rate = as_like(base_rate, occupied, "base_rate")
+    probability = occupied + rate * u
+    opposite = free + (1 - rate) * u
     # Cross-multiplied, and no bound where a base rate is 0 or 1: nothing is divided by zero.
     occupied_wins = (probability * (1 - rate) >= opposite * rate) & (rate < 1)
-    zero = 0 * ignorance
+    zero = 0 * u
     as_occupied = probability - rate * opposite / xp.where(occupied_wins, 1 - rate, 1.0 + zero).clip(1e-30)
     as_free = opposite - (1 - rate) * probability / xp.where(occupied_wins, 1.0 + zero, rate + zero).clip(
         1e-30
     )
-    return pack(
-        xp,
-        [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)],
-        mass,
+    return stack_last(
+        xp, [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)], mass
     )
 
 
-def counts_to_mass(
-    hits: Array, passes: Array, false_negative: float = 0.8, false_positive: float = 0.05
-) -> Array:
+def counts_to_mass(hits: Array, passes: Array, p_miss: float = 0.8, p_false_alarm: float = 0.05) -> Array:
     """Return the mass of a cell in which `hits` rays ended and through which `passes` rays went.
 
-    Each hit is a simple mass 1 - false_positive on occupied, each pass a simple mass 1 - false_negative on
-    free; all of them are combined by Yager's rule at once:
+    Each hit is a simple mass 1 - p_false_alarm on occupied, each pass a simple mass 1 - p_miss on free; all of
+    them are combined by Yager's rule at once:
 
-    occupied = fn^passes (1 - fp^hits),   free = fp^hits (1 - fn^passes).
+    occupied = p_miss^passes (1 - p_false_alarm^hits),   free = p_false_alarm^hits (1 - p_miss^passes).
 
     Parameters
     ----------
     hits, passes : (...) float32 or float64, numpy or torch
         Numbers of rays, not negative; whole numbers or weights.
-    false_negative : float
+    p_miss : float
         Probability in [0, 1] that a ray passes through an occupied cell.
-    false_positive : float
+    p_false_alarm : float
         Probability in [0, 1] that a ray ends in a free cell.
     """
-    xp = namespace(hits, "hits")
-    if dtype_name(hits) not in ("float32", "float64"):
-        raise TypeError(
-            f"hits must be float32 or float64, got {dtype_name(hits)}; convert it: hits.astype(np.float32)"
-        )
+    xp = check_float(hits, "hits")
     reflections: Any = hits
-    transmissions = like(passes, hits, "passes", high=float("inf"))
-    like(hits, hits, "hits", high=float("inf"))
-    missed = like(false_negative, hits, "false_negative") ** transmissions
-    false = like(false_positive, hits, "false_positive") ** reflections
-    return pack(xp, [false * (1 - missed), missed * (1 - false)], hits)
+    transmissions = as_like(passes, hits, "passes", high=float("inf"))
+    as_like(hits, hits, "hits", high=float("inf"))
+    missed = as_like(p_miss, hits, "p_miss") ** transmissions
+    false = as_like(p_false_alarm, hits, "p_false_alarm") ** reflections
+    return stack_last(xp, [false * (1 - missed), missed * (1 - false)], hits)

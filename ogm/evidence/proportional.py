@@ -1,24 +1,25 @@
-"""Rules that share conflict out to those who caused it: PCR5, PCR6, PCR6+, and Murphy's average.
+"""Rules that redistribute conflict among its parties: PCR5, PCR6, PCR6+, Murphy's average, consensus & compromise.
 
-For two sources PCR5, PCR6 and PCR6+ are one and the same rule. None of them is associative: a stack is
+For two sources PCR5, PCR6 and PCR6+ are one and the same rule. None of the rules here is associative: a stack is
 combined in one go, and a chain of pairs is not the rule and depends on the order.
 
 Sources: Smarandache and Dezert, *Advances and Applications of DSmT*, vol. 2 (2006), PCR5; Martin and Osswald,
 same volume, PCR6; Dezert, Dezert and Smarandache, "Improvement of proportional conflict redistribution rules
 of combination of basic belief assignments" (2021), PCR6+; Murphy, "Combining belief functions when evidence
-conflicts" (2000).
+conflicts" (2000); van der Heijden, Kopp and Kargl, "Multi-source fusion operations in subjective logic" (Fusion 2018).
 """
 
 from collections.abc import Callable
+from functools import reduce
 from itertools import product
 from math import prod
 from typing import Any
 
-from ogm.evidence.arrays import Array, anywhere, pack, sources
+from ogm.evidence.arrays import Array, maybe_any, sources, stack_last
 
-__all__ = ["murphy", "pcr5", "pcr6", "pcr6_plus"]
+__all__ = ["consensus_compromise", "murphy", "pcr5", "pcr6", "pcr6_plus"]
 
-_MOST_SOURCES = 8  # 3^8 products of masses
+_MAX_SOURCES = 8  # 3^8 products of masses
 _UNKNOWN = 2  # place of the unknown in (free, occupied, unknown)
 
 
@@ -57,7 +58,7 @@ def pcr6(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
 def pcr6_plus(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     """Combine by PCR6+: as PCR6, but only to sources that take part in the conflict.
 
-    A source that says "unknown" in a product has no share in its conflict, so the vacuous mass is neutral for
+    A source whose part in a product is unknown has no share in its conflict, so the vacuous mass is neutral for
     any number of sources. Commutative, not associative.
 
     Parameters
@@ -92,49 +93,87 @@ def murphy(a: Array, b: Array | None = None, *, axis: int | None = None) -> Arra
     q_free, q_occupied = ((free + unknown) / greater) ** n, ((occupied + unknown) / greater) ** n
     q_whole = (unknown / greater) ** n
     total = q_free + q_occupied - q_whole
-    return pack(xp, [(q_free - q_whole) / total, (q_occupied - q_whole) / total], a)
+    return stack_last(xp, [(q_free - q_whole) / total, (q_occupied - q_whole) / total], a)
+
+
+def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
+    """Fuse by consensus & compromise: keep what all agree on, redistribute the rest, turn conflict to unknown.
+
+    Commutative and idempotent, vacuous is neutral for two sources; not associative. Discontinuous at
+    agreement: two equal masses give themselves, two almost equal ones a result far from it. Not for grids by
+    default.
+
+    Parameters
+    ----------
+    a, b, axis
+        As for `cumulative`; at most 12 sources, as the work doubles with each.
+
+    Notes
+    -----
+    Jøsang (2016), section 12.6. Where the sources are equal no residue remains, and their common mass is returned
+    (the published formula divides zero by zero there).
+    """
+    xp, parts = sources(a, b, axis)
+    if len(parts) > 12:
+        raise ValueError(f"consensus_compromise takes at most 12 sources, got {len(parts)}")
+    # Step 1, consensus: the belief that every source has at least.
+    agreed_free, agreed_occupied = (reduce(xp.minimum, [part[k] for part in parts]) for k in (0, 1))
+    rests = [(free - agreed_free, occupied - agreed_occupied) for free, occupied, _ in parts]
+    unknowns = [unknown for _, _, unknown in parts]
+    # Step 2, compromise: a residue meets the unknown of all others, or their residues.
+    free, occupied = (
+        sum(_product([rest[k], *unknowns[:i], *unknowns[i + 1 :]]) for i, rest in enumerate(rests))
+        + _product([rest[k] for rest in rests])
+        for k in (0, 1)
+    )
+    both = 0 * free
+    for states in product((0, 1), repeat=len(rests)):
+        if 0 in states and 1 in states:
+            both = both + _product([rest[state] for rest, state in zip(rests, states, strict=True)])
+    # Step 3, normalise: the mass that is neither agreed nor unknown to all sources is distributed in proportion.
+    left = (1 - agreed_free - agreed_occupied - _product(unknowns)).clip(0)
+    shared = free + occupied + both
+    share = left / (shared + (shared == 0))
+    return stack_last(xp, [agreed_free + share * free, agreed_occupied + share * occupied], a)
 
 
 def _redistribute(a: Any, b: Any, axis: int | None, share: Callable[..., list[Any]]) -> Any:
-    """Sum over all ways in which every source picks a state; conflicting ones are shared out by `share`."""
+    """Sum over all ways in which every source picks a state; conflicting ones are distributed by `share`."""
     xp, parts = sources(a, b, axis)
-    if len(parts) > _MOST_SOURCES:
+    if len(parts) > _MAX_SOURCES:
         raise ValueError(
-            f"PCR takes at most {_MOST_SOURCES} sources, got {len(parts)}; "
+            f"PCR takes at most {_MAX_SOURCES} sources, got {len(parts)}; "
             f"combine in groups, or use an associative rule"
         )
     totals: list[Any] = [0 * parts[0][0], 0 * parts[0][0]]
     for states in product((0, 1, _UNKNOWN), repeat=len(parts)):
         picked = [part[state] for part, state in zip(parts, states, strict=True)]
-        weight = prod(picked[1:], start=picked[0])
+        weight = _product(picked)
         if 0 in states and 1 in states:  # conflict
-            parts_of_it = share(states, picked)
-            whole = sum(parts_of_it)
+            shares = share(states, picked)
+            whole = sum(shares)
             none = whole == 0
-            weight = weight / (whole + none if anywhere(xp, none) else whole)
-            totals = [total + weight * part for total, part in zip(totals, parts_of_it, strict=False)]
+            weight = weight / (whole + none if maybe_any(xp, none) else whole)
+            totals = [total + weight * part for total, part in zip(totals, shares, strict=False)]
         elif 0 in states or 1 in states:  # agreement
             state = 0 if 0 in states else 1
             totals[state] = totals[state] + weight
-    return pack(xp, totals, a)
+    return stack_last(xp, totals, a)
 
 
 def _in_proportion_to_products(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    shares = []
-    for wanted in (0, 1, _UNKNOWN):
-        mine = [mass for state, mass in zip(states, picked, strict=True) if state == wanted]
-        shares.append(prod(mine[1:], start=mine[0]) if mine else 0 * picked[0])
-    return shares
+    groups = [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
+    return [_product(group) if group else 0 * picked[0] for group in groups]
 
 
 def _in_proportion_to_sums(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    return [
-        sum(
-            (mass for state, mass in zip(states, picked, strict=True) if state == wanted), start=0 * picked[0]
-        )
-        for wanted in (0, 1, _UNKNOWN)
-    ]
+    groups = [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
+    return [sum(group, start=0 * picked[0]) for group in groups]
 
 
 def _in_proportion_to_sums_of_the_conflicting(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
     return _in_proportion_to_sums(states, picked)[:_UNKNOWN]
+
+
+def _product(numbers: list[Any]) -> Any:
+    return prod(numbers[1:], start=numbers[0])

@@ -11,13 +11,12 @@ measures" (1988); Denœux, "Conjunctive and disjunctive combination of belief fu
 bodies of evidence" (2008).
 """
 
+from functools import reduce
 from typing import Any, Literal, get_args
 
-import numpy as np
+from ogm.evidence.arrays import Array, first_index, maybe_any, sources, stack_last, tolerance_of
 
-from ogm.evidence.arrays import Array, anywhere, pack, sources, tolerance_of
-
-__all__ = ["OnConflict", "dempster", "dubois_prade", "normalized_cautious", "yager"]
+__all__ = ["OnConflict", "agreement", "dempster", "dubois_prade", "normalized_cautious", "yager"]
 
 OnConflict = Literal["average", "vacuous", "nan", "raise"]
 
@@ -27,9 +26,9 @@ def dempster(
 ) -> Array:
     """Combine independent, reliable sources by Dempster's rule: agreement, normalised.
 
-    Commutative, and associative but in cells of total conflict; the vacuous mass is neutral. Conflict is
-    shared out in proportion, by dividing by the sum of the surviving masses (1 - conflict, but without its
-    cancellation).
+    ``free = (f1 f2 + f1 u2 + u1 f2) / (1 - C)``, occupied likewise, with the conflict C = f1 o2 + o1 f2; computed
+    as division by the sum of the surviving masses, which is 1 - C without cancellation. Commutative, and
+    associative except in cells of total conflict; the vacuous mass is neutral.
 
     Parameters
     ----------
@@ -38,9 +37,9 @@ def dempster(
     axis : int, optional
         The leading axis of `a` that counts the sources.
     on_conflict : {"average", "vacuous", "nan", "raise"}
-        What to return where nothing survives (dogmatically free against dogmatically occupied): the mean of
-        the dogmatic sources, for two of them (0.5, 0.5), the limit of two equally strong ones; ignorance;
-        NaN; or an error.
+        What to return in total conflict (dogmatically free against dogmatically occupied): the mean of the
+        dogmatic sources, for two of them (0.5, 0.5), the limit of two equally strong ones; the vacuous mass; NaN;
+        or an error.
 
     Returns
     -------
@@ -50,13 +49,13 @@ def dempster(
     xp, parts = sources(a, b, axis)
     free, occupied, unknown = parts[0]
     for number, part in enumerate(parts[1:], start=2):
-        free, occupied, unknown = _agreement(free, occupied, unknown, *part)
-        # Normalise at once, so that long stacks do not underflow. Once nothing survives, nothing ever will.
+        free, occupied, unknown = agreement(free, occupied, unknown, *part)
+        # Normalise at once, so that long stacks do not underflow. Total conflict remains total conflict.
         free, occupied, surviving, none = normalized(xp, free, occupied, unknown)
         if number < len(parts):
             unknown = unknown / surviving
-    if len(parts) == 1 or not anywhere(xp, none):
-        return pack(xp, [free, occupied], a)
+    if len(parts) == 1 or not maybe_any(xp, none):
+        return stack_last(xp, [free, occupied], a)
     return resolve(xp, a, free, occupied, none, _mean_of_the_dogmatic(parts), on_conflict)
 
 
@@ -80,8 +79,8 @@ def yager(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array
     xp, parts = sources(a, b, axis)
     free, occupied, unknown = parts[0]
     for part in parts[1:]:
-        free, occupied, unknown = _agreement(free, occupied, unknown, *part)
-    return pack(xp, [free, occupied], a)
+        free, occupied, unknown = agreement(free, occupied, unknown, *part)
+    return stack_last(xp, [free, occupied], a)
 
 
 def dubois_prade(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
@@ -94,10 +93,10 @@ def dubois_prade(a: Array, b: Array | None = None, *, axis: int | None = None) -
 
 
 def normalized_cautious(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
-    """Combine dependent sources by Denœux's cautious rule, normalised: for each state the strongest witness.
+    """Combine dependent sources by Denœux's cautious rule, normalised: the greatest evidence of each state.
 
-    Commutative, associative and idempotent; the vacuous mass is neutral. Evidence that is heard again, as from one scan
-    to the next, adds nothing.
+    ``free / unknown = max(f1 / u1, f2 / u2)``, occupied likewise. Commutative, associative and idempotent; the
+    vacuous mass is neutral. Repeated evidence, as from one scan to the next, adds nothing.
 
     Parameters
     ----------
@@ -118,31 +117,31 @@ def normalized_cautious(a: Array, b: Array | None = None, *, axis: int | None = 
     """
     xp, parts = sources(a, b, axis)
     least = tolerance_of(a)
-    for_free, for_occupied = None, None
-    for free, occupied, unknown in parts:
-        x, y = free / unknown.clip(least), occupied / unknown.clip(least)
-        for_free = x if for_free is None else xp.maximum(for_free, x)
-        for_occupied = y if for_occupied is None else xp.maximum(for_occupied, y)
-    total: Any = 1 + for_free + for_occupied  # type: ignore[operator]
-    return pack(xp, [for_free / total, for_occupied / total], a)
+    ratios = [
+        (free / unknown.clip(least), occupied / unknown.clip(least)) for free, occupied, unknown in parts
+    ]
+    for_free, for_occupied = (reduce(xp.maximum, column) for column in zip(*ratios, strict=True))
+    total = 1 + for_free + for_occupied
+    return stack_last(xp, [for_free / total, for_occupied / total], a)
 
 
-def _agreement(free: Any, occupied: Any, unknown: Any, f: Any, o: Any, u: Any) -> tuple[Any, Any, Any]:
-    """Return what two closed-world masses agree on, (free, occupied, unknown); conflict is what is missing.
+def agreement(free: Any, occupied: Any, unknown: Any, f: Any, o: Any, u: Any) -> tuple[Any, Any, Any]:
+    """Return the unnormalised conjunction (free, occupied, unknown) of two masses; the rest to 1 is conflict.
 
-    Sums of products only: nothing cancels, and a belief of 1e-8 is not lost beside one of 1.
+    Sums of products only: nothing cancels, and a belief of 1e-8 is not lost beside one of 1. `ogm.evidence.kernels`
+    compiles this same function.
     """
     return free * (f + u) + unknown * f, occupied * (o + u) + unknown * o, unknown * u
 
 
 def normalized(xp: Any, free: Any, occupied: Any, unknown: Any) -> tuple[Any, Any, Any, Any]:
-    """Return (free, occupied) divided by what survives, the divisor, and in which cells nothing survives.
+    """Return (free, occupied) divided by the sum of all three, the divisor, and the cells of total conflict.
 
-    There the masses stay 0, and the divisor is 1.
+    In those the masses stay 0, and the divisor is 1.
     """
     surviving = free + occupied + unknown
     none = surviving == 0
-    if anywhere(xp, none):
+    if maybe_any(xp, none):
         surviving = surviving + none
     return free / surviving, occupied / surviving, surviving, none
 
@@ -154,17 +153,16 @@ def check_policy(on_conflict: str) -> None:
 
 
 def refuse_total_conflict(none: Any, on_conflict: OnConflict) -> None:
-    """Raise in the policy "raise" if there is a cell in which nothing survived."""
+    """Raise in the policy "raise" if there is a cell of total conflict."""
     if on_conflict == "raise" and bool(none.any()):
-        index = [int(i) for i in np.unravel_index(none.ravel().tolist().index(True), tuple(none.shape))]
         raise ValueError(
-            f"{int(none.sum())} cells are in total conflict, the first at {index}; "
+            f"{int(none.sum())} cells are in total conflict, the first at {first_index(none)}; "
             f"choose another on_conflict: average, vacuous or nan"
         )
 
 
 def _mean_of_the_dogmatic(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
-    """Return the mean of the sources dogmatic for one state: there are some on both sides in total conflict."""
+    """Return the mean of the sources that are dogmatic for one state; in total conflict both states have some."""
     for_free = sum((o + u == 0) + 0 * u for _, o, u in parts)
     for_occupied = sum((f + u == 0) + 0 * u for f, _, u in parts)
     votes = (for_free + for_occupied).clip(1)
@@ -174,13 +172,9 @@ def _mean_of_the_dogmatic(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
 def resolve(
     xp: Any, mass: Any, free: Any, occupied: Any, none: Any, average: tuple[Any, Any], on_conflict: OnConflict
 ) -> Any:
-    """Fill the cells in which nothing survived, according to the policy.
-
-    They hold (0, 0), the vacuous mass.
-    """
+    """Fill the cells of total conflict according to the policy; on entry they hold (0, 0), the vacuous mass."""
     refuse_total_conflict(none, on_conflict)
-    if on_conflict == "average":
-        return pack(xp, [xp.where(none, average[0], free), xp.where(none, average[1], occupied)], mass)
-    if on_conflict == "nan":
-        return pack(xp, [xp.where(none, xp.nan, free), xp.where(none, xp.nan, occupied)], mass)
-    return pack(xp, [free, occupied], mass)
+    if on_conflict in ("average", "nan"):
+        fill = average if on_conflict == "average" else (xp.nan, xp.nan)
+        free, occupied = xp.where(none, fill[0], free), xp.where(none, fill[1], occupied)
+    return stack_last(xp, [free, occupied], mass)

@@ -1,13 +1,13 @@
 """Fusion operators of subjective logic for binomial opinions.
 
-They act on the same pairs as the Dempster-Shafer rules and think in evidence ``e = W b / u``: cumulative
+They act on the same pairs as the Dempster-Shafer rules, in terms of evidence ``e = W b / u``: cumulative
 fusion adds it, averaging fusion takes its mean, weighted fusion its mean weighted by confidence ``1 - u``. A
 mass with u = 0 (up to 4 units of rounding) has infinite evidence: it overrules all others, and several of them
 are averaged.
 
 Every operator takes two masses or a stack and its axis. Pairs and stacks agree for cumulative fusion alone, and
-there only in cells with at most two dogmatic sources: a chain of pairs does not know of how many a mean is. For
-the others a chain of pairs is not the operator. `consensus_compromise` is in `ogm.evidence.consensus`.
+there only in cells with at most two dogmatic sources: a chain of pairs loses the number of sources of a mean. For
+the others a chain of pairs is not the operator. `consensus_compromise` is in `ogm.evidence.proportional`.
 
 Base rates are not part of a pair. Where all sources share one, so does the result; where they differ, use
 `cumulative_base_rate`, `confidence_base_rate`, or for averaging fusion the plain mean.
@@ -17,28 +17,29 @@ subjective logic" (Fusion 2017); van der Heijden, Kopp and Kargl, "Multi-source 
 subjective logic" (Fusion 2018).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
 from ogm.evidence.arrays import (
     Array,
-    anywhere,
-    check_alike,
-    like,
+    as_like,
+    maybe_any,
     namespace,
-    pack,
     per_cell,
     rounding,
     sources,
-    split,
+    split_two,
+    stack_last,
     tolerance_of,
+    worst_index,
 )
 from ogm.evidence.probability import maximize_uncertainty
 from ogm.evidence.rules import OnConflict, dempster
 
 __all__ = [
+    "added_evidence",
     "averaging",
     "belief_constraint",
     "confidence_base_rate",
@@ -59,7 +60,8 @@ def cumulative(
 ) -> Array:
     """Fuse independent observations by (aleatory) cumulative fusion: evidence adds.
 
-    Commutative, and associative but where three or more sources are dogmatic; vacuous is neutral.
+    ``b = (b1 u2 + b2 u1) / (u1 + u2 - u1 u2)``. Commutative, and associative except where three or more sources are
+    dogmatic; vacuous is neutral.
 
     Parameters
     ----------
@@ -77,13 +79,21 @@ def cumulative(
     xp, parts = sources(a, b, axis)
     if len(parts) == 2 and dogmatic_weights is None:
         (f, o, u), (g, p, v) = parts
-        free, occupied, total = f * v + g * u, o * v + p * u, u + v * (f + o)  # = u + v - u v
+        free, occupied, total = added_evidence(f, o, u, g, p, v)
         both = (u <= rounding(a)) & (v <= rounding(a))
-        if anywhere(xp, both):  # two dogmatic masses: their mean
+        if maybe_any(xp, both):  # two dogmatic masses: their mean
             free, occupied = xp.where(both, f + g, free), xp.where(both, o + p, occupied)
             total = xp.where(both, 2 + 0 * total, total)
-        return pack(xp, [free / total, occupied / total], a)
+        return stack_last(xp, [free / total, occupied / total], a)
     return _by_evidence(xp, a, parts, dogmatic_weights, _sum_of_evidence)
+
+
+def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any, Any, Any]:
+    """Return (free, occupied) of the cumulative fusion of (f, o, u) and (g, p, v), times a divisor, and the divisor.
+
+    The divisor is u + v - u v. `ogm.evidence.kernels` compiles this same function.
+    """
+    return f * v + g * u, o * v + p * u, u + v * (f + o)
 
 
 def cumulative_epistemic(
@@ -111,35 +121,30 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
     Parameters
     ----------
     fused, part : (..., 2) float32 or float64, numpy or torch
-        `part` must not hold more evidence than `fused`. Where both are dogmatic, anything could have been the
-        rest, and the vacuous mass is returned.
+        `part` must not hold more evidence than `fused`. Where both are dogmatic the rest is undetermined, and the
+        vacuous mass is returned.
 
     Raises
     ------
     ValueError
         If a numpy `part` holds more evidence than `fused`, beyond rounding.
     """
-    check_alike(fused, part, ("fused", "part"))
     xp = namespace(fused)
-    f, o, u = split(fused, "fused")
-    g, p, v = split(part, "part")
+    (f, o, u), (g, p, v) = split_two(fused, part, ("fused", "part"))
     free, occupied = f * v - g * u, o * v - p * u
     if xp is np:
         least = np.minimum(free, occupied)
         if least.size and not least.min() >= -tolerance_of(fused):
-            index = tuple(int(i) for i in np.unravel_index(int(least.argmin()), least.shape))
+            index = worst_index(-least)
             raise ValueError(
                 f"part must not hold more evidence than fused, but at {list(index)} it does: what remains, "
                 f"times both unknowns, is {least[index]} (tolerance {tolerance_of(fused):g})"
             )
-    open_question = (u <= rounding(fused)) & (v <= rounding(fused))
-    free, occupied = (
-        xp.where(open_question, 0.0, free.clip(0)),
-        xp.where(open_question, 0.0, occupied.clip(0)),
-    )
+    dogmatic = (u <= rounding(fused)) & (v <= rounding(fused))
+    free, occupied = (xp.where(dogmatic, 0.0, belief.clip(0)) for belief in (free, occupied))
     total = free + occupied + u * v
     total = total + (total == 0)
-    return pack(xp, [free / total, occupied / total], fused)
+    return stack_last(xp, [free / total, occupied / total], fused)
 
 
 def averaging(
@@ -207,10 +212,8 @@ def cumulative_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any)
     base_rate_a, base_rate_b : float or (...) array
         Base rates of occupied, in [0, 1].
     """
-    check_alike(a, b)
-    f, o, u = split(a)
-    g, p, v = split(b)
-    return _weighted_rate(a, base_rate_a, base_rate_b, v * (f + o), u * (g + p))
+    (f, o, u), (g, p, v) = split_two(a, b)
+    return _weighted_rate(a, (base_rate_a, base_rate_b), (v * (f + o), u * (g + p)))
 
 
 def confidence_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any) -> Array:
@@ -221,27 +224,28 @@ def confidence_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any)
 
     Parameters
     ----------
-    a, b : (..., 2) float32 or float64, numpy or torch
-    base_rate_a, base_rate_b : float or (...) array
-        Base rates of occupied, in [0, 1].
+    a, b, base_rate_a, base_rate_b
+        As for `cumulative_base_rate`.
     """
-    check_alike(a, b)
-    f, o, _ = split(a)
-    g, p, _ = split(b)
-    return _weighted_rate(a, base_rate_a, base_rate_b, f + o, g + p)
+    (f, o, _), (g, p, _) = split_two(a, b)
+    return _weighted_rate(a, (base_rate_a, base_rate_b), (f + o, g + p))
 
 
-def _weighted_rate(mass: Any, rate_a: Any, rate_b: Any, weight_a: Any, weight_b: Any) -> Any:
+def _weighted_rate(mass: Any, rates: tuple[Any, Any], weights: tuple[Any, Any]) -> Any:
     xp = namespace(mass)
-    first, second = like(rate_a, weight_a, "base_rate_a"), like(rate_b, weight_a, "base_rate_b")
-    total = weight_a + weight_b
+    first, second = as_like(rates[0], weights[0], "base_rate_a"), as_like(rates[1], weights[0], "base_rate_b")
+    total = weights[0] + weights[1]
     none = total <= rounding(mass)
-    mean = (weight_a * first + weight_b * second) / (total + none)
+    mean = (weights[0] * first + weights[1] * second) / (total + none)
     return per_cell(xp.where(none, 0.5 * (first + second) + 0 * total, mean), mass)
 
 
 def _by_evidence(
-    xp: Any, mass: Any, parts: list[tuple[Any, Any, Any]], weights: Sequence[float] | None, combine: Any
+    xp: Any,
+    mass: Any,
+    parts: list[tuple[Any, Any, Any]],
+    weights: Sequence[float] | None,
+    combine: Callable[[list[tuple[Any, Any, Any]]], tuple[Any, Any]],
 ) -> Any:
     """Fuse n sources in terms of b / u, evidence over prior weight; average the dogmatic ones, if any."""
     weights = [1.0] * len(parts) if weights is None else list(weights)
@@ -250,31 +254,26 @@ def _by_evidence(
             f"dogmatic_weights must be {len(parts)} positive numbers, one per source, got {weights}"
         )
     dogmatic = [u <= rounding(mass) for _, _, u in parts]
-    if not any(anywhere(xp, here) for here in dogmatic):
-        return pack(xp, list(combine(parts)), mass)
-    # Where some are dogmatic, their weighted mean; elsewhere the rule (with a stand-in for u = 0).
+    if not any(maybe_any(xp, here) for here in dogmatic):
+        return stack_last(xp, list(combine(parts)), mass)
+    # Where some are dogmatic, their weighted mean; elsewhere the rule, with 1 in place of u = 0.
     share = [weight * (here + 0 * u) for weight, here, (*_, u) in zip(weights, dogmatic, parts, strict=True)]
-    free = sum(s * f for s, (f, _, _) in zip(share, parts, strict=True))
-    occupied = sum(s * o for s, (_, o, _) in zip(share, parts, strict=True))
     total: Any = sum(share)
     some = total > 0
     total = total + ~some
     fused = combine([(f, o, u + here) for here, (f, o, u) in zip(dogmatic, parts, strict=True)])
-    return pack(
-        xp, [xp.where(some, free / total, fused[0]), xp.where(some, occupied / total, fused[1])], mass
-    )
+    means = [sum(s * part[k] for s, part in zip(share, parts, strict=True)) / total for k in (0, 1)]
+    return stack_last(xp, [xp.where(some, *pair) for pair in zip(means, fused, strict=True)], mass)
 
 
-def _sum_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
-    free = sum(f / u for f, _, u in parts)
-    occupied = sum(o / u for _, o, u in parts)
+def _sum_of_evidence(parts: list[tuple[Any, Any, Any]], divisor: int = 1) -> tuple[Any, Any]:
+    free = sum(f / u for f, _, u in parts) / divisor
+    occupied = sum(o / u for _, o, u in parts) / divisor
     return free / (1 + free + occupied), occupied / (1 + free + occupied)
 
 
 def _mean_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
-    free = sum(f / u for f, _, u in parts) / len(parts)
-    occupied = sum(o / u for _, o, u in parts) / len(parts)
-    return free / (1 + free + occupied), occupied / (1 + free + occupied)
+    return _sum_of_evidence(parts, len(parts))
 
 
 def _confident_mean_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:

@@ -1,7 +1,7 @@
 """Where the ground is: from one scan to a map of ground heights.
 
-A ground estimate is a function ``(xyz, spec, foot) -> height``: points in the vehicle frame, the coarse grid
-to fill and the spot of ground under the sensor go in, one height per cell comes out. `RayISM` takes any;
+A ground estimate is a function ``(xyz, spec, ground_point) -> height``: points in the vehicle frame, the coarse
+grid to fill and the ground under the sensor go in, one height per cell comes out. `RayISM` takes any;
 `flat_ground`, `local_ground` and `patchwork_ground` are the ones at hand.
 """
 
@@ -10,24 +10,32 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.core import surface
+from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
+from ogm.geometric.kernels.surface import fill, ground_heights, sample_many
 from ogm.grid import GridSpec
 
-__all__ = ["GroundEstimate", "flat_ground", "ground_height", "local_ground", "patchwork_ground"]
+__all__ = [
+    "GroundEstimate",
+    "flat_ground",
+    "ground_height",
+    "local_ground",
+    "patchwork_ground",
+    "surface_of",
+]
 
-Foot = tuple[float, float, float]
-GroundEstimate = Callable[[NDArray[np.float32], GridSpec, Foot], NDArray[np.float32]]
+GroundPoint = tuple[float, float, float]
+GroundEstimate = Callable[[NDArray[np.float32], GridSpec, GroundPoint], NDArray[np.float32]]
 
 MAX_SLOPE = 0.25  # rise over run that still counts as ground; public roads reach 0.15, ramps and banks more
-DESCENT = 0.15  # average descent from the vehicle below which returns are taken for mirror images
+MAX_DESCENT = 0.15  # average descent from the vehicle below which returns are taken for multipath
 LOW_TOLERANCE = 0.4  # [m] what a cell may lie below its surroundings beyond that descent
-SENSOR_HEIGHT = 1.8  # [m] where Patchwork++ is told the sensor is
-ENOUGH = 65536  # [points] of a larger cloud every second, third, ... return is looked at
 BAND = 0.25  # [m] thickness of the layer of returns that is averaged into a cell's ground height
+MAX_POINTS = 65536  # of a larger cloud every second, third, ... return is used
+SENSOR_HEIGHT = 1.8  # [m] of the sensor in the frame that Patchwork++ is given
 
 
-def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot) -> NDArray[np.float32]:
-    """Take the ground to be the plane under the sensor, whatever the points say.
+def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint) -> NDArray[np.float32]:
+    """Take the ground to be the plane under the sensor, whatever the points are.
 
     Parameters
     ----------
@@ -35,7 +43,7 @@ def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot) ->
         Points in the vehicle frame [m].
     spec : GridSpec
         Cells to fill.
-    foot : (float, float, float)
+    ground_point : (float, float, float)
         x, y, z of the ground under the sensor, in the vehicle frame [m]; inside `spec`.
 
     Returns
@@ -47,12 +55,12 @@ def flat_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot) ->
 
 
 def local_ground(
-    xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot, max_slope: float = MAX_SLOPE
+    xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint, max_slope: float = MAX_SLOPE
 ) -> NDArray[np.float32]:
     """Estimate the ground as the highest surface below the points that nowhere climbs faster than a road can.
 
     1. the lowest return of each cell; what lies too far below the ground around it is stray and dropped;
-    2. the lower envelope of these heights, and of the foot, under the slope limit (a cone grown from every
+    2. the lower envelope of these heights, and of the ground point, under the slope limit (a cone grown from every
        cell): walls, cars and crowns stand above it, ramps and hills do not;
     3. cells whose lowest return touches the envelope are ground; the mean of their lowest layer of returns is the
        height, or of the layer above it, where that is thin and holds ten times the returns (the lowest are
@@ -66,31 +74,25 @@ def local_ground(
     Raises
     ------
     ValueError
-        If the foot lies outside `spec`, or `spec` has fewer than 2 x 2 cells.
+        If the ground point lies outside `spec`, or `spec` has fewer than 2 x 2 cells.
     """
     if not spec.contains(ground_point[0], ground_point[1]):
         raise ValueError(
-            f"the foot at x={ground_point[0]:g}, y={ground_point[1]:g} m must lie inside the grid {spec.extent}"
+            f"the ground point x={ground_point[0]:g}, y={ground_point[1]:g} m must lie inside the grid {spec.extent}"
         )
     if min(spec.shape) < 2:
         raise ValueError(f"a map of the ground needs 2 x 2 cells or more, got {spec.shape}")
-    height = np.empty(spec.shape, np.float32)
-    surface.local_ground(
-        *(np.ascontiguousarray(xyz[:: 1 + len(xyz) // ENOUGH, k]) for k in range(3)),
-        ground_point,
-        spec.origin[0],
-        spec.origin[1],
-        spec.resolution,
-        max_slope,
-        DESCENT,
-        LOW_TOLERANCE,
-        BAND,
-        height,
-    )
-    return height
+    step = 1 + len(xyz) // MAX_POINTS
+    points = Points(*(np.ascontiguousarray(xyz[::step, k]) for k in range(3)))
+    limits = GroundLimits(float(max_slope), MAX_DESCENT, LOW_TOLERANCE, BAND)
+    x, y, z = ground_point
+    cells = Cells(*spec.origin, spec.resolution)
+    return ground_heights(points, (float(x), float(y), float(z)), cells, spec.shape, limits)
 
 
-def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foot) -> NDArray[np.float32]:
+def patchwork_ground(
+    xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint
+) -> NDArray[np.float32]:
     """Estimate the ground with Patchwork++ (Lee et al. 2022), if ``pypatchworkpp`` is installed.
 
     Parameters, returns : see `flat_ground`
@@ -110,9 +112,8 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foo
     parameters.verbose = False
     parameters.sensor_height = SENSOR_HEIGHT
     estimator = pypatchworkpp.patchworkpp(parameters)
-    shift = np.array(
-        [ground_point[0], ground_point[1], ground_point[2] + SENSOR_HEIGHT], np.float32
-    )  # it wants the sensor at (0, 0, 0)
+    x, y, z = ground_point
+    shift = np.array([x, y, z + SENSOR_HEIGHT], np.float32)  # it wants the sensor at (0, 0, 0)
     estimator.estimateGround(np.pad(xyz - shift, ((0, 0), (0, 1))))  # intensity 0 for all
     ground = xyz[np.asarray(estimator.getGroundIndices(), np.int64)]
     total, count = np.zeros(spec.shape), np.zeros(spec.shape)
@@ -122,7 +123,7 @@ def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: Foo
     np.add.at(count, cell, 1)
     height = np.zeros(spec.shape, np.float32)
     height[count > 0] = total[count > 0] / count[count > 0]
-    surface.fill(height, np.minimum(count, 8).astype(np.float32), np.float32(ground_point[2]))
+    fill(height, np.minimum(count, 8).astype(np.float32), np.float32(ground_point[2]))
     return height
 
 
@@ -144,8 +145,13 @@ def ground_height(
     (N,) float32
         Height of the ground [m]; ``xyz[:, 2]`` minus this is the height above ground.
     """
-    height = np.pad(height, [(0, int(n == 1)) for n in height.shape], mode="edge")  # the kernel wants 2 x 2
-    result = np.empty(len(xyz), np.float32)
     x, y = np.ascontiguousarray(xyz[:, 0], np.float32), np.ascontiguousarray(xyz[:, 1], np.float32)
-    surface.sample_many(height, spec.origin[0], spec.origin[1], spec.resolution, x, y, result)
-    return result
+    return sample_many(surface_of(height, spec), x, y)
+
+
+def surface_of(height: NDArray[np.float32], spec: GridSpec) -> Surface:
+    """Return heights on the cells of a grid as kernels take them: at least 2 x 2."""
+    if 1 in height.shape:
+        height = np.pad(height, [(0, int(n == 1)) for n in height.shape], mode="edge")
+    x0, y0 = spec.origin
+    return Surface(height, np.float32(x0), np.float32(y0), np.float32(1.0 / spec.resolution))

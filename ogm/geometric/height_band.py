@@ -7,9 +7,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.core.lines import height_band_states, state_mass
-from ogm.geometric.mount import check_sensor_in_grid, check_within, scratch, to_vehicle_frame
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, to_vehicle_frame
+from ogm.geometric.kernels.arguments import Cells, HeightBand, Points
+from ogm.geometric.kernels.lines import height_band_states, state_mass
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.jit import log_compilation
 from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["HeightBandISM"]
@@ -35,7 +37,7 @@ class HeightBandISM:
     z_min, z_max : float
         The band [m above ground], 0.5 and 2.0 in the paper.
     evidence : float
-        Dirichlet evidence e of an observed cell; its mass is e / (e + 2). The paper does not say; 10 gives
+        Dirichlet evidence e of an observed cell; its mass is e / (e + 2). The paper gives no number; 10 gives
         0.83. Its code has 1, which gives 1/3: see `as_released`.
     min_range : float
         Returns nearer than this are ignored [m, 3D].
@@ -91,27 +93,21 @@ class HeightBandISM:
         EvidentialGrid
             Vacuous if no point is in the band.
         """
-        footprint = self.mount.ego_footprint if self.drop_ego_returns else NO_FOOTPRINT
-        xyz = to_vehicle_frame(as_scan(scan).points, self.mount, footprint)
-        fine = self.spec.refined(self.supersampling)
-        state = scratch("state", fine.shape, np.uint8)
-        state[:] = 0
-        ground = self.mount.ground_point[2]
-        height_band_states(
-            *xyz.T,
-            self.mount.origin.astype(np.float32),
-            *(
-                min(int(k), n - 1)
-                for k, n in zip(fine.index(*self.mount.ground_point[:2]), fine.shape, strict=True)
-            ),
-            ground + self.z_min,
-            ground + self.z_max,
-            self.min_range,
-            *fine.origin,
-            fine.resolution,
-            state,
-            scratch("ends", (min(len(xyz), state.size), 2), np.int32),
-        )
-        mass = np.empty((*self.spec.shape, 2), np.float32)
-        state_mass(state, self.evidence, self.supersampling, mass)
+        log_compilation(height_band_states)
+        mount, fine = self.mount, self.spec.refined(self.supersampling)
+        x, y, ground = mount.ground_point
+
+        # Points in the vehicle frame
+        footprint = mount.ego_footprint if self.drop_ego_returns else NO_FOOTPRINT
+        points = Points(*to_vehicle_frame(as_scan(scan).points, mount, footprint).T)
+
+        # Returns in the band mark their cells, lines from the sensor clear those before
+        i, j = fine.index(x, y)
+        start = min(int(i), fine.shape[0] - 1), min(int(j), fine.shape[1] - 1)
+        cells = Cells(*fine.origin, fine.resolution)
+        band = HeightBand(ground + self.z_min, ground + self.z_max, float(self.min_range))
+        state = height_band_states(points, mount.origin.astype(np.float32), start, cells, fine.shape, band)
+
+        # States to masses
+        mass = state_mass(state, float(self.evidence), int(self.supersampling))
         return EvidentialGrid.trusted(self.spec, mass)

@@ -7,17 +7,19 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.core.belief import clear_sectors, ray_mass
-from ogm.geometric.core.polar import ROW_BITS, level_ray_weight, polar_lookup
-from ogm.geometric.core.rays import aim_missing, mark_and_aim, sort_rays
-from ogm.geometric.ground import GroundEstimate, local_ground
-from ogm.geometric.mount import check_sensor_in_grid, check_within, scratch, to_vehicle_frame
+from ogm.geometric.ground import GroundEstimate, local_ground, surface_of
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, to_vehicle_frame
+from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayNumbers, WorkSpace
+from ogm.geometric.kernels.belief import clear_sectors, ray_mass
+from ogm.geometric.kernels.polar import ROW_BITS, level_ray_weight, polar_lookup
+from ogm.geometric.kernels.rays import aim_no_returns, mark_and_aim
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.jit import log_compilation
 from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["RayISM"]
 
-MOST_BINS = 2**15 - 1  # what the kernels count in int16
+MAX_BINS = 2**15 - 1  # what the kernels count in int16
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,13 +27,13 @@ class RayISM:
     """The geometric model to use: local ground, marking apart from clearing, counts turned into belief.
 
     Each return is a ray. Obstacle returns (between `obstacle_height` and `clearance` above the *local* ground)
-    mark their cell. All rays, also those to the ground, to tree crowns and, if given, those that came back
-    empty, clear the cells they pass, the less the higher above ground they pass and not at all above
+    mark their cell. All rays, also those to the ground, to tree crowns and, if given, beams without
+    echo, clear the cells they pass, the less the higher above ground they pass and not at all above
     `clearance`. Where no ray passes low enough, the cell stays unknown.
 
     Counts become belief: R returns give occupied ``1 - p_false_alarm**R``, T rays at the ground give free
     ``1 - p_miss**T`` (count-based belief, as in Bosch's evidential occupancy, CVPR 2024), and rays that pass
-    higher give less, see `core.belief.clear_sectors`.
+    higher give less, see `kernels.belief.clear_sectors`.
 
     Parameters
     ----------
@@ -40,13 +42,13 @@ class RayISM:
     mount : Mount
         Where the sensor is mounted. Returns from the ego footprint are dropped, its cells stay unknown.
     ground : function
-        `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, foot) -> height``.
+        `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, ground_point) -> height``.
     obstacle_height : float
         Lowest return above ground that marks [m]; kerbs are 0.08 to 0.15 m high.
     clearance : float
         Height that a vehicle needs [m]; what hangs above does not mark. The paper's band ends at 2.0 m.
     below_ground : float
-        Returns further below ground are mirror images and are ignored [m].
+        Returns further below ground are multipath and are ignored [m].
     range_noise : float
         Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
     p_miss : float
@@ -54,13 +56,13 @@ class RayISM:
     p_false_alarm : float
         Chance that a return comes from an empty cell; 0.05 in Bosch's belief model.
     free_reliability_at_hits : float
-        Shafer reliability of the rays that pass a cell in which others of the same scan were returned. 1
-        takes both for witnesses of one state (Bosch's belief model, walls seen at a grazing angle fade); 0
-        lets returns win outright. Rays pass beside or above what others hit, hence a low default.
+        Shafer reliability of the rays that pass a cell in which others of the same scan were returned. With 1,
+        both are evidence of one state (Bosch's belief model: walls at a grazing angle fade); with 0, only the
+        returns count. Rays pass beside or above what others hit, hence a low default.
     max_mass : float
         No mass of one scan exceeds this, so that a map can change its mind.
     max_range : float
-        How far an obstacle would be seen, for beams that came back empty [m].
+        How far an obstacle would be seen, for beams without echo [m].
     no_return_weight : float
         Weight of such a beam against one that came back: black and wet surfaces swallow beams too.
     azimuth_step : float
@@ -117,80 +119,39 @@ class RayISM:
         EvidentialGrid
             Vacuous for an empty scan.
         """
-        scan, mount, spec, step = as_scan(scan), self.mount, self.spec, self.spec.resolution
-        missing = np.empty((0, 3), np.float32) if scan.no_returns is None else scan.no_returns
-        missing = missing[np.isfinite(missing).all(axis=1)]
-        xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
+        log_compilation(mark_and_aim)
+        scan, spec, mount = as_scan(scan), self.spec, self.mount
+        numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
         origin = mount.origin.astype(np.float32)
+        polar = _polar_grid(spec, mount, self.azimuth_step)
 
-        # The ground, and what a level ray would say above it
-        polar = _polar_grid(spec, tuple(origin.tolist()), mount.ego_footprint, self.azimuth_step)
+        # Points in the vehicle frame, without returns from the ego vehicle
+        xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
+
+        # The ground, and the weight that a level ray has above it
         coarse = _ground_spec(spec)
-        height = _checked_height(self.ground(xyz, coarse, mount.ground_point), coarse)
-        level = scratch("level", (polar.rows, polar.bins), np.float32)
-        level_ray_weight(height, *coarse.origin, coarse.resolution, origin, self.clearance, step, level)
+        ground = surface_of(_checked_height(self.ground(xyz, coarse, mount.ground_point), coarse), coarse)
+        level = level_ray_weight(ground, origin, numbers.clearance, polar.step, polar.rows, polar.bins)
 
         # Obstacles mark their cells, and every beam is a ray
-        hits = scratch("hits", spec.shape, np.int32)
-        hits[:] = 0
-        rays = scratch("rays", (len(xyz), 3), np.float32)
-        starts = mark_and_aim(
-            *xyz.T,
-            origin,
-            height,
-            *coarse.origin,
-            coarse.resolution,
-            level,
-            self.obstacle_height,
-            self.clearance,
-            self.below_ground,
-            self.range_noise,
-            step,
-            polar.sectors,
-            *spec.origin,
-            spec.resolution,
-            hits,
-            scratch("sector", (len(xyz),), np.int32),
-            scratch("slope", (len(xyz),), np.float32),
-            scratch("run", (len(xyz),), np.float32),
-            rays,
-        )
-        directions = (missing @ mount.T_vehicle_points[:3, :3].astype(np.float32).T).astype(np.float32)
-        sector, aimed = np.empty(len(missing), np.int32), np.empty((len(missing), 3), np.float32)
-        aim_missing(directions, level, self.clearance, step, self.max_range, polar.sectors, sector, aimed)
-        empty_rays = np.empty_like(aimed)
-        empty_starts = sort_rays(sector, aimed, polar.sectors, empty_rays)
+        cells, work = Cells(*spec.origin, spec.resolution), _work_space(len(xyz), polar)
+        rays = mark_and_aim(Points(*xyz.T), origin, ground, level, polar, cells, numbers, work)
+        no_return_rays = aim_no_returns(_no_return_directions(scan, mount), level, polar, numbers)
 
         # Rays clear what they pass
-        free = scratch("free", (polar.sectors, polar.bins), np.float32)
-        clear_sectors(
-            rays,
-            starts,
-            empty_rays,
-            empty_starts,
-            self.no_return_weight,
-            level,
-            self.clearance,
-            step,
-            polar.sectors / math.pi,
-            self.p_miss,
-            free,
-        )
+        clear_sectors(rays, no_return_rays, level, polar, numbers, work.free)
 
-        # Belief
-        mass = np.empty((*spec.shape, 2), np.float32)
-        ray_mass(
-            free,
-            hits,
-            polar.sector,
-            polar.span,
-            polar.ring,
-            _powers(math.sqrt(self.p_false_alarm)),
-            self.free_reliability_at_hits,
-            self.max_mass,
-            mass,
-        )
+        # Counts become belief
+        mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
         return EvidentialGrid.trusted(spec, mass)
+
+
+def _no_return_directions(scan: Scan, mount: Mount) -> NDArray[np.float32]:
+    """Return the directions of a scan's beams without echo in the vehicle frame, (M, 3)."""
+    if scan.no_returns is None:
+        return np.empty((0, 3), np.float32)
+    directions = scan.no_returns[np.isfinite(scan.no_returns).all(axis=1)]
+    return directions @ mount.T_vehicle_points[:3, :3].astype(np.float32).T
 
 
 def _checked_height(height: NDArray, spec: GridSpec) -> NDArray[np.float32]:
@@ -201,57 +162,43 @@ def _checked_height(height: NDArray, spec: GridSpec) -> NDArray[np.float32]:
     return np.ascontiguousarray(height, np.float32)
 
 
-@dataclass(frozen=True, eq=False)
-class _PolarGrid:
-    """Sectors and rings around the sensor, and where each cell of a grid lies among them."""
-
-    sectors: int
-    bins: int
-    rows: int  # coarse sectors in which the ground is sampled
-    sector: NDArray[np.int16]
-    span: NDArray[np.int16]
-    ring: NDArray[np.int16]
-
-
 @lru_cache(maxsize=16)
-def _polar_grid(
-    spec: GridSpec,
-    origin: tuple[float, float, float],
-    box: tuple[float, float, float, float],
-    azimuth_step: float,
-) -> _PolarGrid:
+def _polar_grid(spec: GridSpec, mount: Mount, azimuth_step: float) -> PolarGrid:
     """Lay the polar grid over a spec; computed once for each mount."""
     together = 2**ROW_BITS
     sectors = together * math.ceil(2 * math.pi / azimuth_step / together - 1e-9)
-    x0, x1, y0, y1 = spec.extent
-    far = math.hypot(max(x1 - origin[0], origin[0] - x0), max(y1 - origin[1], origin[1] - y0))
+    origin, (x0, x1, y0, y1) = mount.origin.astype(np.float32), spec.extent
+    x, y = float(origin[0]), float(origin[1])
+    far = math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0))
     bins = math.ceil(far / spec.resolution) + 1
-    if max(bins, math.ceil(far)) > MOST_BINS:
+    if max(bins, math.ceil(far)) > MAX_BINS:
         raise ValueError(
-            f"a grid of one scan may reach at most {MOST_BINS} cells and {MOST_BINS} m from the sensor, "
+            f"a grid of one scan may reach at most {MAX_BINS} cells and {MAX_BINS} m from the sensor, "
             f"this one reaches {far:g} m, {bins} cells; use coarser cells or a smaller grid"
         )
-    sector, span, ring = (np.empty(spec.shape, np.int16) for _ in range(3))
-    polar_lookup(
-        *spec.origin,
-        spec.resolution,
-        np.array(origin, np.float32),
-        np.array(box, np.float32),
-        sectors,
-        spec.resolution,
-        bins,
-        sector,
-        span,
-        ring,
-    )
-    return _PolarGrid(sectors, bins, sectors // together, sector, span, ring)
+    cells, footprint = Cells(*spec.origin, spec.resolution), np.array(mount.ego_footprint, np.float32)
+    lookup = polar_lookup(cells, spec.shape, origin, footprint, sectors, bins)
+    return PolarGrid(spec.resolution, sectors, sectors // together, bins, *lookup)
+
+
+def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
+    """Allocate the work space for `count` points in one piece.
+
+    The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
+    fresh pages cost as much time as the rays.
+    """
+    polar_shape = polar.sectors, polar.bins
+    shapes = (count,), (count,), (count,), (count, 3), polar.ring.shape, polar_shape
+    ends = np.cumsum([math.prod(shape) for shape in shapes])
+    pieces = np.split(np.empty(ends[-1], np.float32), ends[:-1])
+    sector, slope, run, table, hits, free = (p.reshape(s) for p, s in zip(pieces, shapes, strict=True))
+    return WorkSpace(sector.view(np.int32), slope, run, table, hits.view(np.int32), free)
 
 
 @lru_cache(maxsize=16)
-def _ground_spec(spec: GridSpec, resolution: float = 1.0) -> GridSpec:
-    """Return cells of about 1 m over the area of a grid."""
-    nx, ny = (max(math.ceil(size / resolution), 2) for size in (spec.length, spec.width))
-    return GridSpec(resolution, (nx, ny), spec.origin)
+def _ground_spec(spec: GridSpec) -> GridSpec:
+    """Return cells of 1 m over the area of a grid."""
+    return GridSpec(1.0, (max(math.ceil(spec.length), 2), max(math.ceil(spec.width), 2)), spec.origin)
 
 
 @lru_cache(maxsize=64)

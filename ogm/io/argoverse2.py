@@ -4,21 +4,30 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.io.documents import need, numbers, read_array, read_json
-from ogm.io.objects import BoxRow, boxes_of
-from ogm.io.source import optional, read_bytes
+from ogm.files import OgmError
+from ogm.io.labels import BoxRow, boxes_of
+from ogm.io.reading import (
+    from_quaternions,
+    need,
+    need_numbers,
+    numbers,
+    optional,
+    parse_array,
+    read_bytes,
+    read_json,
+)
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 
 __all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
 
-_PLACE = ("tx_m", "ty_m", "tz_m")
-_TURN = ("qx", "qy", "qz", "qw")
+_POSITION = ("tx_m", "ty_m", "tz_m")
+_QUATERNION = ("qx", "qy", "qz", "qw")
 _SIZE = ("length_m", "width_m", "height_m")
 
 
@@ -50,7 +59,7 @@ class Argoverse2Map:
     def ground(
         self, xyz: NDArray[np.floating[Any]], T_city_sensor: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return how high the ground lies at some places, both told in a sensor's frame.
+        """Return the z of the ground at some places, in a sensor's frame.
 
         Parameters
         ----------
@@ -65,7 +74,7 @@ class Argoverse2Map:
         """
         xyz = np.asarray(xyz, np.float64)
         city = xyz @ T_city_sensor[:3, :3].T + T_city_sensor[:3, 3]
-        with np.errstate(over="ignore", invalid="ignore"):  # what lies beyond all numbers lies outside
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow lies outside of the raster
             place = np.floor((city[:, :2] @ self.rotation.T + self.shift) * self.scale)
         inside = np.all((place >= 0) & (place < self.raster.shape[::-1]), axis=1)
         column, row = np.where(inside[:, None], place, 0).astype(int).T
@@ -87,9 +96,9 @@ class Argoverse2Log:
     poses : dict of int to (4, 4) float64
         ``T_city_vehicle`` at those times.
     lidars : dict of str to (3,) float64
-        Where ``up_lidar`` and ``down_lidar`` stand in the vehicle's frame [m]. Empty without calibration.
-    annotations : dict of str to array, or None
-        The table of boxes; None where there is none: the test part has none.
+        Positions of ``up_lidar`` and ``down_lidar`` in the vehicle's frame [m]. Empty without calibration.
+    annotations : table or None
+        The table of boxes; None where there is none, as in the test part.
     map : Argoverse2Map or None
         None where the log has no map.
     """
@@ -99,7 +108,7 @@ class Argoverse2Log:
     stamps: tuple[int, ...]
     poses: Mapping[int, NDArray[np.float64]]
     lidars: Mapping[str, NDArray[np.float64]]
-    annotations: Mapping[str, NDArray[Any]] | None
+    annotations: "_Table | None"
     map: Argoverse2Map | None
 
     def boxes(self, n: int) -> Boxes:
@@ -107,18 +116,16 @@ class Argoverse2Log:
         if self.annotations is None:
             return Boxes.empty()
         table = self.annotations
-        at = np.flatnonzero(table["timestamp_ns"] == self.stamps[n])
-        file = self.folder / "annotations.feather"
-        T = _poses({name: table[name][at] for name in (*_PLACE, *_TURN)}, file)
+        at = np.flatnonzero(table.columns["timestamp_ns"] == self.stamps[n])
+        T = table.poses(at)
         yaw = np.arctan2(T[:, 1, 0], T[:, 0, 0])
-        sizes = _columns({name: table[name][at] for name in _SIZE}, _SIZE, file)
-        names = (map(str, table[name][at]) for name in ("category", "track_uuid"))
-        rows = map(BoxRow, T[:, :3, 3], sizes, yaw, *names)
-        return boxes_of(list(rows), f"{file} at {self.stamps[n]}")
+        names = (map(str, table.columns[name][at]) for name in ("category", "track_uuid"))
+        rows = map(BoxRow, T[:, :3, 3], table.numbers(_SIZE)[at], yaw, *names)
+        return boxes_of(list(rows), f"{table.path} at {self.stamps[n]}")
 
 
 def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
-    """Read what a log holds beside its points.
+    """Read what a log holds besides its points.
 
     Parameters
     ----------
@@ -133,7 +140,7 @@ def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
     ------
     FileNotFoundError
         If there are no sweeps, or no poses.
-    ValueError
+    OgmError
         If a table lacks a column, a sweep has no pose, or the map is of another kind.
     ImportError
         If pyarrow is not there.
@@ -145,17 +152,16 @@ def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
     try:
         stamps = tuple(int(one.stem) for one in sweeps)
     except ValueError as error:
-        raise ValueError(f"sweeps of {folder} must be named by their times [ns]: {error}") from error
+        raise OgmError(f"sweeps of {folder} must be named by their times [ns]: {error}") from error
     file = folder / "city_SE3_egovehicle.feather"
-    table = _table(file, ("timestamp_ns", *_PLACE, *_TURN))
-    row = {int(stamp): n for n, stamp in enumerate(table["timestamp_ns"])}
+    table = _table(file, ("timestamp_ns", *_POSITION, *_QUATERNION))
+    row = {int(stamp): n for n, stamp in enumerate(table.columns["timestamp_ns"])}
     lost = [stamp for stamp in stamps if stamp not in row]
     if lost:
-        raise ValueError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
-    chosen = np.array([row[stamp] for stamp in stamps])
-    poses = _poses({name: table[name][chosen] for name in (*_PLACE, *_TURN)}, file)
+        raise OgmError(f"{file} has no pose for the sweep at {lost[0]} (and {len(lost) - 1} others)")
+    poses = table.poses(np.array([row[stamp] for stamp in stamps]))
     notes = folder / "annotations.feather"
-    wanted = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_TURN, *_PLACE)
+    wanted = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_POSITION)
     return Argoverse2Log(
         folder,
         tuple(sweeps),
@@ -173,11 +179,11 @@ def _lidars(folder: Path) -> dict[str, NDArray[np.float64]]:
     file = next((one for one in files if one.is_file()), None)
     if file is None:
         return {}
-    table = _table(file, ("sensor_name", *_PLACE))
-    places = _columns(table, _PLACE, file)
-    if not np.isfinite(places).all():
-        raise ValueError(f"{file} has sensors whose place is not finite: take the calibration of another log")
-    return {str(name): place for name, place in zip(table["sensor_name"], places, strict=True)}
+    table = _table(file, ("sensor_name", *_POSITION))
+    positions = table.numbers(_POSITION)
+    if not np.isfinite(positions).all():
+        raise OgmError(f"{file} has sensors without finite position: take the calibration of another log")
+    return dict(zip(map(str, table.columns["sensor_name"]), positions, strict=True))
 
 
 def _map(folder: Path) -> Argoverse2Map | None:
@@ -185,89 +191,72 @@ def _map(folder: Path) -> Argoverse2Map | None:
     if not any(found):
         return None
     if any(len(files) != 1 for files in found):
-        raise ValueError(
+        raise OgmError(
             f"{folder}/map must have one file of each {', '.join(_MAP_FILES)}, found "
             f"{', '.join(str(len(files)) for files in found)}: complete it, or remove the folder to do without"
         )
     (plan,), (heights,), (placing,) = found
-    drivable = need(read_json(plan, dict, "a map of Argoverse 2"), "drivable_areas", str(plan), dict)
+    drivable = need(read_json(plan, dict, "a map of Argoverse 2"), "drivable_areas", plan, dict)
     areas = []
     for name, area in drivable.items():
         where = f"drivable area {name} of {plan}"
         boundary = need(area, "area_boundary", where, list)
         corners = [[need(p, axis, where) for axis in "xyz"] for p in boundary]
         areas.append(numbers(corners, (len(corners), 3), where))
-    raster = read_array(
-        read_bytes(heights)[0],
-        heights,
-        lambda shape, dtype: len(shape) == 2 and min(shape) > 0 and dtype.kind == "f",
-        "heights (rows, columns) as floating point numbers",
+    data, _ = read_bytes(heights)
+    raster = parse_array(
+        data, heights, lambda shape: len(shape) == 2 and min(shape) > 0, "heights (rows, columns)"
     )
-    place = read_json(placing, dict, "the place of the raster in the city: R, t, s")
-    rotation, shift = (
-        numbers(need(place, key, str(placing)), count, f"{key} of {placing}")
-        for key, count in (("R", 4), ("t", 2))
+    position = read_json(placing, dict, "the position of the raster in the city: R, t, s")
+    rotation, shift, scale = (
+        need_numbers(position, key, shape, placing) for key, shape in (("R", 4), ("t", 2), ("s", ()))
     )
-    scale = float(numbers(need(place, "s", str(placing)), (), f"s of {placing}"))
-    return Argoverse2Map(tuple(areas), raster, rotation.reshape(2, 2), shift, scale)
+    return Argoverse2Map(tuple(areas), raster.astype(np.float64), rotation.reshape(2, 2), shift, float(scale))
 
 
 _MAP_FILES = ("log_map_archive_*.json", "*_ground_height_surface_*.npy", "*___img_Sim2_city.json")
 
 
-def _table(path: Path, columns: Sequence[str]) -> dict[str, NDArray[Any]]:
+class _Table(NamedTuple):
+    """Columns of a Feather table."""
+
+    path: Path
+    columns: Mapping[str, NDArray[Any]]
+
+    def numbers(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return columns of numbers side by side, (K, C)."""
+        wrong = [name for name in names if self.columns[name].dtype.kind not in "iuf"]
+        if wrong:
+            got = self.columns[wrong[0]].dtype
+            raise OgmError(f"{', '.join(wrong)} of {self.path} must be columns of numbers, got {got}")
+        return np.column_stack([self.columns[name] for name in names]).astype(np.float64)
+
+    def poses(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return transforms (K, 4, 4) of some rows."""
+        positions, quaternions = self.numbers(_POSITION)[rows], self.numbers(_QUATERNION)[rows]
+        return from_quaternions(positions, quaternions, lambda k: f"row {rows[k]} of {self.path}")
+
+
+def _table(path: Path, columns: Sequence[str]) -> _Table:
     """Read some columns of a Feather table."""
     pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
     data = read_bytes(path)[0]
     try:
-        table = ipc.open_file(pyarrow.BufferReader(data)).read_all()
+        table = ipc.open_file(pyarrow.py_buffer(data)).read_all()
+        found = {
+            name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names
+        }
     except (pyarrow.ArrowException, ValueError, OSError, MemoryError) as error:
-        raise ValueError(
-            f"{path} is no readable Feather table ({error}): it is damaged or wrongly named"
+        raise OgmError(
+            f"{path} is no readable Feather table: it is damaged or wrongly named ({str(error)[:120]})"
         ) from error
-    missing = [name for name in columns if name not in table.column_names]
+    missing = [name for name in columns if name not in found]
     if missing:
-        raise ValueError(
+        raise OgmError(
             f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}"
         )
-    try:
-        found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns}
-    except (pyarrow.ArrowException, ValueError) as error:
-        raise ValueError(
-            f"{path} has columns that cannot be read ({str(error)[:120]}): it is damaged"
-        ) from error
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
-        raise ValueError(
+        raise OgmError(
             f"timestamp_ns of {path} must be whole numbers [ns], all of them, got {table['timestamp_ns'].type}"
         )
-    return found
-
-
-def _columns(table: Mapping[str, NDArray[Any]], names: Sequence[str], path: Path) -> NDArray[np.float64]:
-    """Return columns of numbers side by side, (K, C)."""
-    wrong = [name for name in names if table[name].dtype.kind not in "iuf"]
-    if wrong:
-        raise ValueError(
-            f"{', '.join(wrong)} of {path} must be columns of numbers, got {table[wrong[0]].dtype}"
-        )
-    return np.column_stack([table[name] for name in names]).astype(np.float64)
-
-
-def _poses(table: Mapping[str, NDArray[Any]], path: Path) -> NDArray[np.float64]:
-    """Build transforms (K, 4, 4) from positions and quaternions."""
-    from scipy.spatial.transform import Rotation
-
-    turns, places = _columns(table, _TURN, path), _columns(table, _PLACE, path)
-    length = np.linalg.norm(turns, axis=1)
-    bad = ~(np.isfinite(places).all(axis=1) & (np.abs(length - 1) < 1e-2))
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise ValueError(
-            f"row {k} of {path} must have a finite place and a quaternion of length 1, got {places[k].tolist()}, "
-            f"{turns[k].tolist()}"
-        )
-    T = np.tile(np.eye(4), (len(turns), 1, 1))
-    if len(turns):
-        T[:, :3, :3] = Rotation.from_quat(turns).as_matrix()
-    T[:, :3, 3] = places
-    return T
+    return _Table(path, found)

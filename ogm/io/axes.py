@@ -40,7 +40,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
     Returns
     -------
     rotation : (3, 3) float64
-        A rotation: never a mirror image.
+        A rotation: never a reflection.
     """
     if isinstance(axes, str):
         if axes not in AXES:
@@ -63,5 +63,5 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
             f"axes must be three at right angles to each other, got {rotation.tolist()}: {_WAY_OUT}"
         )
     if np.linalg.det(rotation) < 0:
-        raise ValueError(f"axes must be right-handed, got the mirror image {rotation.tolist()}: {_WAY_OUT}")
+        raise ValueError(f"axes must be right-handed, got the reflection {rotation.tolist()}: {_WAY_OUT}")
     return rotation

@@ -1,4 +1,4 @@
-"""KITTI's labels: boxes of the object and the tracking recordings, in the lidar's frame."""
+"""KITTI: boxes of the object and the tracking recordings, calibrations, and times of scans."""
 
 import os
 from pathlib import Path
@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.io.calibration import read_calibration
-from ogm.io.documents import numbers, read_lines
-from ogm.io.objects import BoxRow, boxes_of
+from ogm.files import OgmError
+from ogm.io.labels import BoxRow, boxes_of
+from ogm.io.reading import numbers, read_lines, rigid
 from ogm.pose import check_pose, inverse
 from ogm.scan import Boxes
 
-__all__ = ["read_kitti_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
+__all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
 _OBJECT = (
     "type, truncated, occluded, alpha, 4 of the picture's box, height, width, length, x, y, z, rotation_y"
@@ -23,25 +23,25 @@ _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 def read_kitti_objects(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) -> Boxes:
     """Read the boxes of one scan of the object recordings (``label_2/000000.txt``).
 
-    KITTI labels what its front camera sees, and nothing else. ``DontCare`` has no box and is left out.
+    KITTI labels what is in view of its front camera only. ``DontCare`` has no box and is left out.
 
     Parameters
     ----------
     path : path
         Lines of 15 columns, or 16 with a score.
     T_camera_sensor : (4, 4) array
-        From `read_kitti_calibration`.
+        From `read_calibration`.
 
     Returns
     -------
     Boxes
-        Without tracks: these scans have nothing to do with each other. No objects if the file is empty.
+        Without tracks: these scans are no sequence. No boxes if the file is empty.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If a line has another number of columns, or what should be a number is none. The line is named.
     """
     path = Path(path)
@@ -58,16 +58,16 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
         Lines of 17 columns, or 18 with a score: the scan's number, the track's, and what `read_kitti_objects`
         reads.
     T_camera_sensor : (4, 4) array
-        From `read_kitti_calibration`.
+        From `read_calibration`.
 
     Returns
     -------
     dict of int to Boxes
-        By the number of the scan. Scans without a line are not in it: nothing was seen there, or nobody looked.
+        By the number of the scan. Scans without a line are not in it: they have no objects, or no labels.
 
     Raises
     ------
-    FileNotFoundError, ValueError
+    FileNotFoundError, OgmError
         As `read_kitti_objects`; or if a track has two boxes in one scan.
     """
     path = Path(path)
@@ -77,19 +77,24 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
         scan, track = (_whole(word, n, path) for word in words[:2])
         rows = scans.setdefault(scan, [])
         if track >= 0 and any(one == str(track) for _, _, one in rows):
-            raise ValueError(f"line {n} of {path} has a second box of track {track} in scan {scan}: drop one")
+            raise OgmError(f"line {n} of {path} has a second box of track {track} in scan {scan}: drop one")
         rows.append((n, words[2:], str(track) if track >= 0 else ""))
     return {scan: _objects(path, rows, T) for scan, rows in scans.items()}
 
 
-def read_kitti_calibration(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """Read how the lidar sits beside the rectified camera that KITTI's labels are told in.
+def read_calibration(path: str | os.PathLike[str], name: str = "Tr") -> NDArray[np.float64]:
+    """Read the transform from the lidar to camera 0, in whose frame KITTI's labels and poses are given.
 
     Parameters
     ----------
     path : path
-        A file of the object, tracking or odometry recordings; or the folder of a day of the raw ones, with
-        ``calib_velo_to_cam.txt`` and ``calib_cam_to_cam.txt`` (whose ``R_rect_00`` is used).
+        ``calib.txt`` of an odometry sequence, a calibration of the object or tracking recordings, or
+        ``calib_velo_to_cam.txt`` of the raw ones: lines of a name, perhaps a colon, and numbers. Or the folder of
+        a day of the raw recordings, with that file and ``calib_cam_to_cam.txt``, whose ``R_rect_00`` is used.
+    name : str
+        The entry to take: 12 numbers, the upper three rows of a transform. Where the default, ``Tr``, is not
+        there: ``Tr_velo_to_cam`` or ``Tr_velo_cam``, turned by ``R0_rect`` or ``R_rect`` if the file has it
+        (the labels are those of the rectified camera); else ``R`` and ``T``, a rotation and a shift.
 
     Returns
     -------
@@ -98,19 +103,51 @@ def read_kitti_calibration(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
     Raises
     ------
-    FileNotFoundError, ValueError
-        If a file is not there, or has no such entry.
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If it is no text, has no such entry, or the entry is no rigid transform.
     """
     path = Path(path)
-    if not path.is_dir():
-        return read_calibration(path)
-    T, rectify = read_calibration(path / _TO_CAMERA), np.eye(4)
-    entries = {words[0].rstrip(":"): words[1:] for _, words in read_lines(path / _RECTIFY)}
-    if "R_rect_00" not in entries:
-        raise ValueError(f"{path / _RECTIFY} has no entry R_rect_00, only {', '.join(entries)[:200]}")
-    where = f"R_rect_00 of {path / _RECTIFY}"
-    rectify[:3, :3] = numbers(entries["R_rect_00"], 9, where).reshape(3, 3)
-    return check_pose(rectify, where) @ T
+    if path.is_dir():
+        rectify = _rotation(path / _RECTIFY, _entries(path / _RECTIFY), "R_rect_00")
+        return rectify @ read_calibration(path / _TO_CAMERA)
+    entries = _entries(path)
+    if name in entries or name != "Tr":
+        return _transform(path, name, _entry(path, entries, name, 12).reshape(3, 4))
+    for key in ("Tr_velo_to_cam", "Tr_velo_cam"):  # raw and object recordings; tracking
+        if key in entries:
+            T = _transform(path, key, _entry(path, entries, key, 12).reshape(3, 4))
+            found = [one for one in ("R0_rect", "R_rect", "R_rect_00") if one in entries]
+            return _rotation(path, entries, found[0]) @ T if found else T
+    if "R" in entries and "T" in entries:
+        R, shift = _entry(path, entries, "R", 9).reshape(3, 3), _entry(path, entries, "T", 3)
+        return _transform(path, "R and T", np.column_stack([R, shift]))
+    raise OgmError(
+        f"{path} has no entry Tr, Tr_velo_to_cam, Tr_velo_cam, or R and T, only {', '.join(entries)[:200] or 'none'}: "
+        "give the calibration of the lidar to the camera"
+    )
+
+
+def _entries(path: Path) -> dict[str, list[str]]:
+    return {words[0].rstrip(":"): words[1:] for _, words in read_lines(path)}
+
+
+def _entry(path: Path, entries: dict[str, list[str]], name: str, count: int) -> NDArray[np.float64]:
+    if name not in entries:
+        raise OgmError(f"{path} has no entry {name}, only {', '.join(entries)[:200] or 'none'}")
+    return numbers(entries[name], count, f"entry {name} of {path}")
+
+
+def _transform(path: Path, name: str, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    T = np.eye(4)
+    T[:3] = rows
+    return rigid(T, f"{name} of {path}")
+
+
+def _rotation(path: Path, entries: dict[str, list[str]], name: str) -> NDArray[np.float64]:
+    R = _entry(path, entries, name, 9).reshape(3, 3)
+    return _transform(path, name, np.column_stack([R, np.zeros(3)]))
 
 
 def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
@@ -123,16 +160,16 @@ def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
 
     Raises
     ------
-    FileNotFoundError, ValueError
+    FileNotFoundError, OgmError
         If there is no such file, a line is no time, or lines between others are empty: scans are counted by lines.
     """
     path = Path(path)
     stamps: list[float] = []
     for n, words in read_lines(path):
         if n != len(stamps) + 1:
-            raise ValueError(
+            raise OgmError(
                 f"line {len(stamps) + 1} of {path} is empty, but lines follow, wanted a time for every scan from the "
-                "first on: which belongs to which cannot be told"
+                "first on, for scans are counted by lines"
             )
         try:
             if len(words) == 1:
@@ -142,7 +179,7 @@ def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
             if not np.isfinite(stamp):
                 raise ValueError("not finite")
         except ValueError as error:
-            raise ValueError(
+            raise OgmError(
                 f"line {n} of {path} must be a time, such as 2011-09-26 13:02:25.964389445 or seconds, got "
                 f"{' '.join(words)[:60]!r}"
             ) from error
@@ -154,7 +191,7 @@ def _lines(path: Path, columns: int, meaning: str) -> list[tuple[int, list[str]]
     rows = read_lines(path)
     for n, words in rows:
         if len(words) not in (columns, columns + 1):
-            raise ValueError(
+            raise OgmError(
                 f"line {n} of {path} has {len(words)} columns, wanted {columns} ({meaning}), or {columns + 1} with a "
                 "score: it is cut short, or of another kind of label"
             )
@@ -165,7 +202,7 @@ def _whole(word: str, n: int, path: Path) -> int:
     try:
         return int(word)
     except ValueError as error:
-        raise ValueError(f"line {n} of {path} must begin with two whole numbers, got {word!r}") from error
+        raise OgmError(f"line {n} of {path} must begin with two whole numbers, got {word!r}") from error
 
 
 def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.float64]) -> Boxes:
@@ -176,9 +213,9 @@ def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.f
             continue
         height, width, length, x, y, z, turn = numbers(words[8:15], 7, f"the box in line {n} of {path}")
         if min(height, width, length) <= 0:
-            raise ValueError(
+            raise OgmError(
                 f"the {words[0]} in line {n} of {path} must have height, width and length above 0 m, got {height:g}, "
-                f"{width:g}, {length:g}: drop the line, or call it DontCare"
+                f"{width:g}, {length:g}: drop the line, or rename it DontCare"
             )
         center = (
             T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]

@@ -1,18 +1,19 @@
 """nuScenes: key frames with boxes and poses, from its own tables or from mmdetection3d's info (as JSON)."""
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.files import OgmError
 from ogm.io.axes import rotation_to_flu
-from ogm.io.documents import need, numbers, read_json
-from ogm.io.objects import BoxRow, boxes_of
-from ogm.pose import check_pose, inverse
+from ogm.io.labels import BoxRow, boxes_of
+from ogm.io.reading import from_quaternions, need, need_numbers, read_json, rigid
+from ogm.pose import inverse
 from ogm.scan import Boxes
 
 __all__ = ["NuScenes", "NuScenesFrame", "read_mmdet3d", "read_nuscenes"]
@@ -31,46 +32,18 @@ class NuScenesFrame(NamedTuple):
     stamp: float  # [s] since 1970
     T_map_sensor: NDArray[np.float64]  # (4, 4); the sensor's frame has x forward, y left, z up
     height: float  # [m] of the sensor above the vehicle's origin, which lies on the road
-    annotations: tuple[Mapping[str, Any], ...]  # as the file has them; `NuScenes.boxes` makes boxes of them
+    read_boxes: Callable[[], Boxes]  # in the sensor's frame
 
 
-@dataclass(frozen=True)
-class NuScenes:
-    """Key frames of nuScenes, and their boxes.
-
-    Parameters
-    ----------
-    frames : tuple of NuScenesFrame
-        By scene, then by time.
-    annotated : bool
-        Whether there are boxes: the test part has none, its table of them is empty.
-    labels : mapping of str to str
-        Category of each object, by its ``instance_token``. Empty for mmdetection3d's info.
-    """
+class NuScenes(NamedTuple):
+    """Key frames of nuScenes, by scene, then by time."""
 
     frames: tuple[NuScenesFrame, ...]
-    annotated: bool
-    labels: Mapping[str, str]
+    annotated: bool  # whether there are boxes: in the test part, their table is empty
 
     def boxes(self, n: int) -> Boxes:
         """Return the boxes of frame n, in the sensor's frame."""
-        frame = self.frames[n]
-        rows = _mmdet3d_boxes if frame.annotations and "bbox_3d" in frame.annotations[0] else self._rows
-        return boxes_of(rows(frame), f"key frame {frame.name}")
-
-    def _rows(self, frame: NuScenesFrame) -> list[BoxRow]:
-        T_sensor_map = inverse(frame.T_map_sensor)
-        rows = []
-        for note in frame.annotations:
-            where = f"an annotation of key frame {frame.name}"
-            width, length, height = numbers(need(note, "size", where), 3, f"size of {where}")
-            T = T_sensor_map @ _pose(note, where)
-            yaw = np.arctan2(T[1, 0], T[0, 0])
-            track = str(need(note, "instance_token", where))
-            if track not in self.labels:
-                raise ValueError(f"instance {track} of {where} is in no table of instances: is it complete?")
-            rows.append(BoxRow(T[:3, 3], [length, width, height], yaw, self.labels[track], track))
-        return rows
+        return self.frames[n].read_boxes()
 
 
 def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
@@ -92,7 +65,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
     ------
     FileNotFoundError
         If a table is not there.
-    ValueError
+    OgmError
         If there are several versions, a table is of another kind, or a row refers to what is not there.
     """
     folder = Path(path)
@@ -100,7 +73,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
         versions = sorted(one for one in folder.glob("v1.*-*") if one.is_dir())
         if len(versions) != 1:
             found = ", ".join(one.name for one in versions) or "none"
-            raise ValueError(
+            raise OgmError(
                 f"{folder} must have one folder of tables (v1.0-...), found {found}: give that folder"
             )
         folder = versions[0]
@@ -123,22 +96,42 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
             continue
         sample = _look_up(tables, "sample", row, "sample_data")
         file = _inside(folder.parent, str(need(row, "filename", "a row of sample_data.json")))
-        if file.is_file():
-            scene = str(_look_up(tables, "scene", sample, "sample").get("name", ""))
-            stamp = (
-                float(numbers(need(row, "timestamp", "a row of sample_data.json"), (), "timestamp")) * 1e-6
+        if not file.is_file():
+            continue
+        T_vehicle_sensor = _pose(mounting, "a row of calibrated_sensor.json")
+        T_map_vehicle = _pose(_look_up(tables, "ego_pose", row, "sample_data"), "a row of ego_pose.json")
+        T = T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T
+        frames.append(
+            NuScenesFrame(
+                scene=str(_look_up(tables, "scene", sample, "sample").get("name", "")),
+                name=file.name,
+                path=file,
+                stamp=float(need_numbers(row, "timestamp", (), "a row of sample_data.json")) * 1e-6,
+                T_map_sensor=T,
+                height=float(T_vehicle_sensor[2, 3]),
+                read_boxes=partial(_boxes, notes.get(str(row["sample_token"]), []), labels, T, file.name),
             )
-            T_map_vehicle = _pose(_look_up(tables, "ego_pose", row, "sample_data"), "a row of ego_pose.json")
-            T_vehicle_sensor = _pose(mounting, "a row of calibrated_sensor.json")
-            token = str(row["sample_token"])
-            T = T_map_vehicle @ T_vehicle_sensor @ _TURN.T
-            kept = tuple(notes.get(token, ()))
-            frames.append(
-                NuScenesFrame(scene, file.name, file, stamp, T, float(T_vehicle_sensor[2, 3]), kept)
-            )
+        )
     if not frames:
-        raise ValueError(f"{folder} names no key frame of {_LIDAR} whose points are under {folder.parent}")
-    return NuScenes(tuple(sorted(frames, key=lambda one: (one.scene, one.stamp))), annotated, labels)
+        raise OgmError(f"{folder} names no key frame of {_LIDAR} whose points are under {folder.parent}")
+    return NuScenes(_in_order(frames), annotated)
+
+
+def _boxes(
+    notes: Sequence[dict[str, Any]], labels: Mapping[str, str], T_map_sensor: NDArray[np.float64], name: str
+) -> Boxes:
+    """Return the boxes of a key frame from its rows of sample_annotation."""
+    where = f"an annotation of key frame {name}"
+    rows, T_sensor_map = [], inverse(T_map_sensor)
+    for note in notes:
+        width, length, height = need_numbers(note, "size", 3, where)
+        T = T_sensor_map @ _pose(note, where)
+        track = str(need(note, "instance_token", where))
+        if track not in labels:
+            raise OgmError(f"instance {track} of {where} is in no table of instances: is it complete?")
+        yaw = np.arctan2(T[1, 0], T[0, 0])
+        rows.append(BoxRow(T[:3, 3], [length, width, height], yaw, labels[track], track))
+    return boxes_of(rows, f"key frame {name}")
 
 
 def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
@@ -153,58 +146,62 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
     Returns
     -------
     NuScenes
-        The points are looked for beside the file. Objects have no tracks, and the log stands for the scene.
+        The points must lie beside the file. Boxes have no tracks, and the log is used as the scene.
 
     Raises
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If it is another data set's, or an entry lacks something.
     """
     path = Path(path)
     if path.suffix == ".pkl":
-        raise ValueError(f"{path} is pickled, and nothing is unpickled here: write it as JSON first")
+        raise OgmError(f"{path} is pickled, and nothing is unpickled here: write it as JSON first")
     content = read_json(path, dict, "mmdetection3d's info: metainfo, data_list")
-    about = need(content, "metainfo", str(path))
+    about = need(content, "metainfo", path)
     if str(need(about, "dataset", f"metainfo of {path}")).lower() != "nuscenes":
-        raise ValueError(f"{path} is of {about['dataset']}, wanted nuscenes")
+        raise OgmError(f"{path} is of {about['dataset']}, wanted nuscenes")
     categories = need(about, "categories", f"metainfo of {path}", dict)
-    names = {number: str(name) for name, number in categories.items() if isinstance(number, int)}
-    entries = [content["frame"]] if "frame" in content else need(content, "data_list", str(path), list)
+    labels = {number: str(label) for label, number in categories.items() if isinstance(number, int)}
+    entries = [content["frame"]] if "frame" in content else need(content, "data_list", path, list)
     frames = []
     for n, entry in enumerate(entries):
         where = f"frame {n} of {path}"
         lidar = need(entry, "lidar_points", where)
         file = path.parent / Path(str(need(lidar, "lidar_path", where))).name
-        T_vehicle_sensor = _matrix(lidar, "lidar2ego", where)
-        T = _matrix(entry, "ego2global", where) @ T_vehicle_sensor @ _TURN.T
-        notes = tuple(
-            {"bbox_3d": need(note, "bbox_3d", f"an object of {where}"), **note, "name": _named(note, names)}
-            for note in need(entry, "instances", where, list)
-        )
-        stamp = float(numbers(need(entry, "timestamp", where), (), f"timestamp of {where}"))
+        T_vehicle_sensor = rigid(need_numbers(lidar, "lidar2ego", (4, 4), where), f"lidar2ego of {where}")
+        T_map_vehicle = rigid(need_numbers(entry, "ego2global", (4, 4), where), f"ego2global of {where}")
+        notes = need(entry, "instances", where, list)
+        for note in notes:
+            need(note, "bbox_3d", f"an object of {where}")
         frames.append(
             NuScenesFrame(
-                file.name.split("__")[0], file.name, file, stamp, T, float(T_vehicle_sensor[2, 3]), notes
+                scene=file.name.split("__")[0],
+                name=file.name,
+                path=file,
+                stamp=float(need_numbers(entry, "timestamp", (), where)),
+                T_map_sensor=T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T,
+                height=float(T_vehicle_sensor[2, 3]),
+                read_boxes=partial(_mmdet3d_boxes, notes, labels, file.name),
             )
         )
-    return NuScenes(tuple(sorted(frames, key=lambda one: (one.scene, one.stamp))), True, {})
+    return NuScenes(_in_order(frames), True)
 
 
-def _named(note: Mapping[str, Any], names: Mapping[int, str]) -> str:
-    number = note.get("bbox_label_3d")
-    return names.get(number, "other") if isinstance(number, int) else "other"
-
-
-def _mmdet3d_boxes(frame: NuScenesFrame) -> list[BoxRow]:
-    """Turn bbox_3d, told in the lidar's frame: x right, y forward, z of the middle."""
+def _mmdet3d_boxes(notes: Sequence[dict[str, Any]], labels: Mapping[int, str], name: str) -> Boxes:
+    """Return the boxes of bbox_3d, which is in the lidar's frame: x right, y forward, z up, about the center."""
     rows = []
-    for n, note in enumerate(frame.annotations):
-        where = f"object {n} of key frame {frame.name}"
-        box = numbers(need(note, "bbox_3d", where), 7, f"bbox_3d of {where}")
-        rows.append(BoxRow(_TURN[:3, :3] @ box[:3], box[3:6], box[6] - np.pi / 2, note["name"]))
-    return rows
+    for n, note in enumerate(notes):
+        box = need_numbers(note, "bbox_3d", 7, f"object {n} of key frame {name}")
+        number = note.get("bbox_label_3d")
+        label = labels.get(number, "other") if isinstance(number, int) else "other"
+        rows.append(BoxRow(_T_FLU_LIDAR[:3, :3] @ box[:3], box[3:6], box[6] - np.pi / 2, label))
+    return boxes_of(rows, f"key frame {name}")
+
+
+def _in_order(frames: list[NuScenesFrame]) -> tuple[NuScenesFrame, ...]:
+    return tuple(sorted(frames, key=lambda one: (one.scene, one.stamp)))
 
 
 def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
@@ -216,7 +213,7 @@ def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
 def _inside(folder: Path, name: str) -> Path:
     """Return a file of the data set by the name that a table gives it."""
     if Path(name).is_absolute() or ".." in Path(name).parts:
-        raise ValueError(
+        raise OgmError(
             f"sample_data.json names the file {name[:200]!r}, wanted one under {folder}, such as "
             "samples/LIDAR_TOP/...: tables of nuScenes name no other, so do not trust these"
         )
@@ -229,7 +226,7 @@ def _look_up(
     """Follow a row's reference to another table."""
     token = str(need(row, f"{name}_token", f"a row of {of}.json"))
     if token not in tables[name]:
-        raise ValueError(
+        raise OgmError(
             f"{of}.json refers to {name} {token}, which {name}.json does not have: are they of one version?"
         )
     return tables[name][token]
@@ -237,20 +234,10 @@ def _look_up(
 
 def _pose(row: Mapping[str, Any], where: str) -> NDArray[np.float64]:
     """Read a translation and a quaternion with w first."""
-    from scipy.spatial.transform import Rotation
-
-    T = np.eye(4)
-    w, x, y, z = numbers(need(row, "rotation", where), 4, f"rotation of {where}")
-    if abs(np.linalg.norm([w, x, y, z]) - 1) > 1e-2:
-        raise ValueError(f"rotation of {where} must be a quaternion of length 1, got {[w, x, y, z]}")
-    T[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix()
-    T[:3, 3] = numbers(need(row, "translation", where), 3, f"translation of {where}")
-    return T
+    quaternion = need_numbers(row, "rotation", 4, where)[[1, 2, 3, 0]]
+    position = need_numbers(row, "translation", 3, where)
+    return from_quaternions(position[None], quaternion[None], lambda _: where)[0]
 
 
-def _matrix(entry: Mapping[str, Any], key: str, where: str) -> NDArray[np.float64]:
-    return check_pose(numbers(need(entry, key, where), (4, 4), f"{key} of {where}"), f"{key} of {where}")
-
-
-_TURN = np.eye(4)
-_TURN[:3, :3] = rotation_to_flu("nuscenes")
+_T_FLU_LIDAR = np.eye(4)
+_T_FLU_LIDAR[:3, :3] = rotation_to_flu("nuscenes")

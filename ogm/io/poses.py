@@ -4,23 +4,30 @@ import logging
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import atomic_write
-from ogm.io.rows import NAMES, OURS, WANTED, check_stamps, numbers_of, read_rows, whole_numbers
+from ogm.files import OgmError, atomic_write
+from ogm.io.reading import from_quaternions, read_text, rigid
 from ogm.pose import Trajectory, check_pose, inverse
 
 __all__ = ["Poses", "read_poses", "write_poses"]
 
 log = logging.getLogger(__name__)
 
+_OURS = "ogm.poses/1"
+_NAMES = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _KINDS = {8: "TUM", 12: "KITTI", 13: "KITTI-360", 16: "4x4", 17: "KITTI-360 4x4"}
+_WANTED = (
+    "8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: the upper three rows of T_map_sensor), 13 (KITTI-360: frame "
+    "number and those 12), 16 or 17 (all four rows)"
+)
+_LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds
 _ROUNDED = 2e-3  # departure of R'R from the identity that rounding to three decimals can make
-_UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
 _CAMERA_SHARE = 0.9  # of the path goes along the frame's own z axis: nothing but a camera drives so
-_CAMERA_PATH = 1.0  # [m] of path before that is said
+_CAMERA_PATH = 1.0  # [m] of path before that is an error
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,9 +84,9 @@ class Poses:
 def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | None = None) -> Poses:
     """Read the poses of a drive.
 
-    The number of columns tells the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
+    The number of columns gives the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
     row), 13 KITTI-360 (the frame number before them), 16 and 17 the same with the fourth row, 8 TUM (stamp,
-    position, quaternion with w last). Columns stand apart by blanks; what follows ``#`` is a comment. A
+    position, quaternion with w last). Columns are separated by blanks; what follows ``#`` is a comment. A
     ``.csv`` has the header ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and perhaps a column ``number``. Each
     may be packed as ``.xz`` or ``.gz``.
 
@@ -90,10 +97,10 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     path : path
         The file.
     T_camera_sensor : (4, 4) array, optional
-        Where the file tells the poses of another part of the vehicle than the lidar, as KITTI does of its
+        Where the file has the poses of another part of the vehicle than the lidar, as KITTI has those of its
         camera 0: takes the lidar's coordinates to that part's, see `read_calibration`. The map is then the
-        lidar's frame where the file has its origin: x forward, y left, z up. The identity says that the poses
-        are the lidar's.
+        lidar's frame where the file has its origin: x forward, y left, z up. The identity if the poses are the
+        lidar's.
 
     Returns
     -------
@@ -103,41 +110,36 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If the file is empty or no text; if a row is ragged, no numbers, not finite or not rigid; if stamps or
         frame numbers repeat or go backwards; if the poses are plainly those of a camera (they move along
         their own z axis) and `T_camera_sensor` is not given. The line is named.
     """
     path = Path(path)
-    lines, header, ours = read_rows(path)
+    lines, header, ours = _rows(path)
     columns = len(header) if header else len(lines[0][1])
     if not header and columns not in _KINDS:
-        raise ValueError(f"line {lines[0][0]} of {path} has {columns} columns, wanted {WANTED}")
-    where = np.array([line for line, _ in lines])
-    table = numbers_of(path, lines, columns)
+        raise OgmError(f"{lines[0][0]} has {columns} columns, wanted {_WANTED}")
+    where, table = [line for line, _ in lines], _table(lines, columns)
     stamps, numbers = None, None
     if header:
-        order = [header.index(name) for name in NAMES]
-        stamps, poses = table[:, order[0]], _from_quaternions(path, where, table[:, order[1:]])
-        if "number" in header:
-            numbers = whole_numbers(path, where, table[:, header.index("number")])
-    elif columns == 8:
-        stamps, poses = table[:, 0], _from_quaternions(path, where, table[:, 1:])
+        table = table[:, [header.index(name) for name in (*_NAMES, "number") if name in header]]
+        numbers = _frame_numbers(where, table[:, 8]) if "number" in header else None
+    if header or columns == 8:
+        stamps = _stamps(where, table[:, 0])
+        poses = from_quaternions(table[:, 1:4], table[:, 4:8], where.__getitem__)
     else:
         if columns in (13, 17):
-            numbers, table = whole_numbers(path, where, table[:, 0]), table[:, 1:]
-        poses = _from_rows(path, where, table)
-    kind = OURS if ours else "csv" if header else _KINDS[columns]
-    if stamps is not None:
-        check_stamps(path, where, stamps)
+            numbers, table = _frame_numbers(where, table[:, 0]), table[:, 1:]
+        poses = _from_matrices(path, where, table)
     if T_camera_sensor is not None:
         if ours:
-            raise ValueError(f"{path} tells the sensor's own poses ({OURS}): leave T_camera_sensor out")
+            raise OgmError(f"{path} has the sensor's own poses ({_OURS}): leave T_camera_sensor out")
         T = check_pose(T_camera_sensor, "T_camera_sensor")
         poses = inverse(T) @ poses @ T
     elif not ours:
         _refuse_camera(path, poses)
-    return Poses(poses, stamps, numbers, kind)
+    return Poses(poses, stamps, numbers, _OURS if ours else "csv" if header else _KINDS[columns])
 
 
 def write_poses(
@@ -169,7 +171,7 @@ def write_poses(
 
     quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
     rows = np.column_stack([trajectory.stamps, trajectory.poses[:, :3, 3], quaternions]).tolist()
-    names = list(NAMES)
+    names = list(_NAMES)
     if numbers is not None:
         counted = np.asarray(numbers)
         if ending != ".csv":
@@ -186,7 +188,7 @@ def write_poses(
     with atomic_write(path, "w") as file:
         if comma:
             file.write(
-                f"# {OURS}: T_map_sensor, the sensor's pose in the map at each stamp [s]; position x y z [m] and\n"
+                f"# {_OURS}: T_map_sensor, the sensor's pose in the map at each stamp [s]; position x y z [m] and\n"
                 "# rotation as a unit quaternion take sensor coordinates (x forward, y left, z up) to the map's\n"
             )
             file.write(",".join(names) + "\n")
@@ -196,27 +198,77 @@ def write_poses(
             file.write(("," if comma else " ").join(map(repr, row)) + "\n")
 
 
-def _from_quaternions(
-    path: Path, where: NDArray[np.int64], table: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Turn rows of x y z qx qy qz qw into poses."""
-    length = np.linalg.norm(table[:, 3:], axis=1)
-    bad = np.abs(length - 1) > _UNIT
+def _rows(path: Path) -> tuple[list[tuple[str, list[str]]], list[str], bool]:
+    """Return the rows, each with the line it is in, the header's names ([] if none), and whether it is our format."""
+    text = read_text(path, f"poses in lines of numbers: {_WANTED}")
+    if not text:
+        raise OgmError(f"{path} is empty, wanted poses: was it written to its end?")
+    csv = path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".csv")
+    lines: list[tuple[str, list[str]]] = []
+    ours = False
+    for n, raw in enumerate(text.splitlines(), start=1):
+        content, _, comment = raw.partition("#")
+        if not lines and comment.strip().startswith("ogm.poses/"):
+            version = comment.split()[0].rstrip(":")
+            if version != _OURS:
+                raise OgmError(f"{path} is {version}, wanted {_OURS}: it comes from a newer release of ogm")
+            ours = True
+        if content.strip():
+            fields = content.split(",") if csv else content.split()
+            lines.append((f"line {n} of {path}", [field.strip() for field in fields]))
+    header = lines.pop(0)[1] if csv and lines else []
+    if header and (len(set(header)) != len(header) or set(header) - {"number"} != set(_NAMES)):
+        raise OgmError(
+            f"the header of {path} must be {','.join(_NAMES)} and perhaps number, got {','.join(header)[:200]}"
+        )
+    if not lines:
+        raise OgmError(f"{path} holds no pose, only comments or a header: was it written to its end?")
+    return lines, header, ours
+
+
+def _table(lines: list[tuple[str, list[str]]], columns: int) -> NDArray[np.float64]:
+    """Return the table (K, columns) of finite numbers, or raise with the line that is none."""
+    table = np.empty((len(lines), columns))
+    for row, (line, fields) in zip(table, lines, strict=True):
+        if len(fields) != columns:
+            raise OgmError(f"{line} has {len(fields)} columns, those before it have {columns}")
+        try:
+            row[:] = [float(field) for field in fields]
+        except ValueError as error:
+            raise OgmError(f"{line} is no row of numbers: {' '.join(fields)[:80]!r}") from error
+        if not np.isfinite(row).all():
+            raise OgmError(f"{line} holds NaN or inf: drop that pose")
+    return table
+
+
+def _frame_numbers(where: list[str], column: NDArray[np.float64]) -> NDArray[np.int64]:
+    bad = (column != np.floor(column)) | (np.abs(column) > 2**53)
     if bad.any():
         k = int(np.argmax(bad))
-        raise ValueError(
-            f"the quaternion in line {where[k]} of {path} must have length 1, got {length[k]:.4g}: "
-            f"{table[k, 3:].tolist()}"
+        raise OgmError(f"{where[k]} must have a whole frame number, got {column[k]:g}")
+    _check_increasing(where, column.astype(np.int64), "frame numbers")
+    return column.astype(np.int64)
+
+
+def _stamps(where: list[str], stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+    k = int(np.argmax(np.abs(stamps)))
+    if np.abs(stamps[k]) > _LATEST:
+        raise OgmError(f"stamps must be seconds, got {stamps[k]:g} in {where[k]}: divide nanoseconds by 1e9")
+    _check_increasing(where, stamps, "stamps")
+    return stamps
+
+
+def _check_increasing(where: list[str], column: NDArray[Any], what: str) -> None:
+    stuck = np.diff(column) <= 0
+    if stuck.any():
+        k = int(np.argmax(stuck))
+        raise OgmError(
+            f"{what} must increase, but {where[k]} has {column[k].item()!r} and the next has {column[k + 1].item()!r}: "
+            "sort them, or drop what is double"
         )
-    poses = np.broadcast_to(np.eye(4), (len(table), 4, 4)).copy()
-    from scipy.spatial.transform import Rotation
-
-    poses[:, :3, :3] = Rotation.from_quat(table[:, 3:]).as_matrix()
-    poses[:, :3, 3] = table[:, :3]
-    return poses
 
 
-def _from_rows(path: Path, where: NDArray[np.int64], table: NDArray[np.float64]) -> NDArray[np.float64]:
+def _from_matrices(path: Path, where: list[str], table: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn rows of 12 or 16 numbers into poses, with the true rotations nearest to the rounded ones."""
     poses = np.broadcast_to(np.eye(4), (len(table), 4, 4)).copy()
     poses.reshape(len(table), 16)[:, : table.shape[1]] = table
@@ -227,7 +279,7 @@ def _from_rows(path: Path, where: NDArray[np.int64], table: NDArray[np.float64])
     )
     if bad.any():
         k = int(np.argmax(bad))
-        check_pose(poses[k], f"the pose in line {where[k]} of {path}")
+        rigid(poses[k], f"the pose in {where[k]}")
     left, _, right = np.linalg.svd(R)
     poses[:, :3, :3] = left @ right
     poses[:, 3] = 0, 0, 0, 1
@@ -242,7 +294,7 @@ def _refuse_camera(path: Path, poses: NDArray[np.float64]) -> None:
     length = np.linalg.norm(steps, axis=1).sum()
     along = np.abs(steps).sum(axis=0)
     if length > _CAMERA_PATH and along[2] > _CAMERA_SHARE * length:
-        raise ValueError(
+        raise OgmError(
             f"the poses in {path} move along their own z axis ({along[2]:.1f} of {length:.1f} m): they are a camera's, "
             "wanted the lidar's. Give T_camera_sensor=read_calibration('calib.txt'), or the identity if they are the "
             "lidar's"

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ogm.files import OgmError
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.documents import read_array
-from ogm.io.objects import REACH, LabelledPoints
-from ogm.io.source import read_bytes
+from ogm.io.labels import REACH, LabelledPoints
+from ogm.io.reading import parse_array, read_bytes
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 
@@ -37,7 +37,7 @@ def read_range_image(
     path : path
         ``.npy``, or packed as ``.npy.xz`` or ``.npy.gz``.
     names : mapping of int to str
-        What the classes mean: `NUSCENES_ELEVEN`, `SEMANTIC_KITTI_TRAINING`.
+        Names of the classes: `NUSCENES_ELEVEN`, `SEMANTIC_KITTI_TRAINING`.
     axes : str, 3 str or (3, 3) array
         Which way the file's axes point, as for `read_points`.
     intensity_max : float
@@ -52,25 +52,25 @@ def read_range_image(
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If it holds another array, numbers that are none where there is a range, or a class without a name.
     """
-    image = read_array(
-        read_bytes(path)[0], Path(path), lambda shape, _: len(shape) == 3 and shape[-1] == 6, _WANTED
-    ).reshape(-1, 6)
+    data, _ = read_bytes(path)
+    array = parse_array(data, Path(path), lambda shape: len(shape) == 3 and shape[-1] == 6, _WANTED)
+    image = array.reshape(-1, 6).astype(np.float64)
     image = image[image[:, 4] > 0]
     if not np.isfinite(image).all():
         bad = np.count_nonzero(~np.isfinite(image).all(axis=1))
-        raise ValueError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
+        raise OgmError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
     if np.abs(image[:, :3]).max(initial=0) > REACH:
-        raise ValueError(f"{path} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
+        raise OgmError(f"{path} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
     classes = np.clip(image[:, 5], -1, 2**31).astype(np.int64)
     if not np.array_equal(classes, image[:, 5]):
-        raise ValueError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")
+        raise OgmError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")
     points = np.empty((len(image), 4), np.float32)
     points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T
     points[:, 3] = np.clip(image[:, 3] / intensity_max, 0, 1)
     try:
         return LabelledPoints(points, classes, names)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        raise OgmError(f"{path}: {error}") from error

@@ -1,14 +1,27 @@
-"""One sweep of a lidar, and what there is to tell about it."""
+"""Reading scans: any supported file to points in metres, x forward, y left, z up."""
 
+import logging
+import os
+from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from ogm.files import OgmError
+from ogm.io.axes import Axes, rotation_to_flu
+from ogm.io.columns import check_rings, scale_intensities, split_times
+from ogm.io.formats import parse
+from ogm.io.formats.table import INTENSITY, POSITION, RING, TIME, plain
+from ogm.io.labels import REACH
+from ogm.io.no_returns import directions_without_return
+from ogm.io.reading import read_bytes
+from ogm.io.sensor_height import estimate_sensor_height
 from ogm.scan import Scan
 
-__all__ = ["FileFacts", "describe", "estimate_sensor_height"]
+__all__ = ["FileFacts", "describe", "read_points", "read_scan", "read_scan_file"]
 
-_SQUARES = 30  # square metres that must agree before the height of the sensor is told from them
+log = logging.getLogger(__name__)
 
 
 class FileFacts(NamedTuple):
@@ -35,8 +48,151 @@ class FileFacts(NamedTuple):
     shape: tuple[int, int] | None = None
 
 
+def read_points(
+    path: str | os.PathLike[str],
+    axes: Axes = "flu",
+    *,
+    intensity_max: float | None = None,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    time_unit: float | None = None,
+) -> np.ndarray:
+    """Read the points of one scan.
+
+    Parameters
+    ----------
+    path, axes, intensity_max, origin, time_unit
+        As for `read_scan`, which lists the formats, the defaults and the errors.
+
+    Returns
+    -------
+    points : (N, 4) float32
+        x forward, y left, z up [m], intensity [0, 1].
+    """
+    return read_scan(path, axes, intensity_max=intensity_max, origin=origin, time_unit=time_unit).points
+
+
+def read_scan(
+    path: str | os.PathLike[str],
+    axes: Axes = "flu",
+    *,
+    intensity_max: float | None = None,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    time_unit: float | None = None,
+) -> Scan:
+    """Read one scan, with everything that the file holds about it.
+
+    The file's name gives its format: ``.bin`` (KITTI), ``.pcd.bin`` (nuScenes), ``.pcd``, ``.ply``,
+    ``.feather`` (Argoverse 2), ``.las``, ``.laz`` and ``.npy``, each also packed as ``.xz`` or ``.gz``.
+
+    Rows without a point (x, y or z NaN or infinite, or all three 0 for "no return") are dropped, counted and
+    logged. All others are kept as they are, those of the ego vehicle and those far below the ground too: the
+    inverse sensor model decides about them. A file of no points gives (0, 4).
+
+    What else a row lacks drops no point, for a wall that is dropped is taken for free: an intensity that is
+    NaN or infinite becomes 0, counted and logged; rings, or times, of which one is, are left out altogether
+    (None), with a warning in the log.
+
+    Fields are known by their names, whether in capitals or not, and with or without the ``scalar_`` of
+    CloudCompare.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    axes : str, 3 str or (3, 3) array
+        Which way the file's axes point; this is never guessed. Either a name from `AXES`; or the file's axes
+        that point forward, left and up, such as ``("+y", "-x", "+z")``; or the rotation from the file's axes
+        to those. The default, ``"flu"``, changes nothing.
+    intensity_max : float, optional
+        The file's intensity that means 1; larger ones count as 1. By default that of the format: 1 in KITTI,
+        255 in nuScenes, 255 or 65535 where intensities are whole numbers of 8 or 16 bits without sign
+        (Argoverse, PLY, LAS). Else intensities up to 1 stay as they are, those up to 255 are divided by 255
+        (which is logged, for another scan of the same sensor may seem to have another scale), and larger ones
+        are an error. `read_scan_file` returns what was taken.
+    origin : 3 float
+        Position of the sensor in the file's coordinates [m], for files in map coordinates (UTM), which
+        float32 cannot hold. It is subtracted first.
+    time_unit : float, optional
+        What the file's times count in [s]: 1e-9 for nanoseconds, 1e-6 for microseconds. By default whole
+        numbers count nanoseconds, others seconds, and times that then last longer than 10 s are an error.
+
+    Returns
+    -------
+    Scan
+        If the earliest time is beyond 10 s, the times are a clock's: `Scan.stamp` is then the earliest, and
+        `Scan.time` counts from it. Otherwise `Scan.time` is as in the file, and `Scan.stamp` the number at
+        the end of the file's name if that has 16 digits (microseconds, as in nuScenes) or 18 or 19
+        (nanoseconds, as in Argoverse).
+        `Scan.no_returns` is found in organised clouds whose raster is a spinning lidar's.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If the file is not what its name promises, is damaged, or has numbers that no scan has.
+    ValueError
+        If `axes`, `intensity_max`, `origin` or `time_unit` make no sense.
+    ImportError
+        If the format needs a package of the ``io`` extra that is not there.
+    """
+    return read_scan_file(path, axes, intensity_max=intensity_max, origin=origin, time_unit=time_unit)[0]
+
+
+def read_scan_file(
+    path: str | os.PathLike[str],
+    axes: Axes = "flu",
+    *,
+    intensity_max: float | None = None,
+    origin: Sequence[float] = (0.0, 0.0, 0.0),
+    time_unit: float | None = None,
+) -> tuple[Scan, FileFacts]:
+    """Read one scan as `read_scan` does, and return with it what else the file holds."""
+    rotation, shift = rotation_to_flu(axes), np.asarray(origin, dtype=np.float64)
+    if shift.shape != (3,) or not np.isfinite(shift).all():
+        raise ValueError(f"origin must be x, y, z [m], got {origin!r}")
+    if intensity_max is not None and not 0.0 < intensity_max < np.inf:
+        raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
+    if time_unit is not None and not 0.0 < time_unit < np.inf:
+        raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")
+    data, inner = read_bytes(path)
+    table = parse(data, inner)
+    if table.format == "nuScenes" and np.array_equal(rotation, np.eye(3)):
+        log.warning('%s: nuScenes files have x right and y forward; axes="nuscenes" turns them', path)
+
+    # Points are the rows with a finite position and a distance, whatever else they lack.
+    fields = table.fields or tuple(table.columns)
+    columns = {plain(name): column for name, column in table.columns.items()}
+    xyz = _coordinates(columns, fields, inner)
+    returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
+    kept: np.ndarray | slice = slice(None)
+    dropped = returned.size - int(np.count_nonzero(returned))
+    if dropped:
+        kept = returned
+        log.info("%s: %d of %d rows hold no point and are dropped", path, dropped, returned.size)
+
+    # From the file's coordinates to x forward, y left, z up.
+    xyz[:, ~returned] = 0.0
+    xyz = rotation @ (xyz - shift[:, None])
+    no_returns = None
+    if table.shape is not None:
+        x, y, z = xyz.reshape(3, *table.shape)
+        no_returns = directions_without_return(x, y, z, returned.reshape(table.shape))
+    points = np.zeros((returned.size - dropped, 4), np.float32)
+    points[:, :3] = _within_reach(xyz[:, kept], inner).T
+
+    # What else was measured.
+    intensity, ring, time = (_first(columns, names, kept) for names in (INTENSITY, RING, TIME))
+    scale = None
+    if intensity is not None:
+        points[:, 3], scale = scale_intensities(intensity, intensity_max, table.intensity_max, inner)
+    time, stamp = split_times(time, time_unit, inner)
+    scan = Scan(points, stamp=stamp, time=time, ring=check_rings(ring, inner), no_returns=no_returns)
+    return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
+
+
 def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
-    """Tell what a scan holds, as names and values to print.
+    """Return what a scan holds, as names and values to print.
 
     Parameters
     ----------
@@ -75,39 +231,26 @@ def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
     return facts
 
 
-def estimate_sensor_height(points: np.ndarray) -> float | None:
-    """Estimate how far the ground lies below the origin of the points.
+def _first(
+    columns: dict[str, np.ndarray], names: tuple[str, ...], kept: np.ndarray | slice
+) -> np.ndarray | None:
+    return next((columns[name][kept] for name in names if name in columns), None)
 
-    A plane is laid through the lowest point of every square metre within 10 m, and its height taken at the
-    origin. On the real scans that the project is tested with, the result
-    lies within 5 cm of the known height. It is a hint, not a calibration.
 
-    Parameters
-    ----------
-    points : (N, 4) float
-        x, y, z [m], intensity.
+def _coordinates(columns: dict[str, np.ndarray], fields: tuple[str, ...], path: Path) -> np.ndarray:
+    """Gather x, y, z as (3, N) float64."""
+    if not columns.keys() >= set(POSITION):
+        raise OgmError(f"{path} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
+    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
+        return np.array([columns[name] for name in POSITION], dtype=np.float64)
 
-    Returns
-    -------
-    height : float or None
-        [m], positive where the ground lies below the origin. None where there is no plane to see: where fewer
-        than 30 of the squares, or less than half of them, agree on one.
-    """
-    near = points[np.hypot(points[:, 0], points[:, 1]) < 10.0, :3].astype(np.float64)
-    # The lowest point of every square that has points.
-    column = np.floor(near[:, :2]).astype(np.int64) @ np.array([100, 1])
-    order = np.lexsort((near[:, 2], column))
-    lowest = near[order][np.unique(column[order], return_index=True)[1]]
-    if len(lowest) < _SQUARES:
-        return None
-    # Begin with the commonest height, to 0.1 m, then drop what lies off the plane, ever more strictly.
-    layer = np.floor(lowest[:, 2] / 0.1).astype(np.int64)
-    count = np.bincount(layer - layer.min())
-    plane = np.array([0.0, 0.0, (layer.min() + np.argmax(np.convolve(count, [1, 1, 1], "same")) + 0.5) * 0.1])
-    place = np.column_stack([lowest[:, :2], np.ones(len(lowest))])
-    for tolerance in (0.3, 0.25, 0.2, 0.15, 0.15):  # [m]
-        on_plane = np.abs(lowest[:, 2] - place @ plane) < tolerance
-        if np.count_nonzero(on_plane) < max(_SQUARES, len(lowest) / 2):
-            return None
-        plane = np.linalg.lstsq(place[on_plane], lowest[on_plane, 2], rcond=None)[0]
-    return float(-plane[2])
+
+def _within_reach(xyz: np.ndarray, path: Path) -> np.ndarray:
+    reach = np.abs(xyz).max(initial=0.0)
+    if reach > REACH:
+        raise OgmError(
+            f"{path} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if "
+            "they are map coordinates, give the sensor's position as origin; if not, the file is damaged or "
+            "wrongly named"
+        )
+    return xyz

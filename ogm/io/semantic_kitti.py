@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.io.formats import parse_kitti
-from ogm.io.objects import REACH, LabelledPoints
-from ogm.io.source import read_bytes
+from ogm.files import OgmError
+from ogm.io.formats.raw import parse_kitti
+from ogm.io.labels import REACH, LabelledPoints
+from ogm.io.reading import read_bytes
 
 __all__ = [
     "SEMANTIC_KITTI",
@@ -73,7 +74,7 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
     ------
     FileNotFoundError
         If a file is not there.
-    ValueError
+    OgmError
         If there are more or fewer labels than points, a class that the data set does not have, or a point further
         away than any.
     """
@@ -81,16 +82,16 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
     columns = parse_kitti(data, inner).columns
     rows = np.column_stack([columns[name] for name in ("x", "y", "z", "intensity")]).astype(np.float32)
     if len(numbers) != _LABEL.itemsize * len(rows):
-        raise ValueError(
+        raise OgmError(
             f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points: wanted as many, "
             "4 bytes each. Do the two belong together, and are both whole?"
         )
     both = np.frombuffer(numbers, _LABEL).astype(np.int64)
     kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)
     if np.abs(rows[kept, :3]).max(initial=0) > REACH:
-        raise ValueError(f"{scan} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
+        raise OgmError(f"{scan} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
     try:
         points = np.ascontiguousarray(rows[kept])
         return LabelledPoints(points, both[kept] & 0xFFFF, SEMANTIC_KITTI, both[kept] >> 16)
     except ValueError as error:
-        raise ValueError(f"{Path(named)}: {error}") from error
+        raise OgmError(f"{Path(named)}: {error}") from error

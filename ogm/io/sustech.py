@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.documents import need, numbers, read_json
-from ogm.io.objects import BoxRow, boxes_of
+from ogm.io.labels import BoxRow, boxes_of
+from ogm.io.reading import need, numbers, read_json
 from ogm.scan import Boxes
 
 __all__ = ["read_sustech"]
@@ -32,7 +32,7 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Boxes:
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
+    OgmError
         If it is no such list, or an entry lacks something or has no numbers.
     """
     path = Path(path)
@@ -41,13 +41,16 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Boxes:
     for n, note in enumerate(read_json(path, list, "the objects of a scan, each with psr, obj_type, obj_id")):
         where = f"object {n} of {path}"
         psr = need(note, "psr", where)
-        place, size, angles = (
-            numbers([need(part, axis, f"{key} of {where}") for axis in "xyz"], 3, f"{key} of {where}")
+        center, size, angles = (
+            numbers(
+                [need(need(psr, key, where), axis, f"{key} of {where}") for axis in "xyz"],
+                3,
+                f"{key} of {where}",
+            )
             for key in ("position", "scale", "rotation")
-            for part in [need(psr, key, where)]
         )
         ahead = turn @ [np.cos(angles[2]), np.sin(angles[2]), 0.0]
         track = "" if note.get("obj_id") is None else str(note["obj_id"])
         yaw = np.arctan2(ahead[1], ahead[0])
-        boxes.append(BoxRow(turn @ place, size, yaw, str(need(note, "obj_type", where)), track))
+        boxes.append(BoxRow(turn @ center, size, yaw, str(need(note, "obj_type", where)), track))
     return boxes_of(boxes, path)

@@ -1,7 +1,7 @@
 """How good a grid is: metrics of an evidential grid against the true states of its cells.
 
-Every metric leaves out the cells that the truth ignores. A metric without a cell to look at is NaN, never 0, and
-`reasons` says why. `METRICS` says what each is.
+Every metric leaves out the cells that the truth ignores. A metric without a cell is NaN, never 0, and `reasons` gives
+the reason. `METRICS` describes each.
 
 >>> from ogm.metrics import accumulate, score
 >>> scores = score(accumulate(grid.mass, truth.state))               # one frame           # doctest: +SKIP
@@ -23,44 +23,40 @@ from ogm.metrics.curves import (
     reliability,
     risk_coverage,
 )
-from ogm.metrics.divergence import MIN_UNKNOWN, Density, density, kl_from_truth, kl_to_truth
-from ogm.metrics.legacy import Published, legacy_accuracy, legacy_kl, legacy_published, legacy_unmixed
+from ogm.metrics.divergence import MIN_UNKNOWN
+from ogm.metrics.evilog import Published, evilog_accuracy, evilog_kl, evilog_published, evilog_unmixed
 from ogm.metrics.ranges import by_range, distances
 from ogm.metrics.ranking import auroc, auroc_of_histograms, average_precision
 from ogm.metrics.scores import METRICS, Metric, reasons, score
 
 __all__ = [
-    "METRICS",
-    "MIN_UNKNOWN",
-    "RANGES",
-    "Density",
+    "ConfusionSums",
     "FreeSpace",
     "Intervals",
+    "METRICS",
+    "MIN_UNKNOWN",
     "Metric",
     "PrecisionRecall",
     "Published",
+    "RANGES",
     "Reliability",
     "RiskCoverage",
-    "ConfusionSums",
+    "accumulate",
     "auroc",
     "auroc_of_histograms",
     "average_precision",
     "by_range",
-    "density",
     "dirichlet_kl",
     "distances",
+    "evilog_accuracy",
+    "evilog_kl",
+    "evilog_published",
+    "evilog_unmixed",
     "free_space",
     "intervals",
-    "kl_from_truth",
-    "kl_to_truth",
-    "legacy_accuracy",
-    "legacy_kl",
-    "legacy_published",
-    "legacy_unmixed",
     "precision_recall",
     "reasons",
     "reliability",
     "risk_coverage",
     "score",
-    "accumulate",
 ]

@@ -11,31 +11,27 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.counting import count_cells, count_ranges, look_around
-from ogm.metrics.divergence import MIN_UNKNOWN, truth_means
-from ogm.metrics.kernels import CLIP, sum_divergences, table
+from ogm.metrics.counting import Limits, count_cells, count_neighbours, count_ranges
+from ogm.metrics.divergence import MIN_EVIDENCE, MIN_UNKNOWN, from_truth, sum_divergences, to_truth
 from ogm.state import CellState
 
 __all__ = ["BINS", "LEVELS", "RANGES", "ConfusionSums", "accumulate"]
 
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
-SURE = 0.5  # a mass beyond this is a claim
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
 RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther
 RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
-LEAST = MIN_UNKNOWN / 2  # floor of the probability of what is true: a wrong dogmatic cell costs 11.5 nats
+LIMITS = Limits(least_probability=MIN_UNKNOWN / 2, detection=0.5)  # a wrong dogmatic cell costs 11.5 nats
 ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
-
-_UNKNOWN, _FREE, _OCCUPIED, _IGNORE = (int(one) for one in CellState)
 
 
 class ConfusionSums(NamedTuple):
     """Sums over cells; those that the truth ignores are in none of them. Add two with `plus`.
 
-    Wherever an axis is called `truth` or `call`, it has the three states 0 unknown, 1 free, 2 occupied. A *known*
-    cell is one whose truth is free or occupied. A histogram has 4097 levels, 0, 1/4096, ..., 1; a number counts
-    at the nearest one. One tally takes 0.4 MB, most of it zeros.
+    The axes `truth` and `predicted` are the states 0 unknown, 1 free, 2 occupied. A *known* cell is one whose truth is
+    free or occupied. A histogram has 4097 levels, 0, 1/4096, ..., 1; a number counts at the nearest one. The sums of
+    one grid take 0.4 MB, most of it zeros.
 
     Attributes
     ----------
@@ -47,79 +43,106 @@ class ConfusionSums(NamedTuple):
         Sums of KL[grid || truth] for a truth of evidence 1, of 10, and of 1 with a tenth of the grid's evidence.
     from_truth : (2, truth)
         Sums of KL[truth || grid] for a truth of evidence 1 and of 10.
-    legacy : (truth,)
-        Sums of `legacy_kl`.
-    calls : (truth, call)
-        Confusion of the calls by most mass, see `called`.
-    likelier : (truth, call)
-        Confusion of the calls by P(occupied) below, above 1/2; 0 where it is 1/2.
-    claims : (truth, 2)
+    evilog_kl : (truth,)
+        Sums of `evilog_kl`.
+    confusion : (truth, predicted)
+        Cells by the state of greatest mass, see `ogm.state.predict_state`.
+    confusion_by_probability : (truth, predicted)
+        Cells by P(occupied) below, above 1/2; 0 where it is 1/2.
+    detections : (truth, 2)
         Cells with a mass of free, of occupied, above 1/2.
     reliability : (3, 15, 3)
-        For P(occupied) on all known cells, on those that are not called unknown, and for the relative P(occupied)
-        on all known cells: in bins of it, cells, sum of P, cells that are occupied.
+        For P(occupied) on all known cells, on those predicted free or occupied, and for the relative P(occupied) on all
+        known cells: in bins of it, cells, sum of P, cells that are occupied.
     intervals : (15, 4)
         In bins of Bel(occupied) on known cells: cells, sums of Bel(occupied) and Pl(occupied), cells that are
         occupied.
-    squared : (3,)
+    squared_error : (3,)
         Sums over known cells of (P - occupied)**2 for P(occupied) and for the relative one, and of the first's
         expectation under the grid's Beta density.
-    surprise : (truth,)
+    log_loss : (truth,)
         Sums of -ln P(true state) over known cells [nats], P being at least 1e-5.
     entropy : (truth,)
         Sums of Shannon's entropy of P(occupied) [bit].
     dissonance : (truth,)
         Sums of 2 min(free, occupied).
-    doubt : (3, 4097)
-        Histograms of unknown, of known cells, of cells whose truth is unknown, and of the known ones that are
-        wrong by P(occupied); one of P = 1/2 is half wrong.
-    likely : (3, 4097)
+    unknown_hist : (3, 4097)
+        Histograms of the mass of unknown, of known cells, of cells whose truth is unknown, and of the known ones that
+        are wrong by P(occupied); one of P = 1/2 is half wrong.
+    p_occupied_hist : (3, 4097)
         Histograms of P(occupied), of free cells and of occupied ones, and the sum of P over both.
-    close : (3, 4097)
+    p_occupied_hist_tol1 : (3, 4097)
         Histograms of P(occupied), of known cells with and without an occupied cell within one cell (their eight
         neighbours and themselves); and occupied cells by the largest P(occupied) within one cell that is not
         ignored.
-    clear : (2, 4097)
+    bel_free_hist : (2, 4097)
         Histograms of Bel(free), of free cells and of occupied ones.
     obstacles : (2,)
         Groups of occupied cells that touch at a side or corner, and those of them without a cell of
         P(occupied) > 1/2 within one cell.
-    range_calls : (ranges, truth, call), range_claims : (ranges, truth, 2), range_clear : (ranges, 2, 1025)
-        The same as `calls`, `claims` and `clear`, by the bins of `RANGES`; zeros if no distances were given.
+    range_confusion : (ranges, truth, predicted)
+    range_detections : (ranges, truth, 2)
+    range_bel_free_hist : (ranges, 2, 1025)
+        As without `range_`, by the bins of `RANGES`; zeros if no distances were given.
     """
 
     cells: NDArray[np.float64]
     mass: NDArray[np.float64]
     to_truth: NDArray[np.float64]
     from_truth: NDArray[np.float64]
-    legacy: NDArray[np.float64]
-    calls: NDArray[np.float64]
-    likelier: NDArray[np.float64]
-    claims: NDArray[np.float64]
+    evilog_kl: NDArray[np.float64]
+    confusion: NDArray[np.float64]
+    confusion_by_probability: NDArray[np.float64]
+    detections: NDArray[np.float64]
     reliability: NDArray[np.float64]
     intervals: NDArray[np.float64]
-    squared: NDArray[np.float64]
-    surprise: NDArray[np.float64]
+    squared_error: NDArray[np.float64]
+    log_loss: NDArray[np.float64]
     entropy: NDArray[np.float64]
     dissonance: NDArray[np.float64]
-    doubt: NDArray[np.float64]
-    likely: NDArray[np.float64]
-    close: NDArray[np.float64]
-    clear: NDArray[np.float64]
+    unknown_hist: NDArray[np.float64]
+    p_occupied_hist: NDArray[np.float64]
+    p_occupied_hist_tol1: NDArray[np.float64]
+    bel_free_hist: NDArray[np.float64]
     obstacles: NDArray[np.float64]
-    range_calls: NDArray[np.float64]
-    range_claims: NDArray[np.float64]
-    range_clear: NDArray[np.float64]
+    range_confusion: NDArray[np.float64]
+    range_detections: NDArray[np.float64]
+    range_bel_free_hist: NDArray[np.float64]
+
+    @classmethod
+    def zeros(cls) -> Self:
+        """Return the sums of no cell."""
+        ranges = len(RANGES) - 1
+        shapes = [
+            *(
+                (3,),
+                (3, 2),
+                (3, 3),
+                (2, 3),
+                (3,),
+                (3, 3),
+                (3, 3),
+                (3, 2),
+                (3, BINS, 3),
+                (BINS, 4),
+                (3,),
+                (3,),
+                (3,),
+            ),
+            *((3,), (3, LEVELS), (3, LEVELS), (3, LEVELS), (2, LEVELS), (2,)),
+            *((ranges, 3, 3), (ranges, 3, 2), (ranges, 2, RANGE_LEVELS)),
+        ]
+        return cls(*map(np.zeros, shapes))
 
     def plus(self, other: Self) -> "ConfusionSums":
-        """Return the counts of both."""
+        """Return the sums of both."""
         return ConfusionSums(*map(add, self, other))
 
 
 def accumulate(
     mass: NDArray[np.floating], state: NDArray[np.uint8], distance: NDArray[np.floating] | None = None
 ) -> ConfusionSums:
-    """Count everything that the scores and the curves need of one grid.
+    """Return the sums of one grid that the scores and the curves need.
 
     Parameters
     ----------
@@ -130,89 +153,46 @@ def accumulate(
     distance : (nx, ny) float array, optional
         Distances of the cells from the sensor [m], see `distances`; without them nothing is counted by range.
 
-    Returns
-    -------
-    Tally
-
     Raises
     ------
     ValueError
-        If the shapes do not fit, something is no mass (NaN, below 0, a sum above 1), a state is none of the four,
+        If the shapes do not fit, a mass is invalid (NaN, below 0, a sum above 1), a state is none of the four,
         or a distance is negative or NaN.
     TypeError
         If the masses are not floating numbers.
     """
     _check(mass, state)
-    truths, calls = 3, 3
-    cells, masses, claims = np.zeros(truths), np.zeros((truths, 2)), np.zeros((truths, 2))
-    confusion, likelier = np.zeros((truths, calls)), np.zeros((truths, calls))
-    reliability, intervals, squared = np.zeros((3, BINS, 3)), np.zeros((BINS, 4)), np.zeros(3)
-    surprise, entropy, dissonance = np.zeros((3, truths))
-    doubt, likely, close = np.zeros((3, 3, LEVELS))
-    clear, obstacles = np.zeros((2, LEVELS)), np.zeros(2)
+    sums = ConfusionSums.zeros()
     mass, state = np.ascontiguousarray(mass), np.ascontiguousarray(state)
-    near = np.zeros(state.shape, np.uint8)
-    look_around(mass, state, near, close[2], obstacles)
-    flat, states = mass.reshape(-1, 2), state.ravel()
-    count_cells(
-        flat,
-        states,
-        near.ravel(),
-        LEAST,
-        SURE,
-        cells,
-        masses,
-        confusion,
-        likelier,
-        claims,
-        reliability,
-        intervals,
-        squared,
-        surprise,
-        entropy,
-        dissonance,
-        doubt,
-        likely,
-        close,
-        clear,
-    )
-    scales = np.array([1.0, STRENGTHS[0] / STRENGTHS[1]])
-    sums, logs = np.zeros((len(scales), 6, truths)), np.zeros((2, truths))
-    sum_divergences(flat, states, scales, MIN_UNKNOWN, CLIP, table(), sums, logs)
-    ranges = len(RANGES) - 1
-    range_calls, range_claims = np.zeros((ranges, truths, calls)), np.zeros((ranges, truths, 2))
-    range_clear = np.zeros((ranges, 2, RANGE_LEVELS))
+    cells, states = mass.reshape(-1, 2), state.ravel()
+    near = _count_obstacles(mass, state, sums)
+    count_cells(cells, states, near.ravel(), LIMITS, sums)
     if distance is not None:
         _check_distance(distance, state)
         far = np.ascontiguousarray(distance.ravel())
-        count_ranges(flat, states, far, np.array(RANGES), SURE, range_calls, range_claims, range_clear)
-    full, weak = sums
-    return ConfusionSums(
-        cells=cells,
-        mass=masses,
-        to_truth=np.stack(
-            [*(_to_truth(full, cells, e) for e in STRENGTHS), _to_truth(weak, cells, STRENGTHS[0])]
-        ),
-        from_truth=np.stack([_from_truth(full, cells, e) for e in STRENGTHS]),
-        legacy=_legacy(logs, cells),
-        calls=confusion,
-        likelier=likelier,
-        claims=claims,
-        reliability=reliability,
-        intervals=intervals,
-        squared=squared,
-        surprise=surprise,
-        entropy=entropy,
-        dissonance=dissonance,
-        doubt=doubt,
-        likely=likely,
-        close=close,
-        clear=clear,
-        obstacles=obstacles,
-        range_calls=range_calls,
-        range_claims=range_claims,
-        range_clear=range_clear,
-    )
+        count_ranges(cells, states, far, np.array(RANGES), LIMITS, sums)
+
+    divergence = sum_divergences(cells, states, np.array([1.0, STRENGTHS[0] / STRENGTHS[1]]))
+    sums.to_truth[:2] = [to_truth(divergence, 0, sums.cells, strength) for strength in STRENGTHS]
+    sums.to_truth[2] = to_truth(divergence, 1, sums.cells, STRENGTHS[0])
+    sums.from_truth[:] = [from_truth(divergence, 0, sums.cells, strength) for strength in STRENGTHS]
+    # `evilog_kl` is linear in two logarithms.
+    weights = np.array([[MIN_EVIDENCE, 1.0, MIN_EVIDENCE], [MIN_EVIDENCE, MIN_EVIDENCE, 1.0]])
+    logs = np.stack([divergence.clipped_log_free, divergence.clipped_log_occupied])
+    constant = MIN_EVIDENCE * np.log(MIN_EVIDENCE) * np.array([2.0, 1.0, 1.0])
+    sums.evilog_kl[:] = constant * sums.cells - (weights * logs).sum(axis=0)
+    return sums
+
+
+def _count_obstacles(mass: NDArray, state: NDArray[np.uint8], sums: ConfusionSums) -> NDArray[np.uint8]:
+    """Count what needs the eight neighbours of a cell; return where an occupied cell lies within one cell."""
+    from scipy import ndimage  # here, as it would double the time that the import takes
+
+    groups, count = ndimage.label(state == CellState.OCCUPIED, np.ones((3, 3)))
+    near, best = np.zeros(state.shape, np.uint8), np.zeros(count + 1)
+    count_neighbours(mass, state, groups, near, best, sums)
+    sums.obstacles[:] = count, np.count_nonzero(best[1:] <= 0.5)
+    return near
 
 
 def _check(mass: NDArray, state: NDArray) -> None:
@@ -225,7 +205,7 @@ def _check(mass: NDArray, state: NDArray) -> None:
         raise TypeError(
             f"mass must be float32 or float64, got {mass.dtype}; convert it: mass.astype('float32')"
         )
-    if state.dtype != np.uint8 or (state.size and state.max() > _IGNORE):
+    if state.dtype != np.uint8 or (state.size and state.max() > CellState.IGNORE):
         raise ValueError(
             f"state must be uint8 with 0 unknown, 1 free, 2 occupied, 3 ignore, got {state.dtype} up to "
             f"{state.max() if state.size else 'nothing'}"
@@ -250,27 +230,3 @@ def _check_distance(distance: NDArray, state: NDArray) -> None:
         )
     if not distance.min(initial=0.0) >= 0:
         raise ValueError(f"distances [m] are at least 0, got {distance.min()}")
-
-
-def _to_truth(sums: NDArray, cells: NDArray, strength: float) -> NDArray[np.float64]:
-    """Return the sums of `kl_to_truth` for every truth."""
-    spent, _, _, log_free, log_occupied, _ = sums
-    mean_log = np.array([0.0, log_free[_FREE], log_occupied[_OCCUPIED]])
-    known = np.array([0.0, 1.0, 1.0])
-    return np.maximum(spent - known * (np.log1p(strength) * cells + strength * mean_log), 0.0)
-
-
-def _from_truth(sums: NDArray, cells: NDArray, strength: float) -> NDArray[np.float64]:
-    """Return the sums of `kl_from_truth` for every truth."""
-    _, free, occupied, _, _, log_beta = sums
-    sure, rest, offset = truth_means(strength)
-    free_says, occupied_says = np.array([-1.0, sure, rest]), np.array([-1.0, rest, sure])
-    offsets = np.array([0.0, offset, offset])
-    return np.maximum(log_beta + offsets * cells - free * free_says - occupied * occupied_says, 0.0)
-
-
-def _legacy(logs: NDArray, cells: NDArray) -> NDArray[np.float64]:
-    """Return the sums of `legacy_kl` for every truth: it is linear in two logarithms."""
-    weights = np.array([[CLIP, 1.0, CLIP], [CLIP, CLIP, 1.0]])
-    faint = CLIP * np.log(CLIP) * np.array([2.0, 1.0, 1.0])
-    return faint * cells - (weights * logs).sum(axis=0)

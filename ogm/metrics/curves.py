@@ -1,4 +1,4 @@
-"""Curves that tell more than a number, from the counts of a frame or of many, short enough to plot.
+"""Curves from the counts of a frame or of many, short enough to plot.
 
 All are NamedTuples of 1-D float64 arrays of one length, empty where the counts have no cell for the curve.
 """
@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.areas import above, by_doubt, by_error, claims
+from ogm.metrics.areas import above, by_error, by_unknown, detection_curve
 from ogm.metrics.counts import LEVELS, ConfusionSums
 
 __all__ = [
@@ -25,11 +25,11 @@ __all__ = [
 ]
 
 POINTS = 200  # of a curve, at most
-WHICH = ("all", "called", "relative")  # rows of Tally.reliability
+WHICH = ("all", "predicted_known", "relative")  # rows of ConfusionSums.reliability
 
 
 class Reliability(NamedTuple):
-    """How often what is claimed happens, per bin of P(occupied) that has cells.
+    """Predicted probability against frequency, per bin of P(occupied) that has cells.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Reliability(NamedTuple):
 
 
 class Intervals(NamedTuple):
-    """Whether cells are occupied as often as belief and plausibility allow, per bin of Bel(occupied) with cells.
+    """Belief, plausibility and frequency of occupied, per bin of Bel(occupied) with cells.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Intervals(NamedTuple):
 
 
 class RiskCoverage(NamedTuple):
-    """How often the surest cells are wrong, known cells being taken by ascending mass of unknown.
+    """Share of wrong cells among the most certain ones, known cells being taken by ascending mass of unknown.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class RiskCoverage(NamedTuple):
     risk : (points,)
         Share of those that are wrong: P(occupied) beyond 1/2 on the side that is not true; P = 1/2 is half wrong.
     oracle : (points,)
-        The risk if cells came by their error, the wrong ones last: the least possible one.
+        The risk if cells were sorted by their error, the wrong ones last: the least possible one.
     """
 
     coverage: NDArray[np.float64]
@@ -82,12 +82,12 @@ class RiskCoverage(NamedTuple):
 
 
 class FreeSpace(NamedTuple):
-    """How much free space is found at what risk, known cells with Bel(free) >= threshold being taken for free.
+    """Recall of free space against its risk, known cells with Bel(free) >= threshold being detected as free.
 
     Attributes
     ----------
     false_free : (points,)
-        Share of the occupied cells that are taken for free, ascending.
+        Share of the occupied cells that are detected as free, ascending.
     recall : (points,)
         Share of the free cells that are.
     threshold : (points,)
@@ -100,12 +100,12 @@ class FreeSpace(NamedTuple):
 
 
 class PrecisionRecall(NamedTuple):
-    """How right and how complete the claims of occupied are, known cells with P(occupied) >= threshold being claimed.
+    """Precision and recall of occupied, known cells with P(occupied) >= threshold being detected.
 
     Attributes
     ----------
     precision : (points,)
-        Share of the claimed known cells that are right; 1 where none is claimed.
+        Share of the detected known cells that are right; 1 where none is detected.
     recall : (points,)
         Share of the occupied cells that are found, ascending.
     threshold : (points,)
@@ -117,15 +117,16 @@ class PrecisionRecall(NamedTuple):
     threshold: NDArray[np.float64]
 
 
-def reliability(counts: ConfusionSums, which: Literal["all", "called", "relative"] = "all") -> Reliability:
+def reliability(
+    counts: ConfusionSums, which: Literal["all", "predicted_known", "relative"] = "all"
+) -> Reliability:
     """Return how often known cells are occupied, by bins of P(occupied).
 
     Parameters
     ----------
-    counts : Tally
-    which : {"all", "called", "relative"}
-        P(occupied) of all known cells, of those that are not called unknown; or occupied / (free + occupied) of
-        all.
+    counts : ConfusionSums
+    which : {"all", "predicted_known", "relative"}
+        P(occupied) of all known cells, of those predicted free or occupied; or occupied / (free + occupied) of all.
     """
     if which not in WHICH:
         raise ValueError(f"which must be one of {', '.join(WHICH)}, got {which!r}")
@@ -141,11 +142,11 @@ def intervals(counts: ConfusionSums) -> Intervals:
 
 
 def risk_coverage(counts: ConfusionSums) -> RiskCoverage:
-    """Return the risk of the surest known cells, by unknown, against how many are taken. See `RiskCoverage`.
+    """Return the risk of the most certain known cells, by unknown, against their share. See `RiskCoverage`.
 
     Cells of one of the 4097 levels of unknown are taken together, in equal parts.
     """
-    taken, wrong = by_doubt(counts)
+    taken, wrong = by_unknown(counts)
     total = taken[-1]
     if total == 0:
         return RiskCoverage(*np.zeros((3, 0)))
@@ -155,8 +156,8 @@ def risk_coverage(counts: ConfusionSums) -> RiskCoverage:
 
 
 def free_space(counts: ConfusionSums) -> FreeSpace:
-    """Return how many free cells are found at what share of occupied ones taken for free. See `FreeSpace`."""
-    free, occupied = above(counts.clear[0]), above(counts.clear[1])
+    """Return the recall of free cells against the share of occupied ones detected as free. See `FreeSpace`."""
+    free, occupied = above(counts.bel_free_hist[0]), above(counts.bel_free_hist[1])
     if free[-1] == 0 or occupied[-1] == 0:
         return FreeSpace(*np.zeros((3, 0)))
     false_free, recall = occupied / occupied[-1], free / free[-1]
@@ -165,29 +166,29 @@ def free_space(counts: ConfusionSums) -> FreeSpace:
 
 
 def precision_recall(counts: ConfusionSums, tolerance: int = 0) -> PrecisionRecall:
-    """Return precision and recall of the claims of occupied. See `PrecisionRecall`.
+    """Return precision and recall of occupied. See `PrecisionRecall`.
 
     Parameters
     ----------
-    counts : Tally
+    counts : ConfusionSums
     tolerance : {0, 1}
-        In cells, diagonals included. With 1, a claimed cell is right if an occupied cell lies within one cell, and
-        an occupied cell is found if a claimed one does. Claims count for precision on known cells only; one on a
-        cell whose truth is unknown can find an occupied cell next to it, one on an ignored cell does nothing.
+        In cells, diagonals included. With 1, a detected cell is right if an occupied cell lies within one cell, and
+        an occupied cell is found if a detected one does. Detections count for precision on known cells only; one on
+        a cell whose truth is unknown can find an occupied cell next to it, one on an ignored cell has no effect.
     """
-    precision, recall = claims(counts, tolerance)
+    precision, recall = detection_curve(counts, tolerance)
     shown = _thinned(precision, recall) if len(recall) else np.zeros(0, np.intp)
     thresholds = _thresholds(LEVELS)[: len(recall)]
     return PrecisionRecall(precision[shown], recall[shown], thresholds[shown])
 
 
 def _thresholds(levels: int) -> NDArray[np.float64]:
-    """Return the number from which on one counts at each level or above, from the highest level down."""
+    """Return the least number that is rounded to each level or above, from the highest level down."""
     return np.maximum((np.arange(levels)[::-1] - 0.5) / (levels - 1), 0.0)
 
 
 def _thinned(*coordinates: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return which points of a curve to show: both ends, and between them even steps along it."""
+    """Return the indices of points to plot: both ends, and between them even steps along the curve."""
     steps = np.sqrt(sum(np.diff(one) ** 2 for one in coordinates))
     along = np.concatenate([np.zeros(1), np.cumsum(steps)])
     wanted = np.searchsorted(along, np.linspace(0, along[-1], POINTS))

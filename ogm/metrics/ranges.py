@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from ogm.grid import GridSpec
 from ogm.metrics.areas import free_recall, overlaps, parts
 from ogm.metrics.counts import ConfusionSums
+from ogm.state import CellState
 
 __all__ = ["by_range", "distances"]
 
@@ -27,11 +28,11 @@ def distances(spec: GridSpec) -> NDArray[np.float32]:
 
 
 def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:
-    """Return the scores that matter by distance, one number per bin of `RANGES`.
+    """Return scores by distance, one number per bin of `RANGES`.
 
     Parameters
     ----------
-    counts : Tally
+    counts : ConfusionSums
         Counted with distances.
 
     Returns
@@ -40,21 +41,21 @@ def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:
         ``cells``, ``free_cells`` and ``occupied_cells`` (not ignored, truly free, truly occupied), and, as in
         `METRICS`, ``false_free``, ``missed_occupied``, ``false_occupied``, ``iou_free``, ``iou_occupied``,
         ``iou_unknown``, ``free_recall_1`` and ``free_recall_01`` (each bin at its own threshold, of 1025
-        levels); NaN where a bin has no cell that speaks.
+        levels); NaN where a bin has no such cell.
     """
-    calls, claims = counts.range_calls, counts.range_claims
-    cells = calls.sum(axis=-1)
-    overlap = np.array([overlaps(one) for one in calls])
+    confusion, detections = counts.range_confusion, counts.range_detections
+    cells = confusion.sum(axis=-1)
+    overlap = np.array([overlaps(one) for one in confusion])
     return {
         "cells": cells.sum(axis=-1),
-        "free_cells": cells[:, 1],
-        "occupied_cells": cells[:, 2],
-        "false_free": parts(claims[:, 2, 0], cells[:, 2]),
-        "missed_occupied": 1 - parts(claims[:, 2, 1], cells[:, 2]),
-        "false_occupied": parts(claims[:, 1, 1], cells[:, 1]),
-        "iou_free": overlap[:, 1],
-        "iou_occupied": overlap[:, 2],
-        "iou_unknown": overlap[:, 0],
-        "free_recall_1": np.array([free_recall(one, 0.01) for one in counts.range_clear]),
-        "free_recall_01": np.array([free_recall(one, 0.001) for one in counts.range_clear]),
+        "free_cells": cells[:, CellState.FREE],
+        "occupied_cells": cells[:, CellState.OCCUPIED],
+        "false_free": parts(detections[:, CellState.OCCUPIED, 0], cells[:, CellState.OCCUPIED]),
+        "missed_occupied": 1 - parts(detections[:, CellState.OCCUPIED, 1], cells[:, CellState.OCCUPIED]),
+        "false_occupied": parts(detections[:, CellState.FREE, 1], cells[:, CellState.FREE]),
+        "iou_free": overlap[:, CellState.FREE],
+        "iou_occupied": overlap[:, CellState.OCCUPIED],
+        "iou_unknown": overlap[:, CellState.UNKNOWN],
+        "free_recall_1": np.array([free_recall(one, 0.01) for one in counts.range_bel_free_hist]),
+        "free_recall_01": np.array([free_recall(one, 0.001) for one in counts.range_bel_free_hist]),
     }

@@ -1,4 +1,4 @@
-"""How well a number tells two kinds of cells apart.
+"""How well a number separates two kinds of cells.
 
 Every function comes for numbers and for histograms of them; the first are exact, in the second numbers that share
 a bin are ties.
@@ -33,7 +33,7 @@ def auroc(score: NDArray[np.floating], positive: NDArray[np.bool_]) -> float:
 
 
 def average_precision(score: NDArray[np.floating], positive: NDArray[np.bool_]) -> float:
-    """Return the mean precision over the recall, cells being claimed from the highest score down. Exact.
+    """Return the mean precision over the recall, cells being detected from the highest score down. Exact.
 
     The sum of precision times gain of recall over all thresholds, without interpolation: the area under the
     precision-recall curve as scikit-learn defines it.
@@ -86,12 +86,12 @@ def average_precision_of_histograms(positive: NDArray, negative: NDArray) -> flo
     p, n = np.asarray(positive, np.float64)[::-1], np.asarray(negative, np.float64)[::-1]
     if p.sum() == 0 or n.sum() == 0:
         return float("nan")
-    right, claimed = np.cumsum(p), np.cumsum(p + n)
-    return float(p @ (right / np.maximum(claimed, 1e-300)) / right[-1])
+    right, detected = np.cumsum(p), np.cumsum(p + n)
+    return float(p @ (right / np.maximum(detected, 1e-300)) / right[-1])
 
 
 def false_positive_rate_of_histograms(positive: NDArray, negative: NDArray, recall: float = 0.95) -> float:
-    """Return the share of negative cells that are claimed by the highest threshold that reaches a recall.
+    """Return the share of negative cells above the highest threshold that reaches a recall.
 
     Parameters
     ----------
@@ -125,7 +125,4 @@ def _histograms(score: NDArray, positive: NDArray) -> tuple[NDArray[np.int64], N
         )
     values, rank = np.unique(given.ravel(), return_inverse=True)
     rank = rank.ravel()
-    return (
-        np.bincount(rank[kind], minlength=len(values)),
-        np.bincount(rank[~kind], minlength=len(values)),
-    )
+    return (np.bincount(rank[kind], minlength=len(values)), np.bincount(rank[~kind], minlength=len(values)))

@@ -1,4 +1,4 @@
-"""The scores that follow from counts, what each means, and why one is missing."""
+"""The scores that follow from counts, their meanings, and the reasons for missing ones."""
 
 from typing import NamedTuple
 
@@ -13,24 +13,26 @@ from ogm.metrics.ranking import (
     average_precision_of_histograms,
     false_positive_rate_of_histograms,
 )
+from ogm.state import CellState
 
 __all__ = ["METRICS", "Metric", "reasons", "score"]
 
 FALSE_FREE = {"free_recall_1": 0.01, "free_recall_01": 0.001}  # the bounds of false free
 
-_UNKNOWN, _FREE, _OCCUPIED = 0, 1, 2  # states of a cell, as in ogm.truth
+_UNKNOWN, _FREE, _OCCUPIED = CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED
 
 
 class Metric(NamedTuple):
-    """What a score means.
+    """The meaning of a score.
 
     Attributes
     ----------
     title : str
         For tables and pictures.
     better : {"lower", "higher", ""}
-        Which of two is the better one; "" where neither is.
-    says : str
+        The better of two values; "" where neither is.
+    description : str
+        The definition in a line.
     """
 
     title: str
@@ -44,10 +46,10 @@ METRICS: dict[str, Metric] = {
     "kl_e1_scaled": Metric(
         "KL, E = 1, e/10",
         "lower",
-        "the same with a tenth of the grid's evidence: 10 means sure, as in kl_e10",
+        "the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10",
     ),
     "iou_free": Metric(
-        "IoU free", "higher", "IoU of free cells; a cell is what has most mass, unknown included"
+        "IoU free", "higher", "IoU of free cells; predicted is the state of greatest mass, unknown included"
     ),
     "iou_occupied": Metric("IoU occupied", "higher", "IoU of occupied cells, likewise"),
     "iou_unknown": Metric("IoU unknown", "higher", "IoU of unknown cells, likewise"),
@@ -55,7 +57,7 @@ METRICS: dict[str, Metric] = {
     "nll": Metric(
         "NLL",
         "lower",
-        "mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 says nothing",
+        "mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid",
     ),
     "false_free": Metric("false free", "lower", "share of occupied cells with a mass of free above 1/2"),
     "missed_occupied": Metric(
@@ -72,13 +74,13 @@ METRICS: dict[str, Metric] = {
     "free_recall_1": Metric(
         "free recall at 1 %",
         "higher",
-        "share of free cells found by the least Bel(free) that takes at most 1 % of occupied cells for free",
+        "share of free cells above the least Bel(free) that at most 1 % of occupied cells exceed",
     ),
     "free_recall_01": Metric("free recall at 0.1 %", "higher", "the same for at most 0.1 %"),
     "ap_occupied_near": Metric(
         "AP occupied, 1 cell",
         "higher",
-        "average precision of P(occupied) on known cells; right and found within one cell",
+        "average precision of P(occupied) on known cells, with a tolerance of one cell",
     ),
     "ap_occupied": Metric("AP occupied", "higher", "the same without tolerance"),
     "auroc_unknown": Metric(
@@ -100,17 +102,15 @@ METRICS: dict[str, Metric] = {
         "lower",
         "mean risk over coverage: share of wrong P(occupied) among known cells taken by ascending unknown",
     ),
-    "ause": Metric("AUSE", "lower", "how much larger that is than if the wrong cells came last"),
+    "ause": Metric("AUSE", "lower", "the same minus its least value, that of cells sorted by their error"),
     "ece": Metric("ECE", "lower", "expected calibration error of P(occupied) on known cells, 15 bins"),
     "ece_relative": Metric(
-        "ECE, relative",
-        "lower",
-        "the same of occupied / (free + occupied), 1/2 where both are 0",
+        "ECE, relative", "lower", "the same of occupied / (free + occupied), 1/2 where both are 0"
     ),
     "ece_called": Metric(
-        "ECE, called",
+        "ECE, predicted known",
         "lower",
-        "the same on those known cells that the grid does not call unknown",
+        "the same on those known cells that the grid predicts as free or occupied",
     ),
     "ace": Metric("ACE", "lower", "calibration error of P(occupied) on known cells, 15 bins of equal weight"),
     "interval_violation": Metric(
@@ -132,7 +132,9 @@ METRICS: dict[str, Metric] = {
         "IoU occupied, known", "higher", "IoU of occupied by P(occupied) > 1/2, on known cells"
     ),
     "map_score": Metric(
-        "MapScore", "higher", "mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 says nothing"
+        "MapScore",
+        "higher",
+        "mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid",
     ),
     "entropy": Metric("entropy", "", "mean Shannon entropy of P(occupied) [bit]"),
     "dissonance": Metric("dissonance", "", "mean 2 min(free, occupied)"),
@@ -146,10 +148,12 @@ METRICS: dict[str, Metric] = {
         "reverse KL, E = 1", "lower", "mean KL[truth || grid], truth of evidence 1 [nats]"
     ),
     "legacy_kl": Metric(
-        "released code's KL", "lower", "the released code's categorical KL of clipped evidence [nats]"
+        "released code's KL", "lower", "categorical KL of clipped evidence, as in the EviLOG code [nats]"
     ),
     "legacy_accuracy": Metric(
-        "released code's accuracy", "", "what the released code calls so: share of cells called unknown"
+        "released code's accuracy",
+        "",
+        "share of cells predicted unknown, which the EviLOG code reports as accuracy",
     ),
 }
 
@@ -157,10 +161,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "iou_unknown": ("unknown",),
     **dict.fromkeys(("iou_free", "iou_free_known"), ("free",)),
     **dict.fromkeys(("iou_occupied", "iou_occupied_known"), ("occupied",)),
-    **dict.fromkeys(
-        ("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"),
-        ("unknown", "known"),
-    ),
+    **dict.fromkeys(("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"), ("unknown", "known")),
     **dict.fromkeys(
         ("brier", "nll", "aurc", "ause", "ece", "ece_relative", "ece_called", "ace", "interval_violation"),
         ("known",),
@@ -175,18 +176,18 @@ NEEDS: dict[str, tuple[str, ...]] = {
 
 
 def score(counts: ConfusionSums) -> dict[str, float]:
-    """Turn counts into the scores of `METRICS`, in their order; NaN where no cell speaks for one.
+    """Return the scores of `METRICS`, in their order; NaN where there is no cell for one.
 
-    See `METRICS` for what each means and `reasons` for why one is NaN. Means without another word are over all
-    cells that are not ignored; *known* cells are those whose truth is free or occupied.
+    See `METRICS` for definitions and `reasons` for why one is NaN. Means are over all cells that are not ignored unless
+    stated otherwise; *known* cells are those whose truth is free or occupied.
 
     Notes
     -----
     Calibration
-        An ECE is the mean distance of P(occupied) from how often a bin's cells are occupied, weighted by cells.
+        An ECE is the mean distance of P(occupied) from the share of occupied cells of its bin, weighted by cells.
         P(occupied) = occupied + unknown / 2 comes no nearer to 0 and 1 than the evidence allows: to 1/12 for an
-        evidence of 10, however sure the model is. Where evidence is bounded by convention, the relative one,
-        occupied / (free + occupied), says what the model holds likely among known cells. The ACE spreads cells
+        evidence of 10, however certain the model is. Where evidence is bounded by convention, the relative one,
+        occupied / (free + occupied), is the probability that the model gives among known cells. The ACE spreads cells
         of one of the 4097 levels of P evenly over the bins that they reach into.
     Ranking
         AUROC, AUPR and average precision take two numbers for equal that share one of 4097 levels.
@@ -194,7 +195,7 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         The error of a cell in the AURC and AUSE is 1 where P(occupied) is on the wrong side of 1/2, else 0, and
         1/2 at P = 1/2. (Squared errors would favour unknown as a score by definition: P is drawn to 1/2 by it.)
     Bounded risk
-        The threshold of free_recall is chosen on the judged cells themselves: with fewer than 1000 occupied
+        The threshold of free_recall is chosen on the evaluated cells themselves: with fewer than 1000 occupied
         cells, at most 0.1 % means none. The pooled (micro) value has one threshold for all frames.
     Second order
         The expected Brier is (P - occupied)**2 + P (1 - P) / (S + 1) with S the Dirichlet strength: it is least
@@ -206,14 +207,14 @@ def score(counts: ConfusionSums) -> dict[str, float]:
     total, known = counts.cells.sum(), counts.cells[1:].sum()
     to_truth, from_truth = (parts(sums.sum(axis=-1), total) for sums in (counts.to_truth, counts.from_truth))
     free, occupied = parts(counts.mass.sum(axis=0), total)
-    overlap = areas.overlaps(counts.calls)
-    known_only = np.concatenate([np.zeros((1, 3)), counts.likelier[1:]])
-    likelier = areas.overlaps(known_only)
-    doubt_known, doubt_unknown, _ = counts.doubt
+    overlap = areas.overlaps(counts.confusion)
+    known_only = np.concatenate([np.zeros((1, 3)), counts.confusion_by_probability[1:]])
+    overlap_known = areas.overlaps(known_only)
+    of_known, of_unknown, _ = counts.unknown_hist
     aurc, ause = areas.risk_areas(counts)
-    squared, nll = parts(counts.squared, known), float(parts(counts.surprise.sum(), known))
+    squared, nll = parts(counts.squared_error, known), float(parts(counts.log_loss.sum(), known))
     wrong_free, wrong_occupied = counts.mass[_OCCUPIED, 0], counts.mass[_FREE, 1]
-    ece, ece_called, ece_relative = (_calibration_error(bins) for bins in counts.reliability)
+    ece, ece_known, ece_relative = (_calibration_error(bins) for bins in counts.reliability)
     values = {
         "kl_e10": to_truth[1],
         "kl_e1": to_truth[0],
@@ -223,22 +224,22 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         "iou_unknown": overlap[_UNKNOWN],
         "brier": squared[0],
         "nll": nll,
-        "false_free": parts(counts.claims[_OCCUPIED, 0], counts.cells[_OCCUPIED]),
-        "missed_occupied": 1 - parts(counts.claims[_OCCUPIED, 1], counts.cells[_OCCUPIED]),
-        "false_occupied": parts(counts.claims[_FREE, 1], counts.cells[_FREE]),
+        "false_free": parts(counts.detections[_OCCUPIED, 0], counts.cells[_OCCUPIED]),
+        "missed_occupied": 1 - parts(counts.detections[_OCCUPIED, 1], counts.cells[_OCCUPIED]),
+        "false_occupied": parts(counts.detections[_FREE, 1], counts.cells[_FREE]),
         "missed_obstacles": parts(counts.obstacles[1], counts.obstacles[0]),
-        **{name: areas.free_recall(counts.clear, bound) for name, bound in FALSE_FREE.items()},
-        "ap_occupied_near": areas.claims_precision(counts, 1),
-        "ap_occupied": areas.claims_precision(counts, 0),
-        "auroc_unknown": auroc_of_histograms(doubt_unknown, doubt_known),
-        "aupr_unknown": average_precision_of_histograms(doubt_unknown, doubt_known),
-        "aupr_known": average_precision_of_histograms(doubt_known[::-1], doubt_unknown[::-1]),
-        "fpr95_unknown": false_positive_rate_of_histograms(doubt_unknown, doubt_known),
+        **{name: areas.free_recall(counts.bel_free_hist, bound) for name, bound in FALSE_FREE.items()},
+        "ap_occupied_near": areas.average_precision_of(counts, 1),
+        "ap_occupied": areas.average_precision_of(counts, 0),
+        "auroc_unknown": auroc_of_histograms(of_unknown, of_known),
+        "aupr_unknown": average_precision_of_histograms(of_unknown, of_known),
+        "aupr_known": average_precision_of_histograms(of_known[::-1], of_unknown[::-1]),
+        "fpr95_unknown": false_positive_rate_of_histograms(of_unknown, of_known),
         "aurc": aurc,
         "ause": ause,
         "ece": ece,
         "ece_relative": ece_relative,
-        "ece_called": ece_called,
+        "ece_called": ece_known,
         "ace": areas.equal_mass_error(counts),
         "interval_violation": areas.interval_violation(counts),
         "brier_relative": squared[1],
@@ -246,8 +247,8 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         "conflict": parts(wrong_free + wrong_occupied, known),
         "conflict_free": parts(wrong_free, counts.cells[_OCCUPIED]),
         "conflict_occupied": parts(wrong_occupied, counts.cells[_FREE]),
-        "iou_free_known": likelier[_FREE],
-        "iou_occupied_known": likelier[_OCCUPIED],
+        "iou_free_known": overlap_known[_FREE],
+        "iou_occupied_known": overlap_known[_OCCUPIED],
         "map_score": 1 - nll / np.log(2),
         "entropy": parts(counts.entropy.sum(), total),
         "dissonance": parts(counts.dissonance.sum(), total),
@@ -256,15 +257,15 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         "mean_unknown": 1 - free - occupied,
         "kl_e10_reverse": from_truth[1],
         "kl_e1_reverse": from_truth[0],
-        "legacy_kl": parts(counts.legacy.sum(), total),
-        "legacy_accuracy": parts(counts.calls[:, _UNKNOWN].sum(), total),
+        "legacy_kl": parts(counts.evilog_kl.sum(), total),
+        "legacy_accuracy": parts(counts.confusion[:, _UNKNOWN].sum(), total),
     }
     return {name: float(values[name]) for name in METRICS}
 
 
 def reasons(counts: ConfusionSums) -> dict[str, str]:
     """Return why scores are NaN: of each metric that has no value, what is missing."""
-    there = {
+    has = {
         "unknown": counts.cells[_UNKNOWN] > 0,
         "free": counts.cells[_FREE] > 0,
         "occupied": counts.cells[_OCCUPIED] > 0,
@@ -274,13 +275,13 @@ def reasons(counts: ConfusionSums) -> dict[str, str]:
     for name, value in score(counts).items():
         if not np.isnan(value):
             continue
-        missing = [kind for kind in NEEDS.get(name, ()) if not there[kind]]
+        missing = [kind for kind in NEEDS.get(name, ()) if not has[kind]]
         if counts.cells.sum() == 0:
             result[name] = "the truth ignores every cell"
         elif missing:
             result[name] = f"the truth has no {' and no '.join(missing)} cell"
         else:
-            result[name] = "the grid calls every known cell unknown"  # ece_called
+            result[name] = "the grid predicts every known cell as unknown"  # ece_called
     return result
 
 

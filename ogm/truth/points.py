@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.ndimage import distance_transform_edt
 
 from ogm.grid import GridSpec
 from ogm.scan import Boxes
@@ -17,7 +16,7 @@ __all__ = ["TRUTH_SPEC", "finalize_truth", "height_above_ground", "truth_from_po
 TRUTH_SPEC = GridSpec.centered(
     length=99.84, width=99.84, resolution=0.16
 )  # holds the paper's grid at any yaw
-_MOST_SQUARES = 1e8  # on which ground is looked for: 10 km x 10 km of 1 m
+_MOST_SQUARES = 1e8  # on which ground is estimated: 10 km x 10 km of 1 m
 
 
 def truth_grid(
@@ -153,6 +152,8 @@ def height_above_ground(
     ValueError
         If shapes disagree, a number is not finite or impossible, or the points lie further apart than any scan's.
     """
+    from scipy.ndimage import distance_transform_edt
+
     xyz, is_ground = np.asarray(xyz, np.float64), np.asarray(is_ground)
     if xyz.ndim != 2 or xyz.shape[1] < 3:
         raise ValueError(f"xyz must have shape (N, 3 or more), got {xyz.shape}")

@@ -1,4 +1,4 @@
-"""Truth of a map's road: free where one may drive, a sensor can see it, and nothing stands there."""
+"""Truth of a map's road: free where it is drivable, in sight of the sensor, and no obstacle was hit."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,14 +14,14 @@ from ogm.truth.scans import MARGIN, STANDING
 
 __all__ = ["Road", "cells_in_areas", "free_road", "truth_from_road"]
 
-SECTOR = np.radians(0.4)  # [rad] of azimuth in which they hide it; a VLP-32C turns by 0.2 deg between firings
+SECTOR = np.radians(0.4)  # [rad] of azimuth in which a return hides the road; a VLP-32C fires every 0.2 deg
 
 
 class Road(NamedTuple):
-    """What a map and a scan say about the road around a sensor."""
+    """The road around a sensor, from a map and a scan."""
 
-    clear: NDArray[np.bool_]  # (nx, ny) may be driven on, and nothing stands there
-    in_sight: NDArray[np.bool_]  # (nx, ny) of these, those that nothing hides from the sensor
+    clear: NDArray[np.bool_]  # (nx, ny) drivable, and without obstacle
+    in_sight: NDArray[np.bool_]  # (nx, ny) of these, those that no return hides from the sensor
 
 
 def cells_in_areas(outlines: Sequence[ArrayLike], spec: GridSpec) -> NDArray[np.bool_]:
@@ -68,11 +68,11 @@ def free_road(
     boxes: Boxes | None = None,
     min_range: float = 0.0,
 ) -> Road:
-    """Tell which cells of the road should be free, and which of them a sensor at (0, 0, 0) can see.
+    """Return the cells of the road that should be free, and which of them are in sight of a sensor at (0, 0, 0).
 
-    Left out are cells at boxes (all of them, however few returns they have, and `MARGIN` around them) and cells with
-    a return that stands on the road. A cell is in sight if no such return lies nearer in its direction, on or
-    above the line from the sensor to the cell's ground.
+    Left out are cells of boxes (all of them, however few returns they have, and `MARGIN` around them) and cells with
+    a return from an obstacle. A cell is in sight if no such return lies nearer in its direction, on or above the
+    line from the sensor to the cell's ground.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ def free_road(
     ground : (nx, ny) float
         z of the ground at the cells' middles [m].
     points : (N, 3 or more) float
-        Returns of all lidars, in the frame of the one that is judged [m].
+        Returns of all lidars, in the frame of the one whose scan is evaluated [m].
     above : (N,) float
         Their heights above ground [m].
     spec : GridSpec
-    boxes : (B, 7) float
-        Objects; their heights are not looked at.
+    boxes : Boxes, optional
+        Objects; their heights are not used.
     min_range : float
-        Cells nearer than this [m] are left out: the own vehicle stands there.
+        Cells nearer than this [m] are left out: the ego vehicle is there.
 
     Returns
     -------
@@ -104,9 +104,7 @@ def free_road(
     distance = np.hypot(x, y)
     clear = drivable & ~taken & (distance >= min_range)
     sector = np.floor(np.arctan2(y, x) / SECTOR).astype(int).ravel()
-    slope = (
-        ground / np.maximum(distance, 1e-9)
-    ).ravel()  # tangent of the elevation that the ground is seen at
+    slope = (ground / np.maximum(distance, 1e-9)).ravel()  # tangent of the elevation of the ground
     hidden = np.zeros(spec.shape, bool).ravel()
     far = np.hypot(*standing[:, :2].T)
     of = np.floor(np.arctan2(standing[:, 1], standing[:, 0]) / SECTOR).astype(int)

@@ -1,4 +1,4 @@
-"""Truth of many scans: what they agree on, wherever the sensor stood."""
+"""Truth of many scans of one place: the cells on which they agree."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from ogm.state import CellState, Truth
 __all__ = ["MARGIN", "contradicted", "truth_from_scans"]
 
 GROUND = (-0.3, 0.15)  # [m] above the estimated ground: ground
-STANDING = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell not judged
+STANDING = (0.3, 2.0)  # [m] above it: an obstacle. What lies between (kerbs, grass) makes a cell ignored
 AT_LEAST = 3  # returns of one kind that make a cell known
 HALF = 0.5  # share of the scans with returns in a cell that must show the obstacle, or it came and went
 MARGIN = 0.3  # [m] around boxes: what annotation and de-skewing leave outside
@@ -25,7 +25,7 @@ def truth_from_scans(
     min_scans: int = 2,
     moving: NDArray[np.bool_] | None = None,
 ) -> Truth:
-    """Make a truth grid of several scans of one place, without what moved.
+    """Return the truth of several scans of one place, without what moved.
 
     A cell is
 
@@ -39,14 +39,14 @@ def truth_from_scans(
     ----------
     clouds : sequence of (N, 3 or more) float
         Points of each scan in the grid's frame [m], without those on moving objects (and `MARGIN` around
-        them) and on the own vehicle.
+        them) and on the ego vehicle.
     above : sequence of (N,) float
         Their heights above ground [m].
     spec : GridSpec
     min_scans : int
         Scans that must agree.
     moving : (nx, ny) bool, optional
-        Cells to be ignored whatever the scans say: something that moves stands there now.
+        Cells to be ignored whatever the scans hold: something that moves is there now.
 
     Returns
     -------
@@ -92,9 +92,9 @@ def contradicted(
 ) -> NDArray[np.bool_]:
     """Return the cells in which a scan shows the opposite of what others agreed on.
 
-    Something that nobody boxed has come or gone: it stands in a cell that the others know as free; or the scan
-    has ground in a cell where the others saw it stand, and nothing standing in that cell and its eight
-    neighbours. Cells of the same state up to `reach` around are contradicted too, for beams are sparse.
+    Something unlabelled has come or gone: the scan has an obstacle in a free cell; or it has ground in an occupied
+    cell, and no obstacle in that cell and its eight neighbours. Cells of the same state up to `reach` around are
+    contradicted too, for beams are sparse.
 
     Parameters
     ----------

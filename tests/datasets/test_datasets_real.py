@@ -11,7 +11,7 @@ from ogm.datasets import open_dataset
 from ogm.io import (
     SEMANTIC_KITTI,
     SEMANTIC_KITTI_TRAINING,
-    read_kitti_calibration,
+    read_calibration,
     read_kitti_tracks,
     read_points,
     read_range_image,
@@ -57,7 +57,7 @@ def test_the_truth_of_drive_0005_is_that_of_its_labels(real):
     frame = dataset[20]
     assert frame.name == "0000000080"
     assert frame.mount.sensor_height == pytest.approx(1.76, abs=0.06)
-    T = read_kitti_calibration(folder / "calib_2011_09_26.txt")
+    T = read_calibration(folder / "calib_2011_09_26.txt")
     objects = read_kitti_tracks(folder / "label_02_0000.txt", T)[80]
     assert (frame.boxes.center == objects.center).all()
     assert set(dataset._truth._moving_tracks(frame.sequence)) == {"0", "1"}  # the van and the cyclist ahead

@@ -1,4 +1,4 @@
-"""A small world to learn from: flat ground, a wall across the way, and a lidar of 16 layers."""
+"""A small world to train on: flat ground, a wall across the way, and a lidar of 16 layers."""
 
 from pathlib import Path
 
@@ -7,9 +7,11 @@ import pytest
 
 from ogm.deep.network import NetworkConfig
 from ogm.grid import GridSpec
+from ogm.scan import Frame, Mount, Scan
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
 from ogm.simulation.store import SHARD, Store
-from ogm.truth import TRUTH_SPEC, FREE, OCCUPIED, UNKNOWN, Truth
+from ogm.state import CellState, Truth
+from ogm.truth import TRUTH_SPEC
 
 HEIGHT, LAYERS = 1.8, 16
 BEAMS = Beams(
@@ -23,7 +25,7 @@ BEAMS = Beams(
 )
 
 
-def scene(number: int, split: str = "training") -> Sample:
+def sample(number: int, split: str = "training") -> Sample:
     """A wall at a distance of its own; all before it is free, all behind it unknown."""
     distance = np.random.default_rng([number, len(split)]).uniform(6, 11)
     x, _, z = np.moveaxis(BEAMS.directions.astype(np.float64), -1, 0)
@@ -32,14 +34,15 @@ def scene(number: int, split: str = "training") -> Sample:
     r = np.minimum(ground, wall)
     steps = np.where(r < 30, r / RANGE_STEP, 0).astype(np.uint16)
     cx, _ = TRUTH_SPEC.cell_centers
-    state = np.where(cx < distance - 0.32, FREE, np.where(cx < distance + 0.32, OCCUPIED, UNKNOWN))
+    state = np.where(cx < distance + 0.32, np.uint8(CellState.OCCUPIED), np.uint8(CellState.UNKNOWN))
+    state[cx < distance - 0.32] = CellState.FREE
     T = np.eye(4)
     T[2, 3] = HEIGHT
     return Sample(
         beams=BEAMS,
         steps=steps,
         intensities=np.where(steps > 0, np.where(wall < ground, 150, 25), 0).astype(np.uint8),
-        truth=Truth(TRUTH_SPEC, np.ascontiguousarray(np.broadcast_to(state, TRUTH_SPEC.shape).astype(np.uint8))),
+        truth=Truth(TRUTH_SPEC, np.ascontiguousarray(np.broadcast_to(state, TRUTH_SPEC.shape))),
         objects=np.zeros(0, OBJECT),
         T_world_sensor=np.eye(4),
         T_vehicle_sensor=T,
@@ -52,9 +55,16 @@ def scene(number: int, split: str = "training") -> Sample:
     )
 
 
+def frame(number: int) -> Frame:
+    """The sample as a frame."""
+    one = sample(number)
+    scan = Scan(one.points, ring=one.ring)
+    return Frame(scan, Mount(HEIGHT, one.T_vehicle_sensor), None, one.truth, name=str(number))
+
+
 @pytest.fixture(scope="session")
-def scenes() -> list[Sample]:
-    return [scene(number) for number in range(12)]
+def frames() -> list[Frame]:
+    return [frame(number) for number in range(12)]
 
 
 @pytest.fixture(scope="session")
@@ -63,7 +73,7 @@ def store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("data") / "walls"
     made = Store.create(path, {"seed": 1}, {"training": SHARD, "validation": SHARD}, [BEAMS], {"ogm": "test"})
     for split in ("training", "validation"):
-        made.write(split, 0, [scene(k, split) for k in range(SHARD)])
+        made.write(split, 0, [sample(k, split) for k in range(SHARD)])
     return path
 
 

@@ -14,7 +14,7 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from ogm.deep.checkpoint import FORMAT, load_network, save_network
-from ogm.deep.network import LITE, PAPER, Network
+from ogm.deep.network import LITE, PAPER, PillarNetwork
 from ogm.deep.pillars import pillarize
 from ogm.grid import GridSpec
 
@@ -26,7 +26,7 @@ FACTS = {"seed": 3, "seen": {"height": [1.7, 2.1]}}
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    return save_network(tmp_path / "net.safetensors", Network(ADD, SPEC), FACTS)
+    return save_network(tmp_path / "net.safetensors", PillarNetwork(ADD, SPEC), FACTS)
 
 
 def change(path: Path, how: Callable[[dict[str, Any]], Any]) -> None:
@@ -37,14 +37,14 @@ def change(path: Path, how: Callable[[dict[str, Any]], Any]) -> None:
     beside.write_text(json.dumps(description))
 
 
-def guarded(config: Any, spec: GridSpec) -> Network:
+def guarded(config: Any, spec: GridSpec) -> PillarNetwork:
     """Make a network, but none that would fill the memory."""
     size = max(config.pillar, config.up, *(n for n, _ in config.blocks))
     count = sum(n for _, n in config.blocks)
     weightless = torch.empty(0).device.type == "meta"
     assert count <= 1000, "too many layers would have been made"
     assert size <= 256 or weightless, "a huge network would have been made"
-    return Network(config, spec)
+    return PillarNetwork(config, spec)
 
 
 class Trap:
@@ -60,7 +60,7 @@ class Trap:
 @pytest.mark.parametrize("config", [ADD, CONCATENATE], ids=lambda config: config.join)
 def test_what_was_saved_comes_back(config: Any, tmp_path: Path) -> None:
     torch.manual_seed(0)
-    network = Network(config, SPEC).train()
+    network = PillarNetwork(config, SPEC).train()
     rng = np.random.default_rng(0)
     points = rng.uniform((-5, -2.3, 0, 0), (5, 2.5, 2, 1), (500, 4)).astype(np.float32)
     pillars = pillarize(points, SPEC)
@@ -79,7 +79,7 @@ def test_what_was_saved_comes_back(config: Any, tmp_path: Path) -> None:
 
 
 def test_saving_again_replaces(saved: Path) -> None:
-    save_network(saved, Network(CONCATENATE, SPEC), {})
+    save_network(saved, PillarNetwork(CONCATENATE, SPEC), {})
     network, description = load_network(saved)
     assert network.config == CONCATENATE
     assert "seed" not in description
@@ -88,14 +88,14 @@ def test_saving_again_replaces(saved: Path) -> None:
 def test_facts_that_json_cannot_hold_leave_what_was_there(saved: Path) -> None:
     before = {path: path.read_bytes() for path in saved.parent.iterdir()}
     with pytest.raises(TypeError, match="JSON"):
-        save_network(saved, Network(CONCATENATE, SPEC), {"odd": object()})
+        save_network(saved, PillarNetwork(CONCATENATE, SPEC), {"odd": object()})
     assert {path: path.read_bytes() for path in saved.parent.iterdir()} == before
 
 
 @pytest.mark.parametrize("name", ["net.pt", "net", "net.safetensors.gz"])
 def test_other_names_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"\.safetensors"):
-        save_network(tmp_path / name, Network(ADD, SPEC), {})
+        save_network(tmp_path / name, PillarNetwork(ADD, SPEC), {})
     with pytest.raises(ValueError, match=r"\.safetensors"):
         load_network(tmp_path / name)
     assert not list(tmp_path.iterdir())
@@ -219,7 +219,7 @@ def test_another_format_is_refused(saved: Path, found: Any) -> None:
 def test_a_network_that_cannot_be_is_refused_before_it_is_made(
     saved: Path, part: str, value: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ogm.deep.checkpoint.Network", guarded)
+    monkeypatch.setattr("ogm.deep.checkpoint.PillarNetwork", guarded)
     change(saved, lambda description: description["network"].update({part: value}))
     with pytest.raises(ValueError, match="describes no network that can be made"):
         load_network(saved)
@@ -229,7 +229,7 @@ def test_a_network_that_cannot_be_is_refused_before_it_is_made(
 def test_a_huge_network_is_refused_before_it_fills_the_memory(
     saved: Path, join: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ogm.deep.checkpoint.Network", guarded)
+    monkeypatch.setattr("ogm.deep.checkpoint.PillarNetwork", guarded)
     huge = {"blocks": [[4096, 30], [4096, 30]], "up": 4096, "pillar": 4096, "join": join}
     change(saved, lambda description: description["network"].update(huge))
     with pytest.raises(ValueError, match="describes no network|does not hold the weights"):
@@ -275,7 +275,7 @@ def test_a_description_that_lacks_a_part_is_refused(saved: Path, part: str) -> N
 
 
 def test_weights_of_another_network_are_refused(saved: Path, tmp_path: Path) -> None:
-    other = save_network(tmp_path / "other.safetensors", Network(CONCATENATE, SPEC), {})
+    other = save_network(tmp_path / "other.safetensors", PillarNetwork(CONCATENATE, SPEC), {})
     other.replace(saved)
     with pytest.raises(ValueError, match="does not hold the weights .* names differ, such as"):
         load_network(saved)

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 
 from ogm.cli import app
 from ogm.deep import DeepISM
+from ogm.scan import Mount
 
 SMALL = (
     "--length",
@@ -24,7 +25,7 @@ SMALL = (
     "--accelerator",
     "cpu",
     "--batch",
-    5,
+    4,
 )
 
 
@@ -44,26 +45,29 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def test_train_writes_weights_that_can_be_used(store: Path, scenes: list, tmp_path: Path) -> None:
+def test_train_writes_weights_that_can_be_used(store: Path, frames: list, tmp_path: Path) -> None:
     run = tmp_path / "run"
-    result = ogm("train", store, "--out", run, "--epochs", 2, *SMALL)
+    result = ogm("train", store, "--out", run, "--epochs", 2, "--samples", 8, *SMALL)
     assert result.exit_code == 0, result.output
     assert {file.name for file in run.iterdir()} == {
         *("best.json", "best.safetensors", "epoch-001.png", "epoch-002.png", "log.csv", "state.pt")
     }
     with open(run / "log.csv") as file:
         assert [row["epoch"] for row in csv.DictReader(file)] == ["1", "2"]
-    said = json.loads((run / "best.json").read_text())
-    assert said["data"]["samples"] == {"training": 10, "validation": 10}
-    assert said["seen"]["height"] == [1.8, 1.8]
-    assert said["recipe"]["batch"] == 5
-    assert DeepISM.load(run, sensor_height=1.8)(scenes[0].points).spec.shape == (48, 32)
+    description = json.loads((run / "best.json").read_text())
+    assert {name: part["frames"] for name, part in description["data"].items()} == {
+        "training": 8,
+        "validation": 10,
+    }
+    assert description["seen"]["height"] == [1.8, 1.8]
+    assert description["recipe"]["batch"] == 4
+    assert DeepISM.load(run, mount=Mount(1.8))(frames[0].scan).spec.shape == (48, 32)
 
 
-def test_an_interrupt_is_saved_and_says_how_to_go_on(
+def test_an_interrupted_run_is_saved_and_resumes(
     store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from ogm.deep import train
+    from ogm.deep import training_run
 
     steps = []
 
@@ -73,8 +77,8 @@ def test_an_interrupt_is_saved_and_says_how_to_go_on(
             raise KeyboardInterrupt
         return kept(*args)
 
-    kept = train.mean_loss
-    monkeypatch.setattr(train, "mean_loss", loss)
+    kept = training_run.mean_loss
+    monkeypatch.setattr(training_run, "mean_loss", loss)
     arguments = ("train", store, "--out", tmp_path / "run", "--epochs", 1, *SMALL)
     result = ogm(*arguments)
     assert result.exit_code == 130
@@ -86,11 +90,14 @@ def test_an_interrupt_is_saved_and_says_how_to_go_on(
     assert ogm(*arguments, "--resume").exit_code == 0
 
 
-def test_missing_parts_are_complained_about(store: Path, tmp_path: Path) -> None:
+def test_missing_data_and_bad_grids_are_refused(store: Path, tmp_path: Path) -> None:
     result = ogm("train", tmp_path / "nothing", "--out", tmp_path / "run")
     assert result.exit_code == 2
-    assert "ogm simulate" in result.output
+    assert "there is no" in result.output
     assert not (tmp_path / "run").exists()
+    result = ogm("train", store, "--out", tmp_path / "run", "--samples", 11)
+    assert result.exit_code == 2
+    assert "--samples must be 1 to 10" in result.output
     result = ogm(
         "train", store, "--out", tmp_path / "run", "--length", 30.08, "--width", 20.48, "--resolution", 0.64
     )
@@ -98,8 +105,9 @@ def test_missing_parts_are_complained_about(store: Path, tmp_path: Path) -> None
     assert "multiples of 16 cells" in result.output
 
 
-def test_the_command_knows_every_loss() -> None:
-    from ogm.cli.train import LossName
-    from ogm.deep.recipe import LOSSES
+def test_the_command_offers_every_loss_and_preset() -> None:
+    from ogm.cli.train import LossName, Preset
+    from ogm.deep.recipe import LOSSES, PRESETS
 
     assert [name.value for name in LossName] == list(LOSSES)
+    assert [name.value for name in Preset] == list(PRESETS)

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from ogm.deep.export import FORMAT, export_onnx, onnx_inputs, run_onnx
-from ogm.deep.network import LITE, PAPER, Network, NetworkConfig, fused
+from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork, fused
 from ogm.deep.pillars import Pillars, collate, pillarize
 from ogm.grid import GridSpec
 
@@ -25,10 +25,10 @@ NETWORKS = {
 }
 
 
-def trained(config: NetworkConfig) -> Network:
+def trained(config: NetworkConfig) -> PillarNetwork:
     """Make a network whose normalisation is not the identity, as after training."""
     torch.manual_seed(1)
-    network = Network(config, SPEC).eval()
+    network = PillarNetwork(config, SPEC).eval()
     for module in network.modules():
         if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
             torch.nn.init.normal_(module.running_mean, 0, 0.1)
@@ -44,7 +44,7 @@ def scan(n: int) -> np.ndarray:
     return rng.uniform(low, high, (n, 4)).astype(np.float32)
 
 
-def mass_of(network: Network, pillars: Pillars) -> np.ndarray:
+def mass_of(network: PillarNetwork, pillars: Pillars) -> np.ndarray:
     with torch.inference_mode():
         evidence = network(pillars)[0]
     return (evidence / (evidence.sum(-1, keepdim=True) + 2)).numpy()
@@ -53,7 +53,7 @@ def mass_of(network: Network, pillars: Pillars) -> np.ndarray:
 @pytest.fixture(scope="module", params=NETWORKS)
 def exported(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Network, Path]:
+) -> tuple[PillarNetwork, Path]:
     network = trained(NETWORKS[request.param])
     path = tmp_path_factory.mktemp("onnx") / f"{request.param}.onnx"
     facts = export_onnx(network, path)
@@ -62,7 +62,9 @@ def exported(
 
 
 @pytest.mark.parametrize("points", [scan(3000), scan(0), np.float32([[1, 0.5, 0.2, 0.4]])], ids=len)
-def test_onnx_runtime_gives_the_networks_masses(exported: tuple[Network, Path], points: np.ndarray) -> None:
+def test_onnx_runtime_gives_the_networks_masses(
+    exported: tuple[PillarNetwork, Path], points: np.ndarray
+) -> None:
     network, path = exported
     pillars = pillarize(points, SPEC, network.config.z_range)
     wanted = mass_of(network, pillars)
@@ -73,7 +75,7 @@ def test_onnx_runtime_gives_the_networks_masses(exported: tuple[Network, Path], 
     assert wanted.max() - wanted.min() > 0.1  # it is no constant that was compared
 
 
-def test_the_order_of_points_does_not_matter(exported: tuple[Network, Path]) -> None:
+def test_the_order_of_points_does_not_matter(exported: tuple[PillarNetwork, Path]) -> None:
     network, path = exported
     pillars = pillarize(scan(3000), SPEC, network.config.z_range)
     inputs = onnx_inputs(pillars)
@@ -83,23 +85,23 @@ def test_the_order_of_points_does_not_matter(exported: tuple[Network, Path]) -> 
     np.testing.assert_allclose(mass, run_onnx(path, pillars), atol=1e-5)
 
 
-def test_the_file_explains_itself(exported: tuple[Network, Path]) -> None:
+def test_the_file_explains_itself(exported: tuple[PillarNetwork, Path]) -> None:
     network, path = exported
     model = onnx.load(path)
     onnx.checker.check_model(model, full_check=True)
-    told = {entry.key: entry.value for entry in model.metadata_props}
-    assert told["format"] == FORMAT
-    place = json.loads(told["spec"])
+    metadata = {entry.key: entry.value for entry in model.metadata_props}
+    assert metadata["format"] == FORMAT
+    place = json.loads(metadata["spec"])
     assert GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"])) == SPEC
-    assert tuple(json.loads(told["z_range"])) == network.config.z_range
-    assert NetworkConfig.from_dict(json.loads(told["network"])) == network.config
+    assert tuple(json.loads(metadata["z_range"])) == network.config.z_range
+    assert NetworkConfig.from_dict(json.loads(metadata["network"])) == network.config
     for value in (*model.graph.input, *model.graph.output):
-        assert value.doc_string == told[value.name]
+        assert value.doc_string == metadata[value.name]
     assert [value.name for value in model.graph.input] == ["features", "cells"]
     assert [value.name for value in model.graph.output] == ["mass"]
 
 
-def test_the_rule_for_cells_that_the_file_tells_is_true(exported: tuple[Network, Path]) -> None:
+def test_the_rule_for_cells_in_the_file_is_true(exported: tuple[PillarNetwork, Path]) -> None:
     network, _ = exported
     pillars = pillarize(scan(3000), SPEC, network.config.z_range)
     inputs = onnx_inputs(pillars)
@@ -108,14 +110,14 @@ def test_the_rule_for_cells_that_the_file_tells_is_true(exported: tuple[Network,
     np.testing.assert_array_equal(inputs["cells"], ix * SPEC.shape[1] + iy)
 
 
-def test_the_file_names_no_folder_of_the_machine(exported: tuple[Network, Path]) -> None:
+def test_the_file_names_no_folder_of_the_machine(exported: tuple[PillarNetwork, Path]) -> None:
     _, path = exported
     data = path.read_bytes()
     assert str(Path(__file__).parents[2]).encode() not in data
     assert b".py" not in data
 
 
-def test_a_cell_off_the_grid_is_refused(exported: tuple[Network, Path]) -> None:
+def test_a_cell_off_the_grid_is_refused(exported: tuple[PillarNetwork, Path]) -> None:
     _, path = exported
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     inputs = {"features": np.zeros((1, 9), np.float32), "cells": np.array([SPEC.shape[0] * SPEC.shape[1]])}
@@ -135,7 +137,7 @@ def test_a_fused_network_is_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_that_is_not_there_is_said_before_the_work(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused_before_the_work(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="create it first"):
         export_onnx(None, tmp_path / "no" / "lite.onnx")  # type: ignore[arg-type]
 
@@ -144,7 +146,7 @@ def test_a_failed_export_leaves_what_was_there(tmp_path: Path, monkeypatch: pyte
     path = tmp_path / "lite.onnx"
     path.write_bytes(b"before")
 
-    def fail(network: Network) -> None:
+    def fail(network: PillarNetwork) -> None:
         raise RuntimeError("no")
 
     monkeypatch.setattr("ogm.deep.export._model", fail)
@@ -171,7 +173,7 @@ def test_a_missing_runtime_is_answered_with_the_pip_command(monkeypatch: pytest.
 
 
 def test_damaged_foreign_and_missing_files_are_refused(
-    exported: tuple[Network, Path], tmp_path: Path
+    exported: tuple[PillarNetwork, Path], tmp_path: Path
 ) -> None:
     _, whole = exported
     pillars = pillarize(scan(10), SPEC)

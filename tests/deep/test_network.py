@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from ogm.deep.network import LITE, PAPER, Network, NetworkConfig, fused
+from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork, fused
 from ogm.deep.pillars import Pillars, collate, pillarize
 from ogm.grid import GridSpec
 
@@ -20,10 +20,10 @@ SMALL = [
 both = pytest.mark.parametrize("config", SMALL, ids=lambda config: config.join)
 
 
-def made(config: NetworkConfig, spec: GridSpec = SPEC) -> Network:
+def made(config: NetworkConfig, spec: GridSpec = SPEC) -> PillarNetwork:
     """Make a network whose normalisation is not the identity, as after training."""
     torch.manual_seed(1)
-    network = Network(config, spec).eval()
+    network = PillarNetwork(config, spec).eval()
     for module in network.modules():
         if isinstance(module, torch.nn.modules.batchnorm._BatchNorm):
             torch.nn.init.normal_(module.running_mean, 0, 0.1)
@@ -43,7 +43,7 @@ def pillars(n: int, seed: int = 0, spec: GridSpec = SPEC) -> Pillars:
 
 
 def count(config: NetworkConfig) -> int:
-    return sum(value.numel() for value in Network(config, SPEC).parameters())
+    return sum(value.numel() for value in PillarNetwork(config, SPEC).parameters())
 
 
 @both
@@ -61,7 +61,7 @@ def test_evidence_is_a_batch_of_grids_with_the_states_last(config: NetworkConfig
 
 @torch.inference_mode()
 def test_a_new_network_expects_free_before_occupied() -> None:
-    evidence = Network(SMALL[0], SPEC).eval()(pillars(0))
+    evidence = PillarNetwork(SMALL[0], SPEC).eval()(pillars(0))
     assert evidence[..., 0].min() > evidence[..., 1].max()
 
 
@@ -121,20 +121,20 @@ def test_paper_has_the_parameters_that_the_documentation_states() -> None:
 
 def test_paper_gives_evidence_for_every_cell() -> None:
     with torch.inference_mode():
-        assert Network(PAPER, SPEC).eval()(pillars(100)).shape == (1, 64, 32, 2)
+        assert PillarNetwork(PAPER, SPEC).eval()(pillars(100)).shape == (1, 64, 32, 2)
 
 
 @pytest.mark.parametrize(("shape", "better"), [((60, 32), "(64, 32)"), ((64, 33), "(64, 40)")])
 def test_a_grid_that_cannot_be_halved_is_refused(shape: tuple[int, int], better: str) -> None:
     with pytest.raises(ValueError, match="multiples of 8 cells") as caught:
-        Network(SMALL[0], GridSpec(0.16, shape, (0, 0)))
+        PillarNetwork(SMALL[0], GridSpec(0.16, shape, (0, 0)))
     assert f"got {shape}" in str(caught.value)
     assert f"use {better} cells" in str(caught.value)
 
 
 def test_bearings_need_two_scales() -> None:
     with pytest.raises(ValueError, match="bearings"):
-        Network(NetworkConfig(pillar=8, blocks=((8, 1),), join="add", bearings=True), SPEC)
+        PillarNetwork(NetworkConfig(pillar=8, blocks=((8, 1),), join="add", bearings=True), SPEC)
 
 
 @both
@@ -177,19 +177,19 @@ def test_the_gradient_reaches_every_parameter(config: NetworkConfig) -> None:
 @torch.inference_mode()
 def test_the_weights_do_not_depend_on_the_grids_size(config: NetworkConfig) -> None:
     larger = GridSpec.centered(length=15.36, width=7.68, resolution=0.16)
-    network = Network(config, larger).eval()
+    network = PillarNetwork(config, larger).eval()
     network.load_state_dict(made(config).state_dict())
     assert network(pillars(100, spec=larger)).shape == (1, 96, 48, 2)
 
 
-def test_bearings_tell_the_way_to_the_sensor() -> None:
-    around = Network(SMALL[0], SPEC).around[0]
-    assert around.shape == (4, 16, 8)
+def test_sensor_coords_are_polar_coordinates() -> None:
+    coords = PillarNetwork(SMALL[0], SPEC).sensor_coords[0]
+    assert coords.shape == (4, 16, 8)
     x, y = np.meshgrid(
         np.arange(-4.8, 5, 0.64), np.arange(-2.24, 2.5, 0.64), indexing="ij"
     )  # [m], 4 x 4 cells
     r = np.hypot(x, y)
-    np.testing.assert_allclose(around, [r / 40, np.log(r / 10), x / r, y / r], atol=1e-5)
+    np.testing.assert_allclose(coords, [r / 40, np.log(r / 10), x / r, y / r], atol=1e-5)
 
 
 @pytest.mark.parametrize("config", [LITE, PAPER, *SMALL], ids=["lite", "paper", "small lite", "small paper"])

@@ -1,4 +1,4 @@
-"""Pillars: every point in its cell, with what the network is told of it; the kernel and its twin agree."""
+"""Pillars: every point in its cell, with its features; the kernel and its slow reference agree."""
 
 import logging
 from typing import Any
@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm.deep import pillars as module
-from ogm.deep.pillars import Pillars, collate, cap_pillars, pillarize, pillarize_torch
+from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, pillarize_torch
 from ogm.grid import GridSpec
 
 SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)  # 64 x 32 cells
 CELLS = SPEC.shape[0] * SPEC.shape[1]
 Z = (-1.2, 2.8)  # neither is a float32
-OWN = (-0.7, 1.1, -0.3, 0.3)
+EGO = (-0.7, 1.1, -0.3, 0.3)
 
 edges = st.integers(-34, 34).map(lambda k: float(np.float32(k * 0.16)))
-limits = st.sampled_from([float(np.float32(v)) for v in (*Z, *OWN)])
+limits = st.sampled_from([float(np.float32(v)) for v in (*Z, *EGO)])
 odd = st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e30, -1e30, 3e38, 1e-40, -0.0])
 numbers = st.one_of(st.floats(-6, 6, width=32), edges, limits, odd)
 clouds = st.integers(0, 40).flatmap(lambda n: arrays(np.float32, (n, 4), elements=numbers))
@@ -45,31 +45,31 @@ def same(one: Pillars, other: Pillars, atol: float = 2e-5) -> None:
 
 @given(clouds)
 @example(np.float32([[0.3, 0.3, z, 0.5] for z in Z]))  # on the limits of height
-@example(np.float32([[x, y, 1, 0.5] for x in OWN[:2] for y in (0, *OWN[2:])]))  # on the own vehicle's outline
+@example(np.float32([[x, y, 1, 0.5] for x in EGO[:2] for y in (0, *EGO[2:])]))  # the ego outline
 @example(np.float32([[x, y, 0, 0] for x in (-5.12, 5.12, 0) for y in (-2.56, 2.56, 0)]))  # on the grid's
 @settings(deadline=None, max_examples=80)
-def test_the_kernel_is_its_twin(points: np.ndarray) -> None:
-    same(pillarize(points, SPEC, Z, OWN), pillarize_torch(torch.from_numpy(points), SPEC, Z, OWN))
+def test_the_kernel_is_its_reference(points: np.ndarray) -> None:
+    same(pillarize(points, SPEC, Z, EGO), pillarize_torch(torch.from_numpy(points), SPEC, Z, EGO))
 
 
 @pytest.mark.parametrize("size", [1.0, 0.1, 0.001], ids=["sparse", "dense", "one pillar"])
-def test_the_kernel_is_its_twin_with_a_transform(size: float) -> None:
+def test_the_kernel_is_its_reference_with_a_transform(size: float) -> None:
     points = scan(5000, size=size)
     T = np.eye(4)
     T[:2, :2] = [[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]]
     T[:3, 3] = (0.513, -0.217, 1.83)
     fast = pillarize(points, SPEC, Z, T=T)
     same(fast, pillarize_torch(torch.from_numpy(points), SPEC, Z, T=torch.from_numpy(T).float()))
-    same(fast, pillarize(points, SPEC, Z, T=T[:3]), atol=0)
     assert len(fast.features) > 1000
 
 
-def test_the_kernel_says_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_kernels_give_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     points = scan(300, size=0.3)
     points[::50, 1] = np.nan
-    fast = pillarize(points, SPEC, Z, OWN)
-    monkeypatch.setattr(module, "_pillars", module._pillars.py_func)
-    same(fast, pillarize(points, SPEC, Z, OWN))
+    fast = pillarize(points, SPEC, Z, EGO)
+    for name in ("_find_cells", "_sort_by_cell", "_add_offsets"):
+        monkeypatch.setattr(module, name, getattr(module, name).py_func)
+    same(fast, pillarize(points, SPEC, Z, EGO))
 
 
 def test_one_point_by_hand() -> None:
@@ -133,10 +133,10 @@ def test_empty_and_one_point_scans(n: int) -> None:
         assert pillars.lengths.shape == pillars.cells.shape == (n,)
 
 
-def test_points_far_away_or_of_the_own_vehicle_are_left_out() -> None:
+def test_points_far_away_or_of_the_ego_vehicle_are_left_out() -> None:
     points = np.float32([[1e30, 0, 0, 0], [0, -3e38, 0, 0], [0, 0, 1e9, 0], [5.13, 0, 0, 0], [0, 0, 0, 0]])
     assert len(pillarize(points, SPEC).features) == 1
-    assert len(pillarize(points, SPEC, ego_footprint=OWN).features) == 0
+    assert len(pillarize(points, SPEC, ego_footprint=EGO).features) == 0
 
 
 def test_float64_points_beyond_float32_are_left_out_in_silence() -> None:
@@ -161,12 +161,11 @@ def test_points_without_intensity_have_none() -> None:
     same(bare, pillarize(points, SPEC), atol=0)
 
 
-def test_other_floats_and_columns_are_taken() -> None:
+def test_float64_and_fortran_order_are_accepted() -> None:
     points = scan(100)
     wanted = pillarize(points, SPEC)
     same(pillarize(points.astype(np.float64), SPEC), wanted, atol=0)
     same(pillarize(np.asfortranarray(points), SPEC), wanted, atol=0)
-    same(pillarize(np.concatenate([points, points], 1), SPEC), wanted, atol=0)
 
 
 @pytest.mark.parametrize(
@@ -174,21 +173,22 @@ def test_other_floats_and_columns_are_taken() -> None:
     [
         ([[0.0, 0.0, 0.0, 0.0]], TypeError, "got list"),
         (None, TypeError, "got NoneType"),
-        (np.zeros((5, 4), int), TypeError, "got int64"),
-        (np.zeros((5, 4), complex), TypeError, "got complex128"),
-        (np.zeros((5, 4), object), TypeError, "got object"),
+        (np.zeros((5, 4), int), TypeError, "got dtype int64"),
+        (np.zeros((5, 4), complex), TypeError, "got dtype complex128"),
+        (np.zeros((5, 4), object), TypeError, "got dtype object"),
         (np.zeros((5, 2)), ValueError, r"got \(5, 2\)"),
+        (np.zeros((5, 8)), ValueError, r"points\[:, :4\]"),
         (np.zeros(4), ValueError, r"got \(4,\)"),
         (np.zeros((1, 5, 4)), ValueError, r"got \(1, 5, 4\)"),
     ],
 )
-def test_what_are_no_points_is_refused(points: Any, error: type[Exception], message: str) -> None:
+def test_arrays_that_are_no_points_are_refused(points: Any, error: type[Exception], message: str) -> None:
     with pytest.raises(error, match=message):
         pillarize(points, SPEC)
 
 
-def test_what_is_no_transform_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"T must be .* got \(3, 3\)"):
+def test_a_matrix_that_is_no_transform_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"T must be .* got shape \(3, 3\)"):
         pillarize(scan(5), SPEC, T=np.eye(3))
 
 

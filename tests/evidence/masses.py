@@ -1,4 +1,4 @@
-"""Masses for the tests: strategies, shapes, and what each rule promises."""
+"""Masses for the tests: strategies, shapes, and the laws of each rule."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -67,7 +67,7 @@ def arrays_of_masses(
 
 @dataclass(frozen=True)
 class Laws:
-    """What a rule promises; the documentation's table says the same."""
+    """The laws of a rule, as in the table of the documentation."""
 
     associative: bool
     vacuous_is_neutral: bool

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from ogm import evidence
+from ogm.evidence.dirichlet import dirichlet_kl_gradient
 
 exponents = st.floats(-3, 7)
 laws = settings(max_examples=80, deadline=None)
@@ -143,3 +144,31 @@ def test_entropy_is_exact_around_the_begin_of_the_series(alpha: tuple) -> None:
     """Six terms of the asymptotic series give 1e-15 from 10 on, and only 1e-11 at 3."""
     exact = exact_entropy(np.array(alpha))
     assert abs(evidence.dirichlet_entropy(np.array(alpha)) - exact) <= 3e-14 * (1 + abs(exact))
+
+
+@pytest.mark.parametrize("states", [2, 3])
+def test_gradient_is_the_difference_quotient(states: int) -> None:
+    rng = np.random.default_rng(0)
+    alpha, other = 1 + 10 ** rng.uniform(-2, 2, (2, 200, states))
+    value, gradient = dirichlet_kl_gradient(alpha, other)
+    np.testing.assert_array_equal(value, evidence.dirichlet_kl(alpha, other))
+    for k in range(states):
+        step = 1e-5 * alpha[:, k, None] * np.eye(states)[k]
+        above, below = (evidence.dirichlet_kl(alpha + sign * step, other) for sign in (1, -1))
+        np.testing.assert_allclose(gradient[:, k], (above - below) / (2 * step[:, k]), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("states", [2, 3])
+def test_gradient_in_single_precision_is_that_in_double(states: int) -> None:
+    rng = np.random.default_rng(1)
+    alpha, other = (1 + 10 ** rng.uniform(-6, 5, (2, 5000, states))).astype(np.float32)
+    exact = dirichlet_kl_gradient(alpha.astype(float), other.astype(float))
+    for found in (
+        dirichlet_kl_gradient(alpha, other),
+        [one.numpy() for one in dirichlet_kl_gradient(torch.from_numpy(alpha), torch.from_numpy(other))],
+    ):
+        scale = 1 + other.sum(-1)  # of the terms that nearly cancel
+        assert [one.dtype for one in found] == [np.float32, np.float32]
+        assert found[0].min() >= 0
+        assert (abs(found[0] - exact[0]) <= 2e-6 * (exact[0] + scale)).all()
+        assert (abs(found[1] - exact[1]) <= 2e-6 * (abs(exact[1]) + scale[:, None])).all()

@@ -1,4 +1,4 @@
-"""Errors say what is wrong, where, what it is, and what would help. Nothing is repaired silently."""
+"""Errors state the fault, its place, the value and the way out. Nothing is repaired silently."""
 
 from typing import Any
 
@@ -61,17 +61,17 @@ BAD = {
 
 
 @pytest.mark.parametrize("function", OF_ONE.values(), ids=OF_ONE)
-@pytest.mark.parametrize(("values", "said"), BAD.values(), ids=BAD)
-def test_values_outside_the_simplex_are_refused(function: Any, values: list, said: str) -> None:
-    with pytest.raises(ValueError, match=f"tolerance 1e-12.*{said}.*renormalize"):
+@pytest.mark.parametrize(("values", "found"), BAD.values(), ids=BAD)
+def test_values_outside_the_simplex_are_refused(function: Any, values: list, found: str) -> None:
+    with pytest.raises(ValueError, match=f"tolerance 1e-12.*{found}.*renormalize"):
         function(np.array(values))
 
 
 @pytest.mark.parametrize("function", OF_TWO.values(), ids=OF_TWO)
-@pytest.mark.parametrize(("values", "said"), BAD.values(), ids=BAD)
-def test_rules_refuse_either_argument(function: Any, values: list, said: str) -> None:
+@pytest.mark.parametrize(("values", "found"), BAD.values(), ids=BAD)
+def test_rules_refuse_either_argument(function: Any, values: list, found: str) -> None:
     for arguments in ((GOOD, np.array(values)), (np.array(values), GOOD)):
-        with pytest.raises(ValueError, match=said):
+        with pytest.raises(ValueError, match=found):
             function(*arguments)
 
 

@@ -350,7 +350,11 @@ def test_deduction_follows_the_law_of_total_probability(masses: Any, base_rate: 
     evidence.check_mass(y, tolerance=tolerance(x))
     p = evidence.mass_to_probability(x, base_rate)
     p_true, p_false_alarm = (evidence.mass_to_probability(c, rate) for c in (if_true, if_false))
-    same(evidence.mass_to_probability(evidence.renormalize(y), rate), p * p_true + (1 - p) * p_false_alarm, times=5)
+    same(
+        evidence.mass_to_probability(evidence.renormalize(y), rate),
+        p * p_true + (1 - p) * p_false_alarm,
+        times=5,
+    )
 
 
 @three

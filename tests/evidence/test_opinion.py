@@ -31,8 +31,8 @@ def test_an_opinion_is_a_value() -> None:
     assert hash(opinion) == hash(Opinion(0.5, 0.2, 0.3))
     with pytest.raises(dataclasses.FrozenInstanceError):
         opinion.free = 0.1  # type: ignore[misc]
-    assert opinion.unknown == opinion.u == pytest.approx(0.3)
-    assert opinion.a == opinion.base_rate == 0.5
+    assert opinion.unknown == pytest.approx(0.3)
+    assert opinion.base_rate == 0.5
     assert opinion.probability == pytest.approx(0.35)
     np.testing.assert_array_equal(opinion.mass, (0.5, 0.2))
 

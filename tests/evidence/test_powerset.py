@@ -1,4 +1,4 @@
-"""General frames: transforms that invert each other, the binary rules' slow twin, frames of three states."""
+"""General frames: transforms that invert each other, the reference of the binary rules, frames of three states."""
 
 from itertools import product
 from typing import Any
@@ -174,7 +174,7 @@ def test_coarsening_undoes_refining() -> None:
     groups = [(0,), (1, 3), (2,)]
     mass = random_masses(3, (10,))
     np.testing.assert_array_equal(powerset.coarsen(powerset.refine(mass, groups), groups), mass)
-    # What refining says about a set of groups is what was said about the set.
+    # Beliefs in sets of groups do not change by refining.
     fine = powerset.refine(mass, groups)
     bel, fine_bel = powerset.mass_to_belief(mass), powerset.mass_to_belief(fine)
     np.testing.assert_allclose(fine_bel[:, powerset.subset(0, 1, 3)], bel[:, powerset.subset(0, 1)])

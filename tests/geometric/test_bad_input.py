@@ -9,12 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ogm import EvidentialGrid, GridSpec
-from ogm.geometric import HeightBandISM, RayISM
+from ogm import EvidentialGrid, GridSpec, Mount, Scan
+from ogm.geometric import HeightBandISM, RayISM, flat_ground
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(20.0, 20.0, 0.5)
-MODELS = [HeightBandISM(SPEC, 1.7), RayISM(SPEC, 1.7), HeightBandISM.as_released(SPEC)]
+MOUNT, NO_POINTS = Mount(1.7), np.empty((0, 4), np.float32)
+MODELS = [HeightBandISM(SPEC, MOUNT), RayISM(SPEC, MOUNT), HeightBandISM.as_released(SPEC)]
 both = pytest.mark.parametrize("ism", MODELS, ids=["height-band", "ray", "released"])
 
 
@@ -53,21 +54,42 @@ def test_one_point_anywhere(ism, point: tuple) -> None:
     EvidentialGrid(grid.spec, grid.mass)
 
 
+class Tensor:
+    """Has the method by which a torch tensor is recognised, without torch."""
+
+    def detach(self) -> None: ...
+
+
 @both
 @pytest.mark.parametrize(
-    ("points", "error", "says"),
+    ("points", "error", "message"),
     [
-        (np.zeros((5, 2), np.float32), ValueError, r"\(N, 4\).*got \(5, 2\)"),
-        (np.zeros(4, np.float32), ValueError, r"got \(4,\)"),
-        (np.zeros((2, 5, 4), np.float32), ValueError, "got"),
-        (np.zeros((5, 4), np.int32), TypeError, "float array.*int32"),
-        ([[1.0, 2.0, 3.0, 4.0]], TypeError, "list"),
-        (np.zeros((5, 4), complex), TypeError, "complex"),
+        (np.zeros((5, 2), np.float32), ValueError, r"\(N, 4\).*got \(5, 2\)$"),
+        (np.zeros((5, 6), np.float32), ValueError, r"got \(5, 6\); give points\[:, :4\]$"),
+        (np.zeros((3, 50), np.float32), ValueError, r"got \(3, 50\); give points\.T$"),
+        (np.zeros((4, 50), np.float32), ValueError, r"got \(4, 50\); give points\.T$"),
+        (np.zeros(4, np.float32), ValueError, r"got \(4,\)$"),
+        (np.zeros((2, 5, 4), np.float32), ValueError, r"got \(2, 5, 4\)$"),
+        (np.zeros((5, 4), np.int32), TypeError, r"int32; give points\.astype\(np\.float32\), in metres$"),
+        (np.zeros((5, 4), complex), TypeError, r"complex128; give points\.astype"),
+        ([[1.0, 2.0, 3.0, 4.0]], TypeError, r"got list; give np\.asarray\(points, np\.float32\)$"),
+        (Tensor(), TypeError, r"torch tensor; give points\.detach\(\)\.cpu\(\)\.numpy\(\)$"),
+        (None, TypeError, "got NoneType"),
     ],
 )
-def test_what_is_no_cloud_is_refused(ism, points, error: type, says: str) -> None:
-    with pytest.raises(error, match=says):
+def test_what_is_no_cloud_is_refused_with_the_fix(ism, points, error: type, message: str) -> None:
+    with pytest.raises(error, match=message):
         ism(points)
+
+
+def test_a_torch_tensor_is_refused_and_the_fix_works() -> None:
+    torch = pytest.importorskip("torch")
+    points = torch.rand(30, 4)
+    with pytest.raises(TypeError, match="give points.detach"):
+        MODELS[1](points)
+    np.testing.assert_array_equal(
+        MODELS[1](points.detach().cpu().numpy()).mass, MODELS[1](points.numpy()).mass
+    )
 
 
 @both
@@ -76,7 +98,7 @@ def test_layout_and_precision_do_not_matter(ism) -> None:
     points = rng.uniform((-9, -9, -1.7, 0), (9, 9, 1, 1), (200, 4)).astype(np.float32)
     wide = np.zeros((400, 6), np.float32)
     wide[::2, :4] = points
-    for same in (points.astype(np.float64), np.asfortranarray(points), wide[::2], points[:, :3]):
+    for same in (points.astype(np.float64), np.asfortranarray(points), wide[::2, :4], points[:, :3]):
         np.testing.assert_array_equal(ism(same).mass, ism(points).mass)
     points.flags.writeable = False
     ism(points)
@@ -90,26 +112,20 @@ def test_ten_million_points(caplog: pytest.LogCaptureFixture) -> None:
         assert grid.occupied.mean() > 0.5
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"sensor_height": 0.0}, "sensor_height"),
-        ({"sensor_height": float("nan")}, "sensor_height"),
-        ({"points_in": "map"}, "points_in"),
-        ({"T_vehicle_sensor": np.eye(3)}, "T_vehicle_sensor must be a 4x4"),
-        ({"T_vehicle_sensor": pose(15, 0, 0)}, "outside the grid.*move or enlarge"),
-        ({"ego_footprint": (1, 0, 0, 1)}, "ego_footprint"),
-        ({"ego_footprint": (0, math.inf, 0, 1)}, "ego_footprint"),
-    ],
-)
 @pytest.mark.parametrize("model", [HeightBandISM, RayISM])
-def test_impossible_mounts_are_refused(model: type, options: dict, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        model(SPEC, **{"sensor_height": 1.7, **options})
+def test_a_sensor_outside_the_grid_is_refused(model: type) -> None:
+    with pytest.raises(ValueError, match=r"sensor at x=15, y=0 m lies outside the grid.*move or enlarge"):
+        model(SPEC, Mount(1.7, pose(15, 0, 0)))
+
+
+@pytest.mark.parametrize("model", [HeightBandISM, RayISM])
+def test_a_number_instead_of_a_mount_is_refused_with_the_fix(model: type) -> None:
+    with pytest.raises(TypeError, match=r"ogm\.Mount, got 1\.7; give Mount\(sensor_height=\.\.\.\)"):
+        model(SPEC, 1.7)
 
 
 @pytest.mark.parametrize(
-    ("model", "options", "says"),
+    ("model", "options", "message"),
     [
         (HeightBandISM, {"z_min": 2.0}, "z_min must lie below"),
         (HeightBandISM, {"evidence": 0.0}, "evidence"),
@@ -117,7 +133,7 @@ def test_impossible_mounts_are_refused(model: type, options: dict, says: str) ->
         (HeightBandISM, {"min_range": -1.0}, "min_range"),
         (HeightBandISM, {"supersampling": 0}, "factor"),
         (RayISM, {"obstacle_height": 3.0}, "below clearance"),
-        (RayISM, {"p_miss": 1.0}, "p_pass must lie between 0 and 1"),
+        (RayISM, {"p_miss": 1.0}, "p_miss must lie between 0 and 1"),
         (RayISM, {"p_false_alarm": 0.0}, "p_false_alarm"),
         (RayISM, {"max_mass": 1.5}, "max_mass"),
         (RayISM, {"range_noise": -0.1}, "range_noise"),
@@ -128,37 +144,27 @@ def test_impossible_mounts_are_refused(model: type, options: dict, says: str) ->
         (RayISM, {"max_range": 1e300}, "max_range"),
     ],
 )
-def test_impossible_numbers_are_refused(model: type, options: dict, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        model(SPEC, 1.7, **options)
+def test_impossible_numbers_are_refused(model: type, options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        model(SPEC, MOUNT, **options)
 
 
-@pytest.mark.parametrize("shape", [(3,), (5, 4)])
-def test_missing_must_be_directions(shape: tuple) -> None:
-    with pytest.raises(ValueError, match=r"shape \(M, 3\)"):
-        MODELS[1](np.empty((0, 4), np.float32), np.zeros(shape, np.float32))
-
-
-def test_missing_must_be_an_array() -> None:
-    with pytest.raises(ValueError, match=r"shape \(M, 3\), got list"):
-        MODELS[1](np.empty((0, 4), np.float32), [[1.0, 0.0, 0.0]])
-
-
-def test_own_box_may_be_any_four_numbers() -> None:
-    points = np.array([[0.5, 0.5, -0.9, 0]], np.float32)
-    assert (RayISM(SPEC, 1.7, ego_footprint=[-1, 1, -1, 1])(points).mass == 0).all()
+@pytest.mark.parametrize("shape", [(3,), (5, 4), (3, 5, 3)])
+def test_no_returns_must_be_directions(shape: tuple) -> None:
+    with pytest.raises(ValueError, match=r"no_returns must be directions of shape \(M, 3\), got"):
+        MODELS[1](Scan(NO_POINTS, no_returns=np.zeros(shape, np.float32)))
 
 
 def test_directions_that_are_none_clear_nothing() -> None:
     odd = np.array([[np.nan, 0, 0], [0, 0, 1], [np.inf, 1, 1], [0, 0, 0]], np.float32)
-    assert (MODELS[1](np.empty((0, 4), np.float32), odd).mass == 0).all()
+    assert (MODELS[1](Scan(NO_POINTS, no_returns=odd)).mass == 0).all()
 
 
 def test_a_grid_of_one_cell() -> None:
     spec = GridSpec.centered(0.5, 0.5, 0.5)
     points = np.array([[0.1, 0.1, -0.5, 0], [5, 5, -1.7, 0]], np.float32)
     for model in (HeightBandISM, RayISM):
-        assert model(spec, 1.7)(points).mass.shape == (1, 1, 2)
+        assert model(spec, MOUNT)(points).mass.shape == (1, 1, 2)
 
 
 def test_models_can_run_in_several_threads() -> None:
@@ -175,11 +181,28 @@ def test_models_can_run_in_several_threads() -> None:
                 np.testing.assert_array_equal(got.mass, want)
 
 
+def test_a_ground_function_may_keep_the_points_it_is_given() -> None:
+    """The points of one scan are not overwritten by the next, and nothing of a grid is shared with another."""
+    kept = []
+
+    def keep(xyz: np.ndarray, spec: GridSpec, ground_point: tuple) -> np.ndarray:
+        kept.append((xyz, xyz.copy()))
+        return flat_ground(xyz, spec, ground_point)
+
+    ism, rng = RayISM(SPEC, MOUNT, ground=keep), np.random.default_rng(2)
+    clouds = rng.uniform((-9, -9, -1.7, 0), (9, 9, 1, 1), (4, 300, 4)).astype(np.float32)
+    grids = [ism(cloud) for cloud in clouds]
+    for xyz, before in kept:
+        np.testing.assert_array_equal(xyz, before)
+    for grid, cloud in zip(grids, clouds, strict=True):
+        np.testing.assert_array_equal(grid.mass, ism(cloud).mass)
+
+
 @pytest.mark.parametrize(
     "height", [np.zeros((3, 3), np.float32), np.full((20, 20), np.nan), [0.0], np.zeros((20, 20, 1))]
 )
 def test_a_ground_estimate_that_returns_nonsense_is_refused(height) -> None:
-    ism = RayISM(SPEC, 1.7, ground=lambda xyz, spec, ground_point: height)
+    ism = RayISM(SPEC, MOUNT, ground=lambda xyz, spec, ground_point: height)
     with pytest.raises(ValueError, match=r"ground estimate must return \(20, 20\) finite heights"):
         ism(np.zeros((1, 4), np.float32))
 
@@ -189,4 +212,4 @@ def test_a_ground_estimate_that_returns_nonsense_is_refused(height) -> None:
 )
 def test_a_grid_longer_than_the_kernels_count_is_refused(spec: GridSpec) -> None:
     with pytest.raises(ValueError, match="use coarser cells or a smaller grid"):
-        RayISM(spec, 1.7)(np.zeros((1, 4), np.float32))
+        RayISM(spec, MOUNT)(np.zeros((1, 4), np.float32))

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ogm import GridSpec, read_points
-from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, twins
+from ogm import GridSpec, Mount, read_points
+from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, reference
 
 SPEC = GridSpec.centered(60.0, 60.0, 1.0)
-FOOT = (0.0, 0.0, -1.8)
+GROUND_POINT = (0.0, 0.0, -1.8)
 
 
 def hill(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -33,24 +33,24 @@ def scene(seed: int = 0, noise: float = 0.02) -> tuple[np.ndarray, np.ndarray]:
 
 def test_local_ground_follows_slopes_under_cars_walls_and_crowns() -> None:
     xyz, is_ground = scene()
-    above = xyz[:, 2] - ground_height(local_ground(xyz, SPEC, FOOT), SPEC, xyz)
+    above = xyz[:, 2] - ground_height(local_ground(xyz, SPEC, GROUND_POINT), SPEC, xyz)
     assert np.abs(above[is_ground]).mean() < 0.04
     assert (above[is_ground] < 0.15).mean() > 0.99
     assert (above[~is_ground & (xyz[:, 2] - hill(xyz[:, 0], xyz[:, 1]) > 0.3)] > 0.15).mean() > 0.99
-    flat = xyz[:, 2] - ground_height(flat_ground(xyz, SPEC, FOOT), SPEC, xyz)
+    flat = xyz[:, 2] - ground_height(flat_ground(xyz, SPEC, GROUND_POINT), SPEC, xyz)
     assert (
         flat[is_ground] < 0.15
     ).mean() < 0.7  # the plane fails here, which is why there is a local estimate
 
 
 @pytest.mark.parametrize("depth", [0.6, 3.0, 20.0])
-def test_mirror_images_below_ground_do_not_pull_it_down(depth: float) -> None:
+def test_ghost_returns_below_ground_do_not_pull_it_down(depth: float) -> None:
     xyz, is_ground = scene()
     rng = np.random.default_rng(1)
     stray = rng.uniform((8, -14, 0), (10, -12, 0), (60, 3))
     stray[:, 2] = hill(stray[:, 0], stray[:, 1]) - depth - rng.uniform(0, 0.5, 60)
     both = np.concatenate([xyz, stray.astype(np.float32)])
-    above = xyz[:, 2] - ground_height(local_ground(both, SPEC, FOOT), SPEC, xyz)
+    above = xyz[:, 2] - ground_height(local_ground(both, SPEC, GROUND_POINT), SPEC, xyz)
     assert (np.abs(above[is_ground]) < 0.15).mean() > 0.985
 
 
@@ -62,7 +62,9 @@ def test_a_few_strays_under_a_thin_layer_of_road_do_not_lower_it() -> None:
     cell[:, 2] = hill(cell[:, 0], cell[:, 1]) + rng.normal(0, 0.01, 320)
     cell[:20, 2] -= 0.38
     both = np.concatenate([xyz, cell.astype(np.float32)])
-    above = cell[20:, 2] - ground_height(local_ground(both, SPEC, FOOT), SPEC, cell[20:].astype(np.float32))
+    above = cell[20:, 2] - ground_height(
+        local_ground(both, SPEC, GROUND_POINT), SPEC, cell[20:].astype(np.float32)
+    )
     assert (np.abs(above) < 0.1).mean() > 0.95
 
 
@@ -70,19 +72,21 @@ def test_returns_that_no_road_leads_down_to_are_not_ground() -> None:
     """A cell near the car with both road and deep strays keeps its road."""
     xyz, _ = scene()
     stray = np.array([[6.5, 0.5, -5.0], [6.6, 0.4, -4.0]], np.float32)
-    height = local_ground(np.concatenate([xyz, stray]), SPEC, FOOT)
-    np.testing.assert_allclose(height, local_ground(xyz, SPEC, FOOT), atol=1e-6)
+    height = local_ground(np.concatenate([xyz, stray]), SPEC, GROUND_POINT)
+    np.testing.assert_allclose(height, local_ground(xyz, SPEC, GROUND_POINT), atol=1e-6)
 
 
-def test_a_large_cloud_is_thinned_and_says_the_same() -> None:
+def test_a_large_cloud_is_thinned_and_gives_the_same() -> None:
     xyz, is_ground = scene()
     many = np.repeat(xyz, 5, axis=0)
-    above = xyz[:, 2] - ground_height(local_ground(many, SPEC, FOOT), SPEC, xyz)
+    above = xyz[:, 2] - ground_height(local_ground(many, SPEC, GROUND_POINT), SPEC, xyz)
     assert (np.abs(above[is_ground]) < 0.15).mean() > 0.99
-    np.testing.assert_array_equal(local_ground(many, SPEC, FOOT), local_ground(many[::4], SPEC, FOOT))
+    np.testing.assert_array_equal(
+        local_ground(many, SPEC, GROUND_POINT), local_ground(many[::4], SPEC, GROUND_POINT)
+    )
 
 
-def test_a_foot_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
+def test_a_ground_point_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
     with pytest.raises(ValueError, match="must lie inside the grid"):
         local_ground(np.zeros((1, 3), np.float32), SPEC, (99.0, 0.0, 0.0))
     with pytest.raises(ValueError, match="2 x 2 cells"):
@@ -96,7 +100,7 @@ def test_a_foot_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("shape", [(12, 9), (2, 2), (2, 7), (13, 2)])
-def test_local_ground_equals_its_twin(seed: int, shape: tuple[int, int]) -> None:
+def test_local_ground_equals_its_reference(seed: int, shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(seed)
     spec = GridSpec(1.0, shape, (-shape[0] / 2, -shape[1] / 2))
     xy = rng.uniform((-7, -5), (7, 5), (250, 2))
@@ -104,7 +108,7 @@ def test_local_ground_equals_its_twin(seed: int, shape: tuple[int, int]) -> None
     xyz = np.column_stack([xy, hill(*xy.T) + above + rng.normal(0, 0.02, 250)]).astype(np.float32)
     ground_point = (0.3, -0.2, -1.8)
     fast = local_ground(xyz, spec, ground_point)
-    slow = twins.ground_map(xyz, ground_point, spec, 0.25, 0.15, 0.4, 0.25)
+    slow = reference.ground_map(xyz, ground_point, spec, 0.25, 0.15, 0.4, 0.25)
     np.testing.assert_allclose(fast, slow, atol=1e-4)
 
 
@@ -113,7 +117,7 @@ def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
     x, y = rng.uniform(-25, 25, (2, 60_000))
     z = np.where(np.abs(y) > 4, 0.14, 0.0) - 1.8 + rng.normal(0, 0.01, len(x))
     xyz = np.stack([x, y, z], 1).astype(np.float32)
-    above = z - ground_height(local_ground(xyz, SPEC, FOOT), SPEC, xyz)
+    above = z - ground_height(local_ground(xyz, SPEC, GROUND_POINT), SPEC, xyz)
     assert np.abs(above[np.abs(y) < 3]).mean() < 0.03
     assert np.abs(above[np.abs(y) > 6]).mean() < 0.03
     assert (
@@ -123,14 +127,14 @@ def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
 
 def test_without_points_the_ground_is_the_plane_under_the_sensor() -> None:
     for estimate in (flat_ground, local_ground):
-        height = estimate(np.empty((0, 3), np.float32), SPEC, FOOT)
+        height = estimate(np.empty((0, 3), np.float32), SPEC, GROUND_POINT)
         assert height.shape == SPEC.shape
         np.testing.assert_allclose(height, -1.8, atol=1e-6)
 
 
 def test_a_wall_next_to_the_sensor_is_not_ground() -> None:
     wall = np.array([(4.0, y, z) for y in np.linspace(-3, 3, 50) for z in (0.0, 0.5)], np.float32)
-    above = wall[:, 2] - ground_height(local_ground(wall, SPEC, FOOT), SPEC, wall)
+    above = wall[:, 2] - ground_height(local_ground(wall, SPEC, GROUND_POINT), SPEC, wall)
     assert (above > 0.5).all()
 
 
@@ -145,7 +149,7 @@ def test_patchwork_adapter_agrees_with_the_plane_where_it_is_one() -> None:
     pytest.importorskip("pypatchworkpp")
     xyz, _ = scene()
     xyz[:, 2] -= hill(xyz[:, 0], xyz[:, 1]).astype(np.float32) + np.float32(1.8)
-    height = patchwork_ground(xyz, SPEC, FOOT)
+    height = patchwork_ground(xyz, SPEC, GROUND_POINT)
     near = np.hypot(*np.broadcast_arrays(*SPEC.cell_centers)) < 15
     assert np.abs(height[near] + 1.8).mean() < 0.1
     shifted = patchwork_ground(xyz + np.float32([0, 0, 1.8]), SPEC, (0.0, 0.0, 0.0))
@@ -156,8 +160,8 @@ def test_ray_model_takes_any_ground() -> None:
     spec = GridSpec.centered(40.0, 40.0, 0.5)
     xyz, _ = scene()
     points = np.pad(xyz, ((0, 0), (0, 1)))
-    local = RayISM(spec, 1.8)(points)
-    flat = RayISM(spec, 1.8, ground=flat_ground)(points)
+    local = RayISM(spec, Mount(1.8))(points)
+    flat = RayISM(spec, Mount(1.8), ground=flat_ground)(points)
     ahead = (slice(spec.index(12, 0)[0], None), slice(*spec.index(0, [-3.0, 3.0])[1]))
     assert (flat.occupied[ahead] > 0.5).mean() > 0.5  # 8 % of 12 m is a metre: the plane sees a wall
     assert (local.occupied[ahead] > 0.5).mean() < 0.1
@@ -167,7 +171,7 @@ def test_slope_of_a_real_road_is_not_an_obstacle(real) -> None:
     """SUSTechPOINTS: the road rises around the car; its plane estimate would mark it."""
     points = read_points(real("sustechpoints/lidar/000970.pcd.xz"), axes="sustech")
     spec = GridSpec.centered(81.92, 56.32, 0.16)
-    local, flat = RayISM(spec, 1.8)(points), RayISM(spec, 1.8, ground=flat_ground)(points)
+    local, flat = RayISM(spec, Mount(1.8))(points), RayISM(spec, Mount(1.8), ground=flat_ground)(points)
     road = (slice(spec.index(15, 0)[0], spec.index(25, 0)[0]), slice(*spec.index(0, [-10.0, 10.0])[1]))
     assert (flat.occupied[road] > 0.5).mean() > 2 * (local.occupied[road] > 0.5).mean()
     assert (local.free[road] > 0.5).mean() > 0.5

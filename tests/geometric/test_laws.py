@@ -5,13 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from ogm import GridSpec
+from ogm import GridSpec, Mount, Scan
 from ogm.geometric import HeightBandISM, RayISM, flat_ground
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(7.0, 7.0, 1.0)  # 7 x 7 cells, the sensor in the middle of (3, 3)
 HEIGHT = 1.5
-NO_BOX = (0.0, 0.0, 0.0, 0.0)
+MOUNT = Mount(HEIGHT)
+NO_POINTS = np.zeros((0, 4), np.float32)
+NO_FOOTPRINT = (0.0, 0.0, 0.0, 0.0)
 
 
 def at(*cells: tuple[float, float, float]) -> np.ndarray:
@@ -29,7 +31,7 @@ def drawing(grid) -> list[str]:
 
 def test_height_band_by_hand() -> None:
     points = at((3, 0, 1.0), (0, 2, 1.9), (-3, -3, 0.6), (0, -2, 0.4), (0, -3, 2.1))
-    assert drawing(HeightBandISM(SPEC, HEIGHT)(points)) == [
+    assert drawing(HeightBandISM(SPEC, MOUNT)(points)) == [
         "...O...",
         "...f...",
         "...f...",
@@ -43,14 +45,14 @@ def test_height_band_by_hand() -> None:
 def test_height_band_evidence_is_a_belief() -> None:
     points = at((3, 0, 1.0))
     for evidence, belief in ((1.0, 1 / 3), (10.0, 10 / 12), (2.0, 0.5)):
-        grid = HeightBandISM(SPEC, HEIGHT, evidence=evidence)(points)
+        grid = HeightBandISM(SPEC, MOUNT, evidence=evidence)(points)
         assert grid.occupied.max() == pytest.approx(belief)
         assert grid.free.max() == pytest.approx(belief)
         assert grid.at(3, 0).occupied == pytest.approx(belief)
 
 
 def test_height_band_clears_up_to_the_border_for_returns_beyond() -> None:
-    assert drawing(HeightBandISM(SPEC, HEIGHT)(at((9, 0, 1.0))))[:4] == [
+    assert drawing(HeightBandISM(SPEC, MOUNT)(at((9, 0, 1.0))))[:4] == [
         "...f...",
         "...f...",
         "...f...",
@@ -60,7 +62,7 @@ def test_height_band_clears_up_to_the_border_for_returns_beyond() -> None:
 
 def test_height_band_stops_at_the_first_obstacle() -> None:
     """A return beyond the border whose way is blocked clears nothing behind, its exit cell included."""
-    grid = HeightBandISM(SPEC, HEIGHT)(at((9, 0, 1.0), (2, 0, 1.0)))
+    grid = HeightBandISM(SPEC, MOUNT)(at((9, 0, 1.0), (2, 0, 1.0)))
     assert drawing(grid)[:4] == [".......", "...O...", "...f...", "...f..."]
 
 
@@ -87,7 +89,7 @@ def test_free_cells_lie_before_the_first_hit() -> None:
     ground = [
         (x, y, 0.0) for x in np.arange(2.5, 6.0, 0.2) for y in np.arange(-4, 4, 0.1) if abs(y) < 0.6 * x
     ]
-    grid = RayISM(spec, HEIGHT)(at(*wall, *ground))
+    grid = RayISM(spec, MOUNT)(at(*wall, *ground))
     assert grid.at(4.0, 0.5).free > 0.9
     assert grid.at(6.1, 0.0).occupied > 0.75
     behind = grid.mass[spec.index(7.0, 0)[0] :, slice(*spec.index(0, [-3.0, 3.0])[1])]
@@ -97,36 +99,36 @@ def test_free_cells_lie_before_the_first_hit() -> None:
 def test_ground_returns_clear_and_do_not_mark() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.5)
     ring = [(6 * math.cos(a), 6 * math.sin(a), 0.0) for a in np.arange(0, 2 * math.pi, 0.002)]
-    grid = RayISM(spec, HEIGHT)(at(*ring))
+    grid = RayISM(spec, MOUNT)(at(*ring))
     assert grid.occupied.max() == 0
     assert grid.at(6.0, 0.2).free > 0.7
     assert grid.at(7.0, 0.2).free == 0
-    band = HeightBandISM(spec, HEIGHT)(at(*ring))
+    band = HeightBandISM(spec, MOUNT)(at(*ring))
     assert (band.mass == 0).all()  # the baseline learns nothing from ground
 
 
 def test_overhanging_structure_does_not_mark_and_its_rays_still_clear() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.5)
     bridge = [(5.0, y, z) for y in np.arange(-2, 2, 0.01) for z in (2.2, 4.0)]
-    grid = RayISM(spec, 1.9)(at(*bridge) + np.float32([0, 0, HEIGHT - 1.9, 0]))
+    grid = RayISM(spec, Mount(1.9))(at(*bridge) + np.float32([0, 0, HEIGHT - 1.9, 0]))
     assert grid.occupied.max() == 0
-    assert grid.at(3.0, 0.2).free < 0.2  # nearly level rays at 1.9 m say little about the ground
+    assert grid.at(3.0, 0.2).free < 0.2  # nearly level rays at 1.9 m hardly clear the ground
     assert grid.at(9.0, 0.0).free == 0
 
 
-def test_a_ray_says_less_the_higher_it_passes() -> None:
+def test_a_ray_clears_less_the_higher_it_passes() -> None:
     spec = GridSpec.centered(40.0, 4.0, 0.5)
-    ism = RayISM(spec, 1.8, ground=flat_ground)
+    ism = RayISM(spec, Mount(1.8), ground=flat_ground)
     fan = np.array([(18.0, y, -1.8, 0) for y in np.linspace(-0.3, 1.8, 4000)], np.float32)
     free = ism(fan).free[spec.index(6.0, 0)[0] : spec.index(17.0, 0)[0], 4]
-    assert (np.diff(free) > 0).mean() > 0.9  # the rays come down, and say more
+    assert (np.diff(free) > 0).mean() > 0.9  # the rays come down, and clear more
     np.testing.assert_allclose(free, 1 - 1.8 * (1 - np.arange(6.25, 17, 0.5) / 18) / 2, atol=0.1)
 
 
 def test_many_rays_over_a_roof_do_not_clear_what_is_below() -> None:
     """However many rays pass at 1.6 m, an obstacle lower than that would go unnoticed."""
     spec = GridSpec.centered(40.0, 8.0, 0.5)
-    ism = RayISM(spec, 1.8, ground=flat_ground)
+    ism = RayISM(spec, Mount(1.8), ground=flat_ground)
     over = np.array([(19.0, y, -0.2, 0) for y in np.linspace(-0.4, 0.4, 5000)], np.float32)
     assert ism(over).at(9.0, 0.1).free < 0.25
 
@@ -137,37 +139,37 @@ def test_shadows_stay_unknown() -> None:
     scene += [
         (r * math.cos(a), r * math.sin(a), 0.0) for r in range(3, 15) for a in np.arange(0.25, 6.03, 0.01)
     ]
-    grid = RayISM(spec, HEIGHT)(at(*scene))
+    grid = RayISM(spec, MOUNT)(at(*scene))
     shadow = grid.mass[spec.index(6.0, 0)[0] : spec.index(14.0, 0)[0], spec.index(0, 0.0)[1]]
     assert (shadow == 0).all()
     assert grid.at(-10.0, 1.0).free > 0.3
 
 
-def test_own_vehicle_is_dropped_and_stays_unknown() -> None:
+def test_returns_from_the_ego_vehicle_are_dropped_and_its_cells_stay_unknown() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.25)
-    own = at((1.0, 0.5, 1.4), (-1.2, -0.9, 1.0))
-    assert (RayISM(spec, HEIGHT)(own).mass == 0).all()
-    assert RayISM(spec, HEIGHT, ego_footprint=NO_BOX)(own).occupied.max() > 0.5
-    assert HeightBandISM(spec, HEIGHT)(own).occupied.max() > 0.5  # the paper's text knows no own vehicle
+    ego = at((1.0, 0.5, 1.4), (-1.2, -0.9, 1.0))
+    assert (RayISM(spec, MOUNT)(ego).mass == 0).all()
+    assert RayISM(spec, Mount(HEIGHT, ego_footprint=NO_FOOTPRINT))(ego).occupied.max() > 0.5
+    assert HeightBandISM(spec, MOUNT)(ego).occupied.max() > 0.5  # the paper's text drops none
+    assert (HeightBandISM(spec, MOUNT, drop_ego_returns=True)(ego).mass == 0).all()
 
 
-def test_returns_far_below_ground_say_nothing() -> None:
+def test_returns_far_below_ground_have_no_effect() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.5)
-    assert (RayISM(spec, HEIGHT)(at((6.0, 0.3, -3.0), (4.0, 2.0, -25.0))).mass == 0).all()
+    assert (RayISM(spec, MOUNT)(at((6.0, 0.3, -3.0), (4.0, 2.0, -25.0))).mass == 0).all()
 
 
-def test_beams_without_a_return_clear_the_ground_they_pass() -> None:
+def test_beams_without_echo_clear_the_ground_they_pass() -> None:
     spec = GridSpec.centered(40.0, 40.0, 0.5)
-    ism = RayISM(spec, HEIGHT, max_range=15.0)
-    none = np.zeros((0, 4), np.float32)
+    ism = RayISM(spec, MOUNT, max_range=15.0)
     level = np.array([(math.cos(a), math.sin(a), -0.05) for a in np.linspace(0, 0.2, 400)], np.float32)
     level /= np.linalg.norm(level, axis=1, keepdims=True)
-    grid = ism(none, level)
+    grid = ism(Scan(NO_POINTS, no_returns=level))
     assert grid.at(10.0, 1.0).free > 0.3
     assert grid.at(18.0, 1.0).free == 0  # beyond max_range
     assert grid.at(-10.0, 1.0).free == 0
     down = np.array([(math.cos(0.1), math.sin(0.1), -0.5)], np.float32).repeat(400, axis=0)
-    assert ism(none, down).at(10.0, 1.0).free == 0  # behind where it met the ground
+    assert ism(Scan(NO_POINTS, no_returns=down)).at(10.0, 1.0).free == 0  # behind where it met the ground
 
 
 @pytest.mark.parametrize("quarter", [1, 2, 3])
@@ -176,7 +178,7 @@ def test_rotating_points_rotates_the_grid(model: type, quarter: int) -> None:
     rng = np.random.default_rng(5)
     spec = GridSpec.centered(20.5, 20.5, 0.5)  # odd: the sensor in the middle of a cell
     points = at(*rng.uniform((-9, -9, -0.05), (9, 9, 2.5), (400, 3)))
-    ism = model(spec, HEIGHT, ego_footprint=NO_BOX)
+    ism = model(spec, Mount(HEIGHT, ego_footprint=NO_FOOTPRINT))
     turned = points.copy()
     for _ in range(quarter):
         turned[:, 0], turned[:, 1] = -turned[:, 1], turned[:, 0].copy()
@@ -193,14 +195,14 @@ def test_points_in_the_vehicles_frame_give_the_same_grid() -> None:
     vehicle = sensor.copy()
     vehicle[:, :3] = sensor[:, :3] @ T[:3, :3].T + T[:3, 3]
     for model in (HeightBandISM, RayISM):
-        one = model(spec, HEIGHT, T_vehicle_sensor=T)(sensor)
-        other = model(spec, HEIGHT, T_vehicle_sensor=T, points_in="vehicle")(vehicle)
+        one = model(spec, Mount(HEIGHT, T))(sensor)
+        other = model(spec, Mount(HEIGHT, T, points_in="vehicle"))(vehicle)
         assert (np.abs(one.mass - other.mass) > 1e-3).any(-1).mean() < 0.01
 
 
 def test_rays_start_at_the_sensor_and_not_at_the_vehicles_origin() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.5)
-    ism = HeightBandISM(spec, 1.5, T_vehicle_sensor=pose(4.0, 0.0, 1.5), points_in="vehicle")
+    ism = HeightBandISM(spec, Mount(1.5, pose(4.0, 0.0, 1.5), points_in="vehicle"))
     grid = ism(np.array([[4.2, 6.2, 1.0, 0]], np.float32))
     assert grid.at(4.2, 3.0).free > 0
     assert grid.at(2.0, 3.0).free == 0
@@ -212,29 +214,31 @@ def test_a_pitched_mount_is_levelled() -> None:
     T = pose(0, 0, 0, pitch=0.2)
     tilted = ring.copy()
     tilted[:, :3] = ring[:, :3] @ T[:3, :3]
-    grid = RayISM(spec, 1.5, T_vehicle_sensor=T, ground=flat_ground)(tilted.astype(np.float32))
+    grid = RayISM(spec, Mount(1.5, T), ground=flat_ground)(tilted.astype(np.float32))
     assert grid.occupied.max() == 0
-    assert RayISM(spec, 1.5, ground=flat_ground)(tilted.astype(np.float32)).occupied.max() > 0.5
+    assert RayISM(spec, Mount(1.5), ground=flat_ground)(tilted.astype(np.float32)).occupied.max() > 0.5
 
 
-def test_passing_rays_doubt_a_lone_return_only_as_far_as_they_are_relied_on() -> None:
+def test_passing_rays_lower_the_belief_in_a_lone_return_only_as_far_as_they_are_reliable() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.5)
     scene = at(*[(8.0, 0.001 * k, 0.0) for k in range(800)], (6.2, 0.2, 0.5))
 
     def lone(reliability: float):
-        return RayISM(spec, HEIGHT, ground=flat_ground, free_reliability_at_hits=reliability)(scene).at(6.2, 0.2)
+        return RayISM(spec, MOUNT, ground=flat_ground, free_reliability_at_hits=reliability)(scene).at(
+            6.2, 0.2
+        )
 
     assert lone(0.0).occupied == pytest.approx(0.95)
     assert lone(1.0).occupied < 0.45
-    assert lone(1.0).unknown > 0.3  # the conflict is ignorance (Yager), not a coin toss
+    assert lone(1.0).unknown > 0.3  # the conflict goes to unknown (Yager)
     assert lone(1.0).occupied < lone(0.2).occupied < lone(0.0).occupied
 
 
 @pytest.mark.parametrize("height", [1.9, 3.0, 5.0])
-def test_rays_above_clearance_take_nothing_from_what_others_know(height: float) -> None:
+def test_rays_above_clearance_take_nothing_from_what_others_clear(height: float) -> None:
     """A facade behind free ground, hit well above clearance, changes no cell before it."""
     spec = GridSpec.centered(80.0, 4.0, 0.5)
-    ism = RayISM(spec, height, ground=flat_ground)
+    ism = RayISM(spec, Mount(height), ground=flat_ground)
     ground = [(x, y, -height, 0) for x in np.arange(6, 30, 0.5) for y in np.arange(-1, 1, 0.02)]
     facade = [(38.0, y, z - height, 0) for z in (2.2, 3.0, 6.0) for y in np.arange(-2, 2, 0.02)]
     alone = ism(np.array(ground, np.float32))
@@ -246,7 +250,7 @@ def test_rays_above_clearance_take_nothing_from_what_others_know(height: float) 
 
 def test_on_a_falling_road_high_rays_take_nothing_either() -> None:
     spec = GridSpec.centered(80.0, 4.0, 0.5)
-    ism = RayISM(spec, 1.9)
+    ism = RayISM(spec, Mount(1.9))
     x, y = np.meshgrid(np.arange(4, 36, 0.25), np.arange(-1.5, 1.5, 0.05))
     road = np.stack([x, y, -1.9 - 0.1 * x, 0 * x], -1).reshape(-1, 4)
     facade = np.array(
@@ -259,11 +263,11 @@ def test_on_a_falling_road_high_rays_take_nothing_either() -> None:
     assert alone.at(26.0, 0.1).free > 0.4
 
 
-def test_directions_of_missing_beams_turn_with_the_mount() -> None:
+def test_directions_of_beams_without_echo_turn_with_the_mount() -> None:
     spec = GridSpec.centered(40.0, 40.0, 0.5)
-    ism = RayISM(spec, HEIGHT, T_vehicle_sensor=pose(yaw=math.pi / 2))
+    ism = RayISM(spec, Mount(HEIGHT, pose(yaw=math.pi / 2)))
     ahead = np.array([(math.cos(a), math.sin(a), -0.05) for a in np.linspace(-0.1, 0.1, 400)], np.float32)
-    grid = ism(np.zeros((0, 4), np.float32), ahead)
+    grid = ism(Scan(NO_POINTS, no_returns=ahead))
     assert grid.at(0.1, 10.0).free > 0.3
     assert grid.at(10.0, 0.1).free == 0
 
@@ -273,7 +277,7 @@ def test_no_mass_exceeds_its_bound() -> None:
     scene = at(
         *[(6.2, 0.2, z) for z in np.linspace(0.2, 1.9, 400)], *[(8.0, 0.001 * k, 0.0) for k in range(4000)]
     )
-    grid = RayISM(spec, HEIGHT, max_mass=0.6)(scene)
+    grid = RayISM(spec, MOUNT, max_mass=0.6)(scene)
     assert grid.occupied.max() == pytest.approx(0.6)
     assert grid.free.max() == pytest.approx(0.6)
 
@@ -294,6 +298,6 @@ def test_a_sensor_on_the_grids_edge(edge: float) -> None:
     spec = GridSpec(0.5, (20, 20), (0.0, 0.0))
     points = np.array([(x, y, -0.9, 0) for x in (-4, -0.3, 0.3, 4) for y in (-4, -0.3, 0.3, 4)], np.float32)
     for T in (pose(edge, 5.2), pose(5.2, edge)):
-        assert HeightBandISM(spec, HEIGHT, T_vehicle_sensor=T)(points).occupied.any()
-        assert RayISM(spec, HEIGHT, T_vehicle_sensor=T, ground=flat_ground)(points).occupied.any()
-        assert RayISM(spec, HEIGHT, T_vehicle_sensor=T)(points).free.any()
+        assert HeightBandISM(spec, Mount(HEIGHT, T))(points).occupied.any()
+        assert RayISM(spec, Mount(HEIGHT, T), ground=flat_ground)(points).occupied.any()
+        assert RayISM(spec, Mount(HEIGHT, T))(points).free.any()

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ogm.io import read_points, read_scan
-from ogm.io.feather import parse_feather
+from ogm.io import read_points, read_scan, read_scan_file
+from ogm.io.formats.feather import parse_feather
 
 CLOUDS = hnp.arrays(
     np.float32,
@@ -176,8 +176,8 @@ def test_las_has_times(cloud, tmp_path):
 
 def test_npy_of_three_values_has_no_intensity(cloud, tmp_path):
     np.save(tmp_path / "a.npy", cloud[:, :3].astype(np.float64))
-    scan = read_scan(tmp_path / "a.npy")
-    assert scan.intensity_max is None
+    scan, facts = read_scan_file(tmp_path / "a.npy")
+    assert facts.intensity_max is None
     np.testing.assert_array_equal(scan.points[:, :3], cloud[:, :3])
     assert not scan.points[:, 3].any()
 
@@ -202,9 +202,9 @@ def test_npy_of_any_version_is_read(version, cloud, tmp_path):
 def test_npy_of_an_image_is_an_organised_cloud(cloud, tmp_path):
     image = np.concatenate([cloud, np.full((60, 2), 99.0, np.float32)], axis=1).reshape(6, 10, 6)
     np.save(tmp_path / "a.npy", image)
-    scan = read_scan(tmp_path / "a.npy")
-    assert scan.shape == (6, 10)
-    assert scan.fields == ("x", "y", "z", "intensity")
+    scan, facts = read_scan_file(tmp_path / "a.npy")
+    assert facts.shape == (6, 10)
+    assert facts.fields == ("x", "y", "z", "intensity")
     np.testing.assert_array_equal(scan.points, cloud)
 
 
@@ -262,12 +262,12 @@ def test_pcd_padding_is_stepped_over(counts, records, cloud, tmp_path):
         points=60,
         encoding="binary",
     )
-    scan = read_scan(pcd(tmp_path, header, records.tobytes()))
+    scan, facts = read_scan_file(pcd(tmp_path, header, records.tobytes()))
     np.testing.assert_array_equal(scan.points, cloud)
     np.testing.assert_array_equal(scan.ring, np.arange(60))
     assert scan.stamp == 1_600_000_000.25
     np.testing.assert_allclose(scan.time, 0.001 * np.arange(60), atol=1e-6)
-    assert scan.fields == ("x", "y", "z", "intensity", "timestamp", "ring")
+    assert facts.fields == ("x", "y", "z", "intensity", "timestamp", "ring")
 
 
 def xyzi(points: int, width: int, height: int, encoding: str = "binary") -> str:
@@ -280,9 +280,9 @@ def xyzi(points: int, width: int, height: int, encoding: str = "binary") -> str:
 @pytest.mark.parametrize("padding", [b"\0" * 3900, b"\0", b"anything"])
 def test_pcd_bytes_behind_the_last_point_are_no_points(padding, cloud, tmp_path):
     path = pcd(tmp_path, xyzi(60, 60, 1), cloud.tobytes() + padding)
-    scan = read_scan(path)
+    scan, facts = read_scan_file(path)
     np.testing.assert_array_equal(scan.points, cloud)
-    assert scan.shape is None
+    assert facts.shape is None
 
 
 def test_pcd_lines_behind_the_last_point_are_no_points(tmp_path):
@@ -297,14 +297,14 @@ def test_pcd_text_may_end_without_a_newline_and_have_those_of_windows(tmp_path):
 
 def test_pcd_text_may_say_nan(tmp_path):
     path = pcd(tmp_path, xyzi(4, 4, 1, "ascii"), b"nan nan nan 0\n4 5 6 1\n-nan 1 1 0\n1 inf 2 0\n")
-    scan = read_scan(path)
+    scan, facts = read_scan_file(path)
     np.testing.assert_array_equal(scan.points, [[4, 5, 6, 1]])
-    assert scan.dropped == 3
+    assert facts.dropped == 3
 
 
 def test_pcd_of_several_rows_is_organised(cloud, tmp_path):
-    scan = read_scan(pcd(tmp_path, xyzi(60, 10, 6), cloud.tobytes()))
-    assert scan.shape == (6, 10)
+    scan, facts = read_scan_file(pcd(tmp_path, xyzi(60, 10, 6), cloud.tobytes()))
+    assert facts.shape == (6, 10)
     np.testing.assert_array_equal(scan.points, cloud)
 
 
@@ -363,8 +363,8 @@ def test_feather_reads_only_what_it_needs(cloud, tmp_path):
     words = pyarrow.array(["a word"] * 60)
     table = pyarrow.table({"label": words, **columns, "kind": words.dictionary_encode(), "rgb": cloud[:, 0]})
     feather.write_feather(table, tmp_path / "a.feather", chunksize=7)
-    scan = read_scan(tmp_path / "a.feather")
+    scan, facts = read_scan_file(tmp_path / "a.feather")
     np.testing.assert_array_equal(scan.points, cloud)
-    assert scan.fields == ("x", "y", "z", "intensity", "rgb")
+    assert facts.fields == ("x", "y", "z", "intensity", "rgb")
     path = tmp_path / "a.feather"
     assert set(parse_feather(path.read_bytes(), path).columns) == {"x", "y", "z", "intensity"}

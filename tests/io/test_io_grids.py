@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
 
@@ -57,7 +58,7 @@ def test_rounded_masses_still_sum_to_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content", "message"),
     [
         ("a.npy", np.zeros((4, 6)), "masses of free and occupied"),
         ("b.npy", np.zeros((4, 6, 2), np.uint8), "masses of free and occupied"),
@@ -73,7 +74,7 @@ def test_rounded_masses_still_sum_to_one(tmp_path: Path) -> None:
         ("l.npz", b"x", r"l\.npz"),
     ],
 )
-def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, says: str) -> None:
+def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, message: str) -> None:
     path = tmp_path / name
     if isinstance(content, bytes):
         path.write_bytes(content)
@@ -81,7 +82,7 @@ def test_what_is_no_grid_is_refused(tmp_path: Path, name: str, content: object, 
         np.save(path, content, allow_pickle=True)
     else:
         Image.fromarray(content).save(path)
-    with pytest.raises(ValueError, match=says):
+    with pytest.raises(OgmError, match=message):
         read_grid(path, AREA)
 
 
@@ -96,7 +97,7 @@ def test_masses_that_are_none_are_refused_by_the_name_of_their_file(tmp_path: Pa
     with np.load(path) as data:
         arrays = dict(data)
     np.savez(path, **arrays | {"mass": np.full_like(arrays["mass"], np.nan)})
-    with pytest.raises(ValueError, match=r"grid\.npz: mass must be"):
+    with pytest.raises(OgmError, match=r"grid\.npz: mass must be"):
         read_grid(path, AREA)
 
 
@@ -104,10 +105,10 @@ def test_files_that_claim_more_than_they_hold_are_not_unpacked(tmp_path: Path) -
     with open(tmp_path / "huge.npy", "wb") as file:
         header = {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6, 2)}
         np.lib.format.write_array_header_1_0(file, header)
-    with pytest.raises(ValueError, match=r"huge\.npy is damaged"):
+    with pytest.raises(OgmError, match=r"huge\.npy is damaged"):
         read_grid(tmp_path / "huge.npy", AREA)
     wide = struct.pack(">IIBBBBB", 40_000, 60_000, 8, 2, 0, 0, 0)
     chunk = struct.pack(">I", len(wide)) + b"IHDR" + wide + struct.pack(">I", zlib.crc32(b"IHDR" + wide))
     (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk)
-    with pytest.raises(ValueError, match=r"bomb\.png is damaged or no picture"):
+    with pytest.raises(OgmError, match=r"bomb\.png is damaged or no picture"):
         read_grid(tmp_path / "bomb.png", AREA)

@@ -7,8 +7,8 @@ import lzma
 import numpy as np
 import pytest
 
-from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan
-from ogm.io.raster import missing_beams
+from ogm.io import AXES, describe, estimate_sensor_height, read_points, read_scan, read_scan_file
+from ogm.io.no_returns import directions_without_return
 
 NUSCENES = "nuscenes_n015/*.pcd.bin"
 AV2 = "argoverse2_adcf/sensors/lidar/315973157959879000.feather"
@@ -38,16 +38,16 @@ SCANS = [
 
 @pytest.mark.parametrize(("name", "axes", "number", "dropped", "height"), SCANS)
 def test_every_recording_is_read(name, axes, number, dropped, height, real):
-    scan = read_scan(real(name), axes)
+    scan, facts = read_scan_file(real(name), axes)
     assert scan.points.shape == (number, 4)
     assert scan.points.dtype == np.float32
-    assert scan.dropped == dropped
+    assert facts.dropped == dropped
     assert np.isfinite(scan.points).all()
     assert scan.points[:, 3].min() >= 0
     assert scan.points[:, 3].max() <= 1
     if height is not None:
         assert estimate_sensor_height(scan.points) == pytest.approx(height, abs=0.05)
-    assert describe(scan)["points"] == str(number)
+    assert describe(scan, facts)["points"] == str(number)
 
 
 def unpacked(path):
@@ -55,7 +55,7 @@ def unpacked(path):
 
 
 def inside(points, centre, size, way):
-    """Tell which points lie in a box whose length points along `way`."""
+    """Return which points lie in a box whose length points along `way`."""
     left = np.array([-way[1], way[0]])
     offset = points[:, :3] - centre
     along = np.column_stack([offset[:, :2] @ way, offset[:, :2] @ left, offset[:, 2]])
@@ -79,14 +79,14 @@ def turned(axes, centre, yaw):
 def test_nuscenes_boxes_hold_their_points(real):
     points = read_points(real(NUSCENES), "nuscenes")
     boxes = json.loads(real("nuscenes_n015/*.json").read_text())["frame"]["instances"]
-    told = np.array([box["num_lidar_pts"] for box in boxes])
+    counted = np.array([box["num_lidar_pts"] for box in boxes])
     boxes = [(turned("nuscenes", box[:3], box[6]), box[3:6]) for box in (b["bbox_3d"] for b in boxes)]
     found = np.array([inside(points, c, size, np.array(way)).sum() for (c, way), size in boxes])
-    assert np.corrcoef(found, told)[0, 1] > 0.999
-    assert found.sum() == pytest.approx(told.sum(), rel=0.02)
+    assert np.corrcoef(found, counted)[0, 1] > 0.999
+    assert found.sum() == pytest.approx(counted.sum(), rel=0.02)
     unturned = read_points(real(NUSCENES))
     wrong = sum(inside(unturned, c, size, np.array(way)).sum() for (c, way), size in boxes)
-    assert wrong < 0.05 * told.sum()
+    assert wrong < 0.05 * counted.sum()
 
 
 @pytest.mark.parametrize("frame", ["000965", "000970", "000975"])
@@ -198,8 +198,8 @@ def test_zero_padding_behind_the_points_is_no_points(real):
     padding = data[start + stored.nbytes :]
     assert len(padding) > 3000
     assert not any(padding)
-    scan = read_scan(path)
-    assert scan.dropped == np.count_nonzero(~stored[:, :3].any(axis=1)) == 1
+    scan, facts = read_scan_file(path)
+    assert facts.dropped == np.count_nonzero(~stored[:, :3].any(axis=1)) == 1
     np.testing.assert_array_equal(scan.points, stored[stored[:, :3].any(axis=1)])
 
 
@@ -209,8 +209,8 @@ def test_wrong_padding_fields_are_seen_through(real):
     layout = {"names": ["xyz", "i", "t", "ring"], "formats": ["3<f4", "<f4", "<f8", "<u2"]}
     layout |= {"offsets": [0, 16, 24, 32], "itemsize": 48}
     stored = np.frombuffer(data, np.dtype(layout), 66781, data.index(b"DATA binary\n") + 12)
-    scan = read_scan(path)
-    assert scan.fields == ("x", "y", "z", "intensity", "timestamp", "ring")
+    scan, facts = read_scan_file(path)
+    assert facts.fields == ("x", "y", "z", "intensity", "timestamp", "ring")
     np.testing.assert_array_equal(scan.points[:, :3], stored["xyz"])
     np.testing.assert_allclose(scan.points[:, 3], stored["i"] / 255, rtol=1e-6)
     np.testing.assert_array_equal(scan.ring, stored["ring"])
@@ -252,13 +252,13 @@ def test_lasers_are_counted(name, lasers, real):
 
 
 def test_zeros_of_an_organised_cloud_are_beams_without_a_return(real):
-    scan = read_scan(real("autoware_apache2/test.pcd.xz"))
-    assert scan.shape == (64, 1024)
-    assert len(scan.missing) == scan.dropped == 64 * 1024 - len(scan.points)
-    np.testing.assert_allclose(np.linalg.norm(scan.missing, axis=1), 1, atol=1e-6)
-    elevation = np.degrees(np.arcsin(scan.missing[:, 2]))
+    scan, facts = read_scan_file(real("autoware_apache2/test.pcd.xz"))
+    assert facts.shape == (64, 1024)
+    assert len(scan.no_returns) == facts.dropped == 64 * 1024 - len(scan.points)
+    np.testing.assert_allclose(np.linalg.norm(scan.no_returns, axis=1), 1, atol=1e-6)
+    elevation = np.degrees(np.arcsin(scan.no_returns[:, 2]))
     assert -21 < elevation.min() < elevation.max() < 23
-    assert np.median(elevation) > 8  # nearly all look into the sky
+    assert np.median(elevation) > 8  # nearly all point to the sky
 
 
 @pytest.mark.parametrize(
@@ -282,7 +282,7 @@ def test_hidden_returns_are_found_as_beams(name, axes, within, real):
     returned = way.any(axis=-1)
     hidden = returned & (np.random.default_rng(0).random(returned.shape) < 0.1)
     rows = np.count_nonzero(returned & ~hidden, axis=1) >= 8
-    beams = missing_beams(x, y, z, returned & ~hidden)
+    beams = directions_without_return(x, y, z, returned & ~hidden)
     beams = beams[hidden[rows][~(returned & ~hidden)[rows]]]
     truth = way[rows][hidden[rows]]
     truth /= np.linalg.norm(truth, axis=1, keepdims=True)

@@ -1,11 +1,21 @@
-"""Axes, intensities, times, dropped rows, and what is told of a scan."""
+"""Axes, intensities, times, dropped rows, and the description of a scan."""
 
 import logging
 
 import numpy as np
 import pytest
 
-from ogm.io import AXES, Scan, describe, estimate_sensor_height, read_points, read_scan
+from ogm.files import OgmError
+from ogm.io import (
+    AXES,
+    describe,
+    estimate_sensor_height,
+    plausible_sensor_height,
+    read_points,
+    read_scan,
+    read_scan_file,
+)
+from ogm.scan import Scan
 
 
 @pytest.fixture
@@ -39,7 +49,7 @@ def test_axes_never_mirror(axes, save):
     ("axes", "forward", "left"),
     [("flu", "x", "y"), ("kitti", "x", "y"), ("nuscenes", "y", "-x"), ("sustech", "-y", "x")],
 )
-def test_named_axes_point_where_the_data_set_says(axes, forward, left, save):
+def test_named_axes_point_as_in_the_data_set(axes, forward, left, save):
     ways = {"x": [1, 0, 0], "y": [0, 1, 0], "-x": [-1, 0, 0], "-y": [0, -1, 0]}
     points = read_points(save(np.float32([ways[forward], ways[left], [0, 0, 1]])), axes)
     np.testing.assert_array_equal(points[:, :3], np.eye(3))
@@ -68,14 +78,14 @@ def test_any_rotation_will_do(cloud, save):
         (("x", "+y", "+z"), "not three of"),
         (("+x", "+x", "+z"), "right angles"),
         (("+x", "+y"), "right angles"),
-        (("+x", "-y", "+z"), "mirror"),
+        (("+x", "-y", "+z"), "reflection"),
         (np.eye(2), "right angles"),
         (None, "axes must be a name.*got None.*give flu"),
         (3, "axes must be a name.*got 3"),
         (("+x", 1, 2), "no .* matrix of numbers"),
         ([[1, 0, 0], [0, 1]], "no .* matrix of numbers"),
         (np.eye(3) * 2, "right angles"),
-        (np.diag([1.0, 1.0, -1.0]), "mirror"),
+        (np.diag([1.0, 1.0, -1.0]), "reflection"),
     ],
 )
 def test_axes_that_are_no_rotation_are_refused(axes, message, cloud, save):
@@ -120,9 +130,9 @@ def test_rows_without_a_point_are_dropped_counted_and_logged(cloud, save, caplog
     rows[5, 1] = np.nan
     rows[6, 2] = -np.inf
     with caplog.at_level(logging.INFO, logger="ogm"):
-        scan = read_scan(save(rows))
+        scan, facts = read_scan_file(save(rows))
     gone = [3, 4, 5, 6]
-    assert scan.dropped == 4
+    assert facts.dropped == 4
     assert "4 of 60 rows" in caplog.text
     np.testing.assert_array_equal(scan.points, np.delete(cloud, gone, axis=0))
     np.testing.assert_array_equal(scan.ring, np.delete(np.arange(60), gone))
@@ -133,8 +143,8 @@ def test_a_point_of_unknown_intensity_is_a_point(unknown, cloud, save, caplog):
     rows = cloud.copy()
     rows[[7, 9], 3] = unknown
     with caplog.at_level(logging.INFO, logger="ogm"):
-        scan = read_scan(save(rows))
-    assert scan.dropped == 0
+        scan, facts = read_scan_file(save(rows))
+    assert facts.dropped == 0
     assert "2 of 60 intensities" in caplog.text
     rows[[7, 9], 3] = 0
     np.testing.assert_array_equal(scan.points, rows)
@@ -145,9 +155,9 @@ def test_a_point_of_unknown_intensity_is_a_point(unknown, cloud, save, caplog):
 def test_a_column_with_a_gap_is_left_out_and_costs_no_point(column, what, unknown, tmp_path, caplog):
     values = {"ring": np.float32([0, 1, 2]), "time": np.float32([0, 0.05, 0.1])}
     values[column][1] = unknown
-    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, **values))
+    scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, **values))
     assert len(scan.points) == 3
-    assert scan.dropped == 0
+    assert facts.dropped == 0
     assert getattr(scan, column) is None
     assert (scan.ring is None) != (scan.time is None)
     assert f"1 of 3 points have {what} that are no number" in caplog.text
@@ -156,16 +166,16 @@ def test_a_column_with_a_gap_is_left_out_and_costs_no_point(column, what, unknow
 
 def test_a_row_without_a_point_may_lack_everything(tmp_path, caplog):
     gap = np.float32([1, np.nan, 2])
-    scan = read_scan(
+    scan, facts = read_scan_file(
         feather(tmp_path / "a.feather", x=gap, y=gap, z=gap, intensity=gap / 2, ring=gap, time=gap)
     )
-    assert scan.dropped == 1
+    assert facts.dropped == 1
     np.testing.assert_array_equal(scan.ring, [1, 2])
     np.testing.assert_array_equal(scan.time, [1, 2])
     assert not caplog.records
 
 
-def test_a_wall_of_unknown_intensity_is_no_missing_beam(save):
+def test_a_wall_of_unknown_intensity_is_no_beam_without_return(save):
     azimuth, elevation = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-0.3, 0.1, 8))
     way = np.stack(
         [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
@@ -175,30 +185,30 @@ def test_a_wall_of_unknown_intensity_is_no_missing_beam(save):
     image[5, 30:33] = np.nan  # the sky
     scan = read_scan(save(image))
     assert len(scan.points) == 8 * 40 - 3
-    assert len(scan.missing) == 3
+    assert len(scan.no_returns) == 3
 
 
 def test_a_point_with_one_or_two_zeros_is_a_point(save):
     rows = np.float32([[0, 0, -1.8], [5, 0, 0], [0, 3, 0]])
-    scan = read_scan(save(rows))
-    assert scan.dropped == 0
+    scan, facts = read_scan_file(save(rows))
+    assert facts.dropped == 0
     np.testing.assert_array_equal(scan.points[:, :3], rows)
 
 
 @pytest.mark.parametrize("rows", [np.full((5, 4), np.nan), np.zeros((5, 4)), np.empty((0, 4))])
 def test_a_file_without_points_gives_none(rows, save):
-    scan = read_scan(save(rows))
+    scan, facts = read_scan_file(save(rows))
     assert scan.points.shape == (0, 4)
     assert scan.points.dtype == np.float32
-    assert scan.dropped == len(rows)
-    assert describe(scan)["points"] == "0"
+    assert facts.dropped == len(rows)
+    assert describe(scan, facts)["points"] == "0"
 
 
 def test_one_point_is_a_cloud(save):
     np.testing.assert_array_equal(read_points(save(np.float32([[1, 2, 3, 0.5]]))), [[1, 2, 3, 0.5]])
 
 
-def test_the_own_vehicle_and_the_underground_are_kept(save):
+def test_the_ego_vehicle_and_what_is_below_ground_are_kept(save):
     rows = np.float32([[0.5, 0, -0.3, 0], [1, 1, -28.0, 0], [-2, 0.5, -1, 0]])
     np.testing.assert_array_equal(read_points(save(rows)), rows)
 
@@ -217,12 +227,12 @@ def test_the_own_vehicle_and_the_underground_are_kept(save):
     ],
 )
 def test_intensity_scale_follows_type_then_values(raw, expected, scale, tmp_path):
-    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=raw))
+    scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=raw))
     np.testing.assert_allclose(scan.points[:, 3], expected, rtol=1e-6)
-    assert scan.intensity_max == scale
+    assert facts.intensity_max == scale
 
 
-def test_intensity_max_is_taken_at_its_word(tmp_path, caplog):
+def test_intensity_max_is_used_as_given(tmp_path, caplog):
     path = feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=np.float32([0, 500, 3000]))
     with pytest.raises(ValueError, match="intensities up to 3000, wanted at most 255: give as intensity_max"):
         read_scan(path)
@@ -315,7 +325,7 @@ def timed(path, times):
         (np.uint64([0, 10**10 + 1, 2 * 10**10]), 5e-12, None),
     ],
 )
-def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_told(times, unit, stamp, tmp_path):
+def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_given(times, unit, stamp, tmp_path):
     path = timed(tmp_path, times)
     with pytest.raises(
         ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"
@@ -327,7 +337,7 @@ def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_told(times,
     np.testing.assert_array_equal(read_points(path, time_unit=unit), scan.points)
 
 
-def test_whole_microseconds_are_remarked_unless_their_unit_is_told(tmp_path, caplog):
+def test_whole_microseconds_are_remarked_unless_their_unit_is_given(tmp_path, caplog):
     path = timed(tmp_path, np.uint32([4_000_000_000, 4_000_050_000, 4_000_100_000]))
     scan = read_scan(path, time_unit=1e-6)
     np.testing.assert_allclose(scan.time, [0, 0.05, 0.1])
@@ -343,7 +353,7 @@ def test_times_of_one_value_and_of_ten_seconds_are_a_sweep(tmp_path, caplog):
     assert not caplog.records
 
 
-def test_a_long_recording_is_read_if_its_unit_is_told(tmp_path):
+def test_a_long_recording_is_read_if_its_unit_is_given(tmp_path):
     scan = read_scan(timed(tmp_path, np.float64([3, 60, 600])), time_unit=1.0)
     np.testing.assert_array_equal(scan.time, [3, 60, 600])
 
@@ -363,11 +373,11 @@ def test_a_time_unit_is_a_positive_number(wrong, save):
 def test_fields_are_known_in_any_capitals(place, intensity, ring, time, tmp_path):
     x, y, z = place
     columns = {x: ONES, y: 2 * ONES, z: 3 * ONES, intensity: ONES / 2, ring: np.uint8([4, 5, 6]), time: ONES}
-    scan = read_scan(feather(tmp_path / "a.feather", **columns))
+    scan, facts = read_scan_file(feather(tmp_path / "a.feather", **columns))
     np.testing.assert_array_equal(scan.points, [[1, 2, 3, 0.5]] * 3)
     np.testing.assert_array_equal(scan.ring, [4, 5, 6])
     np.testing.assert_array_equal(scan.time, ONES)
-    assert scan.fields == tuple(columns)
+    assert facts.fields == tuple(columns)
 
 
 @pytest.mark.parametrize("double", ["X", "scalar_x", "scalar_Y"])
@@ -378,32 +388,32 @@ def test_two_fields_of_one_meaning_are_refused(double, tmp_path):
 
 
 def test_fields_of_no_meaning_may_differ_in_capitals_only(tmp_path):
-    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, a=ONES, A=ONES))
-    assert scan.fields == ("x", "y", "z", "a", "A")
+    scan, facts = read_scan_file(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, a=ONES, A=ONES))
+    assert facts.fields == ("x", "y", "z", "a", "A")
 
 
 def test_other_fields_are_named_but_not_needed(tmp_path):
-    scan = read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, label=["a", "b", "c"], rgb=ONES))
-    assert scan.fields == ("x", "y", "z", "rgb")
+    scan, facts = read_scan_file(
+        feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, label=["a", "b", "c"], rgb=ONES)
+    )
+    assert facts.fields == ("x", "y", "z", "rgb")
     assert scan.ring is None
     assert scan.time is None
-    assert scan.intensity_max is None
+    assert facts.intensity_max is None
 
 
-# ---- Scan
+# ---- description
 
 
-def test_a_scan_checks_its_shapes():
-    with pytest.raises(ValueError, match=r"\(N, 4\).*got shape \(5, 3\)"):
-        Scan(np.zeros((5, 3), np.float32))
+def test_a_scan_has_one_ring_per_point():
     with pytest.raises(ValueError, match=r"ring must be \(5,\).*got shape \(4,\)"):
         Scan(np.zeros((5, 4), np.float32), ring=np.zeros(4, np.uint16))
 
 
-def test_describe_tells_what_is_there(cloud, save):
+def test_a_description_has_what_is_there(cloud, save):
     image = np.column_stack([cloud, np.zeros(60)]).reshape(6, 10, 5)
     image[0, 0] = 0
-    facts = describe(read_scan(save(image, "1600000000000000.npy")))
+    facts = describe(*read_scan_file(save(image, "1600000000000000.npy")))
     assert facts["points"] == "59"
     assert facts["raster"] == "6 x 10"
     assert facts["dropped"] == "1 rows without a point"
@@ -443,3 +453,15 @@ def test_height_is_unknown_without_a_road():
     stairs = road(rng, 1.7)
     stairs[stairs[:, 0] > -3, 2] = -np.floor(stairs[stairs[:, 0] > -3, 0])
     assert estimate_sensor_height(stairs) is None
+
+
+@pytest.mark.parametrize("height", [0.5, 1.73, 5.0])
+def test_a_plausible_height_is_returned(height):
+    assert plausible_sensor_height(height) == height
+
+
+@pytest.mark.parametrize("height", [0.37, 0.49, 5.1, -1.0, np.nan])
+def test_a_height_of_no_sensor_is_refused_with_the_way_out(height):
+    message = f"a.feather is {height:.2f} m, .* not plausible .* vehicle frame, give sensor_position"
+    with pytest.raises(OgmError, match=message):
+        plausible_sensor_height(height, "a.feather")

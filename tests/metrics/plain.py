@@ -1,4 +1,4 @@
-"""Every score from its definition, in plain Python and without histograms: the slow twin of `ogm.metrics.score`."""
+"""Every score from its definition, in plain Python and without histograms: the reference of `ogm.metrics.score`."""
 
 import math
 
@@ -6,7 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evidence import dirichlet_kl
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+from ogm.state import CellState
+
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 
 STEPS = 4096  # of the lattice: on it, no histogram rounds anything
 
@@ -26,7 +28,7 @@ def lattice_grid(
 
 
 def plain_scores(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> dict[str, float]:
-    """Return all scores but those by kind of call, which `tests/test_metrics.py` counts."""
+    """Return all scores but those of predicted states, which `test_metrics_counts.py` counts."""
     cells = [
         (float(f), float(o), int(s))
         for (f, o), s in zip(mass.reshape(-1, 2).astype(float), state.ravel(), strict=True)
@@ -106,14 +108,14 @@ def divergences(cells: list[tuple[float, float, int]]) -> dict[str, float]:
     f, o, s = np.array(cells).T
     evidence = 2 * np.stack([f, o], axis=-1) / np.maximum(1 - f - o, 2e-5)[:, None]
     truth = np.stack([s == FREE, s == OCCUPIED], axis=-1).astype(float)
-    label, claim = np.clip(truth, 1e-7, 1), np.clip(evidence, 1e-7, 1)
+    label, clipped = np.clip(truth, 1e-7, 1), np.clip(evidence, 1e-7, 1)
     return {
         "kl_e10": dirichlet_kl(1 + evidence, 1 + 10 * truth).mean(),
         "kl_e1": dirichlet_kl(1 + evidence, 1 + truth).mean(),
         "kl_e1_scaled": dirichlet_kl(1 + evidence / 10, 1 + truth).mean(),
         "kl_e10_reverse": dirichlet_kl(1 + 10 * truth, 1 + evidence).mean(),
         "kl_e1_reverse": dirichlet_kl(1 + truth, 1 + evidence).mean(),
-        "legacy_kl": (label * np.log(label / claim)).sum(axis=-1).mean(),
+        "legacy_kl": (label * np.log(label / clipped)).sum(axis=-1).mean(),
     }
 
 

@@ -1,8 +1,8 @@
-"""Curves: what their points say, and that they and the scores are of one piece."""
+"""Curves: their points, and their agreement with the scores."""
 
 import numpy as np
 import pytest
-from plain import lattice_grid
+from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
@@ -10,6 +10,7 @@ from ogm.metrics import (
     METRICS,
     RANGES,
     ConfusionSums,
+    accumulate,
     by_range,
     distances,
     free_space,
@@ -18,14 +19,12 @@ from ogm.metrics import (
     reliability,
     risk_coverage,
     score,
-    accumulate,
 )
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
 
 SHAPE = (40, 30)
 CURVES = (
     reliability,
-    lambda counts: reliability(counts, "called"),
+    lambda counts: reliability(counts, "predicted_known"),
     lambda counts: reliability(counts, "relative"),
     intervals,
     risk_coverage,
@@ -50,13 +49,16 @@ def test_curves_are_short_columns_of_one_length(counts: ConfusionSums) -> None:
 
 def test_curves_without_cells_are_empty() -> None:
     mass, state = lattice_grid(3)
-    for nothing in (accumulate(mass, np.full_like(state, IGNORE)), accumulate(mass, np.full_like(state, UNKNOWN))):
+    for nothing in (
+        accumulate(mass, np.full_like(state, IGNORE)),
+        accumulate(mass, np.full_like(state, UNKNOWN)),
+    ):
         for curve in CURVES:
             assert {len(column) for column in curve(nothing)} == {0}
 
 
 def test_names_of_curves_that_do_not_exist_are_refused(counts: ConfusionSums) -> None:
-    with pytest.raises(ValueError, match="which must be one of all, called, relative, got 'known'"):
+    with pytest.raises(ValueError, match="which must be one of all, predicted_known, relative, got 'known'"):
         reliability(counts, "known")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="tolerance must be 0 or 1 cells, got 2"):
         precision_recall(counts, 2)
@@ -64,7 +66,7 @@ def test_names_of_curves_that_do_not_exist_are_refused(counts: ConfusionSums) ->
 
 def test_reliability_holds_the_calibration_errors(counts: ConfusionSums) -> None:
     scores = score(counts)
-    for which, name in (("all", "ece"), ("called", "ece_called"), ("relative", "ece_relative")):
+    for which, name in (("all", "ece"), ("predicted_known", "ece_called"), ("relative", "ece_relative")):
         claimed, happened, cells = reliability(counts, which)  # type: ignore[arg-type]
         assert np.abs(claimed - happened) @ cells / cells.sum() == pytest.approx(scores[name])
 
@@ -90,7 +92,7 @@ def test_beliefs_that_are_drawn_from_hold_their_intervals() -> None:
 
 def test_risk_ends_at_the_share_of_wrong_cells_and_its_area_is_the_score(counts: ConfusionSums) -> None:
     coverage, risk, oracle = risk_coverage(counts)
-    wrong = counts.doubt[2].sum() / counts.cells[1:].sum()
+    wrong = counts.unknown_hist[2].sum() / counts.cells[1:].sum()
     assert (coverage[-1], risk[-1], oracle[-1]) == pytest.approx((1, wrong, wrong))
     assert (oracle <= risk + 1e-12).all()
     assert (np.diff(oracle) >= -1e-12).all()
@@ -104,16 +106,16 @@ def test_areas_of_the_best_and_the_worst_order_are_the_closed_forms() -> None:
     state = rng.choice([FREE, OCCUPIED], SHAPE).astype(np.uint8)
     truth = np.stack([state == FREE, state == OCCUPIED], axis=-1)
     wrong = rng.random(SHAPE) < 0.2
-    claim = np.where(wrong[..., None], ~truth, truth)
+    detected = np.where(wrong[..., None], ~truth, truth)
     r = wrong.mean()
     best, worst = r + (1 - r) * np.log(1 - r), r - r * np.log(r)
     for weak, area in ((wrong, best), (~wrong, worst)):
-        scores = score(accumulate(claim * np.where(weak, 0.3, 0.9)[..., None], state))
+        scores = score(accumulate(detected * np.where(weak, 0.3, 0.9)[..., None], state))
         assert scores["aurc"] == pytest.approx(area)
         assert scores["ause"] == pytest.approx(area - best, abs=1e-12)
 
 
-def test_a_grid_that_says_nothing_is_half_wrong_in_every_order() -> None:
+def test_a_vacuous_grid_is_half_wrong_in_every_order() -> None:
     _, state = lattice_grid(4)
     scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
     assert scores["aurc"] == pytest.approx(0.5)
@@ -148,15 +150,15 @@ def test_points_of_the_curves_are_those_of_their_thresholds(seed: int) -> None:
     [
         (0, OCCUPIED, (1, 1), (1, 1)),
         (1, FREE, (1, 1), (0, 0)),
-        (1, UNKNOWN, (1, 1), (1, 0)),  # for precision nothing is claimed, but the obstacle is found
+        (1, UNKNOWN, (1, 1), (1, 0)),  # for precision nothing is detected, but the obstacle is found
         (1, IGNORE, (1, 0), (1, 0)),
         (2, FREE, (0, 0), (0, 0)),
     ],
 )
-def test_a_claim_may_be_one_cell_off(
+def test_a_detection_may_be_one_cell_off(
     ahead: int, there: int, within_one: tuple[int, int], exact: tuple[int, int]
 ) -> None:
-    """One occupied cell, and one sure claim `ahead` cells farther, where truth is `there`; the rest is free."""
+    """One occupied cell, and one certain detection `ahead` cells farther, where truth is `there`; the rest is free."""
     state = np.full((7, 7), FREE, np.uint8)
     state[3, 3] = OCCUPIED
     state[3 + ahead, 3] = there
@@ -169,7 +171,7 @@ def test_a_claim_may_be_one_cell_off(
         assert (precision[sure], recall[sure]) == wanted
 
 
-def test_claims_on_ignored_cells_neither_help_nor_hurt() -> None:
+def test_detections_on_ignored_cells_have_no_effect() -> None:
     state = np.full((7, 7), FREE, np.uint8)
     state[3, 3], state[3, 4], state[0, 0] = OCCUPIED, IGNORE, IGNORE
     quiet = np.zeros((7, 7, 2), np.float32)

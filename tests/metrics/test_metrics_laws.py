@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from plain import lattice_grid
+from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
-from ogm.metrics import METRICS, ConfusionSums, by_range, distances, reasons, score, accumulate
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+from ogm.metrics import METRICS, ConfusionSums, accumulate, by_range, distances, reasons, score
 
 SPEC = GridSpec.centered(length=70, width=70, resolution=10)
 SWAP = np.array([UNKNOWN, OCCUPIED, FREE, IGNORE], np.uint8)
@@ -70,7 +69,7 @@ def test_exchanging_free_and_occupied_exchanges_their_scores(seed: int) -> None:
 
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_what_the_truth_ignores_says_nothing(seed: int) -> None:
+def test_cells_that_the_truth_ignores_have_no_effect(seed: int) -> None:
     mass, state = lattice_grid(seed)
     other = mass.copy()
     other[state == IGNORE] = np.random.default_rng(seed).dirichlet([1, 1, 1], (state == IGNORE).sum())[:, :2]
@@ -84,7 +83,9 @@ def test_counts_add_up_to_those_of_the_cells_together() -> None:
         np.full((1, 7), IGNORE, np.uint8),
     )  # else cells become neighbours
     both = accumulate(np.concatenate([a, between[0], b]), np.concatenate([a_state, between[1], b_state]))
-    for name, one, other in zip(ConfusionSums._fields, accumulate(a, a_state).plus(accumulate(b, b_state)), both, strict=True):
+    for name, one, other in zip(
+        ConfusionSums._fields, accumulate(a, a_state).plus(accumulate(b, b_state)), both, strict=True
+    ):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7, err_msg=name)
 
 
@@ -98,7 +99,7 @@ def test_both_float_types_and_any_layout_are_taken(dtype: type) -> None:
     assert score(accumulate(np.moveaxis(planes, 0, -1), state)) == wanted
 
 
-def test_a_tally_is_small_and_of_numbers() -> None:
+def test_sums_are_small_and_of_numbers() -> None:
     counts = accumulate(*lattice_grid(4), distances(SPEC))
     assert all(one.dtype == np.float64 and one.size < 13_000 for one in counts)
     assert sum(one.nbytes for one in counts) < 500_000
@@ -126,7 +127,7 @@ def test_a_perfect_map_is_perfect_under_every_metric(seed: int) -> None:
 def test_a_divergence_is_zero_for_the_truth_of_its_own_evidence_only(
     strength: float, names: tuple[str, ...]
 ) -> None:
-    """What is right and surer than the truth pays: for a divergence, perfect means as sure as the truth is."""
+    """A divergence grows where evidence exceeds that of the truth: its optimum is the evidence of the truth."""
     _, state = lattice_grid(5)
     exact = score(accumulate(truth_as_mass(state, strength), state))
     surer = score(accumulate(truth_as_mass(state, 3 * strength), state))
@@ -163,7 +164,7 @@ def test_fractions_are_fractions_and_divergences_are_not_negative(seed: int) -> 
 # Extremes
 
 
-def test_a_grid_that_says_nothing_gains_and_risks_nothing() -> None:
+def test_scores_of_a_vacuous_grid() -> None:
     _, state = lattice_grid(6)
     scores = score(accumulate(np.zeros((7, 7, 2), np.float32), state))
     share = (state == OCCUPIED).sum() / ((state == OCCUPIED) | (state == FREE)).sum()
@@ -234,11 +235,11 @@ def test_unknown_cells_alone_leave_what_is_about_unknown() -> None:
     assert not {"kl_e10", "iou_unknown", "entropy", "mean_free", "legacy_kl"} & set(found)
 
 
-def test_a_grid_that_calls_nothing_has_no_calibration_of_calls() -> None:
+def test_a_vacuous_grid_has_no_calibration_of_predicted_states() -> None:
     _, state = lattice_grid(8)
     found = reasons(accumulate(np.zeros((7, 7, 2)), state))
     assert found == {
-        "ece_called": "the grid calls every known cell unknown",
+        "ece_called": "the grid predicts every known cell as unknown",
     }
 
 
@@ -253,7 +254,9 @@ def test_what_is_nan_has_a_reason_and_nothing_else_has(states: list[int], mass: 
 
 
 def test_a_grid_without_cells_has_no_scores() -> None:
-    assert all(math.isnan(v) for v in score(accumulate(np.zeros((0, 7, 2)), np.zeros((0, 7), np.uint8))).values())
+    assert all(
+        math.isnan(v) for v in score(accumulate(np.zeros((0, 7, 2)), np.zeros((0, 7), np.uint8))).values()
+    )
 
 
 # Bad input
@@ -269,7 +272,7 @@ def with_one(value: float) -> NDArray[np.float32]:
 
 
 @pytest.mark.parametrize(
-    ("mass", "says"),
+    ("mass", "description"),
     [
         (with_one(math.nan), "NaN or inf"),
         (with_one(math.inf), "NaN or inf"),
@@ -281,7 +284,7 @@ def with_one(value: float) -> NDArray[np.float32]:
         (np.zeros((9, 2), np.float32), r"shape \(nx, ny, 2\)"),
     ],
 )
-def test_what_are_no_masses_is_refused(mass: NDArray, description: str) -> None:
+def test_invalid_masses_are_refused(mass: NDArray, description: str) -> None:
     with pytest.raises(ValueError, match=description):
         accumulate(mass, GOOD[1])
 
@@ -292,7 +295,7 @@ def test_masses_are_floats(dtype: type) -> None:
         accumulate(GOOD[0].astype(dtype), GOOD[1])
 
 
-def test_rounding_is_no_fault() -> None:
+def test_rounding_is_tolerated() -> None:
     mass = with_one(1 + 5e-7)
     mass[0, 0] = -5e-7
     scores = score(accumulate(mass, GOOD[1]))
@@ -300,7 +303,7 @@ def test_rounding_is_no_fault() -> None:
 
 
 @pytest.mark.parametrize(
-    ("distance", "says"),
+    ("distance", "description"),
     [
         (np.zeros((3, 4), np.float32), "of the cells' shape"),
         (np.zeros((3, 3), np.int64), "must be a float array"),
@@ -308,6 +311,6 @@ def test_rounding_is_no_fault() -> None:
         (np.full((3, 3), np.nan), "at least 0, got nan"),
     ],
 )
-def test_what_are_no_distances_is_refused(distance: NDArray, description: str) -> None:
+def test_invalid_distances_are_refused(distance: NDArray, description: str) -> None:
     with pytest.raises(ValueError, match=description):
         accumulate(*GOOD, distance)

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from plain import lattice_grid, plain_scores
+from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid, plain_scores
 
-from ogm.metrics import METRICS, counting, kernels, score, accumulate
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN
+from ogm.metrics import METRICS, accumulate, counting, counts, divergence, score
 
 COUNTED_ELSEWHERE = {
     "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "ece_called", "legacy_accuracy",
@@ -24,22 +23,20 @@ def check(mass: np.ndarray, state: np.ndarray) -> None:
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**31), coarse=st.sampled_from([1, 64, 512]))
-def test_scores_are_what_their_definitions_say(seed: int, coarse: int) -> None:
+def test_scores_are_their_definitions(seed: int, coarse: int) -> None:
     check(*lattice_grid(seed, coarse=coarse))
 
 
 @pytest.mark.parametrize(
     "states", [(UNKNOWN,), (FREE,), (OCCUPIED,), (UNKNOWN, OCCUPIED), (FREE, OCCUPIED), (IGNORE,)]
 )
-def test_scores_are_what_their_definitions_say_where_states_are_missing(states: tuple[int, ...]) -> None:
+def test_scores_are_their_definitions_where_states_are_missing(states: tuple[int, ...]) -> None:
     mass, _ = lattice_grid(1, coarse=64)
     check(mass, np.resize(np.array(states, np.uint8), (7, 7)))
 
 
 @pytest.mark.parametrize(("free", "occupied"), [(0, 0), (1, 0), (0, 1), (0.5, 0.5), (0.25, 0.25)])
-def test_scores_are_what_their_definitions_say_where_all_cells_are_alike(
-    free: float, occupied: float
-) -> None:
+def test_scores_are_their_definitions_where_all_cells_are_alike(free: float, occupied: float) -> None:
     _, state = lattice_grid(2)
     check(np.full((7, 7, 2), [free, occupied], np.float32), state)
 
@@ -48,15 +45,14 @@ def test_scores_are_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatc
     mass, state = lattice_grid(3, coarse=64)
     away = np.random.default_rng(0).uniform(0, 60, state.shape).astype(np.float32)
     compiled = accumulate(mass, state, away)
-    for name in ("look_up", "_density", "_evidence", "_alphas"):
-        monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
-    monkeypatch.setattr(counting, "_level", counting._level.py_func)
-    for room, name in (
-        (kernels, "sum_divergences"),
-        (counting, "count_cells"),
-        (counting, "count_ranges"),
-        (counting, "look_around"),
+    for module, name in (
+        (divergence, "_look_up"),
+        (divergence, "_sum_divergences"),
+        (counting, "nearest_level"),
+        (counting, "_predicted"),
     ):
-        monkeypatch.setattr(f"ogm.metrics.counts.{name}", getattr(room, name).py_func)
+        monkeypatch.setattr(module, name, getattr(module, name).py_func)
+    for name in ("count_cells", "count_neighbours", "count_ranges"):
+        monkeypatch.setattr(counts, name, getattr(counting, name).py_func)
     for one, other in zip(compiled, accumulate(mass, state, away), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ogm.simulation.sample import OBJECT, Beams, Sample, Weather
-from ogm.truth import TRUTH_SPEC, Truth
+from ogm.state import Truth
+from ogm.truth import TRUTH_SPEC
 
 SMALL = Beams(
     "small",

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from ogm.pose import inverse, transform_points
+from ogm.scan import Boxes
 from ogm.simulation import dataset
 from ogm.simulation.lidar import RangeImage
 from ogm.simulation.lidar import points as lidar_points
 from ogm.simulation.plan import Mount, Plan, only
 from ogm.simulation.sample import LABELS, RANGE_STEP, Sample
 from ogm.simulation.sensors import LIDARS
-from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, count_returns
+from ogm.state import CellState
+from ogm.truth import TRUTH_SPEC, count_returns
 
 PLAN = Plan(town_size=240.0, mounts=only("vlp-32c"))
 
@@ -49,14 +51,14 @@ def test_the_truth_agrees_with_the_points(pair: tuple[Sample, Sample]) -> None:
         assert np.count_nonzero(lying) > 100
         states = sample.truth.state
         hit = states[TRUTH_SPEC.index(x[standing], y[standing])]
-        assert np.mean(hit == OCCUPIED) > 0.8
+        assert np.mean(hit == CellState.OCCUPIED) > 0.8
         ground = states[TRUTH_SPEC.index(x[lying], y[lying])]
-        assert np.mean(ground == FREE) > 0.8
+        assert np.mean(ground == CellState.FREE) > 0.8
 
 
 def test_the_own_vehicle_is_to_be_ignored(pair: tuple[Sample, Sample]) -> None:
     for sample in pair:
-        ignored = np.argwhere(sample.truth.state == IGNORE) * 0.16 - 49.92
+        ignored = np.argwhere(sample.truth.state == CellState.IGNORE) * 0.16 - 49.92
         assert 4 * 1.6 < len(ignored) * 0.16**2 < 5.2 * 2.4
         assert np.abs(ignored).max() < 3.5
 
@@ -69,9 +71,9 @@ def test_objects_are_where_their_points_are(pair: tuple[Sample, Sample]) -> None
     assert (objects["returns"] >= 0).all()
     seen = objects[objects["returns"] >= 50]
     assert len(seen)
-    bottom, top = seen["z"] - seen["height"] / 2, seen["z"] + seen["height"] / 2
-    boxes = [seen[name] for name in ("x", "y", "yaw", "length", "width")]
-    inside = count_returns(sample.points, np.column_stack([*boxes, bottom - 0.2, top + 0.2]))
+    center = np.column_stack([seen[name] for name in "xyz"])
+    size = np.column_stack([seen["length"], seen["width"], seen["height"] + 0.4])
+    inside = count_returns(sample.points, Boxes(center, size, seen["yaw"]))
     np.testing.assert_array_less(0.6 * seen["returns"], inside)
 
 
@@ -139,7 +141,7 @@ def test_both_ways_to_look_at_the_truth_agree(pair: tuple[Sample, Sample]) -> No
     hd = dataset.sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
     assert np.array_equal(hd.steps, pair[0].steps)
     a, b = hd.truth.state, pair[0].truth.state
-    both = (np.isin(a, (FREE, OCCUPIED))) & (np.isin(b, (FREE, OCCUPIED)))
+    both = (np.isin(a, (CellState.FREE, CellState.OCCUPIED))) & (np.isin(b, (CellState.FREE, CellState.OCCUPIED)))
     assert both.sum() > 10_000
     assert np.mean(a[both] == b[both]) > 0.95
 

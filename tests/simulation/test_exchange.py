@@ -11,7 +11,9 @@ from ogm import read_points
 from ogm.simulation.exchange import PAPER_GRID, PairFolder, export, read_label, write_label, write_pcd
 from ogm.simulation.sample import Beams, Sample
 from ogm.simulation.store import Store
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
+from ogm.state import CellState, Truth
+
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 
 
 @pytest.fixture

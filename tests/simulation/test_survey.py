@@ -10,7 +10,10 @@ from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, box, cylinder, empty, merge, quads
 from ogm.simulation.scene import Scene
 from ogm.simulation.survey import KINDS, Aim, aimed_directions, aimed_truth, hd_truth, look_down
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Kind, Truth, boxes_seen_from
+from ogm.state import CellState, Truth
+from ogm.truth import HeightLimits, Kind, boxes_seen_from, cells_in_footprint
+
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
 
 SPEC = GridSpec.centered(20.48, 20.48, 0.16)  # 128 x 128 cells: 10 m around the sensor
 VIEW = (np.deg2rad(-25.0), np.deg2rad(15.0))
@@ -94,7 +97,8 @@ def test_a_bridge_does_not_block() -> None:
 
 def test_clearance_decides_whether_an_overhang_blocks() -> None:
     deck = Looks(box((5.0, -3.0, 1.75), (8.0, 3.0, 2.1), Material.CONCRETE))
-    for low, high in ((deck.hd(), deck.hd(clearance=1.7)), (deck.aimed(), deck.aimed(clearance=1.7))):
+    lower = HeightLimits(clearance=1.7)
+    for low, high in ((deck.hd(), deck.hd(limits=lower)), (deck.aimed(), deck.aimed(limits=lower))):
         assert np.count_nonzero(low.state == OCCUPIED) > 30
         assert np.count_nonzero(high.state == OCCUPIED) == 0
 
@@ -219,7 +223,7 @@ def test_both_ways_agree_where_both_know() -> None:
 def test_participants_are_filled_by_their_returns_in_the_input() -> None:
     van = box((-2.2, -0.9, 0.0), (2.2, 0.9, 2.6), Material.PAINT_DARK)
     place = pose(6, 3, 0, yaw=0.5)
-    looks = Looks(own=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
+    looks = Looks(unobserved=cells_in_footprint((-2.25, 2.25, -0.9, 0.9), SPEC))
     looks.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.OWN_VEHICLE))
     boxes = boxes_seen_from(np.linalg.inv(SENSOR), [place], [[4.4, 1.8, 2.6]])
     inside = np.abs(np.cos(0.5) * (x - 6) + np.sin(0.5) * (y - 3)) < 2.0

@@ -1,0 +1,483 @@
+"""Make the tables of the documentation from the records of the benchmarks.
+
+    python docs/build.py            # writes docs/results.md and fills the marked tables of other pages
+    python docs/build.py --check    # writes nothing; exit code 1 if a page differs from its record
+
+A marked table stands between ``<!-- name -->`` and ``<!-- /name -->``. Every number comes from
+``benchmarks/results/*.json``, which the command named beside the table writes.
+"""
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from quality_tables import sentences, tables
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "benchmarks" / "results"
+MODELS = ("height-band", "height-band-released", "ray", "lite")
+QUALITY = (
+    *("iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
+    *("brier", "nll", "ece", "ece_relative", "auroc_unknown", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl"),
+    "mean_unknown",
+)
+MAPS = {  # name in the record -> title
+    "scan alone": "scan alone",
+    "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
+    "cautious, what came leaves, 0.04 s": "**`EvidentialMapper` with its defaults**",
+    "Dempster, 2 s": "Dempster, 2 s",
+    "Bayes, plausibility, limits as Dempster, 0.5 s": "Bayes by plausibility, limits as Dempster, 0.5 s",
+    "Yager, never forgets": "Yager, never forgets",
+    "PCR6, 2 s": "PCR6, 2 s",
+    "cumulative, 1 s": "cumulative, 1 s",
+    "cautious, 1 s": "cautious, 1 s",
+    "cautious, 2 s": "cautious, 2 s",
+    "averaging, never forgets": "averaging, never forgets",
+    "weighted, 2 s": "weighted, 2 s",
+}
+MAP_COLUMNS = {
+    "static_iou_occupied": "IoU occupied",
+    "static_false_free": "false free (P < 1/4)",
+    "static_brier": "Brier",
+    "static_known": "known and right",
+    "ghost_area": "ghosts [m²]",
+    "appear_first": "new obstacle seen at once",
+    "body_recall": "moving cells occupied",
+    "view_ece": "ECE",
+}
+
+
+@cache
+def record(name: str) -> Any:
+    """Read a record."""
+    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Return a table in Markdown; the first column is text, the others are numbers."""
+    lines = [f"| {' | '.join(head)} |", f"|---|{'---:|' * (len(head) - 1)}"]
+    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
+
+
+def source(name: str) -> str:
+    """Return where a table comes from: command, date, machine."""
+    found = record(name)
+    found = found.get("environment", found)
+    return (
+        f"*`{found['command']}`, {found['date'].split()[0]}, {found['cpu']}, {found['cores used']} of {found['cores']} "
+        f"cores; [record](../benchmarks/results/{name}.json).*"
+    )
+
+
+def section(title: str, name: str, *parts: str) -> str:
+    """Return a section of the page of results."""
+    return "\n\n".join([f"## {title}", *parts, source(name)])
+
+
+# --- One table each -------------------------------------------------------------------------------------
+
+
+def headline() -> str:
+    """Return the table of the README: three models on the simulated test drive."""
+    means = record("deep_quality")["models"]
+    titles = {
+        "iou_free": "IoU free ↑",
+        "iou_occupied": "IoU occupied ↑",
+        "auroc_unknown": "finding unknown cells (AUROC) ↑",
+        "false_free": "occupied cells predicted free ↓",
+        "brier": "Brier score ↓",
+    }
+    models = ("height-band", "ray", "lite")
+    rows = [
+        [title, *(f"{means[model]['macro'][metric]['value']:.3f}" for model in models)]
+        for metric, title in titles.items()
+    ]
+    return table(["100 scans of one simulated drive", "paper's baseline", "`RayISM`", "`lite`"], rows)
+
+
+def speed() -> str:
+    """Return the time per scan of ogm's models, of peers and of a copy."""
+    times = {
+        one["size"]: one["times"] for one in record("speed")["comparisons"] if one["scan"].startswith("KITTI")
+    }
+    octomap = min(
+        (name for name in times["120k"] if name.startswith("OctoMap")),
+        key=lambda name: times["120k"][name]["median [ms]"],
+    )
+    names = {
+        "copy of the bytes it must read and write": "copying the bytes that must be read and written",
+        "HeightBandISM": "**`HeightBandISM`**",
+        "RayISM": "**`RayISM`**, with ground",
+        "local_ground": "`local_ground` alone",
+        "Patchwork++": "Patchwork++ (ground alone)",
+        "KISS-SLAM mapper": "KISS-SLAM's native mapper (3D)",
+        octomap: f"{octomap}, the fastest of five ways (3D)",
+    }
+    rows = []
+    for name, title in names.items():
+        cells = [times[size][name]["median [ms]"] if name in times[size] else None for size in times]
+        copies = times["120k"]["copy of the bytes it must read and write"]["median [ms]"]
+        ratio = "" if cells[-1] is None else f"{cells[-1] / copies:.3g}"
+        rows.append([title, *("" if one is None else f"{one:.3g} ms" for one in cells), ratio])
+    return table(["KITTI scan, HDL-64E", "57,600 points", "120,000 points", "x copy"], rows)
+
+
+def ground() -> str:
+    """Return precision, recall and F1 of ground and obstacle points."""
+    rows = []
+    for kind in ("obstacle", "ground"):
+        for name, groups in record("ground")["labelled"].items():
+            scores = groups["not seen while choosing"]["together"]
+            cells = [
+                " / ".join(
+                    f"{100 * scores[who][f'{kind} {what}']:.1f}" for what in ("precision", "recall", "F1")
+                )
+                for who in ("local_ground", "Patchwork++")
+            ]
+            rows.append([f"{kind}, {name}", *cells])
+    return table(["precision / recall / F1 [%]", "`local_ground`", "Patchwork++"], rows)
+
+
+def deep_quality() -> str:
+    """Return means over frames of all models on the test frames."""
+    found = record("deep_quality")
+    rows = []
+    for metric in QUALITY:
+        facts = found["metrics"][metric]
+        arrow = {"lower": " ↓", "higher": " ↑"}.get(facts["better"] or "", "")
+        cells = []
+        for model in MODELS:
+            one = found["models"][model]["macro"][metric]
+            cells.append(f"{one['value']:.3f} ± {(one['high'] - one['low']) / 2:.3f}")
+        rows.append([f"{facts['title']}{arrow}", *cells])
+    return table(["mean over frames", *(f"`{model}`" for model in MODELS)], rows)
+
+
+def deep_targets() -> str:
+    """Return which targets `lite` reaches."""
+    rows = [
+        [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
+        for row in record("deep_quality")["wanted"]
+    ]
+    return table(["target of `lite`", "wanted", "measured", ""], rows)
+
+
+def deep_occupied() -> str:
+    """Return what models predict of occupied cells, by what stands in them."""
+    found = record("deep_quality")["occupied cells by what stands there, pooled"]
+    kinds = {
+        "participants": "traffic participants with 50 returns or more",
+        "thick": "all else, where 3 x 3 cells fit",
+        "thin": "all else, thinner (kerbs, fences, poles, edges)",
+    }
+    rows = []
+    for kind, title in kinds.items():
+        for what, word in (("false free", "free"), ("called occupied", "occupied")):
+            rows.append(
+                [f"{title}: {word}", *(f"{100 * found[model][kind][what]:.1f} %" for model in MODELS)]
+            )
+    return table(["occupied cells, predicted", *(f"`{model}`" for model in MODELS)], rows)
+
+
+def deep_losses() -> str:
+    """Return what networks reach that were trained alike with other losses."""
+    scores = record("deep_losses")["scores"]
+    metrics = (
+        "kl_e10",
+        "auroc_unknown",
+        "iou_free",
+        "iou_occupied",
+        "iou_unknown",
+        "ece",
+        "brier",
+        "false_free",
+    )
+    titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
+    rows = [[name, *(f"{one[metric]['value']:.3f}" for metric in metrics)] for name, one in scores.items()]
+    return table(["loss, one seed each", *titles], rows)
+
+
+def losses_of_the_paper() -> str:
+    """Return the losses of the paper, of its code, and our default."""
+    scores = record("deep_losses")["scores"]
+    names = {
+        "squares as printed": "as printed, α / S",
+        "squares as released": "as released, e / S",
+        "squares as released, occupied x 100": "as released, occupied x 100",
+        "reverse KL": "reverse KL, our default",
+    }
+    metrics = {
+        "kl_e10": "KL, E = 10",
+        "iou_free": "IoU free",
+        "iou_occupied": "IoU occupied",
+        "auroc_unknown": "AUROC unknown",
+        "ece": "ECE",
+    }
+    rows = [
+        [title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)]
+        for name, title in names.items()
+    ]
+    return table(["", *metrics.values()], rows)
+
+
+def divergences() -> str:
+    """Return the divergences of `lite` and of both baselines, with the frames that `lite` wins."""
+    found = record("deep_quality")
+    titles = {
+        "kl_e10": "KL[grid ‖ truth], E = 10",
+        "kl_e1": "KL[grid ‖ truth], E = 1, as the code's labels",
+        "kl_e1_scaled": "the same, a tenth of every model's evidence",
+        "legacy_kl": 'the released code\'s "KL", not averaged',
+    }
+    rows = []
+    for metric, title in titles.items():
+        cells = [f"{found['models']['lite']['macro'][metric]['value']:.3f}"]
+        for other in ("height-band", "height-band-released"):
+            cells.append(f"{found['models'][other]['macro'][metric]['value']:.3f}")
+            cells.append(f"{found['paired'][f'lite against {other}'][metric]['wins']:.0f}")
+        rows.append([title, *cells])
+    return table(
+        [
+            "mean, and frames that `lite` wins",
+            "`lite`",
+            "baseline, evidence 10",
+            "",
+            "baseline as released",
+            "",
+        ],
+        rows,
+    )
+
+
+def deep_boxes() -> str:
+    """Return what share of annotated real objects the models cover."""
+    found = record("deep_real")["boxes"]
+    models = ("HeightBandISM", "RayISM", "DeepISM")
+    rows = []
+    for name, one in found.items():
+        shares = [
+            f"{100 * one['models'][model][what]['mean over objects']:.1f} %"
+            for what in ("occupied", "free")
+            for model in models
+        ]
+        rows.append([name, *shares])
+    heads = [f"{model}: {what}" for what in ("occupied", "free") for model in ("height band", "ray", "lite")]
+    return table(["boxes with 50 returns or more: share of cells with mass above 1/2", *heads], rows)
+
+
+def deep_speed() -> str:
+    """Return the time of the networks."""
+    found = record("deep_speed")
+    times, summary = found["times [ms]"], found["summary"]
+
+    def ms(name: str) -> str:
+        return f"{times[name]['median']:.3g} ms"
+
+    parts = {
+        "points to `EvidentialGrid`": ("lite, whole", "paper, whole"),
+        "pillars": ("pillars", "pillars"),
+        "features and feature map": ("lite, pillars to feature map", "paper, pillars to feature map"),
+        "feature map to evidence": ("lite, feature map to evidence", "paper, feature map to evidence"),
+        "its convolutions alone": ("lite, convolutions", "paper, convolutions"),
+    }
+    rows = [[title, *map(ms, names)] for title, names in parts.items()]
+    networks = [summary[name] for name in ("lite", "paper")]
+    rows += [
+        ["scans per second", *(f"{one['scans per second']:.3g}" for one in networks)],
+        [
+            "share of the time outside convolutions",
+            *(f"{one['share outside convolutions']:.0%}" for one in networks),
+        ],
+        ["`RayISM`, `HeightBandISM` in the same run", f"{ms('RayISM')}, {ms('HeightBandISM')}", ""],
+    ]
+    return table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
+
+
+def fusion(part: str) -> str:
+    """Return what maps reach on simulated test drives, behind a sensor model."""
+    maps = record("fusion_quality")[part]
+    rows = []
+    for name, title in MAPS.items():
+        if name not in maps:
+            continue
+        means, ratio = (
+            maps[name]["mean and 95 % interval"],
+            maps[name]["ratio to the classical filter"]["ghost_area"],
+        )
+        cells = [
+            f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}"
+            for key in MAP_COLUMNS
+        ]
+        cells.append(f"{ratio[0]:.2f} ({ratio[1]:.2f} to {ratio[2]:.2f})")
+        rows.append([title, *cells])  # fmt: skip
+    return table(["map", *MAP_COLUMNS.values(), "ghosts, x Bayes"], rows)
+
+
+def fusion_real() -> str:
+    """Return what maps reach on a real drive."""
+    drive = record("fusion_real")["recordings"]["KITTI drive 0005"]["maps"]["mean"]
+    columns = {
+        "complete": "known",
+        "iou_occupied": "IoU occupied",
+        "false_free": "false free",
+        "brier": "Brier",
+    }
+    rows = [
+        [name, *(f"{100 * means[key]:.1f}" for key in columns)]
+        for name, means in drive.items()
+        if name.count(",") == 1
+    ]
+    return table(["KITTI drive 0005 [%]", *columns.values()], rows)
+
+
+def fusion_speed() -> str:
+    """Return the cost of an update."""
+    times = record("fusion_speed")["times [ms]"]
+    titles = {
+        "copy": "copying the map, the conflict layers and the scan",
+        "update, as it comes": "**update with the defaults**",
+        "update, slow twin": "update, the reference in numpy",
+        "scipy": "interpolating the map with scipy, combining in numpy",
+        "RayISM + update": "**`RayISM` and update**",
+    }
+    rows = [
+        [titles.get(name, name), f"{one['median']:.3g}", f"{one['median'] / times['copy']['median']:.3g}"]
+        for name, one in times.items()
+    ]
+    return table(["one core, 512 x 352 cells", "time [ms]", "x copy"], rows)
+
+
+def truth_modes() -> str:
+    """Return what both truth modes of the simulator find."""
+    modes = record("truth_modes")["against the reference"]
+    rows = [[what.replace("called", "as"), *(f"{100 * modes[mode][what]:.1f} %" for mode in ("hd", "aimed"))]
+            for what in modes["hd"] if not what.startswith("cells")]  # fmt: skip
+    return table(["against 12,000 layers every 0.02 degrees", "`hd`", "`aimed`"], rows)
+
+
+def simulation() -> str:
+    """Return the cost of simulated samples."""
+    cost = record("simulation")
+    seconds, times = cost["one sample"]["seconds, median"], cost["one sample"]["times the rays alone, median"]
+    worst = cost["one sample"]["times the rays alone, worst moment"]
+    two, reading = cost["two workers"], cost["reading"]
+    rows = [
+        ["Open3D alone, the rays of a sample", f"{seconds['rays alone']:.2f} s"],
+        ["a whole sample, `--truth hd`, written to disk", f"{seconds['hd']:.2f} s"],
+        ["... in multiples of the rays alone (worst moment)", f"{times['hd']:.2f} ({worst['hd']:.2f})"],
+        ["a whole sample, `--truth aimed`", f"{seconds['aimed']:.2f} s"],
+        ["samples per second, one worker", f"{two['samples per second by one worker on one core']:.2f}"],
+        ["... two workers", f"{two['samples per second by two workers on two']:.2f}"],
+        ["bytes per sample", f"{two['bytes per sample']:,}"],
+        ["samples read per second, one process", f"{reading['samples per second, 1 process']:.0f}"],
+        ["... two processes", f"{reading['samples per second, 2 processes']:.0f}"],
+    ]
+    return table(["", "measured"], rows)
+
+
+def metrics() -> str:
+    """Return what each metric is."""
+    from ogm.metrics import METRICS
+
+    def cell(text: str) -> str:
+        return text.replace("|", "∣")
+
+    rows = [
+        [f"`{name}`", one.title, one.better or "-", cell(one.description)] for name, one in METRICS.items()
+    ]
+    return table(["key", "title", "better", "what it is"], rows).replace("---:", "---")
+
+
+def results() -> str:
+    """Return the page of results."""
+    boxes = "Real scans with annotated boxes, by a benchmark of commit 28273fa that `ogm evaluate` has replaced since:"
+    parts = [
+        "# Results",
+        "All tables of this page are made by `python docs/build.py` from the records of the benchmarks. Sensor models on "
+        "real and simulated data side by side: [quality.md](quality.md). What is compared in each: "
+        "[benchmarks](../benchmarks/README.md). The 100 test frames are scans of **one** simulated drive, 1 s apart: "
+        "their intervals, over frames, are too narrow.",
+        section(
+            "Sensor models, simulated test drive",
+            "deep_quality",
+            *(deep_quality(), deep_targets(), deep_occupied()),
+        ),
+        section("Objects in real scans", "deep_real", boxes, deep_boxes()),
+        section("Losses of the network", "deep_losses", deep_losses()),
+        section("Time per scan", "speed", speed()),
+        section("Time of the network", "deep_speed", deep_speed()),
+        section("Ground estimates, labelled returns not used while parameters were chosen", "ground", ground()),
+        section(
+            "Maps over time, 12 simulated test drives",
+            "fusion_quality",
+            *("Behind `RayISM`:", fusion("maps"), "Behind `lite`:", fusion("maps behind lite")),
+        ),
+        section("Maps over time, a real drive", "fusion_real", fusion_real()),
+        section("Time of a map update", "fusion_speed", fusion_speed()),
+        section("Truth of the simulator", "truth_modes", truth_modes()),
+        section("Cost of simulated samples", "simulation", simulation()),
+    ]  # fmt: skip
+    return "\n\n".join(parts) + "\n"
+
+
+def fill(page: str, made: Mapping[str, str]) -> str:
+    """Put tables between their markers, indented as these.
+
+    Raises
+    ------
+    ValueError
+        If the page has no place for one of them.
+    """
+    for name, text in made.items():
+        begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
+        place = re.compile(
+            rf"^([ \t]*){re.escape(begin)}\n.*?^[ \t]*{re.escape(end)}", re.DOTALL | re.MULTILINE
+        )
+        found = place.search(page)
+        if found is None:
+            raise ValueError(
+                f"the page has no place for {name}: {begin} and {end}, each on a line of its own"
+            )
+        lines = "\n".join(found[1] + line for line in (begin, *text.splitlines(), end))
+        page = page[: found.start()] + lines + page[found.end() :]
+    return page
+
+
+PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
+    "README.md": lambda: {"results": headline()},
+    "docs/lite.md": lambda: {"results": headline()},
+    "docs/quality.md": lambda: tables(record("quality")),
+    "docs/reproduction.md": lambda: (
+        sentences(record("quality")) | {"losses": losses_of_the_paper(), "divergence": divergences()}
+    ),
+    "docs/evaluation.md": lambda: {"metrics": metrics()},
+}
+
+
+def main() -> int:
+    """Write the pages, or compare them."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
+    check = parser.parse_args().check
+    made = {"docs/results.md": results()}
+    made |= {name: fill((ROOT / name).read_text(encoding="utf-8"), parts()) for name, parts in PAGES.items()}
+    differing = []
+    for name, text in made.items():
+        path = ROOT / name
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            differing.append(name)
+            if not check:
+                path.write_text(text, encoding="utf-8")
+    print(f"{'differing' if check else 'written'}: {', '.join(differing) or 'none'}")
+    return int(check and bool(differing))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,246 @@
+"""Training of a network on frames.
+
+A run is a folder. ``best.safetensors`` and ``best.json`` are the averaged weights with the lowest validation loss,
+``state.pt`` holds all that is needed to resume, ``log.csv`` the learning curve, and ``epoch-NNN.png`` shows fixed
+validation frames.
+"""
+
+import math
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from torch.utils.data import DataLoader
+
+from ogm.deep import losses
+from ogm.deep.data import PLAIN, Batch, EpochSampler, PillarDataset, join_batches, training_ranges
+from ogm.deep.network import PillarNetwork
+from ogm.deep.recipe import LOSSES, Recipe, mean_loss
+from ogm.evidence import evidence_to_mass
+from ogm.grid import GridSpec
+from ogm.scan import Frame
+from ogm.state import predict_state
+
+try:
+    from lightning.fabric import Fabric
+
+    from ogm.deep.training_run import TrainingRun, draw_predictions
+except ImportError as error:
+    raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
+
+__all__ = ["ValidationScores", "train", "validate"]
+
+
+class ValidationScores(NamedTuple):
+    """Scores of a network on some frames; all cells of all frames have the same weight.
+
+    Attributes
+    ----------
+    loss : float
+        Mean of the recipe's loss.
+    kl : float
+        Mean of KL[prediction || truth] at the recipe's strength, divided by it, whatever the loss.
+    free, occupied : float
+        Intersection over union of the cells that `ogm.state.predict_state` gives this state.
+    """
+
+    loss: float
+    kl: float
+    free: float
+    occupied: float
+
+    def __str__(self) -> str:
+        return f"validation {self.loss:.4f}, IoU free {self.free:.2f} occupied {self.occupied:.2f}"
+
+
+def train(
+    training: Sequence[Frame],
+    validation: Sequence[Frame],
+    spec: GridSpec,
+    out: Path,
+    recipe: Recipe,
+    *,
+    resume: bool = False,
+    accelerator: str = "auto",
+    devices: int = 1,
+    nodes: int = 1,
+    precision: str | None = None,
+    workers: int | None = None,
+    save_every: float = 120.0,
+    picture_every: int = 1,
+    facts: Mapping[str, Any] | None = None,
+    progress: bool = True,
+) -> Path:
+    """Train a network and return the path of its best weights.
+
+    Parameters
+    ----------
+    training, validation : sequence of Frame
+        With scan, mount and truth, as ``open_dataset(path, split="training")`` gives them. The weights are chosen by
+        `validation`.
+    spec : GridSpec
+        The network's grid, around the sensor.
+    out : Path
+        The run's folder.
+    recipe : Recipe
+    resume : bool
+        Go on where a run with the same recipe, grid, data and number of processes stopped in `out`; the learning rate
+        and the clipping may be others. Begin if there is none.
+    accelerator, devices, nodes, precision
+        As Lightning Fabric takes them. The default precision is bfloat16 where the accelerator has it, else float32.
+    workers : int, optional
+        Processes that prepare frames, beside each training process; by default half the cores, 12 at most.
+    save_every : float
+        Time between saved states [s].
+    picture_every : int
+        Epochs between pictures of validation frames; 0 draws none.
+    facts : mapping, optional
+        Provenance to keep beside the weights.
+    progress : bool
+        Show a progress bar.
+
+    Raises
+    ------
+    ValueError
+        If there are too few frames, the grid does not suit the network, `out` holds another run, or a number of the
+        recipe is out of range.
+    FloatingPointError
+        If the loss is not finite; the batch is saved in the run's folder.
+    MemoryError
+        If the memory does not suffice.
+    """
+    _check(validation, recipe, out, resume)
+    fabric = _launch(accelerator, devices, nodes, precision)
+    options = recipe.network.z_range, recipe.seed, recipe.most_pillars, recipe.most_points
+    frames = PillarDataset(training, spec, recipe.augmentation, *options)
+    fixed = PillarDataset(validation, spec, PLAIN, *options)
+    order = EpochSampler(len(frames), recipe.seed, fabric.global_rank, fabric.world_size)
+    loader = _loader(frames, order, recipe.batch, workers)
+    run = TrainingRun(fabric, recipe, spec, out, len(frames), len(fixed))
+    out.mkdir(parents=True, exist_ok=True)
+    facts = {"seen": training_ranges(frames), **(facts or {})}
+    if resume and (out / "state.pt").exists():
+        run.restore()
+    saved = time.monotonic()
+    with _bar(progress and fabric.is_global_zero, run.steps, run.step) as show, _memory_advice(recipe):
+        try:
+            while run.epoch < recipe.epochs:
+                began, first = time.monotonic(), run.step
+                order.epoch, order.skip = run.epoch, (first - run.epoch * run.steps_per_epoch) * recipe.batch
+                for batch in loader:
+                    run.do_step(batch)
+                    show(completed=run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
+                    if time.monotonic() - saved > save_every:
+                        saved = run.save()
+                if fabric.is_global_zero:
+                    speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
+                    scores = validate(run.average, fixed, recipe, fabric.device)
+                    run.record(scores._asdict(), speed, facts)
+                    show(scores=scores)
+                    if picture_every and (run.epoch + 1) % picture_every == 0:
+                        picture = out / f"epoch-{run.epoch + 1:03d}.png"
+                        draw_predictions(picture, run.average, fixed, fabric.device)
+                run.epoch += 1
+                saved = run.save()
+                fabric.barrier()
+        except KeyboardInterrupt:
+            if run.consistent:  # else the state that was saved before is the one to resume from
+                run.save()
+            raise
+    return out / "best.safetensors"
+
+
+@torch.no_grad()
+def validate(
+    network: PillarNetwork, dataset: PillarDataset, recipe: Recipe, device: torch.device | str = "cpu"
+) -> ValidationScores:
+    """Score a network on frames, by the loss as it is after all annealing, so that epochs can be compared."""
+    network.eval()
+    loss = kl = 0.0
+    cells = 0
+    counts = np.zeros((3, 3))  # true state, predicted state
+    for i in range(len(dataset)):
+        batch = dataset[i]
+        evidence, state = network(batch.pillars.to(device)), batch.state.to(device)
+        target, valid = losses.targets(state)
+        count = int(valid.sum())
+        loss += count * float(mean_loss(evidence, state, recipe, math.inf))
+        kl += count * float(losses.masked_mean(losses.reverse_kl(evidence, target, recipe.strength), valid))
+        cells += count
+        predicted = predict_state(evidence_to_mass(evidence.cpu().numpy()))
+        pairs = (3 * batch.state.numpy() + predicted)[valid.cpu().numpy()]
+        counts += np.bincount(pairs, minlength=9).reshape(3, 3)
+    iou = np.diag(counts) / np.maximum(counts.sum(0) + counts.sum(1) - np.diag(counts), 1)
+    return ValidationScores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
+
+
+def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabric:
+    if accelerator == "auto":  # Lightning would take others, for which torch lacks segment_reduce
+        accelerator = "cuda" if torch.cuda.is_available() else "cpu"
+    if precision is None:
+        bfloat16 = (
+            accelerator in ("cuda", "gpu") and torch.cuda.is_available() and torch.cuda.is_bf16_supported()
+        )
+        precision = "bf16-mixed" if bfloat16 else "32-true"
+    try:
+        fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision)
+    except (RuntimeError, ValueError) as error:  # Lightning's, if there is no such accelerator
+        raise ValueError(f"cannot train on {devices} x {accelerator} here: {error}") from error
+    fabric.launch()
+    return fabric
+
+
+def _loader(frames: PillarDataset, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Batch]:
+    if workers is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+        workers = min(12, max(1, cores // 2))
+    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": 4 if workers else None}
+    return DataLoader(frames, batch, sampler=order, collate_fn=join_batches, drop_last=True, **options)
+
+
+@contextmanager
+def _memory_advice(recipe: Recipe) -> Iterator[None]:
+    """Turn torch's errors about too little memory into one with the way out."""
+    try:
+        yield
+    except RuntimeError as error:  # torch.OutOfMemoryError among them
+        killed = "alloc" in str(error) or "DataLoader worker" in str(error)  # by the operating system
+        if not (isinstance(error, torch.OutOfMemoryError) or killed):
+            raise
+        raise MemoryError(
+            f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
+        ) from error
+
+
+@contextmanager
+def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
+    """Show a progress bar; the function that is returned updates its fields."""
+    columns = (
+        TextColumn("epoch {task.fields[epoch]:.1f}"),
+        BarColumn(),
+        TextColumn("loss {task.fields[loss]:.4f}  {task.fields[scores]}"),
+        TimeRemainingColumn(elapsed_when_finished=True, compact=True),
+    )
+    with Progress(*columns, disable=not visible) as bar:
+        task = bar.add_task("training", total=total, completed=done, loss=math.nan, epoch=0.0, scores="")
+        yield partial(bar.update, task)
+
+
+def _check(validation: Sequence[Frame], recipe: Recipe, out: Path, resume: bool) -> None:
+    if recipe.loss not in LOSSES:
+        raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {recipe.loss!r}")
+    if recipe.epochs < 1 or recipe.batch < 1:
+        raise ValueError(f"epochs and batch must be at least 1, got {recipe.epochs} and {recipe.batch}")
+    if not (recipe.learning_rate > 0 and recipe.strength > 0):
+        raise ValueError("learning_rate and strength must be greater than 0")
+    if len(validation) == 0:
+        raise ValueError("there are no validation frames to choose the weights by")
+    if not resume and (out / "state.pt").exists():
+        raise ValueError(f"{out} holds a run already; go on with --resume, or give another --out")

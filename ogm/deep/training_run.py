@@ -1,0 +1,220 @@
+"""State of a training and the files of its folder: `TrainingRun`."""
+
+import csv
+import importlib.metadata
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lightning.fabric import Fabric
+
+from ogm.deep.checkpoint import save_network
+from ogm.deep.data import Batch, PillarDataset
+from ogm.deep.network import PillarNetwork
+from ogm.deep.recipe import Recipe, learning_rate, mean_loss
+from ogm.evidence import evidence_to_mass
+from ogm.files import OgmError, atomic_write
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.state import Truth
+
+__all__ = ["TrainingRun", "draw_predictions", "nonfinite_loss_error"]
+
+
+class TrainingRun:
+    """A training: all that a step or the end of an epoch changes, and that a resumed run needs.
+
+    Parameters
+    ----------
+    fabric : Fabric
+    recipe : Recipe
+    spec : GridSpec
+    out : Path
+        The run's folder.
+    training, validation : int
+        Numbers of frames.
+
+    Attributes
+    ----------
+    step, epoch : int
+        Steps done; epochs done and validated.
+    average : PillarNetwork
+        Exponential moving average of the network's weights.
+    consistent : bool
+        Whether network, average and step belong together.
+    """
+
+    def __init__(
+        self, fabric: Fabric, recipe: Recipe, spec: GridSpec, out: Path, training: int, validation: int
+    ) -> None:
+        self.fabric, self.recipe, self.out = fabric, recipe, out
+        self.steps_per_epoch = training // fabric.world_size // recipe.batch
+        self.steps = self.steps_per_epoch * recipe.epochs
+        if self.steps == 0:
+            raise ValueError(
+                f"{training} training frames are fewer than one batch of {recipe.batch} for each of "
+                f"{fabric.world_size} processes; use a smaller --batch"
+            )
+        self._setup = {
+            "recipe": repr(
+                replace(recipe, learning_rate=0.0, clip=0.0)
+            ),  # a resumed run may change these two
+            "spec": repr(spec),
+            "frames": f"{training} for training, {validation} for validation",
+            "processes": str(fabric.world_size),
+        }
+        torch.manual_seed(recipe.seed)
+        self.network = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
+        average = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
+        average.load_state_dict(self.network.state_dict())
+        optimizer = torch.optim.AdamW(
+            self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay
+        )
+        self._model, self.optimizer = fabric.setup(self.network, optimizer)
+        self.average = average.to(fabric.device).eval()
+        self.step, self.epoch, self.best = 0, 0, math.inf
+        self.consistent = True
+        self._losses: list[float] = []  # of the last 100 steps
+
+    @property
+    def recent_loss(self) -> float:
+        """Mean loss of the last 100 steps."""
+        return sum(self._losses) / max(len(self._losses), 1)
+
+    def do_step(self, batch: Batch) -> None:
+        """Change the weights by the gradient of one batch."""
+        recipe, fabric = self.recipe, self.fabric
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(recipe, self.step, self.steps)
+        seed = (recipe.seed * self.steps + self.step) * fabric.world_size + fabric.global_rank
+        torch.manual_seed(seed)  # of the dropout
+        pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
+        loss = mean_loss(self._model(pillars), state, recipe, self.step / self.steps_per_epoch)
+        value = float(loss.detach())
+        if not _is_finite_everywhere(fabric, value):
+            raise nonfinite_loss_error(self.out, batch, value, self.step)
+        self.optimizer.zero_grad()
+        fabric.backward(loss)
+        if math.isfinite(recipe.clip):
+            fabric.clip_gradients(self._model, self.optimizer, max_norm=recipe.clip)
+        self.consistent = False
+        self.optimizer.step()
+        self.step += 1
+        _update_ema(self.average, self.network, min(recipe.average, self.step / (self.step + 10)))
+        self.consistent = True
+        self._losses = [*self._losses[-99:], value]
+
+    def record(self, scores: Mapping[str, float], speed: float, facts: Mapping[str, Any]) -> None:
+        """Append an epoch to the learning curve, and keep its weights if its loss is the lowest.
+
+        Parameters
+        ----------
+        scores : mapping
+            Validation scores; ``loss`` among them.
+        speed : float
+            Steps per second.
+        facts : mapping
+            For the description of the weights.
+        """
+        counts = {"epoch": self.epoch + 1, "step": self.step}
+        samples_per_s = speed * self.recipe.batch * self.fabric.world_size
+        row = {**counts, "training_loss": self.recent_loss, **scores, "samples_per_s": samples_per_s}
+        _append_row(self.out / "log.csv", row)
+        if scores["loss"] < self.best:
+            self.best = scores["loss"]
+            versions = {name: importlib.metadata.version(name) for name in ("torch", "lightning", "numpy")}
+            result = {**counts, "validation": dict(scores)}
+            description = {"recipe": asdict(self.recipe), "result": result, "versions": versions, **facts}
+            save_network(self.out / "best.safetensors", self.average, description)
+
+    def save(self) -> float:
+        """Write ``state.pt``, and return the time of it."""
+        if self.fabric.is_global_zero:
+            modules = {"network": self.network, "average": self.average, "optimizer": self.optimizer}
+            state = {name: module.state_dict() for name, module in modules.items()}
+            numbers = {"step": self.step, "epoch": self.epoch, "best": self.best}
+            with atomic_write(self.out / "state.pt") as file:
+                torch.save({"setup": self._setup, **state, **numbers}, file)
+        return time.monotonic()
+
+    def restore(self) -> None:
+        """Read ``state.pt``. Nothing is unpickled but tensors, texts and numbers."""
+        path = self.out / "state.pt"
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+            for name, wanted in self._setup.items():
+                if state["setup"][name] != wanted:
+                    raise ValueError(
+                        f"it was begun with another {name}: {state['setup'][name]}, now {wanted}; give the same "
+                        "options and data, or another --out"
+                    )
+            self.network.load_state_dict(state["network"])
+            self.average.load_state_dict(state["average"])
+            self.optimizer.load_state_dict(state["optimizer"])
+            self.step, self.epoch, self.best = int(state["step"]), int(state["epoch"]), float(state["best"])
+        except Exception as error:  # whatever torch makes of a damaged file
+            raise OgmError(f"cannot resume from {path}: {error}") from error
+
+
+@torch.no_grad()
+def draw_predictions(
+    path: Path, network: PillarNetwork, dataset: PillarDataset, device: torch.device | str
+) -> None:
+    """Draw points, truth and prediction of two fixed frames."""
+    from ogm.plot import Panel, mass_panel, points_panel, save_picture
+
+    panels: list[Panel] = []
+    for i in sorted({0, len(dataset) // 2}):
+        batch = dataset[i]
+        evidence = network(batch.pillars.to(device))[0].cpu().numpy()
+        panels += [
+            points_panel(batch.pillars.features[:, :4].numpy(), dataset.spec, f"sample {i}", 0.0),
+            mass_panel(Truth(dataset.spec, batch.state[0].numpy()).grid, "truth"),
+            mass_panel(EvidentialGrid.trusted(dataset.spec, evidence_to_mass(evidence)), "network"),
+        ]
+    save_picture(path, *panels)
+
+
+def nonfinite_loss_error(folder: Path, batch: Batch, loss: float, step: int) -> FloatingPointError:
+    """Return the error for a loss that is not finite; the batch is saved if the loss is of this process."""
+    if math.isfinite(loss):
+        return FloatingPointError(
+            f"the loss of another process is not finite at step {step}; see its message"
+        )
+    path = folder / f"batch-{step}.npz"
+    arrays = {name: getattr(batch.pillars, name).numpy() for name in ("features", "lengths", "cells")}
+    with atomic_write(path) as file:
+        np.savez_compressed(file, **arrays, state=batch.state.numpy(), numbers=np.array(batch.numbers))
+    return FloatingPointError(
+        f"the loss became {loss} at step {step}; the batch is in {path}; --resume with a smaller "
+        "--learning-rate goes on from the last saved state"
+    )
+
+
+@torch.no_grad()
+def _update_ema(average: PillarNetwork, network: PillarNetwork, decay: float) -> None:
+    for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
+        if mean.is_floating_point():
+            mean.lerp_(value, 1 - decay)
+        else:
+            mean.copy_(value)
+
+
+def _is_finite_everywhere(fabric: Fabric, value: float) -> bool:
+    """Return whether the loss is finite on every process, so that all stop where one must."""
+    finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
+    return bool(fabric.all_reduce(finite, reduce_op="mean") == 1)
+
+
+def _append_row(path: Path, row: Mapping[str, float]) -> None:
+    """Append a row to a CSV file; a new file gets a header."""
+    new = not path.exists()
+    with open(path, "a", newline="") as file:
+        writer = csv.DictWriter(file, list(row))
+        if new:
+            writer.writeheader()
+        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})

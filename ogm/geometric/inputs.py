@@ -1,0 +1,82 @@
+"""Input of the geometric models: checks, and points taken to the vehicle frame."""
+
+import logging
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.grid import GridSpec
+from ogm.jit import kernel
+from ogm.scan import Mount
+
+__all__ = ["check_sensor_in_grid", "check_within", "to_vehicle_frame"]
+
+_log = logging.getLogger(__name__)
+
+
+def check_sensor_in_grid(spec: GridSpec, mount: Mount) -> None:
+    """Refuse what is no mount, and a sensor outside the grid."""
+    if not isinstance(mount, Mount):
+        raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+    x, y, _ = mount.ground_point
+    if not spec.contains(x, y):
+        raise ValueError(
+            f"the sensor at x={x:g}, y={y:g} m lies outside the grid {spec.extent}; "
+            "move or enlarge the grid so that it holds the sensor"
+        )
+
+
+def check_within(name: str, value: float, low: float, high: float) -> None:
+    """Refuse a parameter outside the open interval (low, high)."""
+    if not low < value < high:
+        raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value}")
+
+
+def to_vehicle_frame(
+    points: NDArray[np.float32], mount: Mount, ego_footprint: tuple[float, float, float, float]
+) -> NDArray[np.float32]:
+    """Take points to the vehicle frame; drop those that are not finite, and returns from the ego vehicle.
+
+    Returns
+    -------
+    (K, 3) float32
+        x, y, z [m]; each column is contiguous.
+    """
+    T, footprint = mount.T_vehicle_points[:3].astype(np.float32), np.array(ego_footprint, np.float32)
+    xyz, invalid, ego = _transform_and_drop(np.ascontiguousarray(points), T, footprint)
+    if invalid:
+        _log.warning("dropped %d of %d points that are NaN, inf or beyond 1000 km", invalid, len(points))
+    if ego:
+        _log.debug("dropped %d of %d points as returns from the ego vehicle", ego, len(points))
+    return xyz.T
+
+
+@kernel
+def _transform_and_drop(points: Any, T: Any, footprint: Any) -> Any:
+    """Return the points that stay as rows of x, y and z, how many were not finite, and how many from the ego vehicle.
+
+    Parameters
+    ----------
+    points : (N, 3 or more) float32, T : (3, 4) float32, footprint : (4,) float32
+    """
+    r00, r01, r02, tx = T[0]
+    r10, r11, r12, ty = T[1]
+    r20, r21, r22, tz = T[2]
+    x_min, x_max, y_min, y_max = footprint
+    limit = np.float32(1e6)  # [m] also keeps what follows from overflowing
+    xyz = np.empty((3, points.shape[0]), np.float32)
+    kept, invalid, ego = 0, 0, 0
+    for n in range(points.shape[0]):
+        a, b, c = points[n, 0], points[n, 1], points[n, 2]
+        if not (abs(a) < limit and abs(b) < limit and abs(c) < limit):
+            invalid += 1
+            continue
+        x = r00 * a + r01 * b + r02 * c + tx
+        y = r10 * a + r11 * b + r12 * c + ty
+        if x > x_min and x < x_max and y > y_min and y < y_max:
+            ego += 1
+            continue
+        xyz[0, kept], xyz[1, kept], xyz[2, kept] = x, y, r20 * a + r21 * b + r22 * c + tz
+        kept += 1
+    return xyz[:, :kept], invalid, ego

@@ -1,0 +1,106 @@
+"""What kernels take and return: arrays and numbers that belong together."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Cells",
+    "GroundLimits",
+    "HeightBand",
+    "Points",
+    "PolarGrid",
+    "RayNumbers",
+    "Rays",
+    "Surface",
+    "WorkSpace",
+]
+
+
+class Cells(NamedTuple):
+    """Where the cells of a grid lie."""
+
+    x0: float  # corner of cell (0, 0) [m]
+    y0: float
+    resolution: float  # side of a cell [m]
+
+
+class Points(NamedTuple):
+    """Points in the frame of the grid."""
+
+    x: NDArray[np.float32]  # (N,) [m], as y and z
+    y: NDArray[np.float32]
+    z: NDArray[np.float32]
+
+
+class Surface(NamedTuple):
+    """Heights at the middles of the cells of a grid."""
+
+    height: NDArray[np.float32]  # (gx, gy) [m], at least 2 x 2
+    x0: np.float32  # corner of cell (0, 0) [m]
+    y0: np.float32
+    per_metre: np.float32  # cells per metre
+
+
+class GroundLimits(NamedTuple):
+    """What `local_ground` takes for ground; see the constants of `ogm.geometric.ground`."""
+
+    max_slope: float  # rise over run from cell to cell
+    max_descent: float  # rise over run on average, down from the ground point
+    low_tolerance: float  # [m]
+    band: float  # [m]
+
+
+class HeightBand(NamedTuple):
+    """Which returns `HeightBandISM` uses."""
+
+    low: float  # open interval of heights in the frame of the grid [m]
+    high: float
+    min_range: float  # nearer returns are ignored [m]
+
+
+class RayNumbers(NamedTuple):
+    """The parameters of `RayISM` that kernels use; see there."""
+
+    obstacle_height: float
+    clearance: float
+    below_ground: float
+    range_noise: float
+    p_miss: float
+    free_reliability_at_hits: float
+    max_mass: float
+    max_range: float
+    no_return_weight: float
+
+
+class PolarGrid(NamedTuple):
+    """Sectors and rings around the sensor, and where each cell of a grid lies among them."""
+
+    step: float  # depth of a bin [m]
+    sectors: int
+    rows: int  # coarse sectors in which the ground is sampled
+    bins: int
+    sector: NDArray[
+        np.int16
+    ]  # (nx, ny) first sector that the cell touches, counted to the left from the x axis
+    span: NDArray[np.int16]  # (nx, ny) how many sectors it subtends, at least one
+    ring: NDArray[np.int16]  # (nx, ny) radial bin; -1 for a cell under the ego vehicle
+
+
+class Rays(NamedTuple):
+    """Rays, sorted by sector."""
+
+    table: NDArray[np.float32]  # (N, 3) rise over run, first bin that the ray clears, first after these
+    starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins in `table`
+
+
+class WorkSpace(NamedTuple):
+    """Memory for the kernels of one scan, with arbitrary content."""
+
+    sector: NDArray[np.int32]  # (N,)
+    slope: NDArray[np.float32]  # (N,)
+    run: NDArray[np.float32]  # (N,)
+    table: NDArray[np.float32]  # (N, 3) of `Rays`
+    hits: NDArray[np.int32]  # (nx, ny)
+    free: NDArray[np.float32]  # (sectors, bins)

@@ -1,0 +1,154 @@
+"""Straight lines of cells: what `HeightBandISM` draws."""
+
+# mypy: allow-untyped-defs
+import numpy as np
+
+from ogm.jit import kernel
+
+__all__ = ["draw_lines", "height_band_states", "state_mass"]
+
+UNKNOWN, FREE, OCCUPIED, BEYOND = 0, 1, 2, 3  # states of a cell while `height_band_states` draws
+
+
+@kernel
+def draw_lines(state, ends, i0, j0):
+    """Mark cells as free on the straight line from (i0, j0) to each end, up to the first occupied one.
+
+    Lines are Bresenham's: one cell per step along the longer axis, the other rounded to the nearest (half
+    up, away from the start), in 32.32 fixed point, exact for lines of up to 2**16 cells.
+
+    Parameters
+    ----------
+    state : (nx, ny) uint8, changed in place
+        An end that is BEYOND (where a ray leaves the grid) becomes FREE if its line gets there.
+    ends : (M, 2) int32
+        Cells ix, iy.
+    i0, j0 : int
+        The sensor's cell.
+    """
+    flat = state.reshape(-1)
+    stride = state.shape[1]
+    for n in range(ends.shape[0]):
+        di, dj = ends[n, 0] - i0, ends[n, 1] - j0
+        steps_i, steps_j = abs(di), abs(dj)
+        up_i = stride if di > 0 else -stride
+        up_j = 1 if dj > 0 else -1
+        if steps_i >= steps_j:
+            long, short, up_long, up_short = steps_i, steps_j, up_i, up_j
+        else:
+            long, short, up_long, up_short = steps_j, steps_i, up_j, up_i
+        slope = ((np.int64(short) << 32) // long + 1) if long > 0 else np.int64(0)
+        cell = np.int64(i0) * stride + j0
+        fraction = np.int64(1) << 31
+        for _ in range(long):
+            if flat[cell] == OCCUPIED:
+                break
+            flat[cell] = FREE
+            cell += up_long
+            fraction += slope
+            if fraction >> 32:
+                fraction -= np.int64(1) << 32
+                cell += up_short
+        else:
+            if flat[cell] == BEYOND:
+                flat[cell] = FREE
+
+
+@kernel
+def height_band_states(points, origin, start, cells, shape, band):
+    """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
+
+    Van Kempen et al. 2021, Sec. VI-A: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
+    per distinct cell, which gives the same states as one per return. Returns beyond the grid end where their
+    ray leaves it, and mark nothing.
+
+    Parameters
+    ----------
+    points : Points
+    origin : (3,) float32
+        The sensor [m].
+    start : (i0, j0)
+        The cell that holds it.
+    cells : Cells, shape : (nx, ny)
+    band : HeightBand
+
+    Returns
+    -------
+    (nx, ny) uint8
+        UNKNOWN, FREE or OCCUPIED (or BEYOND: a ray's exit that it did not reach).
+    """
+    x, y, z = points
+    x0, y0, resolution = cells
+    nx, ny = shape
+    low, high = np.float32(band.low), np.float32(band.high)
+    near = np.float32(band.min_range) * np.float32(band.min_range)
+    state, ends, count = np.zeros(shape, np.uint8), np.empty((min(x.shape[0], nx * ny), 2), np.int32), 0
+    for n in range(x.shape[0]):
+        if not (z[n] > low and z[n] < high):
+            continue
+        dx, dy, dz = x[n] - origin[0], y[n] - origin[1], z[n] - origin[2]
+        if not dx * dx + dy * dy + dz * dz > near:
+            continue
+        u, v = (x[n] - x0) / resolution, (y[n] - y0) / resolution
+        mark = OCCUPIED
+        if not (u >= 0 and u < nx and v >= 0 and v < ny):
+            a, b = (origin[0] - x0) / resolution, (origin[1] - y0) / resolution
+            share = 1.0
+            if u < 0:
+                share = min(share, a / (a - u))
+            elif u >= nx:
+                share = min(share, (nx - a) / (u - a))
+            if v < 0:
+                share = min(share, b / (b - v))
+            elif v >= ny:
+                share = min(share, (ny - b) / (v - b))
+            u, v = a + share * (u - a), b + share * (v - b)
+            mark = BEYOND
+        i, j = min(max(int(u), 0), nx - 1), min(max(int(v), 0), ny - 1)
+        before = state[i, j]
+        if before == UNKNOWN:
+            ends[count, 0], ends[count, 1] = i, j
+            count += 1
+        if mark == OCCUPIED or before == UNKNOWN:
+            state[i, j] = mark
+    draw_lines(state, ends[:count], start[0], start[1])
+    return state
+
+
+@kernel
+def state_mass(state, evidence, factor):
+    """Turn states into masses, e / (2 + sum of e), averaging evidence over `factor` x `factor` cells.
+
+    Parameters
+    ----------
+    state : (nx * factor, ny * factor) uint8
+    evidence : float
+        Dirichlet evidence of a free or occupied cell, > 0.
+    factor : int
+        Cells of `state` per cell of the result along each axis.
+
+    Returns
+    -------
+    (nx, ny, 2) float32
+        Free and occupied.
+    """
+    nx, ny = state.shape[0] // factor, state.shape[1] // factor
+    mass = np.empty((nx, ny, 2), np.float32)
+    if factor == 1:
+        table = np.zeros((4, 2), np.float32)
+        table[FREE, 0] = table[OCCUPIED, 1] = evidence / (2 + evidence)
+        for i in range(nx):
+            for j in range(ny):
+                s = state[i, j]
+                mass[i, j, 0], mass[i, j, 1] = table[s, 0], table[s, 1]
+        return mass
+    for i in range(nx):
+        for j in range(ny):
+            free, occupied = 0, 0
+            for k in range(i * factor, (i + 1) * factor):
+                for l in range(j * factor, (j + 1) * factor):  # noqa: E741
+                    free += state[k, l] == FREE
+                    occupied += state[k, l] == OCCUPIED
+            strength = 2 * factor * factor / evidence + free + occupied
+            mass[i, j, 0], mass[i, j, 1] = free / strength, occupied / strength
+    return mass

@@ -1,0 +1,132 @@
+"""The polar grid around the sensor: which bins cover a cell, where a point lies, how high a ray passes."""
+
+# mypy: allow-untyped-defs
+import math
+
+import numpy as np
+
+from ogm.geometric.kernels.surface import sample
+from ogm.jit import inline, kernel, vector
+
+__all__ = ["ROW_BITS", "azimuth", "level_ray_weight", "polar_coordinates", "polar_lookup"]
+
+TAU = np.float32(2 * math.pi)
+ROW_BITS = 3  # the ground is sampled once for 2**3 neighbouring sectors
+# Coefficients of odd powers, fitted
+_ATAN = (0.99999611, -0.33317370, 0.19807826, -0.13233361, 0.07962379, -0.03360420, 0.00681176)
+
+
+@kernel
+def polar_lookup(cells, shape, origin, footprint, sectors, bins):
+    """Return for every cell which polar bins around the sensor cover it.
+
+    Parameters
+    ----------
+    cells : Cells, shape : (nx, ny)
+        The grid; a polar bin is one cell deep.
+    origin : (3,) float32
+        The sensor [m].
+    footprint : (4,) float32
+        x_min, x_max, y_min, y_max of the ego vehicle [m]: cells whose middle lies in it get no ring.
+    sectors, bins : int
+        Size of the polar grid.
+
+    Returns
+    -------
+    sector, span, ring : (nx, ny) int16
+        See `PolarGrid`.
+    """
+    sector, span, ring = np.empty(shape, np.int16), np.empty(shape, np.int16), np.empty(shape, np.int16)
+    x0, y0, resolution = cells
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            x, y = x0 + (i + 0.5) * resolution, y0 + (j + 0.5) * resolution
+            dx, dy = x - origin[0], y - origin[1]
+            r = math.sqrt(dx * dx + dy * dy)
+            if x > footprint[0] and x < footprint[1] and y > footprint[2] and y < footprint[3]:
+                ring[i, j], sector[i, j], span[i, j] = -1, 0, 1
+                continue
+            ring[i, j] = min(int(r / resolution), bins - 1)
+            middle = math.atan2(dy, dx) * sectors / (2 * math.pi)
+            width = min(resolution / max(r, resolution / 8) / (2 * math.pi), 1.0) * sectors
+            span[i, j] = max(round(width), 1)
+            sector[i, j] = round(middle - span[i, j] / 2) % sectors
+    return sector, span, ring
+
+
+@inline
+def azimuth(x, y):
+    """Angle from the x axis to the left in [0, 2 pi), by a polynomial with an error below 1e-6 rad."""
+    ax, ay = abs(x), abs(y)
+    long = max(ax, ay)
+    q = min(ax, ay) / max(long, np.float32(1e-30))
+    s = q * q
+    a = np.float32(_ATAN[6])
+    a = a * s + np.float32(_ATAN[5])
+    a = a * s + np.float32(_ATAN[4])
+    a = a * s + np.float32(_ATAN[3])
+    a = a * s + np.float32(_ATAN[2])
+    a = a * s + np.float32(_ATAN[1])
+    a = (a * s + np.float32(_ATAN[0])) * q
+    a = np.float32(math.pi / 2) - a if ay > ax else a
+    a = np.float32(math.pi) - a if x < 0 else a
+    return TAU - a if y < 0 else a
+
+
+@vector
+def polar_coordinates(points, origin, sectors, work):
+    """Fill sector, slope (rise over run) and run [m] of each point from the sensor, without branches."""
+    x, y, z = points
+    sx, sy, sz = origin
+    to_sector, last = np.float32(sectors / (2 * math.pi)), np.int32(sectors - 1)
+    sector, slope, run = work.sector, work.slope, work.run
+    for n in range(x.shape[0]):
+        dx, dy, dz = x[n] - sx, y[n] - sy, z[n] - sz
+        r = np.sqrt(dx * dx + dy * dy)
+        sector[n] = min(np.int32(azimuth(dx, dy) * to_sector), last)
+        slope[n] = dz / max(r, np.float32(1e-30))
+        run[n] = r
+
+
+@kernel
+def level_ray_weight(ground, origin, clearance, step, rows, bins):
+    """Return the weight that a level ray from the sensor has along each sector.
+
+    Parameters
+    ----------
+    ground : Surface
+    origin : (3,) float32
+        The sensor [m].
+    clearance : float
+        Height above ground from which a ray has no weight [m].
+    step : float
+        Depth of a bin [m].
+    rows, bins : int
+        Size of the result.
+
+    Returns
+    -------
+    (rows, bins) float32
+        ``1 - (height of the sensor above the ground there) / clearance``. The ground is sampled in every
+        fourth bin, linear between.
+    """
+    weight = np.empty((rows, bins), np.float32)
+    z, per_metre = origin[2], np.float32(1.0 / clearance)
+    for s in range(rows):
+        angle = (s + 0.5) * 2 * math.pi / rows
+        cx, cy = np.float32(math.cos(angle) * step), np.float32(math.sin(angle) * step)
+        before = np.float32(0.0)
+        for k in range(0, bins + 3, 4):
+            middle = np.float32(k) + np.float32(0.5)
+            height = sample(ground, origin[0] + cx * middle, origin[1] + cy * middle)
+            now = np.float32(1.0) - (z - height) * per_metre
+            if k > 0:
+                for part in range(4):
+                    if k - 4 + part < bins:
+                        weight[s, k - 4 + part] = before + (now - before) * np.float32(part) * np.float32(
+                            0.25
+                        )
+            if k < bins:
+                weight[s, k] = now
+            before = now
+    return weight

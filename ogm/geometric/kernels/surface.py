@@ -1,0 +1,227 @@
+"""Surfaces of heights: the ground under a scan, and interpolation in it."""
+
+# mypy: allow-untyped-defs
+import math
+
+import numpy as np
+
+from ogm.geometric.kernels.arguments import Surface
+from ogm.jit import inline, kernel
+
+__all__ = ["fill", "ground_heights", "lower_envelope", "sample", "sample_many"]
+
+
+@inline
+def sample(surface, x, y):
+    """Interpolate a `Surface` bilinearly at (x, y); beyond the outermost middles the edge's height holds."""
+    height, half, zero = surface.height, np.float32(0.5), np.float32(0.0)
+    u = min(max((x - surface.x0) * surface.per_metre - half, zero), np.float32(height.shape[0] - 1))
+    v = min(max((y - surface.y0) * surface.per_metre - half, zero), np.float32(height.shape[1] - 1))
+    # Here and elsewhere, a mask shows the compiler that an index is not negative: no wrap-around is needed.
+    i, j = min(int(u), height.shape[0] - 2) & 0xFFFF, min(int(v), height.shape[1] - 2) & 0xFFFF
+    a, b = u - np.float32(i), v - np.float32(j)
+    low = height[i, j] + (height[i, j + 1] - height[i, j]) * b
+    high = height[i + 1, j] + (height[i + 1, j + 1] - height[i + 1, j]) * b
+    return low + (high - low) * a
+
+
+@kernel
+def sample_many(surface, x, y):
+    """Do `sample` for each of many points."""
+    result = np.empty(x.shape[0], np.float32)
+    for n in range(x.shape[0]):
+        result[n] = sample(surface, x[n], y[n])
+    return result
+
+
+@kernel
+def ground_heights(points, ground_point, cells, shape, limits):
+    """Estimate the ground: see `ogm.geometric.local_ground`, whose four steps these are.
+
+    Parameters
+    ----------
+    points : Points
+    ground_point : (x, y, z)
+        The ground under the sensor [m], inside the grid.
+    cells : Cells, shape : (nx, ny)
+        The grid of heights.
+    limits : GroundLimits
+
+    Returns
+    -------
+    (nx, ny) float32
+        Heights [m].
+    """
+    gx, gy, gz = np.float32(ground_point[0]), np.float32(ground_point[1]), np.float32(ground_point[2])
+    inverse = np.float32(1.0 / cells.resolution)
+    i0 = min(max(int((gx - np.float32(cells.x0)) * inverse), 0), shape[0] - 1)
+    j0 = min(max(int((gy - np.float32(cells.y0)) * inverse), 0), shape[1] - 1)
+
+    # 1. lowest return of each cell, but for what no road could lead down to
+    cell, lowest = _lowest_returns(points, ground_point, cells, shape, limits)
+    descent = np.float32(limits.max_descent * cells.resolution)
+    _drop_strays(lowest, i0, j0, gz, descent, np.float32(limits.low_tolerance))
+
+    # 2. lower envelope under the slope limit, from these and from the ground point: what touches it is ground
+    lowest[i0, j0] = min(lowest[i0, j0], gz)
+    envelope = lowest.copy()
+    lower_envelope(envelope, np.float32(limits.max_slope * cells.resolution))
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            if lowest[i, j] > envelope[i, j]:
+                lowest[i, j] = np.inf
+
+    # 3. mean of their lowest layer, or of the one above it
+    height, weight = _layer_means(points.z, cell, lowest, np.float32(1.0 / limits.band))
+    if weight[i0, j0] == 0 and math.isfinite(lowest[i0, j0]):
+        height[i0, j0], weight[i0, j0] = gz, np.float32(1.0)
+
+    # 4. a smooth surface through them
+    fill(height, weight, gz)
+    return height
+
+
+@kernel
+def _lowest_returns(points, ground_point, cells, shape, limits):
+    """Return the cell of each point (-1 outside), and the lowest return of each cell above the steepest descent."""
+    x, y, z = points
+    nx, ny = shape
+    x0, y0, inverse = np.float32(cells.x0), np.float32(cells.y0), np.float32(1.0 / cells.resolution)
+    gx, gy = np.float32(ground_point[0]), np.float32(ground_point[1])
+    bottom = np.float32(ground_point[2] - limits.low_tolerance)
+    steepest = np.float32(limits.max_descent * limits.max_descent)
+    lowest = np.full(nx * ny, np.inf, np.float32)
+    cell = np.empty(x.shape[0], np.int32)
+    for n in range(x.shape[0]):
+        u, v = (x[n] - x0) * inverse, (y[n] - y0) * inverse
+        cell[n] = -1
+        if u >= 0 and u < nx and v >= 0 and v < ny:
+            c = (int(u) * ny + int(v)) & 0x7FFFFFFF
+            cell[n] = c
+            if z[n] < lowest[c]:
+                dx, dy, depth = x[n] - gx, y[n] - gy, bottom - z[n]
+                if depth <= 0 or depth * depth <= steepest * (dx * dx + dy * dy):
+                    lowest[c] = z[n]
+    return cell, lowest.reshape((nx, ny))
+
+
+@kernel
+def _layer_means(z, cell, lowest, layers_per_metre):
+    """Return the mean height of each ground cell's lowest layer of returns, and how many returns are in it.
+
+    The layer above it is taken where the layers below and above that one have less than a tenth of its returns.
+    """
+    nx, ny = lowest.shape
+    flat = lowest.reshape(-1)
+    total, count = np.zeros((nx * ny, 3), np.float32), np.zeros((nx * ny, 3), np.float32)
+    for n in range(z.shape[0]):
+        if cell[n] >= 0:
+            c = cell[n] & 0x7FFFFFFF
+            above = z[n] - flat[c]
+            layer = above * layers_per_metre
+            if layer >= 0 and layer < 3:
+                total[c, int(layer) & 3] += above
+                count[c, int(layer) & 3] += np.float32(1.0)
+    height, weight = np.zeros((nx, ny), np.float32), np.zeros((nx, ny), np.float32)
+    for i in range(nx):
+        for j in range(ny):
+            c = i * ny + j
+            k = 1 if count[c, 1] >= 10 * count[c, 0] and count[c, 1] >= 10 * count[c, 2] else 0
+            if count[c, k] > 0:
+                height[i, j] = lowest[i, j] + total[c, k] / count[c, k]
+                weight[i, j] = min(count[c, k], np.float32(8.0))
+    return height, weight
+
+
+@kernel
+def _drop_strays(lowest, i0, j0, ground_z, rise, tolerance):
+    """Set cells to inf whose lowest return lies under the ground: multipath and ghost returns.
+
+    Square rings of cells are visited outward from cell (i0, j0), where the ground is known. Each cell expects
+    the height of its up to three inner neighbours, the more the fewer steps ago they had ground, and may lie
+    below it by `tolerance` plus `rise` for each of these steps. What a stray return spoils stays behind it.
+    """
+    nx, ny = lowest.shape
+    ground = np.full((nx, ny), ground_z, np.float32)
+    steps = np.zeros((nx, ny), np.float32)
+    one = np.float32(1.0)
+    for ring in range(1, max(i0, nx - 1 - i0, j0, ny - 1 - j0) + 1):
+        for i in range(max(i0 - ring, 0), min(i0 + ring + 1, nx)):
+            stride = 1 if abs(i - i0) == ring else 2 * ring  # whole edge, or the two ends of a row
+            for j in range(j0 - ring, j0 + ring + 1, stride):
+                if j < 0 or j >= ny:
+                    continue
+                expected, total, since = np.float32(0.0), np.float32(0.0), np.float32(np.inf)
+                for k in range(max(i - 1, 0), min(i + 2, nx)):
+                    for l in range(max(j - 1, 0), min(j + 2, ny)):  # noqa: E741
+                        if max(abs(k - i0), abs(l - j0)) == ring - 1:
+                            weight = one / (one + steps[k, l])
+                            expected += weight * ground[k, l]
+                            total += weight
+                            since = min(since, steps[k, l])
+                expected /= total
+                above, allowed = lowest[i, j] - expected, tolerance + rise * (since + one)
+                if abs(above) <= allowed:
+                    ground[i, j], steps[i, j] = lowest[i, j], np.float32(0.0)
+                    continue
+                ground[i, j], steps[i, j] = expected, since + one
+                if above < 0:
+                    lowest[i, j] = np.inf
+
+
+@kernel
+def lower_envelope(height, rise):
+    """Lower every cell to what its neighbours allow: a two-pass chamfer distance transform in height."""
+    nx, ny = height.shape
+    diagonal = rise * np.float32(math.sqrt(2.0))
+    for step in (1, -1):  # from the first corner to the last, and back
+        for row in range(nx):
+            i = row if step > 0 else nx - 1 - row
+            for column in range(ny):
+                j = column if step > 0 else ny - 1 - column
+                low = height[i, j]
+                if 0 <= i - step < nx:
+                    low = min(low, height[i - step, j] + rise)
+                    if j > 0:
+                        low = min(low, height[i - step, j - 1] + diagonal)
+                    if j < ny - 1:
+                        low = min(low, height[i - step, j + 1] + diagonal)
+                if 0 <= j - step < ny:
+                    low = min(low, height[i, j - step] + rise)
+                height[i, j] = low
+
+
+@kernel
+def fill(height, weight, otherwise):
+    """Give cells of weight 0 the height of a smooth surface through the others (pull-push), in place."""
+    nx, ny = height.shape
+    if nx <= 2 and ny <= 2:
+        known, mean = np.float32(0.0), np.float32(0.0)
+        for i in range(nx):
+            for j in range(ny):
+                known += weight[i, j]
+                mean += weight[i, j] * height[i, j]
+        mean = mean / known if known > 0 else otherwise
+        for i in range(nx):
+            for j in range(ny):
+                if weight[i, j] == 0:
+                    height[i, j] = mean
+        return
+    mx, my = max((nx + 1) // 2, 2), max((ny + 1) // 2, 2)
+    coarse, total = np.zeros((mx, my), np.float32), np.zeros((mx, my), np.float32)
+    for i in range(nx):  # pull: weighted means of 2 x 2 cells
+        for j in range(ny):
+            coarse[i // 2, j // 2] += weight[i, j] * height[i, j]
+            total[i // 2, j // 2] += weight[i, j]
+    for i in range(mx):
+        for j in range(my):
+            if total[i, j] > 0:
+                coarse[i, j] /= total[i, j]
+                total[i, j] = min(total[i, j], np.float32(8.0))
+    fill(coarse, total, otherwise)
+    half, zero = np.float32(0.5), np.float32(0.0)
+    surface = Surface(coarse, zero, zero, half)
+    for i in range(nx):  # push: what is missing comes from the level above, interpolated
+        for j in range(ny):
+            if weight[i, j] == 0:
+                height[i, j] = sample(surface, np.float32(i) + half, np.float32(j) + half)

@@ -1,0 +1,315 @@
+"""Slow references: what the kernels compute, in plain Python.
+
+They follow the definitions (one ray after the other, one cell after the other, float64) and take none of the
+kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one against the other.
+"""
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.height_band import HeightBandISM
+from ogm.geometric.ray import RayISM
+from ogm.grid import GridSpec
+
+__all__ = [
+    "ground_map",
+    "height_band_mass",
+    "line_cells",
+    "lower_envelope",
+    "ray_grid_mass",
+]
+
+Point = tuple[float, float, float]
+
+
+def line_cells(start: tuple[int, int], end: tuple[int, int]) -> Iterator[tuple[int, int]]:
+    """Yield the cells of Bresenham's line from `start` to `end`, both included.
+
+    The shorter axis is rounded to the nearest cell, halves away from the start.
+    """
+    (i0, j0), (i1, j1) = start, end
+    di, dj = i1 - i0, j1 - j0
+    steps = max(abs(di), abs(dj))
+    for n in range(steps + 1):
+        if steps == 0:
+            yield start
+            continue
+        a, b = (2 * n * abs(di) + steps) // (2 * steps), (2 * n * abs(dj) + steps) // (2 * steps)
+        yield i0 + (a if di >= 0 else -a), j0 + (b if dj >= 0 else -b)
+
+
+def height_band_mass(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
+    """Return the masses of `HeightBandISM`, without supersampling, by one line per return.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float array
+        Points in the frame of the grid [m].
+    ism : HeightBandISM
+
+    Returns
+    -------
+    (nx, ny, 2) float32
+    """
+    spec, (x0, y0, ground) = ism.spec, ism.mount.ground_point
+    origin = (x0, y0, float(ism.mount.origin[2]))
+    low, high = ground + ism.z_min, ground + ism.z_max
+    occupied, free = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)
+    ends = []
+    for x, y, z in xyz.tolist():
+        if not low < z < high or math.dist((x, y, z), origin) <= ism.min_range:
+            continue
+        if spec.contains(x, y):
+            ends.append(_cell(spec, x, y))
+            occupied[ends[-1]] = True
+        else:
+            ends.append(_leave(spec, origin, x, y))
+    for end in ends:
+        for cell in line_cells(_cell(spec, x0, y0), end):
+            if occupied[cell]:
+                break
+            free[cell] = True
+    mass = np.zeros((*spec.shape, 2), np.float32)
+    mass[free, 0] = mass[occupied, 1] = ism.evidence / (ism.evidence + 2)
+    return mass
+
+
+def _cell(spec: GridSpec, x: float, y: float) -> tuple[int, int]:
+    i, j = spec.index(x, y)
+    return int(i), int(j)
+
+
+def _leave(spec: GridSpec, origin: Point, x: float, y: float) -> tuple[int, int]:
+    """Return the cell in which the ray to a point beyond the grid leaves it."""
+    x0, x1, y0, y1 = spec.extent
+    share = 1.0
+    for start, end, low, high in ((origin[0], x, x0, x1), (origin[1], y, y0, y1)):
+        if end < low:
+            share = min(share, (start - low) / (start - end))
+        elif end >= high:
+            share = min(share, (high - start) / (end - start))
+    i, j = _cell(spec, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
+    return min(max(i, 0), spec.shape[0] - 1), min(max(j, 0), spec.shape[1] - 1)
+
+
+def lower_envelope(height: NDArray, rise: float) -> NDArray:
+    """Return the lowest, over all cells, of a cell's height plus `rise` times its chamfer distance.
+
+    Chamfer distance: sqrt(2) per diagonal step, 1 per straight step.
+    """
+    result = np.full(height.shape, np.inf)
+    cells = [(i, j, height[i, j]) for i, j in np.ndindex(*height.shape) if np.isfinite(height[i, j])]
+    for i, j in np.ndindex(*height.shape):
+        for k, l, h in cells:  # noqa: E741
+            a, b = sorted((abs(i - k), abs(j - l)))
+            result[i, j] = min(result[i, j], h + rise * (b - a + math.sqrt(2) * a))
+    return result
+
+
+def ground_map(
+    xyz: NDArray,
+    ground_point: Point,
+    spec: GridSpec,
+    max_slope: float,
+    max_descent: float,
+    low_tolerance: float,
+    band: float,
+) -> NDArray:
+    """Return the heights of `local_ground`, cell by cell and in its four steps.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float array
+        Points [m].
+    ground_point : (x, y, z)
+        The ground under the sensor [m].
+    spec : GridSpec
+    max_slope, max_descent : float
+        Rise over run: from cell to cell, and on average down from the ground point.
+    low_tolerance, band : float
+        [m]
+
+    Returns
+    -------
+    (nx, ny) float64
+        Heights [m].
+    """
+    home = _cell(spec, ground_point[0], ground_point[1])
+    cells: dict[tuple[int, int], list[float]] = {}
+    lowest = np.full(spec.shape, np.inf)
+    for x, y, z in xyz.tolist():
+        if spec.contains(x, y):
+            cell = _cell(spec, x, y)
+            cells.setdefault(cell, []).append(z)
+            if ground_point[2] - low_tolerance - z <= max_descent * math.dist((x, y), ground_point[:2]):
+                lowest[cell] = min(lowest[cell], z)
+
+    # Strays: from ring to ring of cells, away from the ground point
+    ring_of = lambda cell: max(abs(cell[0] - home[0]), abs(cell[1] - home[1]))  # noqa: E731
+    ground, steps = {home: ground_point[2]}, {home: 0}
+    for cell in sorted(np.ndindex(*spec.shape), key=ring_of):
+        if cell == home:
+            continue
+        inner = [c for c in ground if ring_of(c) == ring_of(cell) - 1 and math.dist(c, cell) < 1.5]
+        weights = [1 / (1 + steps[c]) for c in inner]
+        expected = sum(w * ground[c] for w, c in zip(weights, inner, strict=True)) / sum(weights)
+        since = min(steps[c] for c in inner) + 1
+        above, allowed = lowest[cell] - expected, low_tolerance + max_descent * spec.resolution * since
+        ground[cell], steps[cell] = (lowest[cell], 0) if abs(above) <= allowed else (expected, since)
+        if above < -allowed:
+            lowest[cell] = np.inf
+
+    # What touches the envelope is ground, at the mean of its lowest layer, or of a thin dense one above that
+    lowest[home] = min(lowest[home], ground_point[2])
+    envelope = lower_envelope(lowest, max_slope * spec.resolution)
+    height, weight = np.zeros(spec.shape), np.zeros(spec.shape)
+    for cell, low in np.ndenumerate(lowest):
+        if low > envelope[cell] + 1e-6 or not np.isfinite(low):
+            continue
+        above = np.array(cells.get(cell, [])) - low
+        layers = [above[(above >= k * band) & (above < (k + 1) * band)] for k in range(3)]
+        dense = len(layers[1]) >= 10 * len(layers[0]) and len(layers[1]) >= 10 * len(layers[2])
+        layer = layers[1] if dense else layers[0]
+        if len(layer):
+            height[cell], weight[cell] = low + layer.mean(), min(len(layer), 8)
+        elif cell == home:
+            height[cell], weight[cell] = ground_point[2], 1
+    return _pull_push(height, weight, ground_point[2])
+
+
+def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
+    """Fill cells of weight 0 from means over blocks of 2 x 2, 4 x 4, ... cells, interpolated (recursive)."""
+    if max(height.shape) <= 2:
+        mean = (weight * height).sum() / weight.sum() if weight.sum() else otherwise
+        return np.where(weight > 0, height, mean)
+    half = tuple(max((n + 1) // 2, 2) for n in height.shape)
+    pad = [(0, 2 * h - n) for h, n in zip(half, height.shape, strict=True)]
+    blocks = (half[0], 2, half[1], 2)
+    total = np.pad(weight, pad).reshape(blocks).sum((1, 3))
+    known = np.pad(weight * height, pad).reshape(blocks).sum((1, 3)) / np.maximum(total, 1e-9)
+    coarse = _pull_push(known, np.minimum(total, 8), otherwise)
+    result = height.copy()
+    for i, j in np.argwhere(weight == 0):
+        u, v = (min(max((k + 0.5) / 2 - 0.5, 0), n - 1) for k, n in zip((i, j), half, strict=True))
+        a, b = min(int(u), half[0] - 2), min(int(v), half[1] - 2)
+        p, q = u - a, v - b
+        corners = coarse[a : a + 2, b : b + 2]
+        result[i, j] = np.array([1 - p, p]) @ corners @ np.array([1 - q, q])
+    return result
+
+
+def _clear_from_rays(
+    slopes: NDArray, level: float, reach: float, per_cell: float, p_miss: float, weights: NDArray
+) -> float:
+    """Return the belief in free of one polar bin from the (R,) rays that pass it, one by one.
+
+    `level` is the weight of a level ray, 1 - (sensor's height above the ground there) / clearance; `reach` the
+    distance of the bin's middle over clearance; `per_cell` how much of the sector a cell covers there.
+    """
+    visible = np.maximum(level - slopes * reach, 0)  # 0 above clearance
+    first = min(visible.max(initial=0), 1.0)
+    if first == 0:
+        return 0.0
+    count = min(max(float((visible * weights).sum()) / first, 0.0), float(weights[visible > 0].sum()))
+    return first * (1 - p_miss ** (count * per_cell))
+
+
+def ray_grid_mass(
+    xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int
+) -> NDArray[np.float32]:
+    """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float array
+        Points in the frame of the grid, without returns from the ego vehicle [m].
+    no_returns : (M, 3) float array
+        Unit directions of beams without echo, in the frame of the grid.
+    ground : float
+        Height of the ground [m].
+    ism : RayISM
+        Its `ground` and `azimuth_step` are not used.
+    sectors : int
+
+    Returns
+    -------
+    (nx, ny, 2) float32
+    """
+    hits = np.zeros(ism.spec.shape)
+    rays = _returned_rays(xyz, ground, ism, hits) + _no_return_rays(no_returns, ground, ism)
+    free = _polar_free(rays, ground, ism, sectors)
+    spec, (x0, y0, _) = ism.spec, ism.mount.origin.tolist()
+    x_min, x_max, y_min, y_max = ism.mount.ego_footprint
+    mass = np.zeros((*spec.shape, 2), np.float32)
+    for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in spec.cell_centers)):
+        if x_min < x < x_max and y_min < y < y_max:
+            continue
+        r = math.hypot(x - x0, y - y0)
+        ring = min(int(r / spec.resolution), free.shape[1] - 1)
+        width = min(spec.resolution / max(r, spec.resolution / 8) / (2 * math.pi), 1) * sectors
+        span = max(round(width), 1)
+        begin = round(math.atan2(y - y0, x - x0) * sectors / (2 * math.pi) - span / 2)
+        cleared = np.mean([free[(begin + n) % sectors, ring] for n in range(span)])
+        alarm = ism.p_false_alarm ** (hits[i, j] / 2)
+        if hits[i, j]:
+            cleared *= ism.free_reliability_at_hits
+        mass[i, j] = min(cleared * alarm, ism.max_mass), min((1 - alarm) * (1 - cleared), ism.max_mass)
+    return mass
+
+
+Ray = tuple[float, float, float, float]  # azimuth [rad], slope, first bin that it does not clear, weight
+
+
+def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> list[Ray]:
+    """Return the ray to each return, and count the half hits of obstacles."""
+    spec, (x0, y0, z0) = ism.spec, ism.mount.origin.tolist()
+    rays = []
+    for x, y, z in xyz.tolist():
+        dx, dy, above = x - x0, y - y0, z - ground
+        r = math.hypot(dx, dy)
+        if above < -ism.below_ground or r < spec.resolution:
+            continue
+        end = r / spec.resolution
+        if above <= ism.obstacle_height:
+            end += 1
+        elif above < ism.clearance:
+            end = (r - 2 * ism.range_noise) / spec.resolution
+            for side in (-ism.range_noise, ism.range_noise):
+                u, v = x + dx / r * side, y + dy / r * side
+                if spec.contains(u, v):
+                    hits[spec.index(u, v)] += 1
+        rays.append((math.atan2(dy, dx), (z - z0) / r, end, 1.0))
+    return rays
+
+
+def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray]:
+    """Return the rays of beams without echo, up to the ground or to `max_range`."""
+    step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
+    rays: list[Ray] = []
+    for dx, dy, dz in no_returns.tolist():
+        run = math.hypot(dx, dy)
+        end = int(ism.max_range * run / step)
+        end = next((k for k in range(end) if height + dz / run * (k + 0.5) * step < 0), end)
+        rays.append((math.atan2(dy, dx), dz / run, end, ism.no_return_weight))
+    return rays
+
+
+def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> NDArray[np.float64]:
+    """Return the belief in free of every polar bin, (sectors, bins)."""
+    spec, (x, y, z) = ism.spec, ism.mount.origin.tolist()
+    step, (x0, x1, y0, y1) = spec.resolution, spec.extent
+    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / step) + 1
+    table = np.array(rays).reshape(-1, 4)
+    sector = np.minimum((table[:, 0] % (2 * math.pi) * sectors / (2 * math.pi)).astype(int), sectors - 1)
+    level = 1 - (z - ground) / ism.clearance
+    free = np.zeros((sectors, bins))
+    for s, k in np.ndindex(sectors, bins):
+        through = table[(sector == s) & (table[:, 2].astype(int) > k)]
+        per_cell = sectors / (2 * math.pi) / (k + 0.5)
+        reach = (k + 0.5) * step / ism.clearance
+        free[s, k] = _clear_from_rays(through[:, 1], level, reach, per_cell, ism.p_miss, through[:, 3])
+    return free

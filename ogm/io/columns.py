@@ -1,0 +1,123 @@
+"""Intensities, rings and times of a file's points, brought to known units."""
+
+import logging
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ogm.files import OgmError
+
+__all__ = ["check_rings", "scale_intensities", "split_times"]
+
+log = logging.getLogger(__name__)
+
+_SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
+_FLASH = 1e-3  # [s] shorter than a sweep
+
+
+def scale_intensities(
+    raw: np.ndarray, chosen: float | None, of_format: float | None, path: Path
+) -> tuple[np.ndarray, float]:
+    """Return intensities in [0, 1], and the value that became 1; what is no number becomes 0.
+
+    Parameters
+    ----------
+    raw : (N,) numbers
+    chosen : float, optional
+        The value that means 1, where the user gave it; else `of_format`, else it is guessed from `raw`.
+    of_format : float, optional
+    path : Path
+        The file's name, for messages.
+    """
+    known = np.isfinite(raw)
+    if not known.all():
+        log.info("%s: %d of %d intensities are no number and become 0", path, np.sum(~known), raw.size)
+        raw = np.where(known, raw, 0)
+    low, high = float(raw.min(initial=0)), float(raw.max(initial=0))
+    if low < 0.0:
+        raise OgmError(f"{path} has intensities down to {low:g}, wanted none below 0: is its name right?")
+    if chosen is not None:
+        if high > chosen:
+            log.info("%s: %d intensities above %g count as 1", path, np.count_nonzero(raw > chosen), chosen)
+        return np.minimum(raw / chosen, 1.0), float(chosen)
+    if of_format is not None:
+        scale = of_format
+    elif raw.dtype in (np.uint8, np.uint16):
+        scale = float(np.iinfo(raw.dtype).max)
+    else:
+        scale = 1.0 if high <= 1.0 else 255.0
+        if 1.0 < high <= scale:
+            log.info(
+                "%s: intensities up to %g are divided by 255; give intensity_max if they mean something else, "
+                "or if those of another scan are not divided",
+                path, high,
+            )  # fmt: skip
+    if high > scale:
+        raise OgmError(
+            f"{path} has intensities up to {high:g}, wanted at most {scale:g}: give as intensity_max the one "
+            "that means 1, if the file is what its name promises"
+        )
+    return raw / scale, scale
+
+
+def check_rings(raw: np.ndarray | None, path: Path) -> np.ndarray | None:
+    """Return rings as uint16; None where there are none, or one of them is no number."""
+    raw = _whole(raw, "rings", path)
+    if raw is None:
+        return None
+    ring = np.clip(raw.astype(np.float64), 0, 2**16 - 1).astype(np.uint16)
+    if not np.array_equal(ring, raw):
+        raise OgmError(
+            f"{path} has rings from {raw.min():g} to {raw.max():g}, wanted whole numbers from 0 to 65535: "
+            "is its name right?"
+        )
+    return ring
+
+
+def split_times(
+    raw: np.ndarray | None, unit: float | None, path: Path
+) -> tuple[np.ndarray | None, float | None]:
+    """Return the times of the points, counted from the stamp, and the stamp [s]; None where there are none.
+
+    Parameters
+    ----------
+    raw : (N,) numbers, optional
+    unit : float, optional
+        What they count in [s]; by default whole numbers count nanoseconds, others seconds.
+    path : Path
+        The file's name, which may hold the stamp.
+    """
+    raw = _whole(raw, "times", path)
+    digits = re.search(r"(?<!\d)(\d{16}|\d{18,19})$", path.name.split(".")[0])
+    stamp = None if digits is None else int(digits[1]) * (1e-6 if len(digits[1]) == 16 else 1e-9)
+    if raw is None or not raw.size:
+        return raw if raw is None else raw.astype(np.float64), stamp
+    guess = 1e-9 if raw.dtype.kind in "iu" else 1.0
+    time = raw.astype(np.float64) * (guess if unit is None else unit)
+    earliest, latest = float(time.min()), float(time.max())
+    if unit is None and latest - earliest > _SWEEP:
+        raise OgmError(
+            f"{path} has times that last {latest - earliest:.3g} s if they count in {guess:g} s ({raw.dtype}), "
+            f"wanted at most {_SWEEP:g} s for one sweep: give as time_unit [s] what they count in, 1e-9 for "
+            "nanoseconds, 1e-6 for microseconds, 1e-3 for milliseconds (1 to take seconds as they are)"
+        )
+    if unit is None and guess < 1.0 and 0.0 < latest - earliest < _FLASH:
+        log.warning(
+            "%s: its times last %.3g s if they count nanoseconds; if not, give time_unit (1e-6: microseconds)",
+            path, latest - earliest,
+        )  # fmt: skip
+    if abs(earliest) > _SWEEP:
+        return time - earliest, earliest
+    return time, stamp
+
+
+def _whole(raw: np.ndarray | None, what: str, path: Path) -> np.ndarray | None:
+    """Leave a column out that is not known of every point: there is no number for the unknown."""
+    if raw is None or np.isfinite(raw).all():
+        return raw
+    log.warning(
+        "%s: %d of %d points have %s that are no number; all %s are left out",
+        path, np.count_nonzero(~np.isfinite(raw)), raw.size, what, what,
+    )  # fmt: skip
+    return None

@@ -1,0 +1,175 @@
+"""Named columns of numbers: what every format of point clouds is read into, and helpers that formats share."""
+
+import io
+import itertools
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ogm.files import OgmError
+
+__all__ = [
+    "INTENSITY",
+    "KNOWN",
+    "POSITION",
+    "RING",
+    "TEXT_LIMIT",
+    "TIME",
+    "Field",
+    "Table",
+    "binary_columns",
+    "check_size",
+    "check_text",
+    "plain",
+    "refuse_doubles",
+    "text_columns",
+]
+
+POSITION = ("x", "y", "z")
+INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts
+RING = ("ring", "laser_number", "channel", "laser_id", "line")
+TIME = ("time", "timestamp", "time_stamp", "t", "offset_ns", "offset_time", "gps_time", "gpstime")
+KNOWN = frozenset(POSITION + INTENSITY + RING + TIME)
+
+TEXT_LIMIT = 2**28  # [byte] of the points of one cloud of text: some 10 M points
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a file holds, before axes and scales are settled.
+
+    Parameters
+    ----------
+    format : str
+        What the file is, in words.
+    columns : dict of str to (N,) array
+        The numbers per point, under the file's own names and in its own types.
+    shape : (rows, columns) or None
+        The raster of an organised cloud, whose rows follow each other in `columns`; None for a list.
+    intensity_max : float or None
+        Raw intensity that means 1 in this format; None where the format does not define it.
+    fields : tuple of str
+        The names of all that the file holds, where `columns` has not all of it; else empty.
+    """
+
+    format: str
+    columns: dict[str, np.ndarray]
+    shape: tuple[int, int] | None = None
+    intensity_max: float | None = None
+    fields: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Field:
+    """One number, or `count` of them, that every point has."""
+
+    name: str
+    type: np.dtype
+    count: int = 1
+
+    @property
+    def length(self) -> int:
+        """Bytes in a binary record."""
+        return self.type.itemsize * self.count
+
+
+def plain(name: str) -> str:
+    """Return a field's name as spelled in `KNOWN`: in small letters, without the ``scalar_`` of CloudCompare."""
+    return name.lower().removeprefix("scalar_")
+
+
+def refuse_doubles(names: Iterable[str], path: Path) -> None:
+    """Raise where two fields have one name, or one meaning but for capitals and ``scalar_``.
+
+    Parameters
+    ----------
+    names : iterable of str
+        The file's own names, without those of padding.
+    path : Path
+        The file's name, for messages.
+    """
+    names = list(names)
+    exact, known = Counter(names), Counter(plain(name) for name in names if plain(name) in KNOWN)
+    doubled = [name for name in names if exact[name] > 1 or known[plain(name)] > 1]
+    if doubled:
+        raise OgmError(
+            f"{path} has the fields {', '.join(doubled)[:200]}, wanted one of each name (capitals and scalar_ "
+            "make no difference): write the file with one of them, or rename the other"
+        )
+
+
+def binary_columns(fields: list[Field], points: int, body: memoryview, path: Path) -> dict[str, np.ndarray]:
+    """View every field in the bytes of the file, without a copy; of several values, the first.
+
+    Parameters
+    ----------
+    fields : list of Field
+        What a record holds, in order and without gaps.
+    points : int
+        How many records there are.
+    body : memoryview
+        The bytes; what follows the last record is left alone.
+    path : Path
+        The file's name, for messages.
+    """
+    record = sum(field.length for field in fields)
+    check_size(record * points, points, body, path)
+    if not points:
+        return {field.name: np.empty(0, field.type) for field in fields}
+    columns = {}
+    offset = 0
+    for field in fields:
+        if field.count > 0:
+            columns[field.name] = np.ndarray((points,), field.type, body, offset, (record,))
+        offset += field.length
+    return columns
+
+
+def text_columns(fields: list[Field], points: int, body: memoryview, path: Path) -> dict[str, np.ndarray]:
+    """Read every field from lines of numbers, one line per point; of several values, the first.
+
+    The parameters are those of `binary_columns`. Lines are taken one by one, so that they need not all be in
+    memory; still a number of two letters becomes one of up to eight bytes, so there is `TEXT_LIMIT`.
+    """
+    check_text(body, path)
+    per_line = sum(field.count for field in fields)
+    check_size(2 * per_line * points - 1, points, body, path)  # a digit and a blank for each number
+    if not points:
+        return {field.name: np.empty(0, field.type) for field in fields}
+    row = np.dtype([(str(i), field.type, (field.count,)) for i, field in enumerate(fields)])
+    filled = (line for line in io.TextIOWrapper(io.BytesIO(body), "ascii", "replace") if line.strip())
+    lines = itertools.islice(filled, points)
+    first = list(itertools.islice(lines, 1))  # loadtxt warns of no line at all
+    table = np.empty(0, row)
+    try:
+        if first:
+            table = np.loadtxt(itertools.chain(first, lines), row, comments=None, ndmin=1)
+    except (ValueError, OverflowError) as error:
+        raise OgmError(
+            f"{path} has a line that is not {per_line} numbers as its header promises: {error}"
+        ) from error
+    if len(table) < points:
+        raise OgmError(
+            f"{path} has {len(table)} lines of points, its header promises {points}: it is cut short or damaged"
+        )
+    return {field.name: table[str(i)][:, 0] for i, field in enumerate(fields)}
+
+
+def check_size(needed: int, points: int, body: memoryview, path: Path) -> None:
+    """Trust a header's numbers only as far as the file reaches."""
+    if needed > len(body):
+        raise OgmError(
+            f"{path} has {len(body)} bytes after its header, wanted at least {needed} for the {points} "
+            "points that the header promises: it is cut short or its header is damaged"
+        )
+
+
+def check_text(body: memoryview, path: Path) -> None:
+    """Refuse more text than `TEXT_LIMIT`."""
+    if len(body) > TEXT_LIMIT:
+        raise OgmError(
+            f"{path} holds {len(body)} bytes of text, wanted at most {TEXT_LIMIT}: write it as binary, or split it"
+        )

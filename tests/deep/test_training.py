@@ -1,0 +1,202 @@
+import csv
+import math
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from ogm.deep.checkpoint import load_network
+from ogm.deep.network import PAPER, NetworkConfig
+from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
+from ogm.deep.training import train
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
+def recipe(tiny):
+    return Recipe(tiny, epochs=2, batch=4, warmup=2, learning_rate=1e-2, average=0.5)
+
+
+@pytest.fixture
+def go(frames, small, recipe, tmp_path):
+    def run(out="run", training=frames[:8], validation=frames[8:], **options):
+        options = {
+            "workers": 0,
+            "accelerator": "cpu",
+            "progress": False,
+            "picture_every": 0,
+            "recipe": recipe,
+            **options,
+        }
+        return train(training, validation, small, tmp_path / out, **options)
+
+    return run
+
+
+def curve(folder):
+    with open(folder / "log.csv") as file:
+        return [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+
+
+def test_training_learns(go, recipe, tmp_path):
+    path = go(recipe=replace(recipe, epochs=24), picture_every=24)
+    rows = curve(tmp_path / "run")
+    assert [row["epoch"] for row in rows] == list(range(1, 25))
+    assert rows[-1]["loss"] < 0.5 * rows[0]["loss"]
+    assert rows[-1]["free"] > 0.75
+    network, description = load_network(path)
+    assert description["result"]["validation"]["loss"] == pytest.approx(
+        min(row["loss"] for row in rows), rel=1e-4
+    )
+    assert description["recipe"]["learning_rate"] == 1e-2
+    assert (tmp_path / "run" / "epoch-024.png").stat().st_size > 10_000
+
+
+class Interrupted(list):
+    """Frames of which reading the n-th is interrupted."""
+
+    def __init__(self, frames, reads):
+        super().__init__(frames)
+        self.left = reads
+
+    def __getitem__(self, i):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().__getitem__(i)
+
+
+@pytest.mark.parametrize("dropout", [0.0, 0.1])
+def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, frames, tmp_path, dropout):
+    recipe = replace(recipe, network=replace(recipe.network, dropout=dropout))
+    whole = go("whole", recipe=recipe)
+    with pytest.raises(KeyboardInterrupt):
+        go("stopped", recipe=recipe, training=Interrupted(frames[:8], 13))  # in the second epoch
+    stopped = go("stopped", recipe=recipe, resume=True)
+    for name, value in torch.load(tmp_path / "whole" / "state.pt", weights_only=True)["network"].items():
+        other = torch.load(tmp_path / "stopped" / "state.pt", weights_only=True)["network"][name]
+        assert value.equal(other), name
+    assert whole.read_bytes() == stopped.read_bytes()
+
+
+def test_workers_change_nothing(go):
+    assert go("none").read_bytes() == go("two", workers=2).read_bytes()
+
+
+def test_a_run_is_not_overwritten(go):
+    go()
+    with pytest.raises(ValueError, match="--resume"):
+        go()
+
+
+def test_another_recipe_or_data_does_not_resume(go, recipe, frames):
+    go()
+    with pytest.raises(ValueError, match="another recipe"):
+        go(resume=True, recipe=replace(recipe, weight_decay=0.5))
+    with pytest.raises(ValueError, match="another frames"):
+        go(resume=True, training=frames[:7])
+
+
+def test_a_run_goes_on_with_another_learning_rate(go, recipe, frames, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        go(training=Interrupted(frames[:8], 13))
+    go(resume=True, recipe=replace(recipe, learning_rate=1e-4))
+    assert len(curve(tmp_path / "run")) == 2
+
+
+def test_an_epoch_is_validated_even_if_its_validation_was_interrupted(go, monkeypatch, tmp_path):
+    from ogm.deep import training as module
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    whole = go("whole")
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "validate", stop)
+        with pytest.raises(KeyboardInterrupt):
+            go("stopped")
+    assert go("stopped", resume=True).read_bytes() == whole.read_bytes()
+    assert [row["epoch"] for row in curve(tmp_path / "stopped")] == [1, 2]
+
+
+def test_a_hostile_state_is_not_unpickled(go, tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (open, (str(tmp_path / "owned"), "w"))
+
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "state.pt").write_bytes(pickle.dumps({"recipe": Evil()}))
+    with pytest.raises(ValueError, match="cannot resume"):
+        go(resume=True)
+    assert not (tmp_path / "owned").exists()
+
+
+def test_a_loss_that_is_not_finite_stops_and_keeps_the_batch(go, recipe, tmp_path):
+    with pytest.raises(FloatingPointError, match="batch"):
+        go(recipe=replace(recipe, epochs=9, learning_rate=1e30, clip=math.inf, warmup=0))
+    (kept,) = (tmp_path / "run").glob("batch-*.npz")
+    with np.load(kept, allow_pickle=False) as batch:
+        assert batch["features"].shape[1] == 9
+        assert len(batch["numbers"]) == 4
+
+
+def test_only_the_process_whose_loss_it_was_keeps_its_batch(frames, small, tmp_path):
+    from ogm.deep.data import PillarDataset
+    from ogm.deep.training_run import nonfinite_loss_error
+
+    batch = PillarDataset(frames, small)[0]
+    assert "another process" in str(nonfinite_loss_error(tmp_path, batch, 0.5, 3))
+    assert not list(tmp_path.iterdir())
+    assert "nan" in str(nonfinite_loss_error(tmp_path, batch, math.nan, 3))
+    assert [file.name for file in tmp_path.iterdir()] == ["batch-3.npz"]
+
+
+def test_the_error_for_too_little_memory_has_the_way_out(go, monkeypatch):
+    def full(*_):
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr("ogm.deep.training_run.mean_loss", full)
+    with pytest.raises(MemoryError, match="--batch"):
+        go()
+
+
+@pytest.mark.parametrize("loss", LOSSES)
+def test_every_loss_can_be_trained_with(go, recipe, loss, tmp_path):
+    go(recipe=replace(recipe, epochs=1, loss=loss, uniform_kl=0.1))
+    assert np.isfinite(curve(tmp_path / "run")[0]["loss"])
+
+
+def test_the_published_recipe_runs(go, tmp_path):
+    small = NetworkConfig(
+        **{**PAPER.__dict__, "pillar": 8, "blocks": ((8, 1), (8, 1), (8, 1)), "up": 8, "evidence": "relu"}
+    )
+    go(recipe=replace(PAPER_RECIPE, network=small, epochs=1, batch=4))
+    assert np.isfinite(curve(tmp_path / "run")[0]["loss"])
+
+
+@pytest.mark.parametrize(
+    ("change", "match"),
+    [
+        ({"loss": "hinge"}, "loss must be one of"),
+        ({"epochs": 0}, "epochs"),
+        ({"learning_rate": 0.0}, "learning_rate"),
+        ({"batch": 9}, "fewer than one batch"),
+    ],
+)
+def test_recipes_out_of_range_are_refused(go, recipe, change, match):
+    with pytest.raises(ValueError, match=match):
+        go(recipe=replace(recipe, **change))
+
+
+def test_weights_are_not_chosen_without_validation(go):
+    with pytest.raises(ValueError, match="validation"):
+        go(validation=[])

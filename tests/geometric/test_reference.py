@@ -1,0 +1,143 @@
+"""Every kernel against its slow reference."""
+
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm import GridSpec, Mount, Scan
+from ogm.geometric import HeightBandISM, RayISM, flat_ground, ground_height, reference
+from ogm.geometric.ground import surface_of
+from ogm.geometric.kernels import lines, polar, surface
+from ogm.pose import pose
+
+SPEC = GridSpec.centered(16.0, 12.0, 0.5)
+HEIGHT = 1.7
+
+
+def cloud(seed: int, count: int = 300, height: float = HEIGHT) -> np.ndarray:
+    """Points of a toy scene around a sensor: ground, obstacles, crowns, strays."""
+    rng = np.random.default_rng(seed)
+    azimuth, run = rng.uniform(0, 2 * math.pi, count), rng.uniform(1.0, 14, count)
+    z = rng.choice([0, 0, 0, 0.6, 1.5, 3.0, -2.0], count) + rng.normal(0, 0.02, count) - height
+    return np.stack([run * np.cos(azimuth), run * np.sin(azimuth), z, rng.uniform(0, 1, count)], 1).astype(
+        np.float32
+    )
+
+
+@given(st.integers(-40, 40), st.integers(-40, 40))
+@settings(max_examples=200, deadline=None)
+def test_the_kernel_draws_bresenhams_line(di: int, dj: int) -> None:
+    state = np.zeros((96, 96), np.uint8)
+    lines.draw_lines(state, np.array([[48 + di, 48 + dj]], np.int32), 48, 48)
+    drawn = set(zip(*np.nonzero(state), strict=True))
+    assert drawn == set(reference.line_cells((48, 48), (48 + di, 48 + dj))) - {(48 + di, 48 + dj)}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_height_band_equals_one_line_per_return(seed: int) -> None:
+    points = cloud(seed)
+    ism = HeightBandISM(SPEC, Mount(HEIGHT), evidence=3.0, min_range=1.0)
+    slow = reference.height_band_mass(points[:, :3], ism)
+    np.testing.assert_array_equal(ism(points).mass, slow)
+    assert slow[..., 0].any()
+    assert slow[..., 1].any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("position", [(0.0, 0.0), (2.3, -1.1)])
+@pytest.mark.parametrize("height", [1.7, 3.0, 5.0])
+def test_ray_model_equals_the_loop_over_cells_and_rays(
+    seed: int, position: tuple[float, float], height: float
+) -> None:
+    points = cloud(seed, height=height)
+    rng = np.random.default_rng(seed + 100)
+    no_returns = rng.normal(0, [1, 1, 0.05], (40, 3))
+    no_returns = (no_returns / np.linalg.norm(no_returns, axis=1, keepdims=True)).astype(np.float32)
+    x, y = position
+    mount = Mount(height, pose(x, y))
+    ism = RayISM(SPEC, mount, ground=flat_ground, azimuth_step=2 * math.pi / 64)
+    x_min, x_max, y_min, y_max = mount.ego_footprint
+    assert (x_min, x_max, y_min, y_max) == (x - 2.5, x + 2.5, y - 1.1, y + 1.1)
+    xyz = points[:, :3].astype(np.float64) + [x, y, 0]
+    ego = (xyz[:, 0] > x_min) & (xyz[:, 0] < x_max) & (xyz[:, 1] > y_min) & (xyz[:, 1] < y_max)
+    slow = reference.ray_grid_mass(xyz[~ego], no_returns, -height, ism, sectors=64)
+    fast = ism(Scan(points, no_returns=no_returns)).mass
+    # A ray within rounding of a sector's or a bin's edge may be filed on the other side: few cells, not none.
+    differ = np.abs(fast - slow).max(-1) > 2e-4
+    assert differ.mean() < 0.01
+    assert np.abs(fast - slow).mean() < 1e-3
+    assert (slow[..., 0] > 0.1).mean() > 0.1
+    assert (slow[..., 1] > 0.5).mean() > 0.02
+
+
+def test_the_weight_of_a_level_ray_follows_the_ground_along_each_sector() -> None:
+    """On a map that is another one when its axes are swapped, at every bin of every row."""
+    coarse = GridSpec(1.0, (16, 12), (-8.0, -6.0))
+    cx, cy = coarse.cell_centers
+    height = (-1.7 + 0.05 * cx + 0.002 * cx * cy - 0.1 * cy).astype(np.float32)
+    origin = np.float32([1.0, -0.5, 0.3])
+    level = polar.level_ray_weight(surface_of(height, coarse), origin, 2.0, 0.25, 32, 20)
+    angle, run = (np.arange(32) + 0.5) * 2 * math.pi / 32, (np.arange(20) + 0.5) * 0.25
+    x, y = origin[0] + np.outer(np.cos(angle), run), origin[1] + np.outer(np.sin(angle), run)
+    at = np.stack([x.ravel(), y.ravel()], 1).astype(np.float32)
+    ground = ground_height(height, coarse, at).reshape(level.shape)
+    np.testing.assert_allclose(level, 1 - (origin[2] - ground) / 2.0, atol=5e-3)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_lower_envelope_is_the_least_cone(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    height = rng.uniform(-1, 5, (9, 7)).astype(np.float32)
+    height[rng.random(height.shape) < 0.5] = np.inf
+    fast = height.copy()
+    surface.lower_envelope(fast, np.float32(0.25))
+    np.testing.assert_allclose(fast, reference.lower_envelope(height, 0.25), rtol=1e-5, atol=1e-6)
+
+
+@given(st.floats(-100, 100, width=32), st.floats(-100, 100, width=32))
+@settings(max_examples=300, deadline=None)
+def test_azimuth_polynomial(x: float, y: float) -> None:
+    if max(abs(x), abs(y)) < 1e-6:
+        return
+    got = float(polar.azimuth(np.float32(x), np.float32(y)))
+    assert abs((got - math.atan2(y, x) + math.pi) % (2 * math.pi) - math.pi) < 2e-6
+
+
+def test_without_the_jit_the_kernels_give_the_same(tmp_path: Path) -> None:
+    """The same scan through the kernels as plain Python, in another process."""
+    script = """
+import sys, numpy as np
+from ogm import GridSpec, Mount, Scan
+from ogm.geometric import HeightBandISM, RayISM
+from tests.geometric.test_reference import cloud
+spec, points = GridSpec.centered(10.0, 8.0, 0.5), cloud(3, 150)
+up = np.array([[0.6, 0.0, 0.8], [0.99, 0.1, -0.1]], np.float32)
+mount, scan = Mount(1.7), Scan(points, no_returns=up)
+np.savez(sys.argv[1], a=HeightBandISM(spec, mount)(scan).mass, b=RayISM(spec, mount)(scan).mass,
+         c=HeightBandISM.as_released(spec)(points).mass)
+"""
+    root = Path(__file__).parents[2]
+    results = []
+    for switch in ("0", "1"):
+        path = tmp_path / f"{switch}.npz"
+        run = subprocess.run(
+            [sys.executable, "-W", "ignore", "-c", script, path],
+            env={**os.environ, "NUMBA_DISABLE_JIT": switch},
+            cwd=root,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert run.returncode == 0, run.stderr
+        results.append(dict(np.load(path)))
+    for name in "abc":
+        assert results[0][name].any()
+        np.testing.assert_allclose(results[0][name], results[1][name], atol=2e-3)

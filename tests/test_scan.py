@@ -1,0 +1,298 @@
+"""Scan, Mount, Boxes, Frame, and models that are run on frames."""
+
+import math
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ogm import Boxes, EvidentialGrid, Frame, GridSpec, InverseSensorModel, Mount, Scan
+from ogm.pose import inverse, pose
+from ogm.scan import PerMount, as_scan, run_model
+
+POINTS = np.arange(20, dtype=np.float32).reshape(5, 4)
+SPEC = GridSpec.centered(8.0, 8.0, 0.5)
+
+# --- Scan -----------------------------------------------------------------------------------------
+
+
+def test_float32_points_are_not_copied_and_others_become_float32() -> None:
+    assert Scan(POINTS).points is POINTS
+    assert Scan(POINTS.astype(np.float64)).points.dtype == np.float32
+    assert Scan(POINTS.astype(np.float16)).points.dtype == np.float32
+    assert len(Scan(POINTS)) == 5
+
+
+def test_points_without_intensity_get_zeros() -> None:
+    scan = Scan(POINTS[:, :3])
+    np.testing.assert_array_equal(scan.points[:, :3], POINTS[:, :3])
+    assert (scan.points[:, 3] == 0).all()
+
+
+def test_an_array_is_a_scan_without_extras_and_a_scan_is_itself() -> None:
+    scan = Scan(POINTS, stamp=2.0)
+    assert as_scan(scan) is scan
+    bare = as_scan(POINTS)
+    assert bare.points is POINTS
+    assert (bare.stamp, bare.time, bare.ring, bare.no_returns, bare.sensor) == (None, None, None, None, "")
+    with pytest.raises(TypeError, match=r"got list; give np\.asarray"):
+        as_scan([[0.0, 0.0, 0.0, 0.0]])
+    with pytest.raises(TypeError, match=r"a Scan already; give scan\.points"):
+        Scan(scan)
+
+
+@pytest.mark.parametrize("name", ["time", "ring", "doppler", "rcs"])
+def test_a_column_has_one_number_per_point(name: str) -> None:
+    dtype = {"time": np.float64, "ring": np.uint16}.get(name, np.float32)
+    column = getattr(Scan(POINTS, **{name: [5, 4, 3, 2, 1]}), name)
+    assert column.dtype == dtype
+    assert column.tolist() == [5, 4, 3, 2, 1]
+    with pytest.raises(ValueError, match=rf"{name} must be \(5,\) like points, got shape \(4,\)"):
+        Scan(POINTS, **{name: np.zeros(4)})
+
+
+@pytest.mark.parametrize("shape", [(3,), (7, 2), (7, 4), (1, 7, 3)])
+def test_no_returns_are_directions(shape: tuple[int, ...]) -> None:
+    assert Scan(POINTS, no_returns=np.zeros((0, 3))).no_returns.dtype == np.float32
+    with pytest.raises(ValueError, match=r"no_returns must be directions of shape \(M, 3\), got"):
+        Scan(POINTS, no_returns=np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    "keep", [np.array([True, False, True, False, False]), np.array([2, 0]), slice(1, None)]
+)
+def test_select_keeps_columns_with_their_points_and_all_beams_without_echo(keep: Any) -> None:
+    columns = {name: np.arange(5) * 10 for name in ("time", "ring", "doppler", "rcs")}
+    scan = Scan(POINTS, stamp=1.0, no_returns=np.eye(3), sensor="top", **columns)
+    some = scan.select(keep)
+    np.testing.assert_array_equal(some.points, POINTS[keep])
+    for name in columns:
+        np.testing.assert_array_equal(getattr(some, name), columns[name][keep])
+    assert (some.stamp, some.sensor) == (1.0, "top")
+    np.testing.assert_array_equal(some.no_returns, np.eye(3))
+
+
+def test_a_scan_is_printed_on_one_line_and_cannot_be_changed() -> None:
+    scan = Scan(POINTS, stamp=1.5, ring=np.zeros(5), no_returns=np.eye(3))
+    assert repr(scan) == "Scan(5 points, stamp 1.5 s, ring, no_returns)"
+    with pytest.raises(FrozenInstanceError):
+        scan.points = POINTS
+
+
+# --- Mount ----------------------------------------------------------------------------------------
+
+
+def test_the_default_mount_is_level_and_its_footprint_lies_around_the_sensor() -> None:
+    mount = Mount(1.7)
+    np.testing.assert_array_equal(mount.T_vehicle_sensor, np.eye(4))
+    assert mount.ego_footprint == (-2.5, 2.5, -1.1, 1.1)
+    assert mount.ground_point == (0.0, 0.0, -1.7)
+    moved = Mount(1.7, pose(1.0, 0.5, 2.0))
+    assert moved.ego_footprint == (-1.5, 3.5, pytest.approx(-0.6), 1.6)
+    assert moved.ground_point == pytest.approx((1.0, 0.5, 0.3))
+    np.testing.assert_array_equal(moved.origin, [1.0, 0.5, 2.0])
+
+
+def test_equal_mounts_have_one_hash() -> None:
+    same = [Mount(1.7, pose(1, yaw=0.1)), Mount(1.7, pose(1, yaw=0.1).tolist())]
+    assert len({*same}) == 1
+    others = [
+        Mount(1.8, pose(1, yaw=0.1)),
+        Mount(1.7, pose(1, yaw=0.2)),
+        Mount(1.7, pose(1, yaw=0.1), (0, 0, 0, 0)),
+        Mount(1.7, pose(1, yaw=0.1), points_in="vehicle"),
+    ]
+    assert len({*same, *others}) == 5
+    assert same[0] != "a mount"
+    assert Mount(1.7, -0.0 * pose() + np.eye(4)) == Mount(1.7)
+
+
+def test_a_mount_keeps_its_own_pose() -> None:
+    T = pose(1.0)
+    mount = Mount(1.7, T)
+    T[0, 3] = 5.0
+    assert mount.origin[0] == 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        mount.T_vehicle_sensor[0, 3] = 5.0
+
+
+def test_the_level_frame_is_parallel_to_the_vehicle_and_centred_on_the_sensor() -> None:
+    mount = Mount(1.7, pose(1.0, 2.0, 1.5, roll=0.1, pitch=-0.2, yaw=0.3))
+    T_vehicle_level = mount.T_vehicle_sensor @ mount.T_sensor_level
+    np.testing.assert_allclose(T_vehicle_level, pose(1.0, 2.0, 1.5), atol=1e-12)
+    np.testing.assert_array_equal(mount.T_vehicle_points, mount.T_vehicle_sensor)
+    there = Mount(1.7, mount.T_vehicle_sensor, points_in="vehicle")
+    np.testing.assert_array_equal(there.T_vehicle_points, np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sensor_height": 0.0}, "sensor_height must be above ground and below 100 m, got 0.0"),
+        ({"sensor_height": math.nan}, "sensor_height"),
+        ({"sensor_height": 120.0}, "sensor_height"),
+        ({"points_in": "map"}, 'points_in must be "sensor" or "vehicle", got \'map\''),
+        ({"T_vehicle_sensor": np.eye(3)}, "T_vehicle_sensor must be a 4x4"),
+        ({"T_vehicle_sensor": 2 * np.eye(4)}, "last row of T_vehicle_sensor"),
+        ({"ego_footprint": (1, 0, 0, 1)}, "ego_footprint must be finite x_min <= x_max"),
+        ({"ego_footprint": (0, 1, 1, 0)}, "ego_footprint"),
+        ({"ego_footprint": (0, math.inf, 0, 1)}, "ego_footprint"),
+        ({"ego_footprint": (0, 1, 0)}, "ego_footprint"),
+    ],
+)
+def test_impossible_mounts_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Mount(**{"sensor_height": 1.7, **options})
+
+
+# --- Boxes ----------------------------------------------------------------------------------------
+
+BOXES = Boxes(
+    center=[(10, 0, 1), (0, 5, 2)],
+    size=[(4, 2, 1.5), (1, 1, 2)],
+    yaw=[0.0, 1.0],
+    velocity=[(3, 0), (math.nan, math.nan)],
+    label=["car", "person"],
+    track=["a", "b"],
+)
+
+
+def test_boxes_have_a_bottom_and_a_top() -> None:
+    assert BOXES.bottom.tolist() == [0.25, 1.0]
+    assert BOXES.top.tolist() == [1.75, 3.0]
+    assert len(BOXES) == 2
+    assert repr(BOXES) == "Boxes(2: car, person)"
+    assert len(Boxes.empty()) == 0
+    assert repr(Boxes.empty()) == "Boxes(0)"
+
+
+def test_moving_boxes_there_and_back_changes_nothing() -> None:
+    T = pose(3.0, -2.0, 1.0, yaw=0.7)
+    moved = BOXES.moved(T)
+    np.testing.assert_allclose(moved.center[0], (T @ [10, 0, 1, 1])[:3])
+    np.testing.assert_allclose(moved.velocity[0], [3 * math.cos(0.7), 3 * math.sin(0.7)])
+    np.testing.assert_allclose(moved.yaw, [0.7, 1.7])
+    assert (moved.label, moved.track) == (BOXES.label, BOXES.track)
+    back = moved.moved(inverse(T))
+    for name in ("center", "size", "yaw", "velocity"):
+        np.testing.assert_allclose(getattr(back, name), getattr(BOXES, name), atol=1e-12)
+
+
+def test_widened_boxes_grow_on_every_side() -> None:
+    wide = BOXES.widened(0.5)
+    np.testing.assert_array_equal(wide.size, BOXES.size + 1.0)
+    np.testing.assert_array_equal(wide.center, BOXES.center)
+    np.testing.assert_array_equal(wide.bottom, BOXES.bottom - 0.5)
+
+
+@pytest.mark.parametrize("keep", [[False, True], [1], np.array([1])])
+def test_selected_boxes_keep_their_columns(keep: Any) -> None:
+    one = BOXES.select(keep)
+    assert one.center.tolist() == [[0, 5, 2]]
+    assert one.velocity.shape == (1, 2)
+    assert (one.label, one.track) == (("person",), ("b",))
+    assert len(BOXES.select([False, False])) == 0
+    assert len(Boxes.empty().select([])) == 0
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"yaw": [0.0]}, "one yaw per box, got 2 boxes and 1 of yaw"),
+        ({"label": ["car"]}, "one label per box"),
+        ({"velocity": [(1, 0)]}, "one velocity per box"),
+        ({"size": [(1, 1, 1), (1, 0, 1)]}, r"box 1 \(person\) must be finite"),
+        ({"center": [(0, 0, 0), (0, math.inf, 0)]}, r"box 1 \(person\)"),
+        ({"yaw": [math.nan, 0]}, r"box 0 \(car\)"),
+    ],
+)
+def test_what_are_no_boxes_is_refused(columns: dict[str, Any], message: str) -> None:
+    good = {"center": BOXES.center, "size": BOXES.size, "yaw": BOXES.yaw, "label": BOXES.label}
+    with pytest.raises(ValueError, match=message):
+        Boxes(**{**good, **columns})
+
+
+# --- Frame ----------------------------------------------------------------------------------------
+
+
+def test_fields_given_as_functions_are_called_once_and_only_when_asked_for() -> None:
+    calls: list[str] = []
+
+    def give(name: str, value: Any) -> Any:
+        return lambda: calls.append(name) or value
+
+    scan = Scan(POINTS)
+    frame = Frame(
+        give("scan", scan), give("mount", Mount(1.7)), give("boxes", None), give("truth", None), name="007"
+    )
+    assert repr(frame) == "Frame('007')"
+    assert calls == []
+    assert frame.scan is frame.scan is scan
+    assert frame.mount is frame.mount
+    assert calls == ["scan", "mount"]
+    assert frame.boxes is None
+    assert frame.truth is frame.boxes
+    assert calls == ["scan", "mount", "boxes", "truth"]
+
+
+def test_a_frame_holds_values_too_and_cannot_be_changed() -> None:
+    frame = Frame(Scan(POINTS), Mount(1.7), BOXES, None, np.eye(4), 3.0, "7", "drive")
+    assert frame.boxes is BOXES
+    assert (frame.stamp, frame.sequence, repr(frame)) == (3.0, "drive", "Frame('7' of drive)")
+    with pytest.raises(FrozenInstanceError):
+        frame.scan = Scan(POINTS)
+
+
+def test_a_field_that_cannot_be_read_raises_at_every_access() -> None:
+    def broken() -> Scan:
+        raise ValueError("damaged")
+
+    frame = Frame(broken, Mount(1.7), None, None)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="damaged"):
+            frame.scan  # noqa: B018
+    assert frame.mount == Mount(1.7)
+
+
+def test_a_frame_needs_its_first_four_fields() -> None:
+    with pytest.raises(TypeError, match="truth"):
+        Frame(Scan(POINTS), Mount(1.7), None)
+
+
+# --- Models ---------------------------------------------------------------------------------------
+
+
+class ConstantModel:
+    """Gives every cell the sensor height's tenth as mass of free."""
+
+    def __init__(self, mount: Mount) -> None:
+        self.spec, self.height = SPEC, mount.sensor_height
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        assert isinstance(scan, Scan)
+        return EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (self.height / 10, 0), np.float32))
+
+
+def frame_at(height: float) -> Frame:
+    return Frame(Scan(POINTS), Mount(height), None, None)
+
+
+def test_any_callable_with_a_spec_is_a_model() -> None:
+    model = ConstantModel(Mount(2.0))
+    assert isinstance(model, InverseSensorModel)
+    assert not isinstance(lambda scan: None, InverseSensorModel)
+    assert run_model(model, frame_at(5.0)).free.max() == pytest.approx(0.2)
+
+
+def test_a_model_per_mount_is_made_once_for_each_mount() -> None:
+    made: list[Mount] = []
+
+    def factory(mount: Mount) -> ConstantModel:
+        made.append(mount)
+        return ConstantModel(mount)
+
+    models = PerMount(factory)
+    heights = [run_model(models, frame_at(height)).free.max() for height in (1.0, 3.0, 1.0, 3.0)]
+    assert heights == pytest.approx([0.1, 0.3, 0.1, 0.3])
+    assert made == [Mount(1.0), Mount(3.0)]

@@ -1,0 +1,350 @@
+"""Truth of recordings: boxes alone, a map's road, other scans, and all of them together, on small drawn grids."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ogm import GridSpec
+from ogm.pose import inverse, pose, transform_points
+from ogm.scan import Boxes
+from ogm.state import CellState, Truth
+from ogm.truth import (
+    boxes_over_points,
+    cells_in_areas,
+    cells_in_boxes,
+    combine_truths,
+    contradicted,
+    count_returns,
+    free_road,
+    ignore_cells,
+    moving_tracks,
+    truth_from_boxes,
+    truth_from_road,
+    truth_from_scans,
+)
+
+UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
+
+SMALL = GridSpec.centered(7.0, 7.0, 1.0)  # 7 x 7 cells of 1 m around (0, 0)
+LETTERS = "?.# "  # unknown, free, occupied, to be ignored
+BOX = [1.0, 0.0, 0.0, 3.0, 2.0, -1.8, -0.3]
+
+
+def boxes_of(*rows: list[float]) -> Boxes:
+    """Return boxes given as x, y, yaw, length, width, bottom, top."""
+    x, y, yaw, length, width, bottom, top = np.array(rows or np.empty((0, 7)), float).T
+    return Boxes(np.stack([x, y, (bottom + top) / 2], 1), np.stack([length, width, top - bottom], 1), yaw)
+
+
+def draw(truth: Truth) -> list[str]:
+    """Return the grid as one sees it: row 0 is ahead, the first letter is left."""
+    return ["".join(LETTERS[state] for state in row[::-1]) for row in truth.state[::-1]]
+
+
+def drawn(*rows: str) -> Truth:
+    """Make the truth that `draw` shows so."""
+    state = np.array([[LETTERS.index(letter) for letter in row[::-1]] for row in rows[::-1]], np.uint8)
+    return Truth(SMALL, state)
+
+
+def hits(x: float, y: float, high: float, count: int = 3) -> tuple[np.ndarray, np.ndarray]:
+    """Return points of one scan in one cell, and their heights."""
+    return np.tile([x, y, 0.0], (count, 1)), np.full(count, high)
+
+
+def scan_of(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    return np.concatenate([a for a, _ in parts]), np.concatenate([b for _, b in parts])
+
+
+def seen(scans: list[tuple[np.ndarray, np.ndarray]], **how) -> int:
+    """Return the state of the cell at (0, 0)."""
+    truth = truth_from_scans([a for a, _ in scans], [b for _, b in scans], SMALL, **how)
+    assert np.count_nonzero(truth.state != IGNORE) <= 1
+    return int(truth.state[3, 3])
+
+
+# --- Boxes ------------------------------------------------------------------------------------------
+
+
+def test_a_box_with_enough_returns_is_occupied_and_nothing_else_is_known() -> None:
+    truth = truth_from_boxes(boxes_of(BOX, [-2, 2, 0, 2, 2, 0, 1]), [50, 49], SMALL)
+    assert draw(truth) == [
+        "       ",
+        "  ###  ",
+        "  ###  ",
+        "  ###  ",
+        "       ",
+        "       ",
+        "       ",
+    ]
+
+
+def test_boxes_need_their_returns() -> None:
+    with pytest.raises(ValueError, match=r"shape \(1,\), one per box, got \(2,\)"):
+        truth_from_boxes(boxes_of(BOX), [50, 50], SMALL)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(-20, 20), st.floats(-20, 20), st.floats(-3, 3), st.integers(0, 100))
+def test_moved_boxes_hold_the_same_points(x: float, y: float, yaw: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    boxes = boxes_of(BOX, [-3, 2, 0.7, 2, 1, -1, 1])
+    points = rng.uniform(-4, 4, (400, 3))
+    T = pose(x, y, 0.3, yaw=yaw)
+    there = transform_points(T, points)
+    assert (count_returns(there, boxes.moved(T)) == count_returns(points, boxes)).all()
+    assert (boxes_over_points(there, boxes.moved(T)) == boxes_over_points(points, boxes)).all()
+    back = boxes.moved(T).moved(inverse(T))
+    for name in ("center", "size", "yaw"):
+        np.testing.assert_allclose(getattr(back, name), getattr(boxes, name), atol=1e-9)
+
+
+def test_wider_boxes_hold_what_lies_beside() -> None:
+    beside = np.array([[2.6, 0.0, -5.0], [1.0, 1.2, 9.0], [2.6, 1.2, 0.0], [3.0, 0.0, 0.0]])
+    box = boxes_of(BOX)
+    assert not boxes_over_points(beside, box).any()
+    assert boxes_over_points(beside, box.widened(0.3)).tolist() == [True, True, True, False]
+    assert (box.widened(0.3).bottom[0], box.widened(0.3).top[0]) == pytest.approx((-2.1, 0.0))
+
+
+def test_no_boxes_are_no_boxes() -> None:
+    none = Boxes.empty()
+    assert len(none.moved(np.eye(4))) == len(none.widened(1.0)) == 0
+    assert not cells_in_boxes(none, SMALL).any()
+    assert not boxes_over_points(np.zeros((2, 3)), none).any()
+    assert (truth_from_boxes(none, [], SMALL).state == IGNORE).all()
+
+
+def test_cells_in_boxes_join_what_each_covers() -> None:
+    covered = cells_in_boxes(boxes_of(BOX, [-2, 2, 0, 1, 1, 0, 1]), SMALL)
+    assert draw(Truth(SMALL, np.where(covered, OCCUPIED, IGNORE).astype(np.uint8))) == [
+        "       ",
+        "  ###  ",
+        "  ###  ",
+        "  ###  ",
+        "       ",
+        " #     ",
+        "       ",
+    ]
+
+
+def test_which_tracks_move() -> None:
+    tracks = {
+        "parked": [(0.0, 0, 0), (1.0, 0.2, 0), (2.0, 0, 0.1)],
+        "drives": [(0.0, 0, 0), (2.0, 2.1, 0)],
+        "slower": [(0.0, 0, 0), (2.0, 1.9, 0)],
+        "drives and waits": [(0.0, 0, 0), (2.0, 3.1, 0), (20.0, 3.1, 0)],
+        "there and back": [(0.0, 0, 0), (4.0, 3.5, 0), (8.0, 0, 0)],
+        "seen once": [(0.0, 50, 0)],
+        "": [(0.0, 0, 0), (1.0, 90, 0)],
+    }
+    rows = [(name, *row) for name, track in tracks.items() for row in track]
+    order = np.random.default_rng(0).permutation(len(rows))  # a track need not come in order
+    stamps, boxes = [], []
+    for name, stamp, x, y in (rows[n] for n in order):
+        stamps.append(stamp)
+        boxes.append(Boxes(np.array([x, y, 0]), np.ones(3), np.zeros(1), track=[name]))
+    assert moving_tracks(stamps, boxes) == {"drives", "drives and waits", "there and back"}
+    with pytest.raises(ValueError, match="one stamp per frame"):
+        moving_tracks([0.0], boxes)
+
+
+# --- A map's road -----------------------------------------------------------------------------------
+
+
+def test_an_area_looks_as_drawn() -> None:
+    shape = [[[-3.5, -3.5], [-3.5, 0.1], [0.1, 0.1], [0.1, 3.5], [3.5, 3.5], [3.5, -3.5]]]  # an L in a mirror
+    inside = cells_in_areas(shape, SMALL)
+    assert draw(Truth(SMALL, np.where(inside, FREE, IGNORE).astype(np.uint8))) == [
+        ".......",
+        ".......",
+        ".......",
+        "   ....",
+        "   ....",
+        "   ....",
+        "   ....",
+    ]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_areas_are_those_of_matplotlib(seed: int) -> None:
+    from matplotlib.path import Path
+
+    rng = np.random.default_rng(seed)
+    spec = GridSpec.centered(32.0, 24.0, 0.16)
+    angle = np.sort(rng.uniform(0, 2 * np.pi, 17))
+    star = rng.uniform(2, 15, (17, 1)) * np.column_stack([np.cos(angle), np.sin(angle)]) + rng.uniform(
+        -3, 3, 2
+    )
+    square = rng.uniform(-9, 9, 2) + np.array([[0, 0], [4, 1], [3, 5], [-1, 4]])
+    x, y = np.broadcast_arrays(*spec.cell_centers)
+    places = np.column_stack([x.ravel(), y.ravel()])
+    wanted = Path(star).contains_points(places) | Path(square).contains_points(places)
+    assert (cells_in_areas([star, square], spec).ravel() == wanted).all()
+
+
+def test_areas_must_be_outlines() -> None:
+    with pytest.raises(ValueError, match=r"shape \(N, 2\), got \(3,\)"):
+        cells_in_areas([[1, 2, 3]], SMALL)
+    assert not cells_in_areas([], SMALL).any()
+
+
+def road_with(points: list[list[float]], *boxes: list[float], near: float = 0.0) -> Truth:
+    """Return the road of a flat street, all of it drivable, 1.8 m below the sensor."""
+    xyz = np.array(points or np.empty((0, 3)), float).reshape(-1, 3)
+    everywhere, ground = np.ones(SMALL.shape, bool), np.full(SMALL.shape, -1.8)
+    road = free_road(everywhere, ground, xyz, xyz[:, 2] + 1.8, SMALL, boxes=boxes_of(*boxes), min_range=near)
+    return truth_from_road(road, SMALL)
+
+
+def test_an_empty_street_is_free() -> None:
+    assert (road_with([]).state == FREE).all()
+    assert draw(road_with([], near=1.2))[2:5] == ["... ...", "..   ..", "... ..."]
+
+
+def test_a_return_hides_the_road_behind_it() -> None:
+    """It is 1.7 m high at 1 m ahead: the sensor sees over it only from 17 m on."""
+    truth = road_with([[1.0, 0.0, -0.1]])
+    assert draw(truth) == [
+        "... ...",
+        "... ...",
+        "... ...",
+        ".......",
+        ".......",
+        ".......",
+        ".......",
+    ]
+
+
+def test_low_returns_stand_but_they_hide_little() -> None:
+    """0.5 m high at 1 m: the line of sight over it meets the road at 1.8 / 1.3 m."""
+    assert draw(road_with([[1.0, 0.0, -1.3]]))[:3] == [".......", ".......", "... ..."]
+
+
+@pytest.mark.parametrize("high", [0.1, 2.5])
+def test_road_and_bridges_hide_nothing(high: float) -> None:
+    assert (road_with([[1.0, 0.0, high - 1.8]]).state == FREE).all()
+
+
+def test_boxes_are_no_road_however_few_returns_they_have() -> None:
+    truth = road_with([], [2.0, 2.0, 0.0, 1.0, 1.0, -1.8, 0.0])
+    assert draw(truth)[:2] == [".......", ". ....."]
+
+
+def test_only_drivable_cells_are_free() -> None:
+    drivable = np.zeros(SMALL.shape, bool)
+    drivable[5, 1:4] = True
+    road = free_road(drivable, np.full(SMALL.shape, -1.8), np.empty((0, 3)), np.empty(0), SMALL)
+    assert (truth_from_road(road, SMALL).state == np.where(drivable, FREE, IGNORE)).all()
+
+
+# --- Other scans ------------------------------------------------------------------------------------
+
+GROUND, KERB, WALL, SKY = hits(0, 0, 0.0), hits(0, 0, 0.2), hits(0, 0, 1.0), hits(0, 0, 3.0)
+NOTHING = (np.empty((0, 3)), np.empty(0))
+
+
+@pytest.mark.parametrize(
+    ("scans", "state"),
+    [
+        ([GROUND, GROUND], FREE),
+        ([GROUND, NOTHING], IGNORE),  # one scan is not enough
+        ([hits(0, 0, 0.0, 1), hits(0, 0, 0.0, 1)], IGNORE),  # nor are two returns
+        ([hits(0, 0, 0.0, 1), hits(0, 0, 0.0, 2)], FREE),
+        ([WALL, WALL], OCCUPIED),
+        ([scan_of(GROUND, WALL), scan_of(GROUND, WALL)], OCCUPIED),
+        ([KERB, KERB], IGNORE),
+        ([scan_of(GROUND, hits(0, 0, 0.2, 1)), GROUND], IGNORE),  # not free where something low lies
+        ([SKY, SKY], IGNORE),
+        ([scan_of(GROUND, SKY), GROUND], FREE),
+        ([WALL, WALL, GROUND, GROUND], OCCUPIED),  # half of them: it counts
+        ([WALL, WALL, GROUND, GROUND, GROUND], IGNORE),  # it came or went
+        ([hits(0, 0, -0.4), hits(0, 0, -0.4)], IGNORE),  # below the ground
+        ([hits(9, 0, 1.0), hits(9, 0, 1.0)], IGNORE),  # outside
+    ],
+)
+def test_what_scans_agree_on(scans, state) -> None:
+    assert seen(scans) == state
+
+
+def test_one_scan_is_enough_where_min_scans_is_one() -> None:
+    assert seen([WALL], min_scans=1) == OCCUPIED
+    assert seen([GROUND], min_scans=1) == FREE
+    assert seen([GROUND], min_scans=1, moving=np.ones(SMALL.shape, bool)) == IGNORE
+
+
+def test_scans_that_cannot_be_counted() -> None:
+    with pytest.raises(ValueError, match="one height for every point"):
+        truth_from_scans([GROUND[0]], [np.zeros(2)], SMALL)
+    with pytest.raises(ValueError, match="min_scans must be 1 or more, got 0"):
+        truth_from_scans([], [], SMALL, min_scans=0)
+
+
+def against(truth: Truth, *parts: tuple[np.ndarray, np.ndarray], reach: float = 1.0) -> list[str]:
+    where = contradicted(truth, *scan_of(*parts), reach)
+    return draw(Truth(SMALL, np.where(where, OCCUPIED, IGNORE).astype(np.uint8)))[2:5]
+
+
+def test_what_came_since_is_contradicted() -> None:
+    street = drawn(*["......."] * 6, "#######")
+    assert against(street, hits(0, 0, 1.0)) == ["   #   ", "  ###  ", "   #   "]
+    assert against(street, hits(0, 0, 0.0)) == ["       "] * 3
+
+
+def test_what_left_since_is_contradicted() -> None:
+    street = drawn(".......", ".......", "..###..", "..###..", "..###..", ".......", ".......")
+    assert against(street, hits(0, 0, 0.0)) == ["   #   ", "  ###  ", "   #   "]
+    assert against(street, hits(0, 0, 0.0), hits(1, 1, 1.0)) == ["       "] * 3  # it still stands there
+    assert against(street, hits(0, 0, 1.0)) == ["       "] * 3
+
+
+# --- All together -----------------------------------------------------------------------------------
+
+
+def test_sources_add_up_and_contradictions_are_ignored() -> None:
+    rows = ["       "] * 6
+    one = drawn(*rows, ".#.# ? ")
+    other = drawn(*rows, ".##.? .")
+    assert draw(combine_truths([one, other]))[6] == ".#    ."
+    assert draw(combine_truths([other, one]))[6] == ".#    ."
+    assert draw(combine_truths([one]))[6] == ".#.#   "
+
+
+def test_boxes_win_and_uncertain_cells_are_never_free() -> None:
+    rows = ["       "] * 6
+    scans, boxes = drawn(*rows, "..##   "), drawn(*rows, "# #    ")
+    assert draw(combine_truths([scans], boxes=boxes))[6] == "#.##   "
+    uncertain = np.ones(SMALL.shape, bool)
+    assert draw(combine_truths([scans], boxes=boxes, uncertain=uncertain))[6] == "# ##   "
+    unobserved = np.ones(SMALL.shape, bool)
+    assert (combine_truths([scans], boxes=boxes, unobserved=unobserved).state == IGNORE).all()
+    assert draw(combine_truths([], boxes=boxes)) == draw(boxes)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 1000), st.permutations(range(3)))
+def test_the_order_of_sources_does_not_matter(seed: int, order: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    sources = [Truth(SMALL, rng.integers(0, 4, SMALL.shape).astype(np.uint8)) for _ in range(3)]
+    state = combine_truths(sources).state
+    assert (state == combine_truths([sources[n] for n in order]).state).all()
+    assert not (state == UNKNOWN).any()
+    for known in (FREE, OCCUPIED):
+        assert (np.any([one.state == known for one in sources], axis=0) | (state != known)).all()
+
+
+def test_ignored_cells_are_those_and_the_truth_stays_as_it_was() -> None:
+    rows = ["       "] * 6
+    truth, cells = drawn(*rows, "..##   "), np.zeros(SMALL.shape, bool)
+    cells[0, 5] = True
+    assert draw(ignore_cells(truth, cells))[6] == ". ##   "
+    assert draw(truth)[6] == "..##   "
+
+
+def test_only_truths_of_one_grid_combine() -> None:
+    other = GridSpec.centered(7.0, 7.0, 0.5)
+    with pytest.raises(ValueError, match="of one grid"):
+        combine_truths([drawn(*["......."] * 7), Truth(other, np.zeros(other.shape, np.uint8))])
+    with pytest.raises(ValueError, match="got none"):
+        combine_truths([])
