@@ -436,11 +436,7 @@ def _rings(sweep: Sweep, seen: View) -> dict[str, float]:
             continue
         column, first = np.unique(sweep.column[members], return_index=True)
         members = members[first]
-        distance, ground, obstacle = (
-            seen.distance[members],
-            seen.ground[members],
-            seen.obstacle[members],
-        )
+        distance, ground, obstacle = (seen.distance[members], seen.ground[members], seen.obstacle[members])
         step, rise = np.diff(column), np.diff(distance)
         breaks = (np.abs(rise) > JUMP) | (step > 2)
         jumps += np.count_nonzero(breaks & (step <= 2))

@@ -68,8 +68,7 @@ def simulate(
         int | None, typer.Option(help="Processes on this machine. [default: what cores and memory allow]")
     ] = None,
     scheduler: Annotated[
-        str | None,
-        typer.Option(help="Address of a Dask scheduler to use instead, tcp://host:port."),
+        str | None, typer.Option(help="Address of a Dask scheduler to use instead, tcp://host:port.")
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Go on with a data set, or let it grow (--samples ...).")

@@ -283,7 +283,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             yield client
         return
     settings = {
-        "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MALLOC_TRIM_THRESHOLD_": 65536},
+        "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MALLOC_TRIM_THRESHOLD_": 65536}
     }
     # Ctrl-C waits until all processes stand, and they, who inherit the mask, leave it to this one.
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

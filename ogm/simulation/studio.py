@@ -12,15 +12,7 @@ from ogm.simulation.dataset import Look, look, sample
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.plan import Plan
-from ogm.simulation.preview import (
-    COLOURS,
-    SKY,
-    SUN,
-    Camera,
-    materials_panel,
-    sample_panels,
-    save_views,
-)
+from ogm.simulation.preview import COLOURS, SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.sensors import hd_directions
 from ogm.simulation.traffic import own_vehicle
 

@@ -99,16 +99,10 @@ def hd_truth(
     _check_below(below, spec)
     heights = (obstacle_height, plant_height, clearance)
     seen = np.zeros(spec.shape, np.uint8)
-    room = Hits.room(BATCH)
+    room = Hits.allocate(BATCH)
     _look(seen, scene, below, T_world_sensor, directions.reshape(-1, 3), spec, heights, salt, 0, room)
     return finalize_truth(
-        seen,
-        spec,
-        boxes=boxes,
-        returns=returns,
-        min_returns=min_returns,
-        own=own,
-        beyond=np.isnan(below.z),
+        seen, spec, boxes=boxes, returns=returns, min_returns=min_returns, own=own, beyond=np.isnan(below.z)
     )
 
 
@@ -148,7 +142,7 @@ def aimed_truth(
     _check_below(below, spec)
     heights = (obstacle_height, plant_height, clearance)
     seen = np.zeros(spec.shape, np.uint8)
-    room = Hits.room(BATCH)
+    room = Hits.allocate(BATCH)
     if not -np.pi / 2 <= elevations[0] < elevations[1] <= np.pi / 2:
         raise ValueError(f"elevations must be the lowest and the highest [rad], got {elevations}")
     number = 0
@@ -174,13 +168,7 @@ def aimed_truth(
     for aim in aims.edge:
         look(below.z, aim, edge)
     return finalize_truth(
-        seen,
-        spec,
-        boxes=boxes,
-        returns=returns,
-        min_returns=min_returns,
-        own=own,
-        beyond=np.isnan(below.z),
+        seen, spec, boxes=boxes, returns=returns, min_returns=min_returns, own=own, beyond=np.isnan(below.z)
     )
 
 

@@ -192,13 +192,7 @@ def _street(
             gap = rng.uniform(7, 12)
             for at in np.arange(begin + 3, end - 3, gap):
                 if rng.random() < 0.85:
-                    stand(
-                        partial(_pick, trees),
-                        at + rng.normal(0, 0.4),
-                        behind,
-                        0.5,
-                        turn=rng.uniform(0, 6),
-                    )
+                    stand(partial(_pick, trees), at + rng.normal(0, 0.4), behind, 0.5, turn=rng.uniform(0, 6))
         # Lamps.
         if side < 0 or profile.kind in ("arterial", "main"):
             for at in np.arange(begin + rng.uniform(2, 12), end, rng.uniform(22, 32)):
@@ -254,12 +248,7 @@ def _spans(plan: Plan, yard: Yard, rng: np.random.Generator) -> None:
 
 
 def _lot(
-    lot: Lot,
-    yard: Yard,
-    trees: list[Mesh],
-    tall: list[Mesh],
-    bushes: list[Mesh],
-    rng: np.random.Generator,
+    lot: Lot, yard: Yard, trees: list[Mesh], tall: list[Mesh], bushes: list[Mesh], rng: np.random.Generator
 ) -> None:
     if lot.use == "houses":
         _fences(lot, yard, rng)

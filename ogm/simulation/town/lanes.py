@@ -8,17 +8,7 @@ from numpy.typing import NDArray
 
 from ogm.simulation.town.network import Network, Street
 
-__all__ = [
-    "CROSSWALK",
-    "HEAD",
-    "ISLAND",
-    "KERB_RADIUS",
-    "RING",
-    "Draft",
-    "Lane",
-    "cuts",
-    "make_lanes",
-]
+__all__ = ["CROSSWALK", "HEAD", "ISLAND", "KERB_RADIUS", "RING", "Draft", "Lane", "cuts", "make_lanes"]
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners
 CROSSWALK = 5.0  # [m] from the corner's arc to the stop line

@@ -8,15 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from shapely import LineString, Polygon
 
 from ogm.simulation.materials import Material
-from ogm.simulation.town.graph import (
-    MARGIN,
-    bent_grid,
-    broad_line,
-    chains_of,
-    dead_ends,
-    grid_edges,
-    thinned,
-)
+from ogm.simulation.town.graph import MARGIN, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
 __all__ = ["PROFILES", "Network", "Profile", "Street", "make_network"]
 
