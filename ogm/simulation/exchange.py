@@ -21,7 +21,7 @@ from ogm.files import atomic_write
 from ogm.grid import GridSpec
 from ogm.io import read_points
 from ogm.simulation.store import Store
-from ogm.truth import FREE, OCCUPIED, UNKNOWN, Truth
+from ogm.state import CellState, Truth
 
 __all__ = ["PAPER_GRID", "Pair", "PairFolder", "export", "read_label", "write_label", "write_pcd"]
 
@@ -147,8 +147,8 @@ def write_label(path: str | os.PathLike[str], truth: Truth) -> None:
 
     upright = truth.state[::-1, ::-1]
     image = np.zeros((*upright.shape, 3), np.uint8)
-    image[..., 1] = 255 * (upright == FREE)
-    image[..., 2] = 255 * (upright == OCCUPIED)
+    image[..., 1] = 255 * (upright == CellState.FREE)
+    image[..., 2] = 255 * (upright == CellState.OCCUPIED)
     with atomic_write(path) as file:
         Image.fromarray(image).save(file, format="PNG")
 
@@ -192,4 +192,4 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
             f"{path} has {np.count_nonzero(free & occupied)} cells both free and occupied; "
             "in a label of the paper's layout a cell is one or neither"
         )
-    return Truth(spec, np.where(occupied, OCCUPIED, np.where(free, FREE, UNKNOWN)).astype(np.uint8))
+    return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))

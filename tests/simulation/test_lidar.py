@@ -37,7 +37,7 @@ def street(material: Material = Material.PLASTER_LIGHT) -> Scene:
         threads=1,
     )
     cars = [box([x, 4, 0.2], [x + 4, 5.8, 1.5], Material.PAINT_DARK) for x in (-20, 6, 17)]
-    scene.place(cars, box([-2, -0.9, 0.3], [2, 0.9, 1.4], Material.OWN_VEHICLE))
+    scene.place(cars, box([-2, -0.9, 0.3], [2, 0.9, 1.4], Material.EGO_VEHICLE))
     return scene
 
 
@@ -268,7 +268,7 @@ def test_the_own_vehicle_is_seen_unless_it_is_too_near() -> None:
     image = scan(street(), VLP, T, rng())
     own = image.object == OWN
     assert own.any()
-    assert (image.material[own] == Material.OWN_VEHICLE).all()
+    assert (image.material[own] == Material.EGO_VEHICLE).all()
     assert image.range[own].max() < 3
 
 

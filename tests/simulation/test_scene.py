@@ -109,7 +109,7 @@ def random_world(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh], Mesh
         ),  # around
         cylinder([0, 0, 0], [0, 0, 1.2], 0.3, Material.METAL_POLE),  # below
     ]
-    own = box([-2, -0.9, 0.2], [2.2, 0.9, 1.45], Material.OWN_VEHICLE).moved(pose(yaw=angle))
+    own = box([-2, -0.9, 0.2], [2.2, 0.9, 1.45], Material.EGO_VEHICLE).moved(pose(yaw=angle))
     return static, moving, own
 
 

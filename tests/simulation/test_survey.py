@@ -220,7 +220,7 @@ def test_participants_are_filled_by_their_returns_in_the_input() -> None:
     van = box((-2.2, -0.9, 0.0), (2.2, 0.9, 2.6), Material.PAINT_DARK)
     place = pose(6, 3, 0, yaw=0.5)
     looks = Looks(own=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
-    looks.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.OWN_VEHICLE))
+    looks.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.EGO_VEHICLE))
     boxes = boxes_seen_from(np.linalg.inv(SENSOR), [place], [[4.4, 1.8, 2.6]])
     inside = np.abs(np.cos(0.5) * (x - 6) + np.sin(0.5) * (y - 3)) < 2.0
     inside &= np.abs(np.cos(0.5) * (y - 3) - np.sin(0.5) * (x - 6)) < 0.7
@@ -251,7 +251,7 @@ def test_every_material_has_a_kind() -> None:
     for material in Material:
         assert (KINDS[material] == Kind.GROUND) == (material in GROUND)
     assert KINDS[Material.KERB] == Kind.STEP
-    assert KINDS[Material.OWN_VEHICLE] == KINDS[255] == Kind.OTHER
+    assert KINDS[Material.EGO_VEHICLE] == KINDS[255] == Kind.OTHER
     assert KINDS[Material.BRICK] == Kind.OBSTACLE
 
 

@@ -407,7 +407,7 @@ def test_furniture_stands_on_its_foot(name):
         assert -0.5 <= z.min() <= 0.0
         assert 0.3 < z.max() < 11
         assert len(mesh.triangles) <= (240 if name == "bike_rack" else 130)
-        assert not set(mesh.material.tolist()) & {M.ASPHALT, M.PAVING, M.GRASS, M.OWN_VEHICLE}
+        assert not set(mesh.material.tolist()) & {M.ASPHALT, M.PAVING, M.GRASS, M.EGO_VEHICLE}
 
 
 @pytest.mark.parametrize("name", ["lamp", "traffic_light", "sign"])

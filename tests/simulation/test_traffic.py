@@ -177,7 +177,7 @@ def test_walkers_move_their_legs():
 
 def test_own_vehicle_is_an_estate_of_one_material():
     mesh = own_vehicle()
-    assert set(mesh.material) == {M.OWN_VEHICLE}
+    assert set(mesh.material) == {M.EGO_VEHICLE}
     assert 1.4 < mesh.vertices[:, 2].max() <= 1.5
     assert 4.6 < np.ptp(mesh.vertices[:, 0]) < 4.95
 

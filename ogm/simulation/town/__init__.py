@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
+from numpy.random import Generator
 from numpy.typing import NDArray
 from shapely import Polygon
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
@@ -64,16 +66,16 @@ class Town:
     mesh: Mesh
     ground: Mesh
     lanes: tuple[Lane, ...]
-    bays: NDArray[np.float64]
-    walkways: tuple[NDArray[np.float64], ...]
+    bays: Floats
+    walkways: tuple[Floats, ...]
     loop: tuple[int, ...]
     counter_loop: tuple[int, ...]
     height: NDArray[np.float32]
     height_step: float
-    corner: NDArray[np.float64]
+    corner: Floats
     districts: tuple[tuple[Polygon, str], ...]
 
-    def ground_height(self, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def ground_height(self, x: NDArray, y: NDArray) -> Floats:
         """Height of the ground at x, y [m]: bilinear in the raster, as at the edge beyond it."""
         return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
 
@@ -154,7 +156,7 @@ def _worth(show: str) -> float:
     return 1.4 if district == "centre" else 1.0
 
 
-def _terrain(plan: Plan, rng: np.random.Generator) -> Terrain:
+def _terrain(plan: Plan, rng: Generator) -> Terrain:
     """Hills under the plan: banks as the districts have them, a dip on a long street."""
     network = plan.network
     kerbs = [
@@ -175,7 +177,7 @@ def _terrain(plan: Plan, rng: np.random.Generator) -> Terrain:
     )
 
 
-def _raise(points: NDArray, terrain: Terrain) -> NDArray[np.float64]:
+def _raise(points: NDArray, terrain: Terrain) -> Floats:
     return np.column_stack([points[:, :2], terrain.road(points[:, 0], points[:, 1])])
 
 

@@ -1,35 +1,25 @@
 """Houses on their footprints: storeys with windows, doors, shops, balconies, passages, roofs."""
 
-from collections.abc import Callable
-
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, cylinder, merge
 from ogm.simulation.town import roofs
 from ogm.simulation.town.facades import Side, side_of, upright
-from ogm.simulation.town.footprints import STYLES, check_style, front_first, split_front
+from ogm.simulation.town.footprints import check_style, front_first
 from ogm.simulation.town.looks import Look, look_of
 from ogm.simulation.town.storeys import SUNK, ground_floor, upper_storeys
-
-__all__ = ["STYLES", "building", "split_front"]
-
-M = Material
-HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 HEADROOM = 3.2  # [m] a passage is at least this high
 
 
 def building(
-    footprint: Polygon,
-    style: str,
-    height_at: HeightAt,
-    rng: np.random.Generator,
-    *,
-    front: ArrayLike | None = None,
+    footprint: Polygon, style: str, height_at: HeightAt, rng: Generator, *, front: ArrayLike | None = None
 ) -> Mesh:
     """Build a house.
 
@@ -97,7 +87,7 @@ def _checked(footprint: Polygon) -> Polygon:
     return front_first(outline, towards)
 
 
-def _house(outline: Polygon, street: Side, look: Look, height_at: HeightAt, rng: np.random.Generator) -> Mesh:
+def _house(outline: Polygon, street: Side, look: Look, height_at: HeightAt, rng: Generator) -> Mesh:
     """Put walls, storeys and the roof of a house together."""
     rings = [np.array(outline.exterior.coords), *(np.array(hole.coords) for hole in outline.interiors)]
     corners = np.concatenate(rings)
@@ -158,9 +148,7 @@ def _role(side: Side, street: Side, look: Look) -> str:
     return "blind" if look.blind_sides or side.length < 2.0 else "side"
 
 
-def _passage(
-    outline: Polygon, street: Side, look: Look, rng: np.random.Generator
-) -> tuple[shapely.Geometry, Polygon]:
+def _passage(outline: Polygon, street: Side, look: Look, rng: Generator) -> tuple[shapely.Geometry, Polygon]:
     """Cut a way for cars through the ground floor of some houses in a row: what is left, and the way."""
     none = outline, Polygon()
     if look.storeys < 2 or look.ground_storey < 3.5 or not 11 < street.length < 40 or rng.random() > 0.3:
@@ -178,7 +166,7 @@ def _passage(
     return rest, way
 
 
-def _roof(outline: Polygon, street: Side, top: float, look: Look, rng: np.random.Generator) -> Mesh:
+def _roof(outline: Polygon, street: Side, top: float, look: Look, rng: Generator) -> Mesh:
     """Set the roof on: pitched where four corners come close to the footprint, else flat behind a parapet."""
     corners = np.array(outline.exterior.coords)[:-1]
     if len(corners) != 4:
@@ -218,7 +206,7 @@ def _roof(outline: Polygon, street: Side, top: float, look: Look, rng: np.random
     return merge(parts)
 
 
-def _flat_roof(outline: Polygon, top: float, look: Look, rng: np.random.Generator) -> Mesh:
+def _flat_roof(outline: Polygon, top: float, look: Look, rng: Generator) -> Mesh:
     """Lay a flat roof with its parapet, or with eaves that reach over the walls."""
     if look.storeys == 1 and rng.random() < 0.5:
         over = outline.buffer(look.eaves, join_style="mitre")
@@ -239,13 +227,13 @@ def _flat_roof(outline: Polygon, top: float, look: Look, rng: np.random.Generato
     return merge(parts)
 
 
-def _floor_under(ring: NDArray[np.float64], height_at: HeightAt) -> tuple[NDArray[np.float64], float]:
+def _floor_under(ring: Floats, height_at: HeightAt) -> tuple[Floats, float]:
     """Return the ground's height at each corner, and the highest of them."""
     ground = np.asarray(height_at(ring[:-1, 0], ring[:-1, 1]), np.float64)
     return ground, float(ground.max())
 
 
-def _pavilion(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Generator) -> Mesh:
+def _pavilion(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build an open pavilion: a roof on posts."""
     ground, high = _floor_under(ring, height_at)
     top = high + rng.uniform(2.6, 3.2)
@@ -263,14 +251,14 @@ def _pavilion(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Gen
     return merge([*posts, *rim, roofs.flat(over, top, M.ROOF), roofs.flat(over, top + 0.2, M.ROOF)])
 
 
-def _canopy(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Generator) -> Mesh:
+def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build a filling station: a roof above 4.7 m on a few columns, pumps, and a shop at the back."""
     ground, high = _floor_under(ring, height_at)
     p = ring[:-1]
     low = float(ground.min()) - SUNK
     z = high + rng.uniform(4.7, 5.4)
 
-    def spot(s: float, t: float) -> NDArray[np.float64]:
+    def spot(s: float, t: float) -> Floats:
         return (1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2])
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])

@@ -6,14 +6,15 @@ from functools import partial
 import numpy as np
 import shapely
 import shapely.ops
-from numpy.typing import NDArray
+from numpy.random import Generator
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh
+from ogm.simulation.town import fences, plants
 from ogm.simulation.town import furniture as f
-from ogm.simulation.town import plants
 from ogm.simulation.town.buildings import building
 from ogm.simulation.town.layout import Plan
 from ogm.simulation.town.lots import Lot
@@ -21,9 +22,6 @@ from ogm.simulation.town.network import Street
 from ogm.simulation.town.overlay import area, inside, polygons
 from ogm.simulation.town.terrain import FIELD, Raster, mask
 
-__all__ = ["HEADROOM", "Yard", "furnish"]
-
-M = Material
 HEADROOM = 4.6  # [m] nothing over a road is lower
 # Share of the fronts that hide what is behind them.
 CLOSED = {"suburb": 0.68, "industrial": 0.55, "arterial": 0.3}
@@ -45,7 +43,7 @@ _SPOTS = np.array(
     float,
 )
 _SPOTS /= _SPOTS.sum(axis=1, keepdims=True)  # corners of a triangle and points between them
-Maker = Callable[[np.random.Generator], Mesh]
+Maker = Callable[[Generator], Mesh]
 
 
 class Yard:
@@ -114,12 +112,12 @@ class Yard:
         self.meshes.append(piece)
         return True
 
-    def line(self, points: NDArray) -> NDArray[np.float64]:
+    def line(self, points: Floats) -> Floats:
         """Points (M, 2) lifted to the ground (M, 3)."""
         return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
 
 
-def furnish(plan: Plan, lots: list[Lot], height: Raster, rng: np.random.Generator) -> list[Mesh]:
+def furnish(plan: Plan, lots: list[Lot], height: Raster, rng: Generator) -> list[Mesh]:
     """Return everything that stands on the ground of a town."""
     yard = Yard(plan, lots, height)
     trees = [plants.tree(rng) for _ in range(36)]
@@ -138,24 +136,18 @@ def furnish(plan: Plan, lots: list[Lot], height: Raster, rng: np.random.Generato
     return yard.meshes
 
 
-def _pick(pool: list[Mesh], rng: np.random.Generator) -> Mesh:
+def _pick(pool: list[Mesh], rng: Generator) -> Mesh:
     """One of a pool of plants, larger or smaller."""
     piece = pool[int(rng.integers(len(pool)))]
     return piece.moved(np.diag([*([rng.uniform(0.8, 1.15)] * 2), rng.uniform(0.85, 1.15), 1.0]))
 
 
-def _given(piece: Mesh, _: np.random.Generator) -> Mesh:
+def _given(piece: Mesh, _: Generator) -> Mesh:
     return piece
 
 
 def _street(
-    plan: Plan,
-    k: int,
-    street: Street,
-    yard: Yard,
-    trees: list[Mesh],
-    bushes: list[Mesh],
-    rng: np.random.Generator,
+    plan: Plan, k: int, street: Street, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: Generator
 ) -> None:
     """Trees, lamps, signs and what else stands along a street."""
     profile = street.profile
@@ -223,10 +215,10 @@ def _street(
         if profile.kind == "arterial" and end - begin > 40 and rng.random() < 0.6:
             start = rng.uniform(begin + 4, end - 30)
             way = np.arange(start, min(start + rng.uniform(16, 60), end - 2), 2.0)
-            yard.add(f.guard_rail(yard.line(street.at(way, side * (edge + 0.5)))))
+            yard.add(fences.guard_rail(yard.line(street.at(way, side * (edge + 0.5)))))
 
 
-def _spans(plan: Plan, yard: Yard, rng: np.random.Generator) -> None:
+def _spans(plan: Plan, yard: Yard, rng: Generator) -> None:
     """Span a bridge and a gantry over the broad road."""
     for k, at, kind in plan.spans:
         street = plan.network.streets[k]
@@ -248,7 +240,7 @@ def _spans(plan: Plan, yard: Yard, rng: np.random.Generator) -> None:
 
 
 def _lot(
-    lot: Lot, yard: Yard, trees: list[Mesh], tall: list[Mesh], bushes: list[Mesh], rng: np.random.Generator
+    lot: Lot, yard: Yard, trees: list[Mesh], tall: list[Mesh], bushes: list[Mesh], rng: Generator
 ) -> None:
     if lot.use == "houses":
         _fences(lot, yard, rng)
@@ -298,7 +290,7 @@ def _lot(
         for part in polygons(lot.shape.buffer(-1.0).simplify(0.3))[:1]:
             for side in shapely.get_parts(shapely.difference(part.exterior, area(yard.blocked))):
                 if side.length > 1.6:
-                    yard.add(f.fence(yard.line(np.array(side.segmentize(3.0).coords)), rng))
+                    yard.add(fences.fence(yard.line(np.array(side.segmentize(3.0).coords)), rng))
         _pieces(
             lot.shape.buffer(-3),
             yard,
@@ -325,7 +317,7 @@ def _lot(
         yard.add(plants.grass_tufts(open_ground.buffer(-1), yard.height, rng, density=0.35))
 
 
-def _edge(lot: Lot, yard: Yard, share: float, rng: np.random.Generator) -> None:
+def _edge(lot: Lot, yard: Yard, share: float, rng: Generator) -> None:
     """Tall hedges and walls along a share of a lot's outline."""
     ways = shapely.union_all([*lot.gaps, area(shapely.intersection(yard.blocked, lot.shape))]).buffer(0.35)
     for part in polygons(lot.shape.buffer(-0.8).simplify(0.3))[:1]:
@@ -339,7 +331,7 @@ def _edge(lot: Lot, yard: Yard, share: float, rng: np.random.Generator) -> None:
                     _enclose(points, lot.style, kind, hides, yard, rng)
 
 
-def _fences(lot: Lot, yard: Yard, rng: np.random.Generator) -> None:
+def _fences(lot: Lot, yard: Yard, rng: Generator) -> None:
     """Hedges, walls and fences along the front, between neighbours and between houses; open at ways."""
     if lot.style not in CLOSED:
         return
@@ -379,29 +371,27 @@ def _behind(lot: Lot) -> float:
     )
 
 
-def _enclose(
-    points: NDArray, style: str, kind: float, hides: bool, yard: Yard, rng: np.random.Generator
-) -> None:
+def _enclose(points: Floats, style: str, kind: float, hides: bool, yard: Yard, rng: Generator) -> None:
     """Build a hedge, wall or fence along points on the ground, or nothing."""
     if hides and kind < 0.42:
         yard.add(plants.hedge(points, rng, lowest=1.5))
     elif hides and kind < 0.7:
-        yard.add(f.low_wall(points, rng, lowest=1.5))
+        yard.add(fences.low_wall(points, rng, lowest=1.5))
     elif hides:
-        yard.add(f.screen(points, rng, M.METAL_SHEET if style == "industrial" else M.WOOD))
+        yard.add(fences.screen(points, rng, M.METAL_SHEET if style == "industrial" else M.WOOD))
     elif style != "suburb":
         if kind < 0.75:
-            yard.add(f.fence(points, rng))
+            yard.add(fences.fence(points, rng))
     elif kind < 0.25:
         yard.add(plants.hedge(points, rng))
     elif kind < 0.6:
-        yard.add(f.fence(points, rng))
+        yard.add(fences.fence(points, rng))
     elif kind < 0.85:
-        yard.add(f.low_wall(points, rng))
+        yard.add(fences.low_wall(points, rng))
 
 
 def _scatter(
-    shape: BaseGeometry, yard: Yard, pool: list[Mesh], density: float, radius: float, rng: np.random.Generator
+    shape: BaseGeometry, yard: Yard, pool: list[Mesh], density: float, radius: float, rng: Generator
 ) -> None:
     """Plant at random, so many to the square metre."""
     for x, y in _points(shape, density, rng):
@@ -409,14 +399,14 @@ def _scatter(
 
 
 def _pieces(
-    shape: BaseGeometry, yard: Yard, wanted: Sequence[tuple[Maker, float, float]], rng: np.random.Generator
+    shape: BaseGeometry, yard: Yard, wanted: Sequence[tuple[Maker, float, float]], rng: Generator
 ) -> None:
     for maker, density, radius in wanted:
         for x, y in _points(shape.buffer(-radius), density, rng):
             yard.put(maker(rng), x, y, rng.uniform(0, 2 * np.pi), radius)
 
 
-def _points(shape: BaseGeometry, density: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+def _points(shape: BaseGeometry, density: float, rng: Generator) -> list[tuple[float, float]]:
     if shape.is_empty:
         return []
     x0, y0, x1, y1 = shape.bounds
@@ -426,7 +416,7 @@ def _points(shape: BaseGeometry, density: float, rng: np.random.Generator) -> li
     return [(float(px), float(py)) for px, py in zip(x[within], y[within], strict=True)]
 
 
-def _islands(plan: Plan, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.random.Generator) -> None:
+def _islands(plan: Plan, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: Generator) -> None:
     """Plant the roundabout and the strips between carriageways."""
     for island in plan.islands:
         if island.area > 60 and max(np.ptp(np.array(island.exterior.coords), axis=0)) < 30:
@@ -440,7 +430,7 @@ def _islands(plan: Plan, yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng:
 
 
 def _woods(
-    plan: Plan, lots: list[Lot], yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: np.random.Generator
+    plan: Plan, lots: list[Lot], yard: Yard, trees: list[Mesh], bushes: list[Mesh], rng: Generator
 ) -> None:
     """Trees and bushes on what is left of the blocks."""
     used: list[Polygon] = [lot.shape for lot in lots]

@@ -6,48 +6,20 @@ line stand on the line's points, whichever frame these are in.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads, sheet, wall
-from ogm.simulation.town.fences import bars, fence, gate, guard_rail, low_wall, screen
+from ogm.simulation.town.fences import bars
 from ogm.simulation.town.plants import bush
-
-__all__ = [
-    "advert_column",
-    "barrier",
-    "bench",
-    "bike_rack",
-    "bin_",
-    "bollard",
-    "bridge",
-    "cabinet",
-    "cafe",
-    "cone",
-    "container",
-    "fence",
-    "gantry",
-    "gate",
-    "guard_rail",
-    "hydrant",
-    "lamp",
-    "low_wall",
-    "monument",
-    "planter",
-    "screen",
-    "shelter",
-    "sign",
-    "skip",
-    "traffic_light",
-]
-
-M = Material
 
 SUNK = 0.3  # [m] feet reach this far into the ground, so that they stand on a slope as well
 OVER_ROAD = 4.7  # [m] everything that hangs over a carriageway is higher than this
 
 
-def lamp(rng: np.random.Generator) -> Mesh:
+def lamp(rng: Generator) -> Mesh:
     """Make a street lamp of 4 to 10 m: a tall one reaches over the road, a low one carries a head on its top."""
     height = rng.uniform(3.6, 10.0)
     radius = rng.uniform(0.045, 0.06) + 0.003 * height
@@ -71,7 +43,7 @@ def lamp(rng: np.random.Generator) -> Mesh:
     return merge([pole, base, arm, head])
 
 
-def traffic_light(rng: np.random.Generator) -> Mesh:
+def traffic_light(rng: Generator) -> Mesh:
     """Make a signal post with one or two heads; some reach over the road with a mast arm above 4.7 m."""
     parts = []
     over = rng.random() < 0.4
@@ -90,7 +62,7 @@ def traffic_light(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def sign(rng: np.random.Generator) -> Mesh:
+def sign(rng: Generator) -> Mesh:
     """Make a traffic sign: SIGN on the front, METAL_SHEET behind; discs, triangles, panels, signposts.
 
     It reaches no further than 0.6 m towards the road (-y).
@@ -128,7 +100,7 @@ def sign(rng: np.random.Generator) -> Mesh:
     return merge([_pole(top, radius), *parts])
 
 
-def bollard(rng: np.random.Generator) -> Mesh:
+def bollard(rng: Generator) -> Mesh:
     """Make a bollard, 0.6 to 1.1 m high: a steel post, a stone stump, or a plastic one with a reflector."""
     height, kind = rng.uniform(0.6, 1.1), rng.random()
     if kind < 0.25:
@@ -139,7 +111,7 @@ def bollard(rng: np.random.Generator) -> Mesh:
     return _pole(height, rng.uniform(0.035, 0.07))
 
 
-def bin_(rng: np.random.Generator) -> Mesh:
+def bin_(rng: Generator) -> Mesh:
     """Make a litter bin, or a group of wheelie bins."""
     kind = rng.random()
     if kind < 0.35:
@@ -169,7 +141,7 @@ def bin_(rng: np.random.Generator) -> Mesh:
     return merge(parts).moved(centred)
 
 
-def shelter(rng: np.random.Generator) -> Mesh:
+def shelter(rng: Generator) -> Mesh:
     """Make a bus shelter along x, open to -y: posts, roof, panes that let rays through, seat, stop sign."""
     length, depth, height = rng.uniform(3.0, 5.0), rng.uniform(1.3, 1.7), rng.uniform(2.45, 2.7)
     half = length / 2
@@ -192,7 +164,7 @@ def _stop_sign(x: float, y: float) -> Mesh:
     return merge([_pole(2.6, 0.035), *_plate(_panel(0.45, 0.45), 2.35, 0.035)]).moved(shift)
 
 
-def advert_column(rng: np.random.Generator) -> Mesh:
+def advert_column(rng: Generator) -> Mesh:
     """Make a round column for posters, 1.1 to 1.4 m across, or an upright illuminated panel."""
     if rng.random() < 0.5:
         radius, height = rng.uniform(0.55, 0.7), rng.uniform(2.7, 3.6)
@@ -203,7 +175,7 @@ def advert_column(rng: np.random.Generator) -> Mesh:
     return merge([foot, box([-0.11, -0.66, 0.6], [0.11, 0.66, 2.6], M.WINDOW)])
 
 
-def bench(rng: np.random.Generator) -> Mesh:
+def bench(rng: Generator) -> Mesh:
     """Make a bench of slats along x that looks to -y, with or without a back."""
     half = rng.uniform(0.75, 1.1)
     seats = [_centred_box([0, y, 0.45], [2 * half, 0.11, 0.04], M.WOOD) for y in (-0.17, 0.0, 0.17)]
@@ -217,7 +189,7 @@ def bench(rng: np.random.Generator) -> Mesh:
     return merge([*seats, *legs])
 
 
-def bike_rack(rng: np.random.Generator) -> Mesh:
+def bike_rack(rng: Generator) -> Mesh:
     """Make a row of 2 to 6 hoops along x; a few hold a bicycle's frame and wheels."""
     count, parts = int(rng.integers(2, 7)), []
     hoop = np.array([[-0.38, -0.2], [-0.33, 0.8], [0.33, 0.8], [0.38, -0.2]])
@@ -231,7 +203,7 @@ def bike_rack(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def cabinet(rng: np.random.Generator) -> Mesh:
+def cabinet(rng: Generator) -> Mesh:
     """Make a box for switchgear or the mail, 0.7 to 1.6 m high."""
     if rng.random() < 0.2:  # letter box, parking meter
         return merge([_pole(0.9, 0.05), _centred_box([0, 0, 1.2], [0.3, 0.4, 0.6], M.PAINT_MEDIUM)])
@@ -248,7 +220,7 @@ def cabinet(rng: np.random.Generator) -> Mesh:
     return merge([plinth, body, lid])
 
 
-def hydrant(rng: np.random.Generator) -> Mesh:
+def hydrant(rng: Generator) -> Mesh:
     """Make a pillar hydrant of 0.7 to 1 m."""
     height = rng.uniform(0.7, 1.0)
     arm = cylinder([0, -0.2, 0.65 * height], [0, 0.2, 0.65 * height], 0.06, M.PAINT_MEDIUM, sides=5)
@@ -256,7 +228,7 @@ def hydrant(rng: np.random.Generator) -> Mesh:
     return merge([_pole(0.85 * height, 0.11, M.PAINT_MEDIUM), arm, dome])
 
 
-def planter(rng: np.random.Generator) -> Mesh:
+def planter(rng: Generator) -> Mesh:
     """Make a tub, round or square, with a bush in it."""
     half, height = rng.uniform(0.3, 0.7), rng.uniform(0.4, 0.7)
     tub = cylinder([0, 0, -0.1], [0, 0, height], 0.8 * half, M.CONCRETE, end_radius=half, sides=8)
@@ -271,7 +243,7 @@ def planter(rng: np.random.Generator) -> Mesh:
     return merge([tub, thinned.moved(lift)])
 
 
-def cone(rng: np.random.Generator) -> Mesh:
+def cone(rng: Generator) -> Mesh:
     """Make a traffic cone of 0.5 or 0.75 m with its reflecting sleeve."""
     height = float(rng.choice([0.5, 0.75]))
     r = 0.2 * height
@@ -286,7 +258,7 @@ def cone(rng: np.random.Generator) -> Mesh:
     return merge([foot, *parts])
 
 
-def barrier(rng: np.random.Generator) -> Mesh:
+def barrier(rng: Generator) -> Mesh:
     """Make a barrier of road works across the way (along y): a fence with reflecting boards, or a concrete block."""
     half = rng.uniform(0.9, 1.3)
     if rng.random() < 0.3:
@@ -307,7 +279,7 @@ def barrier(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def container(rng: np.random.Generator) -> Mesh:
+def container(rng: Generator) -> Mesh:
     """Make a shipping or site container along x, 3 to 12 m long, ribbed."""
     half = float(rng.choice([1.5, 3.03, 3.03, 6.1]))
     x = np.linspace(-half, half, int(half / 0.3) + 2)
@@ -321,7 +293,7 @@ def container(rng: np.random.Generator) -> Mesh:
     return merge([*walls, *ends, lid])
 
 
-def skip(rng: np.random.Generator) -> Mesh:
+def skip(rng: Generator) -> Mesh:
     """Make an open skip for rubble along x, with its load."""
     long, high = rng.uniform(1.5, 2.0), rng.uniform(1.0, 1.5)
     profile = np.array(
@@ -338,7 +310,7 @@ def skip(rng: np.random.Generator) -> Mesh:
     return merge([body, foot, heap])
 
 
-def cafe(rng: np.random.Generator) -> Mesh:
+def cafe(rng: Generator) -> Mesh:
     """Make a table with two to four chairs, often below a parasol."""
     top = cylinder([0, 0, 0.72], [0, 0, 0.75], rng.uniform(0.35, 0.5), M.WOOD, sides=8)
     parts = [top, cylinder([0, 0, -0.05], [0, 0, 0.72], 0.03, M.METAL_POLE, sides=4, caps=False)]
@@ -369,7 +341,7 @@ def cafe(rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def monument(rng: np.random.Generator) -> Mesh:
+def monument(rng: Generator) -> Mesh:
     """Make the middle of a square or park: a fountain's basin, or a statue on its pedestal."""
     if rng.random() < 0.5:
         radius = rng.uniform(1.5, 3.0)
@@ -395,7 +367,7 @@ def monument(rng: np.random.Generator) -> Mesh:
     return merge([*steps, pedestal, *figure])
 
 
-def gantry(width: float, rng: np.random.Generator) -> Mesh:
+def gantry(width: float, rng: Generator) -> Mesh:
     """Span a gantry across a road (along y) of that width [m], with signs above 4.7 m; origin at the road's middle.
 
     The posts stand at ``y = ±width / 2``.
@@ -421,7 +393,7 @@ def gantry(width: float, rng: np.random.Generator) -> Mesh:
     return merge(parts)
 
 
-def bridge(length: float, width: float, rng: np.random.Generator) -> Mesh:
+def bridge(length: float, width: float, rng: Generator) -> Mesh:
     """Build a bridge over a road that runs along x: its own way runs along y, `length` from end to end [m].
 
     Parameters
@@ -460,7 +432,7 @@ def bridge(length: float, width: float, rng: np.random.Generator) -> Mesh:
 def _pole(
     height: float,
     radius: float,
-    material: Material = M.METAL_POLE,
+    material: M = M.METAL_POLE,
     *,
     x: float = 0.0,
     y: float = 0.0,
@@ -471,12 +443,12 @@ def _pole(
     return cylinder([x, y, -SUNK], [x, y, height], radius, material, end_radius=end_radius, sides=sides)
 
 
-def _centred_box(center: ArrayLike, size: ArrayLike, material: Material) -> Mesh:
+def _centred_box(center: ArrayLike, size: ArrayLike, material: M) -> Mesh:
     center, half = np.asarray(center, np.float64), np.asarray(size, np.float64) / 2
     return box(center - half, center + half, material)
 
 
-def _signal_head(at: NDArray[np.float64]) -> list[Mesh]:
+def _signal_head(at: Floats) -> list[Mesh]:
     """Make the three lamps of a signal with their backing board; `at` is the lower edge's middle."""
     body = _centred_box(at + [0, 0, 0.45], [0.2, 0.28, 0.9], M.PLASTIC_DARK)
     board = (
@@ -489,18 +461,18 @@ def _signal_head(at: NDArray[np.float64]) -> list[Mesh]:
     return [body, quads(board, M.PLASTIC_DARK), *lamps]
 
 
-def _round(radius: float, sides: int, turn: float = 0.0) -> NDArray[np.float64]:
+def _round(radius: float, sides: int, turn: float = 0.0) -> Floats:
     """Return a regular outline (sides, 2) in y, z around the middle."""
     angles = turn + 2 * np.pi * np.arange(sides) / sides
     return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _panel(width: float, tall: float) -> NDArray[np.float64]:
+def _panel(width: float, tall: float) -> Floats:
     """Return a rectangle's outline (4, 2) in y, z around the middle."""
     return 0.5 * np.array([[-width, -tall], [width, -tall], [width, tall], [-width, tall]])
 
 
-def _plate(outline: NDArray[np.float64], z: float, radius: float) -> list[Mesh]:
+def _plate(outline: Floats, z: float, radius: float) -> list[Mesh]:
     """Make a plate before a pole of that radius: retroreflective front towards +x, bare metal 2 cm behind it."""
     fan = np.array([(0, k, k + 1) for k in range(1, len(outline) - 1)], np.uint32)
     parts = []
@@ -510,13 +482,13 @@ def _plate(outline: NDArray[np.float64], z: float, radius: float) -> list[Mesh]:
     return parts
 
 
-def _strip(start: ArrayLike, end: ArrayLike, half: ArrayLike) -> NDArray[np.float64]:
+def _strip(start: ArrayLike, end: ArrayLike, half: ArrayLike) -> Floats:
     """Return the corners (4, 3) of a flat bar between two points, `half` its half width as a vector."""
     a, b, h = (np.asarray(v, np.float64) for v in (start, end, half))
     return np.stack([a - h, a + h, b + h, b - h])
 
 
-def _tube(line: NDArray[np.float64], radius: float, material: Material) -> Mesh:
+def _tube(line: Floats, radius: float, material: M) -> Mesh:
     """Make a three-sided tube along a line that lies in an upright plane across x."""
     ahead = np.gradient(line, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)

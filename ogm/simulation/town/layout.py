@@ -4,20 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.random import Generator
 from shapely import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.town.ground import Zone
 from ogm.simulation.town.lanes import HEAD, ISLAND, KERB_RADIUS, RING, Draft
 from ogm.simulation.town.network import Network, Street
 from ogm.simulation.town.overlay import area, polygons
 from ogm.simulation.town.terrain import Drop
 
-__all__ = ["Bay", "Block", "Plan", "make_plan"]
-
-M = Material
 BAY = 5.8  # [m] length of a place to park along the kerb
 
 
@@ -62,7 +60,7 @@ class Plan:
     lines: list[BaseGeometry]
     drops: list[Drop]
     bays: list[Bay]
-    walkways: list[NDArray[np.float64]]  # (M, 2)
+    walkways: list[Floats]  # (M, 2)
     blocks: list[Block]
     driveways: list[Polygon]
     islands: list[Polygon]
@@ -70,7 +68,7 @@ class Plan:
     reserved: BaseGeometry  # where nothing is built
 
 
-def make_plan(size: float, network: Network, draft: Draft, rng: np.random.Generator) -> Plan:
+def make_plan(size: float, network: Network, draft: Draft, rng: Generator) -> Plan:
     """Draw a town around its streets and lanes."""
     road, islands = _carriageway(network, draft)
     corridor = _corridor(network, road, size)
@@ -154,7 +152,7 @@ def _corridor(network: Network, road: BaseGeometry, size: float) -> BaseGeometry
     return area(shapely.intersection(filled, frame)).simplify(0.02)
 
 
-def _spans(plan: Plan, rng: np.random.Generator) -> None:
+def _spans(plan: Plan, rng: Generator) -> None:
     """Choose where the broad road passes below a bridge and a gantry, and keep houses away from the bridge."""
     broad = [k for k, street in enumerate(plan.network.streets) if street.profile.kind == "arterial"]
     order = [int(k) for k in rng.permutation(broad)]
@@ -170,7 +168,7 @@ def _spans(plan: Plan, rng: np.random.Generator) -> None:
             plan.reserved = street.band(at - 7, at + 7, -40.0, 40.0).buffer(0)
 
 
-def _surfaces(plan: Plan, islands: list[Polygon], rng: np.random.Generator) -> None:
+def _surfaces(plan: Plan, islands: list[Polygon], rng: Generator) -> None:
     """Road surfaces street by street, repairs in them, islands."""
     plan.zones.append(Zone(plan.road, M.ASPHALT))
     for street in plan.network.streets:
@@ -204,7 +202,7 @@ def _verges(plan: Plan, k: int, street: Street) -> None:
         plan.zones.append(Zone(band, M.GRASS if profile.kind != "industrial" else M.SOIL))
 
 
-def _parking(plan: Plan, k: int, street: Street, rng: np.random.Generator) -> None:
+def _parking(plan: Plan, k: int, street: Street, rng: Generator) -> None:
     """Bays along the kerbs, with gaps here and there."""
     profile = street.profile
     start, end = plan.draft.cuts[k, 0] + 2.0, street.length - plan.draft.cuts[k, 1] - 2.0
@@ -255,7 +253,7 @@ def _sidewalks(plan: Plan, k: int, street: Street) -> None:
         plan.walkways.append(street.at(way, offset))
 
 
-def _crossings(plan: Plan, rng: np.random.Generator) -> None:
+def _crossings(plan: Plan, rng: Generator) -> None:
     """Where people cross at junctions: kerbs let down, a line to walk, sometimes a zebra."""
     network = plan.network
     for k, street in enumerate(network.streets):

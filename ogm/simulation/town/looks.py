@@ -2,14 +2,10 @@
 
 from typing import NamedTuple
 
-import numpy as np
+from numpy.random import Generator
 from shapely import Polygon
 
-from ogm.simulation.materials import Material
-
-__all__ = ["Look", "look_of"]
-
-M = Material
+from ogm.simulation.materials import Material as M
 
 
 class Look(NamedTuple):
@@ -34,7 +30,7 @@ class Look(NamedTuple):
     eaves: float
 
 
-def look_of(style: str, outline: Polygon, rng: np.random.Generator) -> Look:
+def look_of(style: str, outline: Polygon, rng: Generator) -> Look:
     """Choose what a house of a style is like, after its footprint's size."""
     area = outline.area
     light, dark, brick, stone = int(M.PLASTER_LIGHT), int(M.PLASTER_DARK), int(M.BRICK), int(M.STONE)

@@ -4,15 +4,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 from shapely import LineString, Polygon
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.town.graph import MARGIN, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
-__all__ = ["PROFILES", "Network", "Profile", "Street", "make_network"]
-
-M = Material
 SPACING = 96.0  # [m] between parallel streets, about
 
 
@@ -32,7 +31,7 @@ class Profile(NamedTuple):
     parking: tuple[float, float]  # width of the parking lanes
     verge: float  # grass between kerb and sidewalk
     sidewalk: tuple[float, float]
-    surface: Material
+    surface: M
     kerb: float  # height of the kerb
 
     @property
@@ -84,9 +83,9 @@ class Street:
 
     start: int
     end: int
-    line: NDArray[np.float64]
-    along: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    line: Floats
+    along: Floats
+    normals: Floats
     profile: Profile
     district: str
 
@@ -95,13 +94,13 @@ class Street:
         """Length of the dividing line [m]."""
         return float(self.along[-1])
 
-    def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> NDArray[np.float64]:
+    def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> Floats:
         """Points (..., 2) at a way from the start and an offset to the left [m]."""
         along, left = np.broadcast_arrays(np.asarray(along, float), np.asarray(left, float))
         point = np.stack([np.interp(along, self.along, self.line[:, k]) for k in (0, 1)], axis=-1)
         return point + self.normal(along) * left[..., None]
 
-    def normal(self, along: ArrayLike) -> NDArray[np.float64]:
+    def normal(self, along: ArrayLike) -> Floats:
         """Return unit vectors (..., 2) to the left at a way from the start."""
         way = np.asarray(along, float)
         normal = np.stack([np.interp(way, self.along, self.normals[:, k]) for k in (0, 1)], axis=-1)
@@ -120,15 +119,15 @@ class Street:
 class Network(NamedTuple):
     """Crossings and streets."""
 
-    nodes: NDArray[np.float64]  # (N, 2)
+    nodes: Floats  # (N, 2)
     streets: tuple[Street, ...]
     roundabout: int  # a node, -1 if there is none
     heads: tuple[int, ...]  # nodes at which a dead end has room to turn
-    faces: NDArray[np.float64]  # (F, 2) middle of each mesh of the grid
+    faces: Floats  # (F, 2) middle of each mesh of the grid
     styles: tuple[str, ...]  # its district
 
 
-def make_network(size: float, rng: np.random.Generator) -> Network:
+def make_network(size: float, rng: Generator) -> Network:
     """Draw the streets of a town of `size` metres."""
     n = max(3, int((size - 2 * MARGIN) // SPACING) + 1)
     nodes = bent_grid(n, size, rng)
@@ -160,7 +159,7 @@ def make_network(size: float, rng: np.random.Generator) -> Network:
     )
 
 
-def _districts(m: int, faces: NDArray, rng: np.random.Generator) -> tuple[str, ...]:
+def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
     """Place a dense centre, a park beside it, industry in a corner, suburbs elsewhere."""
     if m == 2:
         quiet = "park" if rng.random() < 0.5 else "industrial"
@@ -179,14 +178,14 @@ def _districts(m: int, faces: NDArray, rng: np.random.Generator) -> tuple[str, .
 
 
 def _streets(
-    nodes: NDArray,
+    nodes: Floats,
     chains: list[list[int]],
     broad: set[tuple[int, int]],
-    faces: NDArray,
+    faces: Floats,
     styles: tuple[str, ...],
     roundabout: int,
     heads: list[int],
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> tuple[Street, ...]:
     """Give each chain a bent line and a cross-section."""
     kinds: list[str] = []
@@ -228,7 +227,7 @@ _CHOICES = {
 
 
 def _one_way(
-    chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: np.random.Generator
+    chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: Generator
 ) -> None:
     """Make narrow streets two-way where nobody could reach or leave some place otherwise."""
     single = [k for k, kind in enumerate(kinds) if PROFILES[kind].back == 0]
@@ -255,7 +254,7 @@ def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> b
     return bool(reach.all() and step.any(axis=1).all())
 
 
-def _bend(points: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
+def _bend(points: Floats, rng: Generator) -> Floats:
     """Draw a smooth line through a chain of crossings, straight near its ends, with a bend or an S between."""
     control = [points[0]]
     last = len(points) - 2
@@ -277,7 +276,7 @@ def _bend(points: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.stack([np.interp(even, way, line[:, k]) for k in (0, 1)], axis=1)
 
 
-def _corner(a: NDArray, b: NDArray, c: NDArray) -> list[NDArray[np.float64]]:
+def _corner(a: Floats, b: Floats, c: Floats) -> list[Floats]:
     """Round a corner at b, on the way from a to c, by an arc as wide as there is room for."""
     u, w = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
     turn = float(np.arctan2(u[0] * w[1] - u[1] * w[0], u @ w))

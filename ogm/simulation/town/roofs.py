@@ -2,15 +2,12 @@
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, merge, quads
-
-__all__ = ["chimney", "flat", "pitched"]
-
-M = Material
 
 
 def flat(footprint: Polygon, z: float, material: int) -> Mesh:
@@ -99,14 +96,7 @@ def chimney(x: float, y: float, low: float, top: float) -> Mesh:
 
 
 def _dormers(
-    ends: NDArray[np.float64],
-    along: NDArray[np.float64],
-    across: NDArray[np.float64],
-    run: float,
-    z: float,
-    rise: float,
-    wall: int,
-    count: int,
+    ends: Floats, along: Floats, across: Floats, run: float, z: float, rise: float, wall: int, count: int
 ) -> Mesh:
     """Set boxes with a window into both slopes."""
     length = float(np.linalg.norm(ends[1] - ends[0]))

@@ -1,21 +1,17 @@
 """The storeys of one side of a house: windows, doors, shops, gates, balconies, bays, and what hangs on the wall."""
 
-from collections.abc import Callable
-
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import facades
 from ogm.simulation.town.facades import Openings, Side, deck, ledge, punched, side_of
 from ogm.simulation.town.looks import Look
 
-__all__ = ["SUNK", "ground_floor", "upper_storeys"]
-
-M = Material
-HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-Pieces = list[tuple[NDArray[np.float64], ArrayLike]]
+Pieces = list[tuple[Floats, ArrayLike]]
 
 SUNK = 0.8  # [m] walls reach this far below the lowest ground
 OVERHANG = 2.6  # [m] balconies, bays and awnings are higher above the ground than this
@@ -30,7 +26,7 @@ def ground_floor(
     upper: float,
     look: Look,
     height_at: HeightAt,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> Pieces:
     """Make the ground floor of one side: shops, gates, or windows and a door.
 
@@ -124,7 +120,7 @@ def upper_storeys(
     top: float,
     look: Look,
     height_at: HeightAt,
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> list[Mesh]:
     """Make the upper storeys of one side, with bays and balconies.
 
@@ -200,7 +196,7 @@ def upper_storeys(
     return [side.built([*punched(side.length, upper, top, openings, look.wall), *extra]), *parts]
 
 
-def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: np.random.Generator) -> Pieces:
+def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: Generator) -> Pieces:
     """Make what hangs over shop windows: signs, awnings, and signs that stand out of the wall."""
     extra: Pieces = []
     low = max(floor + 2.9, ground + OVERHANG)
@@ -224,14 +220,14 @@ def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: n
 
 def _gates(
     side: Side,
-    middle: NDArray[np.float64],
+    middle: Floats,
     width: float,
-    ground: NDArray[np.float64],
+    ground: Floats,
     floor: float,
     upper: float,
     look: Look,
-    rng: np.random.Generator,
-) -> tuple[NDArray, NDArray, NDArray, NDArray, Pieces]:
+    rng: Generator,
+) -> tuple[Floats, Floats, Floats, Floats, Pieces]:
     """Make the front of a hall: roller gates, docks for trucks, windows, pilasters and a canopy."""
     columns = len(middle)
     kind = rng.choice(3, columns, p=[0.35, 0.25, 0.4])
@@ -261,9 +257,7 @@ def _gates(
     return sills, heads, recess, pane, extra
 
 
-def _clutter(
-    openings: Openings, ground: float, upper: float, length: float, rng: np.random.Generator
-) -> Pieces:
+def _clutter(openings: Openings, ground: float, upper: float, length: float, rng: Generator) -> Pieces:
     """Hang small things between windows: letter boxes, lamps, meters, name plates, air conditioners."""
     edges = np.append(np.append(0.0, openings.right), length)
     gaps = [(a, b) for a, b in zip(edges[:-1], np.append(openings.left, length), strict=True) if b - a > 0.35]
@@ -278,13 +272,13 @@ def _clutter(
     return extra
 
 
-def _openings(middle: NDArray[np.float64], width: float) -> Openings:
+def _openings(middle: Floats, width: float) -> Openings:
     """Return columns around their middles, without rows yet."""
     none = np.zeros((len(middle), 0))
     return Openings(middle - width / 2, middle + width / 2, none, none, none, none.astype(np.uint8))
 
 
-def _panes(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
+def _panes(rng: Generator, count: int) -> NDArray[np.uint8]:
     """Choose panes: most are glass, some have their shutters or blinds down."""
     shut = rng.random() * 0.35
     other = rng.choice([M.PLASTER_LIGHT, M.WOOD, M.PLASTIC_DARK])

@@ -9,9 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.traffic.graph import Crossings, LaneTable
-
-__all__ = ["STEP", "Drivers", "Signals", "Walkers", "advance"]
 
 STEP = 0.1  # [s]
 AHEAD = 14  # lanes of its route that a driver looks at
@@ -24,7 +23,7 @@ SHORT = 7.0  # [m] longer vehicles enter a roundabout only with permission as fa
 
 
 class Drivers(NamedTuple):
-    """V vehicles; the first is the own one. Distances count along each vehicle's own route.
+    """V vehicles; the first is the ego vehicle. Distances count along each vehicle's own route.
 
     Attributes
     ----------
@@ -46,21 +45,21 @@ class Drivers(NamedTuple):
     """
 
     route: NDArray[np.int64]
-    start: NDArray[np.float64]
-    x: NDArray[np.float64]
-    v: NDArray[np.float64]
+    start: Floats
+    x: Floats
+    v: Floats
     front: NDArray[np.int64]
     rear: NDArray[np.int64]
     granted: NDArray[np.int64]
-    since: NDArray[np.float64]
+    since: Floats
     dice: NDArray[np.uint64]
-    length: NDArray[np.float64]
-    acceleration: NDArray[np.float64]
-    braking: NDArray[np.float64]
-    hardest: NDArray[np.float64]
-    headway: NDArray[np.float64]
-    pace: NDArray[np.float64]
-    top: NDArray[np.float64]
+    length: Floats
+    acceleration: Floats
+    braking: Floats
+    hardest: Floats
+    headway: Floats
+    pace: Floats
+    top: Floats
 
 
 class Signals(NamedTuple):
@@ -68,7 +67,7 @@ class Signals(NamedTuple):
 
     phases: NDArray[np.int64]
     green: NDArray[np.int64]
-    since: NDArray[np.float64]
+    since: Floats
 
 
 class Walkers(NamedTuple):
@@ -95,15 +94,15 @@ class Walkers(NamedTuple):
     """
 
     line: NDArray[np.int64]
-    way: NDArray[np.float64]
-    short: NDArray[np.float64]
-    w: NDArray[np.float64]
-    pace: NDArray[np.float64]
-    rest: NDArray[np.float64]
-    resting: NDArray[np.float64]
+    way: Floats
+    short: Floats
+    w: Floats
+    pace: Floats
+    rest: Floats
+    resting: Floats
     zone: NDArray[np.int64]
     busy: NDArray[np.int64]
-    left: NDArray[np.float64]
+    left: Floats
 
 
 @njit(cache=True, nogil=True)

@@ -3,19 +3,19 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import Town
-from ogm.simulation.traffic.bodies import Body, own_body
-from ogm.simulation.traffic.fleet import MANNERS, OWN_MANNERS, Fleet, Manners, make_fleet
+from ogm.simulation.traffic.bodies import Body, ego_body
+from ogm.simulation.traffic.fleet import EGO_MANNERS, MANNERS, Fleet, Manners, make_fleet
 from ogm.simulation.traffic.graph import LaneTable, crossings, drivable, lane_table
 from ogm.simulation.traffic.kernels import AHEAD, STEP, Drivers, Signals, Walkers, advance
 from ogm.simulation.traffic.parked import frames, park
 from ogm.simulation.traffic.paths import Lines, along_lines, along_routes, lines
 from ogm.simulation.traffic.people import PHASES, STRIDE
-
-__all__ = ["LAST", "Frame", "Object", "Traffic"]
 
 LAST = 1200.0  # [s] scenarios end here
 WARM_UP = 30.0  # [s] simulated before time 0, so that queues have formed
@@ -47,14 +47,14 @@ class Object(NamedTuple):
     """
 
     label: str
-    pose: NDArray[np.float64]
-    size: NDArray[np.float64]
-    velocity: NDArray[np.float64]
+    pose: Floats
+    size: Floats
+    velocity: Floats
     track: int
     mesh: Mesh
 
 
-class Frame(NamedTuple):
+class TrafficState(NamedTuple):
     """Everything that is not part of the town, at one time.
 
     Attributes
@@ -62,7 +62,7 @@ class Frame(NamedTuple):
     time : float
         [s]
     ego : (4, 4) float64
-        ``T_world_vehicle`` of the own vehicle.
+        ``T_world_vehicle`` of the ego vehicle.
     ego_velocity : (3,) float64
         In the world [m/s].
     ego_yaw_rate : float
@@ -72,8 +72,8 @@ class Frame(NamedTuple):
     """
 
     time: float
-    ego: NDArray[np.float64]
-    ego_velocity: NDArray[np.float64]
+    ego: Floats
+    ego_velocity: Floats
     ego_yaw_rate: float
     objects: tuple[Object, ...]
 
@@ -96,7 +96,7 @@ class Traffic:
     seed : int
         Draws everything: bodies, parked cars, routes, habits. Whole number >= 0.
     clockwise : bool
-        Whether the own vehicle drives ``town.loop`` or ``town.counter_loop``.
+        Whether the ego vehicle drives ``town.loop`` or ``town.counter_loop``.
 
     Raises
     ------
@@ -127,7 +127,7 @@ class Traffic:
         self._w = np.empty((steps, len(self._walkers.w)), np.float32)
         self._done = 0
 
-    def at(self, time: float) -> Frame:
+    def at(self, time: float) -> TrafficState:
         """Return everybody's place at a time.
 
         Parameters
@@ -153,7 +153,7 @@ class Traffic:
         for k, unit in enumerate(self._units[1:], 1):
             objects.append(Object(unit.body.label, poses[k], unit.body.size, velocity[k], k, unit.body.mesh))
         objects += self._pedestrians(step)
-        return Frame(time, poses[0], velocity[0], turn, tuple(objects))
+        return TrafficState(time, poses[0], velocity[0], turn, tuple(objects))
 
     def _simulate(self, steps: int) -> None:
         """Simulate until there are this many states."""
@@ -172,7 +172,7 @@ class Traffic:
             )
             self._done = rows.stop
 
-    def _fronts(self, step: float) -> NDArray[np.float64]:
+    def _fronts(self, step: float) -> Floats:
         """Return the way that each driver has covered [m], smooth between the steps (cubic Hermite)."""
         k = int(step)
         t = step - k
@@ -182,8 +182,8 @@ class Traffic:
             a + t * v + t * t * (3 * (b - a) - 2 * v - u) + t * t * t * (2 * (a - b) + v + u)
         )  # the polynomial with these values and slopes at both ends
 
-    def _vehicles(self, step: float) -> tuple[NDArray, NDArray, float]:
-        """Return poses (U, 4, 4) and velocities (U, 3) of all units, and the own yaw rate."""
+    def _vehicles(self, step: float) -> tuple[Floats, Floats, float]:
+        """Return poses (U, 4, 4) and velocities (U, 3) of all units, and the yaw rate of the ego vehicle."""
         h = 0.5  # steps
         now = self._place(step)
         before, after = self._place(step - h), self._place(step + h)
@@ -191,7 +191,7 @@ class Traffic:
         turn = (after[1][0] - before[1][0] + np.pi) % (2 * np.pi) - np.pi
         return frames(now[0], now[1], now[2], now[3]), velocity, float(turn / (2 * h * STEP))
 
-    def _place(self, step: float) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    def _place(self, step: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return middle (U, 3), yaw, slope ahead and slope to the left of each unit."""
         fronts = self._fronts(step)
         units, d = self._units, self._drivers
@@ -241,7 +241,7 @@ class Traffic:
             result.append(Object(body.label, poses[k], body.size, velocity[k], first + k, body.mesh))
         return result
 
-    def _walk(self, step: float) -> tuple[NDArray, NDArray, NDArray]:
+    def _walk(self, step: float) -> tuple[Floats, Floats, Floats]:
         """Return place (N, 3), way walked (N,) and direction (N,) of the people on foot."""
         k = int(step)
         t = step - k
@@ -266,15 +266,13 @@ class Traffic:
 
 def _check_loop(town: Town, loop: tuple[int, ...]) -> None:
     if not loop:
-        raise ValueError("the town has no round trip for the own vehicle: its loop is empty")
+        raise ValueError("the town has no round trip for the ego vehicle: its loop is empty")
     for a, b in zip(loop, (*loop[1:], loop[0]), strict=True):
         if b not in town.lanes[a].successors:
             raise ValueError(f"the round trip must be closed, but lane {a} of it does not lead to lane {b}")
 
 
-def _park(
-    town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: np.random.Generator
-) -> list[Object]:
+def _park(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: Generator) -> list[Object]:
     bodies = fleet.cars + fleet.vans[:2] + fleet.trucks + fleet.trailers
     placed = park(town.bays, table.points, walkways.points, bodies, town.ground_height, rng)
     first = 1000  # tracks of what moves are smaller
@@ -286,9 +284,9 @@ def _park(
 
 
 def _set_out(
-    town: Town, table: LaneTable, loop: tuple[int, ...], fleet: Fleet, rng: np.random.Generator
+    town: Town, table: LaneTable, loop: tuple[int, ...], fleet: Fleet, rng: Generator
 ) -> tuple[list[_Unit], Drivers]:
-    """Choose vehicles, where they start and where they go; the own one is the first."""
+    """Choose vehicles, where they start and where they go; the ego vehicle is the first."""
     alive = drivable(town.lanes)
     open_road = np.flatnonzero(alive & ~table.guarded & (table.length > 9.0))
     count = min(MOST, 1 + int(table.length[open_road].sum() / SPACING))
@@ -299,7 +297,7 @@ def _set_out(
     starts: list[tuple[int, float]] = []
     taken: dict[int, list[tuple[float, float]]] = {}
     for n in range(count):
-        kind = "own" if n == 0 else kinds[int(rng.integers(len(kinds)))]
+        kind = "ego" if n == 0 else kinds[int(rng.integers(len(kinds)))]
         bodies, left = _bodies(kind, fleet, rng)
         parts, behind = [], 0.0
         for body in bodies:
@@ -316,22 +314,22 @@ def _set_out(
                 near.append((front - length, front))
                 units += parts
                 lengths.append(length)
-                manners.append(OWN_MANNERS if n == 0 else MANNERS[kind])
+                manners.append(EGO_MANNERS if n == 0 else MANNERS[kind])
                 starts.append((lane, front))
                 break
         else:
             if n == 0:
-                raise ValueError("no lane of the round trip is long enough for the own vehicle to start on")
+                raise ValueError("no lane of the round trip is long enough for the ego vehicle to start on")
     routes = [_around(loop, starts[0][0])] + [
         _wander(town, table, alive, lane, rng) for lane, _ in starts[1:]
     ]
     return units, _drivers(table, routes, lengths, manners, [front for _, front in starts], rng)
 
 
-def _bodies(kind: str, fleet: Fleet, rng: np.random.Generator) -> tuple[list[Body], float]:
+def _bodies(kind: str, fleet: Fleet, rng: Generator) -> tuple[list[Body], float]:
     """Draw the bodies that one driver moves, and how far left of the lane's middle."""
-    if kind == "own":
-        return [own_body()], 0.0
+    if kind == "ego":
+        return [ego_body()], 0.0
     choice = {
         "car": fleet.cars,
         "van": fleet.vans,
@@ -352,9 +350,7 @@ def _around(loop: tuple[int, ...], start: int) -> list[int]:
     return list(loop[k:] + loop[:k])
 
 
-def _wander(
-    town: Town, table: LaneTable, alive: NDArray[np.bool_], start: int, rng: np.random.Generator
-) -> list[int]:
+def _wander(town: Town, table: LaneTable, alive: NDArray[np.bool_], start: int, rng: Generator) -> list[int]:
     """Return a route that turns at random for as long as the scenario lasts, and so does the fastest driver."""
     route, length = [start], float(table.length[start])
     while length < float(table.limit.max()) * (LAST + WARM_UP) + 200.0:
@@ -370,7 +366,7 @@ def _drivers(
     lengths: list[float],
     manners: list[Manners],
     fronts: list[float],
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> Drivers:
     """Arrange vehicles for the kernels."""
     # As many lanes as the fastest driver can come to; a shorter route is begun again.
@@ -405,7 +401,7 @@ def _drivers(
     )
 
 
-def _signals(table: LaneTable, rng: np.random.Generator) -> Signals:
+def _signals(table: LaneTable, rng: Generator) -> Signals:
     """Put signals at some of the junctions of three and more arms that are no roundabouts."""
     count = int(table.junction.max()) + 1 if len(table.junction) else 0
     phases, green = np.zeros(count, np.int64), np.zeros(count, np.int64)
@@ -418,8 +414,8 @@ def _signals(table: LaneTable, rng: np.random.Generator) -> Signals:
 
 
 def _people(
-    walkways: Lines, zones: NDArray[np.float64], count: int, fleet: Fleet, rng: np.random.Generator
-) -> tuple[Walkers, list[list[Body]], NDArray[np.float64]]:
+    walkways: Lines, zones: Floats, count: int, fleet: Fleet, rng: Generator
+) -> tuple[Walkers, list[list[Body]], Floats]:
     """Choose pedestrians, where they start, how fast they walk, and how far right of the line."""
     lengths = walkways.length
     usable = np.flatnonzero(lengths > 6.0)

@@ -10,23 +10,23 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Lines", "along_lines", "along_routes", "lines"]
+from ogm.simulation.arrays import Floats
 
 
 class Lines(NamedTuple):
     """Polygonal lines, one after the other: points (P, 3), way along each line (P,), first point of each (L + 1,)."""
 
-    points: NDArray[np.float64]
-    along: NDArray[np.float64]
+    points: Floats
+    along: Floats
     first: NDArray[np.int64]
 
     @property
-    def length(self) -> NDArray[np.float64]:
+    def length(self) -> Floats:
         """Length of each line [m]."""
         return self.along[self.first[1:] - 1]
 
 
-def lines(parts: Sequence[NDArray[np.float64]]) -> Lines:
+def lines(parts: Sequence[Floats]) -> Lines:
     """Put lines (M, 3) together; points that repeat the one before are left out."""
     kept = []
     for number, part in enumerate(parts):

@@ -3,15 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, cylinder, ellipsoid, loft, merge
 from ogm.simulation.traffic.bodies import Body, centered
 
-__all__ = ["PHASES", "STRIDE", "Clothes", "bicycle", "clothes", "motorcycle", "standing", "walking"]
-
-M = Material
 PHASES = 8  # poses of one walking cycle
 STRIDE = 1.45  # [m] a grown person of 1.75 m covers this in one cycle (two steps)
 
@@ -19,19 +18,19 @@ STRIDE = 1.45  # [m] a grown person of 1.75 m covers this in one cycle (two step
 class Clothes(NamedTuple):
     """Materials of a person's upper body, legs and shoes."""
 
-    top: Material
-    legs: Material
-    shoes: Material
+    top: M
+    legs: M
+    shoes: M
 
 
-def clothes(rng: np.random.Generator) -> Clothes:
+def clothes(rng: Generator) -> Clothes:
     """Draw somebody's clothes; one in sixteen wears a high-visibility vest."""
     cloth = (M.CLOTH_LIGHT, M.CLOTH_DARK, M.CLOTH_DARK)
     top = M.HIGH_VIS if rng.random() < 1 / 16 else cloth[rng.integers(3)]
     return Clothes(top, cloth[rng.integers(3)], (M.CLOTH_DARK, M.CLOTH_LIGHT)[rng.integers(2)])
 
 
-def _swing(length: float, angle: float) -> NDArray[np.float64]:
+def _swing(length: float, angle: float) -> Floats:
     """Return a hanging limb's vector, turned forward by an angle [rad]."""
     return length * np.array([np.sin(angle), 0.0, -np.cos(angle)])
 
@@ -95,7 +94,7 @@ def _person(
     return merge(parts)
 
 
-def walking(rng: np.random.Generator, *, grown: bool = True) -> list[Body]:
+def walking(rng: Generator, *, grown: bool = True) -> list[Body]:
     """Make one pedestrian in `PHASES` poses of a walking cycle.
 
     One in ten each pushes a pushchair, carries an umbrella, a backpack. A child is 1.0 to 1.4 m tall.
@@ -166,7 +165,7 @@ def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
     return []
 
 
-def standing(rng: np.random.Generator) -> Body:
+def standing(rng: Generator) -> Body:
     """Make a person who stands: arms hanging, on the hips or before the chest."""
     height, build = float(np.clip(rng.normal(1.72, 0.08), 1.5, 2.0)), float(rng.uniform(0.88, 1.25))
     arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][
@@ -197,7 +196,7 @@ def _tyre(x: float, radius: float, tube: float, *, sides: int = 14) -> Mesh:
     return loft(sections, M.TYRE)
 
 
-def bicycle(rng: np.random.Generator) -> Body:
+def bicycle(rng: Generator) -> Body:
     """Make a bicycle with its rider, about 1.75 m long."""
     height, build, wear = (
         float(np.clip(rng.normal(1.74, 0.08), 1.5, 2.0)),
@@ -230,7 +229,7 @@ def bicycle(rng: np.random.Generator) -> Body:
     return centered("bicycle", merge(parts), (0.54, -0.52))
 
 
-def motorcycle(rng: np.random.Generator, paint: Material) -> Body:
+def motorcycle(rng: Generator, paint: M) -> Body:
     """Make a motorcycle with its rider and helmet, about 2.1 m long."""
     height, wear = (
         float(np.clip(rng.normal(1.76, 0.07), 1.6, 2.0)),
