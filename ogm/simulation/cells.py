@@ -37,13 +37,13 @@ class Below(NamedTuple):
 
 
 def measure_ground(
-    ground: Scene, T_world_sensor: ArrayLike, spec: GridSpec = TRUTH_SPEC, step: float = OBSTACLE_HEIGHT
+    surface: Scene, T_world_sensor: ArrayLike, spec: GridSpec = TRUTH_SPEC, step: float = OBSTACLE_HEIGHT
 ) -> Below:
     """Find the ground in the middle of every cell, and the steps in it.
 
     Parameters
     ----------
-    ground : Scene
+    surface : Scene
         Nothing but ground: what vehicles and pedestrians may stand on.
     T_world_sensor : (4, 4) float
     spec : GridSpec
@@ -58,7 +58,7 @@ def measure_ground(
     along = x[..., None] * T[:3, 0] + y[..., None] * T[:3, 1]
     origins = (start + along).astype(np.float32).reshape(count, 3)
     down = np.broadcast_to((-T[:3, 2]).astype(np.float32), (count, 3))
-    distance = ground.cast(origins, np.ascontiguousarray(down)).distance.reshape(spec.shape)
+    distance = surface.cast(origins, np.ascontiguousarray(down)).distance.reshape(spec.shape)
     z = np.where(distance < BELOW, np.float32(ABOVE) - distance, np.float32(np.nan))
     _mend(z)
     rise = np.maximum(_steps_along(z.T).T, _steps_along(z))

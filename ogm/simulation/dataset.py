@@ -4,6 +4,7 @@
 same versions of the libraries, whatever else is made at the same time.
 """
 
+import logging
 import os
 from collections.abc import Callable, Sequence
 from contextlib import closing
@@ -40,6 +41,8 @@ except ImportError as error:
     ) from error
 
 __all__ = ["SceneSetup", "World", "beams_of", "lidars", "make_sample", "set_up", "simulate", "versions"]
+
+_log = logging.getLogger(__name__)
 
 REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
 LISTED = (
@@ -135,6 +138,10 @@ def simulate(
         raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
     count = check_workers(workers_that_fit() if workers is None else workers)
     store = begin(Path(folder), plan, lidars(plan), versions())
+    if store.versions != versions():
+        _log.warning(
+            "the data set was begun with other versions of libraries; new samples may differ in detail"
+        )
     plan = DatasetPlan.from_dict(store.plan)
     with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
         for event in events:

@@ -1,7 +1,7 @@
 """Per-ray work around Open3D's ray casting: aiming, keeping the nearest hit, going through glass."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +35,13 @@ class Hits(NamedTuple):
     @classmethod
     def allocate(cls, count: int) -> "Hits":
         """Return arrays with arbitrary content, for `Scene.cast` to fill."""
-        return cls(*(np.empty(count, dtype) for dtype in ("f4", "u1", "i4", "f4")))
+        columns: Any = (np.empty(count, dtype) for dtype in ("f4", "u1", "i4", "f4"))
+        return cls(*columns)
 
     def part(self, start: int, stop: int) -> "Hits":
         """Return views of the hits of some rays."""
-        return Hits(*(column[start:stop] for column in self))
+        columns: Any = (column[start:stop] for column in self)
+        return Hits(*columns)
 
 
 class Answer(NamedTuple):

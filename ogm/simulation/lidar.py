@@ -1,6 +1,7 @@
 """One turn of a lidar in a scene: ranges and intensities as a real one reports them."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -106,9 +107,11 @@ def _report(
     count = spec.layers * spec.azimuths
     strength = np.empty(count, np.float32)
     reflect(spec.directions().reshape(-1, 3), T, hits, _optics(weather.wet), coats, strength)
-    image = RangeImage(*(np.empty(count, dtype) for dtype in ("f4", "f4", "i4", "u1")))
+    columns: Any = (np.empty(count, dtype) for dtype in ("f4", "f4", "i4", "u1"))
+    image = RangeImage(*columns)
     receive(hits, strength, _device(spec), _air(weather), _STEADY, seed, image)
-    return RangeImage(*(column.reshape(spec.shape) for column in image))
+    columns = (column.reshape(spec.shape) for column in image)
+    return RangeImage(*columns)
 
 
 def _device(spec: LidarSpec) -> Device:
@@ -123,8 +126,9 @@ def _device(spec: LidarSpec) -> Device:
     shift[:-1] = np.round(np.diff(spec.azimuth_offsets) / spec.azimuth_step)
     sideways = spec.divergence / 2 / spec.azimuth_step
     limits = (spec.range_min, spec.range_max, spec.reach)
-    noise = (spec.range_noise, spec.range_step, spec.divergence)
-    return Device(*spec.shape, sideways, upwards, shift, *map(float, limits + noise), *spec.errors)
+    numbers = map(float, (*limits, spec.range_noise, spec.range_step, spec.divergence))
+    rest: Any = (*numbers, *spec.errors)
+    return Device(*spec.shape, sideways, upwards, shift, *rest)
 
 
 def _optics(wet: float) -> NDArray[np.float32]:
@@ -172,6 +176,8 @@ def to_points(
     layer, column : (N,) int64
         Place of each in the range image.
     """
+    if image.range.shape != spec.shape:
+        raise ValueError(f"a range image of {spec.name} has shape {spec.shape}, got {image.range.shape}")
     layer, column = np.nonzero(image.range)
     points = np.empty((len(layer), 4), np.float32)
     points[:, :3] = image.range[layer, column, None] * spec.directions()[layer, column]

@@ -26,9 +26,9 @@ KINDS: dict[str, tuple[tuple[float, float, float], set[M]]] = {
     "paving": ((0.78, 0.66, 0.52), {M.PAVING, M.GRAVEL}),
     "grass, soil": ((0.55, 0.62, 0.25), {M.GRASS, M.SOIL}),
     "plants": ((0.10, 0.60, 0.20), {M.FOLIAGE, M.BARK}),
-    "built": ((0.90, 0.35, 0.25), {M(number) for number in range(M.KERB, M.METAL_SHEET)}),
+    "built": ((0.90, 0.35, 0.25), {m for m in M if M.KERB <= m < M.METAL_SHEET}),
     "metal, signs": ((1.0, 0.80, 0.10), {M.METAL_SHEET, M.METAL_POLE, M.SIGN, M.TARPAULIN}),
-    "traffic": ((0.25, 0.60, 1.0), {M(number) for number in range(M.PAINT_LIGHT, M.TARPAULIN)} - {M.SIGN}),
+    "traffic": ((0.25, 0.60, 1.0), {m for m in M if M.PAINT_LIGHT <= m < M.TARPAULIN} - {M.SIGN}),
 }
 SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
 SKY = np.array([0.72, 0.82, 0.93])

@@ -111,8 +111,7 @@ class Scene:
 
     def _cast_batch(self, rays: NDArray[np.float32], hits: Hits, salt: int, number: int) -> None:
         """Find what rays hit, and cast those again that glass lets through; `number` is that of the first ray."""
-        for column, nothing in zip(hits, (np.inf, NOTHING, STATIC, 0), strict=True):
-            column[:] = nothing
+        hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
         self._keep_nearest(hits, index, rays, np.zeros(len(rays), np.float32))
         for turn in range(PASSES):
@@ -143,8 +142,9 @@ class _Shape:
     def cast(self, rays: NDArray[np.float32]) -> Answer:
         """Return distance, triangle and its unit normal for each ray (n, 6)."""
         answer = self._scene.cast_rays(_tensor(rays), nthreads=self.threads)
-        columns = (answer[name].numpy() for name in ("t_hit", "primitive_ids", "primitive_normals"))
-        return Answer(*columns, self.materials, self.things)
+        names = ("t_hit", "primitive_ids", "primitive_normals")
+        t, primitive, normals = (answer[name].numpy() for name in names)
+        return Answer(t, primitive, normals, self.materials, self.things)
 
 
 def _tensor(array: NDArray) -> "open3d.core.Tensor":

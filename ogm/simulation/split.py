@@ -174,7 +174,7 @@ def array_layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
         "steps": ((rays,), "uint16"),
         "intensities": ((rays,), "uint8"),
         "truth": (TRUTH_SPEC.shape, "uint8"),
-        "objects": ((OBJECTS, len(OBJECT)), "float32"),
+        "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
         "facts": ((len(FACTS),), "float64"),
     }
 

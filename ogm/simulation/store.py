@@ -149,7 +149,7 @@ class Store:
         """
         path, counts = Path(path), _counts(counts)
         zarr = import_zarr()
-        if path.isshard_file():
+        if path.is_file():
             raise ValueError(f"{path} is a file; give a new or empty folder")
         if cls.exists(path):
             before = cls.open(path)
@@ -249,7 +249,7 @@ class Store:
     def describe(self) -> dict[str, str]:
         """Return what the data set holds, as names and values to print."""
         files = [file for name in self.counts for file in (self.path / name).rglob("*")]
-        size = sum(file.stat().st_size for file in files if file.isshard_file())
+        size = sum(file.stat().st_size for file in files if file.is_file())
         facts = {"format": FORMAT, "made by": " ".join(f"{k} {v}" for k, v in self.versions.items())}
         made = 0
         for name in self.counts:

@@ -1,6 +1,7 @@
 """Pictures that need the simulator itself: HD points by material, and views of a town with its traffic."""
 
 import os
+from typing import Any
 
 import numpy as np
 import open3d
@@ -72,7 +73,8 @@ def _from_behind(here: SceneSetup) -> Camera:
 
 def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     """Draw triangles in sunlight, with shadows and haze; (height, width, 3) uint8."""
-    scene, tensor = open3d.t.geometry.RaycastingScene(), open3d.core.Tensor
+    tensor: Any = open3d.core.Tensor  # its own hints are too narrow
+    scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(
         tensor(np.ascontiguousarray(mesh.vertices)), tensor(np.ascontiguousarray(mesh.triangles))
     )

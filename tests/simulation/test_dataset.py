@@ -7,39 +7,38 @@ import pytest
 
 from ogm.pose import inverse, transform_points
 from ogm.simulation import dataset
-from ogm.simulation.lidar import RangeImage
-from ogm.simulation.lidar import points as lidar_points
-from ogm.simulation.plan import Mount, Plan, only
-from ogm.simulation.sample import LABELS, RANGE_STEP, Sample
+from ogm.simulation.lidar import RangeImage, to_points
+from ogm.simulation.plan import DatasetPlan, LidarMount, only
+from ogm.simulation.sample import LABELS, RANGE_STEP, SimulatedSample
 from ogm.simulation.sensors import LIDARS
-from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, count_returns
+from ogm.state import CellState
+from ogm.truth import TRUTH_SPEC, count_returns
 
-PLAN = Plan(town_size=240.0, mounts=only("vlp-32c"))
+PLAN = DatasetPlan(town_size=240.0, mounts=only("vlp-32c"))
 
 
 @pytest.fixture(scope="module")
-def pair() -> tuple[Sample, Sample]:
+def pair() -> tuple[SimulatedSample, SimulatedSample]:
     """Two samples a second apart."""
-    return dataset.sample(PLAN, "training", 3), dataset.sample(PLAN, "training", 4)
+    return dataset.make_sample(PLAN, "training", 3), dataset.make_sample(PLAN, "training", 4)
 
 
-def same(a: Sample, b: Sample) -> bool:
+def same(a: SimulatedSample, b: SimulatedSample) -> bool:
     names = ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity")
     arrays = all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
     return arrays and np.array_equal(a.truth.state, b.truth.state) and a.yaw_rate == b.yaw_rate
 
 
-def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[Sample, Sample]) -> None:
+def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     """Not on what was made before, in another town, from another drive, or with how many cores."""
-    dataset.sample(PLAN, "training", 12)
-    dataset.threads_per_sample(1)
-    dataset._drives.clear()
-    again = dataset.sample(replace(PLAN, samples=77), "training", 4)
+    dataset.make_sample(PLAN, "training", 12)
+    dataset._drive.cache_clear()
+    again = dataset.make_sample(replace(PLAN, samples=77), "training", 4, threads=1)
     assert same(again, pair[1])
     assert not same(*pair)
 
 
-def test_the_truth_agrees_with_the_points(pair: tuple[Sample, Sample]) -> None:
+def test_the_truth_agrees_with_the_points(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     for sample in pair:
         x, y, _, _ = sample.points.T
         level = transform_points(sample.T_vehicle_sensor, sample.points)[:, 2]
@@ -49,19 +48,19 @@ def test_the_truth_agrees_with_the_points(pair: tuple[Sample, Sample]) -> None:
         assert np.count_nonzero(lying) > 100
         states = sample.truth.state
         hit = states[TRUTH_SPEC.index(x[standing], y[standing])]
-        assert np.mean(hit == OCCUPIED) > 0.8
+        assert np.mean(hit == CellState.OCCUPIED) > 0.8
         ground = states[TRUTH_SPEC.index(x[lying], y[lying])]
-        assert np.mean(ground == FREE) > 0.8
+        assert np.mean(ground == CellState.FREE) > 0.8
 
 
-def test_the_own_vehicle_is_to_be_ignored(pair: tuple[Sample, Sample]) -> None:
+def test_the_own_vehicle_is_to_be_ignored(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     for sample in pair:
-        ignored = np.argwhere(sample.truth.state == IGNORE) * 0.16 - 49.92
+        ignored = np.argwhere(sample.truth.state == CellState.IGNORE) * 0.16 - 49.92
         assert 4 * 1.6 < len(ignored) * 0.16**2 < 5.2 * 2.4
         assert np.abs(ignored).max() < 3.5
 
 
-def test_objects_are_where_their_points_are(pair: tuple[Sample, Sample]) -> None:
+def test_objects_are_where_their_points_are(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     sample = pair[0]
     objects = sample.objects
     assert {LABELS[k] for k in objects["label"]} <= set(LABELS)
@@ -75,7 +74,7 @@ def test_objects_are_where_their_points_are(pair: tuple[Sample, Sample]) -> None
     np.testing.assert_array_less(0.6 * seen["returns"], inside)
 
 
-def test_participants_keep_their_tracks_and_move_as_they_say(pair: tuple[Sample, Sample]) -> None:
+def test_participants_keep_their_tracks_and_move_as_they_say(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     """What moves straight on is, a second later, where its velocity takes it."""
     now, later = pair
     T = inverse(later.T_world_sensor) @ now.T_world_sensor
@@ -103,7 +102,7 @@ def test_points_are_those_of_the_lidar() -> None:
         image = RangeImage(
             steps * np.float32(RANGE_STEP), intensities / np.float32(255), empty, empty.astype(np.uint8)
         )
-        made = Sample(
+        made = SimulatedSample(
             beams,
             steps,
             intensities,
@@ -115,14 +114,14 @@ def test_points_are_those_of_the_lidar() -> None:
             0,
             0,  # type: ignore[arg-type]
         )
-        np.testing.assert_allclose(made.points, lidar_points(image, spec), atol=2e-4)
+        np.testing.assert_allclose(made.points, to_points(image, spec)[0], atol=2e-4)
         np.testing.assert_allclose(beams.times, spec.times, atol=1e-6)
 
 
 def test_mounting_and_own_motion_are_kept() -> None:
-    mount = Mount("hdl-32e", 1.0, (1.7, 2.1), (-0.3, 0.3), 0.04)
+    mount = LidarMount("hdl-32e", 1.0, (1.7, 2.1), (-0.3, 0.3), 0.04)
     plan = replace(PLAN, mounts=(mount,), in_motion=1.0, bad_weather=1.0)
-    sample = dataset.sample(plan, "training", 5)
+    sample = dataset.make_sample(plan, "training", 5)
     height, forward = sample.T_vehicle_sensor[2, 3], sample.T_vehicle_sensor[0, 3]
     assert 1.7 <= height <= 2.1
     assert -0.3 <= forward <= 0.3
@@ -135,11 +134,11 @@ def test_mounting_and_own_motion_are_kept() -> None:
     assert np.linalg.norm(sample.velocity - (sample.velocity @ forward_axis) * forward_axis) < 0.5
 
 
-def test_both_ways_to_look_at_the_truth_agree(pair: tuple[Sample, Sample]) -> None:
-    hd = dataset.sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
+def test_both_ways_to_look_at_the_truth_agree(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
+    hd = dataset.make_sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
     assert np.array_equal(hd.steps, pair[0].steps)
     a, b = hd.truth.state, pair[0].truth.state
-    both = (np.isin(a, (FREE, OCCUPIED))) & (np.isin(b, (FREE, OCCUPIED)))
+    both = (np.isin(a, (CellState.FREE, CellState.OCCUPIED))) & (np.isin(b, (CellState.FREE, CellState.OCCUPIED)))
     assert both.sum() > 10_000
     assert np.mean(a[both] == b[both]) > 0.95
 

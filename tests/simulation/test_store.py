@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ogm.simulation import store as store_module
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, pack, unpack
-from ogm.simulation.store import FORMAT, OBJECTS, SHARD, Damaged, Store
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.split import OBJECTS
+from ogm.simulation.store import FORMAT, SHARD, Damaged, Store
 
-Make = Callable[[object, str, int], Sample]
+Make = Callable[..., SimulatedSample]
 
 
 @pytest.fixture
@@ -31,7 +30,7 @@ def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> Store:
     return store
 
 
-def assert_same(a: Sample, b: Sample) -> None:
+def assert_same(a: SimulatedSample, b: SimulatedSample) -> None:
     for name in ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     np.testing.assert_array_equal(a.truth.state, b.truth.state)
@@ -73,26 +72,6 @@ def test_beams_turn_the_way_their_step_says(beams: tuple[Beams, ...]) -> None:
     assert Beams.from_dict(json.loads(json.dumps(beams[0].as_dict()))) == beams[0]
 
 
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.integers(0, 65535), min_size=1, max_size=40), st.integers(1, 3), st.integers(0, 5))
-def test_unpack_takes_back_what_pack_did(ranges: list[int], layers: int, over: int) -> None:
-    steps = np.tile(np.array(ranges, np.uint16), (layers, 1))
-    intensities = np.where(steps > 0, steps % 251, 0).astype(np.uint8)
-    planes = pack(steps, intensities, steps.size + over)
-    again = unpack(planes, steps.shape)
-    np.testing.assert_array_equal(again[0], steps)
-    np.testing.assert_array_equal(again[1], intensities)
-    assert not planes[:, steps.size :].any()
-
-
-def test_packed_walls_are_small_numbers() -> None:
-    """A wall at some distance: but for the first return, the high bytes are zero, the low ones few."""
-    steps = (5000 + np.random.default_rng(0).integers(-7, 8, (1, 200))).astype(np.uint16)
-    low, high, _ = pack(steps, np.zeros_like(steps, np.uint8), 200)
-    assert high[1:].max() == 0
-    assert low[1:].max() <= 29
-
-
 def test_only_finished_samples_can_be_read(store: Store) -> None:
     assert store["training"].finished.tolist() == list(range(13))
     assert store["validation"].finished.tolist() == []
@@ -131,7 +110,8 @@ def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
     ("name", "damage"),
     # Without its facts a shard has not been made: see above.
     sorted(
-        set(product(("returns", "truth", "objects", "facts"), ("flip", "cut", "gone"))) - {("facts", "gone")}
+        set(product(("steps", "intensities", "truth", "objects", "facts"), ("flip", "cut", "gone")))
+        - {("facts", "gone")}
     ),
 )
 def test_damage_is_told_with_the_way_out(store: Store, make_sample: Make, name: str, damage: str) -> None:
@@ -249,14 +229,6 @@ def test_attributes_with_nonsense_are_told(store: Store, nonsense: dict) -> None
     file.write_text(json.dumps(text))
     with pytest.raises(Damaged):
         Store.open(store.path)["training"][1]
-
-
-def test_a_range_image_needs_as_many_rays(make_sample: Make) -> None:
-    steps = make_sample(None, "training", 0).steps
-    with pytest.raises(ValueError, match="does not fit into 359 rays"):
-        pack(steps, steps.astype(np.uint8), 359)
-    with pytest.raises(ValueError, match="359 rays are too few"):
-        unpack(np.zeros((3, 359), np.uint8), steps.shape)
 
 
 def test_what_a_killed_writer_left_is_swept(store: Store) -> None:

@@ -5,12 +5,14 @@ import pytest
 
 from ogm import GridSpec
 from ogm.pose import pose
-from ogm.simulation import aims, below
+from ogm.simulation import cells
+from ogm.simulation.cells import Aim, aimed_directions, measure_ground
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, box, cylinder, empty, merge, quads
 from ogm.simulation.scene import Scene
-from ogm.simulation.survey import KINDS, Aim, aimed_directions, aimed_truth, hd_truth, look_down
-from ogm.truth import FREE, IGNORE, OCCUPIED, UNKNOWN, Kind, Truth, boxes_seen_from
+from ogm.simulation.survey import KINDS, aimed_truth, hd_truth
+from ogm.state import CellState, Truth
+from ogm.truth import Kind, boxes_seen_from
 
 SPEC = GridSpec.centered(20.48, 20.48, 0.16)  # 128 x 128 cells: 10 m around the sensor
 VIEW = (np.deg2rad(-25.0), np.deg2rad(15.0))
@@ -40,7 +42,7 @@ class Looks:
 
     def __init__(self, *things: Mesh, ground: Mesh = PLANE, T: np.ndarray = SENSOR, **known) -> None:
         self.scene, self.T, self.known = Scene(merge([ground, *things]), threads=1), T, known
-        self.below = look_down(Scene(ground, threads=1), T, SPEC)
+        self.below = measure_ground(Scene(ground, threads=1), T, SPEC)
 
     def hd(self, **known) -> Truth:
         return hd_truth(self.scene, self.below, self.T, RAYS, SPEC, **self.known, **known)
@@ -62,8 +64,8 @@ SEEN = RADIUS > BLIND + 0.12
 
 def test_an_open_plane_is_free_but_for_the_blind_ring() -> None:
     for truth in Looks().both():
-        assert (truth.state[SEEN] == FREE).all()
-        assert (truth.state[BLIND - 0.12 > RADIUS] == UNKNOWN).all()
+        assert (truth.state[SEEN] == CellState.FREE).all()
+        assert (truth.state[BLIND - 0.12 > RADIUS] == CellState.UNKNOWN).all()
 
 
 def test_a_wall_shadows_what_is_behind_it() -> None:
@@ -72,9 +74,9 @@ def test_a_wall_shadows_what_is_behind_it() -> None:
     front = (np.abs(y) < 2.8) & (np.abs(x - 5.0) < 0.08)
     clear = SEEN & (x < 4.8)
     for truth in Looks(wall).both():
-        assert (truth.state[shadow] == UNKNOWN).all()
-        assert (truth.state[front] == OCCUPIED).all()
-        assert (truth.state[clear] == FREE).all()
+        assert (truth.state[shadow] == CellState.UNKNOWN).all()
+        assert (truth.state[front] == CellState.OCCUPIED).all()
+        assert (truth.state[clear] == CellState.FREE).all()
 
 
 def test_a_low_wall_hides_only_what_lies_in_its_shadow() -> None:
@@ -82,8 +84,8 @@ def test_a_low_wall_hides_only_what_lies_in_its_shadow() -> None:
     end = 5.0 * 1.9 / (1.9 - 0.6)  # where the ray over its top meets the ground
     behind = (np.abs(y) < 4) & (x > 5.3)
     for truth in Looks(wall).both():
-        assert (truth.state[behind & (x < end - 0.2)] == UNKNOWN).all()
-        assert (truth.state[behind & (x > end + 0.4)] == FREE).all()
+        assert (truth.state[behind & (x < end - 0.2)] == CellState.UNKNOWN).all()
+        assert (truth.state[behind & (x > end + 0.4)] == CellState.FREE).all()
 
 
 def test_a_bridge_does_not_block() -> None:
@@ -93,10 +95,10 @@ def test_a_bridge_does_not_block() -> None:
 
 
 def test_clearance_decides_whether_an_overhang_blocks() -> None:
-    deck = Looks(box((5.0, -3.0, 1.75), (8.0, 3.0, 2.1), Material.CONCRETE))
-    for low, high in ((deck.hd(), deck.hd(clearance=1.7)), (deck.aimed(), deck.aimed(clearance=1.7))):
-        assert np.count_nonzero(low.state == OCCUPIED) > 30
-        assert np.count_nonzero(high.state == OCCUPIED) == 0
+    decks = [Looks(box((5.0, -3.0, bottom), (8.0, 3.0, 2.4), Material.CONCRETE)) for bottom in (1.75, 2.05)]
+    for low, high in zip(*(deck.both() for deck in decks), strict=True):
+        assert np.count_nonzero(low.state == CellState.OCCUPIED) > 30
+        assert np.count_nonzero(high.state == CellState.OCCUPIED) == 0
 
 
 def kerb(rise: float, turn: float) -> tuple[Mesh, Mesh]:
@@ -114,20 +116,20 @@ def test_a_kerb_is_one_unbroken_line(turn: float) -> None:
     ground, face = kerb(0.12, turn)
     far = np.cos(turn) * x + np.sin(turn) * y - 5.03  # [m] beyond the kerb's line
     for truth in Looks(face, ground=ground).both():
-        occupied = truth.state == OCCUPIED
+        occupied = truth.state == CellState.OCCUPIED
         assert np.abs(far[occupied]).max() <= 0.115
         along = (np.cos(turn) * y - np.sin(turn) * x)[occupied]
         assert np.diff(np.sort(along)).max() < 0.33
         # those cells through the middle of which it runs are all there
         assert occupied[(np.abs(far) < 0.06) & (RADIUS < 9)].mean() > 0.97
-        assert (truth.state[SEEN & (np.abs(far) > 0.12)] == FREE).all()
+        assert (truth.state[SEEN & (np.abs(far) > 0.12)] == CellState.FREE).all()
 
 
 def test_a_dropped_kerb_is_none() -> None:
     ground, face = kerb(0.02, 0.3)
     for truth in Looks(face, ground=ground).both():
-        assert np.count_nonzero(truth.state == OCCUPIED) == 0
-        assert (truth.state[SEEN] == FREE).mean() > 0.999
+        assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
+        assert (truth.state[SEEN] == CellState.FREE).mean() > 0.999
 
 
 def test_a_kerb_on_a_slope_is_found_and_the_slope_is_not() -> None:
@@ -135,13 +137,13 @@ def test_a_kerb_on_a_slope_is_found_and_the_slope_is_not() -> None:
         ground, face = kerb(rise, 0.3)
         hill = pose(pitch=-np.arctan(0.08), roll=0.03)
         for truth in Looks(face.moved(hill), ground=ground.moved(hill)).both():
-            assert bool(np.count_nonzero(truth.state == OCCUPIED) > 80) is wanted
+            assert bool(np.count_nonzero(truth.state == CellState.OCCUPIED) > 80) is wanted
 
 
 def test_a_step_seen_from_above_only_is_free() -> None:
     ground, face = kerb(-0.12, 0.0)  # the road lies lower beyond: its face looks away
     for truth in Looks(face, ground=ground).both():
-        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+        assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
 
 
 def test_poles_and_fences_are_seen_and_seen_through() -> None:
@@ -154,16 +156,16 @@ def test_poles_and_fences_are_seen_and_seen_through() -> None:
     for truth in Looks(*poles).both():
         for a in np.arange(12) * np.pi / 6 + 0.05:
             near = np.hypot(x - 6 * np.cos(a), y - 6 * np.sin(a)) < 0.16
-            assert (truth.state[near] == OCCUPIED).any()
-        assert (truth.state[SEEN & (RADIUS > 6.3)] == FREE).mean() > 0.95
+            assert (truth.state[near] == CellState.OCCUPIED).any()
+        assert (truth.state[SEEN & (RADIUS > 6.3)] == CellState.FREE).mean() > 0.95
 
 
 def test_grass_may_be_driven_over_and_a_hedge_not() -> None:
     tufts = box((5.0, -2.0, 0.0), (6.0, 0.0, 0.12), Material.FOLIAGE)
     hedge = box((5.0, 0.5, 0.0), (6.0, 2.0, 1.0), Material.FOLIAGE)
     for truth in Looks(tufts, hedge).both():
-        assert (truth.state[(np.abs(x - 5.5) < 0.4) & (np.abs(y + 1.0) < 0.8)] == FREE).all()
-        assert (truth.state[(np.abs(x - 5.0) < 0.08) & (np.abs(y - 1.25) < 0.6)] == OCCUPIED).all()
+        assert (truth.state[(np.abs(x - 5.5) < 0.4) & (np.abs(y + 1.0) < 0.8)] == CellState.FREE).all()
+        assert (truth.state[(np.abs(x - 5.0) < 0.08) & (np.abs(y - 1.25) < 0.6)] == CellState.OCCUPIED).all()
 
 
 def test_ground_beyond_a_crest_is_unknown() -> None:
@@ -171,9 +173,9 @@ def test_ground_beyond_a_crest_is_unknown() -> None:
     down = quads([[(6, -40, 0.8), (9, -40, -1), (9, 40, -1), (6, 40, 0.8)]], Material.ASPHALT)
     ground = merge([rectangle(-40, 3, -40, 40, 0, Material.ASPHALT), up, down])
     for truth in Looks(ground=ground).both():
-        assert (truth.state[(x > 6.4) & (x < 8.8) & (np.abs(y) < 5)] == UNKNOWN).all()
-        assert (truth.state[(x > 4.5) & (x < 5.8) & (np.abs(y) < 5)] == FREE).all()
-        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+        assert (truth.state[(x > 6.4) & (x < 8.8) & (np.abs(y) < 5)] == CellState.UNKNOWN).all()
+        assert (truth.state[(x > 4.5) & (x < 5.8) & (np.abs(y) < 5)] == CellState.FREE).all()
+        assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
 
 
 def test_turning_scene_and_sensor_together_leaves_the_truth_unchanged() -> None:
@@ -198,8 +200,8 @@ def test_the_truth_is_in_the_frame_of_a_tilted_sensor() -> None:
 def test_cells_beyond_the_end_of_the_world_are_ignored() -> None:
     island = rectangle(-40, 5.0, -40, 40, 0.0, Material.GRASS)
     for truth in Looks(ground=island).both():
-        assert (truth.state[x > 5.2] == IGNORE).all()
-        assert (truth.state[SEEN & (x < 4.9)] == FREE).all()
+        assert (truth.state[x > 5.2] == CellState.IGNORE).all()
+        assert (truth.state[SEEN & (x < 4.9)] == CellState.FREE).all()
         assert not truth.ignored[x < 4.9].any()
 
 
@@ -219,17 +221,17 @@ def test_both_ways_agree_where_both_know() -> None:
 def test_participants_are_filled_by_their_returns_in_the_input() -> None:
     van = box((-2.2, -0.9, 0.0), (2.2, 0.9, 2.6), Material.PAINT_DARK)
     place = pose(6, 3, 0, yaw=0.5)
-    looks = Looks(own=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
+    looks = Looks(ego=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
     looks.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.EGO_VEHICLE))
     boxes = boxes_seen_from(np.linalg.inv(SENSOR), [place], [[4.4, 1.8, 2.6]])
     inside = np.abs(np.cos(0.5) * (x - 6) + np.sin(0.5) * (y - 3)) < 2.0
     inside &= np.abs(np.cos(0.5) * (y - 3) - np.sin(0.5) * (x - 6)) < 0.7
     for look in (looks.hd, looks.aimed):
         full, partial = (look(boxes=boxes, returns=np.array([n])).state for n in (50, 49))
-        assert (full[inside] == OCCUPIED).all()
-        assert (partial[inside] == UNKNOWN).any()
-        assert (partial == OCCUPIED).sum() > 15
-        assert (full[(np.abs(x) < 2.2) & (np.abs(y) < 0.8)] == IGNORE).all()
+        assert (full[inside] == CellState.OCCUPIED).all()
+        assert (partial[inside] == CellState.UNKNOWN).any()
+        assert (partial == CellState.OCCUPIED).sum() > 15
+        assert (full[(np.abs(x) < 2.2) & (np.abs(y) < 0.8)] == CellState.IGNORE).all()
 
 
 def test_results_do_not_depend_on_threads_or_on_earlier_calls() -> None:
@@ -257,7 +259,7 @@ def test_every_material_has_a_kind() -> None:
 
 def test_the_look_down_finds_ground_steps_and_holes() -> None:
     ground, _ = kerb(0.12, 0.0)
-    found = look_down(Scene(ground), SENSOR, SPEC)
+    found = measure_ground(Scene(ground), SENSOR, SPEC)
     np.testing.assert_allclose(found.z, np.where(x < 5.03, -1.9, -1.78), atol=1e-4)
     step = np.abs(x - 5.03) < 0.1
     np.testing.assert_allclose(found.rise[step], 0.12, atol=1e-4)
@@ -271,9 +273,9 @@ def test_the_look_down_finds_ground_steps_and_holes() -> None:
             ]
         )
     )
-    torn_z = look_down(torn, SENSOR, SPEC).z
+    torn_z = measure_ground(torn, SENSOR, SPEC).z
     np.testing.assert_allclose(torn_z, -1.9, atol=1e-4)
-    nothing = look_down(Scene(empty()), SENSOR, SPEC)
+    nothing = measure_ground(Scene(empty()), SENSOR, SPEC)
     assert np.isnan(nothing.z).all()
     assert np.isnan(nothing.ground).all()
     assert (nothing.rise == 0).all()
@@ -281,7 +283,7 @@ def test_the_look_down_finds_ground_steps_and_holes() -> None:
 
 def test_a_slope_is_no_step() -> None:
     hill = PLANE.moved(pose(pitch=-np.arctan(0.3), roll=0.2))
-    found = look_down(Scene(hill), SENSOR, SPEC)
+    found = measure_ground(Scene(hill), SENSOR, SPEC)
     assert found.rise.max() < 1e-3
     np.testing.assert_array_equal(found.ground, found.z)
 
@@ -301,17 +303,9 @@ def test_kernels_do_the_same_uncompiled() -> None:
     spec = GridSpec.centered(3.2, 3.2, 0.16)
     z = np.random.default_rng(0).uniform(-2, -1.5, spec.shape).astype(np.float32)
     z[3, 4] = np.nan
-    fast, slow = ([np.empty_like(z), np.empty_like(z)] for _ in range(2))
-    below._steps(z, *fast, 0.05)
-    below._steps.py_func(z, *slow, 0.05)
-    np.testing.assert_array_equal(fast, slow)
-    line = z[:, 4]
-    assert [below._step_at(line, i) for i in range(20)] == [
-        below._step_at.py_func(line, i) for i in range(20)
-    ]
-    numbers = (z, z > -1.8, spec.resolution, *spec.origin, 0.3, 0.1, -0.2, -0.9, 0.5)
+    numbers = (z, z > -1.8, (spec.resolution, *spec.origin), Aim(0.3, 0.1, -0.2), -0.9, 0.5)
     rays = [np.zeros((z.size, 3), np.float32) for _ in range(2)]
-    assert aims._aim(rays[0], *numbers) == aims._aim.py_func(rays[1], *numbers) > 50
+    assert cells._aim(rays[0], *numbers) == cells._aim.py_func(rays[1], *numbers) > 50
     np.testing.assert_allclose(*rays, rtol=1e-6)
 
 
@@ -327,7 +321,7 @@ def test_no_ray_leaves_the_field_of_view() -> None:
 def test_a_pose_that_is_none_is_refused() -> None:
     looks = Looks()
     for call in (
-        lambda: look_down(looks.scene, np.eye(3), SPEC),
+        lambda: measure_ground(looks.scene, np.eye(3), SPEC),
         lambda: hd_truth(looks.scene, looks.below, 2 * np.eye(4), RAYS, SPEC),
         lambda: aimed_truth(looks.scene, looks.below, np.full((4, 4), np.nan), VIEW, SPEC),
     ):

@@ -10,16 +10,17 @@ from shapely import Polygon
 
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, merge
-from ogm.simulation.town import buildings, furniture, plants
-from ogm.simulation.town.buildings import STYLES, building, split_front
+from ogm.simulation.town import buildings, fences, furniture, plants
+from ogm.simulation.town.buildings import building
+from ogm.simulation.town.footprints import STYLES, split_front
 
 LINE = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.3], [10.0, 2.0, 0.5]])
 LENGTH = 6.0 + np.hypot(4.0, 2.0)
 PIECES = {
-    "gate": lambda rng: furniture.gate(4.0, rng),
-    "guard_rail": lambda rng: furniture.guard_rail(LINE),
-    "low_wall": lambda rng: furniture.low_wall(LINE, rng),
-    "fence": lambda rng: furniture.fence(LINE, rng),
+    "gate": lambda rng: fences.gate(4.0, rng),
+    "guard_rail": lambda rng: fences.guard_rail(LINE),
+    "low_wall": lambda rng: fences.low_wall(LINE, rng),
+    "fence": lambda rng: fences.fence(LINE, rng),
     "gantry": lambda rng: furniture.gantry(14.0, rng),
     "bridge": lambda rng: furniture.bridge(20.0, 4.0, rng),
 } | {
@@ -358,8 +359,8 @@ def test_tall_enclosures_hide_what_is_behind_them():
     starts = np.column_stack([np.linspace(1, 7, 61), np.full(61, -3.0), np.full(61, 1.25)])
     for make in (
         partial(plants.hedge, lowest=1.6),
-        partial(furniture.low_wall, lowest=1.5),
-        furniture.screen,
+        partial(fences.low_wall, lowest=1.5),
+        fences.screen,
     ):
         for seed in range(5):
             piece = make(LINE, np.random.default_rng(seed))
@@ -465,7 +466,7 @@ def test_signs_are_retroreflective_on_the_front_only(name):
 def test_fences_let_rays_through_but_not_all():
     stopped = []
     for seed in range(40):
-        fence = furniture.fence(LINE, np.random.default_rng(seed))
+        fence = fences.fence(LINE, np.random.default_rng(seed))
         sound(fence)
         assert len(fence.triangles) <= 26 * LENGTH + 20
         x = np.linspace(0.1, 5.9, 700)
@@ -482,11 +483,11 @@ def test_fences_let_rays_through_but_not_all():
 def test_fences_follow_the_ground():
     steep = np.array([[0, 0, 0], [10, 0, 2.0], [20, 0, 1.0]])
     for make in (
-        furniture.fence,
-        furniture.low_wall,
-        furniture.screen,
+        fences.fence,
+        fences.low_wall,
+        fences.screen,
         plants.hedge,
-        lambda line, rng: furniture.guard_rail(line),
+        lambda line, rng: fences.guard_rail(line),
     ):
         mesh = make(steep, np.random.default_rng(1))
         ground = np.interp(mesh.vertices[:, 0], steep[:, 0], steep[:, 2])
@@ -504,17 +505,17 @@ def test_a_line_without_length_is_refused():
         [[0, 0, 0], [np.nan, 1, 0]],
     ]
     for make in (
-        furniture.fence,
-        furniture.low_wall,
-        furniture.screen,
+        fences.fence,
+        fences.low_wall,
+        fences.screen,
         plants.hedge,
-        lambda line, rng: furniture.guard_rail(line),
+        lambda line, rng: fences.guard_rail(line),
     ):
         for line in bad:
             with pytest.raises(ValueError, match="line must be"):
                 make(line, rng)
         sound(make([[0, 0, 0], [0, 0, 0], [0.3, 0, 0]], rng))
-    for make in (furniture.gantry, furniture.gate):
+    for make in (furniture.gantry, fences.gate):
         with pytest.raises(ValueError, match="width of a"):
             make(0.0, rng)
     with pytest.raises(ValueError, match="a bridge is"):

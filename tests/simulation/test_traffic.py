@@ -5,7 +5,7 @@ import pytest
 
 from ogm.simulation.materials import Material
 from ogm.simulation.town import Lane
-from ogm.simulation.traffic import Traffic, own_vehicle
+from ogm.simulation.traffic import Traffic, ego_vehicle
 from ogm.simulation.traffic.bodies import CARS, VANS, Shape, car
 from ogm.simulation.traffic.fleet import Fleet, make_fleet
 from ogm.simulation.traffic.heavy import bus, trailer, truck
@@ -176,7 +176,7 @@ def test_walkers_move_their_legs():
 
 
 def test_own_vehicle_is_an_estate_of_one_material():
-    mesh = own_vehicle()
+    mesh = ego_vehicle()
     assert set(mesh.material) == {M.EGO_VEHICLE}
     assert 1.4 < mesh.vertices[:, 2].max() <= 1.5
     assert 4.6 < np.ptp(mesh.vertices[:, 0]) < 4.95
@@ -276,7 +276,7 @@ def test_poses_are_rigid_and_stand_on_the_slope(village, traffic):
 
 
 def rectangles(frame):
-    own = own_vehicle().vertices
+    own = ego_vehicle().vertices
     poses = np.array([frame.ego] + [o.pose for o in frame.objects])
     size = np.array([np.ptp(own, axis=0)] + [o.size for o in frame.objects])
     return np.column_stack(

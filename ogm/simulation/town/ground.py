@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import open3d
 import shapely
+from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, empty
 from ogm.simulation.town.terrain import Drop, Raster, Terrain
@@ -94,7 +94,7 @@ def cover(
     return ground, _kerbs(vertices, triangles, unique, lowered)
 
 
-def _kerbs(vertices: Floats, triangles: Floats, code: Floats, lowered: Floats) -> Mesh:
+def _kerbs(vertices: NDArray, triangles: NDArray, code: NDArray, lowered: NDArray) -> Mesh:
     """Close the steps between road and land: wherever an edge of the one runs along an edge of the other."""
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     place = code // 2

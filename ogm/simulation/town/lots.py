@@ -180,7 +180,7 @@ def _access(plan: Plan, lot: Lot, near: int, rng: Generator) -> None:
             garage = width < 6.3
             at = lot.front[0] + along * float((u.min() + u.max()) / 2)
             if garage:
-                surface = M(rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL]))
+                surface = rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL])
                 _driveway(plan, lot, near, at, setback + 0.5, min(width, 3.4), surface)
                 if setback > 6.5 and rng.random() < 0.8:
                     spot = at + lot.inward * (setback / 2 + 0.4)

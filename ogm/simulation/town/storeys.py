@@ -1,5 +1,7 @@
 """The storeys of one side of a house: windows, doors, shops, gates, balconies, bays, and what hangs on the wall."""
 
+from typing import Any
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
@@ -227,7 +229,7 @@ def _gates(
     upper: float,
     look: Look,
     rng: Generator,
-) -> tuple[Floats, Floats, Floats, Floats, Pieces]:
+) -> tuple[Any, Any, Any, Any, Pieces]:
     """Make the front of a hall: roller gates, docks for trucks, windows, pilasters and a canopy."""
     columns = len(middle)
     kind = rng.choice(3, columns, p=[0.35, 0.25, 0.4])
