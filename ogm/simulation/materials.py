@@ -76,11 +76,7 @@ class Material(IntEnum):
     CAR_GLASS = 27, Optics(0.04, 0.3, specular=0.3, transmission=0.8), (0.30, 0.38, 0.42)
     PLASTIC_DARK = 28, Optics(0.08, 0.2), (0.15, 0.15, 0.16)
     PLATE = 29, Optics(0.60, 0.1, retro=8.0), (0.95, 0.95, 0.70)  # licence plate
-    LAMP = (
-        30,
-        Optics(0.25, 0.2, retro=3.0, specular=0.2),
-        (1.00, 0.75, 0.55),
-    )  # head and tail lamps
+    LAMP = (30, Optics(0.25, 0.2, retro=3.0, specular=0.2), (1.00, 0.75, 0.55))  # head and tail lamps
     SIGN = 31, Optics(0.50, 0.1, retro=12.0), (0.85, 0.15, 0.15)  # retroreflective sheeting
     CLOTH_LIGHT = 32, Optics(0.55, 0.3), (0.80, 0.70, 0.55)
     CLOTH_DARK = 33, Optics(0.25, 0.4), (0.22, 0.24, 0.38)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm.simulation.plan import MOUNTS, SPLITS, DatasetPlan, LidarMount, draw_mount, moment, only
+from ogm.simulation.plan import MOUNTS, SPLITS, DatasetPlan, LidarMount, draw_mount, moment, only, sample_rng
 
 PLAN = DatasetPlan(seed=3)
 

@@ -13,9 +13,9 @@ from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
 from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
-from ogm.simulation.town.layout import Plan, make_plan
+from ogm.simulation.town.layout import TownLayout, make_plan
 from ogm.simulation.town.lots import fill_blocks
-from ogm.simulation.town.network import Network, make_network
+from ogm.simulation.town.network import StreetNetwork, make_network
 from ogm.simulation.town.terrain import Raster, Terrain, make_terrain
 from ogm.simulation.town.trips import SHORTEST, round_trip
 
@@ -131,7 +131,7 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     )
 
 
-def _streets(seed: int, size: float) -> tuple[Network, Draft, list[tuple[int, ...]]]:
+def _streets(seed: int, size: float) -> tuple[StreetNetwork, Draft, list[tuple[int, ...]]]:
     """Draw streets until round trips both ways are found, as at the first try nearly always."""
     for attempt in range(ATTEMPTS):
         network = make_network(size, np.random.default_rng([seed, 0, attempt]))
@@ -156,7 +156,7 @@ def _worth(show: str) -> float:
     return 1.4 if district == "centre" else 1.0
 
 
-def _terrain(plan: Plan, rng: Generator) -> Terrain:
+def _terrain(plan: TownLayout, rng: Generator) -> Terrain:
     """Hills under the plan: banks as the districts have them, a dip on a long street."""
     network = plan.network
     kerbs = [
@@ -181,7 +181,7 @@ def _raise(points: NDArray, terrain: Terrain) -> Floats:
     return np.column_stack([points[:, :2], terrain.road(points[:, 0], points[:, 1])])
 
 
-def _sight(network: Network, draft: Draft, lane: int) -> str:
+def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
     """Tell what a trip over a lane shows."""
     street = draft.streets[lane]
     if street >= 0:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ogm.simulation.arrays import Floats
-from ogm.simulation.town.network import Network, Street
+from ogm.simulation.town.network import Street, StreetNetwork
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners
 CROSSWALK = 5.0  # [m] from the corner's arc to the stop line
@@ -64,7 +64,7 @@ class _Arm(NamedTuple):
     outgoing: list[int]
 
 
-def cuts(network: Network) -> Floats:
+def cuts(network: StreetNetwork) -> Floats:
     """How far from its two crossings each street's lanes begin and stop (S, 2) [m]."""
     result = np.full((len(network.streets), 2), 0.0)
     for node in range(len(network.nodes)):
@@ -95,7 +95,7 @@ def cuts(network: Network) -> Floats:
     return result
 
 
-def _arms(network: Network, node: int) -> list[tuple[int, int, Floats]]:
+def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
     """Street, which end of it, and direction outward of everything that meets at a crossing."""
     arms = []
     for k, street in enumerate(network.streets):
@@ -114,7 +114,7 @@ def _sides(street: Street, end: int) -> tuple[float, float]:
     return (right, left) if end == 0 else (left, right)
 
 
-def make_lanes(network: Network) -> Draft:
+def make_lanes(network: StreetNetwork) -> Draft:
     """Lay lanes (z = 0 yet) along all streets and through all crossings."""
     cut = cuts(network)
     lanes: list[Lane] = []

@@ -12,7 +12,7 @@ from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
 from ogm.simulation.town.footprints import split_front
 from ogm.simulation.town.ground import Zone
-from ogm.simulation.town.layout import Bay, Block, Plan
+from ogm.simulation.town.layout import Bay, Block, TownLayout
 from ogm.simulation.town.overlay import area, polygons
 from ogm.simulation.town.terrain import Drop
 
@@ -51,7 +51,7 @@ class Lot(NamedTuple):
     gaps: list[Polygon]
 
 
-def fill_blocks(plan: Plan, rng: Generator) -> list[Lot]:
+def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
     """Divide all blocks into lots; adds surfaces, driveways, bays and paths to the plan."""
     lots: list[Lot] = []
     blocks = [k for k, block in enumerate(plan.blocks) if block.style == "centre" and _inside(plan, block)]
@@ -72,12 +72,12 @@ def fill_blocks(plan: Plan, rng: Generator) -> list[Lot]:
     return lots
 
 
-def _inside(plan: Plan, block: Block) -> bool:
+def _inside(plan: TownLayout, block: Block) -> bool:
     """Whether a block lies within the streets, not at the town's edge."""
     return bool(np.abs(np.array(block.shape.bounds)).max() < plan.size / 2 - 1.0)
 
 
-def _along(plan: Plan, block: Block, square: bool, rng: Generator) -> list[Lot]:
+def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list[Lot]:
     """Lots along all sides of a block, the longest first."""
     network = plan.network
     streets = np.array([LineString(street.line) for street in network.streets], dtype=object)
@@ -124,7 +124,7 @@ def _along(plan: Plan, block: Block, square: bool, rng: Generator) -> list[Lot]:
     return lots
 
 
-def _sides(plan: Plan, block: Block) -> list[tuple[Floats, Floats, Floats]]:
+def _sides(plan: TownLayout, block: Block) -> list[tuple[Floats, Floats, Floats]]:
     """Find the straight stretches of a block's outline along streets, with unit vectors into the block."""
     result = []
     outline = shapely.geometry.polygon.orient(block.shape.simplify(1.0), 1.0)
@@ -138,7 +138,9 @@ def _sides(plan: Plan, block: Block) -> list[tuple[Floats, Floats, Floats]]:
     return sorted(result, key=lambda side: -float(np.linalg.norm(side[1] - side[0])))
 
 
-def _driveway(plan: Plan, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M) -> None:
+def _driveway(
+    plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M
+) -> None:
     """Pave a way from the kerb to `reach` metres behind the front, and let the kerb down."""
     along = np.array([lot.inward[1], -lot.inward[0]])
     street = plan.network.streets[near]
@@ -169,7 +171,7 @@ def _driveway(plan: Plan, lot: Lot, near: int, at: Floats, reach: float, width: 
         plan.bays[:] = [bay for bay, d in zip(plan.bays, far, strict=True) if d > bay.length / 2]
 
 
-def _access(plan: Plan, lot: Lot, near: int, rng: Generator) -> None:
+def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
     """Driveways to garages and yards, paths to doors."""
     along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
     for house in lot.houses:
@@ -210,7 +212,7 @@ def _access(plan: Plan, lot: Lot, near: int, rng: Generator) -> None:
         _yard_bays(plan, lot, along, width, rng)
 
 
-def _yard_bays(plan: Plan, lot: Lot, along: Floats, width: float, rng: Generator) -> None:
+def _yard_bays(plan: TownLayout, lot: Lot, along: Floats, width: float, rng: Generator) -> None:
     """Places to park across the front of a yard, where no house stands."""
     yaw = float(np.arctan2(lot.inward[1], lot.inward[0]))
     built = shapely.union_all(lot.houses + lot.gaps).buffer(0.6)
@@ -223,7 +225,7 @@ def _yard_bays(plan: Plan, lot: Lot, along: Floats, width: float, rng: Generator
             plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
 
 
-def _car_park(plan: Plan, lot: Lot, near: int) -> None:
+def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
     """Asphalt with rows of bays parallel to the street, and a way in."""
     along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
     width = float(np.linalg.norm(lot.front[1] - lot.front[0]))
@@ -252,7 +254,7 @@ def _car_park(plan: Plan, lot: Lot, near: int) -> None:
         row, facing = row + (11.2 if facing > 0 else 5.2), -facing
 
 
-def _square(plan: Plan, lot: Lot, rng: Generator) -> None:
+def _square(plan: TownLayout, lot: Lot, rng: Generator) -> None:
     plan.zones.append(Zone(lot.shape, M.PAVING))
     plan.zones.append(Zone(lot.shape.buffer(-3.0), M.COBBLES if rng.random() < 0.6 else M.PAVING))
     for _ in range(3):
@@ -261,7 +263,7 @@ def _square(plan: Plan, lot: Lot, rng: Generator) -> None:
             plan.walkways.append(np.linspace(a, b, int(np.linalg.norm(a - b)) + 1))
 
 
-def _park(plan: Plan, block: Block, rng: Generator) -> Lot:
+def _park(plan: TownLayout, block: Block, rng: Generator) -> Lot:
     """Grass with winding gravel paths from side to side."""
     plan.zones.append(Zone(block.shape, M.GRASS))
     middle = np.array(block.shape.centroid.coords[0])

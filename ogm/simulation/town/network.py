@@ -116,7 +116,7 @@ class Street:
         return LineString(self.line + self.normals * (left - right) / 2)
 
 
-class Network(NamedTuple):
+class StreetNetwork(NamedTuple):
     """Crossings and streets."""
 
     nodes: Floats  # (N, 2)
@@ -127,7 +127,7 @@ class Network(NamedTuple):
     styles: tuple[str, ...]  # its district
 
 
-def make_network(size: float, rng: Generator) -> Network:
+def make_network(size: float, rng: Generator) -> StreetNetwork:
     """Draw the streets of a town of `size` metres."""
     n = max(3, int((size - 2 * MARGIN) // SPACING) + 1)
     nodes = bent_grid(n, size, rng)
@@ -149,7 +149,7 @@ def make_network(size: float, rng: Generator) -> Network:
     edges = thinned(edges, kept, n * n)
     nodes, edges, heads = dead_ends(nodes, edges, broad, faces, styles, roundabout, n // 3 + 1)
     chains = chains_of(edges, len(nodes), {roundabout, *heads})
-    return Network(
+    return StreetNetwork(
         nodes,
         _streets(nodes, chains, broad, faces, styles, roundabout, heads, rng),
         roundabout,

@@ -10,6 +10,14 @@ from ogm.simulation.mesh import Mesh, box, cylinder, loft, quads
 SUNK = 0.3  # [m] feet reach this far into the ground, so that they stand on a slope as well
 
 
+def upright(x: float, y: float, z: float, yaw: float = 0.0) -> Floats:
+    """Return the transform (4, 4) of a piece that stands upright at a place."""
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:3, 3] = x, y, z
+    return T
+
+
 def pole(
     height: float,
     radius: float,
