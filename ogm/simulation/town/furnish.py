@@ -29,10 +29,12 @@ PIECES: dict[str, Wanted] = {
     "suburb": [(f.bin_, 250, 0.6), (f.bench, 700, 1.0)],
     "industrial": [
         *((structures.container, 170, 3.6), (structures.skip, 320, 2.6)),
-        *((f.lamp, 600, 0.5), (f.bin_, 500, 0.8)],
+        *((f.lamp, 600, 0.5), (f.bin_, 500, 0.8)),
+    ],
     "arterial": [
         *((f.lamp, 700, 0.5), (structures.advert_column, 1200, 0.8)),
-        *((f.bike_rack, 900, 1.6), (f.sign, 600, 0.3)],
+        *((f.bike_rack, 900, 1.6), (f.sign, 600, 0.3)),
+    ],
     "square": [
         *((f.bench, 90, 1.1), (f.planter, 120, 0.8), (f.cafe, 70, 1.1)),
         *((f.bollard, 90, 0.3), (f.lamp, 250, 0.4), (f.bike_rack, 300, 1.6)),

@@ -1,15 +1,15 @@
-"""Places on routes and walkways, compiled: the only thing that is worked out for every frame."""
+"""Places on routes and walkways, compiled."""
 
 # mypy: disallow-untyped-defs=False
-# numba infers the types of kernels, their docstrings tell them.
+# numba infers the types of kernels, their docstrings give them.
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ogm.jit import kernel
 from ogm.simulation.arrays import Floats
 
 
@@ -44,9 +44,10 @@ def lines(parts: Sequence[Floats]) -> Lines:
     return Lines(np.concatenate(kept), np.concatenate(along), first)
 
 
-@njit(cache=True, nogil=True)
-def _add(points, along, first, last, s, weight, out):
+@kernel
+def _add(table: Lines, first, last, s, weight, out):
     """Add the point at way `s` on a line, times a weight, to `out`."""
+    points, along = table.points, table.along
     low, high = first, last - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -59,9 +60,10 @@ def _add(points, along, first, last, s, weight, out):
         out[k] += weight * ((1 - share) * points[low, k] + share * points[low + 1, k])
 
 
-@njit(cache=True, nogil=True)
-def along_routes(points, along, first, route, start, driver, way, reach, out):
+@kernel
+def along_routes(table: Lines, route, start, driver, way, reach, out):
     """Write the places (U, 3) at `way` on the routes of drivers, corners rounded off over `reach` [m]."""
+    first = table.first
     for u in range(len(way)):
         n = driver[u]
         out[u] = 0.0
@@ -70,13 +72,13 @@ def along_routes(points, along, first, route, start, driver, way, reach, out):
             place = max(np.searchsorted(start[n], s, side="right") - 1, 0)
             lane = route[n, place]
             weight = 0.5 if k == 1 else 0.25
-            _add(points, along, first[lane], first[lane + 1], s - start[n, place], weight, out[u])
+            _add(table, first[lane], first[lane + 1], s - start[n, place], weight, out[u])
 
 
-@njit(cache=True, nogil=True)
-def along_lines(points, along, first, line, way, out):
+@kernel
+def along_lines(table: Lines, line, way, out):
     """Write the places (N, 3) at `way` on lines, whose ends are not passed."""
     for n in range(len(way)):
-        low, high = first[line[n]], first[line[n] + 1]
+        low, high = table.first[line[n]], table.first[line[n] + 1]
         out[n] = 0.0
-        _add(points, along, low, high, min(max(way[n], 0.0), along[high - 1]), 1.0, out[n])
+        _add(table, low, high, min(max(way[n], 0.0), table.along[high - 1]), 1.0, out[n])
