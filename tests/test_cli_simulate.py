@@ -113,7 +113,9 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("{new}", "--samples", 1, "--export", "{file}"), "is a file"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(
+    data: Path, tmp_path: Path, words: tuple, description: str
+) -> None:
     other, file = tmp_path / "other", tmp_path / "file"
     other.mkdir()
     (other / "thesis.tex").write_text("dear")

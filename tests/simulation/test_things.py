@@ -10,23 +10,23 @@ from shapely import Polygon
 
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, merge
-from ogm.simulation.town import buildings, fences, furniture, plants
+from ogm.simulation.town import fences, furniture, plants, structures
 from ogm.simulation.town.buildings import building
 from ogm.simulation.town.footprints import STYLES, split_front
 
 LINE = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.3], [10.0, 2.0, 0.5]])
 LENGTH = 6.0 + np.hypot(4.0, 2.0)
 PIECES = {
-    "gate": lambda rng: fences.gate(4.0, rng),
     "guard_rail": lambda rng: fences.guard_rail(LINE),
     "low_wall": lambda rng: fences.low_wall(LINE, rng),
     "fence": lambda rng: fences.fence(LINE, rng),
-    "gantry": lambda rng: furniture.gantry(14.0, rng),
-    "bridge": lambda rng: furniture.bridge(20.0, 4.0, rng),
+    "gantry": lambda rng: structures.gantry(14.0, rng),
+    "bridge": lambda rng: structures.bridge(20.0, 4.0, rng),
 } | {
-    name: getattr(furniture, name)
-    for name in furniture.__all__
-    if list(inspect.signature(getattr(furniture, name)).parameters) == ["rng"]
+    name: piece
+    for module in (furniture, structures)
+    for name, piece in inspect.getmembers(module, inspect.isfunction)
+    if piece.__module__ == module.__name__ and list(inspect.signature(piece).parameters) == ["rng"]
 }
 ON_A_POINT = sorted(set(PIECES) - {"guard_rail", "low_wall", "fence", "gantry", "bridge"})
 PLANTS = {
@@ -246,8 +246,6 @@ def test_impossible_footprints_are_refused():
             building(wrong, "centre", level, rng)
     with pytest.raises(ValueError, match="style must be one of"):
         building(shapely.box(0, 0, 9, 9), "castle", level, rng)
-    with pytest.raises(ValueError, match="front must be"):
-        building(shapely.box(0, 0, 9, 9), "centre", level, rng, front=[[1, 1], [1, 1]])
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -279,8 +277,6 @@ def test_a_lot_too_small_stays_empty():
     for style in STYLES:
         assert split_front(shapely.box(0, 0, 3, 2), [[0, 0], [3, 0]], style, rng) == []
         assert split_front(Polygon(), [[0, 0], [3, 0]], style, rng) == []
-    with pytest.raises(ValueError, match="front must be"):
-        split_front(shapely.box(0, 0, 30, 20), [[0, 0], [0, 0]], "centre", rng)
     with pytest.raises(ValueError, match="style must be"):
         split_front(shapely.box(0, 0, 30, 20), [[0, 0], [9, 0]], "village", rng)
 
@@ -340,8 +336,6 @@ def test_no_leaf_hangs_below_the_clearance(clearance):
         leaves = tree.vertices[tree.triangles[tree.material == M.FOLIAGE]]
         assert leaves[..., 2].min() > clearance - 1e-4
         assert len(tree.triangles) <= 700
-    with pytest.raises(ValueError, match="clearance must lie"):
-        plants.tree(np.random.default_rng(0), clearance=20.0)
 
 
 def test_bushes_are_loose_and_stand_on_the_ground():
@@ -392,8 +386,6 @@ def test_grass_grows_in_its_polygon_on_its_ground():
     away = shapely.distance(lawn, shapely.points(tufts.vertices[:, :2].astype(float)))
     assert away.max() < 0.5
     assert len(plants.grass_tufts(Polygon(), hill, np.random.default_rng(0)).triangles) == 0
-    with pytest.raises(ValueError, match="density"):
-        plants.grass_tufts(lawn, hill, np.random.default_rng(0), density=-1.0)
 
 
 # Furniture
@@ -515,21 +507,15 @@ def test_a_line_without_length_is_refused():
             with pytest.raises(ValueError, match="line must be"):
                 make(line, rng)
         sound(make([[0, 0, 0], [0, 0, 0], [0.3, 0, 0]], rng))
-    for make in (furniture.gantry, fences.gate):
-        with pytest.raises(ValueError, match="width of a"):
-            make(0.0, rng)
-    with pytest.raises(ValueError, match="a bridge is"):
-        furniture.bridge(2.0, 0.0, rng)
 
 
 def test_pieces_can_be_merged_and_moved():
     town = merge([make(np.random.default_rng(0)) for make in PIECES.values()])
     sound(town)
     assert len(town.triangles) > 500
-    assert buildings.__all__ == ["STYLES", "building", "split_front"]
 
 
 def test_signs_and_shelters_keep_off_the_road():
     for seed in range(40):
         assert furniture.sign(np.random.default_rng(seed)).vertices[:, 1].min() > -0.6
-        assert furniture.shelter(np.random.default_rng(seed)).vertices[:, 1].min() > -0.6
+        assert structures.shelter(np.random.default_rng(seed)).vertices[:, 1].min() > -0.6

@@ -6,7 +6,7 @@ import pytest
 from ogm.simulation.materials import Material
 from ogm.simulation.town import Lane
 from ogm.simulation.traffic import Traffic, ego_vehicle
-from ogm.simulation.traffic.bodies import CARS, VANS, Shape, car
+from ogm.simulation.traffic.bodies import CARS, VANS, car
 from ogm.simulation.traffic.fleet import Fleet, make_fleet
 from ogm.simulation.traffic.heavy import bus, trailer, truck
 from ogm.simulation.traffic.parked import overlap
@@ -182,11 +182,6 @@ def test_own_vehicle_is_an_estate_of_one_material():
     assert 4.6 < np.ptp(mesh.vertices[:, 0]) < 4.95
 
 
-def test_bodies_without_a_roof_are_refused():
-    with pytest.raises(ValueError, match="windscreen and roof"):
-        car(Shape(4.0, 1.8, 1.4, 2.5, 0.8, 0.7, 1.0, 1.0, 1.2, 3.0, 2.0, 3.9), M.PAINT_LIGHT)
-
-
 def test_a_fleet_is_a_function_of_its_seed():
     one, same, other = (make_fleet(np.random.default_rng(seed)) for seed in (5, 5, 6))
     assert isinstance(one, Fleet)
@@ -326,10 +321,3 @@ def test_times_outside_the_scenario_are_refused(traffic, time):
 def test_bad_seeds_are_refused(village, seed):
     with pytest.raises(ValueError, match="seed must be"):
         Traffic(village, seed, clockwise=True)
-
-
-def test_open_or_missing_round_trips_are_refused(village):
-    with pytest.raises(ValueError, match="must be closed"):
-        Traffic(replace(village, loop=(0, 2)), 1, clockwise=True)
-    with pytest.raises(ValueError, match="loop is empty"):
-        Traffic(replace(village, loop=()), 1, clockwise=True)

@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, loft, merge, quads, sheet
+from ogm.simulation.mesh import Mesh, loft, merge, quads, sheet
 from ogm.simulation.town.plants import SUNK, resampled
 
 
@@ -77,18 +77,6 @@ def guard_rail(line: ArrayLike) -> Mesh:
     ahead = np.stack([side[:, 1], -side[:, 0], side[:, 2]], axis=1)
     posts = [_uprights(foot, -SUNK, 0.72, 0.05 * ahead), _uprights(foot, -SUNK, 0.72, 0.06 * side)]
     return merge([*beam, quads(np.concatenate(posts), M.METAL_POLE)])
-
-
-def gate(width: float, rng: Generator) -> Mesh:
-    """Make a closed gate of bars along x between two pillars, for a driveway of that width [m]."""
-    if not 0.6 <= width <= 12:
-        raise ValueError(f"width of a gate must lie between 0.6 and 12 m, got {width}")
-    height, half = rng.uniform(1.0, 1.8), width / 2
-    pillars = [
-        box([x - 0.175, -0.175, -SUNK], [x + 0.175, 0.175, height + 0.3], M.BRICK) for x in (-half, half)
-    ]
-    leaf = np.array([[-half + 0.2, 0, 0.0], [half - 0.2, 0, 0.0]])
-    return merge([*pillars, bars(leaf, height, 0.13, 0.02, M.METAL_POLE)])
 
 
 def _uprights(foot: Floats, low: float, high: float, half: Floats) -> Floats:

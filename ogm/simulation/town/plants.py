@@ -55,14 +55,7 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
     -------
     Mesh
         At most 700 triangles; origin at the foot, z up.
-
-    Raises
-    ------
-    ValueError
-        If the clearance is not between 0 and 8 m.
     """
-    if not 0 <= clearance <= 8:
-        raise ValueError(f"clearance must lie between 0 and 8 m, got {clearance}")
     share = np.array([kind.share for kind in SPECIES])
     if clearance > 1:  # a conifer with bare feet is none
         share[[kind.taper == 1.0 for kind in SPECIES]] = 0.0
@@ -172,8 +165,6 @@ def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, densit
     Mesh
         Two triangles per tuft, 0.05 to 0.3 m high.
     """
-    if not density >= 0:
-        raise ValueError(f"density must be 0 or more tufts per square metre, got {density}")
     if polygon.is_empty:
         return empty()
     count = min(int(polygon.area * density), TUFTS)

@@ -287,8 +287,6 @@ def car(shape: Shape, paint: M, *, label: str = "car", mirrors: float = 0.13) ->
     mirrors : float
         How far the mirrors stand out on either side [m].
     """
-    if shape.roof_at >= shape.roof_end or shape.cowl_at >= shape.deck_at:
-        raise ValueError(f"windscreen and roof must end before the rear of the car does, got {shape}")
     half, front = shape.width / 2, shape.length / 2
     axles = np.array([front - shape.overhang, front - shape.overhang - shape.wheelbase])
     parts = [_shell(shape, paint), _greenhouse(shape, paint), _seats(shape)]

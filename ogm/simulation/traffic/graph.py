@@ -107,14 +107,6 @@ def _limit(lane: Lane, along: Floats) -> Floats:
 
 def lane_table(lanes: Sequence[Lane]) -> LaneTable:
     """Arrange lanes for the kernels, and find out which of them cannot be driven at once."""
-    if not lanes:
-        raise ValueError("a town without lanes has no traffic; build_town makes some")
-    for number, lane in enumerate(lanes):
-        if lane.points.ndim != 2 or lane.points.shape[1] != 3 or len(lane.points) < 2:
-            raise ValueError(f"points of lane {number} must have shape (M >= 2, 3), got {lane.points.shape}")
-        bad = [k for k in lane.successors if not 0 <= k < len(lanes)]
-        if bad:
-            raise ValueError(f"lane {number} leads to lanes {bad}, but there are only {len(lanes)} lanes")
     centers = lines([lane.points for lane in lanes])
     first = centers.first
     along = np.split(centers.along, first[1:-1])

@@ -29,14 +29,10 @@ class Lines(NamedTuple):
 def lines(parts: Sequence[Floats]) -> Lines:
     """Put lines (M, 3) together; points that repeat the one before are left out."""
     kept = []
-    for number, part in enumerate(parts):
+    for part in parts:
         points = np.asarray(part, np.float64)
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-            raise ValueError(f"points of line {number} must have shape (M >= 2, 3), got {points.shape}")
         step = np.linalg.norm(np.diff(points, axis=0), axis=1)
         kept.append(points[np.concatenate([[True], step > 1e-9])])
-        if len(kept[-1]) < 2:
-            raise ValueError(f"line {number} has no length: all its points are {points[0].tolist()}")
     along = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]) for p in kept]
     first = np.concatenate([[0], np.cumsum([len(p) for p in kept])]).astype(np.int64)
     if not kept:
