@@ -136,7 +136,8 @@ def simulate(
     """
     if not resume and Store.exists(folder):
         raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
-    count = check_workers(workers_that_fit() if workers is None else workers)
+    count = workers_that_fit() if workers is None else workers
+    check_workers(count)
     store = begin(Path(folder), plan, lidars(plan), versions())
     if store.versions != versions():
         _log.warning(

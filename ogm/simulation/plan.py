@@ -16,7 +16,7 @@ DRIVES = 10  # scenarios that the samples of a split are taken from in turn (Sec
 RUN = 10  # [s] of one drive before the next one's turn: one shard of samples at 1 Hz
 LAP = 1000  # samples that one drive gives at most, one per second
 WARM_UP = 20.0  # [s] that traffic has run before the first sample
-TOWN_SIZES = (240.0, 1000.0)  # [m] that leave room for streets
+TOWN_SIZES = (240.0, 1000.0)  # [m] that leave space for streets
 SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
 
 

@@ -86,7 +86,7 @@ def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     hit = np.isfinite(distance)
     normals = answer["primitive_normals"].numpy()[hit]
     facing = np.where((normals * directions[hit]).sum(axis=1, keepdims=True) > 0, -normals, normals)
-    # Light: from the sky on all that looks up, from the sun where no shadow falls.
+    # Light: from the sky on all that faces up, from the sun where no shadow falls.
     shadow = np.empty((len(facing), 6), np.float32)
     shadow[:, :3] = rays[hit, :3] + directions[hit] * distance[hit, None] + 0.02 * facing
     shadow[:, 3:] = SUN

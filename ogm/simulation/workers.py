@@ -17,16 +17,7 @@ from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Store
 
-__all__ = [
-    "Estimate",
-    "Job",
-    "Made",
-    "begin",
-    "check_workers",
-    "make_shards",
-    "missing_shards",
-    "workers_that_fit",
-]
+__all__ = ["Estimate", "Job", "Made", "begin", "make_shards", "missing_shards", "workers_that_fit"]
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 SCHEDULER_TIMEOUT = 20.0  # [s]
@@ -52,21 +43,7 @@ class Made(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """Time and space that the rest of a data set will take.
-
-    Attributes
-    ----------
-    samples : int
-        To be made.
-    seconds : float
-        On all workers together, from now on.
-    size : float
-        [byte]
-    per_sample : float
-        Seconds on one worker, measured.
-    workers : int
-        That will make them.
-    """
+    """What the rest of a data set will take: seconds and [byte] of all samples, seconds of one on one worker."""
 
     samples: int
     seconds: float
@@ -100,9 +77,7 @@ def begin(
 
 def _added(before: str | None, version: str) -> str:
     """Return the versions that made a data set so far, and this one."""
-    if before is None or version in before.split(", "):
-        return before or version
-    return f"{before}, {version}"
+    return ", ".join(dict.fromkeys([*(before or version).split(", "), version]))
 
 
 def missing_shards(store: Store) -> list[Job]:
@@ -123,19 +98,16 @@ def missing_shards(store: Store) -> list[Job]:
 
 def workers_that_fit() -> int:
     """Return how many workers this machine's cores and memory allow."""
-    try:
-        memory = float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (ValueError, OSError):
-        memory = 8e9
+    memory = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return max(1, min(len(os.sched_getaffinity(0)), int(memory / MEMORY)))
 
 
 def check_workers(workers: int) -> int:
-    """Return the number, or raise ValueError where it is none that makes sense on this machine."""
-    most = 64 * len(os.sched_getaffinity(0))
-    if not 1 <= workers <= most:
-        raise ValueError(f"workers must be in 1 ... {most} on this machine, got {workers}")
-    return workers
+    """Return this machine's cores; raise ValueError where so many workers make no sense on it."""
+    cores = len(os.sched_getaffinity(0))
+    if not 1 <= workers <= 64 * cores:
+        raise ValueError(f"workers must be in 1 ... {64 * cores} on this machine, got {workers}")
+    return cores
 
 
 def make_shards(
@@ -166,11 +138,10 @@ def make_shards(
         If the disk is full or will be, a worker died three times over, or the scheduler cannot be reached.
         Shards that were yielded are complete.
     """
+    cores = check_workers(workers)
     todo = missing_shards(store)
     if not todo:
         return
-    check_workers(workers)
-    cores = len(os.sched_getaffinity(0))
     work = _Work(store.path.resolve(), plan, function, max(1, cores // workers))
     with _explained(store):
         if workers == 1 and scheduler is None:

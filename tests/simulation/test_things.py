@@ -198,17 +198,6 @@ def test_what_stands_out_hangs_above_two_and_a_half_metres(style):
     assert balconies > 3
 
 
-def test_front_tells_which_side_has_the_door():
-    footprint = plot(5, 6)
-    for k, front in enumerate([[[0, -5], [5, -5]], [[9, 0], [9, 6]], [[5, 20], [0, 20]], [[-3, 6], [-3, 0]]]):
-        garage = building(footprint, "suburb", level, np.random.default_rng(0), front=front)
-        door = garage.vertices[garage.triangles[garage.material == M.METAL_SHEET]].mean(axis=1)
-        door = door[(door[:, 2] < 1.5) & (door[:, 2] > 0.5)]
-        side = [door[:, 1] < 1, door[:, 0] > 4, door[:, 1] > 5, door[:, 0] < 1][k]
-        assert len(door)
-        assert side.all()
-
-
 @pytest.mark.parametrize("style", STYLES)
 def test_courtyards_slopes_and_odd_outlines_are_built(style):
     court = Polygon([(0, 0), (40, 0), (40, 35), (0, 35)], [[(12, 12), (28, 12), (28, 24), (12, 24)]])

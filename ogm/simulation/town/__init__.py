@@ -99,7 +99,7 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ValueError(f"seed must be a whole number >= 0, got {seed!r}")
     if not SMALLEST <= float(size) <= LARGEST:
-        raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (room for streets), got {size!r}")
+        raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (space for streets), got {size!r}")
     size = float(size)
     draws = [np.random.default_rng([int(seed), k]) for k in range(6)]
     network, draft, loops = _streets(int(seed), size)
@@ -149,7 +149,7 @@ def _streets(seed: int, size: float) -> tuple[StreetNetwork, Draft, list[tuple[i
 
 
 def _worth(show: str) -> float:
-    """Say what a metre of a trip is worth: most streets of a trip run between houses."""
+    """Return the worth of a metre of a trip: most streets of a trip run between houses."""
     kind, _, district = show.partition(" ")
     if kind == "arterial" or district in ("industrial", "park"):
         return 0.1
@@ -182,7 +182,7 @@ def _raise(points: NDArray, terrain: Terrain) -> Floats:
 
 
 def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
-    """Tell what a trip over a lane shows."""
+    """Return what a trip over a lane shows."""
     street = draft.streets[lane]
     if street >= 0:
         shown = network.streets[street]

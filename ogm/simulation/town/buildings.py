@@ -128,7 +128,7 @@ def _sides(polygon: Polygon) -> list[Side]:
 
 
 def _role(side: Side, street: Side, design: HouseDesign) -> str:
-    """Tell "front", "back", "side" or, for a wall that a neighbour may stand against, "blind"."""
+    """Return "front", "back", "side" or, for a wall that a neighbour may stand against, "blind"."""
     facing = float(side.out @ street.out)
     if facing > 0.7:
         return "front"

@@ -73,22 +73,22 @@ def guard_rail(line: ArrayLike) -> Mesh:
     profile = [(0.0, 0.44), (0.08, 0.52), (0.0, 0.6), (0.08, 0.68), (0.0, 0.76)]
     rails = [points + y * side + [0, 0, z] for y, z in profile]
     beam = [sheet(a, b, M.METAL_SHEET) for a, b in zip(rails[:-1], rails[1:], strict=True)]
-    foot = points - 0.05 * side
+    base = points - 0.05 * side
     ahead = np.stack([side[:, 1], -side[:, 0], side[:, 2]], axis=1)
-    posts = [_uprights(foot, -SUNK, 0.72, 0.05 * ahead), _uprights(foot, -SUNK, 0.72, 0.06 * side)]
+    posts = [_uprights(base, -SUNK, 0.72, 0.05 * ahead), _uprights(base, -SUNK, 0.72, 0.06 * side)]
     return merge([*beam, quads(np.concatenate(posts), M.METAL_POLE)])
 
 
-def _uprights(foot: Floats, low: float, high: float, half: Floats) -> Floats:
+def _uprights(base: Floats, low: float, high: float, half: Floats) -> Floats:
     """Return the corners (N, 4, 3) of upright flat bars at feet (N, 3), with half widths `half` (N, 3)."""
-    a, b = foot + [0, 0, low], foot + [0, 0, high]
+    a, b = base + [0, 0, low], base + [0, 0, high]
     return np.stack([a - half, a + half, b + half, b - half], axis=1)
 
 
-def _crossed(foot: Floats, side: Floats, high: float, radius: float) -> Floats:
+def _crossed(base: Floats, side: Floats, high: float, radius: float) -> Floats:
     """Return posts, each of two crossed upright bars, so that they are seen from everywhere."""
     ahead = np.stack([side[:, 1], -side[:, 0], side[:, 2]], axis=1)
-    return np.concatenate([_uprights(foot, -SUNK, high, radius * (ahead + s * side)) for s in (-1, 1)])
+    return np.concatenate([_uprights(base, -SUNK, high, radius * (ahead + s * side)) for s in (-1, 1)])
 
 
 def _along(line: ArrayLike, spacing: float) -> tuple[Floats, Floats]:

@@ -1,6 +1,6 @@
 """Street furniture: poles, signs, shelters, and what spans a road.
 
-A piece has its origin at its foot. Traffic comes towards it from +x, so that a sign's front looks along +x; with
+A piece has its origin at its base. Traffic comes towards it from +x, so that a sign's front faces +x; with
 right-hand traffic the road then lies on its -y side, where lamps reach out to and shelters open to.
 """
 
@@ -134,7 +134,7 @@ def bin_(rng: Generator) -> Mesh:
 
 
 def bench(rng: Generator) -> Mesh:
-    """Make a bench of slats along x that looks to -y, with or without a back."""
+    """Make a bench of slats along x that faces -y, with or without a back."""
     half = rng.uniform(0.75, 1.1)
     seats = [block([0, y, 0.45], [2 * half, 0.11, 0.04], M.WOOD) for y in (-0.17, 0.0, 0.17)]
     legs = [block([x, 0, 0.165], [0.07, 0.42, 0.53], M.METAL_POLE) for x in (-0.8 * half, 0.8 * half)]

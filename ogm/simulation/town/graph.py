@@ -59,7 +59,7 @@ def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
 
 
 def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
-    """Whether the graph stays in one piece when any one of its edges is closed."""
+    """Return whether the graph stays in one piece when any one of its edges is closed."""
     for closed in range(len(edges)):
         group = np.arange(count)
         for k, (a, b) in enumerate(edges):

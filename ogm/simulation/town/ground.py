@@ -1,7 +1,7 @@
 """The ground: the triangles of roads, sidewalks and yards, and the kerbs between them.
 
 Two heights are defined everywhere: that of the road and that of the land beside it, which lies a kerb
-higher. Which one holds is told by the plan. All lines of the plan and a grid are cut at their crossings
+higher. Which one holds is given by the plan. All lines of the plan and a grid are cut at their crossings
 into faces; every face is triangulated with all its corners, so neighbours share their corners exactly and
 no ray falls between them; where road and land meet, an upright kerb closes the step.
 """

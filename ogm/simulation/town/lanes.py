@@ -32,7 +32,7 @@ class Lane:
     junction : int
         Number of the junction that it crosses, -1 on the open road.
     phase : int
-        Lanes of a junction with the same phase may be driven at once; -1 where nobody has to wait for a signal:
+        Lanes of a junction with the same phase may be driven at once; -1 where there is no signal:
         on the open road, and in and out of a roundabout's ring.
     """
 
@@ -109,7 +109,7 @@ def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
 
 
 def _sides(street: Street, end: int) -> tuple[float, float]:
-    """Right and left half width, looking from an end of the street into it."""
+    """Right and left half width, seen from an end of the street into it."""
     right, left = street.profile.right, street.profile.left
     return (right, left) if end == 0 else (left, right)
 

@@ -67,6 +67,10 @@ class TownLayout:
     spans: list[tuple[int, float, str]]  # street, way along it, "bridge" or "gantry"
     reserved: BaseGeometry  # where nothing is built
 
+    def mark(self, shape: Polygon) -> None:
+        """Paint a marking."""
+        self.zones.append(Zone(shape if shape.is_valid else shape.buffer(0), M.MARKING))
+
 
 def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator) -> TownLayout:
     """Draw a town around its streets and lanes."""
@@ -233,12 +237,8 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
                     side * edge - side * width,
                     side * (edge - 0.3),
                 )
-                plan.zones.append(Zone(_right_way(tick), M.MARKING))
+                plan.mark(tick)
             at += long
-
-
-def _right_way(shape: Polygon) -> BaseGeometry:
-    return shape if shape.is_valid else shape.buffer(0)
 
 
 def _sidewalks(plan: TownLayout, k: int, street: Street) -> None:
@@ -280,7 +280,7 @@ def _crossings(plan: TownLayout, rng: Generator) -> None:
             if zebra:
                 for left in np.arange(edges[0] + 0.4, edges[1] - 0.6, 1.0):
                     stripe = street.band(at - 1.4, at + 1.4, left, left + 0.5)
-                    plan.zones.append(Zone(_right_way(stripe), M.MARKING))
+                    plan.mark(stripe)
 
 
 def _markings(plan: TownLayout) -> None:
@@ -305,21 +305,15 @@ def _markings(plan: TownLayout) -> None:
             solid += [outer[0], outer[1]]
         for offset in dashed:
             for at in np.arange(start + 1, end - 4, 8.0):
-                plan.zones.append(
-                    Zone(_right_way(street.band(at, at + 3.5, offset - 0.06, offset + 0.06)), M.MARKING)
-                )
+                plan.mark(street.band(at, at + 3.5, offset - 0.06, offset + 0.06))
         for offset in solid:
-            plan.zones.append(
-                Zone(_right_way(street.band(start, end, offset - 0.06, offset + 0.06)), M.MARKING)
-            )
+            plan.mark(street.band(start, end, offset - 0.06, offset + 0.06))
         for at, right, left, node in (
             (start - 0.5, profile.median / 2, outer[1], street.start),
             (end, outer[0], -profile.median / 2, street.end),
         ):
             if left - right > 1 and node not in plan.network.heads:
-                plan.zones.append(
-                    Zone(_right_way(street.band(at, at + 0.5, right + 0.1, left - 0.1)), M.MARKING)
-                )
+                plan.mark(street.band(at, at + 0.5, right + 0.1, left - 0.1))
     plan.lines += [
         LineString(street.line[::3]) for street in plan.network.streets if street.profile.median == 0
     ]

@@ -162,7 +162,7 @@ def _driveway(
     lot.gaps.append(way)
     plan.driveways.append(way)
     plan.drops.append(Drop(float(kerb[0]), float(kerb[1]), (float(along[0]), float(along[1])), width / 2))
-    # Nobody parks before a driveway.
+    # Driveways stay free of parked cars.
     clear = way.buffer(0.5)
     along_street = max(street.profile.parking)
     if along_street > 0:
@@ -172,7 +172,7 @@ def _driveway(
 
 
 def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
-    """Driveways to garages and yards, paths to doors."""
+    """Lay driveways to garages and yards, and paths to entrances."""
     along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
     for house in lot.houses:
         corners = np.array(house.exterior.coords)[:-1] - lot.front[0]

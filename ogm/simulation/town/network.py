@@ -122,7 +122,7 @@ class StreetNetwork(NamedTuple):
     nodes: Floats  # (N, 2)
     streets: tuple[Street, ...]
     roundabout: int  # a node, -1 if there is none
-    heads: tuple[int, ...]  # nodes at which a dead end has room to turn
+    heads: tuple[int, ...]  # nodes at which a dead end has space to turn
     faces: Floats  # (F, 2) middle of each mesh of the grid
     styles: tuple[str, ...]  # its district
 
@@ -229,7 +229,7 @@ _CHOICES = {
 def _one_way(
     chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: Generator
 ) -> None:
-    """Make narrow streets two-way where nobody could reach or leave some place otherwise."""
+    """Make narrow streets two-way where some place could not be reached or left otherwise."""
     single = [k for k, kind in enumerate(kinds) if PROFILES[kind].back == 0]
     for k in single:
         if roundabout in (chains[k][0], chains[k][-1]) or chains[k][0] == chains[k][-1]:
@@ -277,7 +277,7 @@ def _bend(points: Floats, rng: Generator) -> Floats:
 
 
 def _corner(a: Floats, b: Floats, c: Floats) -> list[Floats]:
-    """Round a corner at b, on the way from a to c, by an arc as wide as there is room for."""
+    """Round a corner at b, on the way from a to c, by an arc as wide as there is space for."""
     u, w = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
     turn = float(np.arctan2(u[0] * w[1] - u[1] * w[0], u @ w))
     if abs(turn) < 0.1:

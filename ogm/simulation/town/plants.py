@@ -49,12 +49,12 @@ def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
     rng : Generator
         Chooses species, size and shape.
     clearance : float
-        No leaf hangs lower than this above the foot [m]: 4.5 beside a road that its crown reaches over.
+        No leaf hangs lower than this above the ground [m]: 4.5 beside a road that its crown reaches over.
 
     Returns
     -------
     Mesh
-        At most 700 triangles; origin at the foot, z up.
+        At most 700 triangles; origin at the base, z up.
     """
     share = np.array([kind.share for kind in SPECIES])
     if clearance > 1:  # a conifer with bare feet is none
@@ -95,7 +95,7 @@ def bush(rng: Generator) -> Mesh:
     Returns
     -------
     Mesh
-        At most 150 triangles; origin at the foot, z up.
+        At most 150 triangles; origin at the base, z up.
     """
     height = rng.uniform(0.5, 2.2)
     radius = height * rng.uniform(0.4, 0.75)
@@ -175,14 +175,14 @@ def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, densit
     x, y = x[inside][:TUFTS], y[inside][:TUFTS]
     if not len(x):
         return empty()
-    foot = np.stack([x, y, np.asarray(height_at(x, y), np.float64)], axis=1)
+    base = np.stack([x, y, np.asarray(height_at(x, y), np.float64)], axis=1)
     tall = rng.uniform(0.05, 0.3, len(x)) * rng.uniform(0.4, 1.0)
     angle = rng.uniform(0, 2 * np.pi, len(x))
     across = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (0.04 + 0.6 * tall)[:, None]
     lean = np.stack([*(0.3 * tall * rng.normal(0, 1, (2, len(x)))), tall], axis=1)
-    foot[:, 2] -= 0.03
+    base[:, 2] -= 0.03
     corners = np.stack(
-        [foot - across, foot + across, foot + 0.6 * across + lean, foot - 0.6 * across + lean], 1
+        [base - across, base + across, base + 0.6 * across + lean, base - 0.6 * across + lean], 1
     )
     return quads(corners, M.GRASS)
 
@@ -192,7 +192,7 @@ def _within_crown(rng: Generator, count: int, taper: float, *, shell: float) -> 
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = direction * rng.random((count, 1)) ** (1 / 3 * (1 - 0.7 * shell))
-    z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its foot
+    z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its base
     ring = (1 - z) / 2 * np.sqrt(rng.random(count)) ** (1 - shell)
     around = rng.uniform(0, 2 * np.pi, count)
     cone = np.stack([ring * np.cos(around), ring * np.sin(around), -z * 0 + z], axis=1)

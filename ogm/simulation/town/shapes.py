@@ -1,4 +1,4 @@
-"""Shapes that street furniture is put together from, with the origin at the foot and z up."""
+"""Shapes that street furniture is put together from, with the origin at the base and z up."""
 
 import numpy as np
 from numpy.typing import ArrayLike

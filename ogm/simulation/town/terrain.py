@@ -58,7 +58,7 @@ class Drop(NamedTuple):
 
 
 class Terrain(NamedTuple):
-    """All that tells a height."""
+    """All that heights are computed from."""
 
     waves: Floats  # (W, 4) wave numbers along x and y [rad/m], phase, amplitude [m]
     bowls: Floats  # (B, 4) x, y, radius, height of dips (< 0) and humps [m]
@@ -175,7 +175,7 @@ def make_terrain(
     field = Raster((rough * weight).astype(np.float32), 8 * FIELD, (-size / 2, -size / 2))
     px, py = np.meshgrid(*(np.arange(s) * FIELD - size / 2 for s in shape), indexing="ij")
     bank = ramp * np.clip(field(px, py), -2.5, 2.5)
-    # Kerbs: as high as the profile of the nearest street says.
+    # Kerbs: as high as in the profile of the nearest street.
     kerb = np.full(shape, 0.11)
     for area, upright in kerbs:
         kerb[mask(area, size, FIELD)] = upright

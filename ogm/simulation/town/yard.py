@@ -69,7 +69,7 @@ class Yard:
         return not shapely.dwithin(self.blocked, spot, radius)
 
     def put(self, piece: Mesh, x: float, y: float, yaw: float, radius: float) -> bool:
-        """Stand a piece (origin at its foot) upright at x, y, if there is space for it."""
+        """Stand a piece (origin at its base) upright at x, y, if there is space for it."""
         z = float(self.height(np.array([x]), np.array([y]))[0])
         if not self.free(x, y, radius) or not self.add(piece.moved(upright(x, y, z, yaw))):
             return False

@@ -12,7 +12,7 @@ from ogm.simulation.mesh import Mesh, box, loft, merge, quads
 
 
 class Body(NamedTuple):
-    """What one kind of participant looks like.
+    """Body of one kind of participant.
 
     Attributes
     ----------

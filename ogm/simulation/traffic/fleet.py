@@ -40,7 +40,7 @@ EGO_MANNERS = Manners(1.8, 1.9, 4.0, 1.2, 50.0)
 
 
 class Fleet(NamedTuple):
-    """Bodies to draw participants from; each is shared by all that look alike.
+    """Bodies to draw participants from; each is shared by all of its kind.
 
     Attributes
     ----------

@@ -172,14 +172,14 @@ def _conflicts(lanes: Sequence[Lane], along: list[Floats]) -> tuple[NDArray[np.f
 
 
 def _follows(lanes: Sequence[Lane], a: int, b: int) -> bool:
-    """Tell whether lane b comes right after lane a, or with one short lane between them."""
+    """Return whether lane b comes right after lane a, or with one short lane between them."""
     return b in lanes[a].successors or any(
         b in lanes[k].successors for k in lanes[a].successors if lanes[k].junction >= 0
     )
 
 
 def drivable(lanes: Sequence[Lane]) -> NDArray[np.bool_]:
-    """Tell which lanes lead on for ever without a turn on the spot (a dead end's head)."""
+    """Return which lanes lead on for ever without a turn on the spot (a dead end's head)."""
     alive = np.ones(len(lanes), bool)
     for number, lane in enumerate(lanes):
         steps = np.diff(lane.points[:, :2], axis=0)

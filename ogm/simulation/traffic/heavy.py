@@ -18,7 +18,7 @@ def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0
 
 
 def _axles(places: list[float], half: float, radius: float) -> list[Mesh]:
-    """Make twin wheels at each place along the vehicle."""
+    """Make pairs of wheels at each place along the vehicle."""
     return [wheel(x, side * half, radius, 0.32) for x in places for side in (-1.0, 1.0)]
 
 

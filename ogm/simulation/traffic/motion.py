@@ -178,7 +178,7 @@ class Traffic:
         return middle, yaw, slope, bank
 
     def _pedestrians(self, step: float) -> list[Object]:
-        """Return the people on foot."""
+        """Return the pedestrians."""
         places, walked, yaw = self._walk(step)
         before, after = self._walk(step - 0.5)[0], self._walk(step + 0.5)[0]
         velocity = (after - before) / STEP
@@ -194,7 +194,7 @@ class Traffic:
         return result
 
     def _walk(self, step: float) -> tuple[Floats, Floats, Floats]:
-        """Return place (N, 3), way walked (N,) and direction (N,) of the people on foot."""
+        """Return place (N, 3), way walked (N,) and direction (N,) of the pedestrians."""
         k = int(step)
         t = step - k
         w = (1 - t) * self._record.w[k].astype(np.float64) + t * self._record.w[k + 1]

@@ -150,7 +150,7 @@ def _rim(x: Floats, y: Floats, yaw: Floats, size: Floats) -> Floats:
 
 
 def overlap(a: Floats, b: Floats) -> bool:
-    """Tell whether two rectangles (x, y, yaw, length, width) in the plane share some area."""
+    """Return whether two rectangles (x, y, yaw, length, width) in the plane share some area."""
     c, s = np.cos([a[2], b[2]]), np.sin([a[2], b[2]])
     axes = np.array([[c[0], s[0]], [-s[0], c[0]], [c[1], s[1]], [-s[1], c[1]]])
     reach_a = np.abs(axes @ axes[:2].T) @ a[3:5] / 2

@@ -24,7 +24,7 @@ class Clothes(NamedTuple):
 
 
 def clothes(rng: Generator) -> Clothes:
-    """Draw somebody's clothes; one in sixteen wears a high-visibility vest."""
+    """Draw a person's clothes; one in sixteen wears a high-visibility vest."""
     cloth = (M.CLOTH_LIGHT, M.CLOTH_DARK, M.CLOTH_DARK)
     top = M.HIGH_VIS if rng.random() < 1 / 16 else cloth[rng.integers(3)]
     return Clothes(top, cloth[rng.integers(3)], (M.CLOTH_DARK, M.CLOTH_LIGHT)[rng.integers(2)])

@@ -43,8 +43,12 @@ def _chain_end(t: LaneTable, d: Drivers, i, k):
             if t.fork[d.route[i, k]] and d.length[i] < SHORT:
                 return k
             k += 1
-        room = d.start[i, k + 1] - d.start[i, k]
-        if room > d.length[i] + GAP + 1.0 or not t.guarded[d.route[i, k + 1]] or k + AHEAD > d.route.shape[1]:
+        space = d.start[i, k + 1] - d.start[i, k]
+        if (
+            space > d.length[i] + GAP + 1.0
+            or not t.guarded[d.route[i, k + 1]]
+            or k + AHEAD > d.route.shape[1]
+        ):
             return k - 1
         k += 1
 
