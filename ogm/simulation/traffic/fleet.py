@@ -1,5 +1,6 @@
 """Who takes part: a choice of bodies for one scenario, and how each kind of driver drives."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -82,25 +83,12 @@ def make_fleet(rng: Generator) -> Fleet:
     )
 
 
+_ALONG = ("length", "wheelbase", "overhang", "cowl_at", "roof_at", "roof_end", "deck_at")
+_UP = ("height", "nose", "cowl", "deck")
+
+
 def _vary(shape: Shape, rng: Generator) -> Shape:
     """Stretch a shape by a few per cent in each direction."""
     along, across, up = rng.normal(1.0, [0.025, 0.012, 0.02])
-    return Shape(
-        shape.length * along,
-        shape.width * across,
-        shape.height * up,
-        shape.wheelbase * along,
-        shape.overhang * along,
-        shape.nose * up,
-        shape.cowl * up,
-        shape.deck * up,
-        shape.cowl_at * along,
-        shape.roof_at * along,
-        shape.roof_end * along,
-        shape.deck_at * along,
-        shape.floor,
-        shape.tyre,
-        shape.roof_width,
-        shape.side_glass,
-        shape.rear_glass,
-    )
+    factors = dict.fromkeys(_ALONG, along) | dict.fromkeys(_UP, up) | {"width": across}
+    return replace(shape, **{name: getattr(shape, name) * factor for name, factor in factors.items()})
