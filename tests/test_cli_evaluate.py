@@ -22,11 +22,12 @@ from ogm.deep.network import Network, NetworkConfig
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.metrics import METRICS, score, accumulate
+from ogm.metrics import METRICS, accumulate, score
 from ogm.simulation.exchange import write_label
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
+from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
-from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth
+from ogm.truth import FREE, IGNORE, OCCUPIED, TRUTH_SPEC, UNKNOWN, Truth
 
 MODULE = importlib.import_module("ogm.cli.evaluate")  # its function of the same name hides it
 JUDGING = importlib.import_module("ogm.cli.judging")

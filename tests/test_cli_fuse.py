@@ -18,7 +18,8 @@ from ogm.cli.route import Route
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import read_poses, write_poses
 from ogm.pose import Trajectory, inverse, pose, transform_points
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
+from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
 from ogm.truth import TRUTH_SPEC, Truth
 

@@ -130,7 +130,7 @@ def test_errors_are_one_line_and_exit_code_2(
     assert [path.name for path in other.iterdir()] == ["thesis.tex"]
 
 
-def test_another_version_and_damage_are_told(data: Path, tmp_path: Path) -> None:
+def test_another_version_and_damage_are_reported(data: Path, tmp_path: Path) -> None:
     old, hurt = tmp_path / "old", tmp_path / "hurt"
     shutil.copytree(data, old)
     (old / "zarr.json").write_text((old / "zarr.json").read_text().replace(FORMAT, "ogm.samples/0"))

@@ -7,9 +7,10 @@ import pytest
 
 from ogm.deep.network import NetworkConfig
 from ogm.grid import GridSpec
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
+from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import SHARD, Store
-from ogm.truth import TRUTH_SPEC, FREE, OCCUPIED, UNKNOWN, Truth
+from ogm.truth import FREE, OCCUPIED, TRUTH_SPEC, UNKNOWN, Truth
 
 HEIGHT, LAYERS = 1.8, 16
 BEAMS = Beams(

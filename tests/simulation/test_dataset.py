@@ -162,7 +162,7 @@ def test_mounting_and_ego_motion_are_kept() -> None:
     assert np.linalg.norm(sample.velocity - (sample.velocity @ forward_axis) * forward_axis) < 0.5
 
 
-def test_both_ways_to_look_at_the_truth_agree(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
+def test_both_ways_to_observe_the_truth_agree(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     hd = dataset.make_sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
     assert np.array_equal(hd.steps, pair[0].steps)
     a, b = hd.truth.state, pair[0].truth.state

@@ -92,7 +92,7 @@ def test_the_papers_weak_colours_count(tmp_path: Path) -> None:
     assert state[0, 0] == CellState.OCCUPIED
 
 
-def test_what_does_not_fit_is_told(tmp_path: Path, store: Store) -> None:
+def test_what_does_not_fit_is_reported(tmp_path: Path, store: Store) -> None:
     with pytest.raises(FileNotFoundError, match="no folder .*input_valid"):
         PairFolder(tmp_path, "valid")
     export(store, tmp_path / "paper")

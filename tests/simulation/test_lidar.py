@@ -131,7 +131,7 @@ def test_every_lidar_is_sane(name: str) -> None:
     assert 0.3 < share.mean() <= 1
 
 
-def test_a_pair_looks_up_and_down_alike_from_two_places() -> None:
+def test_a_pair_points_up_and_down_alike_from_two_places() -> None:
     pair = LIDARS["dual-vlp-32c"]
     np.testing.assert_allclose(np.sort(pair.elevations), -np.sort(pair.elevations)[::-1], atol=1e-12)
     heights = np.array(pair.origins)[:, 2]
@@ -207,7 +207,7 @@ def test_ranges_without_noise_are_those_of_geometry() -> None:
     assert (image.intensity[20:] == 0).all()
 
 
-def test_the_noise_is_as_strong_as_told() -> None:
+def test_the_noise_is_as_strong_as_specified() -> None:
     scene, part = to_the_front(20.0, Material.PLASTER_LIGHT)
     for sigma in (0.01, 0.05):
         spec = replace(VLP, range_noise=sigma, range_bias=0.0)
@@ -261,7 +261,7 @@ def test_nothing_is_reported_nearer_or_farther_than_the_sensor_can() -> None:
     assert not (image.object == EGO).any()
 
 
-def test_the_own_vehicle_is_seen_unless_it_is_too_near() -> None:
+def test_the_ego_vehicle_is_seen_unless_it_is_too_near() -> None:
     image = scan(street(), VLP, T, rng())
     own = image.object == EGO
     assert own.any()

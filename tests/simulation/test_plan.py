@@ -88,7 +88,7 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"samples": -1}, "samples must be a whole number"),
         ({"seed": 1.5}, "seed must be a whole number"),
@@ -100,13 +100,13 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         ({"in_motion": float("nan")}, "in_motion is a share"),
     ],
 )
-def test_impossible_plans_are_told(wrong: dict, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_impossible_plans_are_reported(wrong: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         DatasetPlan(**wrong)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"share": 0.0}, "share of vlp-32c"),
         ({"height": (2.0, 1.0)}, "height of vlp-32c must be two numbers, rising"),
@@ -115,12 +115,12 @@ def test_impossible_plans_are_told(wrong: dict, says: str) -> None:
         ({"tilt": 1.0}, "tilt of vlp-32c"),
     ],
 )
-def test_impossible_mounts_are_told(wrong: dict, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
+def test_impossible_mounts_are_reported(wrong: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         LidarMount("vlp-32c", **wrong)
 
 
-def test_unknown_splits_and_numbers_are_told() -> None:
+def test_unknown_splits_and_numbers_are_reported() -> None:
     with pytest.raises(ValueError, match="split must be one of"):
         moment(PLAN, "train", 0)
     with pytest.raises(ValueError, match="counted from 0"):

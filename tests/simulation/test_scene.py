@@ -265,7 +265,7 @@ def test_a_cylinder_between_a_point_and_itself_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"vertices": PLANE.vertices.astype(np.float64)}, "vertices must be float32"),
         ({"vertices": PLANE.vertices[:, :2]}, r"vertices .* \(N, 3\)"),
@@ -274,8 +274,8 @@ def test_a_cylinder_between_a_point_and_itself_is_refused() -> None:
         ({"material": PLANE.material[:, None]}, r"material .* \(N,\)"),
     ],
 )
-def test_meshes_of_other_types_are_refused(change: dict, says: str) -> None:
-    with pytest.raises(TypeError, match=says):
+def test_meshes_of_other_types_are_refused(change: dict, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
         Scene(PLANE._replace(**change), threads=1)
-    with pytest.raises(TypeError, match=says):
+    with pytest.raises(TypeError, match=message):
         Scene(PLANE, threads=1).place([PLANE._replace(**change)])

@@ -64,7 +64,7 @@ def test_points_are_range_times_direction(make_sample: Make) -> None:
         assert sample.range.max() <= 65535 * RANGE_STEP
 
 
-def test_beams_turn_the_way_their_step_says(beams: tuple[Beams, ...]) -> None:
+def test_beams_turn_the_way_of_their_step(beams: tuple[Beams, ...]) -> None:
     clockwise = beams[0].directions[0]
     assert clockwise[0, 0] > 0.9
     assert clockwise[1, 1] < 0
@@ -114,7 +114,7 @@ def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
         - {("facts", "gone")}
     ),
 )
-def test_damage_is_told_with_the_way_out(store: Store, make_sample: Make, name: str, damage: str) -> None:
+def test_damage_is_reported_with_the_way_out(store: Store, make_sample: Make, name: str, damage: str) -> None:
     (file,) = (path for path in (store.path / "training" / name / "c" / "0").rglob("*") if path.is_file())
     content = bytearray(file.read_bytes())
     if damage == "flip":
@@ -134,13 +134,13 @@ def test_damage_is_told_with_the_way_out(store: Store, make_sample: Make, name: 
         assert_same(Store.open(store.path)["training"][i], make_sample(None, "training", i))
 
 
-def test_a_missing_array_is_told(store: Store) -> None:
+def test_a_missing_array_is_reported(store: Store) -> None:
     (store.path / "training" / "truth" / "zarr.json").unlink()
     with pytest.raises(Damaged, match="truth is missing"):
         store["training"][0]
 
 
-def test_what_is_no_data_set_is_told(tmp_path: Path, store: Store, beams: tuple[Beams, ...]) -> None:
+def test_what_is_no_data_set_is_reported(tmp_path: Path, store: Store, beams: tuple[Beams, ...]) -> None:
     with pytest.raises(FileNotFoundError, match="holds no data set; `ogm simulate"):
         Store.open(tmp_path / "nowhere")
     (tmp_path / "file").write_text("x")
@@ -222,7 +222,7 @@ LIDAR = {
         {"lidars": [LIDAR | {"columns": 600}]},  # samples name the second of the lidars, and there is one
     ],
 )
-def test_attributes_with_nonsense_are_told(store: Store, nonsense: dict) -> None:
+def test_attributes_with_nonsense_are_reported(store: Store, nonsense: dict) -> None:
     file = store.path / "zarr.json"
     text = json.loads(file.read_text())
     text["attributes"] |= nonsense
@@ -281,7 +281,7 @@ print(len(sample.points), sample.truth.state.shape)
     assert done.stdout.endswith("(624, 624)\n")
 
 
-def test_a_missing_zarr_is_told(tmp_path: Path, beams: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_zarr_is_reported(tmp_path: Path, beams: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(ImportError, match=r'pip install "ogm-toolkit\[sim\]"'):
         Store.create(tmp_path / "data", {}, {"training": 1}, beams, {})

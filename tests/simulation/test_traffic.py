@@ -175,7 +175,7 @@ def test_walkers_move_their_legs():
     assert len({pose.mesh.vertices.tobytes() for pose in poses}) == len(poses)
 
 
-def test_own_vehicle_is_an_estate_of_one_material():
+def test_ego_vehicle_is_an_estate_of_one_material():
     mesh = ego_vehicle()
     assert set(mesh.material) == {M.EGO_VEHICLE}
     assert 1.4 < mesh.vertices[:, 2].max() <= 1.5
@@ -226,7 +226,7 @@ def test_the_yaw_rate_is_the_turn_to_the_left(village, clockwise):
 
 
 @pytest.mark.parametrize("clockwise", [True, False])
-def test_the_own_vehicle_drives_round_the_right_way(village, clockwise):
+def test_the_ego_vehicle_drives_round_the_right_way(village, clockwise):
     traffic = Traffic(village, 7, clockwise=clockwise)
     places = np.array([traffic.at(t).ego[:2, 3] for t in np.arange(0, 300, 1.0)])
     angle = np.unwrap(np.arctan2(places[:, 1], places[:, 0]))
@@ -246,7 +246,7 @@ def test_velocity_is_the_change_of_place(traffic):
             np.testing.assert_allclose((r.pose - p.pose)[:3, 3] / (2 * dt), q.velocity, atol=0.35)
 
 
-def test_the_own_vehicle_is_driven_gently(traffic):
+def test_the_ego_vehicle_is_driven_gently(traffic):
     dt = 0.1
     frames = [traffic.at(t) for t in np.arange(0, 120, dt)]
     speed = np.array([np.linalg.norm(f.ego_velocity) for f in frames])
@@ -279,7 +279,7 @@ def rectangles(frame):
     )
 
 
-def test_nobody_drives_through_anybody(village, traffic):
+def test_vehicles_do_not_drive_through_each_other(village, traffic):
     own, others, pairs = 0, 0, 0
     for time in np.arange(0, 400, 2.0):
         frame = traffic.at(time)

@@ -132,7 +132,7 @@ def test_a_killed_run_is_taken_up_where_it_was(
     assert contents(path) == whole
 
 
-def test_a_full_disk_is_told(
+def test_a_full_disk_is_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = Store.write
@@ -160,7 +160,7 @@ def test_what_will_not_fit_is_not_begun(
 
 
 @pytest.mark.parametrize("workers", [0, -1, 10**6])
-def test_impossible_numbers_of_workers_are_told(
+def test_impossible_numbers_of_workers_are_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, workers: int
 ) -> None:
     store = begin(tmp_path / "data", PLAN, beams, {})
@@ -177,7 +177,7 @@ def test_other_versions_that_go_on_are_named(
     assert Store.open(tmp_path / "data").versions == {"ogm": "0, 1", "numpy": "2"}
 
 
-def test_an_unreachable_scheduler_is_told(
+def test_an_unreachable_scheduler_is_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT", 0.5)
