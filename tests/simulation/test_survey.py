@@ -342,6 +342,6 @@ def test_ground_of_other_cells_is_refused() -> None:
 
 @pytest.mark.parametrize("view", [(0.3, -0.3), (-2.0, 0.2), (float("nan"), 0.2)])
 def test_an_impossible_field_of_view_is_refused(view: tuple) -> None:
-    view = View()
+    scene = View()
     with pytest.raises(ValueError, match="elevations"):
-        aimed_truth(view.scene, view.below, SENSOR, view, SPEC)
+        aimed_truth(scene.scene, scene.below, SENSOR, view, SPEC)
