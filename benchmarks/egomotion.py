@@ -33,15 +33,15 @@ NEAR, FLAT = 1.0, 0.03  # [m] a plane's point is this close, its neighbours this
 
 def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, NDArray]], list[NDArray]]:
     """Cast a drive twice: poses; points and times of distorted scans; points of undistorted ones. Static points."""
-    from ogm.simulation.dataset import look, moment
-    from ogm.simulation.lidar import returns, scan
-    from ogm.simulation.plan import SEQUENCE, Plan, only
+    from ogm.simulation.dataset import set_up
+    from ogm.simulation.lidar import scan, to_points
+    from ogm.simulation.plan import SEQUENCE, DatasetPlan, moment, only
 
-    plan = Plan(seed=SEED, samples=0, validation=0, test=0, sequences=4, mounts=only("vlp-32c"))
+    plan = DatasetPlan(seed=SEED, samples=0, validation=0, test=0, sequences=4, mounts=only("vlp-32c"))
     stamps, poses, distorted, still = [], [], [], []
     for k in range(frames):
         i = SEQUENCE * sequence + k
-        here = look(plan, "sequences", i)
+        here = set_up(plan, "sequences", i)
         stamps.append(moment(plan, "sequences", i).time)
         poses.append(here.T_world_sensor)
         for moves in (1.0, 0.0):
@@ -50,14 +50,14 @@ def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, N
                 here.spec,
                 here.T_world_sensor,
                 np.random.default_rng(i),
-                velocity=moves * np.asarray(here.frame.ego_velocity, float),
-                yaw_rate=moves * float(here.frame.ego_yaw_rate),
+                velocity=moves * np.asarray(here.state.ego_velocity, float),
+                yaw_rate=moves * float(here.state.ego_yaw_rate),
             )
-            found = returns(cast, here.spec)
-            static = found.object == -1
-            points = found.points[static, :3].astype(np.float32)
+            points, layer, column = to_points(cast, here.spec)
+            static = cast.object[layer, column] == -1
+            points = points[static, :3]
             if moves:
-                distorted.append((points, np.asarray(found.time, np.float64)[static]))
+                distorted.append((points, here.spec.times[column][static]))
             else:
                 still.append(points)
     return Trajectory(np.array(stamps), np.array(poses)), distorted, still

@@ -1,4 +1,4 @@
-"""How much do simulated scans look like real ones? The same statistics of both, and truth beside a published label.
+"""Simulated scans beside real ones: the same statistics of both, and truth beside a published label.
 
     python benchmarks/realism.py [--towns N] [--quick]
 
@@ -13,7 +13,6 @@ from _run import DATA, PICTURES, RESULTS, ROOT, caption, environment, write_json
 # isort: split
 import argparse
 import importlib.metadata
-import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -27,26 +26,26 @@ from ogm import GridSpec, read_scan
 from ogm.geometric import ground_height, local_ground
 from ogm.io import estimate_sensor_height, read_argoverse2
 from ogm.pose import inverse, pose
-from ogm.simulation.lidar import LIDARS, LidarSpec, scan
-from ogm.simulation.scene import Scene
-from ogm.simulation.survey import aimed_truth, look_down
+from ogm.simulation.cells import measure_ground
+from ogm.simulation.lidar import scan, to_points
+from ogm.simulation.scene import EGO, Scene
+from ogm.simulation.sensors import LIDARS, LidarSpec
+from ogm.simulation.survey import aimed_truth
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.traffic import Frame, Traffic, own_vehicle
-from ogm.truth import FREE, OCCUPIED, boxes_seen_from
+from ogm.simulation.traffic import Traffic, TrafficState, ego_vehicle
+from ogm.state import CellState
+from ogm.truth import boxes_seen_from
 
 SIDE_BY_SIDE = ROOT / "runs" / "realism" / "side_by_side.png"
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 COARSE = GridSpec.centered(length=120.0, width=120.0, resolution=1.0)
-REACH = 60.0  # [m] as far as the ground is estimated, and returns are told ground from obstacle
+REACH = 60.0  # [m] as far as the ground is estimated, and ground is separated from obstacles
 RAISED = 0.15  # [m] what lies higher above the estimated ground counts as obstacle
 BESIDE, OVERHEAD = 0.3, 2.0  # [m] obstacles that bound the free space lie between these heights
-JUMP, EDGE = (
-    0.5,
-    1.0,
-)  # [m] between neighbours in a ring: another surface; a wide enough edge for mixed pixels
+JUMP, EDGE = 0.5, 1.0  # [m] between neighbours in a ring: another surface; an edge for mixed pixels
 STEP_OFF = 0.3  # [m] how far from both surfaces a mixed pixel lies
 SMOOTH = 0.15  # [m] neighbours in a ring on one smooth surface
-NEAR = 25.0  # [m] range noise is told from returns up to here
+NEAR = 25.0  # [m] range noise is measured up to here
 FIRING = 55.296e-6  # [s] VLP-32C: from one firing of a laser to its next
 BANDS = (0, 5, 10, 20, 40, 80)  # [m] of range
 HEIGHTS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 60.0)  # [m] above ground
@@ -57,11 +56,11 @@ EDGES = {
     "intensity, ground": np.arange(0.0, 132.0, 2.0),
     "intensity, obstacle": np.arange(0.0, 132.0, 2.0),
 }
-REAL_COLOUR, SIMULATED_COLOUR = ("#2c5f9e", "#7fa8d6", "#9c6bb3"), "#1b7837"
+COLOURS = ("#1b7837", "#2c5f9e")  # of simulated and real sweeps
 
 
 class Sweep(NamedTuple):
-    """One turn of one lidar, real or simulated, without returns from the own vehicle."""
+    """One turn of one lidar, real or simulated, without returns from the ego vehicle."""
 
     name: str
     points: NDArray[np.float32]  # (N, 4) x, y, z in the sensor's frame [m], intensity [0, 255]
@@ -70,7 +69,7 @@ class Sweep(NamedTuple):
     elevations: NDArray[np.float64]  # (layers,) [deg] ascending
     columns: int  # firings in a turn
     height: float  # [m] of the sensor above ground
-    own: int = 0  # returns from the own vehicle that were taken out
+    ego: int = 0  # returns from the ego vehicle that were taken out
     calibrated: bool = True  # intensities on the maker's 0 ... 255 scale of reflectivity
     timed: bool = True  # columns from firing times; from azimuths otherwise, which makes false gaps
 
@@ -85,21 +84,6 @@ def in_layers(ring: NDArray[Any], xyz: NDArray[np.float32]) -> tuple[NDArray[np.
     medians = np.array([np.median(elevation[index == k]) for k in range(len(rings))])
     rank = np.argsort(np.argsort(medians))
     return rank[index], np.sort(medians)
-
-
-def columns_by_turn(
-    xyz: NDArray[np.float32], layer: NDArray[np.int64], step: float, columns: int
-) -> NDArray[np.int64]:
-    """Tell the firings of each layer by how far the sensor turned since the first; `step` is in degrees."""
-    azimuth = np.arctan2(xyz[:, 1], xyz[:, 0])
-    column = np.zeros(len(xyz), np.int64)
-    for k in range(layer.max() + 1):
-        (members,) = np.nonzero(layer == k)
-        turned = np.degrees(np.unwrap(azimuth[members]))
-        turned -= turned[0]
-        sense = np.sign(np.median(np.diff(turned))) if len(turned) > 1 else 1.0
-        column[members] = np.clip(np.rint(sense * turned / step), 0, columns - 1)
-    return column
 
 
 def argoverse2() -> Iterator[Sweep]:
@@ -120,37 +104,6 @@ def argoverse2() -> Iterator[Sweep]:
             yield Sweep(title, points, layer, column, elevations, 1808, float(origin[2]) + ground)
 
 
-def argoverse1() -> Iterator[Sweep]:
-    """Read the upper VLP-32C of one sweep: the file holds its points first, then those of the lower one."""
-    table = np.degrees(LIDARS["vlp-32c"].elevations)
-    for path in sorted((DATA / "argoverse1").glob("*.ply")):
-        sweep = read_scan(path)
-        x, y, z = sweep.points[:, 0] - 1.35, sweep.points[:, 1], sweep.points[:, 2]
-
-        def on_table(height: float, sign: int, x: Any = x, y: Any = y, z: Any = z) -> NDArray[np.bool_]:
-            elevation = np.degrees(np.arctan2(z - height, np.hypot(x, y)))
-            return np.abs(sign * elevation[:, None] - table).min(axis=1) < 0.1
-
-        ours = np.cumsum(on_table(1.6, 1).astype(int) - on_table(1.5, -1))
-        end = int(np.argmax(ours)) + 1
-        points = sweep.points[:end] * np.float32([1, 1, 1, 255])
-        points[:, :3] -= np.float32([1.35, 0.0, 1.6])
-        layer, elevations = in_layers(sweep.ring[:end], points)
-        column = columns_by_turn(points, layer, 0.199, 1808)
-        other = np.hypot(points[:, 0], points[:, 1]) > 3.2
-        yield Sweep(
-            "Argoverse 1, upper",
-            points[other],
-            layer[other],
-            column[other],
-            elevations,
-            1808,
-            1.6 + estimate_sensor_height(sweep.points),
-            int((~other).sum()),
-            timed=False,
-        )
-
-
 def nuscenes() -> Iterator[Sweep]:
     """HDL-32E: the file holds every beam, those without a return as points at the sensor."""
     for path in sorted((DATA / "nuscenes_n015").glob("*.pcd.bin")):
@@ -160,52 +113,9 @@ def nuscenes() -> Iterator[Sweep]:
         points = sweep.points[kept] * np.float32([1, 1, 1, 255])
         layer, elevations = in_layers(sweep.ring[kept], points)
         column = np.arange(len(kept)) // 32
-        own = int(((distance > 0.55) & ~kept).sum())
+        ego = int(((distance > 0.55) & ~kept).sum())
         height = estimate_sensor_height(points)
-        yield Sweep("nuScenes", points, layer, column[kept], elevations, int(column[-1]) + 1, height, own)
-
-
-def packets() -> Iterator[Sweep]:
-    """HDL-32E packets: 12 blocks of a mark, an azimuth and 32 pairs of distance and intensity."""
-    path = DATA / "velodyne_pcap" / "sample_velodyne_hdl32.pcap"
-    if not path.is_file():
-        return
-    data, at = path.read_bytes(), 24
-    azimuths, distances, intensities = [], [], []
-    pair = np.dtype([("distance", "<u2"), ("intensity", "u1")])
-    while at < len(data):
-        size = struct.unpack_from("<IIII", data, at)[2]
-        for block in range(12):
-            start = at + 16 + 42 + 100 * block
-            azimuths.append(struct.unpack_from("<H", data, start + 2)[0] / 100)
-            pairs = np.frombuffer(data, pair, 32, start + 4)
-            distances.append(pairs["distance"] * 0.002)
-            intensities.append(pairs["intensity"])
-        at += 16 + size
-    begin, end = np.nonzero(np.diff(azimuths) < -180)[0][:2] + 1
-    # Lasers in the order of firing: every other one from the lowest, the rest from the middle.
-    elevation = np.empty(32)
-    elevation[0::2], elevation[1::2] = -92 / 3 + np.arange(16) * 4 / 3, -28 / 3 + np.arange(16) * 4 / 3
-    azimuth, elevation = -np.radians(azimuths[begin:end])[:, None], np.radians(elevation)[None]
-    distance = np.array(distances[begin:end])
-    xyz = np.stack(
-        [
-            distance * np.cos(elevation) * np.cos(azimuth),
-            distance * np.cos(elevation) * np.sin(azimuth),
-            distance * np.sin(elevation),
-        ],
-        -1,
-    )
-    kept = distance > 2.5
-    points = np.column_stack([xyz[kept], np.array(intensities[begin:end])[kept]]).astype(np.float32)
-    ring = np.broadcast_to(np.arange(32), kept.shape)[kept]
-    column = np.broadcast_to(np.arange(len(kept))[:, None], kept.shape)[kept]
-    own = int(((distance > 0.5) & ~kept).sum())
-    height = estimate_sensor_height(points)
-    layer, elevations = in_layers(ring, points)  # one laser of this sensor is dead
-    yield Sweep(
-        "HDL-32E packets", points, layer, column, elevations, len(kept), height, own, calibrated=False
-    )
+        yield Sweep("nuScenes", points, layer, column[kept], elevations, int(column[-1]) + 1, height, ego)
 
 
 def kitti() -> Iterator[Sweep]:
@@ -225,31 +135,6 @@ def kitti() -> Iterator[Sweep]:
         column = (azimuth % 360 / 0.1728).astype(int)
         height = estimate_sensor_height(points)
         yield Sweep("KITTI", points, layer, column, elevations, 2083, height, calibrated=False, timed=False)
-
-
-def vls128() -> Iterator[Sweep]:
-    """VLS-128: layers told from the exact elevations; no intensities."""
-    for path in sorted((DATA / "nebula_apache2" / "vls128").glob("*.pcd")):
-        points = read_scan(path).points
-        elevation = np.degrees(np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1])))
-        levels, counts = np.unique(np.round(elevation, 2), return_counts=True)
-        levels = levels[counts > 300]
-        levels = levels[np.diff(levels, prepend=-90) > 0.015]
-        layer = np.abs(elevation[:, None] - levels).argmin(axis=1)
-        column = columns_by_turn(points, layer, 0.2, 1800)
-        other = np.hypot(points[:, 0], points[:, 1]) > 4.0
-        yield Sweep(
-            "VLS-128 (nebula)",
-            points[other],
-            layer[other],
-            column[other],
-            levels,
-            1800,
-            estimate_sensor_height(points),
-            int((~other).sum()),
-            calibrated=False,
-            timed=False,
-        )
 
 
 def pandar40() -> Iterator[Sweep]:
@@ -292,43 +177,42 @@ def simulated(
             town = build_town(place.seed)
             scene, ground = Scene(town.mesh, threads=1), Scene(town.ground, threads=1)
             traffic = {way: Traffic(town, place.seed, clockwise=way) for way in (True, False)}
-        frame = traffic[place.clockwise].at(place.time)
-        scene.place([o.mesh.moved(o.pose) for o in frame.objects], own_vehicle().moved(frame.ego))
+        state = traffic[place.clockwise].at(place.time)
+        scene.place([o.mesh.moved(o.pose) for o in state.objects], ego_vehicle().moved(state.ego))
         for k, (name, (spec, height)) in enumerate(sensors.items()):
             rng = np.random.default_rng([place.seed, int(place.time), int(place.clockwise)])
-            T = frame.ego @ pose(0.0, 0.0, height)
+            T = state.ego @ pose(0.0, 0.0, height)
             image = scan(scene, spec, T, rng)
-            state = true_states(scene, ground, T, spec, frame, image.object) if k == 0 else None
-            yield name, sweep_of(image, spec, height, f"town {place.seed}"), state
+            cells = true_states(scene, ground, T, spec, state, image.object) if k == 0 else None
+            yield name, sweep_of(image, spec, height, f"town {place.seed}"), cells
 
 
 def true_states(
-    scene: Scene, ground: Scene, T: NDArray[np.float64], spec: LidarSpec, frame: Frame, hit: NDArray[Any]
+    scene: Scene,
+    ground: Scene,
+    T: NDArray[np.float64],
+    spec: LidarSpec,
+    state: TrafficState,
+    hit: NDArray[Any],
 ) -> NDArray[np.uint8]:
     """Return the true states of the cells of `SPEC` around the sensor."""
-    returns = np.bincount(hit[hit >= 0], minlength=len(frame.objects))
-    boxes = None
-    if frame.objects:
-        poses, sizes = (np.stack([np.asarray(o[k]) for o in frame.objects]) for k in (1, 2))
-        boxes = boxes_seen_from(inverse(T), poses, sizes)
-    below = look_down(ground, T, SPEC)
-    span = (min(spec.elevations), max(spec.elevations))
-    truth = aimed_truth(
-        scene, below, T, span, SPEC, boxes=boxes, returns=returns if boxes is not None else None
+    boxes = boxes_seen_from(
+        inverse(T), [one.pose for one in state.objects], [one.size for one in state.objects]
     )
-    return truth.state
+    returns = np.bincount(hit[hit >= 0], minlength=len(state.objects))
+    span = (min(spec.elevations), max(spec.elevations))
+    below = measure_ground(ground, T, SPEC)
+    return aimed_truth(scene, below, T, span, SPEC, boxes=boxes, returns=returns).state
 
 
 def sweep_of(image: Any, spec: LidarSpec, height: float, name: str) -> Sweep:
     """Turn a range image into a sweep."""
-    hit = (image.range > 0) & (image.object != -2)
-    layer, column = np.nonzero(hit)
-    points = np.empty((len(layer), 4), np.float32)
-    points[:, :3] = spec.directions()[hit] * image.range[hit][:, None]
-    points[:, 3] = np.rint(255 * image.intensity[hit])
-    own = int(((image.range > 0) & (image.object == -2)).sum())
+    points, layer, column = to_points(image, spec)
+    other = image.object[layer, column] != EGO
+    points[:, 3] = np.rint(255 * points[:, 3])
+    shape, ego = image.range.shape, int(np.count_nonzero(~other))
     elevations = np.degrees(spec.elevations)
-    return Sweep(name, points, layer, column, elevations, hit.shape[1], height, own)
+    return Sweep(name, points[other], layer[other], column[other], elevations, shape[1], height, ego)
 
 
 # --- Statistics -------------------------------------------------------------------------------------
@@ -372,7 +256,7 @@ def _returns(sweep: Sweep, seen: View) -> dict[str, float]:
     result = {
         "returns [1000]": len(sweep.points) / 1e3,
         "beams with a return [%]": 100 * len(sweep.points) / beams,
-        "... from the own vehicle [%]": 100 * sweep.own / beams,
+        "... from the ego vehicle [%]": 100 * sweep.ego / beams,
         "... from the ground [%]": 100 * np.count_nonzero(seen.ground) / beams,
         "... from obstacles [%]": 100 * np.count_nonzero(seen.obstacle) / beams,
         "... from beyond 60 m [%]": 100 * np.count_nonzero(np.hypot(*sweep.points[:, :2].T) >= REACH) / beams,
@@ -436,11 +320,7 @@ def _rings(sweep: Sweep, seen: View) -> dict[str, float]:
             continue
         column, first = np.unique(sweep.column[members], return_index=True)
         members = members[first]
-        distance, ground, obstacle = (
-            seen.distance[members],
-            seen.ground[members],
-            seen.obstacle[members],
-        )
+        distance, ground, obstacle = (seen.distance[members], seen.ground[members], seen.obstacle[members])
         step, rise = np.diff(column), np.diff(distance)
         breaks = (np.abs(rise) > JUMP) | (step > 2)
         jumps += np.count_nonzero(breaks & (step <= 2))
@@ -559,7 +439,7 @@ def truth_shares(state: NDArray[np.uint8]) -> dict[str, float]:
     x, y = (length * (np.arange(n) - (n - 1) / 2) for n in state.shape)
     distance = np.hypot(x[:, None], y)
     result = {}
-    for name, value in (("free", state == FREE), ("occupied", state == OCCUPIED)):
+    for name, value in (("free", state == CellState.FREE), ("occupied", state == CellState.OCCUPIED)):
         result[name] = 100 * float(value.mean())
         for low, high in pairwise(RADII):
             ring = (distance >= low) & (distance < high)
@@ -573,34 +453,25 @@ def truth_shares(state: NDArray[np.uint8]) -> dict[str, float]:
     ]
     inside = (cell[0] >= 0) & (cell[0] < state.shape[0]) & (cell[1] >= 0) & (cell[1] < state.shape[1])
     met = state[tuple(np.where(inside, c, 0).astype(int) for c in cell)]
-    behind = inside & (np.cumsum(inside & (met == OCCUPIED), axis=1) > 0)
+    behind = inside & (np.cumsum(inside & (met == CellState.OCCUPIED), axis=1) > 0)
     result["free of what lies behind the first occupied cell"] = (
-        100 * float((met[behind] == FREE).mean()) if behind.any() else 0.0
+        100 * float((met[behind] == CellState.FREE).mean()) if behind.any() else 0.0
     )
     return {"unknown": 100 - result["free"] - result["occupied"], **result}
 
 
 # --- Comparison -------------------------------------------------------------------------------------
 
-# Sensor of the simulator, its height above ground [m], and the real sets to hold beside it
+# Sensor of the simulator, its height above ground [m], and the recordings to compare with
 PANDAR40 = np.radians([*range(-16, -6), *np.linspace(-6, 2, 25), *range(3, 8)])
-GROUPS: dict[str, tuple[LidarSpec, float, tuple[Callable[[], Iterator[Sweep]], ...]]] = {
-    "VLP-32C": (LIDARS["vlp-32c"], 1.98, (argoverse2, argoverse1)),
-    "HDL-32E": (LIDARS["hdl-32e"], 1.85, (nuscenes, packets)),
-    "HDL-64E": (LIDARS["hdl-64e"], 1.75, (kitti,)),
-    "VLS-128": (LIDARS["vls-128"], 1.99, (vls128,)),
-    "Pandar40": (
-        replace(
-            LIDARS["vlp-32c"],
-            name="pandar40",
-            elevations=tuple(PANDAR40.tolist()),
-            azimuth_offsets=(0.0,) * len(PANDAR40),
-        ),
-        1.77,
-        (pandar40,),
-    ),
+_PANDAR40 = {"elevations": tuple(PANDAR40.tolist()), "azimuth_offsets": (0.0,) * len(PANDAR40)}
+GROUPS: dict[str, tuple[LidarSpec, float, Callable[[], Iterator[Sweep]]]] = {
+    "VLP-32C": (LIDARS["vlp-32c"], 1.98, argoverse2),
+    "HDL-32E": (LIDARS["hdl-32e"], 1.85, nuscenes),
+    "HDL-64E": (LIDARS["hdl-64e"], 1.75, kitti),
+    "Pandar40": (replace(LIDARS["vlp-32c"], name="pandar40", **_PANDAR40), 1.77, pandar40),
 }
-MARGIN = 1.25  # a simulated median this far beyond the real values is called a difference
+MARGIN = 1.25  # a simulated median this far beyond the real values is a difference
 FLOOR = 0.5  # or this much, in the statistic's own unit, where that is more
 
 
@@ -676,75 +547,38 @@ def tables(record: Mapping[str, Any]) -> str:
 def picture(
     record: Mapping[str, Any],
     sensor: str,
-    real: list[Sweep],
-    fake: list[Sweep],
-    scans: Mapping[str, Sweep],
-    truths: Mapping[str, NDArray[np.uint8]],
+    sweeps: Mapping[str, list[Sweep]],
+    shown: Mapping[str, tuple[Sweep, NDArray[np.uint8] | None]],
     path: Path,
 ) -> None:
-    """Draw some scans and truth grids by their names, and histograms of all scans, real and simulated."""
+    """Draw a range image and a truth grid of each name in `shown`, and histograms of all sweeps by name."""
     from matplotlib.figure import Figure
 
-    rows = (*[2.5] * len(scans), 7.0, 3.6)
-    figure = Figure(figsize=(16, 1.05 * sum(rows)), layout="constrained")
-    parts = figure.subfigures(len(rows), 1, height_ratios=rows)
-    for part, (what, sweep) in zip(parts, scans.items(), strict=False):
-        ax = part.subplots()
-        shown = ax.imshow(
-            range_picture(sweep), aspect="auto", interpolation="nearest", cmap="turbo", vmin=2, vmax=60
-        )
-        ax.set_title(
-            f"Range image, {what}: {sweep.name} (layers from top to bottom, azimuth; white: no return)"
-        )
-        ax.set_xticks([0, 450, 900, 1350, 1799], ["180° (back)", "90° left", "0° ahead", "90° right", "180°"])
-        ax.set_yticks([])
-        part.colorbar(shown, ax=ax, label="range [m]", pad=0.005)
-    axes = parts[-2].subplots(1, len(scans) + len(truths), sharex=True, sharey=True)
-    for ax, (what, sweep) in zip(axes, scans.items(), strict=False):
-        seen = view(sweep)
-        x, y = sweep.points[:, :2].T
-        colour = np.clip(seen.height, -0.2, 4.0)
-        ax.scatter(-y, x, c=colour, s=0.6, cmap="turbo", vmin=-0.2, vmax=4.0, linewidths=0)
-        ax.set_title(f"From above, {what}\n(colour: height above ground, -0.2 to 4 m)")
+    figure = Figure(figsize=(16, 2.6 * len(shown) + 10), layout="constrained")
+    parts = figure.subfigures(len(shown) + 2, 1, height_ratios=[2.5] * len(shown) + [6.0, 3.6])
     colours = np.array([[1, 1, 1], [0.55, 0.8, 0.55], [0.8, 0.1, 0.1], [0.85, 0.85, 0.85]])
-    for ax, (what, state) in zip(axes[len(scans) :], truths.items(), strict=True):
-        ax.set_title(f"Truth, {what}\n(green free, red occupied, white unknown)")
-        ax.imshow(colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest")
-    for ax in axes:
-        ax.set_xlim(-28.16, 28.16)
-        ax.set_ylim(-40.96, 40.96)
-        ax.set_aspect("equal")
-        ax.set_xlabel("right [m]")
-    axes = parts[-1].subplots(1, 5)
-    made = [histograms(sweep) for sweep in fake]
-    for ax, (name, edges) in zip(axes, EDGES.items(), strict=False):
-        middle = (edges[1:] + edges[:-1]) / 2
-        stack = 100 * np.array([one[name] for one in made])
-        low, median, high = np.percentile(stack, (10, 50, 90), axis=0)
-        ax.fill_between(middle, low, high, step="mid", color=SIMULATED_COLOUR, alpha=0.25)
-        ax.step(middle, median, where="mid", color=SIMULATED_COLOUR, label="simulated, median; 10 % to 90 %")
-        for sweep, colour in zip(real, REAL_COLOUR, strict=False):
-            ax.step(middle, 100 * histograms(sweep)[name], where="mid", color=colour, lw=1, label=sweep.name)
-        ax.set_xlabel(name)
-        ax.set_ylabel("returns [%]")
-        ax.set_yscale("log")
-        ax.set_ylim(bottom=0.01)
-        ax.grid(alpha=0.3)
-    axes[0].legend(fontsize=7)
-    ax = axes[4]
-    shares = 100 * np.array([layer_shares(sweep) for sweep in fake])
-    low, median, high = np.percentile(shares, (10, 50, 90), axis=0)
-    ax.fill_between(fake[0].elevations, low, high, color=SIMULATED_COLOUR, alpha=0.25)
-    ax.plot(fake[0].elevations, median, ".-", color=SIMULATED_COLOUR)
-    for sweep, colour in zip(real, REAL_COLOUR, strict=False):
-        ax.plot(sweep.elevations, 100 * layer_shares(sweep), ".-", color=colour, lw=1)
-    ax.set_xlabel("elevation of the layer [deg]")
-    ax.set_ylabel("beams with a return [%]")
-    ax.set_ylim(0, 101)
-    ax.grid(alpha=0.3)
-    figure.suptitle(
-        f"{sensor}, real and simulated: {len(real)} real scans, {len(fake)} simulated ones", fontsize=14
-    )
+    truths = parts[-2].subplots(1, len(shown), squeeze=False)[0]
+    for part, ax, (name, (sweep, state)) in zip(parts, truths, shown.items(), strict=False):
+        image = part.subplots().imshow(range_picture(sweep), aspect="auto", cmap="turbo", vmin=2, vmax=60)
+        part.colorbar(image, label="range [m]", pad=0.005)
+        part.suptitle(f"Range image, {name} (layers from top to bottom, azimuth; white: no return)")
+        if state is not None:
+            ax.imshow(
+                colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest"
+            )
+            ax.set_title(f"Truth, {name} (green free, red occupied, white unknown)")
+    for ax, (name, edges) in zip(parts[-1].subplots(1, len(EDGES)), EDGES.items(), strict=True):
+        for colour, (group, members) in zip(COLOURS, sweeps.items(), strict=False):
+            counts = [histograms(sweep) for sweep in members]
+            stack = 100 * np.array([one[name] for one in counts if name in one])
+            if len(stack):
+                low, median, high = np.percentile(stack, (10, 50, 90), axis=0)
+                middle = (edges[1:] + edges[:-1]) / 2
+                ax.fill_between(middle, low, high, step="mid", color=colour, alpha=0.25)
+                ax.step(middle, median, where="mid", color=colour, label=f"{group}, median; 10 % to 90 %")
+        ax.set(xlabel=name, ylabel="returns [%]", yscale="log")
+        ax.legend(fontsize=7)
+    figure.suptitle(f"{sensor}, real and simulated", fontsize=14)
     figure.supxlabel(caption(record), fontsize=7.5, color="#555555")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=90)
@@ -782,8 +616,8 @@ def main() -> None:
     record["versions"]["open3d"] = importlib.metadata.version("open3d")
     record["places"] = [list(place) for place in where]
     real: dict[str, list[Sweep]] = {}
-    for sensor, (_, _, readers) in GROUPS.items():
-        real[sensor] = [sweep for reader in readers for sweep in reader()]
+    for sensor, (_, _, reader) in GROUPS.items():
+        real[sensor] = list(reader())
         if not real[sensor]:
             print(f"left out: {sensor}: no recording of it under {DATA}")
     sensors = {s: (spec, height) for s, (spec, height, _) in GROUPS.items() if real[s]}
@@ -826,11 +660,10 @@ def main() -> None:
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
     reach = [statistics(sweep)["nearest obstacle, sectors of 1 deg, p50 [m]"] for sweep in fake[first]]
     chosen = int(np.argsort(reach)[len(reach) // 2])
-    scans, grids = {"simulated": fake[first][chosen]}, {"simulated": truths[chosen]}
-    picture(record, first, real[first], fake[first], scans, grids, options.picture)
-    scans = {"real": real[first][0]} | scans
-    grids = grids if label is None else {"published": label} | grids
-    picture(record, first, real[first], fake[first], scans, grids, SIDE_BY_SIDE)
+    shown = {"simulated": (fake[first][chosen], truths[chosen])}
+    sweeps = {"simulated": fake[first], "real": real[first]}
+    picture(record, first, sweeps, shown, options.picture)
+    picture(record, first, sweeps, shown | {"real": (real[first][0], label)}, SIDE_BY_SIDE)
     print(f"\nwrote {options.out}, {options.picture}, and, not to be passed on, {SIDE_BY_SIDE}")
 
 

@@ -1,16 +1,15 @@
-"""What a simulated sample costs beyond its rays, whether two workers use two cores, how fast a data set is read.
+"""Cost of a simulated sample beyond its rays, gain of a second worker, speed of reading a data set.
 
     python benchmarks/simulation.py [--moments N] [--samples N] [--quick] [--store DATA]
 
-All on two cores, unlike the other benchmarks. Writes benchmarks/results/simulation.json and
-docs/pictures/simulation.png.
+All on two cores, unlike the other benchmarks. Writes benchmarks/results/simulation.json.
 """
 
 import os
 
 os.environ["OGM_CORES"] = "2"  # before _run, which pins to one core otherwise
 
-from _run import PICTURES, RESULTS, caption, environment, write_json  # noqa: E402
+from _run import RESULTS, environment, write_json  # noqa: E402
 
 # isort: split
 import argparse  # noqa: E402
@@ -26,13 +25,14 @@ from typing import Any  # noqa: E402
 import numpy as np  # noqa: E402
 import open3d  # noqa: E402
 
-from ogm.simulation import dataset, farm  # noqa: E402
-from ogm.simulation.dataset import Look, look, sample  # noqa: E402
+from ogm.simulation import dataset  # noqa: E402
+from ogm.simulation import workers as crew
+from ogm.simulation.dataset import SceneSetup, make_sample, set_up  # noqa: E402
 from ogm.simulation.mesh import merge  # noqa: E402
-from ogm.simulation.plan import Plan, only  # noqa: E402
+from ogm.simulation.plan import DatasetPlan, only  # noqa: E402
 from ogm.simulation.sensors import hd_directions  # noqa: E402
 from ogm.simulation.store import Store  # noqa: E402
-from ogm.simulation.traffic import own_vehicle  # noqa: E402
+from ogm.simulation.traffic import ego_vehicle  # noqa: E402
 
 CORES = (1, 2)
 NOTE = (
@@ -42,10 +42,10 @@ NOTE = (
 )
 
 
-def rays_of(here: Look) -> tuple[Any, Any]:
+def rays_of(here: SceneSetup) -> tuple[Any, Any]:
     """Return the scene of a moment in one piece, and the rays of a paper's sample, for Open3D itself."""
     T = here.T_world_sensor
-    meshes = [one.mesh.moved(one.pose) for one in here.objects] + [own_vehicle().moved(here.frame.ego)]
+    meshes = [one.mesh.moved(one.pose) for one in here.objects] + [ego_vehicle().moved(here.state.ego)]
     whole = merge([here.world.town.mesh, *meshes])
     scene = open3d.t.geometry.RaycastingScene(nthreads=2)
     scene.add_triangles(open3d.core.Tensor(whole.vertices), open3d.core.Tensor(whole.triangles))
@@ -58,14 +58,13 @@ def rays_of(here: Look) -> tuple[Any, Any]:
     return scene, open3d.core.Tensor(rays)
 
 
-def cost(plan: Plan, moments: int, repeats: int, folder: Path) -> dict[str, Any]:
+def cost(plan: DatasetPlan, moments: int, repeats: int, folder: Path) -> dict[str, Any]:
     """Time whole samples of both modes beside their rays alone, moment by moment."""
-    dataset.threads_per_sample(2)
     times: dict[str, list[float]] = {"rays alone": [], "hd": [], "aimed": []}
     plans = {mode: replace(plan, truth=mode) for mode in ("hd", "aimed")}
     for k in range(moments):
         index = 10 * k  # another drive each time
-        scene, rays = rays_of(look(plan, "training", index))
+        scene, rays = rays_of(set_up(plan, "training", index))
         rounds: dict[str, list[float]] = {name: [] for name in times}
         counts = {"training": index + 1}
         stores = {
@@ -78,7 +77,7 @@ def cost(plan: Plan, moments: int, repeats: int, folder: Path) -> dict[str, Any]
             rounds["rays alone"].append(time.perf_counter() - start)
             for mode, one in plans.items():
                 start = time.perf_counter()
-                made = sample(one, "training", index)
+                made = make_sample(one, "training", index, 2)
                 stores[mode].write("training", k, [made])
                 rounds[mode].append(time.perf_counter() - start)
         for name, values in rounds.items():
@@ -94,29 +93,11 @@ def cost(plan: Plan, moments: int, repeats: int, folder: Path) -> dict[str, Any]
     }
 
 
-def threads(plan: Plan, moments: int, repeats: int) -> dict[str, float]:
-    """Say how much faster a second thread makes a sample, its writing left out."""
-    gains: dict[str, list[float]] = {"hd": [], "aimed": []}
-    for mode, ratios in gains.items():
-        one = replace(plan, truth=mode)
-        for k in range(moments):
-            times: dict[int, list[float]] = {count: [] for count in CORES}
-            for count in CORES:
-                dataset.threads_per_sample(count)
-                for _ in range(repeats + 1):  # the first round is to warm up
-                    start = time.perf_counter()
-                    sample(one, "training", 10 * k)
-                    times[count].append(time.perf_counter() - start)
-            ratios.append(statistics.median(times[1][1:]) / statistics.median(times[2][1:]))
-    print("second thread:", gains, flush=True)
-    return {mode: round(statistics.median(ratios), 3) for mode, ratios in gains.items()}
-
-
-def made(workers: int, cores: int, plan: Plan, folder: str) -> tuple[float, float]:
+def made(workers: int, cores: int, plan: DatasetPlan, folder: str) -> tuple[float, float]:
     """Return samples per second once the towns stand, and bytes per sample."""
     os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:cores]))
-    store = farm.begin(folder, plan, dataset.lidars(plan), dataset.versions())
-    events = farm.make(store, plan, sample, dataset.threads_per_sample, workers=workers)
+    store = crew.begin(folder, plan, dataset.lidars(plan), dataset.versions())
+    events = crew.make_shards(store, plan, make_sample, workers=workers)
     next(events)  # the estimate: towns stand, kernels are compiled
     start, size = time.perf_counter(), 0
     for event in events:
@@ -124,7 +105,7 @@ def made(workers: int, cores: int, plan: Plan, folder: str) -> tuple[float, floa
     return plan.samples / (time.perf_counter() - start), size / plan.samples
 
 
-def scaling(plan: Plan, samples: int, folder: Path) -> dict[str, Any]:
+def scaling(plan: DatasetPlan, samples: int, folder: Path) -> dict[str, Any]:
     """Make the same data set on one core, and by two workers on two, and compare the files."""
     plan = replace(plan, samples=samples, validation=0, test=0)
     rates = {}
@@ -175,70 +156,33 @@ def reading(path: Path) -> dict[str, float]:
     return rates
 
 
-def picture(record: dict[str, Any], path: Path) -> None:
-    """Draw the three answers."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.2))
-    times = record["one sample"]["seconds, median"]
-    gains = [
-        record["two workers"][f"samples per second by {k}"]
-        for k in ("one worker on one core", "two workers on two")
-    ]
-    rates = list(record["reading"].values())
-    for axis, names, values, title in (
-        (axes[0], list(times), list(times.values()), "one sample on two cores [s]"),
-        (axes[1], ["1 worker", "2 workers"], gains, "made [samples/s]"),
-        (axes[2], ["1 process", "2 processes"], rates, "read [samples/s]"),
-    ):
-        bars = axis.bar(names, values, color=["#c9c9c9", "#1b7837", "#1b7837"][-len(values) :])
-        axis.bar_label(bars, fmt="%.3g", fontsize=9)
-        axis.set_title(title, fontsize=10)
-        axis.spines[["top", "right"]].set_visible(False)
-    figure.text(0.01, 0.01, caption(record), fontsize=6, color="#555555")
-    figure.tight_layout(rect=(0, 0.04, 1, 1))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
-        "--moments", type=int, default=6, help="moments of which samples are timed (default 6)"
+        "--moments", type=int, default=6, help="moments of samples that are timed (default 6)"
     )
     parser.add_argument("--repeats", type=int, default=3, help="times each (default 3)")
     parser.add_argument("--samples", type=int, default=80, help="made to compare workers (default 80)")
     parser.add_argument("--store", type=Path, help="data set to read (default: the one made for the workers)")
     parser.add_argument("--quick", action="store_true", help="two moments, twenty samples; not worth quoting")
     parser.add_argument("--out", type=Path, default=RESULTS / "simulation.json", help="where the figures go")
-    parser.add_argument(
-        "--picture", type=Path, default=PICTURES / "simulation.png", help="where the picture goes"
-    )
     options = parser.parse_args()
-    moments, repeats, samples = (
-        (2, 1, 20) if options.quick else (options.moments, options.repeats, options.samples)
-    )
-
+    chosen = (options.moments, options.repeats, options.samples)
+    moments, repeats, samples = (2, 1, 20) if options.quick else chosen
     record = environment()
     if options.store:
         record["command"] = record["command"].replace(str(options.store), options.store.name)
-    plan = Plan(mounts=only("vlp-32c"))
+    plan = DatasetPlan(mounts=only("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))
-        record["gain of a second thread, median"] = threads(plan, min(moments, 3), repeats)
-        record["two workers"] = scaling(Plan(), samples, Path(folder))
+        record["two workers"] = scaling(DatasetPlan(), samples, Path(folder))
         store = options.store or Path(folder) / "by2"
         record["reading"] = reading(store)
     record["note"] = NOTE
     write_json(options.out, record)
-    picture(record, options.picture)
-    for name in ("one sample", "gain of a second thread, median", "two workers", "reading"):
+    for name in ("one sample", "two workers", "reading"):
         print(f"{name}: {record[name]}")
-    print(f"wrote {options.out} and {options.picture}")
+    print(f"wrote {options.out}")
 
 
 if __name__ == "__main__":

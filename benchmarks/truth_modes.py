@@ -1,13 +1,13 @@
-"""Which way of looking finds the truth? The paper's HD lidar beside rays aimed at cells, both against a denser one.
+"""Truth by the paper's HD lidar and by rays aimed at cells, both against a far denser lidar.
 
-    python benchmarks/truth_modes.py [--frames N] [--repeats N] [--quick]
+    python benchmarks/truth_modes.py [--frames N] [--quick]
 
-In a town that the simulator makes itself, both modes of `ogm.simulation.survey` look at the same moments. What
-they miss is counted in narrow sectors against a lidar of 12000 layers every 0.02 degrees. Writes
-benchmarks/results/truth_modes.json and docs/pictures/truth_modes.png.
+In a simulated town both modes of `ogm.simulation.survey` observe the same moments. What they miss is counted in
+narrow sectors against a lidar of 12000 layers every 0.02 degrees. Writes benchmarks/results/truth_modes.json and
+docs/pictures/truth_modes.png.
 """
 
-from _run import DATA, PICTURES, RESULTS, Contender, caption, environment, measure, write_json
+from _run import PICTURES, RESULTS, caption, environment, write_json
 
 # isort: split
 import argparse
@@ -20,25 +20,27 @@ from numpy.typing import NDArray
 
 from ogm import GridSpec
 from ogm.pose import inverse, pose
-from ogm.simulation.scene import Hits, Scene
+from ogm.simulation.cells import Below, measure_ground
+from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, hd_directions
-from ogm.simulation.survey import AIMS, Below, aimed_directions, aimed_truth, hd_truth, look_down
+from ogm.simulation.survey import aimed_truth, hd_truth
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.traffic import Traffic, own_vehicle
-from ogm.truth import TRUTH_SPEC, FREE, IGNORE, OCCUPIED, UNKNOWN, Truth, boxes_seen_from
+from ogm.simulation.traffic import Traffic, ego_vehicle
+from ogm.state import CellState, Truth
+from ogm.truth import TRUTH_SPEC, boxes_seen_from
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 SENSOR = LIDARS["vlp-32c"]
 VIEW = (min(SENSOR.elevations), max(SENSOR.elevations))
 TOWN, TRAFFIC = 1, 3  # seeds
 LAYERS, STEP, SECTOR = 12000, 0.02, 5.0  # of the reference: layers, [deg], [deg]
-SECTORS = (25.0, 115.0, 205.0, 295.0)  # [deg] where the reference looks; they turn by 10 degrees per frame
+SECTORS = (25.0, 115.0, 205.0, 295.0)  # [deg] of the reference; they turn by 10 degrees per frame
 MODES = ("hd", "aimed")
 PUBLISHED = {"free": "25 to 36 %", "occupied": "0.9 to 2.5 %", "unknown": "63 to 74 %"}
 COLOURS = ("black", "#3a9a4a", "#e03030", "#707070")
 NOTE = (
-    "Shares count cells of the reference's sectors by what the reference, which sees more than either mode, says "
-    "of them. A cell that an obstacle only touches counts as occupied there, so that no mode reaches 100 %. "
+    "Shares count cells of the reference's sectors by what the reference, which sees more than either mode, finds "
+    "in them. A cell that an obstacle only touches counts as occupied there, so that no mode reaches 100 %. "
     "Traffic participants are not filled for this comparison; the pictures show truth with filled ones."
 )
 
@@ -49,27 +51,27 @@ class Moment(NamedTuple):
     scene: Scene
     below: Below
     T_world_sensor: NDArray[np.float64]
-    known: dict[str, Any]  # boxes, their returns and the own vehicle, for truth as it is stored
+    known: dict[str, Any]  # boxes, their returns and the ego vehicle, for truth as it is stored
 
 
-def look(town: Town, scene: Scene, ground: Scene, traffic: Traffic, time: float) -> Moment:
+def place_traffic(town: Town, scene: Scene, ground: Scene, traffic: Traffic, time: float) -> Moment:
     """Put the traffic of a moment in place, and scan it once to count returns."""
     frame = traffic.at(time)
     T = frame.ego @ pose(0, 0, 1.9)
-    own = own_vehicle()
-    scene.place([thing.mesh.moved(thing.pose) for thing in frame.objects], own.moved(frame.ego))
+    ego = ego_vehicle()
+    scene.place([thing.mesh.moved(thing.pose) for thing in frame.objects], ego.moved(frame.ego))
     things = scene.cast(T, SENSOR.directions().reshape(-1, 3)).object
     returns = np.bincount(things[things >= 0], minlength=len(frame.objects))
-    low, high = own.vertices.min(axis=0), own.vertices.max(axis=0)
+    low, high = ego.vertices.min(axis=0), ego.vertices.max(axis=0)
     middle = frame.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     known = {
         "boxes": boxes_seen_from(
             inverse(T), [thing.pose for thing in frame.objects], [thing.size for thing in frame.objects]
         ),
         "returns": returns,
-        "own": boxes_seen_from(inverse(T), [middle], [high - low])[0],
+        "ego": boxes_seen_from(inverse(T), [middle], [high - low])[0],
     }
-    return Moment(scene, look_down(ground, T), T, known)
+    return Moment(scene, measure_ground(ground, T), T, known)
 
 
 def truth(mode: str, moment: Moment, **known: Any) -> Truth:
@@ -94,19 +96,19 @@ def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray
 
 def table(counts: NDArray[np.int64]) -> dict[str, float]:
     """Turn counts [state of the reference, state of the mode] into shares."""
-    free, occupied, unknown = counts[FREE], counts[OCCUPIED], counts[UNKNOWN]
+    free, occupied, unknown = counts[CellState.FREE], counts[CellState.OCCUPIED], counts[CellState.UNKNOWN]
 
     def share(part: int, whole: NDArray[np.int64]) -> float:
         return round(float(part) / max(int(whole.sum()), 1), 4)
 
     return {
-        "free found": share(free[FREE], free),
-        "free called unknown": share(free[UNKNOWN], free),
-        "free called occupied": share(free[OCCUPIED], free),
-        "occupied found": share(occupied[OCCUPIED], occupied),
-        "occupied called unknown": share(occupied[UNKNOWN], occupied),
-        "occupied called free": share(occupied[FREE], occupied),
-        "unknown called known": share(unknown[FREE] + unknown[OCCUPIED], unknown),
+        "free found": share(free[CellState.FREE], free),
+        "free called unknown": share(free[CellState.UNKNOWN], free),
+        "free called occupied": share(free[CellState.OCCUPIED], free),
+        "occupied found": share(occupied[CellState.OCCUPIED], occupied),
+        "occupied called unknown": share(occupied[CellState.UNKNOWN], occupied),
+        "occupied called free": share(occupied[CellState.FREE], occupied),
+        "unknown called known": share(unknown[CellState.FREE] + unknown[CellState.OCCUPIED], unknown),
         "cells free in the reference": int(free.sum()),
         "cells occupied in the reference": int(occupied.sum()),
     }
@@ -128,65 +130,26 @@ def compare(times: list[float], place: Callable[[int], Moment], layers: int, sec
         np.add.at(pairs, tuple(whole[mode].state for mode in MODES), 1)
         for mode in MODES:
             shares[mode].append(whole[mode].crop(PAPER).shares())
-    both = pairs[np.ix_((FREE, OCCUPIED), (FREE, OCCUPIED))]
+    both = pairs[np.ix_((CellState.FREE, CellState.OCCUPIED), (CellState.FREE, CellState.OCCUPIED))]
     return {
         "against the reference": {mode: table(counts[mode]) for mode in MODES},
         "hd and aimed agree where both know": round(float(np.trace(both) / both.sum()), 4),
-        "known to aimed only [share of cells]": round(float(pairs[UNKNOWN, 1:3].sum() / pairs.sum()), 4),
-        "known to hd only [share of cells]": round(float(pairs[1:3, UNKNOWN].sum() / pairs.sum()), 4),
+        "known to aimed only [share of cells]": round(
+            float(pairs[CellState.UNKNOWN, 1:3].sum() / pairs.sum()), 4
+        ),
+        "known to hd only [share of cells]": round(
+            float(pairs[1:3, CellState.UNKNOWN].sum() / pairs.sum()), 4
+        ),
         "shares on the 512 x 352 grid": {
             mode: {
-                "free": [round(one.free, 4) for one in shares[mode]],
-                "occupied": [round(one.occupied, 4) for one in shares[mode]],
-                "unknown": [round(one.unknown + one.ignore, 4) for one in shares[mode]],
+                name: [
+                    round(getattr(one, name) + (one.ignore if name == "unknown" else 0), 4)
+                    for one in shares[mode]
+                ]
+                for name in ("free", "occupied", "unknown")
             }
             for mode in MODES
         },
-    }
-
-
-def published() -> dict[str, Any]:
-    """Return what is known of published labels."""
-    result: dict[str, Any] = {"ranges": PUBLISHED}
-    path = DATA.parent / "evilog_label_256x176.npy"
-    if path.is_file():
-        free, occupied, unknown = (float((np.load(path) == state).mean()) for state in (1, 2, 0))
-        result["one label"] = {
-            "free": round(free, 4),
-            "occupied": round(occupied, 4),
-            "unknown": round(unknown, 4),
-        }
-    return result
-
-
-def timing(moment: Moment, ground: Scene, rounds: int) -> dict[str, Any]:
-    """Time both modes on one core, and what of it is Open3D and its look-ups."""
-    rays = hd_directions(SENSOR).reshape(-1, 3)
-    room = Hits.room(len(rays))
-    times = measure(
-        {
-            "look down": Contender(lambda _: look_down(ground, moment.T_world_sensor), slow=True),
-            "hd": Contender(lambda _: truth("hd", moment, **moment.known), slow=True),
-            "hd, casting alone": Contender(
-                lambda _: moment.scene.cast(moment.T_world_sensor, rays, out=room), slow=True
-            ),
-            "aimed": Contender(lambda _: truth("aimed", moment, **moment.known), slow=True),
-        },
-        rounds,
-    )
-    for name, one in times.items():
-        print(f"{name:>20}: {one}")
-    every = np.ones(TRUTH_SPEC.shape, np.bool_)
-    count = sum(
-        round(len(aimed_directions(moment.below.z, TRUTH_SPEC, aim, VIEW, every)) / parts)
-        for aims, parts in ((AIMS.every, 1), (AIMS.alternate, 2))
-        for aim in aims
-    )
-    return {
-        "median [ms]": {name: one.median for name, one in times.items()},
-        "share on the core": {name: one.on_core for name, one in times.items()},
-        "aimed / hd": round(times["aimed"].median / times["hd"].median, 3),
-        "rays": {"hd": len(rays), "aimed, before it looks closer": count},
     }
 
 
@@ -202,17 +165,13 @@ def picture(truths: list[dict[str, Truth]], record: Mapping[str, Any], path: Pat
     x0, x1, y0, y1 = PAPER.extent
     for row, pair in zip(axes, truths, strict=True):
         states = [pair[mode].crop(PAPER).state for mode in MODES]
-        differ = np.where(states[0] == states[1], IGNORE + 1, states[1])
-        titles = ("3000 layers (the paper's way)", "aimed at cells", "what aimed says where they differ")
+        differ = np.where(states[0] == states[1], CellState.IGNORE + 1, states[1])
+        titles = ("3000 layers (the paper's way)", "aimed at cells", "aimed where they differ")
         for axis, state, title in zip(row, (*states, differ), titles, strict=True):
             colours = ListedColormap([*COLOURS, "white"])
+            extent = (y1, y0, x0, x1)
             axis.imshow(
-                state[::-1, ::-1],
-                cmap=colours,
-                vmin=0,
-                vmax=4,
-                interpolation="nearest",
-                extent=(y1, y0, x0, x1),
+                state[::-1, ::-1], cmap=colours, vmin=0, vmax=4, interpolation="nearest", extent=extent
             )
             axis.set_title(title, fontsize=10)
             axis.set_xlabel("y, left [m]")
@@ -227,16 +186,13 @@ def picture(truths: list[dict[str, Truth]], record: Mapping[str, Any], path: Pat
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--frames", type=int, default=6, help="moments in the town (default 6)")
-    parser.add_argument("--repeats", type=int, default=3, help="rounds of the timing (default 3)")
-    parser.add_argument("--quick", action="store_true", help="one moment, one round, a coarse reference")
+    parser.add_argument("--quick", action="store_true", help="one moment, a coarse reference")
     parser.add_argument("--out", type=Path, default=RESULTS / "truth_modes.json", help="where the figures go")
-    parser.add_argument(
-        "--picture", type=Path, default=PICTURES / "truth_modes.png", help="where the picture goes"
-    )
+    parser.add_argument("--picture", type=Path, default=PICTURES / "truth_modes.png")
     options = parser.parse_args()
-    frames, rounds = (1, 1) if options.quick else (options.frames, options.repeats)
-    if min(frames, rounds) < 1:
-        parser.error("--frames and --repeats must be at least 1")
+    frames = 1 if options.quick else options.frames
+    if frames < 1:
+        parser.error("--frames must be at least 1")
 
     record = environment()
     town = build_town(TOWN)
@@ -245,14 +201,12 @@ def main() -> None:
     times = [30.0 + 25.0 * k for k in range(frames)]
 
     def place(k: int) -> Moment:
-        return look(town, scene, ground, traffic, times[k])
+        return place_traffic(town, scene, ground, traffic, times[k])
 
     layers, sectors = (4000, 1) if options.quick else (LAYERS, len(SECTORS))
     record["town"], record["traffic"], record["moments [s]"] = TOWN, TRAFFIC, times
     record["reference"] = {"layers": layers, "azimuth step [deg]": STEP, "sectors": sectors}
-    record["published"] = published()
-    moment = place(0)
-    record["time on one core"] = timing(moment, ground, rounds)
+    record["published"] = {"ranges": PUBLISHED}
     record.update(compare(times, place, layers, sectors))
     record["note"] = NOTE
     for mode in MODES:

@@ -398,8 +398,8 @@ def results() -> str:
     boxes = "Real scans with annotated boxes, by a benchmark of commit 28273fa that `ogm evaluate` has replaced since:"
     parts = [
         "# Results",
-        "All tables of this page are made by `python docs/build.py` from the records of the benchmarks. Sensor models on "
-        "real and simulated data side by side: [quality.md](quality.md). What is compared in each: "
+        "All tables of this page are made by `python docs/build.py` from the records of the benchmarks. Sensor "
+        "models on real and simulated data side by side: [quality.md](quality.md). What is compared in each: "
         "[benchmarks](../benchmarks/README.md). The 100 test frames are scans of **one** simulated drive, 1 s apart: "
         "their intervals, over frames, are too narrow.",
         section(

@@ -119,7 +119,8 @@ def _sentences_of_town(town: Record) -> dict[str, str]:
             f"{_value(published['KL, geometric, mean of both'])} for the released baseline, whose own value is "
             f"{_value(published['KL, geometric itself'])},\nand an accuracy of "
             f"{_value(published['accuracy, deep'])} for `lite` and "
-            f"{_value(published['accuracy, geometric'])} for the baseline, which predicts no cell (`python benchmarks/quality.py`)."
+            f"{_value(published['accuracy, geometric'])} for the baseline, which predicts no cell "
+            "(`python benchmarks/quality.py`)."
         ),
         "quality: calibration": (
             f"Of the cells that it knows best `lite` gets more right: the area under risk over coverage is "

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from ogm.cli import app, evaluate_command
 from ogm.deep.checkpoint import save_network
-from ogm.deep.network import Network, NetworkConfig
+from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.evaluation import cache, report, runner
 from ogm.fusion import BAYES, RULES, EvidentialMapper
 from ogm.geometric import RayISM
@@ -24,7 +24,8 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS, accumulate, score
 from ogm.scan import Mount, Scan
 from ogm.simulation.exchange import write_label
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
+from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.truth import TRUTH_SPEC
@@ -100,7 +101,9 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bearings=False,
         scale=(15, 10, 2, 0.5, 0.2, 0.2, 0.3, 0.3, 0.3),
     )
-    return save_network(tmp_path_factory.mktemp("run") / "small.safetensors", Network(config, PAPER), {})
+    return save_network(
+        tmp_path_factory.mktemp("run") / "small.safetensors", PillarNetwork(config, PAPER), {}
+    )
 
 
 @pytest.fixture

@@ -16,9 +16,11 @@ from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid
 from ogm.io import read_poses, write_poses
 from ogm.pose import Trajectory, inverse, pose, transform_points
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
+from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
-from ogm.truth import TRUTH_SPEC, Truth
+from ogm.state import Truth
+from ogm.truth import TRUTH_SPEC
 
 FUSE = importlib.import_module("ogm.cli.fuse")  # its function of the same name hides it
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0

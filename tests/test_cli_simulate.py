@@ -86,7 +86,7 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
 
 
 @pytest.mark.parametrize(
-    ("words", "says"),
+    ("words", "description"),
     [
         ((), "give a folder for the data set, or --preview"),
         (("--resume",), "want the data set's folder"),
@@ -113,7 +113,9 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("{new}", "--samples", 1, "--export", "{file}"), "is a file"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
+def test_errors_are_one_line_and_exit_code_2(
+    data: Path, tmp_path: Path, words: tuple, description: str
+) -> None:
     other, file = tmp_path / "other", tmp_path / "file"
     other.mkdir()
     (other / "thesis.tex").write_text("dear")
@@ -128,7 +130,7 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
     assert [path.name for path in other.iterdir()] == ["thesis.tex"]
 
 
-def test_another_version_and_damage_are_told(data: Path, tmp_path: Path) -> None:
+def test_another_version_and_damage_are_reported(data: Path, tmp_path: Path) -> None:
     old, hurt = tmp_path / "old", tmp_path / "hurt"
     shutil.copytree(data, old)
     (old / "zarr.json").write_text((old / "zarr.json").read_text().replace(FORMAT, "ogm.samples/0"))
@@ -145,7 +147,7 @@ def test_another_version_and_damage_are_told(data: Path, tmp_path: Path) -> None
     assert f"rm {hurt}/training/facts/c/0/0" in result.output.replace("\n", "")
 
 
-def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
+def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
     # More samples than are made before the signal comes, however busy the machine
     many = ("--samples", 20, *TINY[2:], "--workers", 1)
     words = [sys.executable, "-m", "ogm.cli", "simulate", str(tmp_path / "data"), *map(str, many)]
@@ -157,10 +159,10 @@ def test_an_interrupt_says_how_to_go_on(tmp_path: Path) -> None:
             assert child.poll() is None
         time.sleep(0.5)
         child.send_signal(signal.SIGINT)
-        _, said = child.communicate(timeout=60)
+        _, message = child.communicate(timeout=60)
     assert child.returncode == 130
-    assert f"`ogm simulate {tmp_path / 'data'} --resume` goes on" in said.replace("\n", " ")
-    assert "Traceback" not in said
+    assert f"`ogm simulate {tmp_path / 'data'} --resume` goes on" in message.replace("\n", " ")
+    assert "Traceback" not in message
 
 
 def test_preview_draws_a_sample_and_its_town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

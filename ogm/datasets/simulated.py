@@ -10,7 +10,7 @@ from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.files import OgmError
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE
-from ogm.simulation.sample import LABELS, Sample
+from ogm.simulation.sample import LABELS, SimulatedSample
 from ogm.simulation.store import FACTS, Store
 from ogm.state import CellState, Truth
 from ogm.truth import ignore_cells
@@ -62,7 +62,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     )
 
     @lru_cache(2)
-    def sample(k: int) -> Sample:
+    def sample(k: int) -> SimulatedSample:
         return part[int(numbers[k])]
 
     def truth(k: int) -> Truth:
@@ -117,7 +117,7 @@ def _poses(facts: NDArray[np.float64], first: str) -> NDArray[np.float64]:
     return poses
 
 
-def _scan(sample: Sample) -> Scan:
+def _scan(sample: SimulatedSample) -> Scan:
     """Return a sample's scan; beams of its range image without range are those without echo."""
     return Scan(
         sample.points,
@@ -129,7 +129,7 @@ def _scan(sample: Sample) -> Scan:
     )
 
 
-def _boxes(sample: Sample) -> Boxes:
+def _boxes(sample: SimulatedSample) -> Boxes:
     columns = {name: sample.objects[name].astype(np.float64) for name in sample.objects.dtype.names or ()}
     center, size, velocity = (
         np.column_stack([columns[name] for name in names])

@@ -144,7 +144,9 @@ def draw_frame(
 
 def height_colours() -> list[tuple[int, int, int]]:
     """Return the colours of points at `HEIGHTS` over the ground."""
-    legend = plot.points_panel(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
+    legend = plot.points_panel(
+        np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0
+    ).legend
     return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
 
 

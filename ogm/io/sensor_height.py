@@ -34,9 +34,9 @@ def plausible_sensor_height(height: float, where: object = "the scan") -> float:
     low, high = PLAUSIBLE_HEIGHTS
     if not low <= height <= high:
         raise OgmError(
-            f"the sensor height of {where} is {height:.2f} m, estimated from points, which is not plausible ({low:g} to "
-            f"{high:g} m): if the points are in the vehicle frame, give sensor_position x y z (--sensor-position); if not, give "
-            "sensor_height (--sensor-height) and check the axes"
+            f"the sensor height of {where} is {height:.2f} m, estimated from points, which is not plausible "
+            f"({low:g} to {high:g} m): if the points are in the vehicle frame, give sensor_position x y z "
+            "(--sensor-position); if not, give sensor_height (--sensor-height) and check the axes"
         )
     return height
 

@@ -1,49 +1,56 @@
-"""Samples of a data set: what a drive through a town looks like to its lidar, and what is true.
+"""Data sets of simulated samples: the lidar's points and the truth around it on drives through towns.
 
-`sample` is a pure function of a plan, the name of a split and a number: the same on any machine with the same
-versions of the libraries, whoever else makes samples at the same time.
+`make_sample` is a pure function of a plan, the name of a split and a number: the same on any machine with the
+same versions of the libraries, whatever else is made at the same time.
 """
 
-from collections import OrderedDict
-from collections.abc import Hashable, Sequence
+import logging
+import os
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, NamedTuple, TypeVar
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
-from ogm.simulation.plan import Plan, moment, mount_of, random
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.arrays import Floats
+from ogm.simulation.plan import DatasetPlan, draw_mount, moment, sample_rng
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
+from ogm.simulation.store import Store
+from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, workers_that_fit
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 try:
+    from ogm.simulation.cells import measure_ground
     from ogm.simulation.lidar import CLEAR, Weather, scan
     from ogm.simulation.scene import Scene
-    from ogm.simulation.survey import aimed_truth, hd_truth, look_down
+    from ogm.simulation.survey import aimed_truth, hd_truth
     from ogm.simulation.town import Town, build_town
-    from ogm.simulation.traffic import Frame, Object, Traffic, own_vehicle
+    from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
 except ImportError as error:
     raise ImportError(
         f'the simulator lacks a package ({error}): pip install "ogm-toolkit[sim]"; '
-        "data sets that are there can be read without"
+        "existing data sets can be read without"
     ) from error
 
-__all__ = ["Look", "World", "beams_of", "look", "sample", "threads_per_sample", "versions", "world_of"]
+__all__ = ["SceneSetup", "World", "beams_of", "lidars", "make_sample", "set_up", "simulate", "versions"]
 
-REACH = 120.0  # [m] around the own vehicle, within which moving things are put in place
+_log = logging.getLogger(__name__)
+
+REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
 LISTED = (
-    85.0  # [m] around the sensor, within which objects are listed: a little more than the canvas's corners
+    85.0  # [m] around the sensor, within which objects are listed: a little more than the truth's corners
 )
 DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were
-
-K = TypeVar("K", bound=Hashable)
-V = TypeVar("V")
 
 
 class World(NamedTuple):
@@ -54,14 +61,14 @@ class World(NamedTuple):
     ground: Scene
 
 
-class Look(NamedTuple):
+class SceneSetup(NamedTuple):
     """One moment in the world, everything in place: what a sample is made from.
 
     Attributes
     ----------
     world : World
         Its scene has the moving things where they are.
-    frame : Frame
+    state : TrafficState
     objects : tuple of Object
         Those in the scene, in the order of its object numbers.
     spec : LidarSpec
@@ -69,80 +76,109 @@ class Look(NamedTuple):
     """
 
     world: World
-    frame: Frame
+    state: TrafficState
     objects: tuple[Object, ...]
     spec: LidarSpec
-    T_vehicle_sensor: NDArray[np.float64]
-    T_world_sensor: NDArray[np.float64]
+    T_vehicle_sensor: Floats
+    T_world_sensor: Floats
 
 
-_threads = 0
-
-
-def threads_per_sample(count: int) -> None:
-    """Set how many cores this process uses for one sample; 0 for all. The samples do not depend on it."""
-    global _threads
-    if count != _threads:
-        _threads = count
-        world_of.cache_clear()
+# The last towns and drives are kept: building a town takes seconds, and traffic goes on from where it was.
+_town = lru_cache(maxsize=1)(build_town)
+_ego_body = lru_cache(maxsize=1)(ego_body)
 
 
 @lru_cache(maxsize=1)
-def _town(seed: int, size: float) -> Town:
-    return build_town(seed, size)
-
-
-@lru_cache(maxsize=1)
-def world_of(seed: int, size: float) -> World:
-    """Build a town, or take the one that was built last."""
+def _world(seed: int, size: float, threads: int) -> World:
     town = _town(seed, size)
-    return World(town, Scene(town.mesh, threads=_threads), Scene(town.ground, threads=_threads))
+    return World(town, Scene(town.mesh, threads=threads), Scene(town.ground, threads=threads))
 
 
-_drives: OrderedDict[tuple, Traffic] = OrderedDict()
+@lru_cache(maxsize=DRIVES_KEPT)
+def _drive(town: int, size: float, seed: int, clockwise: bool) -> Traffic:
+    return Traffic(_town(town, size), seed, clockwise=clockwise)
 
 
-def _drive(town: int, size: float, traffic: int, clockwise: bool) -> Traffic:
-    key = (town, size, traffic, clockwise)
-    if key not in _drives:
-        _drives[key] = Traffic(world_of(town, size).town, traffic, clockwise=clockwise)
-        while len(_drives) > DRIVES_KEPT:
-            _drives.popitem(last=False)
-    _drives.move_to_end(key)
-    return _drives[key]
+def simulate(
+    folder: str | os.PathLike[str],
+    plan: DatasetPlan,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    resume: bool = False,
+    progress: Callable[[Estimate | Made], object] = lambda event: None,
+) -> Store:
+    """Make a data set, or go on with one.
+
+    Parameters
+    ----------
+    folder : path
+        New or empty; with `resume`, that of a data set.
+    plan : DatasetPlan
+        With `resume`, the data set's own plan or one with more samples.
+    workers : int, optional
+        Processes on this machine; by default as many as cores and memory allow.
+    scheduler : str, optional
+        Address of a Dask scheduler to use instead, ``"tcp://host:port"``.
+    resume : bool
+        Whether the folder may hold a data set.
+    progress : callable
+        Called with an `Estimate` of the time and space needed, then with each shard that is `Made`.
+
+    Returns
+    -------
+    Store
+
+    Raises
+    ------
+    ValueError
+        If the folder holds something else, the data set was begun by another plan, or a lidar is unknown.
+    OSError
+        If the disk is full or will be, or workers die. Finished shards are complete; go on with `resume`.
+    """
+    if not resume and Store.exists(folder):
+        raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
+    count = workers_that_fit() if workers is None else workers
+    check_workers(count)
+    store = begin(Path(folder), plan, lidars(plan), versions())
+    if store.versions != versions():
+        _log.warning(
+            "the data set was begun with other versions of libraries; new samples may differ in detail"
+        )
+    plan = DatasetPlan.from_dict(store.plan)
+    with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
+        for event in events:
+            progress(event)
+    return store
 
 
-@lru_cache(maxsize=1)
-def _own() -> Any:
-    return own_vehicle()
-
-
-def look(plan: Plan, split: str, index: int) -> Look:
-    """Put everything where it is in a sample's moment."""
+def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SceneSetup:
+    """Put everything where it is in a sample's moment; `threads` processor cores cast rays, 0 for all."""
     at = moment(plan, split, index)
-    world = world_of(at.town, plan.town_size)
-    frame = _drive(at.town, plan.town_size, at.traffic, at.clockwise).at(at.time)
-    near = tuple(one for one in frame.objects if _distance(one.pose, frame.ego) < REACH)
-    own = _own().moved(frame.ego)
-    world.scene.place([one.mesh.moved(one.pose) for one in near], own)
-    mount, (height, forward, roll, pitch) = mount_of(plan, split, index)
+    world = _world(at.town, plan.town_size, threads)
+    state = _drive(at.town, plan.town_size, at.traffic, at.clockwise).at(at.time)
+    near = tuple(one for one in state.objects if _distance(one.pose, state.ego) < REACH)
+    world.scene.place([one.mesh.moved(one.pose) for one in near], _ego_body().mesh.moved(state.ego))
+    mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
     spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
-    return Look(world, frame, near, spec, T_vehicle_sensor, frame.ego @ T_vehicle_sensor)
+    return SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
 
 
-def sample(plan: Plan, split: str, index: int) -> Sample:
+def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SimulatedSample:
     """Make one sample.
 
     Parameters
     ----------
-    plan : Plan
+    plan : DatasetPlan
     split : {"training", "validation", "test", "sequences"}
     index : int
         Number in the split, 0 or more; not bound by the plan's counts.
+    threads : int
+        Processor cores to use, 0 for all. The sample does not depend on it.
     """
-    at, here = moment(plan, split, index), look(plan, split, index)
-    rng = random(plan, split, index, 1)
+    at, here = moment(plan, split, index), set_up(plan, split, index, threads)
+    rng = sample_rng(plan, split, index, 1)
     weather = _weather(plan, rng)
     moves = rng.random() < plan.in_motion
     image = scan(
@@ -150,13 +186,13 @@ def sample(plan: Plan, split: str, index: int) -> Sample:
         here.spec,
         here.T_world_sensor,
         rng,
-        velocity=here.frame.ego_velocity if moves else np.zeros(3),
-        yaw_rate=here.frame.ego_yaw_rate if moves else 0.0,
+        velocity=here.state.ego_velocity if moves else np.zeros(3),
+        yaw_rate=here.state.ego_yaw_rate if moves else 0.0,
         weather=weather,
         coats=[(at.traffic << 20) + one.track for one in here.objects],
     )
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
-    return Sample(
+    return SimulatedSample(
         beams=beams_of(here.spec),
         steps=np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16),
         intensities=np.round(image.intensity * 255).astype(np.uint8),
@@ -164,8 +200,8 @@ def sample(plan: Plan, split: str, index: int) -> Sample:
         objects=_listed(here, returns),
         T_world_sensor=here.T_world_sensor,
         T_vehicle_sensor=here.T_vehicle_sensor,
-        velocity=np.asarray(here.frame.ego_velocity, np.float64),
-        yaw_rate=float(here.frame.ego_yaw_rate),
+        velocity=np.asarray(here.state.ego_velocity, np.float64),
+        yaw_rate=float(here.state.ego_yaw_rate),
         stamp=at.time,
         split=split,
         index=index,
@@ -174,13 +210,13 @@ def sample(plan: Plan, split: str, index: int) -> Sample:
     )
 
 
-def truth_of(plan: Plan, here: Look, returns: NDArray[np.int64], *, salt: int = 0) -> Truth:
-    """Find out what is true around the sensor, the way that the plan wants.
+def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *, salt: int = 0) -> Truth:
+    """Observe the truth around the sensor, in the way that the plan wants.
 
     Parameters
     ----------
-    plan : Plan
-    here : Look
+    plan : DatasetPlan
+    here : SceneSetup
     returns : (K,) int
         Points that the sensor's scan has on each of the objects.
     salt : int
@@ -188,25 +224,25 @@ def truth_of(plan: Plan, here: Look, returns: NDArray[np.int64], *, salt: int = 
     """
     T = inverse(here.T_world_sensor)
     boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
-    low, high = _own().vertices.min(axis=0), _own().vertices.max(axis=0)
-    middle = here.frame.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
+    low, high = (bound(_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
+    middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     ego = cells_in_boxes(_boxes(T, [(middle, high - low)]), TRUTH_SPEC)
-    below = look_down(here.world.ground, here.T_world_sensor)
-    known: dict[str, Any] = {"boxes": boxes, "returns": returns, "unobserved": ego, "salt": salt}
+    below = measure_ground(here.world.ground, here.T_world_sensor)
+    seen_from = (here.world.scene, below, here.T_world_sensor)
     if plan.truth == "hd":
         rays = hd_directions(here.spec, plan.hd_layers)
-        return hd_truth(here.world.scene, below, here.T_world_sensor, rays, TRUTH_SPEC, **known)
+        return hd_truth(*seen_from, rays, boxes=boxes, returns=returns, ego=ego, salt=salt)
     ends = (min(here.spec.elevations), max(here.spec.elevations))
-    return aimed_truth(here.world.scene, below, here.T_world_sensor, ends, TRUTH_SPEC, **known)
+    return aimed_truth(*seen_from, ends, boxes=boxes, returns=returns, ego=ego, salt=salt)
 
 
-def _boxes(T: NDArray[np.float64], things: Sequence[tuple[NDArray, NDArray]]) -> Boxes:
+def _boxes(T: Floats, things: Sequence[tuple[NDArray, NDArray]]) -> Boxes:
     poses = np.array([one for one, _ in things], np.float64).reshape(-1, 4, 4)
     sizes = np.array([one for _, one in things], np.float64).reshape(-1, 3)
     return boxes_seen_from(T, poses, sizes)
 
 
-def _listed(here: Look, returns: NDArray[np.int64]) -> NDArray[Any]:
+def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     """Return the rows of the objects nearby, the nearest first."""
     rows = np.zeros(len(here.objects), OBJECT)
     T = inverse(here.T_world_sensor)
@@ -223,11 +259,11 @@ def _listed(here: Look, returns: NDArray[np.int64]) -> NDArray[Any]:
     return rows[order[distance[order] < LISTED]]
 
 
-def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+def _distance(a: Floats, b: Floats) -> float:
     return float(np.hypot(*(a[:2, 3] - b[:2, 3])))
 
 
-def _weather(plan: Plan, rng: np.random.Generator) -> Weather:
+def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
     """Draw the weather: clear, or, in a share of the samples, rain, fog or a road that is still wet."""
     bad, kind, strength = rng.random(3)
     if bad >= plan.bad_weather:
@@ -253,7 +289,7 @@ def beams_of(spec: LidarSpec) -> Beams:
     )
 
 
-def lidars(plan: Plan) -> tuple[Beams, ...]:
+def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
     """Return the plan's lidars, each once, in the order in which it names them.
 
     Raises

@@ -1,61 +1,118 @@
-"""What a lidar makes of the surfaces that its beams hit: how strong a return is, and where it seems to be.
+"""Returns of a lidar's beams: how strong they are, and which range is measured.
 
-The strength of a return is told in percent of what a matt white target seen head-on at the same place would
+The strength of a return is given in percent of what a matt white target seen head-on at the same place would
 return, which is what Velodyne's calibrated intensities are up to 100.
 """
 
 import math
+from typing import NamedTuple
 
-from numba import njit
+import numpy as np
 from numpy.typing import NDArray
 
-from ogm.simulation.kernels import uniform
+from ogm.jit import kernel
+from ogm.simulation.kernels import Hits, uniform
 from ogm.simulation.materials import Material
 
-__all__ = ["receive", "reflect"]
+__all__ = ["Air", "Device", "RangeImage", "receive", "reflect"]
 
 ROUGH = 0.3  # share that rough ground sends back the way it came at grazing incidence (Oren-Nayar)
 LOBE = 0.01  # width of a specular reflection: square of the tangent of incidence
 GLANCE = 2.0  # strength of a specular reflection seen head-on, of a white target's
 FINE, COARSE = 0.8, 20.0  # [m] patches of a surface that differ in reflectivity
-VARIETY = 0.1  # that no table of materials tells: what static surfaces differ more by
+VARIETY = 0.1  # that no table of materials holds: what static surfaces differ more by
 EDGE = 0.15  # [m] a smaller step of the range between neighbouring rays is no edge
 PULSE = 0.6  # [m] returns closer together than this melt into one
 SMEAR = 2.5  # [m] returns closer together than this may do so
 SMEARED = 0.15  # share of those that do
 SPECKLE = 0.18  # standard deviation of the logarithm of one return's strength
-LOST = (
-    0.015  # share of the returns of anything but the ground that are missing for no reason that can be seen
-)
+LOST = 0.015  # share of the returns of anything but the ground that are missing for no visible reason
 WAVER = 0.3  # standard deviation of the detection threshold, of itself
 FOLIAGE, NOTHING = int(Material.FOLIAGE), 255
 
 
-@njit(cache=True, nogil=True)
+class Device(NamedTuple):
+    """A lidar's numbers as kernels use them.
+
+    Attributes
+    ----------
+    layers, columns : int
+        Of a range image.
+    sideways : float
+        Half the beam's width, in columns.
+    upwards : (layers,) float64
+        The same in spacings to the layer above, 0 where that is no neighbour of this one.
+    shift : (layers,) int64
+        The column of the layer above that has the same direction is so many further.
+    near, far, reach : float
+        `LidarSpec.range_min`, `range_max` and `reach` [m].
+    noise, step, divergence : float
+        `LidarSpec.range_noise` [m], `range_step` [m] and `divergence` [rad].
+    bias, gain : (layers,) float64
+        Fixed error of the range [m] and factor of the strength, see `LidarSpec.errors`.
+    """
+
+    layers: int
+    columns: int
+    sideways: float
+    upwards: NDArray[np.float64]
+    shift: NDArray[np.int64]
+    near: float
+    far: float
+    reach: float
+    noise: float
+    step: float
+    divergence: float
+    bias: NDArray[np.float64]
+    gain: NDArray[np.float64]
+
+
+class Air(NamedTuple):
+    """Extinction [1/m]; expected number of returns from the air on a free ray; their mean distance [m]."""
+
+    extinction: float
+    drops: float
+    depth: float
+
+
+class RangeImage(NamedTuple):
+    """What a lidar reports of one turn; (layers, columns) each, the lowest layer first.
+
+    Attributes
+    ----------
+    range : float32
+        [m]; 0 for no return.
+    intensity : float32
+        [0, 1] in steps of 1/255: up to 100/255 in percent of a matt white target, above it retroreflectors.
+    object : int32
+        As in `Hits`; -1 also for no return.
+    material : uint8
+        `Material`; 255 for no return and for drops in the air.
+    """
+
+    range: NDArray[np.float32]
+    intensity: NDArray[np.float32]
+    object: NDArray[np.int32]
+    material: NDArray[np.uint8]
+
+
+@kernel
 def _normal(a: int, b: int) -> float:
     """Return a standard normal number that depends on two integers only (Box-Muller)."""
     radius = math.sqrt(-2 * math.log(1 - uniform(2 * a, b)))
     return radius * math.cos(2 * math.pi * uniform(2 * a + 1, b))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _patch(x: float, y: float, z: float, size: float) -> int:
     """Return a number for each cube of space."""
     i, j, k = math.floor(x / size), math.floor(y / size), math.floor(z / size)
     return int((i * 73856093) ^ (j * 19349663) ^ (k * 83492791))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def reflect(
-    directions: NDArray,
-    T: NDArray,
-    distance: NDArray,
-    material: NDArray,
-    thing: NDArray,
-    cosine: NDArray,
-    optics: NDArray,
-    coats: NDArray,
-    strength: NDArray,
+    directions: NDArray, T: NDArray, hits: Hits, optics: NDArray, coats: NDArray, strength: NDArray
 ) -> None:
     """Fill in how strong the return of each ray would be if nothing disturbed it.
 
@@ -65,24 +122,23 @@ def reflect(
         In the sensor frame.
     T : (4, 4) float64
         ``T_world_sensor``: patches of static surfaces are fixed in the world.
-    distance, material, thing, cosine : (N,)
-        As `Hits`.
+    hits : Hits
     optics : (materials, 5) float32
         As `ogm.simulation.materials.table`.
     coats : (K,) int64
-        A number for each moving thing, which says how bright its own coat of each material is.
+        A number for each moving thing, which decides how bright its own coat of each material is.
     strength : (N,) float32
         Filled; 0 where nothing is hit.
     """
     for i in range(len(strength)):
-        m = material[i]
-        if m >= len(optics) or not distance[i] < math.inf:
+        m, thing = hits.material[i], hits.object[i]
+        d = hits.distance[i]
+        if m >= len(optics) or not d < math.inf:
             strength[i] = 0
             continue
         reflectivity, spread = optics[m, 0], optics[m, 1]
         retro, specular = optics[m, 2], optics[m, 3]
-        if thing[i] == -1:
-            d = distance[i]
+        if thing == -1:
             x, y, z = d * directions[i, 0], d * directions[i, 1], d * directions[i, 2]
             wx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
             wy = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
@@ -91,143 +147,124 @@ def reflect(
             patch += 0.7 * _normal(_patch(wx, wy, wz, COARSE), 128 + m)
             spread += VARIETY
         else:  # one coat of paint per thing
-            patch = _normal(coats[thing[i]] if thing[i] >= 0 else 0, m)
+            patch = _normal(coats[thing] if thing >= 0 else 0, m)
         share = min(1.0, reflectivity * math.exp(spread * patch))
-        c = min(max(cosine[i], 1e-3), 1.0)
+        c = min(max(hits.cosine[i], 1e-3), 1.0)
         matt = share * (c + ROUGH * (1 - specular) * (1 - c * c))
         mirror = GLANCE * specular * math.exp(-(1 / (c * c) - 1) / LOBE)
         strength[i] = 100 * (matt + mirror + retro * c)
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
+    """Return the ray to the left, right, above or below ray i, a number of the pair, and half the beam's width.
+
+    The width is 0 where there is no such ray.
+    """
+    columns = device.columns
+    layer, column = i // columns, i % columns
+    if side < 2:  # left and right
+        other = layer * columns + (column + 2 * side - 1) % columns
+        pair = 2 * min(i, other)
+        if abs(i - other) > 1:
+            pair = 2 * max(i, other)
+        return other, pair, device.sideways
+    above = layer if side == 2 else layer - 1
+    if above < 0 or above + 1 >= device.layers:
+        return i, 0, 0.0
+    if side == 2:
+        other = (layer + 1) * columns + (column + device.shift[above]) % columns
+        return other, 2 * i + 1, device.upwards[above]
+    other = (layer - 1) * columns + (column - device.shift[above]) % columns
+    return other, 2 * other + 1, device.upwards[above]
+
+
+@kernel
+def _share_light(
+    i: int, distance: NDArray, strength: NDArray, device: Device, seed: int
+) -> tuple[float, float, int]:
+    """Return distance, strength and source of the light of ray i, whose beam's edge may lap over to neighbours."""
+    d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
+    for side in range(4):
+        other, pair, half = _neighbour(i, side, device)
+        if half <= 0:
+            continue
+        gap = abs(distance[other] - distance[i])
+        if not gap > EDGE:  # also if both hit nothing
+            continue
+        edge = uniform(pair, seed)  # where it lies between the two rays' middles
+        if i > other:
+            edge = 1 - edge
+        if edge >= half:
+            continue
+        lap = 0.5 * (half - edge) / half
+        theirs = lap * strength[other]
+        p *= 1 - lap
+        if theirs <= 0:
+            continue
+        if source == i and (gap < PULSE or (gap < SMEAR and uniform(pair, seed + 1) < SMEARED)):
+            if p + theirs > 0:
+                d += (distance[other] - d) * theirs / (p + theirs)
+                p += theirs
+        elif d == math.inf or theirs * d * d > p * (1.0 * distance[other]) ** 2:
+            d, p, source = (1.0 * distance[other]), theirs, other
+    return d, p, source
+
+
+@kernel
 def receive(
-    shape: tuple[int, int],
-    distance: NDArray,
-    strength: NDArray,
-    material: NDArray,
-    thing: NDArray,
-    cosine: NDArray,
-    sideways: float,
-    upwards: NDArray,
-    shift: NDArray,
-    limits: tuple[float, float, float],
-    noise: tuple[float, float, float],
-    bias: NDArray,
-    gain: NDArray,
-    air: tuple[float, float, float],
-    steady: NDArray,
-    seed: int,
-    ranges: NDArray,
-    intensities: NDArray,
-    materials: NDArray,
-    things: NDArray,
+    hits: Hits, strength: NDArray, device: Device, air: Air, steady: NDArray, seed: int, image: RangeImage
 ) -> None:
     """Turn what the rays hit into what the lidar reports.
 
     Parameters
     ----------
-    shape : (layers, columns)
-    distance, strength, material, thing, cosine : (layers * columns,)
-        As `Hits`, and from `reflect`.
-    sideways : float
-        Half the beam's width, in columns.
-    upwards : (layers,) float64
-        The same in spacings to the layer above, 0 where that has nothing to do with this one.
-    shift : (layers,) int64
-        The column of the layer above that looks the same way is so many further.
-    limits : (range_min, range_max, reach)
-        [m]; see `LidarSpec`.
-    noise : (range_noise, range_step, divergence)
-        [m], [m], [rad].
-    bias, gain : (layers,) float64
-        Fixed error of the range [m] and factor of the strength, see `LidarSpec.errors`.
-    air : (extinction, drops, depth)
-        [1/m]; expected number of returns from the air on a free ray; their mean distance [m].
+    hits, strength : (layers * columns,)
+        From `Scene.cast` and `reflect`.
+    device : Device
+    air : Air
     steady : (256,) bool
         Materials whose returns are never lost for no reason: ground, and nothing. An argument and no constant,
         because compiled kernels are cached by the text of this file alone.
     seed : int
         Of everything random.
-    ranges, intensities : (layers * columns,) float32; materials : uint8; things : int32
-        Filled. No return: 0, 0, 255, -1.
+    image : RangeImage
+        Filled; of shape (layers * columns,) each. No return: 0, 0, -1, 255.
     """
-    layers, columns = shape
-    near, far, reach = limits
-    sigma, step, divergence = noise
-    extinction, drops, depth = air
-    for i in range(layers * columns):
-        layer, column = i // columns, i % columns
-        d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
-        # the beam's edge laps over to a neighbour: its light is shared
-        for side in range(4):
-            if side < 2:  # left and right
-                other = layer * columns + (column + 2 * side - 1) % columns
-                pair, half = 2 * min(i, other), sideways
-                if abs(i - other) > 1:
-                    pair = 2 * max(i, other)
-            else:  # above and below
-                above = layer if side == 2 else layer - 1
-                if above < 0 or above + 1 >= layers:
-                    continue
-                half = upwards[above]
-                if side == 2:
-                    other = (layer + 1) * columns + (column + shift[above]) % columns
-                    pair = 2 * i + 1
-                else:
-                    other = (layer - 1) * columns + (column - shift[above]) % columns
-                    pair = 2 * other + 1
-            if half <= 0:
-                continue
-            gap = abs(distance[other] - distance[i])
-            if not gap > EDGE:  # also if both hit nothing
-                continue
-            edge = uniform(pair, seed)  # where it lies between the two rays' middles
-            if i > other:
-                edge = 1 - edge
-            if edge >= half:
-                continue
-            lap = 0.5 * (half - edge) / half
-            theirs = lap * strength[other]
-            p *= 1 - lap
-            if theirs <= 0:
-                continue
-            if source == i and (gap < PULSE or (gap < SMEAR and uniform(pair, seed + 1) < SMEARED)):
-                if p + theirs > 0:
-                    d += (distance[other] - d) * theirs / (p + theirs)
-                    p += theirs
-            elif d == math.inf or theirs * d * d > p * (1.0 * distance[other]) ** 2:
-                d, p, source = (1.0 * distance[other]), theirs, other
-        m, owner = material[source], thing[source]
+    near, far = device.near, device.far
+    for i in range(device.layers * device.columns):
+        image.range[i], image.intensity[i], image.object[i], image.material[i] = 0, 0, -1, NOTHING
+        layer = i // device.columns
+        d, p, source = _share_light(i, hits.distance, strength, device, seed)
+        m, owner = hits.material[source], hits.object[source]
         if m == FOLIAGE:  # leaves fill part of the beam
             p *= 0.1 + 0.9 * uniform(8 * i, seed + 2)
-        p *= gain[layer]
+        p *= device.gain[layer]
         # air: it dims, and sometimes returns light itself
-        if extinction > 0:
-            p *= math.exp(-2 * extinction * min(d, 1e4))
-        if drops > 0 and uniform(8 * i + 1, seed + 2) < 1 - math.exp(-drops):
-            first = near - depth * math.log(1 - uniform(8 * i + 2, seed + 2))
+        if air.extinction > 0:
+            p *= math.exp(-2 * air.extinction * min(d, 1e4))
+        if air.drops > 0 and uniform(8 * i + 1, seed + 2) < 1 - math.exp(-air.drops):
+            first = near - air.depth * math.log(1 - uniform(8 * i + 2, seed + 2))
             if first < d:
                 d, p, m, owner = first, 4.0 * uniform(8 * i + 3, seed + 2), NOTHING, -1
         p *= math.exp(SPECKLE * _normal(4 * i + 2, seed + 2))
-        # is it seen?
-        threshold = 100 * (d / reach) ** 2
+        # is it detected?
+        threshold = 100 * (d / device.reach) ** 2
         lost = not near <= d <= far or p < threshold * (1 + WAVER * _normal(4 * i + 3, seed + 2))
         if not steady[m] and uniform(i, seed + 5) < LOST:
             lost = True
-        if m == NOTHING and d < far:  # drops that are seen at all are so by definition
+        if m == NOTHING and d < far:  # drops that are detected at all are so by definition
             lost = False
         if lost or p <= 0:
-            ranges[i], intensities[i], materials[i], things[i] = 0, 0, NOTHING, -1
             continue
         # how exactly: weak returns, and those of a long footprint on slanting ground, are less so
-        c = max(1.0 * cosine[source], 0.05)
-        footprint = 0.03 * d * divergence * math.sqrt(1 - c * c) / c
-        error = math.sqrt(sigma * sigma * (1 + threshold / p) + footprint * footprint)
-        measured = round((d + bias[layer] + error * _normal(i, seed + 3)) / step) * step
+        c = max(1.0 * hits.cosine[source], 0.05)
+        footprint = 0.03 * d * device.divergence * math.sqrt(1 - c * c) / c
+        error = math.sqrt(device.noise * device.noise * (1 + threshold / p) + footprint * footprint)
+        measured = round((d + device.bias[layer] + error * _normal(i, seed + 3)) / device.step) * device.step
         if not near <= measured <= far:
-            ranges[i], intensities[i], materials[i], things[i] = 0, 0, NOTHING, -1
             continue
-        ranges[i] = measured
+        image.range[i] = measured
         value = p if p <= 100 else 100 + 45 * math.log(p / 100)
-        intensities[i] = round(min(value, 255.0)) / 255
-        materials[i], things[i] = m, owner
+        image.intensity[i] = round(min(value, 255.0)) / 255
+        image.object[i], image.material[i] = owner, m

@@ -192,4 +192,4 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
             f"{path} has {np.count_nonzero(free & occupied)} cells both free and occupied; "
             "in a label of the paper's layout a cell is one or neither"
         )
-    return Truth(spec, (CellState.FREE * free + CellState.OCCUPIED * occupied).astype(np.uint8))
+    return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))

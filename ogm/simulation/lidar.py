@@ -1,29 +1,21 @@
 """One turn of a lidar in a scene: ranges and intensities as a real one reports them."""
 
 import math
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.pose import check_pose
-from ogm.simulation.echo import receive, reflect
+from ogm.simulation.arrays import Floats
+from ogm.simulation.echo import Air, Device, RangeImage, receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
 from ogm.simulation.sample import Weather
 from ogm.simulation.scene import NOTHING, Hits, Scene
-from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
+from ogm.simulation.sensors import LidarSpec
 
-__all__ = [
-    "CLEAR",
-    "LIDARS",
-    "LidarSpec",
-    "RangeImage",
-    "Weather",
-    "hd_directions",
-    "points",
-    "returns",
-    "scan",
-]
+__all__ = ["CLEAR", "RangeImage", "Weather", "scan", "to_points"]
 
 
 CLEAR = Weather()
@@ -31,39 +23,18 @@ _STEADY = np.zeros(256, np.bool_)  # materials whose returns are never lost for 
 _STEADY[[*GROUND, NOTHING]] = True
 
 
-class RangeImage(NamedTuple):
-    """What a lidar reports of one turn; (layers, azimuths) each, the lowest layer first.
-
-    Attributes
-    ----------
-    range : float32
-        [m]; 0 for no return.
-    intensity : float32
-        [0, 1] in steps of 1/255: up to 100/255 in percent of a matt white target, above it retroreflectors.
-    object : int32
-        As in `Hits`; -1 also for no return.
-    material : uint8
-        `Material`; 255 for no return and for drops in the air.
-    """
-
-    range: NDArray[np.float32]
-    intensity: NDArray[np.float32]
-    object: NDArray[np.int32]
-    material: NDArray[np.uint8]
-
-
 def scan(
     scene: Scene,
     spec: LidarSpec,
     T_world_sensor: ArrayLike,
-    rng: np.random.Generator,
+    rng: Generator,
     *,
     velocity: ArrayLike = (0.0, 0.0, 0.0),
     yaw_rate: float = 0.0,
     weather: Weather = CLEAR,
     coats: ArrayLike | None = None,
 ) -> RangeImage:
-    """Let a lidar turn once.
+    """Simulate one turn of a lidar.
 
     Parameters
     ----------
@@ -112,7 +83,7 @@ def scan(
 
 
 def _moving_rays(
-    spec: LidarSpec, T: NDArray[np.float64], velocity: NDArray[np.float64], yaw_rate: float
+    spec: LidarSpec, T: Floats, velocity: Floats, yaw_rate: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return origins and directions in the world (layers * azimuths, 3), of a sensor that moves."""
     turned = yaw_rate * spec.times
@@ -130,45 +101,21 @@ def _moving_rays(
 
 
 def _report(
-    spec: LidarSpec, T: NDArray[np.float64], hits: Hits, weather: Weather, coats: NDArray[np.int64], seed: int
+    spec: LidarSpec, T: Floats, hits: Hits, weather: Weather, coats: NDArray[np.int64], seed: int
 ) -> RangeImage:
     """Turn what the rays hit into what the lidar reports."""
     count = spec.layers * spec.azimuths
     strength = np.empty(count, np.float32)
-    reflect(spec.directions().reshape(-1, 3), T, *hits, _optics(weather.wet), coats, strength)
-    image = RangeImage(
-        np.empty(spec.shape, np.float32),
-        np.empty(spec.shape, np.float32),
-        np.empty(spec.shape, np.int32),
-        np.empty(spec.shape, np.uint8),
-    )
-    upwards, shift = _laps(spec)
-    receive(
-        spec.shape,
-        hits.distance,
-        strength,
-        hits.material,
-        hits.object,
-        hits.cosine,
-        spec.divergence / 2 / spec.azimuth_step,
-        upwards,
-        shift,
-        (spec.range_min, spec.range_max, spec.reach),
-        (spec.range_noise, spec.range_step, spec.divergence),
-        *spec.errors,
-        _air(weather),
-        _STEADY,
-        seed,
-        image.range.reshape(-1),
-        image.intensity.reshape(-1),
-        image.material.reshape(-1),
-        image.object.reshape(-1),
-    )
-    return image
+    reflect(spec.directions().reshape(-1, 3), T, hits, _optics(weather.wet), coats, strength)
+    columns: Any = (np.empty(count, dtype) for dtype in ("f4", "f4", "i4", "u1"))
+    image = RangeImage(*columns)
+    receive(hits, strength, _device(spec), _air(weather), _STEADY, seed, image)
+    columns = (column.reshape(spec.shape) for column in image)
+    return RangeImage(*columns)
 
 
-def _laps(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return half the beam's width in spacings to the layer above (0 if none), and how its columns differ."""
+def _device(spec: LidarSpec) -> Device:
+    """Return a lidar's numbers as kernels use them."""
     spacing = np.diff(spec.elevations, append=math.inf)
     upwards = spec.divergence / 2 / np.maximum(spacing, 1e-9)
     if spec.origins:
@@ -177,11 +124,15 @@ def _laps(spec: LidarSpec) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     upwards[spacing < 1e-9] = 0
     shift = np.zeros(spec.layers, np.int64)
     shift[:-1] = np.round(np.diff(spec.azimuth_offsets) / spec.azimuth_step)
-    return upwards, shift
+    sideways = spec.divergence / 2 / spec.azimuth_step
+    limits = (spec.range_min, spec.range_max, spec.reach)
+    numbers = map(float, (*limits, spec.range_noise, spec.range_step, spec.divergence))
+    rest: Any = (*numbers, *spec.errors)
+    return Device(*spec.shape, sideways, upwards, shift, *rest)
 
 
 def _optics(wet: float) -> NDArray[np.float32]:
-    """Return the table of materials with the ground as wet as told: darker, and more like a mirror."""
+    """Return the table of materials with wet ground: darker, and more like a mirror."""
     if not 0 <= wet <= 1:
         raise ValueError(f"wet must lie in 0 ... 1, got {wet}")
     optics = table()
@@ -196,8 +147,8 @@ def _optics(wet: float) -> NDArray[np.float32]:
     return optics
 
 
-def _air(weather: Weather) -> tuple[float, float, float]:
-    """Return extinction [1/m], expected returns of the air on a free ray, and their mean distance [m].
+def _air(weather: Weather) -> Air:
+    """Return what the weather makes of the air.
 
     Extinction: Koschmieder's law for fog, a power law of the rate for rain (order of magnitude of published
     measurements at 905 nm). The returns are ours: about one ray in fifty in strong rain, most of them in
@@ -210,55 +161,27 @@ def _air(weather: Weather) -> tuple[float, float, float]:
     extinction = 2e-4 * weather.rain**0.7 + 3.912 / weather.fog
     drops = 1e-3 * weather.rain + 10 / weather.fog
     depth = 3.0 if not math.isfinite(weather.fog) else 2 + 0.05 * min(weather.fog, 200.0)
-    return extinction, drops, depth
+    return Air(extinction, drops, depth)
 
 
-class Returns(NamedTuple):
-    """The points of a range image, layer by layer from the lowest, each in the order of its columns.
+def to_points(
+    image: RangeImage, spec: LidarSpec
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the returns of a range image as points, layer by layer.
 
-    Attributes
-    ----------
+    Returns
+    -------
     points : (N, 4) float32
         x, y, z in the sensor frame [m], intensity [0, 1].
-    ring : (N,) uint16
-        Layer, 0 the lowest.
-    azimuth : (N,) uint16
-        Column.
-    time : (N,) float64
-        [s]; 0 is the middle of the turn.
-    object : (N,) int32; material : (N,) uint8
-        As in `RangeImage`.
+    layer, column : (N,) int64
+        Place of each in the range image.
     """
-
-    points: NDArray[np.float32]
-    ring: NDArray[np.uint16]
-    azimuth: NDArray[np.uint16]
-    time: NDArray[np.float64]
-    object: NDArray[np.int32]
-    material: NDArray[np.uint8]
-
-
-def returns(image: RangeImage, spec: LidarSpec) -> Returns:
-    """Turn a range image into points and all that is known of each."""
     if image.range.shape != spec.shape:
         raise ValueError(f"a range image of {spec.name} has shape {spec.shape}, got {image.range.shape}")
-    ring, azimuth = np.nonzero(image.range)
-    distance = image.range[ring, azimuth]
-    cloud = np.empty((len(ring), 4), np.float32)
-    cloud[:, :3] = distance[:, None] * spec.directions()[ring, azimuth]
+    layer, column = np.nonzero(image.range)
+    points = np.empty((len(layer), 4), np.float32)
+    points[:, :3] = image.range[layer, column, None] * spec.directions()[layer, column]
     if spec.origins:
-        cloud[:, :3] += np.array(spec.origins, np.float32)[ring]
-    cloud[:, 3] = image.intensity[ring, azimuth]
-    return Returns(
-        cloud,
-        ring.astype(np.uint16),
-        azimuth.astype(np.uint16),
-        spec.times[azimuth],
-        image.object[ring, azimuth],
-        image.material[ring, azimuth],
-    )
-
-
-def points(image: RangeImage, spec: LidarSpec) -> NDArray[np.float32]:
-    """Turn a range image into points (N, 4): x, y, z in the sensor frame [m], intensity [0, 1]."""
-    return returns(image, spec).points
+        points[:, :3] += np.array(spec.origins, np.float32)[layer]
+    points[:, 3] = image.intensity[layer, column]
+    return points, layer, column

@@ -1,4 +1,4 @@
-"""What a data set shall hold: `Plan`, and which drive each of its samples is taken from."""
+"""What a data set shall hold: `DatasetPlan`, and which drive each of its samples is taken from."""
 
 import math
 from collections.abc import Mapping
@@ -9,19 +9,19 @@ import numpy as np
 
 from ogm.simulation.sensors import LIDARS
 
-__all__ = ["MOUNTS", "SPLITS", "Moment", "Mount", "Plan", "moment", "mount_of", "only", "random"]
+__all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "draw_mount", "moment", "only", "sample_rng"]
 
 SPLITS = ("training", "validation", "test", "sequences")
 DRIVES = 10  # scenarios that the samples of a split are taken from in turn (Sec. V: five each way round)
 RUN = 10  # [s] of one drive before the next one's turn: one shard of samples at 1 Hz
 LAP = 1000  # samples that one drive gives at most, one per second
 WARM_UP = 20.0  # [s] that traffic has run before the first sample
-TOWN_SIZES = (240.0, 1000.0)  # [m] that leave room for streets
+TOWN_SIZES = (240.0, 1000.0)  # [m] that leave space for streets
 SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
 
 
 @dataclass(frozen=True)
-class Mount:
+class LidarMount:
     """A lidar, how it is mounted, and how often.
 
     Parameters
@@ -67,23 +67,23 @@ class Mount:
 
 # Four samples in five as in the paper; the others so that a network can be trained for more than one car.
 MOUNTS = (
-    Mount("vlp-32c", 0.80),
-    Mount("vlp-32c", 0.05, (1.7, 2.4), (-0.4, 0.4), 0.03),
-    Mount("hdl-32e", 0.05, (1.7, 2.2), (-0.4, 0.4), 0.03),
-    Mount("hdl-64e", 0.04, (1.7, 2.1), (-0.4, 0.4), 0.03),
-    Mount("os1-64", 0.04, (1.7, 2.2), (-0.4, 0.4), 0.03),
-    Mount("vls-128", 0.02, (1.7, 2.2), (-0.4, 0.4), 0.03),
+    LidarMount("vlp-32c", 0.80),
+    LidarMount("vlp-32c", 0.05, (1.7, 2.4), (-0.4, 0.4), 0.03),
+    LidarMount("hdl-32e", 0.05, (1.7, 2.2), (-0.4, 0.4), 0.03),
+    LidarMount("hdl-64e", 0.04, (1.7, 2.1), (-0.4, 0.4), 0.03),
+    LidarMount("os1-64", 0.04, (1.7, 2.2), (-0.4, 0.4), 0.03),
+    LidarMount("vls-128", 0.02, (1.7, 2.2), (-0.4, 0.4), 0.03),
 )
 
 
-def only(lidar: str) -> tuple[Mount, ...]:
+def only(lidar: str) -> tuple[LidarMount, ...]:
     """Return the mounts of a data set that has one lidar, mounted as the paper's: mid-roof and level."""
-    return (Mount(lidar),)
+    return (LidarMount(lidar),)
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A data set to be: with the number of a sample, all there is to know to make it.
+class DatasetPlan:
+    """What a data set shall hold; with the number of a sample, all that is needed to make it.
 
     The default is the paper's recipe (Sec. V): ten drives through one town, half of them clockwise, at 1 Hz;
     validation in the same town with other traffic; test in another town.
@@ -91,18 +91,18 @@ class Plan:
     Parameters
     ----------
     seed : int
-        Says all that is random.
+        Random seed.
     samples, validation, test : int
         Numbers of samples in these splits.
     sequences : int
         Pieces of 10 s at 10 Hz with exact poses and velocities, 100 samples each.
     truth : {"aimed", "hd"}
-        How the truth is looked at: rays aimed at every cell, or the paper's lidar of many layers.
+        How the truth is observed: rays aimed at every cell, or the paper's lidar of many layers.
     mounts : tuple of Mount
     bad_weather : float
         Share [0, 1] of the samples in rain, in fog or on wet roads.
     in_motion : float
-        Share [0, 1] of the samples that the own motion distorts during the turn (rolling shutter).
+        Share [0, 1] of the samples that the ego motion distorts during the turn (rolling shutter).
     towns : int
         Towns that training and validation drive through in turn; the paper has one. The test's is always
         another.
@@ -118,7 +118,7 @@ class Plan:
     test: int = 100
     sequences: int = 0
     truth: str = "aimed"
-    mounts: tuple[Mount, ...] = MOUNTS
+    mounts: tuple[LidarMount, ...] = MOUNTS
     bad_weather: float = 0.0
     in_motion: float = 0.0
     towns: int = 1
@@ -161,15 +161,15 @@ class Plan:
         return asdict(self) | {"mounts": [asdict(one) for one in self.mounts]}
 
     @classmethod
-    def from_dict(cls, numbers: Mapping[str, Any]) -> "Plan":
+    def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
         """Make from what `as_dict` returned, or from what JSON made of it."""
         known = {field.name for field in fields(cls)}
         if set(numbers) != known:
             odd = sorted(set(numbers) ^ known)
             raise ValueError(f"the plan has other settings than this version of ogm: {', '.join(odd)}")
-        return cls(**(dict(numbers) | {"mounts": tuple(Mount(**one) for one in numbers["mounts"])}))
+        return cls(**(dict(numbers) | {"mounts": tuple(LidarMount(**one) for one in numbers["mounts"])}))
 
-    def grown(self, before: "Plan") -> "Plan":
+    def grown(self, before: "DatasetPlan") -> "DatasetPlan":
         """Return this plan, with `before`'s counts where those are larger, if it is `before` in all else.
 
         Raises
@@ -202,7 +202,7 @@ class Moment(NamedTuple):
     town, traffic : int
         Seeds.
     clockwise : bool
-        Which way round the own vehicle drives.
+        Which way round the ego vehicle drives.
     scenario : int
         Number of the drive within the split.
     time : float
@@ -216,8 +216,8 @@ class Moment(NamedTuple):
     time: float
 
 
-def moment(plan: Plan, split: str, index: int) -> Moment:
-    """Say which drive a sample is from, and when.
+def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
+    """Return which drive a sample is from, and when.
 
     Runs of ten seconds are taken from ten drives in turn, so that a part of a data set is as mixed as the
     whole, and a longer one begins with the shorter one's samples.
@@ -241,12 +241,14 @@ def moment(plan: Plan, split: str, index: int) -> Moment:
     return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
 
 
-def mount_of(plan: Plan, split: str, index: int) -> tuple[Mount, tuple[float, float, float, float]]:
+def draw_mount(
+    plan: DatasetPlan, split: str, index: int
+) -> tuple[LidarMount, tuple[float, float, float, float]]:
     """Draw the lidar of a sample and its mounting: height, forward [m], roll, pitch [rad].
 
     All samples of a sequence have the same.
     """
-    rng = random(plan, split, index // SEQUENCE if split == "sequences" else index, 0)
+    rng = sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 0)
     shares = np.cumsum([mount.share for mount in plan.mounts])
     choice = int(np.searchsorted(shares, rng.random() * shares[-1], side="right"))
     mount = plan.mounts[min(choice, len(plan.mounts) - 1)]
@@ -256,7 +258,7 @@ def mount_of(plan: Plan, split: str, index: int) -> tuple[Mount, tuple[float, fl
     return mount, (height, forward, roll, pitch)
 
 
-def random(plan: Plan, split: str, index: int, purpose: int) -> np.random.Generator:
+def sample_rng(plan: DatasetPlan, split: str, index: int, purpose: int) -> np.random.Generator:
     """Return the random numbers that belong to one sample and one purpose."""
     return np.random.default_rng([plan.seed, 3, SPLITS.index(split), index, purpose])
 

@@ -2,8 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,77 +12,23 @@ from ogm.files import atomic_write
 from ogm.grid import GridSpec
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
-from ogm.simulation.sample import Sample
+from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 
-__all__ = ["COLOURS", "Camera", "contact_sheet", "materials_panel", "sample_panels", "truth_panel"]
+__all__ = ["Camera", "contact_sheet", "materials_panel", "sample_panels", "save_views", "truth_panel"]
 
 GREY = (0.45, 0.45, 0.45)  # cells to be ignored
-Colour = tuple[float, float, float]
-
-# What the materials look like in pictures: told apart, and about as they are.
-COLOURS: dict[M, Colour] = {
-    M.ASPHALT: (0.30, 0.30, 0.32),
-    M.WORN_ASPHALT: (0.38, 0.38, 0.38),
-    M.WET_ASPHALT: (0.18, 0.20, 0.24),
-    M.COBBLES: (0.45, 0.42, 0.40),
-    M.PAVING: (0.62, 0.58, 0.54),
-    M.GRAVEL: (0.66, 0.61, 0.50),
-    M.GRASS: (0.40, 0.55, 0.25),
-    M.SOIL: (0.47, 0.37, 0.26),
-    M.MARKING: (0.95, 0.95, 0.95),
-    M.KERB: (0.75, 0.73, 0.70),
-    M.PLASTER_LIGHT: (0.90, 0.86, 0.76),
-    M.PLASTER_DARK: (0.70, 0.60, 0.50),
-    M.BRICK: (0.62, 0.33, 0.26),
-    M.CONCRETE: (0.66, 0.66, 0.64),
-    M.STONE: (0.60, 0.57, 0.50),
-    M.WOOD: (0.55, 0.40, 0.25),
-    M.ROOF: (0.52, 0.25, 0.20),
-    M.WINDOW: (0.25, 0.33, 0.42),
-    M.METAL_SHEET: (0.62, 0.65, 0.70),
-    M.METAL_POLE: (0.45, 0.47, 0.50),
-    M.FOLIAGE: (0.20, 0.42, 0.16),
-    M.BARK: (0.36, 0.27, 0.20),
-    M.PAINT_LIGHT: (0.90, 0.90, 0.92),
-    M.PAINT_MEDIUM: (0.35, 0.50, 0.75),
-    M.PAINT_DARK: (0.45, 0.10, 0.12),
-    M.PAINT_BLACK: (0.10, 0.10, 0.11),
-    M.TYRE: (0.08, 0.08, 0.08),
-    M.CAR_GLASS: (0.30, 0.38, 0.42),
-    M.PLASTIC_DARK: (0.15, 0.15, 0.16),
-    M.PLATE: (0.95, 0.95, 0.70),
-    M.LAMP: (1.00, 0.75, 0.55),
-    M.SIGN: (0.85, 0.15, 0.15),
-    M.CLOTH_LIGHT: (0.80, 0.70, 0.55),
-    M.CLOTH_DARK: (0.22, 0.24, 0.38),
-    M.SKIN: (0.85, 0.65, 0.55),
-    M.HIGH_VIS: (0.95, 0.85, 0.10),
-    M.TARPAULIN: (0.30, 0.55, 0.60),
-    M.OWN_VEHICLE: (0.95, 0.55, 0.10),
-}
-# The kinds that the picture of HD points tells apart, each by one colour.
-KINDS: dict[str, tuple[Colour, frozenset[M]]] = {
-    "road": ((0.45, 0.45, 0.50), frozenset({M.ASPHALT, M.WORN_ASPHALT, M.WET_ASPHALT, M.COBBLES})),
-    "marking": ((1.0, 1.0, 1.0), frozenset({M.MARKING})),
-    "paving": ((0.78, 0.66, 0.52), frozenset({M.PAVING, M.GRAVEL})),
-    "grass, soil": ((0.55, 0.62, 0.25), frozenset({M.GRASS, M.SOIL})),
-    "plants": ((0.10, 0.60, 0.20), frozenset({M.FOLIAGE, M.BARK})),
-    "built": (
-        (0.90, 0.35, 0.25),
-        frozenset(
-            {M.KERB, M.PLASTER_LIGHT, M.PLASTER_DARK, M.BRICK, M.CONCRETE, M.STONE, M.WOOD, M.ROOF, M.WINDOW}
-        ),
-    ),
-    "metal, signs": ((1.0, 0.80, 0.10), frozenset({M.METAL_SHEET, M.METAL_POLE, M.SIGN, M.TARPAULIN})),
-    "traffic": (
-        (0.25, 0.60, 1.0),
-        frozenset(
-            {M.PAINT_LIGHT, M.PAINT_MEDIUM, M.PAINT_DARK, M.PAINT_BLACK, M.TYRE, M.CAR_GLASS, M.PLASTIC_DARK}
-            | {M.PLATE, M.LAMP, M.CLOTH_LIGHT, M.CLOTH_DARK, M.SKIN, M.HIGH_VIS}
-        ),
-    ),
+# The kinds that the picture of HD points distinguishes, each by one colour.
+KINDS: dict[str, tuple[tuple[float, float, float], set[M]]] = {
+    "road": ((0.45, 0.45, 0.50), {M.ASPHALT, M.WORN_ASPHALT, M.WET_ASPHALT, M.COBBLES}),
+    "marking": ((1.0, 1.0, 1.0), {M.MARKING}),
+    "paving": ((0.78, 0.66, 0.52), {M.PAVING, M.GRAVEL}),
+    "grass, soil": ((0.55, 0.62, 0.25), {M.GRASS, M.SOIL}),
+    "plants": ((0.10, 0.60, 0.20), {M.FOLIAGE, M.BARK}),
+    "built": ((0.90, 0.35, 0.25), {m for m in M if M.KERB <= m < M.METAL_SHEET}),
+    "metal, signs": ((1.0, 0.80, 0.10), {M.METAL_SHEET, M.METAL_POLE, M.SIGN, M.TARPAULIN}),
+    "traffic": ((0.25, 0.60, 1.0), {m for m in M if M.PAINT_LIGHT <= m < M.TARPAULIN} - {M.SIGN}),
 }
 SUN = np.array([0.45, -0.55, 0.70]) / np.linalg.norm([0.45, -0.55, 0.70])
 SKY = np.array([0.72, 0.82, 0.93])
@@ -92,15 +37,13 @@ SKY = np.array([0.72, 0.82, 0.93])
 def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
     """Show a truth grid: green free, red occupied, black unknown, grey to be ignored."""
     colours = np.empty((4, 3))
-    colours[[CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]] = (
-        *plot.LEGEND.values(),
-        GREY,
-    )
+    order = [CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]
+    colours[order] = *plot.LEGEND.values(), GREY
     legend = plot.LEGEND | ({"ignored": GREY} if truth.ignored.any() else {})
     return plot.cells_panel(colours[truth.state], truth.spec, title, legend)
 
 
-def sample_panels(sample: Sample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
+def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
     """Show a sample's points, coloured by height, and its truth."""
     ground = -float(sample.T_vehicle_sensor[2, 3])
     cloud = plot.points_panel(sample.points, spec, f"{len(sample.points)} points of {sample.lidar}", ground)
@@ -146,7 +89,7 @@ def contact_sheet(path: str | os.PathLike[str], store: Store, *, most: int = 24,
     int
         Samples shown.
     """
-    chosen: list[Sample] = []
+    chosen: list[SimulatedSample] = []
     finished = {name: store[name].finished for name in store.counts}
     total = sum(map(len, finished.values()))
     for name, numbers in finished.items():
@@ -155,11 +98,14 @@ def contact_sheet(path: str | os.PathLike[str], store: Store, *, most: int = 24,
         chosen += [store[name][int(numbers[k])] for k in places]
     tiles = [_tile(sample) for sample in chosen]
     titles = [f"{one.split} {one.index}: {one.lidar}" for one in chosen]
-    _sheet(Path(path), tiles, titles, columns)
+    columns = max(1, min(columns, len(tiles)))
+    rows = max(1, -(-len(tiles) // columns))
+    figure, axes = _figure(rows, columns, (3.56 * columns, 2.75 * rows))
+    _save(path, figure, axes, list(zip(titles, tiles, strict=True)), 9, 100)
     return len(chosen)
 
 
-def _tile(sample: Sample) -> NDArray[np.uint8]:
+def _tile(sample: SimulatedSample) -> NDArray[np.uint8]:
     """Draw a sample small: two pictures of a pixel per cell of 0.32 m side by side."""
     cloud, truth = sample_panels(sample)
     # Of the 4 x 4 fine cells of a pixel, the brightest shows: thin things do not vanish.
@@ -170,25 +116,6 @@ def _tile(sample: Sample) -> NDArray[np.uint8]:
     reddest = cells[..., 0].argmax(axis=-1)
     labels = np.take_along_axis(cells, reddest[..., None, None], axis=2)[:, :, 0]
     return np.concatenate([points, np.full((256, 4, 3), 255, np.uint8), labels], axis=1)
-
-
-def _sheet(path: Path, tiles: Sequence[NDArray[np.uint8]], titles: Sequence[str], columns: int) -> None:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    columns = max(1, min(columns, len(tiles)))
-    rows = max(1, -(-len(tiles) // columns))
-    figure = Figure(figsize=(3.56 * columns, 2.75 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axis, tile, title in zip(
-        figure.subplots(rows, columns, squeeze=False).ravel(), tiles, titles, strict=False
-    ):
-        axis.imshow(tile, interpolation="nearest")
-        axis.set_title(title, fontsize=9, parse_math=False)
-    for axis in figure.axes:
-        axis.set_axis_off()
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=100)
 
 
 class Camera(NamedTuple):
@@ -225,16 +152,33 @@ class Camera(NamedTuple):
 
 def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[np.uint8]]]) -> None:
     """Write pictures below each other to one PNG file, each with a title."""
+    shares = [image.shape[0] / image.shape[1] for _, image in views]
+    size = (14.0, 14.0 * sum(shares) + 0.4 * len(views))
+    figure, axes = _figure(len(views), 1, size, height_ratios=shares)
+    _save(path, figure, axes, views, 12, 110)
+
+
+def _figure(rows: int, columns: int, size: tuple[float, float], **layout: Any) -> tuple[Any, Any]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    shares = [image.shape[0] / image.shape[1] for _, image in views]
-    figure = Figure(figsize=(14.0, 14.0 * sum(shares) + 0.4 * len(views)), layout="constrained")
+    figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(len(views), 1, squeeze=False, height_ratios=shares)[:, 0]
-    for axis, (title, image) in zip(axes, views, strict=True):
-        axis.imshow(image)
-        axis.set_title(title, fontsize=12, parse_math=False)
+    return figure, figure.subplots(rows, columns, squeeze=False, **layout).ravel()
+
+
+def _save(
+    path: str | os.PathLike[str],
+    figure: Any,
+    axes: Any,
+    images: Sequence[tuple[str, NDArray]],
+    font: int,
+    dpi: int,
+) -> None:
+    for axis, (title, image) in zip(axes, images, strict=False):
+        axis.imshow(image, interpolation="nearest")
+        axis.set_title(title, fontsize=font, parse_math=False)
+    for axis in axes:
         axis.set_axis_off()
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=110)
+        figure.savefig(file, format="png", dpi=dpi)

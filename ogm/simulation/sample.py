@@ -1,20 +1,19 @@
-"""One sample of a data set: what the lidar saw, what is true around it, and what moved there.
+"""One sample of a data set: the lidar's range image, the truth around it, and the traffic participants nearby.
 
-Needs numpy and numba only, so that data sets are read where the simulator is not installed.
+Needs numpy only, so that data sets are read where the simulator is not installed.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.state import Truth
 
-__all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "Sample", "Weather", "pack", "unpack"]
+__all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weather"]
 
 RANGE_STEP = 0.004  # [m] in which ranges are kept, as Velodyne's packets do
 LABELS = ("car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle", "pedestrian")
@@ -34,7 +33,6 @@ OBJECT = np.dtype(
         ("returns", np.int32),  # points of this sample on it
     ]
 )
-_MODULUS = 65535
 
 
 class Weather(NamedTuple):
@@ -127,40 +125,26 @@ class Beams:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the numbers as JSON can hold them."""
-        return {
-            "name": self.name,
-            "elevation": list(self.elevation),
-            "azimuth": list(self.azimuth),
-            "step": self.step,
-            "columns": self.columns,
-            "rate": self.rate,
-            "origin": [list(one) for one in self.origin],
-        }
+        return asdict(self)
 
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "Beams":
-        """Make from what `as_dict` returned."""
-        return cls(
-            str(numbers["name"]),
-            tuple(map(float, numbers["elevation"])),
-            tuple(map(float, numbers["azimuth"])),
-            float(numbers["step"]),
-            int(numbers["columns"]),
-            float(numbers["rate"]),
-            tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"]),
-        )
+        """Make from what `as_dict` returned, or from what JSON made of it."""
+        angles = {name: tuple(map(float, numbers[name])) for name in ("elevation", "azimuth")}
+        origin = tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"])
+        return cls(**{**numbers, **angles, "origin": origin})
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
-    """What a lidar saw in one turn, and the truth about the cells around it.
+class SimulatedSample:
+    """One turn of a lidar, and the truth about the cells around it.
 
     Parameters
     ----------
     beams : Beams
         The lidar.
     steps : (layers, columns) uint16
-        The range image in steps of `RANGE_STEP`; 0 where nothing came back.
+        The range image in steps of `RANGE_STEP`; 0 where there was no return.
     intensities : (layers, columns) uint8
         Calibrated as Velodyne's, 0 ... 255.
     truth : Truth
@@ -170,9 +154,9 @@ class Sample:
     T_world_sensor, T_vehicle_sensor : (4, 4) float64
         Where the sensor stood, and how it is mounted.
     velocity : (3,) float64
-        Of the own vehicle, in the world's axes [m/s].
+        Of the ego vehicle, in the world's axes [m/s].
     yaw_rate : float
-        Of the own vehicle [rad/s].
+        Of the ego vehicle [rad/s].
     stamp : float
         Time in the scenario, in the middle of the turn [s].
     split : str
@@ -206,7 +190,7 @@ class Sample:
 
     @property
     def range(self) -> NDArray[np.float32]:
-        """The range image [m], (layers, columns) float32; 0 where nothing came back."""
+        """The range image [m], (layers, columns) float32; 0 where there was no return."""
         return self.steps * np.float32(RANGE_STEP)
 
     @property
@@ -217,13 +201,12 @@ class Sample:
     @cached_property
     def points(self) -> NDArray[np.float32]:
         """The returns, (N, 4) float32: x, y, z in the sensor's frame [m], intensity [0, 1]; layer by layer."""
-        return _points(
-            np.ascontiguousarray(self.steps),
-            np.ascontiguousarray(self.intensities),
-            self.beams.directions,
-            self.beams.origins,
-            RANGE_STEP,
-        )
+        layer, column = np.nonzero(self.steps)
+        distance = (self.steps[layer, column] * RANGE_STEP).astype(np.float32)
+        result = np.empty((len(layer), 4), np.float32)
+        result[:, :3] = self.beams.origins[layer] + distance[:, None] * self.beams.directions[layer, column]
+        result[:, 3] = self.intensities[layer, column] * np.float32(1 / 255)
+        return result
 
     @property
     def ring(self) -> NDArray[np.uint16]:
@@ -239,106 +222,3 @@ class Sample:
     def time(self) -> NDArray[np.float32]:
         """When each point was measured [s], counted from `stamp`, (N,) float32."""
         return self.beams.times[np.nonzero(self.steps)[1]]
-
-
-@numba.njit(cache=True, nogil=True)
-def _points(
-    steps: NDArray, intensities: NDArray, directions: NDArray, origins: NDArray, range_step: float
-) -> NDArray:
-    count = 0
-    for value in steps.flat:
-        count += value != 0
-    result = np.empty((count, 4), np.float32)
-    n = 0
-    for layer in range(steps.shape[0]):
-        x, y, z = origins[layer]
-        for column in range(steps.shape[1]):
-            if steps[layer, column] == 0:
-                continue
-            distance = np.float32(steps[layer, column] * range_step)
-            result[n, 0] = x + distance * directions[layer, column, 0]
-            result[n, 1] = y + distance * directions[layer, column, 1]
-            result[n, 2] = z + distance * directions[layer, column, 2]
-            result[n, 3] = np.float32(intensities[layer, column]) * np.float32(1 / 255)
-            n += 1
-    return result
-
-
-def pack(steps: NDArray[np.uint16], intensities: NDArray[np.uint8], rays: int) -> NDArray[np.uint8]:
-    """Rewrite a range image so that it compresses well.
-
-    Neighbours differ little, so what is kept of a return is its difference from the last return of the same
-    layer (from 0 for the first): ``d = (r - last) mod 65535``, taken in -32767 ... 32767, then
-    ``2 d + 1`` for ``d >= 0`` and ``-2 d`` for ``d < 0``. A ray without return is 0.
-
-    Parameters
-    ----------
-    steps : (layers, columns) uint16
-    intensities : (layers, columns) uint8
-    rays : int
-        Columns of the result, at least layers * columns; what is over is 0.
-
-    Returns
-    -------
-    (3, rays) uint8
-        The low byte, the high byte, and the intensity of each ray, layer by layer.
-    """
-    if rays < steps.size:
-        raise ValueError(f"a range image of {steps.shape} does not fit into {rays} rays")
-    planes = np.zeros((3, rays), np.uint8)
-    _pack(np.ascontiguousarray(steps), planes)
-    planes[2, : steps.size] = np.where(steps > 0, intensities, 0).ravel()
-    return planes
-
-
-@numba.njit(cache=True, nogil=True)
-def _pack(steps: NDArray, planes: NDArray) -> None:
-    k = 0
-    for layer in range(steps.shape[0]):
-        last = 0
-        for column in range(steps.shape[1]):
-            value = int(steps[layer, column])
-            if value != 0:
-                difference = (value - last) % _MODULUS
-                if difference > _MODULUS // 2:
-                    difference -= _MODULUS
-                code = 2 * difference + 1 if difference >= 0 else -2 * difference
-                planes[0, k] = code & 255
-                planes[1, k] = code >> 8
-                last = value
-            k += 1
-
-
-def unpack(planes: NDArray[np.uint8], shape: tuple[int, int]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
-    """Take back what `pack` did.
-
-    Parameters
-    ----------
-    planes : (3, rays) uint8
-    shape : (layers, columns)
-
-    Returns
-    -------
-    steps : (layers, columns) uint16
-    intensities : (layers, columns) uint8
-    """
-    if planes.shape[1] < shape[0] * shape[1]:
-        raise ValueError(f"{planes.shape[1]} rays are too few for a range image of {shape}")
-    steps = np.zeros(shape, np.uint16)
-    _unpack(planes, steps)
-    return steps, planes[2, : steps.size].reshape(shape)
-
-
-@numba.njit(cache=True, nogil=True)
-def _unpack(planes: NDArray, steps: NDArray) -> None:
-    k = 0
-    for layer in range(steps.shape[0]):
-        last = 0
-        for column in range(steps.shape[1]):
-            code = int(planes[0, k]) | int(planes[1, k]) << 8
-            if code != 0:
-                difference = code // 2 if code % 2 == 1 else -(code // 2)
-                value = (last + difference) % _MODULUS
-                last = value if value != 0 else _MODULUS
-                steps[layer, column] = last
-            k += 1

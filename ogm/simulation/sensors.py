@@ -16,7 +16,7 @@ class LidarSpec:
     """A spinning lidar.
 
     It turns clockwise, seen from above, as Velodyne's and Ouster's do. A turn begins straight behind, so that
-    the sensor looks ahead in the middle of it.
+    the sensor faces ahead in the middle of it.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class LidarSpec:
     elevations : tuple of float
         Of each layer above the sensor's xy plane [rad], ascending (equal ones may follow each other).
     azimuth_offsets : tuple of float
-        How far each layer looks to the left of the column's azimuth [rad].
+        How far each layer points to the left of the column's azimuth [rad].
     azimuth_step : float
         Between columns [rad]; a whole number of them makes a turn.
     rate : float

@@ -1,28 +1,21 @@
 """Pictures that need the simulator itself: HD points by material, and views of a town with its traffic."""
 
-import importlib
 import os
 from typing import Any
 
 import numpy as np
+import open3d
 from numpy.typing import NDArray
 
 from ogm import plot
-from ogm.simulation.dataset import Look, look, sample
+from ogm.simulation.dataset import SceneSetup, make_sample, set_up
 from ogm.simulation.exchange import PAPER_GRID
+from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, merge
-from ogm.simulation.plan import Plan
-from ogm.simulation.preview import (
-    COLOURS,
-    SKY,
-    SUN,
-    Camera,
-    materials_panel,
-    sample_panels,
-    save_views,
-)
+from ogm.simulation.plan import DatasetPlan
+from ogm.simulation.preview import SKY, SUN, Camera, materials_panel, sample_panels, save_views
 from ogm.simulation.sensors import hd_directions
-from ogm.simulation.traffic import own_vehicle
+from ogm.simulation.traffic import ego_vehicle
 
 __all__ = ["hd_points", "preview", "render"]
 
@@ -30,7 +23,7 @@ FAR = 900.0  # [m] at which the air hides a third of what is there
 
 
 def preview(
-    path: str | os.PathLike[str], town_path: str | os.PathLike[str], plan: Plan, index: int = 0
+    path: str | os.PathLike[str], town_path: str | os.PathLike[str], plan: DatasetPlan, index: int = 0
 ) -> None:
     """Draw a training sample as the paper's Fig. 2, and the town that it was taken in.
 
@@ -40,31 +33,26 @@ def preview(
         For points, HD points by material, and truth, side by side (.png).
     town_path : path
         For a view of the town from the air and one of the street (.png).
-    plan : Plan
+    plan : DatasetPlan
     index : int
         Number of the sample.
     """
-    made = sample(plan, "training", index)
-    here = look(plan, "training", index)
+    made = make_sample(plan, "training", index)
+    here = set_up(plan, "training", index)
     points, material = hd_points(here)
     cloud, truth = sample_panels(made)
     middle = materials_panel(points, material, PAPER_GRID, "HD lidar, by material")
     plot.save_picture(path, cloud, middle, truth)
     everything = merge(
-        [here.world.town.mesh, *(one.mesh.moved(one.pose) for one in here.frame.objects)]
-        + [own_vehicle().moved(here.frame.ego)]
+        [here.world.town.mesh, *(one.mesh.moved(one.pose) for one in here.state.objects)]
+        + [ego_vehicle().moved(here.state.ego)]
     )
-    views = [
-        (title, render(everything, camera))
-        for title, camera in (
-            ("from the air", _from_the_air(here)),
-            ("behind the own vehicle", _from_behind(here)),
-        )
-    ]
+    cameras = {"from the air": _from_the_air(here), "behind the ego vehicle": _from_behind(here)}
+    views = [(title, render(everything, camera)) for title, camera in cameras.items()]
     save_views(town_path, views)
 
 
-def hd_points(here: Look, layers: int = 1200) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+def hd_points(here: SceneSetup, layers: int = 1200) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """Return what an HD lidar hits, (N, 3) float32 in the sensor's frame [m], and the materials (N,)."""
     rays = hd_directions(here.spec, layers).reshape(-1, 3)
     hits = here.world.scene.cast(here.T_world_sensor, rays)
@@ -72,40 +60,39 @@ def hd_points(here: Look, layers: int = 1200) -> tuple[NDArray[np.float32], NDAr
     return rays[seen] * hits.distance[seen, None], hits.material[seen]
 
 
-def _from_the_air(here: Look) -> Camera:
+def _from_the_air(here: SceneSetup) -> Camera:
     size = here.world.town.size
     height = float(here.world.town.ground_height(np.zeros(1), np.zeros(1))[0])
     return Camera((-0.62 * size, -0.55 * size, height + 0.42 * size), (0.0, -0.03 * size, height), 1800, 1100)
 
 
-def _from_behind(here: Look) -> Camera:
-    eye, target = (here.frame.ego @ (x, y, z, 1.0) for x, y, z in ((-11.0, 2.0, 5.0), (14.0, 0.0, 0.8)))
+def _from_behind(here: SceneSetup) -> Camera:
+    eye, target = (here.state.ego @ (x, y, z, 1.0) for x, y, z in ((-11.0, 2.0, 5.0), (14.0, 0.0, 0.8)))
     return Camera(tuple(eye[:3]), tuple(target[:3]), 1800, 900)
 
 
 def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     """Draw triangles in sunlight, with shadows and haze; (height, width, 3) uint8."""
-    o3d: Any = importlib.import_module("open3d")  # its own hints are too narrow
-    scene = o3d.t.geometry.RaycastingScene()
+    tensor: Any = open3d.core.Tensor  # its own hints are too narrow
+    scene = open3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(mesh.vertices)),
-        o3d.core.Tensor(np.ascontiguousarray(mesh.triangles)),
+        tensor(np.ascontiguousarray(mesh.vertices)), tensor(np.ascontiguousarray(mesh.triangles))
     )
     directions = camera.directions().reshape(-1, 3)
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3], rays[:, 3:] = camera.eye, directions
-    answer = scene.cast_rays(o3d.core.Tensor(rays))
+    answer = scene.cast_rays(tensor(rays))
     distance = answer["t_hit"].numpy()
     hit = np.isfinite(distance)
     normals = answer["primitive_normals"].numpy()[hit]
     facing = np.where((normals * directions[hit]).sum(axis=1, keepdims=True) > 0, -normals, normals)
-    # Light: from the sky on all that looks up, from the sun where no shadow falls.
+    # Light: from the sky on all that faces up, from the sun where no shadow falls.
     shadow = np.empty((len(facing), 6), np.float32)
     shadow[:, :3] = rays[hit, :3] + directions[hit] * distance[hit, None] + 0.02 * facing
     shadow[:, 3:] = SUN
-    lit = ~np.isfinite(scene.cast_rays(o3d.core.Tensor(shadow))["t_hit"].numpy())
+    lit = ~np.isfinite(scene.cast_rays(tensor(shadow))["t_hit"].numpy())
     light = 0.42 + 0.13 * facing[:, 2] + 0.55 * lit * np.clip(facing @ SUN, 0, None)
-    palette = np.array([COLOURS[material] for material in sorted(COLOURS)])
+    palette = np.array([material.colour for material in sorted(Material)])
     colours = palette[mesh.material[answer["primitive_ids"].numpy()[hit]]] * light[:, None]
     haze = (1 - np.exp(-distance[hit] / (2.5 * FAR)))[:, None]
     image = np.broadcast_to(SKY, directions.shape).copy()

@@ -1,60 +1,34 @@
-"""How the simulator finds out what is true: rays from the sensor, and a look straight down at the ground.
+"""How the simulator observes the truth: by rays from the sensor, and by rays straight down at the ground.
 
 Two ways to choose the rays. The *HD lidar* is the paper's (van Kempen et al. 2021, Sec. IV-B): thousands of
 layers over the sensor's field of view. Far away its layers meet the ground further apart than cells are long,
 and free space dissolves into rings. *Aimed* rays have no such rings: they go from the sensor to every cell's
-ground and to points above it, and so ask of every cell whether it can be seen, and what is there. Both meet the
-same occlusions, stay within the sensor's field of view and are judged alike, by `ogm.truth`.
+ground and to points above it. Both meet the same occlusions, stay within the sensor's field of view, and follow
+the same rules, those of `ogm.truth`.
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_dilation
 
 from ogm.grid import GridSpec
 from ogm.pose import check_pose
 from ogm.scan import Boxes
-from ogm.simulation.aims import AIMS, Aim, Aims, aimed_directions
-from ogm.simulation.below import Below, look_down
+from ogm.simulation.cells import AIMS, Aim, Aims, Below, aimed_directions
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.scene import Hits, Scene
 from ogm.state import Truth
-from ogm.truth import (
-    HEIGHT_LIMITS,
-    MIN_RETURNS,
-    OBSTACLE_SEEN,
-    TRUTH_SPEC,
-    HeightLimits,
-    Kind,
-    finalize_truth,
-)
+from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, TRUTH_SPEC, Kind, finalize_truth
 from ogm.truth.rays import observe_rays
 
-__all__ = [
-    "AIMS",
-    "KINDS",
-    "Aim",
-    "Aims",
-    "Below",
-    "aimed_directions",
-    "aimed_truth",
-    "hd_truth",
-    "look_down",
-]
+__all__ = ["KINDS", "aimed_truth", "hd_truth"]
 
 BATCH = 2**19  # rays per call: their hits stay small, however many rays there are
 
-
-def _kinds() -> NDArray[np.uint8]:
-    kinds = np.full(256, Kind.OTHER, np.uint8)
-    kinds[[int(material) for material in Material]] = Kind.OBSTACLE
-    kinds[[int(material) for material in GROUND]] = Kind.GROUND
-    kinds[Material.KERB] = Kind.STEP
-    kinds[Material.FOLIAGE] = Kind.PLANT
-    kinds[Material.OWN_VEHICLE] = Kind.OTHER
-    return kinds
-
-
-KINDS = _kinds()  # (256,) uint8: `ogm.truth.Kind` of each material, OTHER for 255, no hit
+KINDS = np.full(256, Kind.OTHER, np.uint8)  # `ogm.truth.Kind` of each material, OTHER for 255, no hit
+KINDS[[*Material]] = Kind.OBSTACLE
+KINDS[[*GROUND]] = Kind.GROUND
+KINDS[[Material.KERB, Material.FOLIAGE, Material.EGO_VEHICLE]] = Kind.STEP, Kind.PLANT, Kind.OTHER
 
 
 def hd_truth(
@@ -64,47 +38,37 @@ def hd_truth(
     directions: NDArray[np.float32],
     spec: GridSpec = TRUTH_SPEC,
     *,
-    limits: HeightLimits = HEIGHT_LIMITS,
     boxes: Boxes | None = None,
     returns: ArrayLike | None = None,
-    min_returns: int = MIN_RETURNS,
-    unobserved: NDArray[np.bool_] | None = None,
+    ego: NDArray[np.bool_] | None = None,
     salt: int = 0,
 ) -> Truth:
-    """Look around with an HD lidar.
+    """Observe the truth with an HD lidar.
 
-    Cells without ground, beyond the end of the world, become `IGNORE`: nobody knows how high above ground what is
-    hit in them would be. Only the box of a traffic participant makes them `OCCUPIED`.
+    Cells without ground, beyond the end of the world, become `IGNORE`: the height above ground of what is hit in
+    them is unknown. Only the box of a traffic participant makes them `OCCUPIED`.
 
     Parameters
     ----------
     scene : Scene
         All there is, with the frame's moving things in place.
     below : Below
-        What `look_down` found from the same pose on the same cells.
+        What `measure_ground` found from the same pose on the same cells.
     T_world_sensor : (4, 4) float
     directions : (..., 3) float32
-        Of all rays, in the sensor's frame: `ogm.simulation.lidar.hd_directions`.
+        Of all rays, in the sensor's frame: `ogm.simulation.sensors.hd_directions`.
     spec : GridSpec
         Cells in the sensor's frame.
-    limits, boxes, returns, min_returns, unobserved
-        As in `ogm.truth.truth_grid`.
+    boxes, returns
+        Traffic participants, and the points that the scan has on each, as in `ogm.truth.truth_grid`.
+    ego : (nx, ny) bool
+        Cells under the ego vehicle, which become `IGNORE`.
     salt : int
         Decides which rays pass through glass, as in `Scene.cast`.
     """
-    _check_below(below, spec)
-    seen = np.zeros(spec.shape, np.uint8)
-    room = Hits.room(BATCH)
-    _look(seen, scene, below, T_world_sensor, directions.reshape(-1, 3), spec, limits, salt, 0, room)
-    return finalize_truth(
-        seen,
-        spec,
-        boxes=boxes,
-        returns=returns,
-        min_returns=min_returns,
-        unobserved=unobserved,
-        beyond=np.isnan(below.z),
-    )
+    observer = _Observer(scene, below, T_world_sensor, spec, salt)
+    observer.cast(directions.reshape(-1, 3))
+    return observer.truth(boxes, returns, ego)
 
 
 def aimed_truth(
@@ -115,100 +79,82 @@ def aimed_truth(
     spec: GridSpec = TRUTH_SPEC,
     *,
     aims: Aims = AIMS,
-    limits: HeightLimits = HEIGHT_LIMITS,
     boxes: Boxes | None = None,
     returns: ArrayLike | None = None,
-    min_returns: int = MIN_RETURNS,
-    unobserved: NDArray[np.bool_] | None = None,
+    ego: NDArray[np.bool_] | None = None,
     salt: int = 0,
 ) -> Truth:
-    """Look at every cell.
+    """Observe the truth with rays aimed at every cell.
 
-    What a ray hits counts for the cell that it was hit in, whichever the ray was aimed at. First all cells are
-    looked at, then more closely those where that may have missed something: steps, and what borders on obstacles
-    or on cells not seen. Cells without ground are treated as in `hd_truth`.
+    A hit counts for the cell that it lies in, whichever the ray was aimed at. First rays go to all cells, then
+    more of them to those where that may have missed something: steps, and cells beside obstacles or beside cells
+    that are not observed. Cells without ground are treated as in `hd_truth`.
 
     Parameters
     ----------
     elevations : (float, float)
-        Lowest and highest that the sensor sees [rad].
+        Lowest and highest of the sensor's field of view [rad].
     aims : Aims
-        Points of each cell to look at.
+        Points of each cell to aim at.
 
     Others as in `hd_truth`.
     """
-    _check_below(below, spec)
-    seen = np.zeros(spec.shape, np.uint8)
-    room = Hits.room(BATCH)
     if not -np.pi / 2 <= elevations[0] < elevations[1] <= np.pi / 2:
         raise ValueError(f"elevations must be the lowest and the highest [rad], got {elevations}")
-    number = 0
+    observer = _Observer(scene, below, T_world_sensor, spec, salt)
+    seen = observer.seen
 
-    def look(z: NDArray[np.float32], aim: Aim, chosen: NDArray[np.bool_]) -> None:
-        nonlocal number
-        directions = aimed_directions(z, spec, aim, elevations, chosen)
-        _look(seen, scene, below, T_world_sensor, directions, spec, limits, salt, number, room)
-        number += len(directions)
+    def cast(aim: Aim, chosen: NDArray[np.bool_], z: NDArray[np.float32] = below.z) -> None:
+        observer.cast(aimed_directions(z, spec, aim, elevations, chosen))
 
     for aim in aims.every:
-        look(below.z, aim, np.ones(spec.shape, np.bool_))
+        cast(aim, np.ones(spec.shape, np.bool_))
     colour = np.add.outer(np.arange(spec.shape[0]), np.arange(spec.shape[1])) % 2
     for n, aim in enumerate(aims.alternate):
-        look(below.z, aim, colour == n % 2)
-    steps = (below.rise >= limits.obstacle) & (seen < OBSTACLE_SEEN)
+        cast(aim, colour == n % 2)
+    steps = (below.rise >= HEIGHT_LIMITS.obstacle) & (seen < OBSTACLE_SEEN)
     for aim in aims.step:
-        look((below.ground + below.rise / 2).astype(np.float32), aim, steps)
-    beside = _touching(seen >= OBSTACLE_SEEN) & (seen < OBSTACLE_SEEN)
+        cast(aim, steps, (below.ground + below.rise / 2).astype(np.float32))
+    beside = _with_neighbours(seen >= OBSTACLE_SEEN) & (seen < OBSTACLE_SEEN)
     for aim in aims.beside:
-        look(below.z, aim, beside)
-    edge = _touching(seen != 0) & (seen == 0)
+        cast(aim, beside)
+    edge = _with_neighbours(seen != 0) & (seen == 0)
     for aim in aims.edge:
-        look(below.z, aim, edge)
-    return finalize_truth(
-        seen,
-        spec,
-        boxes=boxes,
-        returns=returns,
-        min_returns=min_returns,
-        unobserved=unobserved,
-        beyond=np.isnan(below.z),
-    )
+        cast(aim, edge)
+    return observer.truth(boxes, returns, ego)
 
 
-def _check_below(below: Below, spec: GridSpec) -> None:
-    if below.z.shape != spec.shape:
-        raise ValueError(f"below was looked at on {below.z.shape} cells, but spec has {spec.shape}")
+def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return these cells and those that touch one of them, with a side or a corner."""
+    return np.asarray(binary_dilation(cells, np.ones((3, 3))))
 
 
-def _touching(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return the cells that touch one of these, with a side or a corner, and these."""
-    rows = cells.copy()
-    rows[1:] |= cells[:-1]
-    rows[:-1] |= cells[1:]
-    result = rows.copy()
-    result[:, 1:] |= rows[:, :-1]
-    result[:, :-1] |= rows[:, 1:]
-    return result
+class _Observer:
+    """Casts rays from one pose and notes the cells that they find ground or obstacles in."""
 
+    def __init__(self, scene: Scene, below: Below, T: ArrayLike, spec: GridSpec, salt: int) -> None:
+        if below.z.shape != spec.shape:
+            raise ValueError(f"below has {below.z.shape} cells, but spec has {spec.shape}")
+        self.scene, self.below, self.spec, self.salt = scene, below, spec, salt
+        self.T = check_pose(T, "T_world_sensor")
+        self.seen = np.zeros(spec.shape, np.uint8)
+        self._number = 0  # rays so far
+        self._hits = Hits.allocate(BATCH)
 
-def _look(
-    seen: NDArray[np.uint8],
-    scene: Scene,
-    below: Below,
-    T_world_sensor: ArrayLike,
-    directions: NDArray[np.float32],
-    spec: GridSpec,
-    limits: HeightLimits,
-    salt: int,
-    number: int,
-    room: Hits,
-) -> None:
-    """Cast rays, batch by batch, and add what they hit to the tally."""
-    T = check_pose(T_world_sensor, "T_world_sensor")
-    for start in range(0, len(directions), BATCH):
-        part = directions[start : start + BATCH]
-        n = len(part)
-        out = Hits(room.distance[:n], room.material[:n], room.object[:n], room.cosine[:n])
-        hits = scene.cast(T, part, salt=salt, number=number + start, out=out)
-        kind = KINDS[hits.material]
-        observe_rays(seen, hits.distance, part, kind, below.ground, below.rise, spec, limits)
+    def cast(self, directions: NDArray[np.float32]) -> None:
+        """Cast rays (N, 3), batch by batch."""
+        for start in range(0, len(directions), BATCH):
+            part = directions[start : start + BATCH]
+            out = self._hits.part(0, len(part))
+            hits = self.scene.cast(self.T, part, salt=self.salt, number=self._number + start, out=out)
+            ground, rise = self.below.ground, self.below.rise
+            kind = KINDS[hits.material]
+            observe_rays(self.seen, hits.distance, part, kind, ground, rise, self.spec, HEIGHT_LIMITS)
+        self._number += len(directions)
+
+    def truth(self, boxes: Boxes | None, returns: ArrayLike | None, ego: NDArray[np.bool_] | None) -> Truth:
+        """Return the truth of the cells."""
+        beyond = np.isnan(self.below.z)
+        return finalize_truth(
+            self.seen, self.spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond
+        )

@@ -8,7 +8,8 @@ import pytest
 from ogm.deep.network import NetworkConfig
 from ogm.grid import GridSpec
 from ogm.scan import Frame, Mount, Scan
-from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
+from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import SHARD, Store
 from ogm.state import CellState, Truth
 from ogm.truth import TRUTH_SPEC

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ogm.simulation.sample import OBJECT, Beams, Sample, Weather
+from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
@@ -21,7 +21,7 @@ SMALL = Beams(
 TALL = Beams("tall", (-0.3, -0.2), (0.0, 0.0), 2 * np.pi / 300, 300, 20.0, ((0.0, 0.0, 0.1),) * 2)
 
 
-def stand_in(plan: object, split: str, index: int) -> Sample:
+def stand_in(plan: object, split: str, index: int, threads: int = 1) -> SimulatedSample:
     """Make a sample out of thin air, the same for the same split and index."""
     rng = np.random.default_rng([index, len(split)])
     beams = (SMALL, TALL)[index % 2]
@@ -33,7 +33,7 @@ def stand_in(plan: object, split: str, index: int) -> Sample:
     state[100:200, 50:90], state[300, 300:400], state[10:20] = 1, 2, 3
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = rng.normal(size=(2, 3))
-    return Sample(
+    return SimulatedSample(
         beams=beams,
         steps=steps.astype(np.uint16),
         intensities=rng.integers(0, 256, beams.shape).astype(np.uint8) * (steps > 0),
@@ -52,7 +52,7 @@ def stand_in(plan: object, split: str, index: int) -> Sample:
 
 
 @pytest.fixture
-def make_sample() -> Callable[[object, str, int], Sample]:
+def make_sample() -> Callable[..., SimulatedSample]:
     """Give `stand_in`."""
     return stand_in
 

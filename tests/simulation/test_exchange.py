@@ -9,15 +9,13 @@ from PIL import Image
 
 from ogm import read_points
 from ogm.simulation.exchange import PAPER_GRID, PairFolder, export, read_label, write_label, write_pcd
-from ogm.simulation.sample import Beams, Sample
+from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 
-UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
-
 
 @pytest.fixture
-def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Callable[..., Sample]) -> Store:
+def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Callable[..., SimulatedSample]) -> Store:
     """Three training samples, one of test, a sequence that is only planned."""
     counts = {"training": 3, "validation": 0, "test": 1, "sequences": 100}
     store = Store.create(tmp_path / "data", {}, counts, beams, {})
@@ -30,9 +28,9 @@ def l_shape() -> Truth:
     """An obstacle in the shape of an L: along x on the left, its foot to the right at the front."""
     state = np.zeros(PAPER_GRID.shape, np.uint8)
     ix, iy = PAPER_GRID.index(np.array([10.0, 30.0]), np.array([-5.0, 20.0]))
-    state[ix[0] : ix[1], iy[1]] = OCCUPIED
-    state[ix[1], iy[0] : iy[1]] = OCCUPIED
-    state[: ix[0]] = FREE
+    state[ix[0] : ix[1], iy[1]] = CellState.OCCUPIED
+    state[ix[1], iy[0] : iy[1]] = CellState.OCCUPIED
+    state[: ix[0]] = CellState.FREE
     return Truth(PAPER_GRID, state)
 
 
@@ -57,8 +55,8 @@ def test_labels_come_back(tmp_path: Path) -> None:
 
 
 def test_what_is_to_be_ignored_becomes_unknown(tmp_path: Path) -> None:
-    write_label(tmp_path / "l.png", Truth(PAPER_GRID, np.full(PAPER_GRID.shape, IGNORE, np.uint8)))
-    assert (read_label(tmp_path / "l.png").state == UNKNOWN).all()
+    write_label(tmp_path / "l.png", Truth(PAPER_GRID, np.full(PAPER_GRID.shape, CellState.IGNORE, np.uint8)))
+    assert (read_label(tmp_path / "l.png").state == CellState.UNKNOWN).all()
 
 
 def test_points_come_back(tmp_path: Path) -> None:
@@ -77,7 +75,9 @@ def test_a_data_set_is_exported_and_imported(tmp_path: Path, store: Store) -> No
     for pair, sample in zip(pairs, store["training"], strict=True):
         np.testing.assert_allclose(pair.points, sample.points, rtol=1e-5)
         wanted = sample.truth.crop(PAPER_GRID).state
-        np.testing.assert_array_equal(pair.truth.state, np.where(wanted == IGNORE, UNKNOWN, wanted))
+        np.testing.assert_array_equal(
+            pair.truth.state, np.where(wanted == CellState.IGNORE, CellState.UNKNOWN, wanted)
+        )
     assert len(pairs[1:]) == 2
 
 
@@ -88,11 +88,11 @@ def test_the_papers_weak_colours_count(tmp_path: Path) -> None:
     image[0, 0, 1], image[511, 351, 2] = 85, 85
     Image.fromarray(image).save(tmp_path / "weak.png")
     state = read_label(tmp_path / "weak.png").state
-    assert state[-1, -1] == FREE
-    assert state[0, 0] == OCCUPIED
+    assert state[-1, -1] == CellState.FREE
+    assert state[0, 0] == CellState.OCCUPIED
 
 
-def test_what_does_not_fit_is_told(tmp_path: Path, store: Store) -> None:
+def test_what_does_not_fit_is_reported(tmp_path: Path, store: Store) -> None:
     with pytest.raises(FileNotFoundError, match="no folder .*input_valid"):
         PairFolder(tmp_path, "valid")
     export(store, tmp_path / "paper")

@@ -8,10 +8,10 @@ import pytest
 
 from ogm import read_scan
 from ogm.pose import pose
-from ogm.simulation.lidar import CLEAR, RangeImage, Weather, points, returns, scan
+from ogm.simulation.lidar import CLEAR, RangeImage, Weather, scan, to_points
 from ogm.simulation.materials import Material
-from ogm.simulation.mesh import box, empty, merge, wall
-from ogm.simulation.scene import OWN, Scene
+from ogm.simulation.mesh import Mesh, box, empty, merge, wall
+from ogm.simulation.scene import EGO, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
 
 VLP = LIDARS["vlp-32c"]
@@ -24,20 +24,17 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+def street_mesh(material: Material = Material.PLASTER_LIGHT) -> Mesh:
+    """Two walls along a road."""
+    sides = ([[-60, 9, 0], [60, 9, 0]], [[60, -9, 0], [-60, -9, 0]])
+    return merge([FLAT, *(wall(side, 8, material) for side in sides)])
+
+
 def street(material: Material = Material.PLASTER_LIGHT) -> Scene:
-    """Two walls along a road, some boxes, the own roof."""
-    scene = Scene(
-        merge(
-            [
-                FLAT,
-                wall([[-60, 9, 0], [60, 9, 0]], 8, material),
-                wall([[60, -9, 0], [-60, -9, 0]], 8, material),
-            ]
-        ),
-        threads=1,
-    )
+    """Two walls along a road, some boxes, the roof of the ego vehicle."""
+    scene = Scene(street_mesh(material), threads=1)
     cars = [box([x, 4, 0.2], [x + 4, 5.8, 1.5], Material.PAINT_DARK) for x in (-20, 6, 17)]
-    scene.place(cars, box([-2, -0.9, 0.3], [2, 0.9, 1.4], Material.OWN_VEHICLE))
+    scene.place(cars, box([-2, -0.9, 0.3], [2, 0.9, 1.4], Material.EGO_VEHICLE))
     return scene
 
 
@@ -128,19 +125,19 @@ def test_every_lidar_is_sane(name: str) -> None:
     )  # few coincide
     np.testing.assert_allclose(np.diff(spec.times), 1 / spec.rate / spec.azimuths)
     assert spec.times.mean() == pytest.approx(0, abs=1e-9)
-    image = scan(Scene(street()._static.mesh, threads=1), spec, pose(0, 0, spec.height), rng())
+    image = scan(Scene(street_mesh(), threads=1), spec, pose(0, 0, spec.height), rng())
     share = (image.range > 0).mean(axis=1)
     assert share[0] > 0.95  # the ground before the car
     assert 0.3 < share.mean() <= 1
 
 
-def test_a_pair_looks_up_and_down_alike_from_two_places() -> None:
+def test_a_pair_points_up_and_down_alike_from_two_places() -> None:
     pair = LIDARS["dual-vlp-32c"]
     np.testing.assert_allclose(np.sort(pair.elevations), -np.sort(pair.elevations)[::-1], atol=1e-12)
     heights = np.array(pair.origins)[:, 2]
     assert (heights == 0).sum() == (heights == -0.119).sum() == 32
     exact = replace(pair, range_noise=0.0, range_bias=0.0, gain_spread=0.0, divergence=0.0)
-    cloud = points(scan(Scene(FLAT, threads=1), exact, T, rng()), exact)
+    cloud = to_points(scan(Scene(FLAT, threads=1), exact, T, rng()), exact)[0]
     np.testing.assert_allclose(cloud[:, 2], -1.9, atol=2e-3)
 
 
@@ -210,7 +207,7 @@ def test_ranges_without_noise_are_those_of_geometry() -> None:
     assert (image.intensity[20:] == 0).all()
 
 
-def test_the_noise_is_as_strong_as_told() -> None:
+def test_the_noise_is_as_strong_as_specified() -> None:
     scene, part = to_the_front(20.0, Material.PLASTER_LIGHT)
     for sigma in (0.01, 0.05):
         spec = replace(VLP, range_noise=sigma, range_bias=0.0)
@@ -261,42 +258,32 @@ def test_nothing_is_reported_nearer_or_farther_than_the_sensor_can() -> None:
     seen = image.range[image.range > 0]
     assert seen.min() >= 3
     assert seen.max() <= 12
-    assert not (image.object == OWN).any()
+    assert not (image.object == EGO).any()
 
 
-def test_the_own_vehicle_is_seen_unless_it_is_too_near() -> None:
+def test_the_ego_vehicle_is_seen_unless_it_is_too_near() -> None:
     image = scan(street(), VLP, T, rng())
-    own = image.object == OWN
+    own = image.object == EGO
     assert own.any()
-    assert (image.material[own] == Material.OWN_VEHICLE).all()
+    assert (image.material[own] == Material.EGO_VEHICLE).all()
     assert image.range[own].max() < 3
 
 
 def test_points_are_the_inverse_of_the_range_image() -> None:
     for spec in (VLP, LIDARS["dual-vlp-32c"]):
         image = scan(street(), spec, T, rng())
-        found = returns(image, spec)
-        np.testing.assert_array_equal(points(image, spec), found.points)
-        assert found.points.dtype == np.float32
+        cloud, layer, column = to_points(image, spec)
+        assert cloud.dtype == np.float32
+        np.testing.assert_array_equal(np.stack([layer, column]), np.nonzero(image.range))
         again = np.zeros(spec.shape, np.float32)
-        way = (
-            found.points[:, :3] - np.array(spec.origins or [(0, 0, 0)] * spec.layers, np.float32)[found.ring]
-        )
-        again[found.ring, found.azimuth] = np.linalg.norm(way, axis=1)
+        way = cloud[:, :3] - np.array(spec.origins or [(0, 0, 0)] * spec.layers, np.float32)[layer]
+        length = np.linalg.norm(way, axis=1)
+        again[layer, column] = length
         np.testing.assert_allclose(again, image.range, atol=2e-5)
-        np.testing.assert_allclose(
-            way / np.linalg.norm(way, axis=1)[:, None],
-            spec.directions()[found.ring, found.azimuth],
-            atol=2e-6,
-        )
-        np.testing.assert_array_equal(found.points[:, 3], image.intensity[found.ring, found.azimuth])
-        np.testing.assert_array_equal(found.object, image.object[image.range > 0])
-        np.testing.assert_array_equal(found.material, image.material[image.range > 0])
-        np.testing.assert_allclose(
-            found.time, ((found.azimuth + 0.5) / spec.azimuths - 0.5) / spec.rate, atol=1e-12
-        )
+        np.testing.assert_allclose(way / length[:, None], spec.directions()[layer, column], atol=2e-6)
+        np.testing.assert_array_equal(cloud[:, 3], image.intensity[layer, column])
     with pytest.raises(ValueError, match="shape"):
-        points(scan(street(), VLP, T, rng()), LIDARS["vls-128"])
+        to_points(scan(street(), VLP, T, rng()), LIDARS["vls-128"])
 
 
 def test_edges_are_mixed_only_by_beams_that_are_wide() -> None:
@@ -433,18 +420,18 @@ def test_driving_shifts_each_column_by_the_way_driven_so_far() -> None:
     scene = room(Material.PLASTER_LIGHT, 15.0)
     velocity = np.array([12.0, -3.0, 0.0])
     image = scan(scene, EXACT, np.eye(4), rng(), velocity=velocity)
-    found = returns(image, EXACT)
-    world = found.points[:, :3] + velocity * found.time[:, None]  # deskewed
+    cloud, _, column = to_points(image, EXACT)
+    world = cloud[:, :3] + velocity * EXACT.times[column, None]  # deskewed
     np.testing.assert_allclose(np.abs(world).max(axis=1), 15, atol=0.03)
-    raw = np.abs(found.points[:, :3]).max(axis=1)
+    raw = np.abs(cloud[:, :3]).max(axis=1)
     assert np.abs(raw - 15).max() > 0.3  # and without that they do not fit
 
 
 def test_turning_turns_each_column() -> None:
     scene = room(Material.PLASTER_LIGHT, 15.0)
-    found = returns(scan(scene, EXACT, np.eye(4), rng(), yaw_rate=1.0), EXACT)
-    cosine, sine = np.cos(found.time), np.sin(found.time)
-    x, y, z = found.points[:, :3].T
+    cloud, _, column = to_points(scan(scene, EXACT, np.eye(4), rng(), yaw_rate=1.0), EXACT)
+    cosine, sine = np.cos(EXACT.times[column]), np.sin(EXACT.times[column])
+    x, y, z = cloud[:, :3].T
     world = np.stack([cosine * x - sine * y, sine * x + cosine * y, z], axis=1)
     np.testing.assert_allclose(np.abs(world).max(axis=1), 15, atol=0.03)
 
@@ -455,8 +442,7 @@ def test_turning_turns_each_column() -> None:
 def test_the_same_seed_gives_the_same_bits_with_any_number_of_threads() -> None:
     scenes = []
     for threads in (1, 2):
-        base = street()
-        scene = Scene(base._static.mesh, threads=threads)
+        scene = Scene(street_mesh(), threads=threads)
         scene.place([box([4, 4, 0], [8, 6, 2], Material.CAR_GLASS)])
         scenes.append(scene)
     for kind in ({}, {"velocity": (5, 1, 0), "weather": Weather(rain=10, wet=1)}):
@@ -471,7 +457,7 @@ def test_an_empty_world_returns_nothing() -> None:
     image = scan(Scene(empty(), threads=1), VLP, T, rng())
     assert isinstance(image, RangeImage)
     assert (image.range == 0).all()
-    assert points(image, VLP).shape == (0, 4)
+    assert to_points(image, VLP)[0].shape == (0, 4)
 
 
 def test_bad_input_is_refused_with_a_reason() -> None:

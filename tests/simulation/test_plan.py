@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm.simulation.plan import MOUNTS, SPLITS, Mount, Plan, moment, mount_of, only, random
+from ogm.simulation.plan import MOUNTS, SPLITS, DatasetPlan, LidarMount, draw_mount, moment, only, sample_rng
 
-PLAN = Plan(seed=3)
+PLAN = DatasetPlan(seed=3)
 
 
 def test_the_default_is_the_papers_recipe() -> None:
-    assert Plan().counts == {"training": 10_000, "validation": 1_000, "test": 100, "sequences": 0}
+    assert DatasetPlan().counts == {"training": 10_000, "validation": 1_000, "test": 100, "sequences": 0}
     assert sum(mount.share for mount in MOUNTS if mount.lidar == "vlp-32c") == pytest.approx(0.85)
 
 
@@ -47,13 +47,15 @@ def test_sequences_are_ten_seconds_at_ten_hertz() -> None:
     assert {one.scenario for one in piece[:100]} == {0}
     assert {one.scenario for one in piece[100:]} == {1}
     np.testing.assert_allclose(np.diff([one.time for one in piece[:100]]), 0.1)
-    mixed = replace(PLAN, mounts=(Mount("vlp-32c"), Mount("hdl-32e", 1.0, (1.5, 2.5), (0, 0.4), 0.05)))
-    assert len({mount_of(mixed, "sequences", i) for i in range(100)}) == 1
-    assert len({mount_of(mixed, "sequences", 100 * i) for i in range(20)}) > 5
+    mixed = replace(
+        PLAN, mounts=(LidarMount("vlp-32c"), LidarMount("hdl-32e", 1.0, (1.5, 2.5), (0, 0.4), 0.05))
+    )
+    assert len({draw_mount(mixed, "sequences", i) for i in range(100)}) == 1
+    assert len({draw_mount(mixed, "sequences", 100 * i) for i in range(20)}) > 5
 
 
 def test_mounts_come_by_their_shares_and_in_their_bounds() -> None:
-    draws = [mount_of(PLAN, "training", i) for i in range(2000)]
+    draws = [draw_mount(PLAN, "training", i) for i in range(2000)]
     for mount in MOUNTS:
         got = sum(one is mount for one, _ in draws) / len(draws)
         assert got == pytest.approx(mount.share, abs=4 * np.sqrt(mount.share / len(draws)))
@@ -65,16 +67,16 @@ def test_mounts_come_by_their_shares_and_in_their_bounds() -> None:
 
 
 def test_random_numbers_belong_to_one_sample_and_purpose() -> None:
-    keys = [(p, s, i, k) for p in (PLAN, Plan(seed=4)) for s in SPLITS for i in (0, 1) for k in (0, 1)]
-    assert len({random(*key).integers(2**60) for key in keys}) == len(keys)
-    assert random(PLAN, "test", 5, 0).integers(2**60) == random(PLAN, "test", 5, 0).integers(2**60)
+    keys = [(p, s, i, k) for p in (PLAN, DatasetPlan(seed=4)) for s in SPLITS for i in (0, 1) for k in (0, 1)]
+    assert len({sample_rng(*key).integers(2**60) for key in keys}) == len(keys)
+    assert sample_rng(PLAN, "test", 5, 0).integers(2**60) == sample_rng(PLAN, "test", 5, 0).integers(2**60)
 
 
 def test_plans_go_through_json() -> None:
-    plan = Plan(seed=9, truth="hd", mounts=(Mount("os1-64", 2.0, (1.5, 1.6)), *only("vlp-32c")))
-    assert Plan.from_dict(json.loads(json.dumps(plan.as_dict()))) == plan
+    plan = DatasetPlan(seed=9, truth="hd", mounts=(LidarMount("os1-64", 2.0, (1.5, 1.6)), *only("vlp-32c")))
+    assert DatasetPlan.from_dict(json.loads(json.dumps(plan.as_dict()))) == plan
     with pytest.raises(ValueError, match="other settings.*colour"):
-        Plan.from_dict(plan.as_dict() | {"colour": "red"})
+        DatasetPlan.from_dict(plan.as_dict() | {"colour": "red"})
 
 
 def test_only_the_counts_of_a_plan_may_grow() -> None:
@@ -86,7 +88,7 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"samples": -1}, "samples must be a whole number"),
         ({"seed": 1.5}, "seed must be a whole number"),
@@ -98,13 +100,13 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         ({"in_motion": float("nan")}, "in_motion is a share"),
     ],
 )
-def test_impossible_plans_are_told(wrong: dict, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        Plan(**wrong)
+def test_impossible_plans_are_reported(wrong: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        DatasetPlan(**wrong)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "says"),
+    ("wrong", "message"),
     [
         ({"share": 0.0}, "share of vlp-32c"),
         ({"height": (2.0, 1.0)}, "height of vlp-32c must be two numbers, rising"),
@@ -113,12 +115,12 @@ def test_impossible_plans_are_told(wrong: dict, says: str) -> None:
         ({"tilt": 1.0}, "tilt of vlp-32c"),
     ],
 )
-def test_impossible_mounts_are_told(wrong: dict, says: str) -> None:
-    with pytest.raises(ValueError, match=says):
-        Mount("vlp-32c", **wrong)
+def test_impossible_mounts_are_reported(wrong: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        LidarMount("vlp-32c", **wrong)
 
 
-def test_unknown_splits_and_numbers_are_told() -> None:
+def test_unknown_splits_and_numbers_are_reported() -> None:
     with pytest.raises(ValueError, match="split must be one of"):
         moment(PLAN, "train", 0)
     with pytest.raises(ValueError, match="counted from 0"):
@@ -126,22 +128,22 @@ def test_unknown_splits_and_numbers_are_told() -> None:
 
 
 def test_drives_take_turns_through_several_towns_and_never_the_tests() -> None:
-    plan = Plan(towns=3)
+    plan = DatasetPlan(towns=3)
     towns = [moment(plan, "training", 10 * run).town for run in range(20)]
     assert len(set(towns)) == 3
     assert towns[:3] == towns[3:6]
-    assert towns[0] == moment(Plan(), "training", 0).town  # the first one is the paper's only one
+    assert towns[0] == moment(DatasetPlan(), "training", 0).town  # the first one is the paper's only one
     assert moment(plan, "validation", 0).town == towns[0]
     tests = {moment(plan, "test", k).town for k in range(0, 200, 10)}
     assert len(tests) == 1
     assert tests.isdisjoint(towns)
     with pytest.raises(ValueError, match="towns"):
-        Plan(towns=0)
+        DatasetPlan(towns=0)
 
 
 @pytest.mark.parametrize("towns", [1, 2, 3, 4, 5, 10])
 def test_every_town_is_driven_both_ways(towns: int) -> None:
-    plan = Plan(towns=towns)
+    plan = DatasetPlan(towns=towns)
     drives = {moment(plan, "training", 10 * run)[:3] for run in range(10)}
     ways = {(drive[0], drive[2]) for drive in drives}
     assert sum(way for *_, way in drives) == 5

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.pose import pose
-from ogm.simulation.materials import MATERIALS, Material
+from ogm.simulation.materials import Material
 from ogm.simulation.mesh import Mesh, box, cylinder, ellipsoid, empty, merge, wall
-from ogm.simulation.scene import NOTHING, OWN, STATIC, Hits, Scene
+from ogm.simulation.scene import EGO, NOTHING, STATIC, Hits, Scene
 
 PLANE = box([-500, -500, -1], [500, 500, 0], Material.ASPHALT)
 
@@ -109,7 +109,7 @@ def random_world(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh], Mesh
         ),  # around
         cylinder([0, 0, 0], [0, 0, 1.2], 0.3, Material.METAL_POLE),  # below
     ]
-    own = box([-2, -0.9, 0.2], [2.2, 0.9, 1.45], Material.OWN_VEHICLE).moved(pose(yaw=angle))
+    own = box([-2, -0.9, 0.2], [2.2, 0.9, 1.45], Material.EGO_VEHICLE).moved(pose(yaw=angle))
     return static, moving, own
 
 
@@ -125,10 +125,10 @@ def test_moving_and_static_things_apart_are_hit_as_if_they_were_one(seed: int) -
     scene.place(moving, own)
     fast = scene.cast(origin, rays)
     slow = slow_cast(
-        [*static, *moving, own], [STATIC] * len(static) + [*range(len(moving)), OWN], origin, rays
+        [*static, *moving, own], [STATIC] * len(static) + [*range(len(moving)), EGO], origin, rays
     )
     same(fast, slow)
-    assert {OWN, STATIC, 14} < set(fast.object.tolist())
+    assert {EGO, STATIC, 14} < set(fast.object.tolist())
     # rays of different origins, which take another way through the code
     same(scene.cast(np.tile(origin, (len(rays), 1)), rays), slow)
 
@@ -183,7 +183,7 @@ def test_neither_threads_nor_batches_change_a_bit() -> None:
         scene = Scene(merge(static), threads=threads)
         scene.place(moving, own)
         results.append(scene.cast([0, 0, 2], rays, salt=7))
-        out = Hits.room(len(rays))
+        out = Hits.allocate(len(rays))
         for start in range(0, len(rays), 37_000):
             part = Hits(*(column[start : start + 37_000] for column in out))
             scene.cast([0, 0, 2], rays[start : start + 37_000], salt=7, number=start, out=part)
@@ -194,7 +194,7 @@ def test_neither_threads_nor_batches_change_a_bit() -> None:
 
 
 def test_glass_lets_its_share_through_and_no_more_than_three_panes() -> None:
-    share = MATERIALS[Material.CAR_GLASS].transmission
+    share = Material.CAR_GLASS.optics.transmission
     panes = [wall([[5.0 + k, -50, -50], [5.0 + k, 50, -50]], 100, Material.CAR_GLASS) for k in range(4)]
     back = wall([[20.0, -50, -50], [20.0, 50, -50]], 100, Material.BRICK)
     rays = np.tile(np.array([1, 0, 0], np.float32), (20_000, 1))
@@ -253,8 +253,8 @@ def test_bad_input_is_refused_with_a_reason() -> None:
     with pytest.raises(ValueError, match="rotation"):
         scene.cast(np.diag([2.0, 1, 1, 1]), rays)
     with pytest.raises(ValueError, match="out"):
-        scene.cast([0, 0, 0], rays, out=Hits.room(3))
-    wide = Hits.room(len(rays))._replace(distance=np.empty(len(rays)))
+        scene.cast([0, 0, 0], rays, out=Hits.allocate(3))
+    wide = Hits.allocate(len(rays))._replace(distance=np.empty(len(rays)))
     with pytest.raises(TypeError, match="out must be of the types"):
         scene.cast([0, 0, 0], rays, out=wide)
 
@@ -265,7 +265,7 @@ def test_a_cylinder_between_a_point_and_itself_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"vertices": PLANE.vertices.astype(np.float64)}, "vertices must be float32"),
         ({"vertices": PLANE.vertices[:, :2]}, r"vertices .* \(N, 3\)"),
@@ -274,8 +274,8 @@ def test_a_cylinder_between_a_point_and_itself_is_refused() -> None:
         ({"material": PLANE.material[:, None]}, r"material .* \(N,\)"),
     ],
 )
-def test_meshes_of_other_types_are_refused(change: dict, says: str) -> None:
-    with pytest.raises(TypeError, match=says):
+def test_meshes_of_other_types_are_refused(change: dict, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
         Scene(PLANE._replace(**change), threads=1)
-    with pytest.raises(TypeError, match=says):
+    with pytest.raises(TypeError, match=message):
         Scene(PLANE, threads=1).place([PLANE._replace(**change)])

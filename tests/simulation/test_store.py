@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from ogm.simulation import store as store_module
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample, pack, unpack
-from ogm.simulation.store import FORMAT, OBJECTS, SHARD, Damaged, Store
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.split import OBJECTS
+from ogm.simulation.store import FORMAT, SHARD, Damaged, Store
 
-Make = Callable[[object, str, int], Sample]
+Make = Callable[..., SimulatedSample]
 
 
 @pytest.fixture
@@ -31,7 +30,7 @@ def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> Store:
     return store
 
 
-def assert_same(a: Sample, b: Sample) -> None:
+def assert_same(a: SimulatedSample, b: SimulatedSample) -> None:
     for name in ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     np.testing.assert_array_equal(a.truth.state, b.truth.state)
@@ -65,32 +64,12 @@ def test_points_are_range_times_direction(make_sample: Make) -> None:
         assert sample.range.max() <= 65535 * RANGE_STEP
 
 
-def test_beams_turn_the_way_their_step_says(beams: tuple[Beams, ...]) -> None:
+def test_beams_turn_the_way_of_their_step(beams: tuple[Beams, ...]) -> None:
     clockwise = beams[0].directions[0]
     assert clockwise[0, 0] > 0.9
     assert clockwise[1, 1] < 0
     np.testing.assert_allclose(np.linalg.norm(clockwise, axis=-1), 1, atol=1e-6)
     assert Beams.from_dict(json.loads(json.dumps(beams[0].as_dict()))) == beams[0]
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(st.integers(0, 65535), min_size=1, max_size=40), st.integers(1, 3), st.integers(0, 5))
-def test_unpack_takes_back_what_pack_did(ranges: list[int], layers: int, over: int) -> None:
-    steps = np.tile(np.array(ranges, np.uint16), (layers, 1))
-    intensities = np.where(steps > 0, steps % 251, 0).astype(np.uint8)
-    planes = pack(steps, intensities, steps.size + over)
-    again = unpack(planes, steps.shape)
-    np.testing.assert_array_equal(again[0], steps)
-    np.testing.assert_array_equal(again[1], intensities)
-    assert not planes[:, steps.size :].any()
-
-
-def test_packed_walls_are_small_numbers() -> None:
-    """A wall at some distance: but for the first return, the high bytes are zero, the low ones few."""
-    steps = (5000 + np.random.default_rng(0).integers(-7, 8, (1, 200))).astype(np.uint16)
-    low, high, _ = pack(steps, np.zeros_like(steps, np.uint8), 200)
-    assert high[1:].max() == 0
-    assert low[1:].max() <= 29
 
 
 def test_only_finished_samples_can_be_read(store: Store) -> None:
@@ -131,10 +110,11 @@ def test_a_shard_whose_facts_are_missing_is_not_there(store: Store) -> None:
     ("name", "damage"),
     # Without its facts a shard has not been made: see above.
     sorted(
-        set(product(("returns", "truth", "objects", "facts"), ("flip", "cut", "gone"))) - {("facts", "gone")}
+        set(product(("steps", "intensities", "truth", "objects", "facts"), ("flip", "cut", "gone")))
+        - {("facts", "gone")}
     ),
 )
-def test_damage_is_told_with_the_way_out(store: Store, make_sample: Make, name: str, damage: str) -> None:
+def test_damage_is_reported_with_the_way_out(store: Store, make_sample: Make, name: str, damage: str) -> None:
     (file,) = (path for path in (store.path / "training" / name / "c" / "0").rglob("*") if path.is_file())
     content = bytearray(file.read_bytes())
     if damage == "flip":
@@ -154,13 +134,13 @@ def test_damage_is_told_with_the_way_out(store: Store, make_sample: Make, name: 
         assert_same(Store.open(store.path)["training"][i], make_sample(None, "training", i))
 
 
-def test_a_missing_array_is_told(store: Store) -> None:
+def test_a_missing_array_is_reported(store: Store) -> None:
     (store.path / "training" / "truth" / "zarr.json").unlink()
     with pytest.raises(Damaged, match="truth is missing"):
         store["training"][0]
 
 
-def test_what_is_no_data_set_is_told(tmp_path: Path, store: Store, beams: tuple[Beams, ...]) -> None:
+def test_what_is_no_data_set_is_reported(tmp_path: Path, store: Store, beams: tuple[Beams, ...]) -> None:
     with pytest.raises(FileNotFoundError, match="holds no data set; `ogm simulate"):
         Store.open(tmp_path / "nowhere")
     (tmp_path / "file").write_text("x")
@@ -242,21 +222,13 @@ LIDAR = {
         {"lidars": [LIDAR | {"columns": 600}]},  # samples name the second of the lidars, and there is one
     ],
 )
-def test_attributes_with_nonsense_are_told(store: Store, nonsense: dict) -> None:
+def test_attributes_with_nonsense_are_reported(store: Store, nonsense: dict) -> None:
     file = store.path / "zarr.json"
     text = json.loads(file.read_text())
     text["attributes"] |= nonsense
     file.write_text(json.dumps(text))
     with pytest.raises(Damaged):
         Store.open(store.path)["training"][1]
-
-
-def test_a_range_image_needs_as_many_rays(make_sample: Make) -> None:
-    steps = make_sample(None, "training", 0).steps
-    with pytest.raises(ValueError, match="does not fit into 359 rays"):
-        pack(steps, steps.astype(np.uint8), 359)
-    with pytest.raises(ValueError, match="359 rays are too few"):
-        unpack(np.zeros((3, 359), np.uint8), steps.shape)
 
 
 def test_what_a_killed_writer_left_is_swept(store: Store) -> None:
@@ -309,7 +281,7 @@ print(len(sample.points), sample.truth.state.shape)
     assert done.stdout.endswith("(624, 624)\n")
 
 
-def test_a_missing_zarr_is_told(tmp_path: Path, beams: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_zarr_is_reported(tmp_path: Path, beams: tuple, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zarr", None)
     with pytest.raises(ImportError, match=r'pip install "ogm-toolkit\[sim\]"'):
         Store.create(tmp_path / "data", {}, {"training": 1}, beams, {})

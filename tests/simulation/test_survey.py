@@ -1,19 +1,18 @@
-"""How the simulator looks at the truth: laws of sight on small scenes, and both ways of looking compared."""
+"""How the simulator view at the truth: laws of sight on small scenes, and both ways of looking compared."""
 
 import numpy as np
 import pytest
 
 from ogm import GridSpec
 from ogm.pose import pose
-from ogm.simulation import aims, below
+from ogm.simulation import cells
+from ogm.simulation.cells import Aim, aimed_directions, measure_ground
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, box, cylinder, empty, merge, quads
 from ogm.simulation.scene import Scene
-from ogm.simulation.survey import KINDS, Aim, aimed_directions, aimed_truth, hd_truth, look_down
+from ogm.simulation.survey import KINDS, aimed_truth, hd_truth
 from ogm.state import CellState, Truth
-from ogm.truth import HeightLimits, Kind, boxes_seen_from, cells_in_footprint
-
-UNKNOWN, FREE, OCCUPIED, IGNORE = CellState
+from ogm.truth import Kind, boxes_seen_from
 
 SPEC = GridSpec.centered(20.48, 20.48, 0.16)  # 128 x 128 cells: 10 m around the sensor
 VIEW = (np.deg2rad(-25.0), np.deg2rad(15.0))
@@ -38,12 +37,12 @@ def rays(layers: int = 1000, azimuths: int = 1400) -> np.ndarray:
 RAYS = rays()
 
 
-class Looks:
-    """Both ways of looking at one scene from one pose."""
+class View:
+    """Both ways to observe one scene from one pose."""
 
     def __init__(self, *things: Mesh, ground: Mesh = PLANE, T: np.ndarray = SENSOR, **known) -> None:
         self.scene, self.T, self.known = Scene(merge([ground, *things]), threads=1), T, known
-        self.below = look_down(Scene(ground, threads=1), T, SPEC)
+        self.below = measure_ground(Scene(ground, threads=1), T, SPEC)
 
     def hd(self, **known) -> Truth:
         return hd_truth(self.scene, self.below, self.T, RAYS, SPEC, **self.known, **known)
@@ -64,9 +63,9 @@ SEEN = RADIUS > BLIND + 0.12
 
 
 def test_an_open_plane_is_free_but_for_the_blind_ring() -> None:
-    for truth in Looks().both():
-        assert (truth.state[SEEN] == FREE).all()
-        assert (truth.state[BLIND - 0.12 > RADIUS] == UNKNOWN).all()
+    for truth in View().both():
+        assert (truth.state[SEEN] == CellState.FREE).all()
+        assert (truth.state[BLIND - 0.12 > RADIUS] == CellState.UNKNOWN).all()
 
 
 def test_a_wall_shadows_what_is_behind_it() -> None:
@@ -74,33 +73,32 @@ def test_a_wall_shadows_what_is_behind_it() -> None:
     shadow = (x > 5.5) & (np.abs(y) < 3.0 / 5.0 * x - 0.3)
     front = (np.abs(y) < 2.8) & (np.abs(x - 5.0) < 0.08)
     clear = SEEN & (x < 4.8)
-    for truth in Looks(wall).both():
-        assert (truth.state[shadow] == UNKNOWN).all()
-        assert (truth.state[front] == OCCUPIED).all()
-        assert (truth.state[clear] == FREE).all()
+    for truth in View(wall).both():
+        assert (truth.state[shadow] == CellState.UNKNOWN).all()
+        assert (truth.state[front] == CellState.OCCUPIED).all()
+        assert (truth.state[clear] == CellState.FREE).all()
 
 
 def test_a_low_wall_hides_only_what_lies_in_its_shadow() -> None:
     wall = box((5.0, -6.0, 0.0), (5.1, 6.0, 0.6), Material.STONE)
     end = 5.0 * 1.9 / (1.9 - 0.6)  # where the ray over its top meets the ground
     behind = (np.abs(y) < 4) & (x > 5.3)
-    for truth in Looks(wall).both():
-        assert (truth.state[behind & (x < end - 0.2)] == UNKNOWN).all()
-        assert (truth.state[behind & (x > end + 0.4)] == FREE).all()
+    for truth in View(wall).both():
+        assert (truth.state[behind & (x < end - 0.2)] == CellState.UNKNOWN).all()
+        assert (truth.state[behind & (x > end + 0.4)] == CellState.FREE).all()
 
 
 def test_a_bridge_does_not_block() -> None:
     deck = box((4.0, -40.0, 4.5), (8.0, 40.0, 5.0), Material.CONCRETE)
-    for truth, open_sky in zip(Looks(deck).both(), Looks().both(), strict=True):
+    for truth, open_sky in zip(View(deck).both(), View().both(), strict=True):
         np.testing.assert_array_equal(truth.state, open_sky.state)
 
 
 def test_clearance_decides_whether_an_overhang_blocks() -> None:
-    deck = Looks(box((5.0, -3.0, 1.75), (8.0, 3.0, 2.1), Material.CONCRETE))
-    lower = HeightLimits(clearance=1.7)
-    for low, high in ((deck.hd(), deck.hd(limits=lower)), (deck.aimed(), deck.aimed(limits=lower))):
-        assert np.count_nonzero(low.state == OCCUPIED) > 30
-        assert np.count_nonzero(high.state == OCCUPIED) == 0
+    decks = [View(box((5.0, -3.0, bottom), (8.0, 3.0, 2.4), Material.CONCRETE)) for bottom in (1.75, 2.05)]
+    for low, high in zip(*(deck.both() for deck in decks), strict=True):
+        assert np.count_nonzero(low.state == CellState.OCCUPIED) > 30
+        assert np.count_nonzero(high.state == CellState.OCCUPIED) == 0
 
 
 def kerb(rise: float, turn: float) -> tuple[Mesh, Mesh]:
@@ -117,35 +115,35 @@ def kerb(rise: float, turn: float) -> tuple[Mesh, Mesh]:
 def test_a_kerb_is_one_unbroken_line(turn: float) -> None:
     ground, face = kerb(0.12, turn)
     far = np.cos(turn) * x + np.sin(turn) * y - 5.03  # [m] beyond the kerb's line
-    for truth in Looks(face, ground=ground).both():
-        occupied = truth.state == OCCUPIED
+    for truth in View(face, ground=ground).both():
+        occupied = truth.state == CellState.OCCUPIED
         assert np.abs(far[occupied]).max() <= 0.115
         along = (np.cos(turn) * y - np.sin(turn) * x)[occupied]
         assert np.diff(np.sort(along)).max() < 0.33
         # those cells through the middle of which it runs are all there
         assert occupied[(np.abs(far) < 0.06) & (RADIUS < 9)].mean() > 0.97
-        assert (truth.state[SEEN & (np.abs(far) > 0.12)] == FREE).all()
+        assert (truth.state[SEEN & (np.abs(far) > 0.12)] == CellState.FREE).all()
 
 
 def test_a_dropped_kerb_is_none() -> None:
     ground, face = kerb(0.02, 0.3)
-    for truth in Looks(face, ground=ground).both():
-        assert np.count_nonzero(truth.state == OCCUPIED) == 0
-        assert (truth.state[SEEN] == FREE).mean() > 0.999
+    for truth in View(face, ground=ground).both():
+        assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
+        assert (truth.state[SEEN] == CellState.FREE).mean() > 0.999
 
 
 def test_a_kerb_on_a_slope_is_found_and_the_slope_is_not() -> None:
     for rise, wanted in ((0.12, True), (0.02, False)):
         ground, face = kerb(rise, 0.3)
         hill = pose(pitch=-np.arctan(0.08), roll=0.03)
-        for truth in Looks(face.moved(hill), ground=ground.moved(hill)).both():
-            assert bool(np.count_nonzero(truth.state == OCCUPIED) > 80) is wanted
+        for truth in View(face.moved(hill), ground=ground.moved(hill)).both():
+            assert bool(np.count_nonzero(truth.state == CellState.OCCUPIED) > 80) is wanted
 
 
 def test_a_step_seen_from_above_only_is_free() -> None:
-    ground, face = kerb(-0.12, 0.0)  # the road lies lower beyond: its face looks away
-    for truth in Looks(face, ground=ground).both():
-        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+    ground, face = kerb(-0.12, 0.0)  # the road lies lower beyond: its face view away
+    for truth in View(face, ground=ground).both():
+        assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
 
 
 def test_poles_and_fences_are_seen_and_seen_through() -> None:
@@ -155,37 +153,37 @@ def test_poles_and_fences_are_seen_and_seen_through() -> None:
         )
         for a in np.arange(12) * np.pi / 6 + 0.05
     ]
-    for truth in Looks(*poles).both():
+    for truth in View(*poles).both():
         for a in np.arange(12) * np.pi / 6 + 0.05:
             near = np.hypot(x - 6 * np.cos(a), y - 6 * np.sin(a)) < 0.16
-            assert (truth.state[near] == OCCUPIED).any()
-        assert (truth.state[SEEN & (RADIUS > 6.3)] == FREE).mean() > 0.95
+            assert (truth.state[near] == CellState.OCCUPIED).any()
+        assert (truth.state[SEEN & (RADIUS > 6.3)] == CellState.FREE).mean() > 0.95
 
 
 def test_grass_may_be_driven_over_and_a_hedge_not() -> None:
     tufts = box((5.0, -2.0, 0.0), (6.0, 0.0, 0.12), Material.FOLIAGE)
     hedge = box((5.0, 0.5, 0.0), (6.0, 2.0, 1.0), Material.FOLIAGE)
-    for truth in Looks(tufts, hedge).both():
-        assert (truth.state[(np.abs(x - 5.5) < 0.4) & (np.abs(y + 1.0) < 0.8)] == FREE).all()
-        assert (truth.state[(np.abs(x - 5.0) < 0.08) & (np.abs(y - 1.25) < 0.6)] == OCCUPIED).all()
+    for truth in View(tufts, hedge).both():
+        assert (truth.state[(np.abs(x - 5.5) < 0.4) & (np.abs(y + 1.0) < 0.8)] == CellState.FREE).all()
+        assert (truth.state[(np.abs(x - 5.0) < 0.08) & (np.abs(y - 1.25) < 0.6)] == CellState.OCCUPIED).all()
 
 
 def test_ground_beyond_a_crest_is_unknown() -> None:
     up = quads([[(3, -40, 0), (6, -40, 0.8), (6, 40, 0.8), (3, 40, 0)]], Material.ASPHALT)
     down = quads([[(6, -40, 0.8), (9, -40, -1), (9, 40, -1), (6, 40, 0.8)]], Material.ASPHALT)
     ground = merge([rectangle(-40, 3, -40, 40, 0, Material.ASPHALT), up, down])
-    for truth in Looks(ground=ground).both():
-        assert (truth.state[(x > 6.4) & (x < 8.8) & (np.abs(y) < 5)] == UNKNOWN).all()
-        assert (truth.state[(x > 4.5) & (x < 5.8) & (np.abs(y) < 5)] == FREE).all()
-        assert np.count_nonzero(truth.state == OCCUPIED) == 0
+    for truth in View(ground=ground).both():
+        assert (truth.state[(x > 6.4) & (x < 8.8) & (np.abs(y) < 5)] == CellState.UNKNOWN).all()
+        assert (truth.state[(x > 4.5) & (x < 5.8) & (np.abs(y) < 5)] == CellState.FREE).all()
+        assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
 
 
 def test_turning_scene_and_sensor_together_leaves_the_truth_unchanged() -> None:
     ground, face = kerb(0.12, 0.4)
     things = [face, box((-6.03, -3.07, 0), (-4.1, 1.03, 2.6), Material.PAINT_LIGHT)]
-    here = Looks(*things, ground=ground)
+    here = View(*things, ground=ground)
     T = pose(120.0, -80.0, 6.0, yaw=2.3, pitch=0.05)
-    there = Looks(*(thing.moved(T) for thing in things), ground=ground.moved(T), T=T @ SENSOR)
+    there = View(*(thing.moved(T) for thing in things), ground=ground.moved(T), T=T @ SENSOR)
     for one, other in zip(here.both(), there.both(), strict=True):
         assert (one.state == other.state).mean() > 0.999  # rounding moves hits on edges of cells
 
@@ -193,7 +191,7 @@ def test_turning_scene_and_sensor_together_leaves_the_truth_unchanged() -> None:
 def test_the_truth_is_in_the_frame_of_a_tilted_sensor() -> None:
     tilted = SENSOR @ pose(pitch=0.06, roll=-0.04)
     wall = box((5.0, -3.0, 0.0), (5.2, 3.0, 5.0), Material.BRICK).moved(pose(yaw=0.2))
-    levelled, leaning = Looks(wall), Looks(wall, T=tilted)
+    levelled, leaning = View(wall), View(wall, T=tilted)
     for one, other in zip(levelled.both(), leaning.both(), strict=True):
         assert abs(one.shares().occupied - other.shares().occupied) < 0.002
         assert abs(one.shares().free - other.shares().free) < 0.05
@@ -201,9 +199,9 @@ def test_the_truth_is_in_the_frame_of_a_tilted_sensor() -> None:
 
 def test_cells_beyond_the_end_of_the_world_are_ignored() -> None:
     island = rectangle(-40, 5.0, -40, 40, 0.0, Material.GRASS)
-    for truth in Looks(ground=island).both():
-        assert (truth.state[x > 5.2] == IGNORE).all()
-        assert (truth.state[SEEN & (x < 4.9)] == FREE).all()
+    for truth in View(ground=island).both():
+        assert (truth.state[x > 5.2] == CellState.IGNORE).all()
+        assert (truth.state[SEEN & (x < 4.9)] == CellState.FREE).all()
         assert not truth.ignored[x < 4.9].any()
 
 
@@ -213,7 +211,7 @@ def test_cells_beyond_the_end_of_the_world_are_ignored() -> None:
 def test_both_ways_agree_where_both_know() -> None:
     ground, face = kerb(0.12, 0.3)
     car = box((-2.2, -0.9, 0.3), (2.2, 0.9, 2.5), Material.PAINT_DARK).moved(pose(-6, 2, 0, yaw=0.5))
-    hd, aimed = Looks(face, car, ground=ground).both()
+    hd, aimed = View(face, car, ground=ground).both()
     known = hd.known & aimed.known
     assert known.mean() > 0.6
     assert (hd.state == aimed.state)[known].mean() > 0.998
@@ -223,27 +221,27 @@ def test_both_ways_agree_where_both_know() -> None:
 def test_participants_are_filled_by_their_returns_in_the_input() -> None:
     van = box((-2.2, -0.9, 0.0), (2.2, 0.9, 2.6), Material.PAINT_DARK)
     place = pose(6, 3, 0, yaw=0.5)
-    looks = Looks(unobserved=cells_in_footprint((-2.25, 2.25, -0.9, 0.9), SPEC))
-    looks.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.OWN_VEHICLE))
+    view = View(ego=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
+    view.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.EGO_VEHICLE))
     boxes = boxes_seen_from(np.linalg.inv(SENSOR), [place], [[4.4, 1.8, 2.6]])
     inside = np.abs(np.cos(0.5) * (x - 6) + np.sin(0.5) * (y - 3)) < 2.0
     inside &= np.abs(np.cos(0.5) * (y - 3) - np.sin(0.5) * (x - 6)) < 0.7
-    for look in (looks.hd, looks.aimed):
+    for look in (view.hd, view.aimed):
         full, partial = (look(boxes=boxes, returns=np.array([n])).state for n in (50, 49))
-        assert (full[inside] == OCCUPIED).all()
-        assert (partial[inside] == UNKNOWN).any()
-        assert (partial == OCCUPIED).sum() > 15
-        assert (full[(np.abs(x) < 2.2) & (np.abs(y) < 0.8)] == IGNORE).all()
+        assert (full[inside] == CellState.OCCUPIED).all()
+        assert (partial[inside] == CellState.UNKNOWN).any()
+        assert (partial == CellState.OCCUPIED).sum() > 15
+        assert (full[(np.abs(x) < 2.2) & (np.abs(y) < 0.8)] == CellState.IGNORE).all()
 
 
 def test_results_do_not_depend_on_threads_or_on_earlier_calls() -> None:
     ground, face = kerb(0.12, 0.3)
     glass = box((4, 2, 0.2), (6, 3, 1.5), Material.CAR_GLASS)
-    looks = Looks(face, glass, ground=ground)
-    first = looks.both()
-    again = looks.both()
-    looks.scene = Scene(merge([ground, face, glass]), threads=2)
-    for one, two, three in zip(first, again, looks.both(), strict=True):
+    view = View(face, glass, ground=ground)
+    first = view.both()
+    again = view.both()
+    view.scene = Scene(merge([ground, face, glass]), threads=2)
+    for one, two, three in zip(first, again, view.both(), strict=True):
         np.testing.assert_array_equal(one.state, two.state)
         np.testing.assert_array_equal(one.state, three.state)
 
@@ -255,13 +253,13 @@ def test_every_material_has_a_kind() -> None:
     for material in Material:
         assert (KINDS[material] == Kind.GROUND) == (material in GROUND)
     assert KINDS[Material.KERB] == Kind.STEP
-    assert KINDS[Material.OWN_VEHICLE] == KINDS[255] == Kind.OTHER
+    assert KINDS[Material.EGO_VEHICLE] == KINDS[255] == Kind.OTHER
     assert KINDS[Material.BRICK] == Kind.OBSTACLE
 
 
-def test_the_look_down_finds_ground_steps_and_holes() -> None:
+def test_rays_down_find_ground_steps_and_holes() -> None:
     ground, _ = kerb(0.12, 0.0)
-    found = look_down(Scene(ground), SENSOR, SPEC)
+    found = measure_ground(Scene(ground), SENSOR, SPEC)
     np.testing.assert_allclose(found.z, np.where(x < 5.03, -1.9, -1.78), atol=1e-4)
     step = np.abs(x - 5.03) < 0.1
     np.testing.assert_allclose(found.rise[step], 0.12, atol=1e-4)
@@ -275,9 +273,9 @@ def test_the_look_down_finds_ground_steps_and_holes() -> None:
             ]
         )
     )
-    torn_z = look_down(torn, SENSOR, SPEC).z
+    torn_z = measure_ground(torn, SENSOR, SPEC).z
     np.testing.assert_allclose(torn_z, -1.9, atol=1e-4)
-    nothing = look_down(Scene(empty()), SENSOR, SPEC)
+    nothing = measure_ground(Scene(empty()), SENSOR, SPEC)
     assert np.isnan(nothing.z).all()
     assert np.isnan(nothing.ground).all()
     assert (nothing.rise == 0).all()
@@ -285,7 +283,7 @@ def test_the_look_down_finds_ground_steps_and_holes() -> None:
 
 def test_a_slope_is_no_step() -> None:
     hill = PLANE.moved(pose(pitch=-np.arctan(0.3), roll=0.2))
-    found = look_down(Scene(hill), SENSOR, SPEC)
+    found = measure_ground(Scene(hill), SENSOR, SPEC)
     assert found.rise.max() < 1e-3
     np.testing.assert_array_equal(found.ground, found.z)
 
@@ -305,17 +303,9 @@ def test_kernels_do_the_same_uncompiled() -> None:
     spec = GridSpec.centered(3.2, 3.2, 0.16)
     z = np.random.default_rng(0).uniform(-2, -1.5, spec.shape).astype(np.float32)
     z[3, 4] = np.nan
-    fast, slow = ([np.empty_like(z), np.empty_like(z)] for _ in range(2))
-    below._steps(z, *fast, 0.05)
-    below._steps.py_func(z, *slow, 0.05)
-    np.testing.assert_array_equal(fast, slow)
-    line = z[:, 4]
-    assert [below._step_at(line, i) for i in range(20)] == [
-        below._step_at.py_func(line, i) for i in range(20)
-    ]
-    numbers = (z, z > -1.8, spec.resolution, *spec.origin, 0.3, 0.1, -0.2, -0.9, 0.5)
+    numbers = (z, z > -1.8, (spec.resolution, *spec.origin), Aim(0.3, 0.1, -0.2), -0.9, 0.5)
     rays = [np.zeros((z.size, 3), np.float32) for _ in range(2)]
-    assert aims._aim(rays[0], *numbers) == aims._aim.py_func(rays[1], *numbers) > 50
+    assert cells._aim(rays[0], *numbers) == cells._aim.py_func(rays[1], *numbers) > 50
     np.testing.assert_allclose(*rays, rtol=1e-6)
 
 
@@ -329,22 +319,22 @@ def test_no_ray_leaves_the_field_of_view() -> None:
 
 
 def test_a_pose_that_is_none_is_refused() -> None:
-    looks = Looks()
+    view = View()
     for call in (
-        lambda: look_down(looks.scene, np.eye(3), SPEC),
-        lambda: hd_truth(looks.scene, looks.below, 2 * np.eye(4), RAYS, SPEC),
-        lambda: aimed_truth(looks.scene, looks.below, np.full((4, 4), np.nan), VIEW, SPEC),
+        lambda: measure_ground(view.scene, np.eye(3), SPEC),
+        lambda: hd_truth(view.scene, view.below, 2 * np.eye(4), RAYS, SPEC),
+        lambda: aimed_truth(view.scene, view.below, np.full((4, 4), np.nan), VIEW, SPEC),
     ):
         with pytest.raises(ValueError, match="T_world_sensor"):
             call()
 
 
-def test_a_look_down_on_other_cells_is_refused() -> None:
-    looks = Looks()
+def test_ground_of_other_cells_is_refused() -> None:
+    view = View()
     other = GridSpec.centered(10.24, 10.24, 0.16)
     for call in (
-        lambda: hd_truth(looks.scene, looks.below, SENSOR, RAYS, other),
-        lambda: aimed_truth(looks.scene, looks.below, SENSOR, VIEW, other),
+        lambda: hd_truth(view.scene, view.below, SENSOR, RAYS, other),
+        lambda: aimed_truth(view.scene, view.below, SENSOR, VIEW, other),
     ):
         with pytest.raises(ValueError, match=r"below.*\(128, 128\).*\(64, 64\)"):
             call()
@@ -352,6 +342,6 @@ def test_a_look_down_on_other_cells_is_refused() -> None:
 
 @pytest.mark.parametrize("view", [(0.3, -0.3), (-2.0, 0.2), (float("nan"), 0.2)])
 def test_an_impossible_field_of_view_is_refused(view: tuple) -> None:
-    looks = Looks()
+    scene = View()
     with pytest.raises(ValueError, match="elevations"):
-        aimed_truth(looks.scene, looks.below, SENSOR, view, SPEC)
+        aimed_truth(scene.scene, scene.below, SENSOR, view, SPEC)

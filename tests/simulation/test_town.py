@@ -73,7 +73,7 @@ def test_no_ray_falls_through_the_ground(town: Town) -> None:
     xy = rng.uniform(-edge, edge, (200_000, 2))
     fallen = cast(scene(town.ground), np.column_stack([xy, np.full(len(xy), 100.0)]), np.array([0.0, 0, -1]))
     assert np.isfinite(fallen).all()
-    # The raster says the same height, but for the cells that a kerb passes through.
+    # The raster message the same height, but for the cells that a kerb passes through.
     difference = abs(100.0 - fallen - town.ground_height(xy[:, 0], xy[:, 1]))
     assert np.median(difference) < 0.005
     assert (difference > 0.03).mean() < 0.03

@@ -4,16 +4,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
+from numpy.random import Generator
 from numpy.typing import NDArray
 from shapely import Polygon
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
 from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
-from ogm.simulation.town.layout import Plan, make_plan
+from ogm.simulation.town.layout import TownLayout, make_plan
 from ogm.simulation.town.lots import fill_blocks
-from ogm.simulation.town.network import Network, make_network
+from ogm.simulation.town.network import StreetNetwork, make_network
 from ogm.simulation.town.terrain import Raster, Terrain, make_terrain
 from ogm.simulation.town.trips import SHORTEST, round_trip
 
@@ -64,16 +66,16 @@ class Town:
     mesh: Mesh
     ground: Mesh
     lanes: tuple[Lane, ...]
-    bays: NDArray[np.float64]
-    walkways: tuple[NDArray[np.float64], ...]
+    bays: Floats
+    walkways: tuple[Floats, ...]
     loop: tuple[int, ...]
     counter_loop: tuple[int, ...]
     height: NDArray[np.float32]
     height_step: float
-    corner: NDArray[np.float64]
+    corner: Floats
     districts: tuple[tuple[Polygon, str], ...]
 
-    def ground_height(self, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def ground_height(self, x: NDArray, y: NDArray) -> Floats:
         """Height of the ground at x, y [m]: bilinear in the raster, as at the edge beyond it."""
         return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
 
@@ -97,7 +99,7 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ValueError(f"seed must be a whole number >= 0, got {seed!r}")
     if not SMALLEST <= float(size) <= LARGEST:
-        raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (room for streets), got {size!r}")
+        raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (space for streets), got {size!r}")
     size = float(size)
     draws = [np.random.default_rng([int(seed), k]) for k in range(6)]
     network, draft, loops = _streets(int(seed), size)
@@ -129,7 +131,7 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     )
 
 
-def _streets(seed: int, size: float) -> tuple[Network, Draft, list[tuple[int, ...]]]:
+def _streets(seed: int, size: float) -> tuple[StreetNetwork, Draft, list[tuple[int, ...]]]:
     """Draw streets until round trips both ways are found, as at the first try nearly always."""
     for attempt in range(ATTEMPTS):
         network = make_network(size, np.random.default_rng([seed, 0, attempt]))
@@ -147,14 +149,14 @@ def _streets(seed: int, size: float) -> tuple[Network, Draft, list[tuple[int, ..
 
 
 def _worth(show: str) -> float:
-    """Say what a metre of a trip is worth: most streets of a trip run between houses."""
+    """Return the worth of a metre of a trip: most streets of a trip run between houses."""
     kind, _, district = show.partition(" ")
     if kind == "arterial" or district in ("industrial", "park"):
         return 0.1
     return 1.4 if district == "centre" else 1.0
 
 
-def _terrain(plan: Plan, rng: np.random.Generator) -> Terrain:
+def _terrain(plan: TownLayout, rng: Generator) -> Terrain:
     """Hills under the plan: banks as the districts have them, a dip on a long street."""
     network = plan.network
     kerbs = [
@@ -175,12 +177,12 @@ def _terrain(plan: Plan, rng: np.random.Generator) -> Terrain:
     )
 
 
-def _raise(points: NDArray, terrain: Terrain) -> NDArray[np.float64]:
+def _raise(points: NDArray, terrain: Terrain) -> Floats:
     return np.column_stack([points[:, :2], terrain.road(points[:, 0], points[:, 1])])
 
 
-def _sight(network: Network, draft: Draft, lane: int) -> str:
-    """Tell what a trip over a lane shows."""
+def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
+    """Return what a trip over a lane shows."""
     street = draft.streets[lane]
     if street >= 0:
         shown = network.streets[street]

@@ -1,36 +1,23 @@
 """Houses on their footprints: storeys with windows, doors, shops, balconies, passages, roofs."""
 
-from collections.abc import Callable
-
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
 from shapely import Polygon
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, cylinder, merge
 from ogm.simulation.town import roofs
+from ogm.simulation.town.design import HouseDesign, draw_design
 from ogm.simulation.town.facades import Side, side_of, upright
-from ogm.simulation.town.footprints import STYLES, check_style, front_first, split_front
-from ogm.simulation.town.looks import Look, look_of
-from ogm.simulation.town.storeys import SUNK, ground_floor, upper_storeys
-
-__all__ = ["STYLES", "building", "split_front"]
-
-M = Material
-HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+from ogm.simulation.town.footprints import check_style, front_first
+from ogm.simulation.town.storeys import SUNK, House, ground_floor, upper_storeys
 
 HEADROOM = 3.2  # [m] a passage is at least this high
 
 
-def building(
-    footprint: Polygon,
-    style: str,
-    height_at: HeightAt,
-    rng: np.random.Generator,
-    *,
-    front: ArrayLike | None = None,
-) -> Mesh:
+def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build a house.
 
     Parameters
@@ -44,8 +31,6 @@ def building(
         Height of the ground [m] at x, y [m].
     rng : Generator
         Chooses everything else.
-    front : (2, 2) array, optional
-        Two points of the street side, for a footprint whose first edge is another one.
 
     Returns
     -------
@@ -60,13 +45,6 @@ def building(
     """
     check_style(style)
     outline = _checked(footprint)
-    if front is not None:
-        ends = np.asarray(front, np.float64)
-        if ends.shape != (2, 2) or not np.linalg.norm(ends[1] - ends[0]) > 1e-6:
-            raise ValueError(f"front must be two different points (2, 2), got {front}")
-        side = side_of(*ends)
-        middle = np.array(outline.centroid.coords[0])
-        outline = front_first(outline, side.out if (middle - ends[0]) @ side.out < 0 else -side.out)
     ring = np.array(outline.exterior.coords)
     street = side_of(ring[0], ring[1])
     if style == "park" and outline.area < 60 and rng.random() < 0.5:
@@ -75,8 +53,8 @@ def building(
         return _canopy(ring, height_at, rng)
     if style == "suburb" and outline.area < 40 and rng.random() < 0.25:
         return _pavilion(ring, height_at, rng)  # a carport
-    look = look_of(style, outline, rng)
-    return _house(outline, street, look, height_at, rng)
+    design = draw_design(style, outline, rng)
+    return _house(outline, street, design, height_at, rng)
 
 
 def _checked(footprint: Polygon) -> Polygon:
@@ -97,7 +75,7 @@ def _checked(footprint: Polygon) -> Polygon:
     return front_first(outline, towards)
 
 
-def _house(outline: Polygon, street: Side, look: Look, height_at: HeightAt, rng: np.random.Generator) -> Mesh:
+def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: HeightAt, rng: Generator) -> Mesh:
     """Put walls, storeys and the roof of a house together."""
     rings = [np.array(outline.exterior.coords), *(np.array(hole.coords) for hole in outline.interiors)]
     corners = np.concatenate(rings)
@@ -105,39 +83,40 @@ def _house(outline: Polygon, street: Side, look: Look, height_at: HeightAt, rng:
     u = np.linspace(0, street.length, 5)
     at_front = np.asarray(height_at(*street.xy(u, 0.3).T), np.float64)
     low = float(min(ground.min(), at_front.min())) - SUNK
-    floor = float(at_front.max()) + look.plinth
-    upper = floor + look.ground_storey
-    top = upper + (look.storeys - 1) * look.storey
-    look = look._replace(bay=_spared(look, outline))
+    floor = float(at_front.max()) + design.plinth
+    upper = floor + design.ground_storey
+    top = upper + (design.storeys - 1) * design.storey
+    design = design._replace(bay=_spared(design, outline))
     parts = []
 
     # A passage goes through the ground floor, so its walls stand on what is left of the footprint.
-    lower, passage = _passage(outline, street, look, rng)
+    lower, passage = _passage(outline, street, design, rng)
     if not passage.is_empty:
         through = np.array(passage.exterior.coords)
         upper = max(upper, float(np.max(height_at(through[:, 0], through[:, 1]))) + HEADROOM + 0.1)
-        top = upper + (look.storeys - 1) * look.storey
-        parts.append(roofs.flat(passage, upper, look.wall))
+        top = upper + (design.storeys - 1) * design.storey
+        parts.append(roofs.flat(passage, upper, design.wall))
+    house = House(design, height_at, low, floor, upper, top)
     inner = outline.buffer(-0.05, join_style="mitre")
     door_done = False
     for piece in shapely.get_parts(lower):
         for side in _sides(piece):
             hidden = bool(shapely.contains_xy(inner, *side.xy(side.length / 2)))
-            role = "blind" if hidden else _role(side, street, look)
+            role = "blind" if hidden else _role(side, street, design)
             door = role == "front" and not door_done and side.length > 2.2
             door_done |= door
-            parts.append(side.built(ground_floor(side, role, door, low, floor, upper, look, height_at, rng)))
-    for side in _sides(outline) if look.storeys > 1 else ():
-        parts += upper_storeys(side, _role(side, street, look), floor, upper, top, look, height_at, rng)
-    parts.append(_roof(outline, street, top, look, rng))
+            parts.append(side.built(ground_floor(side, role, door, house, rng)))
+    for side in _sides(outline) if design.storeys > 1 else ():
+        parts += upper_storeys(side, _role(side, street, design), house, rng)
+    parts.append(_roof(outline, street, top, design, rng))
     return merge(parts)
 
 
-def _spared(look: Look, outline: Polygon) -> float:
+def _spared(design: HouseDesign, outline: Polygon) -> float:
     """Return the windows' distance, larger where a house would have more of them than its budget."""
     most = 30 if outline.area < 170 else 110
-    seen = outline.length * (0.6 if look.blind_sides else 1.0)
-    return max(look.bay, seen * look.storeys / most)
+    seen = outline.length * (0.6 if design.blind_sides else 1.0)
+    return max(design.bay, seen * design.storeys / most)
 
 
 def _sides(polygon: Polygon) -> list[Side]:
@@ -148,22 +127,22 @@ def _sides(polygon: Polygon) -> list[Side]:
     return [side_of(a, b) for a, b in pairs if np.linalg.norm(b - a) > 0.01]
 
 
-def _role(side: Side, street: Side, look: Look) -> str:
-    """Tell "front", "back", "side" or, for a wall that a neighbour may stand against, "blind"."""
+def _role(side: Side, street: Side, design: HouseDesign) -> str:
+    """Return "front", "back", "side" or, for a wall that a neighbour may stand against, "blind"."""
     facing = float(side.out @ street.out)
     if facing > 0.7:
         return "front"
     if facing < -0.7:
         return "back"
-    return "blind" if look.blind_sides or side.length < 2.0 else "side"
+    return "blind" if design.blind_sides or side.length < 2.0 else "side"
 
 
 def _passage(
-    outline: Polygon, street: Side, look: Look, rng: np.random.Generator
+    outline: Polygon, street: Side, design: HouseDesign, rng: Generator
 ) -> tuple[shapely.Geometry, Polygon]:
     """Cut a way for cars through the ground floor of some houses in a row: what is left, and the way."""
     none = outline, Polygon()
-    if look.storeys < 2 or look.ground_storey < 3.5 or not 11 < street.length < 40 or rng.random() > 0.3:
+    if design.storeys < 2 or design.ground_storey < 3.5 or not 11 < street.length < 40 or rng.random() > 0.3:
         return none
     width = rng.uniform(3.0, 4.0)
     at = rng.uniform(1.5, street.length - width - 1.5)
@@ -178,7 +157,7 @@ def _passage(
     return rest, way
 
 
-def _roof(outline: Polygon, street: Side, top: float, look: Look, rng: np.random.Generator) -> Mesh:
+def _roof(outline: Polygon, street: Side, top: float, design: HouseDesign, rng: Generator) -> Mesh:
     """Set the roof on: pitched where four corners come close to the footprint, else flat behind a parapet."""
     corners = np.array(outline.exterior.coords)[:-1]
     if len(corners) != 4:
@@ -188,15 +167,15 @@ def _roof(outline: Polygon, street: Side, top: float, look: Look, rng: np.random
     narrow = float(min(np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[2] - corners[1])))
     beyond = float(shapely.distance(outline, shapely.points(corners)).max())
     if (
-        look.roof == "flat"
+        design.roof == "flat"
         or filled < 0.75
         or beyond > 3.2
         or outline.interiors
         or narrow > 18
-        and look.pitch > 0.3
+        and design.pitch > 0.3
     ):
-        return _flat_roof(outline, top, look, rng)
-    turned = not look.blind_sides and rng.random() < 0.4  # the gable faces the street
+        return _flat_roof(outline, top, design, rng)
+    turned = not design.blind_sides and rng.random() < 0.4  # the gable faces the street
     if turned:
         corners = np.roll(corners, -1, axis=0)
     ridge = np.linalg.norm(corners[1] - corners[0])
@@ -204,24 +183,24 @@ def _roof(outline: Polygon, street: Side, top: float, look: Look, rng: np.random
         roofs.pitched(
             corners,
             top,
-            look.pitch,
-            look.wall,
-            eaves=look.eaves,
-            verge=0.0 if look.blind_sides else 0.25,
-            hip=0.9 if look.roof == "hip" else 0.0,
-            dormers=int(ridge / 4.5) if look.roof == "gable" and rng.random() < 0.35 else 0,
+            design.pitch,
+            design.wall,
+            eaves=design.eaves,
+            verge=0.0 if design.blind_sides else 0.25,
+            hip=0.9 if design.roof == "hip" else 0.0,
+            dormers=int(ridge / 4.5) if design.roof == "gable" and rng.random() < 0.35 else 0,
         )
     ]
-    if look.ground_floor in ("home", "shop"):
+    if design.ground_floor in ("home", "shop"):
         x, y = corners.mean(axis=0) + rng.normal(0, 0.8, 2)
-        parts.append(roofs.chimney(float(x), float(y), top, top + look.pitch * narrow / 2 + 0.9))
+        parts.append(roofs.chimney(float(x), float(y), top, top + design.pitch * narrow / 2 + 0.9))
     return merge(parts)
 
 
-def _flat_roof(outline: Polygon, top: float, look: Look, rng: np.random.Generator) -> Mesh:
+def _flat_roof(outline: Polygon, top: float, design: HouseDesign, rng: Generator) -> Mesh:
     """Lay a flat roof with its parapet, or with eaves that reach over the walls."""
-    if look.storeys == 1 and rng.random() < 0.5:
-        over = outline.buffer(look.eaves, join_style="mitre")
+    if design.storeys == 1 and rng.random() < 0.5:
+        over = outline.buffer(design.eaves, join_style="mitre")
         parts = [roofs.flat(over, z, M.ROOF) for z in (top, top + 0.25)]
         parts += [
             s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + 0.25), M.METAL_SHEET)])
@@ -231,7 +210,7 @@ def _flat_roof(outline: Polygon, top: float, look: Look, rng: np.random.Generato
     high = rng.uniform(0.3, 0.9)
     parts = [roofs.flat(outline, top, M.ROOF)]
     parts += [
-        s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + high), look.wall)]) for s in _sides(outline)
+        s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + high), design.wall)]) for s in _sides(outline)
     ]
     if outline.area > 120:
         x, y = outline.representative_point().coords[0]
@@ -239,13 +218,13 @@ def _flat_roof(outline: Polygon, top: float, look: Look, rng: np.random.Generato
     return merge(parts)
 
 
-def _floor_under(ring: NDArray[np.float64], height_at: HeightAt) -> tuple[NDArray[np.float64], float]:
+def _floor_under(ring: Floats, height_at: HeightAt) -> tuple[Floats, float]:
     """Return the ground's height at each corner, and the highest of them."""
     ground = np.asarray(height_at(ring[:-1, 0], ring[:-1, 1]), np.float64)
     return ground, float(ground.max())
 
 
-def _pavilion(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Generator) -> Mesh:
+def _pavilion(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build an open pavilion: a roof on posts."""
     ground, high = _floor_under(ring, height_at)
     top = high + rng.uniform(2.6, 3.2)
@@ -263,14 +242,14 @@ def _pavilion(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Gen
     return merge([*posts, *rim, roofs.flat(over, top, M.ROOF), roofs.flat(over, top + 0.2, M.ROOF)])
 
 
-def _canopy(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Generator) -> Mesh:
+def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build a filling station: a roof above 4.7 m on a few columns, pumps, and a shop at the back."""
     ground, high = _floor_under(ring, height_at)
     p = ring[:-1]
     low = float(ground.min()) - SUNK
     z = high + rng.uniform(4.7, 5.4)
 
-    def spot(s: float, t: float) -> NDArray[np.float64]:
+    def spot(s: float, t: float) -> Floats:
         return (1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2])
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])
@@ -286,10 +265,10 @@ def _canopy(ring: NDArray[np.float64], height_at: HeightAt, rng: np.random.Gener
                 at = spot(s + ds, t)
                 parts.append(cylinder([*at, low], [*at, high + 1.9], 0.38, M.PLASTIC_DARK, sides=4))
     shop = Polygon([spot(0.1, 0.75), spot(0.9, 0.75), spot(0.9, 1.0), spot(0.1, 1.0)])
-    look = look_of("arterial", Polygon(ring), rng)
-    look = look._replace(
+    design = draw_design("arterial", Polygon(ring), rng)
+    design = design._replace(
         storeys=1, ground_floor="shop", roof="flat", ground_storey=4.0, plinth=0.02, balconies=0.0
     )
     if shop.area > 12:
-        parts.append(_house(shop, side_of(spot(0.1, 0.75), spot(0.9, 0.75)), look, height_at, rng))
+        parts.append(_house(shop, side_of(spot(0.1, 0.75), spot(0.9, 0.75)), design, height_at, rng))
     return merge(parts)

@@ -5,13 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, quads
 
-__all__ = ["Openings", "Side", "awning", "balcony", "deck", "ledge", "punched", "side_of", "steps", "upright"]
-
-M = Material
-Corners = NDArray[np.float64]  # (N, 4, 3)
+Corners = Floats  # (N, 4, 3)
 
 
 class Side(NamedTuple):
@@ -27,12 +25,12 @@ class Side(NamedTuple):
         Of the wall [m].
     """
 
-    start: NDArray[np.float64]
-    along: NDArray[np.float64]
-    out: NDArray[np.float64]
+    start: Floats
+    along: Floats
+    out: Floats
     length: float
 
-    def xy(self, u: ArrayLike, d: float = 0.0) -> NDArray[np.float64]:
+    def xy(self, u: ArrayLike, d: float = 0.0) -> Floats:
         """Return x, y (..., 2) of places along the wall, d before it."""
         return self.start + np.asarray(u, np.float64)[..., None] * self.along + d * self.out
 
@@ -71,11 +69,11 @@ class Openings(NamedTuple):
         Material of the pane.
     """
 
-    left: NDArray[np.float64]
-    right: NDArray[np.float64]
-    sill: NDArray[np.float64]
-    head: NDArray[np.float64]
-    recess: NDArray[np.float64]
+    left: Floats
+    right: Floats
+    sill: Floats
+    head: Floats
+    recess: Floats
     pane: NDArray[np.uint8]
 
 

@@ -1,18 +1,16 @@
 """Fences that rays pass through, garden walls, gates and guard rails, all of thin real geometry along a line."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 
-from ogm.simulation.materials import Material
-from ogm.simulation.mesh import Mesh, box, loft, merge, quads, sheet
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Mesh, loft, merge, quads, sheet
 from ogm.simulation.town.plants import SUNK, resampled
 
-__all__ = ["bars", "fence", "gate", "guard_rail", "low_wall", "screen"]
 
-M = Material
-
-
-def fence(line: ArrayLike, rng: np.random.Generator) -> Mesh:
+def fence(line: ArrayLike, rng: Generator) -> Mesh:
     """Build a fence that rays pass through: pickets, iron bars, welded mesh, rails; or a closed one of boards.
 
     Parameters
@@ -41,12 +39,12 @@ def fence(line: ArrayLike, rng: np.random.Generator) -> Mesh:
     return _boards(line, rng.uniform(1.6, 2.0), M.WOOD)
 
 
-def screen(line: ArrayLike, rng: np.random.Generator, material: Material = M.WOOD) -> Mesh:
+def screen(line: ArrayLike, rng: Generator, material: M = M.WOOD) -> Mesh:
     """Build a closed fence of boards or metal sheets along a line (M, 3), 1.6 to 2.0 m high."""
     return _boards(line, rng.uniform(1.6, 2.0), material)
 
 
-def low_wall(line: ArrayLike, rng: np.random.Generator, *, lowest: float = 0.4) -> Mesh:
+def low_wall(line: ArrayLike, rng: Generator, *, lowest: float = 0.4) -> Mesh:
     """Build a garden wall along a line (M, 3): `lowest` to 1.9 m high, 0.2 to 0.4 m thick, some with a coping."""
     points, side = resampled(line, 3.0)
     material = rng.choice([M.BRICK, M.STONE, M.CONCRETE, M.PLASTER_LIGHT])
@@ -75,41 +73,25 @@ def guard_rail(line: ArrayLike) -> Mesh:
     profile = [(0.0, 0.44), (0.08, 0.52), (0.0, 0.6), (0.08, 0.68), (0.0, 0.76)]
     rails = [points + y * side + [0, 0, z] for y, z in profile]
     beam = [sheet(a, b, M.METAL_SHEET) for a, b in zip(rails[:-1], rails[1:], strict=True)]
-    foot = points - 0.05 * side
+    base = points - 0.05 * side
     ahead = np.stack([side[:, 1], -side[:, 0], side[:, 2]], axis=1)
-    posts = [_uprights(foot, -SUNK, 0.72, 0.05 * ahead), _uprights(foot, -SUNK, 0.72, 0.06 * side)]
+    posts = [_uprights(base, -SUNK, 0.72, 0.05 * ahead), _uprights(base, -SUNK, 0.72, 0.06 * side)]
     return merge([*beam, quads(np.concatenate(posts), M.METAL_POLE)])
 
 
-def gate(width: float, rng: np.random.Generator) -> Mesh:
-    """Make a closed gate of bars along x between two pillars, for a driveway of that width [m]."""
-    if not 0.6 <= width <= 12:
-        raise ValueError(f"width of a gate must lie between 0.6 and 12 m, got {width}")
-    height, half = rng.uniform(1.0, 1.8), width / 2
-    pillars = [
-        box([x - 0.175, -0.175, -SUNK], [x + 0.175, 0.175, height + 0.3], M.BRICK) for x in (-half, half)
-    ]
-    leaf = np.array([[-half + 0.2, 0, 0.0], [half - 0.2, 0, 0.0]])
-    return merge([*pillars, bars(leaf, height, 0.13, 0.02, M.METAL_POLE)])
-
-
-def _uprights(
-    foot: NDArray[np.float64], low: float, high: float, half: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _uprights(base: Floats, low: float, high: float, half: Floats) -> Floats:
     """Return the corners (N, 4, 3) of upright flat bars at feet (N, 3), with half widths `half` (N, 3)."""
-    a, b = foot + [0, 0, low], foot + [0, 0, high]
+    a, b = base + [0, 0, low], base + [0, 0, high]
     return np.stack([a - half, a + half, b + half, b - half], axis=1)
 
 
-def _crossed(
-    foot: NDArray[np.float64], side: NDArray[np.float64], high: float, radius: float
-) -> NDArray[np.float64]:
+def _crossed(base: Floats, side: Floats, high: float, radius: float) -> Floats:
     """Return posts, each of two crossed upright bars, so that they are seen from everywhere."""
     ahead = np.stack([side[:, 1], -side[:, 0], side[:, 2]], axis=1)
-    return np.concatenate([_uprights(foot, -SUNK, high, radius * (ahead + s * side)) for s in (-1, 1)])
+    return np.concatenate([_uprights(base, -SUNK, high, radius * (ahead + s * side)) for s in (-1, 1)])
 
 
-def _along(line: ArrayLike, spacing: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _along(line: ArrayLike, spacing: float) -> tuple[Floats, Floats]:
     """Return the middles of pieces of a line and the unit direction of the line there."""
     points, side = resampled(line, spacing)
     middles = (points[1:] + points[:-1]) / 2
@@ -118,7 +100,7 @@ def _along(line: ArrayLike, spacing: float) -> tuple[NDArray[np.float64], NDArra
     return middles, np.stack([mean[:, 1], -mean[:, 0], mean[:, 2]], axis=1)
 
 
-def _between(points: NDArray[np.float64], z: float, half: float) -> NDArray[np.float64]:
+def _between(points: Floats, z: float, half: float) -> Floats:
     """Return level bars (N - 1, 4, 3) from point to point, upright faces around the height z."""
     low, high = points + [0, 0, z - half], points + [0, 0, z + half]
     return np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
@@ -133,7 +115,7 @@ def _pickets(line: ArrayLike, height: float, spacing: float, width: float) -> Me
     return quads(np.concatenate([laths, *rails, _crossed(points - 0.06 * side, side, height, 0.035)]), M.WOOD)
 
 
-def bars(line: ArrayLike, height: float, spacing: float, width: float, material: Material) -> Mesh:
+def bars(line: ArrayLike, height: float, spacing: float, width: float, material: M) -> Mesh:
     """Build a fence of upright iron bars between two rails; the bars' flat faces are turned in turns."""
     feet, ahead = _along(line, spacing)
     points, side = resampled(line, 2.4)
@@ -144,7 +126,7 @@ def bars(line: ArrayLike, height: float, spacing: float, width: float, material:
     return quads(np.concatenate([bars, *rails, _crossed(points, side, height, 0.03)]), material)
 
 
-def _mesh_fence(line: ArrayLike, height: float, rng: np.random.Generator) -> Mesh:
+def _mesh_fence(line: ArrayLike, height: float, rng: Generator) -> Mesh:
     """Build a fence of welded mesh: wires of 8 to 12 mm, every fourth of the real ones but as much thicker."""
     points, side = resampled(line, 2.5)
     feet, ahead = _along(line, rng.uniform(0.2, 0.3))
@@ -160,7 +142,7 @@ def _rails(line: ArrayLike, height: float) -> Mesh:
     return quads(np.concatenate([*rails, _crossed(points, side, height, 0.05)]), M.WOOD)
 
 
-def _boards(line: ArrayLike, height: float, material: Material) -> Mesh:
+def _boards(line: ArrayLike, height: float, material: M) -> Mesh:
     """Build a closed screen of boards set to and fro."""
     feet, ahead = _along(line, 0.2)
     points, side = resampled(line, 2.0)

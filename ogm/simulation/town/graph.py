@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
 
-__all__ = ["MARGIN", "bent_grid", "broad_line", "chains_of", "dead_ends", "grid_edges", "thinned"]
+from ogm.simulation.arrays import Floats
 
 MARGIN = 35.0  # [m] from the outermost street to the edge of the square
 Edges = list[tuple[int, int]]
 
 
-def bent_grid(n: int, size: float, rng: np.random.Generator) -> NDArray[np.float64]:
+def bent_grid(n: int, size: float, rng: Generator) -> Floats:
     """Crossings of n x n bent and irregular lines, those of line i at i * n + j."""
     half = size / 2 - MARGIN
     spacing = 2 * half / (n - 1)
@@ -59,7 +59,7 @@ def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
 
 
 def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
-    """Whether the graph stays in one piece when any one of its edges is closed."""
+    """Return whether the graph stays in one piece when any one of its edges is closed."""
     for closed in range(len(edges)):
         group = np.arange(count)
         for k, (a, b) in enumerate(edges):
@@ -71,14 +71,14 @@ def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
 
 
 def dead_ends(
-    nodes: NDArray,
+    nodes: Floats,
     edges: Edges,
     broad: set[tuple[int, int]],
-    faces: NDArray,
+    faces: Floats,
     styles: tuple[str, ...],
     roundabout: int,
     count: int,
-) -> tuple[NDArray, Edges, list[int]]:
+) -> tuple[Floats, Edges, list[int]]:
     """Lead a short street into some of the suburban blocks."""
     heads: list[int] = []
     for face in [k for k, style in enumerate(styles) if style in ("suburb", "industrial")][: count + 2]:

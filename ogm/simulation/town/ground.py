@@ -1,7 +1,7 @@
 """The ground: the triangles of roads, sidewalks and yards, and the kerbs between them.
 
 Two heights are defined everywhere: that of the road and that of the land beside it, which lies a kerb
-higher. Which one holds is told by the plan. All lines of the plan and a grid are cut at their crossings
+higher. Which one holds is given by the plan. All lines of the plan and a grid are cut at their crossings
 into faces; every face is triangulated with all its corners, so neighbours share their corners exactly and
 no ray falls between them; where road and land meet, an upright kerb closes the step.
 """
@@ -19,8 +19,6 @@ from shapely.geometry.base import BaseGeometry
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.mesh import Mesh, empty
 from ogm.simulation.town.terrain import Drop, Raster, Terrain
-
-__all__ = ["Zone", "cover", "height_raster", "surface"]
 
 TILE = 4.0  # [m] of the grid that cuts the ground
 

@@ -4,21 +4,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ogm.simulation.town.network import Network, Street
-
-__all__ = [
-    "CROSSWALK",
-    "HEAD",
-    "ISLAND",
-    "KERB_RADIUS",
-    "RING",
-    "Draft",
-    "Lane",
-    "cuts",
-    "make_lanes",
-]
+from ogm.simulation.arrays import Floats
+from ogm.simulation.town.network import Street, StreetNetwork
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners
 CROSSWALK = 5.0  # [m] from the corner's arc to the stop line
@@ -44,11 +32,11 @@ class Lane:
     junction : int
         Number of the junction that it crosses, -1 on the open road.
     phase : int
-        Lanes of a junction with the same phase may be driven at once; -1 where nobody has to wait for a signal:
+        Lanes of a junction with the same phase may be driven at once; -1 where there is no signal:
         on the open road, and in and out of a roundabout's ring.
     """
 
-    points: NDArray[np.float64]
+    points: Floats
     width: float
     speed: float
     successors: tuple[int, ...] = ()
@@ -66,17 +54,17 @@ class Draft(NamedTuple):
 
     lanes: list[Lane]
     streets: list[int]  # street of each lane, -1 in junctions
-    cuts: NDArray[np.float64]  # (S, 2) where the lanes of a street begin and how far from its end they stop
+    cuts: Floats  # (S, 2) where the lanes of a street begin and how far from its end they stop
 
 
 class _Arm(NamedTuple):
     street: int
-    outward: NDArray[np.float64]  # unit vector away from the crossing
+    outward: Floats  # unit vector away from the crossing
     incoming: list[int]  # lanes, rightmost first
     outgoing: list[int]
 
 
-def cuts(network: Network) -> NDArray[np.float64]:
+def cuts(network: StreetNetwork) -> Floats:
     """How far from its two crossings each street's lanes begin and stop (S, 2) [m]."""
     result = np.full((len(network.streets), 2), 0.0)
     for node in range(len(network.nodes)):
@@ -107,7 +95,7 @@ def cuts(network: Network) -> NDArray[np.float64]:
     return result
 
 
-def _arms(network: Network, node: int) -> list[tuple[int, int, NDArray]]:
+def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
     """Street, which end of it, and direction outward of everything that meets at a crossing."""
     arms = []
     for k, street in enumerate(network.streets):
@@ -121,12 +109,12 @@ def _arms(network: Network, node: int) -> list[tuple[int, int, NDArray]]:
 
 
 def _sides(street: Street, end: int) -> tuple[float, float]:
-    """Right and left half width, looking from an end of the street into it."""
+    """Right and left half width, seen from an end of the street into it."""
     right, left = street.profile.right, street.profile.left
     return (right, left) if end == 0 else (left, right)
 
 
-def make_lanes(network: Network) -> Draft:
+def make_lanes(network: StreetNetwork) -> Draft:
     """Lay lanes (z = 0 yet) along all streets and through all crossings."""
     cut = cuts(network)
     lanes: list[Lane] = []
@@ -213,7 +201,7 @@ def _across(lanes: list[Lane], arms: list[_Arm], number: int) -> list[tuple[int,
 
 
 def _ring(
-    lanes: list[Lane], links: dict[int, list[int]], arms: list[_Arm], center: NDArray, number: int
+    lanes: list[Lane], links: dict[int, list[int]], arms: list[_Arm], center: Floats, number: int
 ) -> None:
     """Lanes into, round (counter-clockwise) and out of a roundabout; the phase of an entry is its arm."""
     radius = (ISLAND + RING) / 2 + 0.4
@@ -253,7 +241,7 @@ def _ring(
         links[along[k]] = [past[(k + 1) % len(arms)], *out]
 
 
-def _turn_round(lanes: list[Lane], arm: _Arm, center: NDArray) -> Lane:
+def _turn_round(lanes: list[Lane], arm: _Arm, center: Floats) -> Lane:
     """Round a dead end: swing right, go round counter-clockwise, come back."""
     start, end = lanes[arm.incoming[0]].points, lanes[arm.outgoing[0]].points
     inward = -arm.outward
@@ -267,24 +255,24 @@ def _turn_round(lanes: list[Lane], arm: _Arm, center: NDArray) -> Lane:
     return Lane(_even(np.concatenate([first, ring[1:-1], last])), 2.8, 3.0)
 
 
-def _join(start: NDArray, end: NDArray, straight: float) -> NDArray[np.float64]:
+def _join(start: Floats, end: Floats, straight: float) -> Floats:
     """From the end of one line to the start of another: straight over the crosswalks, a bend between."""
     a, b = _ahead(start), -_ahead(end[::-1])
     p, q = start[-1] + straight * a, end[0] - straight * b
     return _even(np.concatenate([start[-1:], _cubic(p, a, q, b), end[:1]]))
 
 
-def _blend(start: NDArray, end: NDArray) -> NDArray[np.float64]:
+def _blend(start: Floats, end: Floats) -> Floats:
     """From the end of one line to the start of another in one bend."""
     return _even(_cubic(start[-1], _ahead(start), end[0], -_ahead(end[::-1])))
 
 
-def _ahead(line: NDArray) -> NDArray[np.float64]:
+def _ahead(line: Floats) -> Floats:
     step = line[-1] - line[-2]
     return step / np.linalg.norm(step)
 
 
-def _cubic(p: NDArray, a: NDArray, q: NDArray, b: NDArray) -> NDArray[np.float64]:
+def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
     """Draw a cubic Bezier curve from p towards a to q, arriving in direction b; close to an arc where one fits."""
     turn = np.arccos(np.clip(a @ b, -1, 1))
     chord = np.linalg.norm(q - p)
@@ -294,14 +282,14 @@ def _cubic(p: NDArray, a: NDArray, q: NDArray, b: NDArray) -> NDArray[np.float64
     return (1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * c + 3 * (1 - t) * t**2 * d + t**3 * q
 
 
-def _even(line: NDArray) -> NDArray[np.float64]:
+def _even(line: Floats) -> Floats:
     """Return the same line with about 1 m between points; its ends stay where they are."""
     way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     even = np.linspace(0, way[-1], max(2, int(round(way[-1])) + 1))
     return np.stack([np.interp(even, way, line[:, k]) for k in range(line.shape[1])], axis=1)
 
 
-def _comfortable(line: NDArray) -> float:
+def _comfortable(line: Floats) -> float:
     """Return the speed [m/s] at which the sharpest bend of a line takes 2 m/s^2 sideways, between 3 and 14."""
     step = np.diff(line, axis=0)
     angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))

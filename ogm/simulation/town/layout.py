@@ -4,20 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.random import Generator
 from shapely import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.town.ground import Zone
 from ogm.simulation.town.lanes import HEAD, ISLAND, KERB_RADIUS, RING, Draft
-from ogm.simulation.town.network import Network, Street
+from ogm.simulation.town.network import Street, StreetNetwork
 from ogm.simulation.town.overlay import area, polygons
 from ogm.simulation.town.terrain import Drop
 
-__all__ = ["Bay", "Block", "Plan", "make_plan"]
-
-M = Material
 BAY = 5.8  # [m] length of a place to park along the kerb
 
 
@@ -50,11 +48,11 @@ class Block:
 
 
 @dataclass(eq=False)
-class Plan:
+class TownLayout:
     """The plan while it is drawn; everything is in the plane."""
 
     size: float
-    network: Network
+    network: StreetNetwork
     draft: Draft
     road: BaseGeometry  # carriageways
     corridor: BaseGeometry  # with sidewalks and verges
@@ -62,20 +60,26 @@ class Plan:
     lines: list[BaseGeometry]
     drops: list[Drop]
     bays: list[Bay]
-    walkways: list[NDArray[np.float64]]  # (M, 2)
+    walkways: list[Floats]  # (M, 2)
     blocks: list[Block]
     driveways: list[Polygon]
     islands: list[Polygon]
     spans: list[tuple[int, float, str]]  # street, way along it, "bridge" or "gantry"
     reserved: BaseGeometry  # where nothing is built
 
+    def mark(self, shape: Polygon) -> None:
+        """Paint a marking."""
+        self.zones.append(Zone(shape if shape.is_valid else shape.buffer(0), M.MARKING))
 
-def make_plan(size: float, network: Network, draft: Draft, rng: np.random.Generator) -> Plan:
+
+def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator) -> TownLayout:
     """Draw a town around its streets and lanes."""
     road, islands = _carriageway(network, draft)
     corridor = _corridor(network, road, size)
     frame = shapely.box(-size / 2, -size / 2, size / 2, size / 2)
-    plan = Plan(size, network, draft, road, corridor, [], [], [], [], [], [], [], islands, [], Polygon())
+    plan = TownLayout(
+        size, network, draft, road, corridor, [], [], [], [], [], [], [], islands, [], Polygon()
+    )
     plan.zones.append(Zone(frame, M.GRASS))
     plan.zones.append(Zone(corridor, M.PAVING))
     _surfaces(plan, islands, rng)
@@ -95,7 +99,7 @@ def make_plan(size: float, network: Network, draft: Draft, rng: np.random.Genera
     return plan
 
 
-def _style(network: Network, block: Polygon) -> str:
+def _style(network: StreetNetwork, block: Polygon) -> str:
     """Return the district of a block: park where one of its meshes is, else that of the nearest mesh."""
     within = shapely.contains_xy(block, network.faces)
     if len(block.interiors) == 0 and any(network.styles[k] == "park" for k in np.flatnonzero(within)):
@@ -104,7 +108,7 @@ def _style(network: Network, block: Polygon) -> str:
     return network.styles[int(np.argmin(np.linalg.norm(network.faces - middle, axis=1)))]
 
 
-def _carriageway(network: Network, draft: Draft) -> tuple[BaseGeometry, list[Polygon]]:
+def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, list[Polygon]]:
     """Return the carriageways without the islands in them, and the islands."""
     parts: list[BaseGeometry] = []
     islands: list[Polygon] = []
@@ -138,7 +142,7 @@ def _carriageway(network: Network, draft: Draft) -> tuple[BaseGeometry, list[Pol
     return shapely.difference(whole, shapely.union_all(islands)), islands
 
 
-def _corridor(network: Network, road: BaseGeometry, size: float) -> BaseGeometry:
+def _corridor(network: StreetNetwork, road: BaseGeometry, size: float) -> BaseGeometry:
     parts: list[BaseGeometry] = [road.buffer(1.5)]
     for street in network.streets:
         profile = street.profile
@@ -154,7 +158,7 @@ def _corridor(network: Network, road: BaseGeometry, size: float) -> BaseGeometry
     return area(shapely.intersection(filled, frame)).simplify(0.02)
 
 
-def _spans(plan: Plan, rng: np.random.Generator) -> None:
+def _spans(plan: TownLayout, rng: Generator) -> None:
     """Choose where the broad road passes below a bridge and a gantry, and keep houses away from the bridge."""
     broad = [k for k, street in enumerate(plan.network.streets) if street.profile.kind == "arterial"]
     order = [int(k) for k in rng.permutation(broad)]
@@ -170,7 +174,7 @@ def _spans(plan: Plan, rng: np.random.Generator) -> None:
             plan.reserved = street.band(at - 7, at + 7, -40.0, 40.0).buffer(0)
 
 
-def _surfaces(plan: Plan, islands: list[Polygon], rng: np.random.Generator) -> None:
+def _surfaces(plan: TownLayout, islands: list[Polygon], rng: Generator) -> None:
     """Road surfaces street by street, repairs in them, islands."""
     plan.zones.append(Zone(plan.road, M.ASPHALT))
     for street in plan.network.streets:
@@ -191,7 +195,7 @@ def _surfaces(plan: Plan, islands: list[Polygon], rng: np.random.Generator) -> N
         plan.zones.append(Zone(island.buffer(-0.3 if island.area < 60 else -1.5), M.GRASS))
 
 
-def _verges(plan: Plan, k: int, street: Street) -> None:
+def _verges(plan: TownLayout, k: int, street: Street) -> None:
     profile = street.profile
     start, end = plan.draft.cuts[k, 0] + 1, street.length - plan.draft.cuts[k, 1] - 1
     if profile.verge <= 0 or end - start < 6:
@@ -204,7 +208,7 @@ def _verges(plan: Plan, k: int, street: Street) -> None:
         plan.zones.append(Zone(band, M.GRASS if profile.kind != "industrial" else M.SOIL))
 
 
-def _parking(plan: Plan, k: int, street: Street, rng: np.random.Generator) -> None:
+def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
     """Bays along the kerbs, with gaps here and there."""
     profile = street.profile
     start, end = plan.draft.cuts[k, 0] + 2.0, street.length - plan.draft.cuts[k, 1] - 2.0
@@ -233,15 +237,11 @@ def _parking(plan: Plan, k: int, street: Street, rng: np.random.Generator) -> No
                     side * edge - side * width,
                     side * (edge - 0.3),
                 )
-                plan.zones.append(Zone(_right_way(tick), M.MARKING))
+                plan.mark(tick)
             at += long
 
 
-def _right_way(shape: Polygon) -> BaseGeometry:
-    return shape if shape.is_valid else shape.buffer(0)
-
-
-def _sidewalks(plan: Plan, k: int, street: Street) -> None:
+def _sidewalks(plan: TownLayout, k: int, street: Street) -> None:
     """Lay a line for pedestrians along either sidewalk."""
     profile = street.profile
     start, end = plan.draft.cuts[k, 0] - 3.0, street.length - plan.draft.cuts[k, 1] + 3.0
@@ -255,7 +255,7 @@ def _sidewalks(plan: Plan, k: int, street: Street) -> None:
         plan.walkways.append(street.at(way, offset))
 
 
-def _crossings(plan: Plan, rng: np.random.Generator) -> None:
+def _crossings(plan: TownLayout, rng: Generator) -> None:
     """Where people cross at junctions: kerbs let down, a line to walk, sometimes a zebra."""
     network = plan.network
     for k, street in enumerate(network.streets):
@@ -280,10 +280,10 @@ def _crossings(plan: Plan, rng: np.random.Generator) -> None:
             if zebra:
                 for left in np.arange(edges[0] + 0.4, edges[1] - 0.6, 1.0):
                     stripe = street.band(at - 1.4, at + 1.4, left, left + 0.5)
-                    plan.zones.append(Zone(_right_way(stripe), M.MARKING))
+                    plan.mark(stripe)
 
 
-def _markings(plan: Plan) -> None:
+def _markings(plan: TownLayout) -> None:
     """Lines: between and beside lanes, and where to stop."""
     for k, street in enumerate(plan.network.streets):
         profile = street.profile
@@ -305,21 +305,15 @@ def _markings(plan: Plan) -> None:
             solid += [outer[0], outer[1]]
         for offset in dashed:
             for at in np.arange(start + 1, end - 4, 8.0):
-                plan.zones.append(
-                    Zone(_right_way(street.band(at, at + 3.5, offset - 0.06, offset + 0.06)), M.MARKING)
-                )
+                plan.mark(street.band(at, at + 3.5, offset - 0.06, offset + 0.06))
         for offset in solid:
-            plan.zones.append(
-                Zone(_right_way(street.band(start, end, offset - 0.06, offset + 0.06)), M.MARKING)
-            )
+            plan.mark(street.band(start, end, offset - 0.06, offset + 0.06))
         for at, right, left, node in (
             (start - 0.5, profile.median / 2, outer[1], street.start),
             (end, outer[0], -profile.median / 2, street.end),
         ):
             if left - right > 1 and node not in plan.network.heads:
-                plan.zones.append(
-                    Zone(_right_way(street.band(at, at + 0.5, right + 0.1, left - 0.1)), M.MARKING)
-                )
+                plan.mark(street.band(at, at + 0.5, right + 0.1, left - 0.1))
     plan.lines += [
         LineString(street.line[::3]) for street in plan.network.streets if street.profile.median == 0
     ]

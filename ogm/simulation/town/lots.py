@@ -4,20 +4,18 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
+from numpy.random import Generator
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.materials import Material
-from ogm.simulation.town.buildings import split_front
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
+from ogm.simulation.town.footprints import split_front
 from ogm.simulation.town.ground import Zone
-from ogm.simulation.town.layout import Bay, Block, Plan
+from ogm.simulation.town.layout import Bay, Block, TownLayout
 from ogm.simulation.town.overlay import area, polygons
 from ogm.simulation.town.terrain import Drop
 
-__all__ = ["Lot", "fill_blocks"]
-
-M = Material
 DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m]
 SETBACK = {"centre": 0.0, "suburb": 1.2, "industrial": 2.0, "arterial": 1.0, "park": 2.0}  # [m] at least
 OPEN_SPACE = {"centre": 0.05, "suburb": 0.03, "industrial": 0.12, "arterial": 0.15, "park": 0.2}  # car parks
@@ -47,13 +45,13 @@ class Lot(NamedTuple):
     use: str
     style: str
     shape: Polygon
-    front: NDArray[np.float64]
-    inward: NDArray[np.float64]
+    front: Floats
+    inward: Floats
     houses: list[Polygon]
     gaps: list[Polygon]
 
 
-def fill_blocks(plan: Plan, rng: np.random.Generator) -> list[Lot]:
+def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
     """Divide all blocks into lots; adds surfaces, driveways, bays and paths to the plan."""
     lots: list[Lot] = []
     blocks = [k for k, block in enumerate(plan.blocks) if block.style == "centre" and _inside(plan, block)]
@@ -74,12 +72,12 @@ def fill_blocks(plan: Plan, rng: np.random.Generator) -> list[Lot]:
     return lots
 
 
-def _inside(plan: Plan, block: Block) -> bool:
+def _inside(plan: TownLayout, block: Block) -> bool:
     """Whether a block lies within the streets, not at the town's edge."""
     return bool(np.abs(np.array(block.shape.bounds)).max() < plan.size / 2 - 1.0)
 
 
-def _along(plan: Plan, block: Block, square: bool, rng: np.random.Generator) -> list[Lot]:
+def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list[Lot]:
     """Lots along all sides of a block, the longest first."""
     network = plan.network
     streets = np.array([LineString(street.line) for street in network.streets], dtype=object)
@@ -126,7 +124,7 @@ def _along(plan: Plan, block: Block, square: bool, rng: np.random.Generator) -> 
     return lots
 
 
-def _sides(plan: Plan, block: Block) -> list[tuple[NDArray, NDArray, NDArray]]:
+def _sides(plan: TownLayout, block: Block) -> list[tuple[Floats, Floats, Floats]]:
     """Find the straight stretches of a block's outline along streets, with unit vectors into the block."""
     result = []
     outline = shapely.geometry.polygon.orient(block.shape.simplify(1.0), 1.0)
@@ -141,7 +139,7 @@ def _sides(plan: Plan, block: Block) -> list[tuple[NDArray, NDArray, NDArray]]:
 
 
 def _driveway(
-    plan: Plan, lot: Lot, near: int, at: NDArray, reach: float, width: float, material: Material
+    plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M
 ) -> None:
     """Pave a way from the kerb to `reach` metres behind the front, and let the kerb down."""
     along = np.array([lot.inward[1], -lot.inward[0]])
@@ -164,7 +162,7 @@ def _driveway(
     lot.gaps.append(way)
     plan.driveways.append(way)
     plan.drops.append(Drop(float(kerb[0]), float(kerb[1]), (float(along[0]), float(along[1])), width / 2))
-    # Nobody parks before a driveway.
+    # Driveways stay free of parked cars.
     clear = way.buffer(0.5)
     along_street = max(street.profile.parking)
     if along_street > 0:
@@ -173,8 +171,8 @@ def _driveway(
         plan.bays[:] = [bay for bay, d in zip(plan.bays, far, strict=True) if d > bay.length / 2]
 
 
-def _access(plan: Plan, lot: Lot, near: int, rng: np.random.Generator) -> None:
-    """Driveways to garages and yards, paths to doors."""
+def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
+    """Lay driveways to garages and yards, and paths to entrances."""
     along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
     for house in lot.houses:
         corners = np.array(house.exterior.coords)[:-1] - lot.front[0]
@@ -184,7 +182,7 @@ def _access(plan: Plan, lot: Lot, near: int, rng: np.random.Generator) -> None:
             garage = width < 6.3
             at = lot.front[0] + along * float((u.min() + u.max()) / 2)
             if garage:
-                surface = Material(rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL]))
+                surface = rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL])
                 _driveway(plan, lot, near, at, setback + 0.5, min(width, 3.4), surface)
                 if setback > 6.5 and rng.random() < 0.8:
                     spot = at + lot.inward * (setback / 2 + 0.4)
@@ -214,7 +212,7 @@ def _access(plan: Plan, lot: Lot, near: int, rng: np.random.Generator) -> None:
         _yard_bays(plan, lot, along, width, rng)
 
 
-def _yard_bays(plan: Plan, lot: Lot, along: NDArray, width: float, rng: np.random.Generator) -> None:
+def _yard_bays(plan: TownLayout, lot: Lot, along: Floats, width: float, rng: Generator) -> None:
     """Places to park across the front of a yard, where no house stands."""
     yaw = float(np.arctan2(lot.inward[1], lot.inward[0]))
     built = shapely.union_all(lot.houses + lot.gaps).buffer(0.6)
@@ -227,7 +225,7 @@ def _yard_bays(plan: Plan, lot: Lot, along: NDArray, width: float, rng: np.rando
             plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
 
 
-def _car_park(plan: Plan, lot: Lot, near: int) -> None:
+def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
     """Asphalt with rows of bays parallel to the street, and a way in."""
     along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
     width = float(np.linalg.norm(lot.front[1] - lot.front[0]))
@@ -256,7 +254,7 @@ def _car_park(plan: Plan, lot: Lot, near: int) -> None:
         row, facing = row + (11.2 if facing > 0 else 5.2), -facing
 
 
-def _square(plan: Plan, lot: Lot, rng: np.random.Generator) -> None:
+def _square(plan: TownLayout, lot: Lot, rng: Generator) -> None:
     plan.zones.append(Zone(lot.shape, M.PAVING))
     plan.zones.append(Zone(lot.shape.buffer(-3.0), M.COBBLES if rng.random() < 0.6 else M.PAVING))
     for _ in range(3):
@@ -265,7 +263,7 @@ def _square(plan: Plan, lot: Lot, rng: np.random.Generator) -> None:
             plan.walkways.append(np.linspace(a, b, int(np.linalg.norm(a - b)) + 1))
 
 
-def _park(plan: Plan, block: Block, rng: np.random.Generator) -> Lot:
+def _park(plan: TownLayout, block: Block, rng: Generator) -> Lot:
     """Grass with winding gravel paths from side to side."""
     plan.zones.append(Zone(block.shape, M.GRASS))
     middle = np.array(block.shape.centroid.coords[0])
@@ -287,7 +285,7 @@ def _park(plan: Plan, block: Block, rng: np.random.Generator) -> Lot:
     return lot
 
 
-def _point_in(shape: Polygon, rng: np.random.Generator) -> NDArray[np.float64]:
+def _point_in(shape: Polygon, rng: Generator) -> Floats:
     """Draw a point of a polygon."""
     x0, y0, x1, y1 = shape.bounds
     for _ in range(100):

@@ -4,23 +4,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 from shapely import LineString, Polygon
 
-from ogm.simulation.materials import Material
-from ogm.simulation.town.graph import (
-    MARGIN,
-    bent_grid,
-    broad_line,
-    chains_of,
-    dead_ends,
-    grid_edges,
-    thinned,
-)
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
+from ogm.simulation.town.graph import MARGIN, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
-__all__ = ["PROFILES", "Network", "Profile", "Street", "make_network"]
-
-M = Material
 SPACING = 96.0  # [m] between parallel streets, about
 
 
@@ -40,7 +31,7 @@ class Profile(NamedTuple):
     parking: tuple[float, float]  # width of the parking lanes
     verge: float  # grass between kerb and sidewalk
     sidewalk: tuple[float, float]
-    surface: Material
+    surface: M
     kerb: float  # height of the kerb
 
     @property
@@ -92,9 +83,9 @@ class Street:
 
     start: int
     end: int
-    line: NDArray[np.float64]
-    along: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    line: Floats
+    along: Floats
+    normals: Floats
     profile: Profile
     district: str
 
@@ -103,13 +94,13 @@ class Street:
         """Length of the dividing line [m]."""
         return float(self.along[-1])
 
-    def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> NDArray[np.float64]:
+    def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> Floats:
         """Points (..., 2) at a way from the start and an offset to the left [m]."""
         along, left = np.broadcast_arrays(np.asarray(along, float), np.asarray(left, float))
         point = np.stack([np.interp(along, self.along, self.line[:, k]) for k in (0, 1)], axis=-1)
         return point + self.normal(along) * left[..., None]
 
-    def normal(self, along: ArrayLike) -> NDArray[np.float64]:
+    def normal(self, along: ArrayLike) -> Floats:
         """Return unit vectors (..., 2) to the left at a way from the start."""
         way = np.asarray(along, float)
         normal = np.stack([np.interp(way, self.along, self.normals[:, k]) for k in (0, 1)], axis=-1)
@@ -125,18 +116,18 @@ class Street:
         return LineString(self.line + self.normals * (left - right) / 2)
 
 
-class Network(NamedTuple):
+class StreetNetwork(NamedTuple):
     """Crossings and streets."""
 
-    nodes: NDArray[np.float64]  # (N, 2)
+    nodes: Floats  # (N, 2)
     streets: tuple[Street, ...]
     roundabout: int  # a node, -1 if there is none
-    heads: tuple[int, ...]  # nodes at which a dead end has room to turn
-    faces: NDArray[np.float64]  # (F, 2) middle of each mesh of the grid
+    heads: tuple[int, ...]  # nodes at which a dead end has space to turn
+    faces: Floats  # (F, 2) middle of each mesh of the grid
     styles: tuple[str, ...]  # its district
 
 
-def make_network(size: float, rng: np.random.Generator) -> Network:
+def make_network(size: float, rng: Generator) -> StreetNetwork:
     """Draw the streets of a town of `size` metres."""
     n = max(3, int((size - 2 * MARGIN) // SPACING) + 1)
     nodes = bent_grid(n, size, rng)
@@ -158,7 +149,7 @@ def make_network(size: float, rng: np.random.Generator) -> Network:
     edges = thinned(edges, kept, n * n)
     nodes, edges, heads = dead_ends(nodes, edges, broad, faces, styles, roundabout, n // 3 + 1)
     chains = chains_of(edges, len(nodes), {roundabout, *heads})
-    return Network(
+    return StreetNetwork(
         nodes,
         _streets(nodes, chains, broad, faces, styles, roundabout, heads, rng),
         roundabout,
@@ -168,7 +159,7 @@ def make_network(size: float, rng: np.random.Generator) -> Network:
     )
 
 
-def _districts(m: int, faces: NDArray, rng: np.random.Generator) -> tuple[str, ...]:
+def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
     """Place a dense centre, a park beside it, industry in a corner, suburbs elsewhere."""
     if m == 2:
         quiet = "park" if rng.random() < 0.5 else "industrial"
@@ -187,14 +178,14 @@ def _districts(m: int, faces: NDArray, rng: np.random.Generator) -> tuple[str, .
 
 
 def _streets(
-    nodes: NDArray,
+    nodes: Floats,
     chains: list[list[int]],
     broad: set[tuple[int, int]],
-    faces: NDArray,
+    faces: Floats,
     styles: tuple[str, ...],
     roundabout: int,
     heads: list[int],
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> tuple[Street, ...]:
     """Give each chain a bent line and a cross-section."""
     kinds: list[str] = []
@@ -236,9 +227,9 @@ _CHOICES = {
 
 
 def _one_way(
-    chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: np.random.Generator
+    chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: Generator
 ) -> None:
-    """Make narrow streets two-way where nobody could reach or leave some place otherwise."""
+    """Make narrow streets two-way where some place could not be reached or left otherwise."""
     single = [k for k, kind in enumerate(kinds) if PROFILES[kind].back == 0]
     for k in single:
         if roundabout in (chains[k][0], chains[k][-1]) or chains[k][0] == chains[k][-1]:
@@ -263,7 +254,7 @@ def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> b
     return bool(reach.all() and step.any(axis=1).all())
 
 
-def _bend(points: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
+def _bend(points: Floats, rng: Generator) -> Floats:
     """Draw a smooth line through a chain of crossings, straight near its ends, with a bend or an S between."""
     control = [points[0]]
     last = len(points) - 2
@@ -285,8 +276,8 @@ def _bend(points: NDArray, rng: np.random.Generator) -> NDArray[np.float64]:
     return np.stack([np.interp(even, way, line[:, k]) for k in (0, 1)], axis=1)
 
 
-def _corner(a: NDArray, b: NDArray, c: NDArray) -> list[NDArray[np.float64]]:
-    """Round a corner at b, on the way from a to c, by an arc as wide as there is room for."""
+def _corner(a: Floats, b: Floats, c: Floats) -> list[Floats]:
+    """Round a corner at b, on the way from a to c, by an arc as wide as there is space for."""
     u, w = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
     turn = float(np.arctan2(u[0] * w[1] - u[1] * w[0], u @ w))
     if abs(turn) < 0.1:

@@ -4,8 +4,6 @@ import shapely
 from shapely import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-__all__ = ["area", "inside", "polygons"]
-
 
 def polygons(shape: BaseGeometry) -> list[Polygon]:
     """Return the polygons of a geometry, largest first."""

@@ -1,20 +1,16 @@
 """Trees, bushes, hedges and grass: loose clouds of small leaf cards that let a part of the rays through."""
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, empty, loft, merge, quads
-
-__all__ = ["bush", "grass_tufts", "hedge", "tree"]
-
-M = Material
-HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 SUNK = 0.3  # [m] a trunk reaches this far into the ground, so that it stands on a slope as well
 TUFTS = 4000  # a lawn gets no more tufts than this
@@ -42,7 +38,7 @@ SPECIES = (
 )
 
 
-def tree(rng: np.random.Generator, *, clearance: float = 0.0) -> Mesh:
+def tree(rng: Generator, *, clearance: float = 0.0) -> Mesh:
     """Grow a tree: trunk, branches and a loose crown.
 
     A ray through the crown's middle meets as many leaf cards as a Poisson number with the species'
@@ -53,20 +49,13 @@ def tree(rng: np.random.Generator, *, clearance: float = 0.0) -> Mesh:
     rng : Generator
         Chooses species, size and shape.
     clearance : float
-        No leaf hangs lower than this above the foot [m]: 4.5 beside a road that its crown reaches over.
+        No leaf hangs lower than this above the ground [m]: 4.5 beside a road that its crown reaches over.
 
     Returns
     -------
     Mesh
-        At most 700 triangles; origin at the foot, z up.
-
-    Raises
-    ------
-    ValueError
-        If the clearance is not between 0 and 8 m.
+        At most 700 triangles; origin at the base, z up.
     """
-    if not 0 <= clearance <= 8:
-        raise ValueError(f"clearance must lie between 0 and 8 m, got {clearance}")
     share = np.array([kind.share for kind in SPECIES])
     if clearance > 1:  # a conifer with bare feet is none
         share[[kind.taper == 1.0 for kind in SPECIES]] = 0.0
@@ -100,13 +89,13 @@ def tree(rng: np.random.Generator, *, clearance: float = 0.0) -> Mesh:
     return merge([trunk, branches, leaves])
 
 
-def bush(rng: np.random.Generator) -> Mesh:
+def bush(rng: Generator) -> Mesh:
     """Grow a bush, 0.5 to 2.2 m high, with leaves down to the ground.
 
     Returns
     -------
     Mesh
-        At most 150 triangles; origin at the foot, z up.
+        At most 150 triangles; origin at the base, z up.
     """
     height = rng.uniform(0.5, 2.2)
     radius = height * rng.uniform(0.4, 0.75)
@@ -118,7 +107,7 @@ def bush(rng: np.random.Generator) -> Mesh:
     return merge([stems, _cards(rng, centers, np.sqrt(area * rng.uniform(0.5, 1.5, count)), lowest=0.0)])
 
 
-def hedge(line: ArrayLike, rng: np.random.Generator, *, lowest: float = 0.8) -> Mesh:
+def hedge(line: ArrayLike, rng: Generator, *, lowest: float = 0.8) -> Mesh:
     """Grow a clipped hedge along a line: an uneven core, and leaves that stand out of it.
 
     Parameters
@@ -157,9 +146,7 @@ def hedge(line: ArrayLike, rng: np.random.Generator, *, lowest: float = 0.8) -> 
     return merge([core, _cards(rng, centers, rng.uniform(0.12, 0.34, count))])
 
 
-def grass_tufts(
-    polygon: Polygon, height_at: HeightAt, rng: np.random.Generator, *, density: float = 1.0
-) -> Mesh:
+def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, density: float = 1.0) -> Mesh:
     """Scatter tufts of long grass, of the material GRASS: they roughen the ground, but block no way.
 
     Parameters
@@ -178,8 +165,6 @@ def grass_tufts(
     Mesh
         Two triangles per tuft, 0.05 to 0.3 m high.
     """
-    if not density >= 0:
-        raise ValueError(f"density must be 0 or more tufts per square metre, got {density}")
     if polygon.is_empty:
         return empty()
     count = min(int(polygon.area * density), TUFTS)
@@ -190,24 +175,24 @@ def grass_tufts(
     x, y = x[inside][:TUFTS], y[inside][:TUFTS]
     if not len(x):
         return empty()
-    foot = np.stack([x, y, np.asarray(height_at(x, y), np.float64)], axis=1)
+    base = np.stack([x, y, np.asarray(height_at(x, y), np.float64)], axis=1)
     tall = rng.uniform(0.05, 0.3, len(x)) * rng.uniform(0.4, 1.0)
     angle = rng.uniform(0, 2 * np.pi, len(x))
     across = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (0.04 + 0.6 * tall)[:, None]
     lean = np.stack([*(0.3 * tall * rng.normal(0, 1, (2, len(x)))), tall], axis=1)
-    foot[:, 2] -= 0.03
+    base[:, 2] -= 0.03
     corners = np.stack(
-        [foot - across, foot + across, foot + 0.6 * across + lean, foot - 0.6 * across + lean], 1
+        [base - across, base + across, base + 0.6 * across + lean, base - 0.6 * across + lean], 1
     )
     return quads(corners, M.GRASS)
 
 
-def _within_crown(rng: np.random.Generator, count: int, taper: float, *, shell: float) -> NDArray[np.float64]:
+def _within_crown(rng: Generator, count: int, taper: float, *, shell: float) -> Floats:
     """Draw points in the unit ball, or in a cone (taper 1); `shell` of 1 draws them all to its skin."""
     direction = rng.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     ball = direction * rng.random((count, 1)) ** (1 / 3 * (1 - 0.7 * shell))
-    z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its foot
+    z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its base
     ring = (1 - z) / 2 * np.sqrt(rng.random(count)) ** (1 - shell)
     around = rng.uniform(0, 2 * np.pi, count)
     cone = np.stack([ring * np.cos(around), ring * np.sin(around), -z * 0 + z], axis=1)
@@ -217,9 +202,7 @@ def _within_crown(rng: np.random.Generator, count: int, taper: float, *, shell: 
     return ball
 
 
-def _cards(
-    rng: np.random.Generator, centers: NDArray[np.float64], size: NDArray[np.float64], lowest: float = -np.inf
-) -> Mesh:
+def _cards(rng: Generator, centers: Floats, size: Floats, lowest: float = -np.inf) -> Mesh:
     """Make a triangle of random direction with an area of size² at each centre, none below `lowest`."""
     count = len(centers)
     u, v = rng.normal(size=(2, count, 3))
@@ -236,14 +219,14 @@ def _cards(
     return Mesh(corners.reshape(-1, 3).astype(np.float32), triangles, np.full(count, M.FOLIAGE, np.uint8))
 
 
-def _stem(line: NDArray[np.float64], radii: NDArray[np.float64], sides: int) -> Mesh:
+def _stem(line: Floats, radii: Floats, sides: int) -> Mesh:
     """Make an upright tube along a line."""
     angles = 2 * np.pi * np.arange(sides) / sides
     ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
     return loft(line[:, None] + radii[:, None, None] * ring, M.BARK)
 
 
-def _sticks(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> Mesh:
+def _sticks(start: Floats, end: Floats, radius: float) -> Mesh:
     """Make thin three-sided branches between pairs of points."""
     n = len(start)
     angles = 2 * np.pi * np.arange(3) / 3
@@ -253,7 +236,7 @@ def _sticks(start: NDArray[np.float64], end: NDArray[np.float64], radius: float)
     return quads(np.stack([wide, wide_next, narrow_next, narrow], axis=2).reshape(3 * n, 4, 3), M.BARK)
 
 
-def resampled(line: ArrayLike, step: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def resampled(line: ArrayLike, step: float) -> tuple[Floats, Floats]:
     """Return points about `step` apart along a line, and the level direction to the left of it at each."""
     points = np.asarray(line, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():

@@ -2,15 +2,12 @@
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from shapely import Polygon
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, merge, quads
-
-__all__ = ["chimney", "flat", "pitched"]
-
-M = Material
 
 
 def flat(footprint: Polygon, z: float, material: int) -> Mesh:
@@ -64,7 +61,7 @@ def pitched(
     across = (p[0] - p[3]) / np.linalg.norm(p[0] - p[3])
     rise, low = pitch * run, z - pitch * eaves
     over = verge if hip == 0 else eaves
-    foot = np.column_stack(
+    eave = np.column_stack(
         [
             p
             + over * np.array([[-1], [1], [1], [-1]]) * along
@@ -74,10 +71,10 @@ def pitched(
     )
     inset = min(hip * run, 0.48 * span) if hip else -verge
     ridge = np.column_stack([ends + inset * np.array([[1], [-1]]) * along, np.full(2, z + rise)])
-    slopes = quads([[foot[0], foot[1], ridge[1], ridge[0]], [foot[2], foot[3], ridge[0], ridge[1]]], M.ROOF)
-    soffit = quads(foot, M.WOOD)
+    slopes = quads([[eave[0], eave[1], ridge[1], ridge[0]], [eave[2], eave[3], ridge[0], ridge[1]]], M.ROOF)
+    soffit = quads(eave, M.WOOD)
     if hip:
-        triangles, ends_material = [[foot[1], foot[2], ridge[1]], [foot[3], foot[0], ridge[0]]], int(M.ROOF)
+        triangles, ends_material = [[eave[1], eave[2], ridge[1]], [eave[3], eave[0], ridge[0]]], int(M.ROOF)
     else:
         top = np.column_stack([ends, np.full(2, z + rise)])
         at = np.column_stack([p, np.full(4, z)])
@@ -99,14 +96,7 @@ def chimney(x: float, y: float, low: float, top: float) -> Mesh:
 
 
 def _dormers(
-    ends: NDArray[np.float64],
-    along: NDArray[np.float64],
-    across: NDArray[np.float64],
-    run: float,
-    z: float,
-    rise: float,
-    wall: int,
-    count: int,
+    ends: Floats, along: Floats, across: Floats, run: float, z: float, rise: float, wall: int, count: int
 ) -> Mesh:
     """Set boxes with a window into both slopes."""
     length = float(np.linalg.norm(ends[1] - ends[0]))
@@ -115,14 +105,14 @@ def _dormers(
         for s in (1.0, -1.0):
             out, front, top = s * across, 0.78 * run, z + min(0.22 * rise + 1.5, 0.9 * rise)
             back = run * (1 - (top - z) / rise)
-            foot = z + rise * (1 - front / run)
+            eave = z + rise * (1 - front / run)
             a, b = (ends[0] + (u + k) * along for k in (-0.7, 0.7))
             fa, fb, ba, bb = a + front * out, b + front * out, a + back * out, b + back * out
             faces += [
-                [[*fa, foot], [*fb, foot], [*fb, top], [*fa, top]],
+                [[*fa, eave], [*fb, eave], [*fb, top], [*fa, top]],
                 [[*fa, top], [*fb, top], [*bb, top], [*ba, top]],
-                [[*fa, foot], [*fa, top], [*ba, top], [*ba, top - 0.01]],
-                [[*fb, foot], [*fb, top], [*bb, top], [*bb, top - 0.01]],
+                [[*fa, eave], [*fa, top], [*ba, top], [*ba, top - 0.01]],
+                [[*fb, eave], [*fb, top], [*bb, top], [*bb, top - 0.01]],
             ]
             material += [int(M.WINDOW), int(M.ROOF), wall, wall]
     return quads(faces, material)

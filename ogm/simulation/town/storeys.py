@@ -1,37 +1,45 @@
 """The storeys of one side of a house: windows, doors, shops, gates, balconies, bays, and what hangs on the wall."""
 
-from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import facades
+from ogm.simulation.town.design import HouseDesign
 from ogm.simulation.town.facades import Openings, Side, deck, ledge, punched, side_of
-from ogm.simulation.town.looks import Look
 
-__all__ = ["SUNK", "ground_floor", "upper_storeys"]
-
-M = Material
-HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-Pieces = list[tuple[NDArray[np.float64], ArrayLike]]
+Pieces = list[tuple[Floats, ArrayLike]]
 
 SUNK = 0.8  # [m] walls reach this far below the lowest ground
 OVERHANG = 2.6  # [m] balconies, bays and awnings are higher above the ground than this
 
 
-def ground_floor(
-    side: Side,
-    role: str,
-    door: bool,
-    low: float,
-    floor: float,
-    upper: float,
-    look: Look,
-    height_at: HeightAt,
-    rng: np.random.Generator,
-) -> Pieces:
+class House(NamedTuple):
+    """What the sides of a house share.
+
+    Attributes
+    ----------
+    design : HouseDesign
+    height_at : callable
+        Height of the ground [m] at x, y [m].
+    low, floor, upper, top : float
+        Heights of the walls' foot, of the floor, of the next storey's floor, and of the walls' top [m].
+    """
+
+    design: HouseDesign
+    height_at: HeightAt
+    low: float
+    floor: float
+    upper: float
+    top: float
+
+
+def ground_floor(side: Side, role: str, door: bool, house: House, rng: Generator) -> Pieces:
     """Make the ground floor of one side: shops, gates, or windows and a door.
 
     Parameters
@@ -42,12 +50,7 @@ def ground_floor(
         "front", "side", "back", or "blind" for a wall without openings.
     door : bool
         The house's door is here.
-    low, floor, upper : float
-        Heights of the wall's foot, of the floor, and of the next storey's floor [m].
-    look : Look
-        Sizes and materials.
-    height_at : callable
-        Height of the ground [m] at x, y [m].
+    house : House
     rng : Generator
         Chooses the rest.
 
@@ -56,12 +59,13 @@ def ground_floor(
     list
         Quadrilaterals in the side's u, d, z with their materials, for `Side.built`.
     """
-    kind = look.ground_floor
+    design, height_at, low, floor, upper, _ = house
+    kind = design.ground_floor
     front = role == "front"
-    bay, (width, sill, head) = look.bay, look.window
+    bay, (width, sill, head) = design.bay, design.window
     if kind == "shop":
         bay, width, sill, head = (
-            (look.bay, 0.85 * look.bay, rng.uniform(0.1, 0.5), 2.8) if front else (5.0, 1.2, 1.6, 2.6)
+            (design.bay, 0.85 * design.bay, rng.uniform(0.1, 0.5), 2.8) if front else (5.0, 1.2, 1.6, 2.6)
         )
     elif kind == "garage":
         bay, width, sill, head = (3.2, 2.5, 0.0, 2.1) if front else (4.0, 0.8, 1.3, 2.0)
@@ -69,138 +73,135 @@ def ground_floor(
         sill, head = 0.62 * (upper - floor), 0.8 * (upper - floor)
     columns = int((side.length - 0.7) / bay)
     if role == "blind" or upper - floor < head or (columns < 1 and side.length < 1.7):
-        return punched(side.length, low, upper, _openings(np.zeros(0), 0.0), look.base)
+        return punched(side.length, low, upper, _openings(np.zeros(0), 0.0), design.base)
     columns = max(columns, 1)
     width = min(width, side.length / columns - 0.5)
     middle = (np.arange(columns) + 0.5) * side.length / columns
     openings = _openings(middle, width)
     ground = np.asarray(height_at(*side.xy(middle, 0.3).T), np.float64)
-    recess, pane = rng.uniform(0.8, 1.2, columns) * look.recess, _panes(rng, columns)
+    recess, pane = rng.uniform(0.8, 1.2, columns) * design.recess, _panes(rng, columns)
     sills, heads = np.maximum(floor + sill, ground + 0.1), np.full(columns, min(floor + head, upper - 0.25))
     extra: Pieces = []
     if kind == "garage" and front:
         sills, recess, pane = ground, rng.uniform(0.05, 0.2, columns), np.full(columns, M.METAL_SHEET)
     if kind == "hall" and front:
-        sills, heads, recess, pane, extra = _gates(side, middle, width, ground, floor, upper, look, rng)
+        sills, heads, recess, pane, extra = _gates(side, middle, width, ground, house, rng)
         door = False
     if kind == "shop" and front:
         extra += _shops(openings, floor, upper, float(ground.max()), rng)
-    if door and kind != "garage" and columns:
+    if door and kind != "garage":
         k = int(rng.integers(columns))
-        wide = min(1.8 if kind == "shop" else rng.uniform(1.0, 1.5), max(width, 1.0))
+        sills[k], heads[k], recess[k], pane[k], wide, stairs = _door(ground[k], middle[k], width, house, rng)
         openings.left[k], openings.right[k] = middle[k] - wide / 2, middle[k] + wide / 2
-        most = 0.36 if look.blind_sides else 0.72  # the rest of the stairs is inside
-        sills[k] = min(max(floor, ground[k] + 0.02), ground[k] + most)
-        heads[k] = min(sills[k] + rng.uniform(2.1, 2.5), upper - 0.2)
-        recess[k] = rng.choice([0.12, rng.uniform(0.3, 1.2)])
-        pane[k] = M.WINDOW if kind == "shop" else M.WOOD
-        if sills[k] - ground[k] > 0.1:
-            u0, u1 = middle[k] - wide / 2 - 0.2, middle[k] + wide / 2 + 0.2
-            extra.append((facades.steps(u0, u1, float(ground[k]), float(sills[k])), M.STONE))
-        roof = max(heads[k] + 0.15, ground[k] + OVERHANG)
-        if kind == "home" and roof < upper + 0.3 and rng.random() < 0.4:
-            u0, u1 = middle[k] - wide / 2 - 0.4, middle[k] + wide / 2 + 0.4
-            extra.append((ledge(u0, u1, rng.uniform(0.7, 1.2), roof, roof + 0.12), M.METAL_SHEET))
+        extra += stairs
     if front:
         extra += _clutter(openings, float(ground.max()), upper, side.length, rng)
     heads = np.maximum(heads, sills)
     rows = openings._replace(
         sill=sills[:, None], head=heads[:, None], recess=recess[:, None], pane=np.asarray(pane)[:, None]
     )
-    if front and look.storeys > 1 and rng.random() < 0.7:
-        extra.append((ledge(0.0, side.length, rng.uniform(0.05, 0.15), upper - 0.12, upper + 0.1), look.base))
+    if front and design.storeys > 1 and rng.random() < 0.7:
+        extra.append(
+            (ledge(0.0, side.length, rng.uniform(0.05, 0.15), upper - 0.12, upper + 0.1), design.base)
+        )
     if front and side.length > 4 and rng.random() < 0.7:
-        top = upper + (look.storeys - 1) * look.storey
+        top = upper + (design.storeys - 1) * design.storey
         ends = [ledge(u, u + 0.09, 0.13, low, top) for u in (0.15, side.length - 0.24)]
         extra.append((np.concatenate(ends[: int(rng.integers(1, 3))]), M.METAL_SHEET))
-    return [*punched(side.length, low, upper, rows, look.base), *extra]
+    return [*punched(side.length, low, upper, rows, design.base), *extra]
 
 
-def upper_storeys(
-    side: Side,
-    role: str,
-    floor: float,
-    upper: float,
-    top: float,
-    look: Look,
-    height_at: HeightAt,
-    rng: np.random.Generator,
-) -> list[Mesh]:
-    """Make the upper storeys of one side, with bays and balconies.
+def _door(
+    ground: float, middle: float, width: float, house: House, rng: Generator
+) -> tuple[float, float, float, int, float, Pieces]:
+    """Return sill, head, recess, pane and width of the door, and its stairs and roof."""
+    design, kind = house.design, house.design.ground_floor
+    wide = min(1.8 if kind == "shop" else rng.uniform(1.0, 1.5), max(width, 1.0))
+    most = 0.36 if design.blind_sides else 0.72  # the rest of the stairs is inside
+    sill = min(max(house.floor, ground + 0.02), ground + most)
+    head = min(sill + rng.uniform(2.1, 2.5), house.upper - 0.2)
+    recess = rng.choice([0.12, rng.uniform(0.3, 1.2)])
+    extra: Pieces = []
+    if sill - ground > 0.1:
+        u0, u1 = middle - wide / 2 - 0.2, middle + wide / 2 + 0.2
+        extra.append((facades.steps(u0, u1, float(ground), float(sill)), M.STONE))
+    roof = max(head + 0.15, ground + OVERHANG)
+    if kind == "home" and roof < house.upper + 0.3 and rng.random() < 0.4:
+        u0, u1 = middle - wide / 2 - 0.4, middle + wide / 2 + 0.4
+        extra.append((ledge(u0, u1, rng.uniform(0.7, 1.2), roof, roof + 0.12), M.METAL_SHEET))
+    return sill, head, recess, M.WINDOW if kind == "shop" else M.WOOD, wide, extra
 
-    Parameters
-    ----------
-    side, role, look, height_at, rng
-        As for `ground_floor`.
-    floor, upper, top : float
-        Heights of the ground floor, of the first upper storey's floor, and of the walls' top [m].
-    """
-    width, sill, head = look.window
-    columns = int((side.length - 0.7) / look.bay)
+
+def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[Mesh]:
+    """Make the upper storeys of one side, with bays and balconies; parameters as for `ground_floor`."""
+    design, height_at, _, _, upper, top = house
+    width, sill, head = design.window
+    columns = int((side.length - 0.7) / design.bay)
     if role == "blind" or (columns < 1 and side.length < 1.7):
-        return [side.built(punched(side.length, upper, top, _openings(np.zeros(0), 0.0), look.wall))]
-    columns, rows = max(columns, 1), look.storeys - 1
+        return [side.built(punched(side.length, upper, top, _openings(np.zeros(0), 0.0), design.wall))]
+    columns, rows = max(columns, 1), design.storeys - 1
     width = min(width, side.length / columns - 0.5)
     middle = (np.arange(columns) + 0.5) * side.length / columns
-    floors = upper + np.arange(rows) * look.storey
+    floors = upper + np.arange(rows) * design.storey
     ground = float(np.max(height_at(*side.xy(np.append(middle, [0.0, side.length]), 0.8).T)))
     shape = (columns, rows)
     sills = np.broadcast_to(floors + sill, shape).copy()
-    heads = np.broadcast_to(np.minimum(floors + head, floors + look.storey - 0.2), shape).copy()
-    recess = np.full(shape, look.recess)
+    heads = np.broadcast_to(np.minimum(floors + head, floors + design.storey - 0.2), shape).copy()
+    recess = np.full(shape, design.recess)
     pane = _panes(rng, columns * rows).reshape(shape)
     recess[pane != M.WINDOW] *= 0.4  # shutters are further out
     extra: Pieces = []
     parts: list[Mesh] = []
 
     # Balconies stand one over the other, on the street and on the court.
-    chance = look.balconies if role in ("front", "back") else 0.0
+    chance = design.balconies if role in ("front", "back") else 0.0
     high = floors - 0.18 - ground > OVERHANG
     for k in np.flatnonzero(rng.random(columns) < chance).tolist():
         half = min(rng.uniform(1.1, 2.0), 0.47 * side.length / columns)
         depth = rng.uniform(0.8, 1.6)
         sills[k, high] = floors[high] + 0.05
-        bars = 7 if look.panel == M.METAL_POLE else 0
+        bars = 7 if design.panel == M.METAL_POLE else 0
         for z in floors[high]:
-            extra += facades.balcony(middle[k] - half, middle[k] + half, depth, float(z), bars, look.panel)
+            extra += facades.balcony(middle[k] - half, middle[k] + half, depth, float(z), bars, design.panel)
 
-    # A bay runs through all upper storeys: three narrow walls before the wide one.
-    if look.bays and role == "front" and columns >= 2 and upper - 0.3 - ground > OVERHANG:
+    if design.bays and role == "front" and columns >= 2 and upper - 0.3 - ground > OVERHANG:
         k = int(rng.integers(columns))
-        half, depth = min(1.4, 0.48 * side.length / columns), rng.uniform(0.45, 0.9)
-        cut = half - rng.uniform(0.0, 0.4)
-        line = [
-            (middle[k] - half, 0.0),
-            (middle[k] - cut, depth),
-            (middle[k] + cut, depth),
-            (middle[k] + half, 0.0),
-        ]
-        ends = [side.xy(u, d) for u, d in line]
-        for a, b in zip(ends[:-1], ends[1:], strict=True):
-            face = side_of(a, b)
-            holes = _openings(np.array([face.length / 2]), max(face.length - 0.5, 0.0))
-            if face.length < 0.8:
-                holes = _openings(np.zeros(0), 0.0)
-            n = len(holes.left)
-            holes = holes._replace(
-                sill=np.asarray((floors + sill)[None][:n], np.float64),
-                head=heads[:1][:n],
-                recess=recess[:1][:n],
-                pane=pane[:1][:n],
-            )
-            parts.append(face.built(punched(face.length, upper - 0.1, top, holes, look.wall)))
-        lids = np.concatenate(
-            [deck(line[0][0], line[3][0], 0.0, depth, z, z)[:, [0, 1, 2, 3]] for z in (upper - 0.1, top)]
-        )
-        lids[:, 2, 0], lids[:, 3, 0] = line[2][0], line[1][0]
-        extra.append((lids, look.wall))
+        half = min(1.4, 0.48 * side.length / columns)
+        rows_of_bay = ((floors + sill)[None], heads[:1], recess[:1], pane[:1])
+        faces, lids = _bay(side, middle[k], half, rows_of_bay, house, rng)
+        parts += faces
+        extra.append((lids, design.wall))
     if role == "front" and rng.random() < 0.5:
-        extra.append((ledge(0.0, side.length, rng.uniform(0.1, 0.3), top - 0.3, top), look.wall))
+        extra.append((ledge(0.0, side.length, rng.uniform(0.1, 0.3), top - 0.3, top), design.wall))
     openings = _openings(middle, width)._replace(sill=sills, head=heads, recess=recess, pane=pane)
-    return [side.built([*punched(side.length, upper, top, openings, look.wall), *extra]), *parts]
+    return [side.built([*punched(side.length, upper, top, openings, design.wall), *extra]), *parts]
 
 
-def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: np.random.Generator) -> Pieces:
+def _bay(
+    side: Side, middle: float, half: float, rows: Any, house: House, rng: Generator
+) -> tuple[list[Mesh], Floats]:
+    """Make a bay through all upper storeys: three narrow walls before the wide one, floor and roof.
+
+    `rows` are the last four columns of `Openings`.
+    """
+    depth = rng.uniform(0.45, 0.9)
+    cut = half - rng.uniform(0.0, 0.4)
+    line = [(middle - half, 0.0), (middle - cut, depth), (middle + cut, depth), (middle + half, 0.0)]
+    ends = [side.xy(u, d) for u, d in line]
+    low, top = house.upper - 0.1, house.top
+    faces = []
+    for start, end in zip(ends[:-1], ends[1:], strict=True):
+        face = side_of(start, end)
+        n = int(face.length >= 0.8)  # windows beside each other
+        holes = _openings(np.full(n, face.length / 2), max(face.length - 0.5, 0.0))
+        holes = Openings(*holes[:2], *(column[:n] for column in rows))
+        faces.append(face.built(punched(face.length, low, top, holes, house.design.wall)))
+    lids = np.concatenate([deck(line[0][0], line[3][0], 0.0, depth, z, z) for z in (low, top)])
+    lids[:, 2, 0], lids[:, 3, 0] = line[2][0], line[1][0]
+    return faces, lids
+
+
+def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: Generator) -> Pieces:
     """Make what hangs over shop windows: signs, awnings, and signs that stand out of the wall."""
     extra: Pieces = []
     low = max(floor + 2.9, ground + OVERHANG)
@@ -223,16 +224,10 @@ def _shops(openings: Openings, floor: float, upper: float, ground: float, rng: n
 
 
 def _gates(
-    side: Side,
-    middle: NDArray[np.float64],
-    width: float,
-    ground: NDArray[np.float64],
-    floor: float,
-    upper: float,
-    look: Look,
-    rng: np.random.Generator,
-) -> tuple[NDArray, NDArray, NDArray, NDArray, Pieces]:
+    side: Side, middle: Floats, width: float, ground: Floats, house: House, rng: Generator
+) -> tuple[Any, Any, Any, Any, Pieces]:
     """Make the front of a hall: roller gates, docks for trucks, windows, pilasters and a canopy."""
+    design, floor, upper = house.design, house.floor, house.upper
     columns = len(middle)
     kind = rng.choice(3, columns, p=[0.35, 0.25, 0.4])
     sills = np.choose(kind, [ground, ground + 1.15, np.full(columns, floor + 1.0)])
@@ -249,7 +244,7 @@ def _gates(
         joints = np.linspace(0, side.length, columns + 1)
         low = float(ground.min()) - SUNK
         posts = [ledge(max(u - 0.2, 0), min(u + 0.2, side.length), 0.2, low, upper) for u in joints]
-        extra.append((np.concatenate(posts), look.base))
+        extra.append((np.concatenate(posts), design.base))
     docks = middle[kind == 1]
     if len(docks):
         pads = [ledge(u + s * width / 2 - 0.15, u + s * width / 2 + 0.15, 0.25, float(ground.min()) + 0.5,
@@ -261,9 +256,7 @@ def _gates(
     return sills, heads, recess, pane, extra
 
 
-def _clutter(
-    openings: Openings, ground: float, upper: float, length: float, rng: np.random.Generator
-) -> Pieces:
+def _clutter(openings: Openings, ground: float, upper: float, length: float, rng: Generator) -> Pieces:
     """Hang small things between windows: letter boxes, lamps, meters, name plates, air conditioners."""
     edges = np.append(np.append(0.0, openings.right), length)
     gaps = [(a, b) for a, b in zip(edges[:-1], np.append(openings.left, length), strict=True) if b - a > 0.35]
@@ -278,13 +271,13 @@ def _clutter(
     return extra
 
 
-def _openings(middle: NDArray[np.float64], width: float) -> Openings:
+def _openings(middle: Floats, width: float) -> Openings:
     """Return columns around their middles, without rows yet."""
     none = np.zeros((len(middle), 0))
     return Openings(middle - width / 2, middle + width / 2, none, none, none, none.astype(np.uint8))
 
 
-def _panes(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
+def _panes(rng: Generator, count: int) -> NDArray[np.uint8]:
     """Choose panes: most are glass, some have their shutters or blinds down."""
     shut = rng.random() * 0.35
     other = rng.choice([M.PLASTER_LIGHT, M.WOOD, M.PLASTIC_DARK])

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 import shapely
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-__all__ = ["FIELD", "Drop", "Raster", "Terrain", "make_terrain", "mask"]
+from ogm.simulation.arrays import Floats
 
 CROWN = 0.025  # slope across a road, from its middle to the kerbs
 CROWN_REACH = 4.0  # [m] farther from the kerb the road is level
@@ -28,7 +29,7 @@ class Raster:
     step: float
     corner: tuple[float, float]
 
-    def __call__(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
+    def __call__(self, x: ArrayLike, y: ArrayLike) -> Floats:
         """Bilinear between the points, as at the edge beyond it."""
         u = np.clip((np.asarray(x, np.float64) - self.corner[0]) / self.step, 0, len(self.values) - 1)
         v = np.clip((np.asarray(y, np.float64) - self.corner[1]) / self.step, 0, self.values.shape[1] - 1)
@@ -48,7 +49,7 @@ class Drop(NamedTuple):
     along: tuple[float, float]
     half: float
 
-    def share(self, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def share(self, x: Floats, y: Floats) -> Floats:
         """How far the kerb is let down at x, y: 0 not at all, 1 wholly; the sidewalk behind follows as a ramp."""
         dx, dy = x - self.x, y - self.y
         along = abs(dx * self.along[0] + dy * self.along[1])
@@ -57,15 +58,15 @@ class Drop(NamedTuple):
 
 
 class Terrain(NamedTuple):
-    """All that tells a height."""
+    """All that heights are computed from."""
 
-    waves: NDArray[np.float64]  # (W, 4) wave numbers along x and y [rad/m], phase, amplitude [m]
-    bowls: NDArray[np.float64]  # (B, 4) x, y, radius, height of dips (< 0) and humps [m]
+    waves: Floats  # (W, 4) wave numbers along x and y [rad/m], phase, amplitude [m]
+    bowls: Floats  # (B, 4) x, y, radius, height of dips (< 0) and humps [m]
     crown: Raster
     bank: Raster
     kerb: Raster
 
-    def base(self, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def base(self, x: Floats, y: Floats) -> Floats:
         """Height of the hills alone [m]."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         z = np.zeros(np.broadcast(x, y).shape)
@@ -75,11 +76,11 @@ class Terrain(NamedTuple):
             z += height * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * radius**2))
         return z
 
-    def road(self, x: NDArray, y: NDArray) -> NDArray[np.float64]:
+    def road(self, x: Floats, y: Floats) -> Floats:
         """Height of the road surface [m]."""
         return self.base(x, y) + self.crown(x, y)
 
-    def land(self, x: NDArray, y: NDArray, drops: Sequence[Drop] = ()) -> NDArray[np.float64]:
+    def land(self, x: Floats, y: Floats, drops: Sequence[Drop] = ()) -> Floats:
         """Height of the land beside the road, kerb included [m]."""
         x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
         kerb = self.kerb(x, y)
@@ -114,9 +115,9 @@ def make_terrain(
     road: BaseGeometry,
     corridor: BaseGeometry,
     kerbs: Sequence[tuple[BaseGeometry, float]],
-    banks: Sequence[tuple[NDArray, float]],
+    banks: Sequence[tuple[Floats, float]],
     dip: tuple[float, float],
-    rng: np.random.Generator,
+    rng: Generator,
 ) -> Terrain:
     """Draw hills, and fit banks, crowns and kerbs to the streets.
 
@@ -174,7 +175,7 @@ def make_terrain(
     field = Raster((rough * weight).astype(np.float32), 8 * FIELD, (-size / 2, -size / 2))
     px, py = np.meshgrid(*(np.arange(s) * FIELD - size / 2 for s in shape), indexing="ij")
     bank = ramp * np.clip(field(px, py), -2.5, 2.5)
-    # Kerbs: as high as the profile of the nearest street says.
+    # Kerbs: as high as in the profile of the nearest street.
     kerb = np.full(shape, 0.11)
     for area, upright in kerbs:
         kerb[mask(area, size, FIELD)] = upright

@@ -1,22 +1,16 @@
 """Closed round trips over the lanes of a town."""
 
 import numpy as np
+from numpy.random import Generator
 
 from ogm.simulation.town.lanes import Lane
-
-__all__ = ["SHORTEST", "round_trip"]
 
 SHORTEST = 600.0  # [m]
 TRIES = 12000  # random drives, of which the best is taken
 
 
 def round_trip(
-    lanes: list[Lane],
-    kinds: list[str],
-    worth: list[float],
-    sense: float,
-    rng: np.random.Generator,
-    longest: float,
+    lanes: list[Lane], kinds: list[str], worth: list[float], sense: float, rng: Generator, longest: float
 ) -> tuple[int, ...]:
     """Find a closed trip of at least 600 m that sees many kinds of street.
 
@@ -61,7 +55,7 @@ def round_trip(
     return best[1]
 
 
-def _wander(lanes: list[Lane], start: int, rng: np.random.Generator) -> tuple[int, ...]:
+def _wander(lanes: list[Lane], start: int, rng: Generator) -> tuple[int, ...]:
     """Drive at random and cross no junction twice; the lanes of the trip if it comes back, else none."""
     trip, crossed, choice = [start], set(), rng.random(200)
     for draw in choice:

@@ -1,6 +1,7 @@
-"""Who is on the road: bodies, where they park, how they move."""
+"""Traffic participants: bodies, where they park, how they move."""
 
-from ogm.simulation.traffic.bodies import Body, own_vehicle
-from ogm.simulation.traffic.motion import Frame, Object, Traffic
+from ogm.simulation.traffic.bodies import Body, ego_body, ego_vehicle
+from ogm.simulation.traffic.departure import Object
+from ogm.simulation.traffic.motion import Traffic, TrafficState
 
-__all__ = ["Body", "Frame", "Object", "Traffic", "own_vehicle"]
+__all__ = ["Body", "Object", "Traffic", "TrafficState", "ego_body", "ego_vehicle"]

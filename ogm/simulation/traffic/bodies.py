@@ -4,18 +4,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, loft, merge, quads
-
-__all__ = ["CARS", "VANS", "Body", "Shape", "car", "centered", "own_vehicle", "wheel"]
-
-M = Material
 
 
 class Body(NamedTuple):
-    """What one kind of participant looks like.
+    """Body of one kind of participant.
 
     Attributes
     ----------
@@ -31,8 +28,8 @@ class Body(NamedTuple):
 
     label: str
     mesh: Mesh
-    size: NDArray[np.float64]
-    axles: NDArray[np.float64]
+    size: Floats
+    axles: Floats
 
 
 def centered(label: str, mesh: Mesh, axles: ArrayLike) -> Body:
@@ -132,7 +129,7 @@ VANS: dict[str, Shape] = {
 }  # fmt: skip
 
 
-def _stations(shape: Shape) -> NDArray[np.float64]:
+def _stations(shape: Shape) -> Floats:
     """Return where along the car its cross sections stand, counted from the front [m]."""
     reach = shape.tyre + 0.07
     axles = (shape.overhang, shape.overhang + shape.wheelbase)
@@ -199,7 +196,7 @@ def _shell(shape: Shape, paint: int) -> Mesh:
     return merge([loft(sections, material), _ends(sections, paint)])
 
 
-def _ends(sections: NDArray[np.float64], paint: int) -> Mesh:
+def _ends(sections: Floats, paint: int) -> Mesh:
     """Close the front with a grille between painted bands, the rear with paint; both carry a plate."""
     front, rear = sections[0], sections[-1]
     bands = [(0, 11, 9, 2), (2, 9, 8, 3), (3, 8, 7, 4), (4, 7, 6, 5)]
@@ -214,7 +211,7 @@ def _ends(sections: NDArray[np.float64], paint: int) -> Mesh:
     return merge([faces, back, quads(plates, M.PLATE)])
 
 
-def end_height(section: NDArray[np.float64], share: float) -> float:
+def end_height(section: Floats, share: float) -> float:
     """Return the height at a share of a cross section [m]."""
     low, high = float(section[:, 2].min()), float(section[:, 2].max())
     return low + share * (high - low)
@@ -234,7 +231,7 @@ def _greenhouse(shape: Shape, paint: int) -> Mesh:
         middle = (low_s[2:4] + high_s[2:4]) / 2
         low_s[2:4], high_s[2:4] = middle + 0.04, middle - 0.02
 
-    def ring(along: NDArray, sides: NDArray, nose: float, rear: float, z: NDArray, tip: NDArray) -> NDArray:
+    def ring(along: Floats, sides: Floats, nose: float, rear: float, z: Floats, tip: Floats) -> Floats:
         s = np.concatenate([[nose], along, [rear], along[::-1]])
         y = np.concatenate([[0.0], sides, [0.0], -sides[::-1]])
         height = np.concatenate([[tip[0]], z, [tip[1]], z[::-1]])
@@ -278,7 +275,7 @@ def _seats(shape: Shape) -> Mesh:
     return quads(backs, M.PLASTIC_DARK)
 
 
-def car(shape: Shape, paint: Material, *, label: str = "car", mirrors: float = 0.13) -> Body:
+def car(shape: Shape, paint: M, *, label: str = "car", mirrors: float = 0.13) -> Body:
     """Make a car or van.
 
     Parameters
@@ -290,8 +287,6 @@ def car(shape: Shape, paint: Material, *, label: str = "car", mirrors: float = 0
     mirrors : float
         How far the mirrors stand out on either side [m].
     """
-    if shape.roof_at >= shape.roof_end or shape.cowl_at >= shape.deck_at:
-        raise ValueError(f"windscreen and roof must end before the rear of the car does, got {shape}")
     half, front = shape.width / 2, shape.length / 2
     axles = np.array([front - shape.overhang, front - shape.overhang - shape.wheelbase])
     parts = [_shell(shape, paint), _greenhouse(shape, paint), _seats(shape)]
@@ -303,15 +298,15 @@ def car(shape: Shape, paint: Material, *, label: str = "car", mirrors: float = 0
     return centered(label, merge(parts), axles)
 
 
-def own_vehicle() -> Mesh:
+def ego_vehicle() -> Mesh:
     """Return the vehicle that carries the sensor: an estate in the vehicle frame, roof at 1.48 m.
 
-    Every triangle is `Material.OWN_VEHICLE`.
+    Every triangle is `Material.EGO_VEHICLE`.
     """
-    return own_body().mesh
+    return ego_body().mesh
 
 
-def own_body() -> Body:
-    """Return the own vehicle with its measures."""
+def ego_body() -> Body:
+    """Return the ego vehicle with its measures."""
     body = car(CARS["estate"], M.PAINT_MEDIUM, mirrors=0.12)
-    return body._replace(mesh=body.mesh.painted(M.OWN_VEHICLE))
+    return body._replace(mesh=body.mesh.painted(M.EGO_VEHICLE))

@@ -1,17 +1,16 @@
 """Who takes part: a choice of bodies for one scenario, and how each kind of driver drives."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 
-from ogm.simulation.materials import Material
+from ogm.simulation.materials import Material as M
 from ogm.simulation.traffic.bodies import CARS, VANS, Body, Shape, car
 from ogm.simulation.traffic.heavy import bus, trailer, truck
 from ogm.simulation.traffic.people import bicycle, motorcycle, standing, walking
 
-__all__ = ["MANNERS", "Fleet", "Manners", "make_fleet"]
-
-M = Material
 PAINTS = (M.PAINT_LIGHT, M.PAINT_MEDIUM, M.PAINT_DARK, M.PAINT_BLACK)
 PAINT_SHARES = (0.38, 0.27, 0.17, 0.18)
 SHAPE_SHARES = {
@@ -38,11 +37,11 @@ MANNERS = {
     "motorcycle": Manners(2.4, 2.2, 6.0, 1.1, 50.0),
     "bicycle": Manners(0.8, 1.6, 4.0, 1.0, 6.2),
 }
-OWN_MANNERS = Manners(1.8, 1.9, 4.0, 1.2, 50.0)
+EGO_MANNERS = Manners(1.8, 1.9, 4.0, 1.2, 50.0)
 
 
 class Fleet(NamedTuple):
-    """Bodies to draw participants from; each is shared by all that look alike.
+    """Bodies to draw participants from; each is shared by all of its kind.
 
     Attributes
     ----------
@@ -63,10 +62,10 @@ class Fleet(NamedTuple):
     standers: list[Body]
 
 
-def make_fleet(rng: np.random.Generator) -> Fleet:
+def make_fleet(rng: Generator) -> Fleet:
     """Draw the bodies of one scenario: no two of the cars have the same measures."""
 
-    def paint() -> Material:
+    def paint() -> M:
         return PAINTS[int(rng.choice(4, p=PAINT_SHARES))]
 
     names = rng.choice(list(SHAPE_SHARES), 28, p=np.array(list(SHAPE_SHARES.values())))
@@ -84,25 +83,12 @@ def make_fleet(rng: np.random.Generator) -> Fleet:
     )
 
 
-def _vary(shape: Shape, rng: np.random.Generator) -> Shape:
+_ALONG = ("length", "wheelbase", "overhang", "cowl_at", "roof_at", "roof_end", "deck_at")
+_UP = ("height", "nose", "cowl", "deck")
+
+
+def _vary(shape: Shape, rng: Generator) -> Shape:
     """Stretch a shape by a few per cent in each direction."""
     along, across, up = rng.normal(1.0, [0.025, 0.012, 0.02])
-    return Shape(
-        shape.length * along,
-        shape.width * across,
-        shape.height * up,
-        shape.wheelbase * along,
-        shape.overhang * along,
-        shape.nose * up,
-        shape.cowl * up,
-        shape.deck * up,
-        shape.cowl_at * along,
-        shape.roof_at * along,
-        shape.roof_end * along,
-        shape.deck_at * along,
-        shape.floor,
-        shape.tyre,
-        shape.roof_width,
-        shape.side_glass,
-        shape.rear_glass,
-    )
+    factors = dict.fromkeys(_ALONG, along) | dict.fromkeys(_UP, up) | {"width": across}
+    return replace(shape, **{name: getattr(shape, name) * factor for name, factor in factors.items()})

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.town import Lane
 from ogm.simulation.traffic.paths import Lines, lines
-
-__all__ = ["Crossings", "LaneTable", "crossings", "drivable", "lane_table"]
 
 SIDEWAYS = 2.0  # [m/s^2] comfortable in a bend
 BRAKING = 1.6  # [m/s^2] comfortable before a bend
@@ -50,11 +49,11 @@ class LaneTable(NamedTuple):
         Vehicles that may be in a roundabout at once: one fewer than places to wait in it, so that one can move.
     """
 
-    points: NDArray[np.float64]
-    along: NDArray[np.float64]
-    limit: NDArray[np.float64]
+    points: Floats
+    along: Floats
+    limit: Floats
     first: NDArray[np.int64]
-    length: NDArray[np.float64]
+    length: Floats
     guarded: NDArray[np.bool_]
     junction: NDArray[np.int64]
     phase: NDArray[np.int64]
@@ -82,14 +81,14 @@ class Crossings(NamedTuple):
         Their number.
     """
 
-    on_lane: NDArray[np.float64]
+    on_lane: Floats
     lane_first: NDArray[np.int64]
-    on_walkway: NDArray[np.float64]
+    on_walkway: Floats
     walkway_first: NDArray[np.int64]
     zones: int
 
 
-def _limit(lane: Lane, along: NDArray[np.float64]) -> NDArray[np.float64]:
+def _limit(lane: Lane, along: Floats) -> Floats:
     """Return the speed profile of one lane [m/s]: its limit, its bends, braking before them."""
     points = lane.points[:, :2]
     limit = np.full(len(points), float(lane.speed))
@@ -108,14 +107,6 @@ def _limit(lane: Lane, along: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def lane_table(lanes: Sequence[Lane]) -> LaneTable:
     """Arrange lanes for the kernels, and find out which of them cannot be driven at once."""
-    if not lanes:
-        raise ValueError("a town without lanes has no traffic; build_town makes some")
-    for number, lane in enumerate(lanes):
-        if lane.points.ndim != 2 or lane.points.shape[1] != 3 or len(lane.points) < 2:
-            raise ValueError(f"points of lane {number} must have shape (M >= 2, 3), got {lane.points.shape}")
-        bad = [k for k in lane.successors if not 0 <= k < len(lanes)]
-        if bad:
-            raise ValueError(f"lane {number} leads to lanes {bad}, but there are only {len(lanes)} lanes")
     centers = lines([lane.points for lane in lanes])
     first = centers.first
     along = np.split(centers.along, first[1:-1])
@@ -150,9 +141,7 @@ def _onward(lanes: Sequence[Lane]) -> NDArray[np.int64]:
     return onward
 
 
-def _conflicts(
-    lanes: Sequence[Lane], along: list[NDArray[np.float64]]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _conflicts(lanes: Sequence[Lane], along: list[Floats]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return `LaneTable.blocked_until` and `LaneTable.together_until`."""
     count = len(lanes)
     blocked = np.full((count, count), -1, np.float32)
@@ -183,14 +172,14 @@ def _conflicts(
 
 
 def _follows(lanes: Sequence[Lane], a: int, b: int) -> bool:
-    """Tell whether lane b comes right after lane a, or with one short lane between them."""
+    """Return whether lane b comes right after lane a, or with one short lane between them."""
     return b in lanes[a].successors or any(
         b in lanes[k].successors for k in lanes[a].successors if lanes[k].junction >= 0
     )
 
 
 def drivable(lanes: Sequence[Lane]) -> NDArray[np.bool_]:
-    """Tell which lanes lead on for ever without a turn on the spot (a dead end's head)."""
+    """Return which lanes lead on for ever without a turn on the spot (a dead end's head)."""
     alive = np.ones(len(lanes), bool)
     for number, lane in enumerate(lanes):
         steps = np.diff(lane.points[:, :2], axis=0)

@@ -1,18 +1,15 @@
 """Bodies of lorries, trailers and buses."""
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads
 from ogm.simulation.traffic.bodies import Body, centered, wheel
 
-__all__ = ["bus", "trailer", "truck"]
 
-M = Material
-
-
-def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0.12) -> NDArray[np.float64]:
+def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0.12) -> Floats:
     """Return an upright cross section with eight corners, bevelled at the top."""
     y = np.array([half, half, half, half - bevel])
     z = np.array([low, (low + high) / 2, high - bevel, high])
@@ -21,11 +18,11 @@ def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0
 
 
 def _axles(places: list[float], half: float, radius: float) -> list[Mesh]:
-    """Make twin wheels at each place along the vehicle."""
+    """Make pairs of wheels at each place along the vehicle."""
     return [wheel(x, side * half, radius, 0.32) for x in places for side in (-1.0, 1.0)]
 
 
-def _plate(x: float, z: float) -> NDArray[np.float64]:
+def _plate(x: float, z: float) -> Floats:
     y, up = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.06, -0.06, 0.06, 0.06])
     return np.stack([np.full(4, x), y, z + up], axis=1)
 
@@ -87,7 +84,7 @@ def _load(front: float, rear: float, half: float, height: float, cover: int) -> 
     return merge([body, frame, *guards, bumper, tail, _lamps(rear - 0.03, half, 0.72)])
 
 
-def truck(rng: np.random.Generator, paint: Material) -> Body:
+def truck(rng: Generator, paint: M) -> Body:
     """Make a lorry: a cab, a gap, a box or a tarpaulin on its frame. 7 to 9 m long, 3.2 to 3.8 m high."""
     length, height, half = rng.uniform(7.0, 8.8), rng.uniform(3.2, 3.8), rng.uniform(1.18, 1.25)
     cover = (M.TARPAULIN, M.METAL_SHEET, M.PAINT_LIGHT)[rng.integers(3)]
@@ -104,7 +101,7 @@ def truck(rng: np.random.Generator, paint: Material) -> Body:
     return centered("truck", merge(parts), axles)
 
 
-def trailer(rng: np.random.Generator) -> Body:
+def trailer(rng: Generator) -> Body:
     """Make a drawbar trailer of 5.5 to 7 m, its drawbar reaching forward."""
     length, height, half = rng.uniform(4.6, 6.0), rng.uniform(3.2, 3.8), rng.uniform(1.18, 1.25)
     cover = (M.TARPAULIN, M.METAL_SHEET)[rng.integers(2)]
@@ -121,7 +118,7 @@ def trailer(rng: np.random.Generator) -> Body:
     )
 
 
-def bus(rng: np.random.Generator, paint: Material) -> Body:
+def bus(rng: Generator, paint: M) -> Body:
     """Make a city bus of 9.5 to 12 m with a low floor and a band of windows."""
     length, height, half = rng.uniform(9.5, 12.0), rng.uniform(2.95, 3.2), 1.25
     front, low, sill = length / 2, 0.3, 1.0

@@ -1,16 +1,11 @@
 """Vehicles at rest: how a body stands on the ground, and which bays are taken."""
 
-from collections.abc import Callable
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.random import Generator
 from scipy.spatial import cKDTree
 
+from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.traffic.bodies import Body
-
-__all__ = ["HeightAt", "frames", "overlap", "park", "stand"]
-
-HeightAt = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 MARGIN = 0.65  # [m] kept free between a lane's traffic and a parked vehicle
 ON_FOOT = 0.75  # [m] kept free beside the line of a walkway
@@ -18,14 +13,7 @@ SHIFT = 0.4  # [m] by which a vehicle is moved at most to keep clear of a lane
 HALF_TRAFFIC = 1.05  # [m] half the width of a car with mirrors
 
 
-def stand(
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    yaw: NDArray[np.float64],
-    reach: NDArray[np.float64],
-    side: NDArray[np.float64],
-    height_at: HeightAt,
-) -> NDArray[np.float64]:
+def stand(x: Floats, y: Floats, yaw: Floats, reach: Floats, side: Floats, height_at: HeightAt) -> Floats:
     """Stand N bodies on four wheels each.
 
     Parameters
@@ -53,12 +41,7 @@ def stand(
     return frames(np.stack([x, y, z.mean(axis=1)], axis=1), yaw, slope, bank)
 
 
-def frames(
-    middle: NDArray[np.float64],
-    yaw: NDArray[np.float64],
-    slope: NDArray[np.float64],
-    bank: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def frames(middle: Floats, yaw: Floats, slope: Floats, bank: Floats) -> Floats:
     """Return transforms (N, 4, 4) of bodies with a direction, a slope ahead and one to the left (rise per metre)."""
     c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
     forward = np.stack([c, s, slope], axis=1)
@@ -73,13 +56,8 @@ def frames(
 
 
 def park(
-    bays: NDArray[np.float64],
-    lanes: NDArray[np.float64],
-    walkways: NDArray[np.float64],
-    bodies: list[Body],
-    height_at: HeightAt,
-    rng: np.random.Generator,
-) -> list[tuple[Body, NDArray[np.float64]]]:
+    bays: Floats, lanes: Floats, walkways: Floats, bodies: list[Body], height_at: HeightAt, rng: Generator
+) -> list[tuple[Body, Floats]]:
     """Fill some of the bays.
 
     Parameters
@@ -140,9 +118,7 @@ def park(
     return [(chosen[k], pose) for k, pose in zip(kept, poses, strict=True)]
 
 
-def _keep_clear(
-    places: NDArray[np.float64], size: NDArray[np.float64], lanes: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _keep_clear(places: Floats, size: Floats, lanes: Floats) -> tuple[Floats, Floats, Floats]:
     """Shift what stands too close to a lane away from it; x becomes NaN where that needs more than `SHIFT`."""
     tree = cKDTree(lanes[:, :2])
     need = HALF_TRAFFIC + MARGIN
@@ -163,9 +139,7 @@ def _keep_clear(
     return np.where(bad, np.nan, x), np.where(bad, np.nan, y), yaw
 
 
-def _rim(
-    x: NDArray[np.float64], y: NDArray[np.float64], yaw: NDArray[np.float64], size: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _rim(x: Floats, y: Floats, yaw: Floats, size: Floats) -> Floats:
     """Return points (N, 20, 2) round each box."""
     t = np.linspace(-0.5, 0.5, 9)
     edge = np.concatenate([np.stack([t, t * 0 + s], axis=1) for s in (-0.5, 0.5)] + [[[-0.5, 0], [0.5, 0]]])
@@ -175,8 +149,8 @@ def _rim(
     return np.stack([x[:, None] + turned[0], y[:, None] + turned[1]], axis=2)
 
 
-def overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
-    """Tell whether two rectangles (x, y, yaw, length, width) in the plane share some area."""
+def overlap(a: Floats, b: Floats) -> bool:
+    """Return whether two rectangles (x, y, yaw, length, width) in the plane share some area."""
     c, s = np.cos([a[2], b[2]]), np.sin([a[2], b[2]])
     axes = np.array([[c[0], s[0]], [-s[0], c[0]], [c[1], s[1]], [-s[1], c[1]]])
     reach_a = np.abs(axes @ axes[:2].T) @ a[3:5] / 2

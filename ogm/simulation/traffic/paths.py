@@ -1,42 +1,38 @@
-"""Places on routes and walkways, compiled: the only thing that is worked out for every frame."""
+"""Places on routes and walkways, compiled."""
 
 # mypy: disallow-untyped-defs=False
-# numba infers the types of kernels, their docstrings tell them.
+# numba infers the types of kernels, their docstrings give them.
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["Lines", "along_lines", "along_routes", "lines"]
+from ogm.jit import kernel
+from ogm.simulation.arrays import Floats
 
 
 class Lines(NamedTuple):
     """Polygonal lines, one after the other: points (P, 3), way along each line (P,), first point of each (L + 1,)."""
 
-    points: NDArray[np.float64]
-    along: NDArray[np.float64]
+    points: Floats
+    along: Floats
     first: NDArray[np.int64]
 
     @property
-    def length(self) -> NDArray[np.float64]:
+    def length(self) -> Floats:
         """Length of each line [m]."""
         return self.along[self.first[1:] - 1]
 
 
-def lines(parts: Sequence[NDArray[np.float64]]) -> Lines:
+def lines(parts: Sequence[Floats]) -> Lines:
     """Put lines (M, 3) together; points that repeat the one before are left out."""
     kept = []
-    for number, part in enumerate(parts):
+    for part in parts:
         points = np.asarray(part, np.float64)
-        if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2:
-            raise ValueError(f"points of line {number} must have shape (M >= 2, 3), got {points.shape}")
         step = np.linalg.norm(np.diff(points, axis=0), axis=1)
         kept.append(points[np.concatenate([[True], step > 1e-9])])
-        if len(kept[-1]) < 2:
-            raise ValueError(f"line {number} has no length: all its points are {points[0].tolist()}")
     along = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]) for p in kept]
     first = np.concatenate([[0], np.cumsum([len(p) for p in kept])]).astype(np.int64)
     if not kept:
@@ -44,9 +40,10 @@ def lines(parts: Sequence[NDArray[np.float64]]) -> Lines:
     return Lines(np.concatenate(kept), np.concatenate(along), first)
 
 
-@njit(cache=True, nogil=True)
-def _add(points, along, first, last, s, weight, out):
+@kernel
+def _add(table: Lines, first, last, s, weight, out):
     """Add the point at way `s` on a line, times a weight, to `out`."""
+    points, along = table.points, table.along
     low, high = first, last - 1
     while high - low > 1:
         middle = (low + high) // 2
@@ -59,9 +56,10 @@ def _add(points, along, first, last, s, weight, out):
         out[k] += weight * ((1 - share) * points[low, k] + share * points[low + 1, k])
 
 
-@njit(cache=True, nogil=True)
-def along_routes(points, along, first, route, start, driver, way, reach, out):
+@kernel
+def along_routes(table: Lines, route, start, driver, way, reach, out):
     """Write the places (U, 3) at `way` on the routes of drivers, corners rounded off over `reach` [m]."""
+    first = table.first
     for u in range(len(way)):
         n = driver[u]
         out[u] = 0.0
@@ -70,13 +68,13 @@ def along_routes(points, along, first, route, start, driver, way, reach, out):
             place = max(np.searchsorted(start[n], s, side="right") - 1, 0)
             lane = route[n, place]
             weight = 0.5 if k == 1 else 0.25
-            _add(points, along, first[lane], first[lane + 1], s - start[n, place], weight, out[u])
+            _add(table, first[lane], first[lane + 1], s - start[n, place], weight, out[u])
 
 
-@njit(cache=True, nogil=True)
-def along_lines(points, along, first, line, way, out):
+@kernel
+def along_lines(table: Lines, line, way, out):
     """Write the places (N, 3) at `way` on lines, whose ends are not passed."""
     for n in range(len(way)):
-        low, high = first[line[n]], first[line[n] + 1]
+        low, high = table.first[line[n]], table.first[line[n] + 1]
         out[n] = 0.0
-        _add(points, along, low, high, min(max(way[n], 0.0), along[high - 1]), 1.0, out[n])
+        _add(table, low, high, min(max(way[n], 0.0), table.along[high - 1]), 1.0, out[n])

@@ -3,15 +3,14 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.random import Generator
+from numpy.typing import ArrayLike
 
-from ogm.simulation.materials import Material
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, cylinder, ellipsoid, loft, merge
 from ogm.simulation.traffic.bodies import Body, centered
 
-__all__ = ["PHASES", "STRIDE", "Clothes", "bicycle", "clothes", "motorcycle", "standing", "walking"]
-
-M = Material
 PHASES = 8  # poses of one walking cycle
 STRIDE = 1.45  # [m] a grown person of 1.75 m covers this in one cycle (two steps)
 
@@ -19,19 +18,19 @@ STRIDE = 1.45  # [m] a grown person of 1.75 m covers this in one cycle (two step
 class Clothes(NamedTuple):
     """Materials of a person's upper body, legs and shoes."""
 
-    top: Material
-    legs: Material
-    shoes: Material
+    top: M
+    legs: M
+    shoes: M
 
 
-def clothes(rng: np.random.Generator) -> Clothes:
-    """Draw somebody's clothes; one in sixteen wears a high-visibility vest."""
+def clothes(rng: Generator) -> Clothes:
+    """Draw a person's clothes; one in sixteen wears a high-visibility vest."""
     cloth = (M.CLOTH_LIGHT, M.CLOTH_DARK, M.CLOTH_DARK)
     top = M.HIGH_VIS if rng.random() < 1 / 16 else cloth[rng.integers(3)]
     return Clothes(top, cloth[rng.integers(3)], (M.CLOTH_DARK, M.CLOTH_LIGHT)[rng.integers(2)])
 
 
-def _swing(length: float, angle: float) -> NDArray[np.float64]:
+def _swing(length: float, angle: float) -> Floats:
     """Return a hanging limb's vector, turned forward by an angle [rad]."""
     return length * np.array([np.sin(angle), 0.0, -np.cos(angle)])
 
@@ -75,13 +74,14 @@ def _person(
     ax = np.array([np.sin(lean), 0.0, np.cos(lean)])
     angles = 2 * np.pi * np.arange(8) / 8
     sections = []
-    for up, depth, width in (
+    profile = [
         (-0.08, 0.11, 0.16),
         (0.12, 0.11, 0.15),
         (0.38, 0.125, 0.19),
         (0.52, 0.07, 0.17),
         (0.56, 0.05, 0.06),
-    ):
+    ]
+    for up, depth, width in profile:
         ring = np.stack([depth * np.cos(angles), width * np.sin(angles), 0 * angles], axis=1) * build * k
         sections.append(ring + up * k * ax)
     parts.append(loft(sections, wear.top, caps=wear.top))
@@ -95,7 +95,7 @@ def _person(
     return merge(parts)
 
 
-def walking(rng: np.random.Generator, *, grown: bool = True) -> list[Body]:
+def walking(rng: Generator, *, grown: bool = True) -> list[Body]:
     """Make one pedestrian in `PHASES` poses of a walking cycle.
 
     One in ten each pushes a pushchair, carries an umbrella, a backpack. A child is 1.0 to 1.4 m tall.
@@ -132,24 +132,9 @@ def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
             for x in (0.55, 1.05)
             for y in (-0.25, 0.22)
         ]
-        seat = loft(
-            [
-                [
-                    (0.5, -0.2, ground + 0.75),
-                    (1.1, -0.2, ground + 0.6),
-                    (1.05, -0.2, ground + 0.3),
-                    (0.6, -0.2, ground + 0.35),
-                ],
-                [
-                    (0.5, 0.2, ground + 0.75),
-                    (1.1, 0.2, ground + 0.6),
-                    (1.05, 0.2, ground + 0.3),
-                    (0.6, 0.2, ground + 0.35),
-                ],
-            ],
-            M.CLOTH_DARK,
-            caps=M.CLOTH_DARK,
-        )
+        outline = [(0.5, 0.75), (1.1, 0.6), (1.05, 0.3), (0.6, 0.35)]
+        sides = [[(x, y, ground + z) for x, z in outline] for y in (-0.2, 0.2)]
+        seat = loft(sides, M.CLOTH_DARK, caps=M.CLOTH_DARK)
         bars = [
             cylinder((0.42, y, 0.1), (0.7, y, ground + 0.35), 0.015, M.METAL_POLE, sides=4)
             for y in (-0.22, 0.22)
@@ -166,7 +151,7 @@ def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
     return []
 
 
-def standing(rng: np.random.Generator) -> Body:
+def standing(rng: Generator) -> Body:
     """Make a person who stands: arms hanging, on the hips or before the chest."""
     height, build = float(np.clip(rng.normal(1.72, 0.08), 1.5, 2.0)), float(rng.uniform(0.88, 1.25))
     arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][
@@ -197,13 +182,10 @@ def _tyre(x: float, radius: float, tube: float, *, sides: int = 14) -> Mesh:
     return loft(sections, M.TYRE)
 
 
-def bicycle(rng: np.random.Generator) -> Body:
+def bicycle(rng: Generator) -> Body:
     """Make a bicycle with its rider, about 1.75 m long."""
-    height, build, wear = (
-        float(np.clip(rng.normal(1.74, 0.08), 1.5, 2.0)),
-        float(rng.uniform(0.9, 1.15)),
-        clothes(rng),
-    )
+    height, build = float(np.clip(rng.normal(1.74, 0.08), 1.5, 2.0)), float(rng.uniform(0.9, 1.15))
+    wear = clothes(rng)
     k, r = height / 1.75, 0.34
     hips = np.array([-0.28, 0.0, 0.98 * k])
     turn = float(rng.uniform(0, 2 * np.pi))
@@ -214,14 +196,8 @@ def bicycle(rng: np.random.Generator) -> Body:
     )
     rider = rider._replace(vertices=(rider.vertices + hips).astype(np.float32))
     axle, head, crank, saddle = (0.54, 0, r), (0.36, 0, 0.9), (-0.05, 0, 0.3), (-0.24, 0, 0.88 * k)
-    tubes = [
-        ((-0.52, 0, r), crank),
-        ((-0.52, 0, r), saddle),
-        (crank, saddle),
-        (crank, head),
-        (saddle, head),
-        (head, axle),
-    ]
+    rear = (-0.52, 0, r)
+    tubes = [(rear, crank), (rear, saddle), (crank, saddle), (crank, head), (saddle, head), (head, axle)]
     frame = [cylinder(a, b, 0.02, M.METAL_POLE, sides=4, caps=False) for a, b in tubes]
     bar = cylinder((0.3, -0.3, 1.02), (0.3, 0.3, 1.02), 0.018, M.METAL_POLE, sides=4)
     stem = cylinder(head, (0.3, 0, 1.02), 0.02, M.METAL_POLE, sides=4, caps=False)
@@ -230,12 +206,10 @@ def bicycle(rng: np.random.Generator) -> Body:
     return centered("bicycle", merge(parts), (0.54, -0.52))
 
 
-def motorcycle(rng: np.random.Generator, paint: Material) -> Body:
+def motorcycle(rng: Generator, paint: M) -> Body:
     """Make a motorcycle with its rider and helmet, about 2.1 m long."""
-    height, wear = (
-        float(np.clip(rng.normal(1.76, 0.07), 1.6, 2.0)),
-        Clothes(M.CLOTH_DARK, M.CLOTH_DARK, M.CLOTH_DARK),
-    )
+    height = float(np.clip(rng.normal(1.76, 0.07), 1.6, 2.0))
+    wear = Clothes(M.CLOTH_DARK, M.CLOTH_DARK, M.CLOTH_DARK)
     r = 0.31
     hips = np.array([-0.3, 0.0, 0.86])
     rider = _person(

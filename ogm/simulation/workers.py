@@ -1,4 +1,4 @@
-"""Make data sets: shards that are independent of each other, on one core or on many with Dask."""
+"""Make the shards of data sets, which are independent of each other: in this process, or in many with Dask."""
 
 import errno
 import logging
@@ -9,21 +9,21 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ogm.simulation.plan import Plan, moment
-from ogm.simulation.sample import Beams, Sample
+from ogm.simulation.plan import DatasetPlan, moment
+from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Store
 
-__all__ = ["Estimate", "Job", "Made", "begin", "check_workers", "jobs", "make", "workers_that_fit"]
+__all__ = ["Estimate", "Job", "Made", "begin", "make_shards", "missing_shards", "workers_that_fit"]
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
-PATIENCE = 20.0  # [s] until a scheduler that does not answer is given up
-_QUIET = logging.CRITICAL + 1
+SCHEDULER_TIMEOUT = 20.0  # [s]
+_SILENT = logging.CRITICAL + 1
 
-SampleFunction = Callable[[Plan, str, int], Sample]
+SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
 
 
 class Job(NamedTuple):
@@ -43,21 +43,7 @@ class Made(NamedTuple):
 
 
 class Estimate(NamedTuple):
-    """What making the rest of a data set will take.
-
-    Attributes
-    ----------
-    samples : int
-        To be made.
-    seconds : float
-        On all workers together, from now on.
-    size : float
-        [byte]
-    per_sample : float
-        Seconds on one worker, measured.
-    workers : int
-        That will make them.
-    """
+    """What the rest of a data set will take: seconds and [byte] of all samples, seconds of one on one worker."""
 
     samples: int
     seconds: float
@@ -67,12 +53,12 @@ class Estimate(NamedTuple):
 
 
 def begin(
-    path: str | os.PathLike[str], plan: Plan, beams: Sequence[Beams], versions: dict[str, str]
+    path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]
 ) -> Store:
     """Begin a data set, or open one that was begun by the same plan, to go on with it.
 
-    Whatever a killed run left half written is removed. Where other versions of libraries go on, the data set
-    names all that made it.
+    Incomplete files of a killed run are removed. Where other versions of libraries go on, the data set names
+    all that made it.
 
     Raises
     ------
@@ -82,7 +68,7 @@ def begin(
     path = Path(path)
     if Store.exists(path):
         before = Store.open(path)
-        plan = plan.grown(Plan.from_dict(before.plan))
+        plan = plan.grown(DatasetPlan.from_dict(before.plan))
         versions = {name: _added(before.versions.get(name), one) for name, one in versions.items()}
     store = Store.create(path, plan.as_dict(), plan.counts, beams, versions)
     store.sweep()
@@ -91,14 +77,12 @@ def begin(
 
 def _added(before: str | None, version: str) -> str:
     """Return the versions that made a data set so far, and this one."""
-    if before is None or version in before.split(", "):
-        return before or version
-    return f"{before}, {version}"
+    return ", ".join(dict.fromkeys([*(before or version).split(", "), version]))
 
 
-def jobs(store: Store) -> list[Job]:
-    """Say which shards are still to be made, those of one town after each other."""
-    plan = Plan.from_dict(store.plan)
+def missing_shards(store: Store) -> list[Job]:
+    """Return the shards that are still to be made, those of one town after each other."""
+    plan = DatasetPlan.from_dict(store.plan)
     todo = []
     for name in ("training", "validation", "sequences", "test"):
         split = store[name]
@@ -114,45 +98,34 @@ def jobs(store: Store) -> list[Job]:
 
 def workers_that_fit() -> int:
     """Return how many workers this machine's cores and memory allow."""
-    try:
-        memory = float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (ValueError, OSError):
-        memory = 8e9
+    memory = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     return max(1, min(len(os.sched_getaffinity(0)), int(memory / MEMORY)))
 
 
 def check_workers(workers: int) -> int:
-    """Return the number, or raise ValueError where it is none that makes sense on this machine."""
-    most = 64 * len(os.sched_getaffinity(0))
-    if not 1 <= workers <= most:
-        raise ValueError(f"workers must be in 1 ... {most} on this machine, got {workers}")
-    return workers
+    """Return this machine's cores; raise ValueError where so many workers make no sense on it."""
+    cores = len(os.sched_getaffinity(0))
+    if not 1 <= workers <= 64 * cores:
+        raise ValueError(f"workers must be in 1 ... {64 * cores} on this machine, got {workers}")
+    return cores
 
 
-def make(
-    store: Store,
-    plan: Plan,
-    function: SampleFunction,
-    prepare: Callable[[int], None],
-    *,
-    workers: int,
-    scheduler: str | None = None,
+def make_shards(
+    store: Store, plan: DatasetPlan, function: SampleFunction, *, workers: int, scheduler: str | None = None
 ) -> Generator[Estimate | Made, None, None]:
     """Make all shards that are missing: yields one `Estimate`, then each shard as it reaches the disk.
 
     Workers write their shards themselves, so they must see the folder under the same path. The bytes depend on
-    the plan only, not on the number of workers nor on who makes which shard.
+    the plan only, not on the number of workers nor on which worker makes which shard.
 
     Parameters
     ----------
     store : Store
         From `begin`.
-    plan : Plan
+    plan : DatasetPlan
     function : callable
-        ``function(plan, split, index)`` makes one sample: `ogm.simulation.dataset.sample`.
-    prepare : callable
-        Told in each worker how many cores its samples may use:
-        `ogm.simulation.dataset.threads_per_sample`.
+        ``function(plan, split, index, threads)`` makes one sample with so many processor cores:
+        `ogm.simulation.dataset.make_sample`.
     workers : int
         1 works in this process, without Dask; more start processes on this machine (and a script that calls
         this must guard its own code by ``if __name__ == "__main__":``).
@@ -163,72 +136,69 @@ def make(
     ------
     OSError
         If the disk is full or will be, a worker died three times over, or the scheduler cannot be reached.
-        Shards that were yielded are whole.
+        Shards that were yielded are complete.
     """
-    todo = jobs(store)
+    cores = check_workers(workers)
+    todo = missing_shards(store)
     if not todo:
         return
-    check_workers(workers)
-    cores = len(os.sched_getaffinity(0))
-    work = _Work(store.path, plan, function, prepare, max(1, cores // workers))
-    with _told(store):
+    work = _Work(store.path.resolve(), plan, function, max(1, cores // workers))
+    with _explained(store):
         if workers == 1 and scheduler is None:
-            yield _estimate([work.measure(todo[0])], todo, 1, store)
-            for job in todo:
-                yield work(job)
+            yield _estimate(work.measure(todo[0]), todo, 1, store)
+            yield from map(work.make, todo)
         else:
             yield from _with_dask(work, todo, store, workers, scheduler)
 
 
-class _Work:
-    """What a worker does; travels to it, so it holds no state but its task."""
+class _Work(NamedTuple):
+    """The task of a worker."""
 
-    def __init__(
-        self, path: Path, plan: Plan, function: SampleFunction, prepare: Callable[[int], None], threads: int
-    ) -> None:
-        self.path, self.plan, self.function = path.resolve(), plan, function
-        self.prepare, self.threads = prepare, threads
+    path: Path
+    plan: DatasetPlan
+    function: SampleFunction
+    threads: int
 
-    def __call__(self, job: Job) -> Made:
+    def make(self, job: Job) -> Made:
         """Make a shard and write it."""
         with _one_at_a_time:
             start = time.perf_counter()
-            self.prepare(self.threads)
             first = job.shard * SHARD
-            samples = [self.function(self.plan, job.split, first + k) for k in range(job.samples)]
+            samples = [self._sample(job, first + k) for k in range(job.samples)]
             size = Store.open(self.path).write(job.split, job.shard, samples)
             return Made(job, time.perf_counter() - start, size)
 
     def measure(self, job: Job) -> tuple[float, float]:
         """Return the seconds and bytes of a sample, once its town stands and the kernels are compiled."""
         with _one_at_a_time:
-            self.prepare(self.threads)
-            store, first = Store.open(self.path), job.shard * SHARD
-            self.function(self.plan, job.split, first)
+            beams, first = Store.open(self.path).beams, job.shard * SHARD
+            self._sample(job, first)
             start = time.perf_counter()
-            sample = self.function(self.plan, job.split, first)
+            sample = self._sample(job, first)
             seconds = time.perf_counter() - start
             with tempfile.TemporaryDirectory() as folder:
-                trial = Store.create(Path(folder) / "trial", {}, {job.split: first + 1}, store.beams, {})
+                trial = Store.create(Path(folder) / "trial", {}, {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
-            return seconds, size * _mean_rays(self.plan, store.beams) / sample.steps.size
+            return seconds, size * _mean_rays(self.plan, beams) / sample.steps.size
+
+    def _sample(self, job: Job, index: int) -> SimulatedSample:
+        return self.function(self.plan, job.split, index, self.threads)
 
 
 _one_at_a_time = threading.Lock()  # a worker with several threads still has one town
 
 
-def _mean_rays(plan: Plan, beams: Sequence[Beams]) -> float:
+def _mean_rays(plan: DatasetPlan, beams: Sequence[Beams]) -> float:
     """Return the rays of a mean sample of the plan."""
     rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
     total = sum(mount.share for mount in plan.mounts)
     return sum(mount.share * rays[mount.lidar] for mount in plan.mounts) / total
 
 
-def _estimate(measured: list[tuple[float, float]], todo: list[Job], workers: int, store: Store) -> Estimate:
-    """Say what is to come, and refuse to begin what will not fit on the disk."""
+def _estimate(measured: tuple[float, float], todo: list[Job], workers: int, store: Store) -> Estimate:
+    """Return the estimate, and refuse to begin what will not fit on the disk."""
     count = sum(job.samples for job in todo)
-    seconds = sum(one for one, _ in measured) / len(measured)
-    size = count * sum(one for _, one in measured) / len(measured)
+    seconds, size = measured[0], count * measured[1]
     left = shutil.disk_usage(store.path).free
     if size > left:
         raise OSError(
@@ -245,32 +215,25 @@ def _with_dask(
     from distributed import as_completed
 
     with _client(workers, scheduler) as client:
-        crew = list(client.ncores())
-        if not crew:
+        count = len(client.ncores())
+        if not count:
             raise OSError(
                 f"the scheduler {scheduler} has no workers; start some with `dask worker {scheduler}`"
             )
-        # A worker that dies comes back under another address: its trial may then be run by any.
-        trials = [
-            client.submit(work.measure, todo[0], workers=[one], allow_other_workers=True, pure=False)
-            for one in crew
-        ]
-        measured = [future.result() for future in as_completed(trials, loop=client.loop)]
-        yield _estimate(measured, todo, len(crew), store)
-        queue = iter(todo)
-        ahead = [job for _, job in zip(range(2 * len(crew)), queue, strict=False)]
-        running = as_completed((client.submit(work, job, pure=False) for job in ahead), loop=client.loop)
+        yield _estimate(client.submit(work.measure, todo[0], pure=False).result(), todo, count, store)
+        ahead, later = todo[: 2 * count], iter(todo[2 * count :])
+        running = as_completed((client.submit(work.make, job, pure=False) for job in ahead), loop=client.loop)
         for future in running:
             yield future.result()
             future.release()
-            following = next(queue, None)
-            if following is not None:
-                running.add(client.submit(work, following, pure=False))
+            for job in later:
+                running.add(client.submit(work.make, job, pure=False))
+                break
 
 
 @contextmanager
 def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
-    """Connect to a scheduler, or start workers on this machine; silent, and gone when the block is left."""
+    """Connect to a scheduler, or start workers on this machine; silent, and closed when the block is left."""
     try:
         import dask
         from distributed import Client, LocalCluster
@@ -279,37 +242,51 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             f'several workers need Dask, which is missing ({error}): pip install "ogm-toolkit[sim]"'
         ) from error
     if scheduler is not None:
-        with Client(scheduler, timeout=PATIENCE, set_as_default=False) as client:
+        with Client(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:
             yield client
         return
-    settings = {
-        "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MALLOC_TRIM_THRESHOLD_": 65536},
-    }
-    # Ctrl-C waits until all processes stand, and they, who inherit the mask, leave it to this one.
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        with (
-            _hushed("distributed"),
-            dask.config.set(settings),
-            LocalCluster(
+    environment = {"OMP_NUM_THREADS": 1, "MALLOC_TRIM_THRESHOLD_": 65536}
+    with ExitStack() as stack:
+        stack.enter_context(_silenced("distributed"))
+        stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": environment}))
+        with _interrupt_delayed():
+            cluster = LocalCluster(
                 n_workers=workers,
                 threads_per_worker=1,
-                processes=True,
                 dashboard_address=":0",
-                silence_logs=_QUIET,
+                silence_logs=_SILENT,
                 memory_limit=0,
-            ) as cluster,
-            Client(cluster, set_as_default=False) as client,
-        ):
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-            yield client
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            )
+            stack.enter_context(cluster)
+            client = stack.enter_context(Client(cluster, set_as_default=False))
+        yield client
 
 
 @contextmanager
-def _hushed(name: str) -> Iterator[None]:
-    """Let a logger and those below it say nothing."""
+def _interrupt_delayed() -> Iterator[None]:
+    """Let Ctrl-C take effect when the block is left; processes that are started inside ignore it.
+
+    Blocking the signal in this thread alone would not do: another one, such as that of a progress display, may
+    receive it, and then Python raises KeyboardInterrupt here all the same, in the middle of starting processes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # is inherited by processes
+    before = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        signal.signal(signal.SIGINT, before)
+    if received:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def _silenced(name: str) -> Iterator[None]:
+    """Silence a logger and those below it."""
     log = logging.getLogger(name)
     before = log.handlers, log.propagate
     log.handlers, log.propagate = [logging.NullHandler()], False
@@ -320,21 +297,21 @@ def _hushed(name: str) -> Iterator[None]:
 
 
 @contextmanager
-def _told(store: Store) -> Iterator[None]:
-    """Say what to do about what goes wrong on the way."""
+def _explained(store: Store) -> Iterator[None]:
+    """Add to errors what to do about them."""
     try:
         yield
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise OSError(
-                f"the disk that holds {store.path} is full; finished shards are whole: make room, then "
+                f"the disk that holds {store.path} is full; finished shards are complete: make room, then "
                 f"`ogm simulate {store.path} --resume`"
             ) from error
         raise
     except Exception as error:
         if type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
             raise OSError(
-                f"workers died ({type(error).__name__}), as when memory runs out; finished shards are whole: "
+                f"workers died ({type(error).__name__}), as when memory runs out; finished shards are complete: "
                 f"use fewer --workers, then `ogm simulate {store.path} --resume`"
             ) from error
         raise

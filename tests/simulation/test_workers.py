@@ -12,27 +12,23 @@ from pathlib import Path
 import cloudpickle
 import pytest
 
-from ogm.simulation import farm
-from ogm.simulation.farm import Estimate, Made, begin, jobs, make
-from ogm.simulation.plan import Mount, Plan
-from ogm.simulation.sample import Beams, Sample
+from ogm.simulation import workers
+from ogm.simulation.plan import DatasetPlan, LidarMount
+from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
+from ogm.simulation.workers import Estimate, Made, begin, make_shards, missing_shards
 
-PLAN = Plan(samples=23, validation=4, test=1, mounts=(Mount("small"), Mount("tall")))
-SampleFunction = Callable[[Plan, str, int], Sample]
-
-
-def nothing(threads: int) -> None:
-    """Prepare for nothing."""
+PLAN = DatasetPlan(samples=23, validation=4, test=1, mounts=(LidarMount("small"), LidarMount("tall")))
+SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def run(path: Path, beams: tuple[Beams, ...], function: SampleFunction, plan: Plan = PLAN) -> list:
+def run(path: Path, beams: tuple[Beams, ...], function: SampleFunction, plan: DatasetPlan = PLAN) -> list:
     store = begin(path, plan, beams, {"ogm": "0"})
-    return list(make(store, plan, function, nothing, workers=1))
+    return list(make_shards(store, plan, function, workers=1))
 
 
 @pytest.fixture
@@ -53,26 +49,26 @@ def test_an_estimate_comes_first_then_every_shard(
     assert [one.job.split for one in made] == ["training"] * 3 + ["validation", "test"]
     real = sum(one.size for one in made)
     assert real / 3 < estimate.size < 3 * real
-    assert jobs(Store.open(tmp_path / "data")) == []
+    assert missing_shards(Store.open(tmp_path / "data")) == []
     assert run(tmp_path / "data", beams, make_sample) == []
 
 
 def test_a_run_that_breaks_is_taken_up_where_it_was(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
 ) -> None:
-    def breaks(plan: Plan, split: str, index: int) -> Sample:
+    def breaks(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
         if index == 17:
             raise KeyboardInterrupt
-        return make_sample(plan, split, index)
+        return make_sample(plan, split, index, threads)
 
     with pytest.raises(KeyboardInterrupt):
         run(tmp_path / "data", beams, breaks)
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
     asked = []
 
-    def told(plan: Plan, split: str, index: int) -> Sample:
+    def told(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
         asked.append((split, index))
-        return make_sample(plan, split, index)
+        return make_sample(plan, split, index, threads)
 
     run(tmp_path / "data", beams, told)
     assert ("training", 3) not in asked
@@ -101,15 +97,15 @@ KILLED = """
 import sys, time
 sys.path.insert(0, {tests!r})
 from conftest import SMALL, TALL, stand_in
-from test_farm import PLAN, nothing
-from ogm.simulation.farm import begin, make
+from test_workers import PLAN
+from ogm.simulation.workers import begin, make_shards
 from ogm.simulation import store
 
 write = store.Store.write
 def slow(self, split, shard, samples):
     if shard == 1:
-        for name in ("returns", "truth"):  # half a shard, and a file that is being written
-            folder = self.path / split / name / "c" / "1" / "0"
+        for name in ("steps", "truth"):  # half a shard, and a file that is being written
+            folder = self.path / split / name / "c" / "1"
             folder.mkdir(parents=True)
             (folder / "0.0123.partial").write_bytes(b"half")
         print("now", flush=True)
@@ -117,7 +113,7 @@ def slow(self, split, shard, samples):
     return write(self, split, shard, samples)
 store.Store.write = slow
 data = begin({path!r}, PLAN, (SMALL, TALL), {{"ogm": "0"}})
-list(make(data, PLAN, stand_in, nothing, workers=1))
+list(make_shards(data, PLAN, stand_in, workers=1))
 """
 
 
@@ -136,18 +132,18 @@ def test_a_killed_run_is_taken_up_where_it_was(
     assert contents(path) == whole
 
 
-def test_a_full_disk_is_told(
+def test_a_full_disk_is_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = Store.write
 
-    def full(self: Store, split: str, shard: int, samples: list[Sample]) -> int:
+    def full(self: Store, split: str, shard: int, samples: list[SimulatedSample]) -> int:
         if self.path == tmp_path / "data" and shard == 1:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "somewhere")
         return write(self, split, shard, samples)
 
     monkeypatch.setattr(Store, "write", full)
-    with pytest.raises(OSError, match="is full; finished shards are whole: make room.*--resume"):
+    with pytest.raises(OSError, match="is full; finished shards are complete: make room.*--resume"):
         run(tmp_path / "data", beams, make_sample)
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
 
@@ -158,18 +154,18 @@ def test_what_will_not_fit_is_not_begun(
     class Usage:
         free = 1000
 
-    monkeypatch.setattr(farm.shutil, "disk_usage", lambda _: Usage)
+    monkeypatch.setattr(workers.shutil, "disk_usage", lambda _: Usage)
     with pytest.raises(OSError, match=r"28 samples need about .* left; free some"):
         run(tmp_path / "data", beams, make_sample)
 
 
 @pytest.mark.parametrize("workers", [0, -1, 10**6])
-def test_impossible_numbers_of_workers_are_told(
+def test_impossible_numbers_of_workers_are_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, workers: int
 ) -> None:
     store = begin(tmp_path / "data", PLAN, beams, {})
     with pytest.raises(ValueError, match="workers must be in 1 ..."):
-        next(make(store, PLAN, make_sample, nothing, workers=workers))
+        next(make_shards(store, PLAN, make_sample, workers=workers))
 
 
 def test_other_versions_that_go_on_are_named(
@@ -181,13 +177,13 @@ def test_other_versions_that_go_on_are_named(
     assert Store.open(tmp_path / "data").versions == {"ogm": "0, 1", "numpy": "2"}
 
 
-def test_an_unreachable_scheduler_is_told(
+def test_an_unreachable_scheduler_is_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(farm, "PATIENCE", 0.5)
+    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT", 0.5)
     store = begin(tmp_path / "data", PLAN, beams, {})
     with pytest.raises(OSError, match="tcp://127.0.0.1:9"):
-        next(make(store, PLAN, make_sample, nothing, workers=1, scheduler="tcp://127.0.0.1:9"))
+        next(make_shards(store, PLAN, make_sample, workers=1, scheduler="tcp://127.0.0.1:9"))
 
 
 def test_two_workers_make_the_same_bytes_though_one_dies(
@@ -198,7 +194,7 @@ def test_two_workers_make_the_same_bytes_though_one_dies(
     died = tmp_path / "died"
     died.mkdir()
 
-    def dies_once(plan: Plan, split: str, index: int) -> Sample:
+    def dies_once(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
         for name in ("0", "14"):  # while the first sample is measured, and in the middle
             if (split, index) == ("training", int(name)):
                 try:
@@ -207,10 +203,10 @@ def test_two_workers_make_the_same_bytes_though_one_dies(
                     pass
                 else:
                     os.kill(os.getpid(), signal.SIGKILL)
-        return make_sample(plan, split, index)
+        return make_sample(plan, split, index, threads)
 
     store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
-    events = list(make(store, PLAN, dies_once, nothing, workers=2))
+    events = list(make_shards(store, PLAN, dies_once, workers=2))
     assert {file.name for file in died.iterdir()} == {"0", "14"}
     assert isinstance(events[0], Estimate)
     assert events[0].workers == 2

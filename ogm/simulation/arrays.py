@@ -1,0 +1,12 @@
+"""Types that many functions of the simulator share."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Floats", "HeightAt"]
+
+Floats = NDArray[np.float64]
+HeightAt = Callable[[Floats, Floats], NDArray[Any]]  # height of the ground [m] at x, y [m]

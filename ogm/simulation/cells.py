@@ -1,0 +1,199 @@
+"""Cells that the truth is made of: the ground in them, its steps, and rays aimed at points of them."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import minimum_filter
+
+from ogm.grid import GridSpec
+from ogm.jit import kernel
+from ogm.pose import check_pose
+from ogm.simulation.scene import Scene
+from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC
+
+__all__ = ["AIMS", "Aim", "Aims", "Below", "aimed_directions", "measure_ground"]
+
+ABOVE = 60.0  # [m] over the sensor: where rays down to the ground start
+BELOW = 120.0  # [m] how far they go: ground of any slope lies between
+
+
+class Below(NamedTuple):
+    """The ground under every cell, along the z axis of the grid.
+
+    Attributes
+    ----------
+    z : (nx, ny) float32
+        Of the ground in the middle of each cell [m]; NaN where there is none.
+    ground : (nx, ny) float32
+        The same, but the lower level where there is a step.
+    rise : (nx, ny) float32
+        Height of the step that passes through each cell, slopes taken away [m]; 0 where there is none.
+    """
+
+    z: NDArray[np.float32]
+    ground: NDArray[np.float32]
+    rise: NDArray[np.float32]
+
+
+def measure_ground(
+    surface: Scene,
+    T_world_sensor: ArrayLike,
+    spec: GridSpec = TRUTH_SPEC,
+    step: float = HEIGHT_LIMITS.obstacle,
+) -> Below:
+    """Find the ground in the middle of every cell, and the steps in it.
+
+    Parameters
+    ----------
+    surface : Scene
+        Nothing but ground: what vehicles and pedestrians may stand on.
+    T_world_sensor : (4, 4) float
+    spec : GridSpec
+        Cells in the sensor's frame.
+    step : float
+        From which rise on [m] a step counts.
+    """
+    T = check_pose(T_world_sensor, "T_world_sensor")
+    x, y = spec.cell_centers
+    start = T[:3, 3] + ABOVE * T[:3, 2]
+    count = spec.shape[0] * spec.shape[1]
+    along = x[..., None] * T[:3, 0] + y[..., None] * T[:3, 1]
+    origins = (start + along).astype(np.float32).reshape(count, 3)
+    down = np.broadcast_to((-T[:3, 2]).astype(np.float32), (count, 3))
+    distance = surface.cast(origins, np.ascontiguousarray(down)).distance.reshape(spec.shape)
+    z = np.where(distance < BELOW, np.float32(ABOVE) - distance, np.float32(np.nan))
+    _mend(z)
+    rise = np.maximum(_steps_along(z.T).T, _steps_along(z))
+    # The lower level of a step is the lowest of the cells around.
+    lowest = minimum_filter(np.where(np.isnan(z), np.inf, z), 3, mode="nearest")
+    ground = np.where((rise >= step) & (lowest < z), lowest, z)
+    return Below(z, ground, rise.astype(np.float32))
+
+
+def _mend(z: NDArray[np.float32]) -> None:
+    """Close holes of single cells, where a ray slipped between two triangles, with what is around them."""
+    ix, iy = (index[:, None] for index in np.nonzero(np.isnan(z)))
+    across, along = np.repeat((-1, 0, 1), 3), np.tile((-1, 0, 1), 3)
+    nx, ny = z.shape
+    around = z[np.clip(ix + across, 0, nx - 1), np.clip(iy + along, 0, ny - 1)]
+    closed = np.isfinite(around).sum(axis=1) >= 4
+    z[ix[closed, 0], iy[closed, 0]] = np.nanmedian(around[closed], axis=1) if closed.any() else np.nan
+
+
+def _steps_along(z: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return how much more the ground rises from cell i - 1 to i + 1 of a row than further out, on the flatter side."""
+    change = np.abs(z[:, 2:] - z[:, :-2]).astype(np.float64)  # around cells 1 to n - 2
+    before, after = np.full_like(change, np.inf), np.full_like(change, np.inf)
+    before[:, 2:], after[:, :-2] = change[:, :-2], change[:, 2:]
+    found = change - np.where(after < before, after, before)
+    rise = np.zeros(z.shape)
+    rise[:, 1:-1] = np.where(found > 0, found, 0.0)  # also for NaN
+    return rise
+
+
+class Aim(NamedTuple):
+    """Points of a cell that rays are aimed at.
+
+    Attributes
+    ----------
+    height : float
+        Above the cell's ground [m].
+    dx, dy : float
+        From the cell's middle [cells].
+    """
+
+    height: float
+    dx: float = 0.0
+    dy: float = 0.0
+
+
+class Aims(NamedTuple):
+    """Which points of which cells rays are aimed at, in this order.
+
+    Attributes
+    ----------
+    every : tuple of Aim
+        In all cells.
+    alternate : tuple of Aim
+        In every other cell, as the fields of one colour on a chessboard; the colours take turns. Rays to far
+        cells pass near ones at nearly the same heights, so that little is missed.
+    step : tuple of Aim
+        In cells with a step in the ground that nothing was hit in; heights count from its middle.
+    beside : tuple of Aim
+        In cells that touch one in which an obstacle was hit, but hold none themselves so far.
+    edge : tuple of Aim
+        In cells not observed so far that touch one which was.
+    """
+
+    every: tuple[Aim, ...]
+    alternate: tuple[Aim, ...]
+    step: tuple[Aim, ...]
+    beside: tuple[Aim, ...]
+    edge: tuple[Aim, ...]
+
+
+def _spread(*heights: float) -> tuple[Aim, ...]:
+    """Aim at heights [m], each at another quarter of the cell."""
+    quarters = ((0.25, 0.25), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25))
+    return tuple(Aim(height, *quarters[n % 4]) for n, height in enumerate(heights))
+
+
+# About 1.5 million rays on `TRUTH_SPEC`. benchmarks/truth_modes.py measures what they find and what they miss.
+AIMS = Aims(
+    every=(Aim(0.0),),
+    alternate=_spread(0.12, 0.45, 0.9, 1.4, 1.8),
+    step=_spread(0.02, 0.02, 0.02, 0.02),
+    beside=_spread(0.1, 0.3, 0.6, 1.0, 1.4, 1.9, 0.15, 0.45, 0.75, 1.15, 1.55, 1.75),
+    edge=tuple(Aim(0.0, dx, dy) for dx in (-0.35, 0.0, 0.35) for dy in (-0.35, 0.0, 0.35)),
+)
+
+
+def aimed_directions(
+    z: NDArray[np.float32],
+    spec: GridSpec,
+    aim: Aim,
+    elevations: tuple[float, float],
+    chosen: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Return the unit vectors from the sensor to one point of every chosen cell in its field of view.
+
+    Parameters
+    ----------
+    z : (nx, ny) float32
+        Of the cells' ground [m]; cells with NaN are left out.
+    spec : GridSpec
+    aim : Aim
+    elevations : (float, float)
+        Lowest and highest of the field of view [rad]; cells beyond are left out.
+    chosen : (nx, ny) bool
+
+    Returns
+    -------
+    (N, 3) float32
+        In the sensor's frame.
+    """
+    out = np.empty((np.count_nonzero(chosen), 3), np.float32)
+    low, high = np.sin(elevations)
+    return out[: _aim(out, z, chosen, (spec.resolution, *spec.origin), aim, low, high)]
+
+
+@kernel
+def _aim(out, z, chosen, grid, aim, low, high):  # type: ignore[no-untyped-def]
+    resolution, x0, y0 = grid
+    nx, ny = z.shape
+    n = 0
+    for ix in range(nx):
+        x = x0 + (ix + 0.5 + aim.dx) * resolution
+        for iy in range(ny):
+            if not chosen[ix, iy]:
+                continue
+            y = y0 + (iy + 0.5 + aim.dy) * resolution
+            up = z[ix, iy] + aim.height
+            length = np.sqrt(x * x + y * y + up * up)
+            sine = up / length
+            if not (sine >= low and sine <= high):  # nor for NaN
+                continue
+            out[n, 0], out[n, 1], out[n, 2] = x / length, y / length, sine
+            n += 1
+    return n

@@ -1,0 +1,210 @@
+"""Arrays of one part of a data set on disk, and its samples read from them; `ogm.simulation.store` has the layout."""
+
+import operator
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+from numpy.lib.recfunctions import unstructured_to_structured
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
+from ogm.state import Truth
+from ogm.truth import TRUTH_SPEC
+
+__all__ = ["FACTS", "OBJECTS", "SHARD", "Damaged", "Split"]
+
+SHARD = 10  # samples per shard: they become complete together
+OBJECTS = 160  # rows for objects per sample; of more, the first are kept
+_POSES = [
+    f"T_{name}_sensor_{row}{column}"
+    for name in ("world", "vehicle")
+    for row in range(3)
+    for column in range(4)
+]
+FACTS = (
+    *("made", "lidar", "objects", "scenario", "stamp"),
+    *_POSES,
+    *("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "rain", "fog", "wet"),
+)
+
+
+class Damaged(OgmError):
+    """Stored bytes are not what was written."""
+
+
+class Split(Sequence[SimulatedSample]):
+    """The samples of one part of a data set.
+
+    ``split[i]`` reads sample i; ``len(split)`` is the number planned, of which `finished` can be read. May be
+    pickled and used by several processes at once.
+    """
+
+    def __init__(self, path: Path, name: str, count: int, beams: Sequence[Beams]) -> None:
+        self.path, self.name, self.beams = path, name, tuple(beams)
+        self._count = count
+        self._arrays: dict[str, Any] = {}
+        self._small: dict[tuple[str, int], NDArray[Any]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_arrays": {}, "_small": {}}
+
+    def __repr__(self) -> str:
+        return f"Split({str(self.path / self.name)!r}, {self._count} samples planned)"
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> SimulatedSample: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[SimulatedSample]: ...
+    def __getitem__(self, index: int | slice) -> SimulatedSample | list[SimulatedSample]:
+        """Read samples.
+
+        Raises
+        ------
+        IndexError
+            Beyond the samples that are planned.
+        ValueError
+            If the sample has not been made yet.
+        Damaged
+            If its bytes are not those that were written; the message says how to make them anew.
+        """
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(len(self)))]
+        i = operator.index(index)
+        i += len(self) if i < 0 else 0
+        if not 0 <= i < len(self):
+            raise IndexError(f"{self.name} has {len(self)} samples, there is no number {index}")
+        row = self._shard("facts", i // SHARD)[i % SHARD]
+        if not row[0]:
+            raise ValueError(
+                f"sample {i} of {self.name} has not been made yet: go on with `ogm simulate {self.path} --resume`"
+            )
+        value = dict(zip(FACTS, row.tolist(), strict=True))
+        lidar, count = value["lidar"], value["objects"]
+        if not (0 <= lidar < len(self.beams) and 0 <= count <= OBJECTS and np.isfinite(value["scenario"])):
+            raise self._damaged("facts", i, "it has impossible numbers")
+        beams = self.beams[int(lidar)]
+        rays = beams.shape[0] * beams.shape[1]
+        poses = np.tile(np.eye(4), (2, 1, 1))
+        poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
+        rows = self._shard("objects", i // SHARD)[i % SHARD, : int(count)]
+        return SimulatedSample(
+            beams=beams,
+            steps=self._read("steps", i)[:rays].reshape(beams.shape),
+            intensities=self._read("intensities", i)[:rays].reshape(beams.shape),
+            truth=Truth(TRUTH_SPEC, self._read("truth", i)),
+            objects=unstructured_to_structured(rows, OBJECT),
+            T_world_sensor=poses[0],
+            T_vehicle_sensor=poses[1],
+            velocity=np.array([value[f"velocity_{axis}"] for axis in "xyz"]),
+            yaw_rate=value["yaw_rate"],
+            stamp=value["stamp"],
+            split=self.name,
+            index=i,
+            scenario=int(value["scenario"]),
+            weather=Weather(value["rain"], value["fog"], value["wet"]),
+        )
+
+    @property
+    def facts(self) -> NDArray[np.float64]:
+        """What is known of every sample beside its arrays, (n, columns `FACTS`); zeros where it is not made."""
+        shards = [self._shard("facts", shard) for shard in range(-(-len(self) // SHARD))]
+        return np.concatenate([np.zeros((0, len(FACTS))), *shards])
+
+    @property
+    def finished(self) -> NDArray[np.int64]:
+        """Numbers of the samples that can be read, ascending."""
+        return np.flatnonzero(self.facts[:, 0])
+
+    def _shard(self, name: str, shard: int) -> NDArray[Any]:
+        """Read a small array of a shard, once for its ten samples."""
+        key = name, shard
+        if key not in self._small:
+            rows = self._read(name, slice(shard * SHARD, min((shard + 1) * SHARD, len(self))))
+            if name == "facts" and not rows[:, 0].all():
+                return rows  # may be written later
+            self._small[key] = rows
+        return self._small[key]
+
+    def _array(self, name: str) -> Any:
+        """Open an array, once, and check that it is as `_grow` makes it."""
+        if name not in self._arrays:
+            path = self.path / self.name / name
+            array, (shape, kind) = open_array(path), array_layout(count_rays(self.beams))[name]
+            if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
+                raise Damaged(
+                    f"{path} holds {array.dtype} of {array.shape}, wanted {kind} of {(len(self), *shape)}: "
+                    "the data set is not whole; make it anew in a new folder"
+                )
+            self._arrays[name] = array
+        return self._arrays[name]
+
+    def _read(self, name: str, index: Any) -> NDArray[Any]:
+        array, first = self._array(name), index if isinstance(index, int) else index.start
+        if not shard_file(self.path / self.name, name, first // SHARD).exists():
+            if name == "facts":
+                return np.zeros((index.stop - first, len(FACTS)))  # not made yet
+            raise self._damaged(name, first, "a file is missing")
+        try:
+            return array[index]
+        except (ValueError, RuntimeError, TypeError, EOFError) as error:  # what zarr and its codecs raise
+            raise self._damaged(name, first, str(error)) from error
+
+    def _damaged(self, name: str, index: int, why: str) -> Damaged:
+        marker = shard_file(self.path / self.name, "facts", index // SHARD)
+        return Damaged(
+            f"sample {index} of {self.name} in {self.path}: {name} damaged on disk ({why}); make it anew with "
+            f"`rm {marker}` and `ogm simulate {self.path} --resume`"
+        )
+
+
+def count_rays(beams: Sequence[Beams]) -> int:
+    """Return the rays of the lidar that has most."""
+    return max(one.shape[0] * one.shape[1] for one in beams)
+
+
+def array_layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return the shape and the type of a sample in each array."""
+    return {
+        "steps": ((rays,), "uint16"),
+        "intensities": ((rays,), "uint8"),
+        "truth": (TRUTH_SPEC.shape, "uint8"),
+        "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
+        "facts": ((len(FACTS),), "float64"),
+    }
+
+
+def shard_file(split: Path, name: str, shard: int) -> Path:
+    """Return the file that holds a shard of an array."""
+    dimensions = 1 + len(array_layout(0)[name][0])
+    return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
+
+
+def import_zarr() -> Any:
+    try:
+        import zarr
+    except ImportError as error:
+        raise ImportError(
+            f'data sets are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[sim]"'
+        ) from error
+    return zarr
+
+
+def open_array(path: Path, mode: str = "r") -> Any:
+    zarr = import_zarr()
+    try:
+        return zarr.open_array(path, mode=mode)
+    except FileNotFoundError as error:
+        raise Damaged(
+            f"{path} is missing: the data set is not whole; make it anew in a new folder"
+        ) from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:  # what zarr raises of odd metadata
+        raise Damaged(
+            f"{path} is no array that can be read ({error}): the data set is not whole; "
+            "make it anew in a new folder"
+        ) from error

@@ -1,0 +1,130 @@
+"""What stands on the ground of a town, nothing of it on a road or lower than a lorry over it."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import shapely
+from numpy.random import Generator
+from shapely import LineString, Polygon
+from shapely.geometry.base import BaseGeometry
+
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import Material as M
+from ogm.simulation.mesh import Mesh
+from ogm.simulation.town import plants
+from ogm.simulation.town.layout import TownLayout
+from ogm.simulation.town.shapes import upright
+from ogm.simulation.town.terrain import FIELD, Raster, mask
+
+HEADROOM = 4.6  # [m] nothing over a road is lower
+_SPOTS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]], float)
+_SPOTS = np.vstack([_SPOTS, [[3, 1, 0], [1, 3, 0], [0, 3, 1], [0, 1, 3], [3, 0, 1], [1, 0, 3]]])
+_SPOTS /= _SPOTS.sum(axis=1, keepdims=True)  # corners of a triangle and points between them
+Maker = Callable[[Generator], Mesh]
+Wanted = Sequence[tuple[Maker, float, float]]  # how to make a piece, square metres per piece, its radius [m]
+
+
+class Yard:
+    """Where things go: keeps what stands where, and refuses what would stand in the way.
+
+    Attributes
+    ----------
+    meshes : list of Mesh
+        All that stands.
+    trees, tall, bushes : list of Mesh
+        Plants to choose from; the crowns of tall ones begin at 3 m.
+    blocked : shapely geometry
+        Houses, driveways and places to park.
+    """
+
+    def __init__(self, plan: TownLayout, houses: list[Polygon], height: Raster, rng: Generator) -> None:
+        self.height, self.rng = height, rng
+        self.meshes: list[Mesh] = []
+        size = plan.size
+        corner = (-size / 2, -size / 2)
+        self._road = Raster(mask(plan.road, size, FIELD / 2).astype(np.float32), FIELD / 2, corner)
+        self._near_road = Raster(mask(plan.road.buffer(0.6), size, FIELD).astype(np.float32), FIELD, corner)
+        # Cars that park off the road, and people, need space as well.
+        parked = [bay.outline.buffer(0.25) for bay in plan.bays]
+        self.blocked = shapely.union_all([shapely.buffer(h, 0.3) for h in houses] + plan.driveways + parked)
+        self._walked = shapely.union_all([LineString(line) for line in plan.walkways])
+        self._half = size / 2
+        shapely.prepare(self.blocked)
+        shapely.prepare(self._walked)
+        self._places = np.zeros((0, 3))
+        self.trees = [plants.tree(rng) for _ in range(36)]
+        self.tall = [plants.tree(rng, clearance=3.0) for _ in range(24)]
+        self.bushes = [plants.bush(rng) for _ in range(24)]
+
+    def free(self, x: float, y: float, radius: float) -> bool:
+        """Return whether a round thing may stand at x, y."""
+        if max(abs(x), abs(y)) > self._half - 1.0:
+            return False
+        near = self._places
+        if len(near) and (np.hypot(near[:, 0] - x, near[:, 1] - y) < near[:, 2] + radius).any():
+            return False
+        spot = shapely.Point(x, y)
+        if shapely.dwithin(self._walked, spot, 0.2 + min(radius, 0.3)):
+            return False
+        return not shapely.dwithin(self.blocked, spot, radius)
+
+    def put(self, piece: Mesh, x: float, y: float, yaw: float, radius: float) -> bool:
+        """Stand a piece (origin at its base) upright at x, y, if there is space for it."""
+        z = float(self.height(np.array([x]), np.array([y]))[0])
+        if not self.free(x, y, radius) or not self.add(piece.moved(upright(x, y, z, yaw))):
+            return False
+        self._places = np.vstack([self._places, [x, y, radius]])
+        return True
+
+    def add(self, piece: Mesh) -> bool:
+        """Add a piece in the world frame; leaves over a road are cut, anything else there is refused."""
+        if len(piece.triangles) == 0:
+            return False
+        x, y, z = piece.vertices.T.astype(np.float64)
+        low = z - self.height(x, y) < HEADROOM
+        plant = np.isin(piece.material, (M.FOLIAGE, M.BARK))
+        if (low & (self._road(x, y) > 0.3))[piece.triangles[~plant]].any():
+            return False
+        # Leaves and branches may reach over the road between their corners as well.
+        corners = piece.vertices[piece.triangles[plant]].astype(np.float64)
+        px, py, pz = np.moveaxis(np.einsum("sk,tkc->tsc", _SPOTS, corners), -1, 0)
+        cut = np.zeros(len(plant), bool)
+        cut[plant] = ((pz - self.height(px, py) < HEADROOM) & (self._near_road(px, py) > 0.3)).any(axis=1)
+        if cut.any():
+            piece = Mesh(piece.vertices, piece.triangles[~cut], piece.material[~cut])
+        self.meshes.append(piece)
+        return True
+
+    def line(self, line: LineString, step: float) -> Floats:
+        """Return points (M, 3) on the ground along a line, at most `step` apart [m]."""
+        return self.on_ground(np.array(line.segmentize(step).coords))
+
+    def on_ground(self, points: Floats) -> Floats:
+        """Return points (M, 2) lifted to the ground (M, 3)."""
+        return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
+
+    def pick(self, pool: list[Mesh]) -> Mesh:
+        """Return one of a pool of plants, larger or smaller."""
+        rng = self.rng
+        piece = pool[int(rng.integers(len(pool)))]
+        return piece.moved(np.diag([*([rng.uniform(0.8, 1.15)] * 2), rng.uniform(0.85, 1.15), 1.0]))
+
+    def scatter(self, shape: BaseGeometry, pool: list[Mesh], every: float, radius: float) -> None:
+        """Plant at random, one for `every` square metres."""
+        for x, y in self._points(shape, every):
+            self.put(self.pick(pool), x, y, self.rng.uniform(0, 2 * np.pi), radius)
+
+    def pieces(self, shape: BaseGeometry, wanted: Wanted) -> None:
+        """Stand pieces at random."""
+        for maker, every, radius in wanted:
+            for x, y in self._points(shape.buffer(-radius), every):
+                self.put(maker(self.rng), x, y, self.rng.uniform(0, 2 * np.pi), radius)
+
+    def _points(self, shape: BaseGeometry, every: float) -> list[tuple[float, float]]:
+        if shape.is_empty:
+            return []
+        x0, y0, x1, y1 = shape.bounds
+        count = self.rng.poisson((x1 - x0) * (y1 - y0) * (1 / every))
+        x, y = self.rng.uniform(x0, x1, count), self.rng.uniform(y0, y1, count)
+        within = shapely.contains_xy(shape, x, y)
+        return [(float(px), float(py)) for px, py in zip(x[within], y[within], strict=True)]

@@ -1,0 +1,257 @@
+"""How a scenario begins: who parks where, who drives which route, who walks, which signals there are."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from ogm.simulation.arrays import Floats
+from ogm.simulation.mesh import Mesh
+from ogm.simulation.town import Town
+from ogm.simulation.traffic.bodies import Body, ego_body
+from ogm.simulation.traffic.fleet import EGO_MANNERS, MANNERS, Fleet, Manners
+from ogm.simulation.traffic.graph import Crossings, LaneTable, drivable
+from ogm.simulation.traffic.parked import park
+from ogm.simulation.traffic.paths import Lines
+from ogm.simulation.traffic.state import AHEAD, Drivers, Signals, Walkers
+
+LAST = 1200.0  # [s] scenarios end here
+WARM_UP = 30.0  # [s] simulated before time 0, so that queues have formed
+SPACING = 66.0  # [m] of lane per vehicle
+MOST = 60  # vehicles
+PER_WALKWAY = 38.0  # [m] of walkway per pedestrian
+MOST_WALKERS = 90
+HITCH = 0.4  # [m] between a lorry and the drawbar of its trailer
+
+
+class Object(NamedTuple):
+    """A participant in traffic, moving or parked, at one time.
+
+    Attributes
+    ----------
+    label : str
+        "car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle" or "pedestrian".
+    pose : (4, 4) float64
+        ``T_world_object``: origin in the middle of the footprint on the ground, x forward, tilted with the terrain.
+    size : (3,) float64
+        Length, width, height [m]: the exact bounds of `mesh`, centred on the origin and standing on it.
+    velocity : (3,) float64
+        In the world [m/s].
+    track : int
+        The same for the same participant in all frames of a scenario.
+    mesh : Mesh
+        In the object's frame, shared between frames.
+    """
+
+    label: str
+    pose: Floats
+    size: Floats
+    velocity: Floats
+    track: int
+    mesh: Mesh
+
+
+class Unit(NamedTuple):
+    """One body on wheels: vehicle `driver`, whose front bumper is `behind` metres behind the driver's."""
+
+    body: Body
+    driver: int
+    behind: float
+    left: float  # [m] from the lane's centre line
+
+
+def fill_bays(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: Generator) -> list[Object]:
+    """Return the parked vehicles."""
+    bodies = fleet.cars + fleet.vans[:2] + fleet.trucks + fleet.trailers
+    placed = park(town.bays, table.points, walkways.points, bodies, town.ground_height, rng)
+    first = 1000  # tracks of what moves are smaller
+    still = np.zeros(3)
+    return [
+        Object(body.label, pose, body.size, still, first + k, body.mesh)
+        for k, (body, pose) in enumerate(placed)
+    ]
+
+
+def set_out(
+    town: Town, table: LaneTable, loop: tuple[int, ...], fleet: Fleet, rng: Generator
+) -> tuple[list[Unit], Drivers]:
+    """Choose vehicles, where they start and where they go; the ego vehicle is the first."""
+    alive = drivable(town.lanes)
+    open_road = np.flatnonzero(alive & ~table.guarded & (table.length > 9.0))
+    count = min(MOST, 1 + int(table.length[open_road].sum() / SPACING))
+    kinds = ["car"] * 70 + ["van"] * 9 + ["truck"] * 5 + ["bus"] * 4 + ["motorcycle"] * 5 + ["bicycle"] * 5
+    units: list[Unit] = []
+    lengths: list[float] = []
+    manners: list[Manners] = []
+    starts: list[tuple[int, float]] = []
+    taken: dict[int, list[tuple[float, float]]] = {}
+    for n in range(count):
+        kind = "ego" if n == 0 else kinds[int(rng.integers(len(kinds)))]
+        bodies, left = _bodies(kind, fleet, rng)
+        parts, behind = [], 0.0
+        for body in bodies:
+            parts.append(Unit(body, len(lengths), behind, left))
+            behind += body.size[0] + HITCH
+        length = behind - HITCH
+        for _ in range(40):
+            lane = int(rng.choice([k for k in loop if not table.guarded[k]] if n == 0 else open_road))
+            if table.length[lane] < length + 4:
+                continue
+            front = rng.uniform(length + 1, table.length[lane] - 2)
+            near = taken.setdefault(lane, [])
+            if all(front + 6 < low or front - length - 6 > high for low, high in near):
+                near.append((front - length, front))
+                units += parts
+                lengths.append(length)
+                manners.append(EGO_MANNERS if n == 0 else MANNERS[kind])
+                starts.append((lane, front))
+                break
+        else:
+            if n == 0:
+                raise ValueError("no lane of the round trip is long enough for the ego vehicle to start on")
+    routes = [_around(loop, starts[0][0])] + [
+        _wander(town, table, alive, lane, rng) for lane, _ in starts[1:]
+    ]
+    return units, _drivers(table, routes, lengths, manners, [front for _, front in starts], rng)
+
+
+def _bodies(kind: str, fleet: Fleet, rng: Generator) -> tuple[list[Body], float]:
+    """Draw the bodies that one driver moves, and how far left of the lane's middle."""
+    if kind == "ego":
+        return [ego_body()], 0.0
+    choice = {
+        "car": fleet.cars,
+        "van": fleet.vans,
+        "truck": fleet.trucks,
+        "bus": fleet.buses,
+        "motorcycle": fleet.motorcycles,
+        "bicycle": fleet.bicycles,
+    }[kind]
+    bodies = [choice[int(rng.integers(len(choice)))]]
+    if kind == "truck" and rng.random() < 0.5:
+        bodies.append(fleet.trailers[int(rng.integers(len(fleet.trailers)))])
+    return bodies, -0.6 if kind == "bicycle" else float(np.clip(rng.normal(0, 0.08), -0.15, 0.15))
+
+
+def _around(loop: tuple[int, ...], start: int) -> list[int]:
+    """Return the round trip from one of its lanes on."""
+    k = loop.index(start)
+    return list(loop[k:] + loop[:k])
+
+
+def _wander(town: Town, table: LaneTable, alive: NDArray[np.bool_], start: int, rng: Generator) -> list[int]:
+    """Return a route that turns at random for as long as the scenario lasts, and so does the fastest driver."""
+    route, length = [start], float(table.length[start])
+    while length < float(table.limit.max()) * (LAST + WARM_UP) + 200.0:
+        choice = [k for k in town.lanes[route[-1]].successors if alive[k]]
+        route.append(choice[int(rng.integers(len(choice)))])
+        length += float(table.length[route[-1]])
+    return route
+
+
+def _drivers(
+    table: LaneTable,
+    routes: list[list[int]],
+    lengths: list[float],
+    manners: list[Manners],
+    fronts: list[float],
+    rng: Generator,
+) -> Drivers:
+    """Arrange vehicles for the kernels."""
+    # As many lanes as the fastest driver can come to; a shorter route is begun again.
+    far = float(table.limit.max()) * (LAST + WARM_UP) + 200.0
+    rounds = [int(np.ceil(far / table.length[route].sum())) for route in routes]
+    places = max(len(route) * n for route, n in zip(routes, rounds, strict=True)) + AHEAD + 2
+    route = np.array([np.resize(one, places) for one in routes], np.int64)
+    start = np.zeros((len(routes), places + 1))
+    start[:, 1:] = np.cumsum(table.length[route], axis=1)
+    count = len(routes)
+    zero = np.zeros(count, np.int64)
+    pace = np.clip(rng.normal(0.93, 0.06, count), 0.75, 1.0)
+    pace[0] = 0.97
+    columns = np.array(manners, np.float64).T
+    return Drivers(
+        route,
+        start,
+        np.array(fronts),
+        np.full(count, 2.0),
+        zero.copy(),
+        zero.copy(),
+        zero - 1,
+        np.full(count, -1.0),
+        rng.integers(1, 2**63, count).astype(np.uint64),
+        np.array(lengths),
+        columns[0].copy(),
+        columns[1].copy(),
+        columns[2].copy(),
+        columns[3].copy(),
+        pace,
+        columns[4].copy(),
+    )
+
+
+def make_signals(table: LaneTable, rng: Generator) -> Signals:
+    """Put signals at some of the junctions of three and more arms that are no roundabouts."""
+    count = int(table.junction.max()) + 1 if len(table.junction) else 0
+    phases, green = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    for junction in range(count):
+        inside = table.phase[table.junction == junction]
+        if len(inside) and inside.min() >= 0 and inside.max() >= 2 and rng.random() < 0.6:
+            phases[junction] = min(int(inside.max()) + 1, 16)
+            green[junction] = rng.integers(phases[junction])
+    return Signals(phases, green, np.zeros(count))
+
+
+def choose_people(
+    walkways: Lines, crossed: Crossings, fleet: Fleet, rng: Generator
+) -> tuple[Walkers, list[list[Body]], Floats]:
+    """Choose pedestrians, where they start, how fast they walk, and how far right of the line."""
+    zones, count = crossed.on_walkway, max(crossed.zones, 1)
+    lengths = walkways.length
+    usable = np.flatnonzero(lengths > 6.0)
+    number = min(MOST_WALKERS, int(lengths[usable].sum() / PER_WALKWAY)) if len(usable) else 0
+    share = lengths[usable] * np.where(
+        lengths[usable] < 25, 0.5, 1.0
+    )  # crossings are waited at, not lived on
+    still = min(number // 10, len(usable) // 4)  # who stands has a walkway alone
+    line = np.zeros(number, np.int64)
+    if number:
+        line[:still] = rng.choice(usable, still, replace=False, p=share / share.sum())
+        share = np.where(np.isin(usable, line[:still]), 0.0, share)
+        line[still:] = rng.choice(usable, number - still, p=share / share.sum())
+    slot = np.array([np.count_nonzero(line[:n] == line[n]) for n in range(number)], np.int64)
+    short = np.minimum(0.1 + 0.9 * slot, lengths[line] / 3)
+    way = lengths[line] - 2 * short
+    w = np.zeros(number)
+    people: list[list[Body]] = []
+    pace = np.clip(rng.normal(1.3, 0.18, number), 0.7, 1.9)
+    pace[:still] = 0.0
+    for n in range(number):
+        mine = zones[zones[:, 0] == line[n]]
+        for _ in range(20):
+            u = rng.uniform(0, way[n])
+            if not ((mine[:, 1] - 0.8 < u + short[n]) & (u + short[n] < mine[:, 2] + 0.8)).any():
+                w[n] = u
+                break
+        if n >= still and rng.random() < 0.5 and w[n] > 0:
+            w[n] = 2 * way[n] - w[n]
+        if n < still:
+            people.append([fleet.standers[int(rng.integers(len(fleet.standers)))]])
+        else:
+            people.append(fleet.walkers[int(rng.integers(len(fleet.walkers)))])
+    rest = rng.uniform(1, 15, number) + np.where(way < 25, 12.0, 0.0)
+    side = rng.uniform(0.36, 0.44, number)
+    walkers = Walkers(
+        line,
+        way,
+        short,
+        w,
+        pace,
+        rest,
+        rest * (w % np.maximum(way, 1e-9) == 0),
+        np.full(number, -1, np.int64),
+        np.zeros(count, np.int64),
+        np.full(count, -100.0),
+    )
+    return walkers, people, side

@@ -1,0 +1,221 @@
+"""Permission to enter junctions, compiled: signals, first come first served, no vehicle stops in a junction."""
+
+# mypy: disallow-untyped-defs=False
+# numba infers the types of kernels, their docstrings give them.
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.jit import kernel
+from ogm.simulation.traffic.graph import LaneTable
+from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, Limits, Signals
+
+MIN_GREEN, MAX_GREEN, ALL_RED = 4.0, 10.0, 2.0  # [s]
+PATIENCE = 8.0  # [s] who has waited longer is let through before those who come
+DETOUR = 6.0  # [s] who has waited so long for space behind a junction turns another way
+SHORT = 7.0  # [m] longer vehicles enter a roundabout only with permission as far as their exit
+
+
+class Queue(NamedTuple):
+    """Vehicles that wait.
+
+    Attributes
+    ----------
+    want, held : (V,) int64
+        Place in the route that each wants next, and the last one that a patient one, who is refused, has a claim
+        to; -1 for none.
+    inside : (J,) int64
+        Vehicles inside each junction.
+    """
+
+    want: NDArray[np.int64]
+    held: NDArray[np.int64]
+    inside: NDArray[np.int64]
+
+
+@kernel
+def _chain_end(t: LaneTable, d: Drivers, i, k):
+    """Return the last place of the route that must be granted together with place `k`."""
+    while True:
+        while t.guarded[d.route[i, k]] and k + 2 < d.route.shape[1]:
+            if t.fork[d.route[i, k]] and d.length[i] < SHORT:
+                return k
+            k += 1
+        space = d.start[i, k + 1] - d.start[i, k]
+        if (
+            space > d.length[i] + GAP + 1.0
+            or not t.guarded[d.route[i, k + 1]]
+            or k + AHEAD > d.route.shape[1]
+        ):
+            return k - 1
+        k += 1
+
+
+@kernel
+def _meet(t: LaneTable, d: Drivers, i, first, last, j, span, rear):
+    """Return whether places first..last of i's route meet the places `span` of j's beyond `rear` [m] of its way."""
+    for k in range(span[0], span[1] + 1):
+        other = d.route[j, k]
+        for m in range(first, last + 1):
+            until = t.blocked_until[other, d.route[i, m]]
+            if until >= 0 and rear < d.start[j, k] + until:
+                return True
+    return False
+
+
+@kernel
+def _sorted(rank):
+    """Return the order of numbers, smallest first (numba's own sorting takes long to compile)."""
+    order = np.arange(len(rank))
+    for k in range(1, len(rank)):
+        one, m = order[k], k
+        while m > 0 and rank[order[m - 1]] > rank[one]:
+            order[m] = order[m - 1]
+            m -= 1
+        order[m] = one
+    return order
+
+
+@kernel
+def grant(t: LaneTable, d: Drivers, s: Signals, now, limits: Limits):
+    """Grant lanes that need permission; `limits.stop` becomes the way to where a vehicle without it halts [m]."""
+    count = len(d.x)
+    queue = Queue(np.full(count, -1, np.int64), np.full(count, -1, np.int64), np.zeros(len(t.most), np.int64))
+    demand = np.zeros((len(s.phases), 16), np.bool_)
+    for i in range(count):
+        queue.want[i] = _request(t, d, s, i, now, limits, demand)
+    _switch(s, demand, now)
+    rank = d.since + 1e-6 * np.arange(count)
+    rank[0] -= 60.0
+    for i in range(count):
+        junction = t.junction[d.route[i, d.rear[i]]]
+        if junction < 0:
+            junction = t.junction[d.route[i, max(d.front[i], d.granted[i])]]
+        if junction >= 0:
+            queue.inside[junction] += 1
+            if t.fork[d.route[i, d.front[i]]]:
+                rank[i] -= 1000.0  # in a roundabout goes before into a roundabout
+    for i in _sorted(rank):
+        first = queue.want[i]
+        if first < 0:
+            continue
+        last = _chain_end(t, d, i, first)
+        if not _may_enter(t, d, s, i, last, now, limits, queue):
+            continue
+        junction = t.junction[d.route[i, first]]
+        if _free(t, d, i, first, last, queue):
+            d.granted[i] = last
+            if junction >= 0:
+                queue.inside[junction] += 1
+            d.since[i] = -1.0
+            limits.stop[i] = 1e9
+        elif now - d.since[i] > PATIENCE:
+            queue.held[i] = last
+
+
+@kernel
+def _request(t: LaneTable, d: Drivers, s: Signals, i, now, limits: Limits, demand):
+    """Return the place in its route that vehicle i waits for, -1 for none; note its `demand` at signals."""
+    limits.stop[i] = 1e9
+    k = max(d.front[i], d.granted[i]) + 1
+    while not t.guarded[d.route[i, k]] and d.start[i, k] - d.x[i] < SIGHT:
+        k += 1
+    ahead, lane = d.start[i, k] - d.x[i], d.route[i, k]
+    if not t.guarded[lane]:
+        d.since[i] = -1.0
+        return -1
+    junction = t.junction[lane]
+    if ahead < 45 and junction >= 0 and s.phases[junction] > 0 and t.phase[lane] >= 0:
+        demand[junction, t.phase[lane]] = True
+    if ahead > d.v[i] ** 2 / 3.6 + 6.0:
+        d.since[i] = -1.0
+        return -1
+    limits.stop[i] = ahead
+    if limits.gap[i] < ahead - 0.5:  # another vehicle is first in line
+        d.since[i] = -1.0
+        return -1
+    if d.since[i] < 0:
+        d.since[i] = now
+    return k
+
+
+@kernel
+def _may_enter(t: LaneTable, d: Drivers, s: Signals, i, last, now, limits: Limits, queue: Queue):
+    """Return whether signal and space allow vehicle i to drive to place `last`; it may turn another way instead."""
+    first = queue.want[i]
+    lane = d.route[i, first]
+    junction = t.junction[lane]
+    red = s.green[junction] != t.phase[lane] or now < s.since[junction]
+    if junction >= 0 and s.phases[junction] > 0 and t.phase[lane] >= 0 and red:
+        return False
+    if t.fork[d.route[i, last]]:
+        return t.fork[d.route[i, first - 1]] or queue.inside[junction] < t.most[junction]
+    # space behind the junction, so that no vehicle stops in it
+    space = d.start[i, last + 1] - d.x[i] + d.length[i] + 1.0
+    round_trip = t.phase[d.route[i, last]] < 0 and limits.pace[i] > 1.0
+    if limits.gap[i] + limits.pace[i] ** 2 / 5.0 < space and not round_trip:
+        waited = int(round((now - d.since[i]) / STEP))
+        if i > 0 and waited > 0 and waited % int(DETOUR / STEP) == 0:
+            _detour(t, d, i, first)
+        return False
+    return True
+
+
+@kernel
+def _free(t: LaneTable, d: Drivers, i, first, last, queue: Queue):
+    """Return whether places first..last of i's route meet no lane that another vehicle is on or has a claim to."""
+    for j in range(len(d.x)):
+        if j == i:
+            continue
+        if _meet(t, d, i, first, last, j, (d.rear[j], max(d.front[j], d.granted[j])), d.x[j] - d.length[j]):
+            return False
+        if queue.held[j] >= 0 and _meet(t, d, i, first, last, j, (queue.want[j], queue.held[j]), -1e18):
+            return False
+    return True
+
+
+@kernel
+def _detour(t: LaneTable, d: Drivers, i, place):
+    """Change the route of vehicle i from a place on that it has not come to."""
+    before = d.route[i, place - 1]
+    count = 0
+    for lane in t.onward[before]:
+        count += lane >= 0 and lane != d.route[i, place]
+    if count == 0:
+        return
+    barred = d.route[i, place]
+    for k in range(place, d.route.shape[1]):
+        count = 0
+        for lane in t.onward[before]:
+            count += lane >= 0 and lane != barred
+        d.dice[i] = d.dice[i] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
+        pick = int((d.dice[i] >> np.uint64(33)) % np.uint64(count))
+        for lane in t.onward[before]:
+            if lane >= 0 and lane != barred:
+                if pick == 0:
+                    before = lane
+                    break
+                pick -= 1
+        d.route[i, k] = before
+        d.start[i, k + 1] = d.start[i, k] + t.length[before]
+        barred = -2
+
+
+@kernel
+def _switch(s: Signals, demand, now):
+    """Change signals: green goes round to the next phase that a vehicle waits for."""
+    for junction in range(len(s.phases)):
+        phases = s.phases[junction]
+        if phases == 0:
+            continue
+        lasted = now - s.since[junction]
+        if lasted < MIN_GREEN or (lasted < MAX_GREEN and demand[junction, s.green[junction]]):
+            continue
+        for turn in range(1, phases):
+            phase = (s.green[junction] + turn) % phases
+            if demand[junction, phase]:
+                s.green[junction] = phase
+                s.since[junction] = now + ALL_RED
+                break
