@@ -8,7 +8,10 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ogm.datasets import open_dataset
+    from ogm.evaluation import evaluate, load_model
     from ogm.files import OgmError
+    from ogm.fusion import fuse, map_scans
     from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
     from ogm.io import read_points, read_scan
     from ogm.scan import Boxes, Frame, InverseSensorModel, Mount, Scan
@@ -27,6 +30,11 @@ __all__ = [
     "OgmError",
     "Scan",
     "Truth",
+    "evaluate",
+    "fuse",
+    "load_model",
+    "map_scans",
+    "open_dataset",
     "read_points",
     "read_scan",
 ]
@@ -43,6 +51,11 @@ _MODULES = {
     "OgmError": "ogm.files",
     "Scan": "ogm.scan",
     "Truth": "ogm.state",
+    "evaluate": "ogm.evaluation",
+    "fuse": "ogm.fusion",
+    "load_model": "ogm.evaluation",
+    "map_scans": "ogm.fusion",
+    "open_dataset": "ogm.datasets",
     "read_points": "ogm.io",
     "read_scan": "ogm.io",
 }

@@ -22,7 +22,7 @@ from ogm.simulation.store import Store
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
-FUSE = importlib.import_module("ogm.cli.fuse")  # its function of the same name hides it
+FUSE = importlib.import_module("ogm.cli.fuse_command")
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
 POSES = np.array([pose(0.4 * k, 0.05 * k, yaw=0.02 * k) for k in range(FRAMES)])

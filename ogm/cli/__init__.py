@@ -9,11 +9,11 @@ import typer
 import ogm
 from ogm.cli.console import out
 from ogm.cli.evaluate_command import evaluate
-from ogm.cli.fuse import fuse
-from ogm.cli.info import info
+from ogm.cli.fuse_command import fuse
+from ogm.cli.info_command import info
 from ogm.cli.map_command import demo, map_
-from ogm.cli.simulate import simulate
-from ogm.cli.train import export_command, train_command
+from ogm.cli.simulate_command import simulate
+from ogm.cli.train_command import export_command, train_command
 
 __all__ = ["app", "main"]
 

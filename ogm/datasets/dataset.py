@@ -135,6 +135,21 @@ class Dataset(Sequence[Frame]):
         chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
         return chosen
 
+    def describe(self) -> dict[str, str]:
+        """Return what the data set holds, as names and values to print; no scan is read."""
+        stamps = [ref.stamp for ref in self.refs if ref.stamp is not None]
+        posed = sum(ref.T_map_sensor is not None for ref in self.refs)
+        sequences = [name for name in self.sequences if name]
+        found = {"format": self.format, "frames": str(len(self))}
+        if sequences:
+            found["sequences"] = (
+                f"{len(sequences)} ({', '.join(sequences[:3])}{', ...' if sequences[3:] else ''})"
+            )
+        found["poses"] = f"{posed} of {len(self)} frames" if posed else "none (see `ogm fuse --odometry`)"
+        if stamps:
+            found["stamps"] = f"{min(stamps):.3f} ... {max(stamps):.3f} s"
+        return found | {"truth": self.description or "none"}
+
     @property
     def refs(self) -> tuple[FrameRef, ...]:
         """Name, sequence, stamp and pose of every frame; no frame is made for it."""

@@ -106,7 +106,7 @@ def test_missing_data_and_bad_grids_are_refused(store: Path, tmp_path: Path) -> 
 
 
 def test_the_command_offers_every_loss_and_preset() -> None:
-    from ogm.cli.train import LossName, Preset
+    from ogm.cli.train_command import LossName, Preset
     from ogm.deep.recipe import LOSSES, PRESETS
 
     assert [name.value for name in LossName] == list(LOSSES)

@@ -11,9 +11,7 @@ from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 
 @report_errors
 def info(
-    scan: Annotated[
-        Path, typer.Argument(help="A scan, a grid (.npz) or a data set (a folder) that ogm made.")
-    ],
+    scan: Annotated[Path, typer.Argument(help="A scan, a grid (.npz), a folder of scans or a data set.")],
     axes: Annotated[
         str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")
     ] = "flu",
@@ -24,10 +22,15 @@ def info(
     from ogm import EvidentialGrid
     from ogm.io import describe, read_scan_file
 
-    if scan.is_dir():
+    if scan.is_dir() and (scan / "zarr.json").exists():
         from ogm.simulation.store import Store
 
         facts = Store.open(scan).describe()
+    elif scan.is_dir():
+        from ogm.datasets import open_dataset
+
+        options = {"intensity_max": intensity_max, "time_unit": time_unit}
+        facts = open_dataset(scan, axes=parsed_axes(axes), **options).describe()  # type: ignore[arg-type]
     elif scan.suffix == ".npz":
         grid = EvidentialGrid.load(scan)
         x0, x1, y0, y1 = grid.spec.extent
