@@ -118,9 +118,7 @@ def numpy_height_band(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
     return mass
 
 
-def contenders(
-    spec: GridSpec, points: NDArray[np.float32], mount: Mount, slow: bool
-) -> dict[str, run.Contender]:
+def contenders(spec: GridSpec, points: NDArray[np.float32], mount: Mount, slow: bool) -> dict[str, run.Contender]:
     """Return ogm's models, the yardstick of copying bytes, the ground estimate alone, and slow references."""
     band, ray, xyz = HeightBandISM(spec, mount), RayISM(spec, mount), np.ascontiguousarray(points[:, :3])
     coarse, mass = GridSpec(1.0, (82, 57), spec.origin), np.ones((*spec.shape, 2), np.float32)

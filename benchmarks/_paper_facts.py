@@ -97,9 +97,7 @@ def described(curves: Curves) -> dict[str, dict[str, Any]]:
     }
 
 
-def versus(
-    first: NDArray[np.float64], second: NDArray[np.float64], rng: np.random.Generator
-) -> dict[str, Any]:
+def versus(first: NDArray[np.float64], second: NDArray[np.float64], rng: np.random.Generator) -> dict[str, Any]:
     """Compare two curves, of which the lower one is better, frame by frame.
 
     Returns
@@ -242,11 +240,7 @@ def scale_as_released(curves: Curves, rng: np.random.Generator) -> dict[str, Any
         "E": {"value": E, "low": E_low, "high": E_high},
         "one parameter: c": alone,
         "one parameter: R2": _r2(known, alone * labelled),
-        "cells that the labels know": {
-            "mean": labelled.mean(),
-            "least": labelled.min(),
-            "most": labelled.max(),
-        },
+        "cells that the labels know": {"mean": labelled.mean(), "least": labelled.min(), "most": labelled.max()},
         "cells that the geometric model misses, at most": _mean_and_ends(demixed(curves) / MISSED),
         "cells that the deep model misses, at most": _mean_and_ends(curves.kl / MISSED),
     }

@@ -85,17 +85,13 @@ def real(folder: Path) -> Iterator[Recording]:
         except ValueError as error:
             yield Recording(name, None, None, str(error).replace(str(folder), "OGM_DATA"))
             continue
-        yield Recording(
-            name, alone, open_dataset(folder / place, others="later") if _is_drive(alone) else None
-        )
+        yield Recording(name, alone, open_dataset(folder / place, others="later") if _is_drive(alone) else None)
 
 
 def _is_drive(dataset: Dataset) -> bool:
     """Tell whether all frames belong to sequences, with stamps and poses."""
     posed = all(frame.sequence and frame.stamp is not None for frame in dataset)
-    return (
-        posed and len(dataset) >= MIN_SCANS * len(dataset.sequences) and dataset[0].T_map_sensor is not None
-    )
+    return posed and len(dataset) >= MIN_SCANS * len(dataset.sequences) and dataset[0].T_map_sensor is not None
 
 
 def every(dataset: Dataset, step: int, drives: int | None = None) -> list[int]:

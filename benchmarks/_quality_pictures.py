@@ -37,16 +37,12 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
             values = result.of(name, f"mean_{state}")
             masses.plot(values, style, color=colour, lw=1.4, label=f"{state}, {short}: {values.mean():.3f}")
     for state, colour in (("unknown", "black"), ("free", "#1a9641"), ("occupied", "#c0202b")):
-        masses.plot(
-            truth[state], color=colour, lw=5, alpha=0.15, label=f"{state}, truth: {truth[state].mean():.3f}"
-        )
+        masses.plot(truth[state], color=colour, lw=5, alpha=0.15, label=f"{state}, truth: {truth[state].mean():.3f}")
     masses.set(title="Mean masses: the baseline as in the text, as released, the network, the truth")
     masses.set(ylabel="mean mass", ylim=(0, 1.3))
     masses.legend(ncols=4, fontsize=7.5, frameon=False, loc="upper center", columnspacing=1.0)
     _against(proper, result, "kl_e10", deep, "KL[grid || truth], truth of evidence 10")
-    _against(
-        strict, result, "kl_e1", deep, "KL[grid || truth], truth of evidence 1, as the released code's labels"
-    )
+    _against(strict, result, "kl_e1", deep, "KL[grid || truth], truth of evidence 1, as the released code's labels")
     ours, theirs = result.of(deep, "legacy_kl"), result.of("height-band-released", "legacy_kl")
     report = evilog_published(ours, theirs)
     for values, style, colour, name in (
@@ -67,11 +63,7 @@ def _against(axes: Axes, result: Evaluation, metric: str, deep: str, title: str)
     ours = result.of(deep, metric)
     for name in result.methods:
         values = result.of(name, metric)
-        wins = (
-            ""
-            if name == deep
-            else f", {deep} is lower in {int((ours < values).sum())} of {len(result.frames)}"
-        )
+        wins = "" if name == deep else f", {deep} is lower in {int((ours < values).sum())} of {len(result.frames)}"
         axes.plot(values, color=COLOURS.get(name, OTHER), lw=1.5, label=f"{name}: {values.mean():.3f}{wins}")
     axes.set(title=title, ylabel="nats", ylim=(0, 1.3 * axes.get_ylim()[1]))
     axes.legend(fontsize=9, frameon=False, loc="upper right")
@@ -106,9 +98,7 @@ def maps(path: Path, part: Mapping[str, Any], note: str) -> None:
                 continue
             start = part["models"].get(model, one)["mean"]
             if rule:
-                axes.plot(
-                    [start[x][0], px], [start[y][0], py], color=COLOURS.get(model, OTHER), lw=0.5, alpha=0.4
-                )
+                axes.plot([start[x][0], px], [start[y][0], py], color=COLOURS.get(model, OTHER), lw=0.5, alpha=0.4)
             size = 220 if not rule else 60
             axes.scatter(
                 px,
@@ -150,9 +140,7 @@ def recordings(path: Path, real: Mapping[str, Any], note: str) -> None:
         axes.grid(axis="x", color="0.92")
     axes.set_yticks(range(len(there)), [f"{name} ({part['frames']})" for name, part in there.items()])
     axes.invert_yaxis()
-    figure.axes[0].legend(
-        fontsize=8, frameon=False, ncols=2, loc="upper left"
-    )  # nothing is free in the first one
+    figure.axes[0].legend(fontsize=8, frameon=False, ncols=2, loc="upper left")  # nothing is free in the first one
     _finish(figure, path, "Real recordings, labelled cells only (number of frames)", note)
 
 

@@ -61,8 +61,7 @@ def brief(part: Mapping[str, Any]) -> dict[str, Any]:
     """Return means and pairs alone."""
     left = ("pooled", "by range", CONFUSION)
     models = {
-        name: {key: value for key, value in one.items() if key not in left}
-        for name, one in part["models"].items()
+        name: {key: value for key, value in one.items() if key not in left} for name, one in part["models"].items()
     }
     return {**part, "models": models}
 

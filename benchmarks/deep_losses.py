@@ -69,9 +69,7 @@ def main() -> None:
     models, seconds = {}, {}
     for name in options.only:
         recipe = replace(Recipe(LITE, epochs=options.epochs, batch=4), **RECIPES[name])
-        folder = (
-            options.runs / f"{options.samples}x{options.epochs}" / name.replace(" ", "-").replace(",", "")
-        )
+        folder = options.runs / f"{options.samples}x{options.epochs}" / name.replace(" ", "-").replace(",", "")
         done, start = folder / "done", time.perf_counter()
         if not done.exists():
             data = training.select(chosen), validation.select(others)
@@ -87,10 +85,7 @@ def main() -> None:
         "epochs": options.epochs,
         "frames": options.frames,
         "training [s]": seconds,
-        "scores": {
-            name: {metric: result.interval(name, metric, rng)._asdict() for metric in SHOWN}
-            for name in models
-        },
+        "scores": {name: {metric: result.interval(name, metric, rng)._asdict() for metric in SHOWN} for name in models},
         "against reverse KL": {
             name: {
                 metric: {"wins": one.wins, "losses": one.losses, "difference": one.difference._asdict()}

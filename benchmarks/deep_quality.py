@@ -73,12 +73,7 @@ def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dic
             for name, most in (("kl_e10", 0.4), ("kl_e1", 0.4), ("kl_e1_scaled", 0.4), ("legacy_kl", 0.35))
         ),
         *(
-            (
-                f"{name}: ratio to the better geometric model",
-                own[name] / max(band[name], ray[name]),
-                ">=",
-                1.5,
-            )
+            (f"{name}: ratio to the better geometric model", own[name] / max(band[name], ray[name]), ">=", 1.5)
             for name in ("iou_occupied", "iou_occupied_known")
         ),
         (
@@ -106,9 +101,7 @@ def wanted(result: Evaluation, record: Mapping[str, Any], deep: str) -> list[dic
     ]
 
 
-def missed_by_kind(
-    methods: Mapping[str, SingleScanMethod], dataset: Dataset, samples: Iterable[Any]
-) -> dict[str, Any]:
+def missed_by_kind(methods: Mapping[str, SingleScanMethod], dataset: Dataset, samples: Iterable[Any]) -> dict[str, Any]:
     """Split the truly occupied cells by what stands there, and count how each model predicts them.
 
     Participants are traffic participants of 50 returns and more; all else is thick where a square of three by three
@@ -151,17 +144,11 @@ def weighed(method: SingleScanMethod, dataset: Dataset) -> dict[str, dict[str, f
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("data", type=Path, help="data set that `ogm simulate` made")
-    parser.add_argument(
-        "--split", default="test", help="part of it (default test, for the final figure only)"
-    )
+    parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--lite", default="lite", help="weights instead of the shipped ones: a file or a run")
     parser.add_argument("--samples", type=int, help="evaluate the first so many only")
-    parser.add_argument(
-        "--out", type=Path, default=RESULTS / "deep_quality.json", help="where the figures go"
-    )
-    parser.add_argument(
-        "--picture", type=Path, default=PICTURES / "deep_quality.png", help="where the picture goes"
-    )
+    parser.add_argument("--out", type=Path, default=RESULTS / "deep_quality.json", help="where the figures go")
+    parser.add_argument("--picture", type=Path, default=PICTURES / "deep_quality.png", help="where the picture goes")
     options = parser.parse_args()
 
     record = environment()
@@ -191,24 +178,16 @@ def main() -> None:
     record |= {key: value for key, value in found.items() if key not in left}
     print(result)
     for row in record["wanted"]:
-        print(
-            f"{'met   ' if row['met'] else 'MISSED'} {row['what']}: {row['value']} (wanted {row['wanted']})"
-        )
-    others = open_dataset(options.data, split="validation")[
-        ::15
-    ]  # a choice that the test part must not be used for
+        print(f"{'met   ' if row['met'] else 'MISSED'} {row['what']}: {row['value']} (wanted {row['wanted']})")
+    others = open_dataset(options.data, split="validation")[::15]  # a choice that the test part must not be used for
     record["occupied cells weighed more, 20 validation frames, pooled"] = weighed(methods[deep], others)
     for weight, scores in record["occupied cells weighed more, 20 validation frames, pooled"].items():
         print(f"occupied x {weight:4}", "  ".join(f"{name} {value:.3f}" for name, value in scores.items()))
     for name, kinds in record["occupied cells by what stands there, pooled"].items():
-        parts = (
-            f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items()
-        )
+        parts = (f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items())
         print(f"{name:22} {'   '.join(parts)}")
     write_json(options.out, record)
-    title = (
-        f"{options.split}, {len(dataset)} frames: quartiles and 5 to 95 % over frames; dot and number: mean"
-    )
+    title = f"{options.split}, {len(dataset)} frames: quartiles and 5 to 95 % over frames; dot and number: mean"
     draw_metrics(options.picture, result, title, note=caption(record))
     print(f"\nwrote {options.out} and {options.picture}")
 

@@ -71,9 +71,7 @@ def straightened(sequence: int, frames: int) -> dict[str, Any]:
     for k, (points, time) in enumerate(distorted):
         straight = deskew(points, time, longer, float(trajectory.stamps[k]))
         for name, cloud in zip(kinds, (points, straight, still[k]), strict=True):
-            kinds[name].append(
-                transform_points(trajectory.poses[k], cloud[cloud[:, 2] > ABOVE].astype(float))
-            )
+            kinds[name].append(transform_points(trajectory.poses[k], cloud[cloud[:, 2] > ABOVE].astype(float)))
     world = np.concatenate(kinds["never distorted"])[::4]
     tree = cKDTree(world)
     around = world[tree.query(world, k=15)[1]]
@@ -164,9 +162,7 @@ def rmse(motion: Any, states: NDArray[np.float64]) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=30, help="scans per simulated sequence")
     parser.add_argument("--drives", type=int, default=30, help="drives of the filter")
     given = parser.parse_args()

@@ -85,10 +85,7 @@ def contenders(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> dict[str,
 def methods() -> dict[str, SingleScanMethod | FusedMethod]:
     """Return three models, and two of them fused over time."""
     scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
-    fused = {
-        f"{name} + {RULE}": FusedMethod.by_rule(name, scans[name].model, RULE, SPEC)
-        for name in ("ray", "lite")
-    }
+    fused = {f"{name} + {RULE}": FusedMethod.by_rule(name, scans[name].model, RULE, SPEC) for name in ("ray", "lite")}
     return scans | fused
 
 
@@ -131,14 +128,10 @@ def whole(dataset: Dataset, frames: int) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument(
-        "--quick", action="store_true", help="see that everything runs; figures are worth nothing"
-    )
+    parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
     given = parser.parse_args()
     found = environment() | {"command": f"python benchmarks/evaluation_speed.py {given.data.name}"}
     frame = open_dataset(given.data, split="sequences")[50]

@@ -38,19 +38,14 @@ ALL_RULES = [
     "belief_constraint", "consensus_compromise",
 ]  # fmt: skip
 FUSED = ["dempster", "yager", "cumulative"]
-COPIES = {
-    "copy": "copying the bytes it reads and writes",
-    "copy of half": "a copy with the same memory traffic",
-}
+COPIES = {"copy": "copying the bytes it reads and writes", "copy of half": "a copy with the same memory traffic"}
 LIBRARIES = ("py_dempster_shafer", "pybelief", "evtools-dst", "eslimpp")
 Task = Callable[[], Any]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--rounds", type=int, default=41, help="repetitions of each measurement (median is quoted)"
-    )
+    parser.add_argument("--rounds", type=int, default=41, help="repetitions of each measurement (median is quoted)")
     rounds = parser.parse_args().rounds
     figures = measure(tasks(), rounds)
     machine = environment()
@@ -214,9 +209,7 @@ def targets(figures: dict[str, float]) -> list[dict[str, Any]]:
     grid, rows = per_grid(figures), []
     for name in FUSED:
         for task, most in ((f"numba {name} with discount", 2), (f"numpy {name} with discount", 12)):
-            rows += [
-                (f"{task} / {words}", grid[task] / grid[copy], most, "x") for copy, words in COPIES.items()
-            ]
+            rows += [(f"{task} / {words}", grid[task] / grid[copy], most, "x") for copy, words in COPIES.items()]
         task = f"numba {name} with discount, in place"
         rows += [(f"{task} / {words}", grid[task] / grid[copy], 2, "x") for copy, words in COPIES.items()]
     pure = [name for name in grid if is_peer(name) and not name.startswith("eslimpp")]

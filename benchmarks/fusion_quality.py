@@ -45,11 +45,7 @@ from ogm.metrics import accumulate, score
 from ogm.scan import PerMount
 from ogm.state import CellState
 
-INF, SEED, EVERY = (
-    float("inf"),
-    0,
-    5,
-)  # EVERY: frames from one comparison with a frame's own truth to the next
+INF, SEED, EVERY = (float("inf"), 0, 5)  # EVERY: frames from one comparison with a frame's own truth to the next
 EVEN = 1e-4  # how near to 1/2 a probability is neither
 SCAN, BAYES = "scan alone", "classical Bayes"
 MATCHED = (0.02 / 1.02, 1 / 1.02)  # the plausibilities that min_unknown = 0.02 allows
@@ -182,9 +178,7 @@ def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any],
         second.plot(area, 100 * iou, "o", color=line.get_color(), label=name)
     first.set(xscale="log", yscale="log", xlabel="time since the participant left the cell [s]")
     first.set_ylabel("cells still occupied, P > 1/2 [%]")
-    second.set(
-        xlabel="ghost area behind a moving participant [m²]", ylabel="IoU of static occupied cells [%]"
-    )
+    second.set(xlabel="ghost area behind a moving participant [m²]", ylabel="IoU of static occupied cells [%]")
     second.legend(fontsize=8)
     figure.supxlabel(note, fontsize=7.5, color="#555555")
     with atomic_write(path) as file:
@@ -192,9 +186,7 @@ def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any],
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("drives", type=Path)
     parser.add_argument("--ism", default="ray")
     parser.add_argument("--first", type=int, help="drives only")
@@ -215,9 +207,7 @@ def main() -> None:
             scores, counts = evaluate_map(drive, make(), grids, left)
             found[method].append(scores)
             ages[method] += counts
-    values = {
-        name: {key: np.array([row[key] for row in rows]) for key in rows[0]} for name, rows in found.items()
-    }
+    values = {name: {key: np.array([row[key] for row in rows]) for key in rows[0]} for name, rows in found.items()}
     record |= {
         "drives": dataset.facts,
         "ism": given.ism,
@@ -228,9 +218,7 @@ def main() -> None:
                 "ratio to the classical filter": {
                     key: _plain(bootstrap_ratio(v, values[BAYES][key], rng)) for key, v in scores.items()
                 },
-                "ghost share by age 0.1 s, 0.2 s, ...": _plain(
-                    ages[name][1:, 1] / np.maximum(ages[name][1:, 0], 1)
-                ),
+                "ghost share by age 0.1 s, 0.2 s, ...": _plain(ages[name][1:, 1] / np.maximum(ages[name][1:, 0], 1)),
             }
             for name, scores in values.items()
         },

@@ -6,20 +6,7 @@ One core, 512 x 352 cells, the pose turned and moved in every scan. Writes bench
 docs/pictures/fusion_speed.png.
 """
 
-from _run import (
-    FLOOR,
-    OURS,
-    PEER,
-    PICTURES,
-    RESULTS,
-    TWIN,
-    Contender,
-    Times,
-    caption,
-    environment,
-    measure,
-    write_json,
-)
+from _run import FLOOR, OURS, PEER, PICTURES, RESULTS, TWIN, Contender, Times, caption, environment, measure, write_json
 
 # isort: split
 import argparse
@@ -120,9 +107,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
         "update, cumulative": updating(EvidentialMapper(SPEC, cumulative), grid),
         "update, forget observed": updating(EvidentialMapper(SPEC, forget="observed"), grid),
         "update, BinaryBayesMapper": updating(BinaryBayesMapper(SPEC), grid),
-        "update, numpy reference": updating(
-            EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid
-        ),
+        "update, numpy reference": updating(EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid),
         "scipy": by_scipy(grid),
         "view, nearest": Contender(lambda _: mapper.view(SPEC)),
         "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),
@@ -210,18 +195,11 @@ def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -
     figure = Figure(figsize=(12.5, 5.4), layout="constrained")
     bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
     names = list(times)[::-1]
-    colours = {
-        "copy": FLOOR,
-        "scipy": PEER,
-        "update, numpy reference": TWIN,
-        "update, BinaryBayesMapper": PEER,
-    }
+    colours = {"copy": FLOOR, "scipy": PEER, "update, numpy reference": TWIN, "update, BinaryBayesMapper": PEER}
     values = [times[name].median for name in names]
     bars.barh(names, values, color=[colours.get(name, OURS) for name in names])
     for y, value in enumerate(values):
-        bars.text(
-            value * 1.06, y, f"{value:.2f} ms" if value < 10 else f"{value:.0f} ms", va="center", fontsize=9
-        )
+        bars.text(value * 1.06, y, f"{value:.2f} ms" if value < 10 else f"{value:.0f} ms", va="center", fontsize=9)
     bars.set(xscale="log", xlabel="time per call [ms], median", title="one scan, 512 x 352 cells")
     bars.set_xlim(min(values) / 1.6, max(values) * 4)
     bars.axvline(2.0, color="0.4", lw=0.8, ls=":")
@@ -232,9 +210,7 @@ def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -
     line.set(xlabel="scans", ylabel="median of a hundred updates [ms]", ylim=(0, None))
     line.set_title(f"a drive of {drive['scans']} scans, {drive['km']:.0f} km")
     memory = line.twinx()
-    memory.plot(
-        np.linspace(0, drive["scans"], len(drive["memory [MB]"])), drive["memory [MB]"], color=PEER, lw=1.2
-    )
+    memory.plot(np.linspace(0, drive["scans"], len(drive["memory [MB]"])), drive["memory [MB]"], color=PEER, lw=1.2)
     memory.set_ylim(0, None)
     memory.set_ylabel("memory of the process [MB]", color=PEER)
     memory.tick_params(axis="y", colors=PEER)
@@ -244,14 +220,10 @@ def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=30)
     parser.add_argument("--scans", type=int, default=10_000, help="of the long drive")
-    parser.add_argument(
-        "--quick", action="store_true", help="see that everything runs; figures are worth nothing"
-    )
+    parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
     given = parser.parse_args()
     rounds, scans = (2, 400) if given.quick else (given.rounds, given.scans)
     found = environment()

@@ -117,9 +117,7 @@ def timing(scans: list[LabelledScan], rounds: int, with_patchwork: bool) -> dict
     """Return the median time per scan [ms]: ground and a prediction for every point."""
     runs: dict[str, run.Contender] = {}
     for scan in scans:
-        runs[f"{LOCAL}, {scan.name}"] = run.Contender(
-            lambda _, s=scan: heights(local_ground, s) > OBSTACLE_HEIGHT
-        )
+        runs[f"{LOCAL}, {scan.name}"] = run.Contender(lambda _, s=scan: heights(local_ground, s) > OBSTACLE_HEIGHT)
         if with_patchwork:
             estimator = patchwork_estimator(scan.sensor_height)
             runs[f"{PATCHWORK}, {scan.name}"] = run.Contender(
@@ -130,11 +128,7 @@ def timing(scans: list[LabelledScan], rounds: int, with_patchwork: bool) -> dict
     for who in (LOCAL, PATCHWORK) if with_patchwork else (LOCAL,):
         medians = [t.median for key, t in times.items() if key.startswith(who)]
         points = int(np.median([len(scan.points) for scan in scans]))
-        result[who] = {
-            "median [ms]": float(np.median(medians)),
-            "slowest frame [ms]": max(medians),
-            "points": points,
-        }
+        result[who] = {"median [ms]": float(np.median(medians)), "slowest frame [ms]": max(medians), "points": points}
     return result
 
 
@@ -147,10 +141,7 @@ def report(record: dict[str, Any]) -> None:
     for name, groups in record["labelled"].items():
         for group, result in groups.items():
             print(f"\n{name}, frames {group}: {len(result['frames'])}. {', '.join(kinds)} [%]")
-            for who, s in (
-                *result["together"].items(),
-                *((k, result[k]) for k in (AT_RECALL,) if k in result),
-            ):
+            for who, s in (*result["together"].items(), *((k, result[k]) for k in (AT_RECALL,) if k in result)):
                 print(f"  {who:45}" + "  ".join(f"{100 * s[kind]:6.2f}" for kind in kinds))
     for name, result in record["boxes"].items():
         for who, s in result["together"].items():
@@ -230,9 +221,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5, help="rounds of the timing (default 5)")
     parser.add_argument("--quick", action="store_true", help="one round, and 2 of the boxed frames of a set")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "ground.json", help="where the figures go")
-    parser.add_argument(
-        "--picture", type=Path, default=run.PICTURES / "ground.png", help="where the picture goes"
-    )
+    parser.add_argument("--picture", type=Path, default=run.PICTURES / "ground.png", help="where the picture goes")
     options = parser.parse_args()
     if options.repeats < 1:
         parser.error("--repeats must be at least 1")

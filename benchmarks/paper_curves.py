@@ -99,9 +99,7 @@ def draw(path: Path, curves: Curves, found: dict[str, Any], note: str) -> None:
     _coverage(coverage, curves, found)
     _kl(kl, curves, found)
     _pairs(pairs, curves, found)
-    figure.suptitle(
-        "The paper's two result figures (van Kempen et al. 2021), re-plotted and re-read", fontsize=14
-    )
+    figure.suptitle("The paper's two result figures (van Kempen et al. 2021), re-plotted and re-read", fontsize=14)
     figure.supxlabel(note, fontsize=7, color="#777777")
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path, "wb") as file:
@@ -115,9 +113,7 @@ def _masses(axes: Axes, curves: Curves) -> None:
         axes.plot(deep, color=colour, lw=1.6, label=f"{name}, deep: mean {deep.mean():.3f}")
         axes.plot(geo, color=colour, lw=1.6, ls=":", label=f"{name}, geometric: {geo.mean():.4f}")
     axes.axhline(2 / 3, color="#777777", lw=0.8)
-    axes.text(
-        99, 0.655, "no geometric cell can have less unknown than 2/3", ha="right", va="top", color="#555555"
-    )
+    axes.text(99, 0.655, "no geometric cell can have less unknown than 2/3", ha="right", va="top", color="#555555")
     axes.set(xlim=(0, 99), ylim=(0, 1), ylabel="mean mass", title="As published: mean masses")
     axes.set_xlabel('"time in seconds"')
     axes.legend(ncols=3, loc="center", bbox_to_anchor=(0.5, 0.45), frameon=False, fontsize=9)
@@ -134,19 +130,9 @@ def _coverage(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
         (5 / 6, "--", "if it were as sure as evidence 10, mass 5/6"),
         (1.0, "-", "observed cells, mass 1"),
     ):
-        axes.plot(
-            mass * seen[rank],
-            color=GEO,
-            lw=1.4,
-            ls=style,
-            label=f"geometric, {words}: {mass * seen.mean():.3f}",
-        )
-    axes.set(
-        xlim=(0, 99), ylim=(0, 0.5), ylabel="mean mass of what is known", xlabel="frames, by the deep model's"
-    )
-    axes.set_title(
-        f"Re-read: the baseline observes {100 * masses['cells observed']:.1f} % of the cells at mass 1/3"
-    )
+        axes.plot(mass * seen[rank], color=GEO, lw=1.4, ls=style, label=f"geometric, {words}: {mass * seen.mean():.3f}")
+    axes.set(xlim=(0, 99), ylim=(0, 0.5), ylabel="mean mass of what is known", xlabel="frames, by the deep model's")
+    axes.set_title(f"Re-read: the baseline observes {100 * masses['cells observed']:.1f} % of the cells at mass 1/3")
     axes.legend(loc="upper right", frameon=False, fontsize=9)
 
 
@@ -156,16 +142,8 @@ def _kl(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
     lost = np.array(pair["frames in which the second is lower"], int)
     impossible = found["is it a Dirichlet KL with labels of evidence 1?"]
     axes.plot(curves.kl, color=DEEP, lw=1.6, label=f"deep: mean {curves.kl.mean():.3f}")
-    axes.plot(
-        curves.kl_geo,
-        color=GEO,
-        lw=1.6,
-        ls=":",
-        label=f"geometric, as plotted: mean {curves.kl_geo.mean():.3f}",
-    )
-    axes.plot(
-        lost, curves.kl[lost] + 0.06, "v", color="#c0202b", label=f"{len(lost)} frames: geometric is lower"
-    )
+    axes.plot(curves.kl_geo, color=GEO, lw=1.6, ls=":", label=f"geometric, as plotted: mean {curves.kl_geo.mean():.3f}")
+    axes.plot(lost, curves.kl[lost] + 0.06, "v", color="#c0202b", label=f"{len(lost)} frames: geometric is lower")
     axes.axhline(
         1,
         color="#777777",
@@ -183,12 +161,7 @@ def _pairs(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
     own, lost = demixed(curves), curves.kl_geo < curves.kl
     axes.plot([0, 3], [0, 3], color="#777777", lw=0.8)
     axes.plot(
-        curves.kl[~lost],
-        curves.kl_geo[~lost],
-        "o",
-        ms=4.5,
-        color=GEO,
-        label=f"as plotted: deep lower, {(~lost).sum()}",
+        curves.kl[~lost], curves.kl_geo[~lost], "o", ms=4.5, color=GEO, label=f"as plotted: deep lower, {(~lost).sum()}"
     )
     axes.plot(
         curves.kl[lost],
@@ -198,17 +171,10 @@ def _pairs(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
         color="#c0202b",
         label=f"as plotted: geometric lower, {lost.sum()}",
     )
-    axes.plot(
-        curves.kl, own, "x", ms=4.5, color=OWN, label=f"geometric de-mixed, 2 g - d: mean {own.mean():.3f}"
-    )
+    axes.plot(curves.kl, own, "x", ms=4.5, color=OWN, label=f"geometric de-mixed, 2 g - d: mean {own.mean():.3f}")
     scale = found["evidence of a label if it is what the released code computes"]
     E = scale["E"]
-    axes.set(
-        xlim=(0.1, 1.3),
-        ylim=(0.1, 3.0),
-        xlabel='"KL" of the deep model',
-        ylabel='"KL" of the geometric model',
-    )
+    axes.set(xlim=(0.1, 1.3), ylim=(0.1, 3.0), xlabel='"KL" of the deep model', ylabel='"KL" of the geometric model')
     axes.set_xscale("log")
     axes.set_yscale("log")
     axes.set_xticks(ticks := (0.2, 0.5, 1, 2), [f"{tick:g}" for tick in ticks])

@@ -83,11 +83,7 @@ def ticked(what: str) -> Callable[[Iterable[int]], Iterator[int]]:
 
 
 def run_part(
-    folder: Path,
-    dataset: Dataset,
-    numbers: Iterable[int],
-    methods: Mapping[str, Any],
-    draw: Callable[..., Any],
+    folder: Path, dataset: Dataset, numbers: Iterable[int], methods: Mapping[str, Any], draw: Callable[..., Any]
 ) -> Evaluation:
     """Evaluate methods on frames, or take what an earlier run has finished."""
     start, what = time.process_time(), f"{folder.name}, {len(methods)} methods"
@@ -99,9 +95,7 @@ def run_part(
 def report(folder: Path, title: str, result: Evaluation, run: Run) -> None:
     """Write the report that `ogm evaluate` writes."""
     machine = f"{run.facts['cpu']}, {run.facts['system']}, Python {run.facts['python']}"
-    write_report(
-        folder, result, title=title, command=run.facts["command"], seed=SEED, pictured=1000, machine=machine
-    )
+    write_report(folder, result, title=title, command=run.facts["command"], seed=SEED, pictured=1000, machine=machine)
 
 
 def only(places: Sequence[int]) -> Callable[..., dict[str, bytes]]:
@@ -188,13 +182,9 @@ def evaluate_real(run: Run) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--single", type=Path, help="data set of single frames")
-    parser.add_argument(
-        "--split", default="test", help="part of it (default test, for the final figure only)"
-    )
+    parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--sequences", type=Path, help="data set of drives")
-    parser.add_argument(
-        "--real", type=Path, default=DATA, help="folder of real recordings (default OGM_DATA)"
-    )
+    parser.add_argument("--real", type=Path, default=DATA, help="folder of real recordings (default OGM_DATA)")
     parser.add_argument("--paper", type=Path, help="weights of a network of the paper's size")
     parser.add_argument("--every", type=int, default=5, help="evaluate every N-th frame of a drive")
     parser.add_argument("--quick", action="store_true", help="a few frames, into runs/quality-quick alone")
@@ -222,9 +212,7 @@ def main() -> None:
             continue
         record[name] = as_json(part(run))
         write(out, record)
-    progress(
-        f"wrote {out}, pictures in {pictures}, reports in {folder}; python docs/build.py makes the tables"
-    )
+    progress(f"wrote {out}, pictures in {pictures}, reports in {folder}; python docs/build.py makes the tables")
 
 
 if __name__ == "__main__":

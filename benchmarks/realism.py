@@ -188,17 +188,10 @@ def simulated(
 
 
 def true_states(
-    scene: Scene,
-    ground: Scene,
-    T: NDArray[np.float64],
-    spec: LidarSpec,
-    state: TrafficState,
-    hit: NDArray[Any],
+    scene: Scene, ground: Scene, T: NDArray[np.float64], spec: LidarSpec, state: TrafficState, hit: NDArray[Any]
 ) -> NDArray[np.uint8]:
     """Return the true states of the cells of `SPEC` around the sensor."""
-    boxes = boxes_seen_from(
-        inverse(T), [one.pose for one in state.objects], [one.size for one in state.objects]
-    )
+    boxes = boxes_seen_from(inverse(T), [one.pose for one in state.objects], [one.size for one in state.objects])
     returns = np.bincount(hit[hit >= 0], minlength=len(state.objects))
     span = (min(spec.elevations), max(spec.elevations))
     below = measure_ground(ground, T, SPEC)
@@ -234,9 +227,7 @@ def view(sweep: Sweep) -> View:
     surface = local_ground(xyz, COARSE, (0.0, 0.0, -sweep.height))
     height = xyz[:, 2] - ground_height(surface, COARSE, xyz)
     near = np.hypot(xyz[:, 0], xyz[:, 1]) < REACH
-    return View(
-        distance, height, near & (height < RAISED) & (height > -REACH / 100), near & (height >= RAISED)
-    )
+    return View(distance, height, near & (height < RAISED) & (height > -REACH / 100), near & (height >= RAISED))
 
 
 def statistics(sweep: Sweep) -> dict[str, float]:
@@ -302,9 +293,7 @@ def _intensities(sweep: Sweep, seen: View) -> dict[str, float]:
         for low, high in pairwise(BANDS):
             inside = mask & (seen.distance >= low) & (seen.distance < high)
             if np.count_nonzero(inside) > 100:
-                result[f"{name} intensity at {low} to {high} m, median [0, 255]"] = float(
-                    np.median(intensity[inside])
-                )
+                result[f"{name} intensity at {low} to {high} m, median [0, 255]"] = float(np.median(intensity[inside]))
     return result
 
 
@@ -394,10 +383,7 @@ def _surroundings(sweep: Sweep, seen: View) -> dict[str, float]:
     inside = SPEC.contains(x, y)
     low, high = np.zeros(SPEC.shape, bool), np.zeros(SPEC.shape, bool)
     cell = SPEC.index(x[inside], y[inside])
-    for grid, mask in (
-        (low, seen.height < RAISED),
-        (high, (seen.height >= RAISED) & (seen.height < OVERHEAD)),
-    ):
+    for grid, mask in ((low, seen.height < RAISED), (high, (seen.height >= RAISED) & (seen.height < OVERHEAD))):
         chosen = mask[inside]
         grid[cell[0][chosen], cell[1][chosen]] = True
     result["cells with an obstacle return [%]"] = 100 * float(high.mean())
@@ -419,11 +405,7 @@ def histograms(sweep: Sweep) -> dict[str, NDArray[np.float64]]:
 # --- Truth ------------------------------------------------------------------------------------------
 
 STATES = ("free", "occupied", "unknown")
-PUBLISHED = {
-    "free": (25, 36),
-    "occupied": (0.9, 2.5),
-    "unknown": (63, 74),
-}  # [%] of labels that were published
+PUBLISHED = {"free": (25, 36), "occupied": (0.9, 2.5), "unknown": (63, 74)}  # [%] of labels that were published
 RADII = (0, 3, 6, 10, 15, 20, 30, 50)  # [m]
 
 
@@ -499,11 +481,7 @@ def compare(real: Mapping[str, list[dict[str, float]]], fake: list[dict[str, flo
             verdict = "low"
         if median > max(most * MARGIN, most + FLOOR):
             verdict = "high"
-        rows[name] = {
-            "real": sets,
-            "simulated": {"median": median, "p10": low, "p90": high},
-            "verdict": verdict,
-        }
+        rows[name] = {"real": sets, "simulated": {"median": median, "p10": low, "p90": high}, "verdict": verdict}
     return rows
 
 
@@ -526,11 +504,7 @@ def tables(record: Mapping[str, Any]) -> str:
             made = f"{digits(made['median'])} ({digits(made['p10'])} to {digits(made['p90'])})"
             lines += [f"| {name} | {' | '.join(real)} | {made} | {row['verdict']} |"]
         lines += [""]
-    lines += [
-        "### Truth",
-        "",
-        "| cells [%] | published labels | one published label | aimed, median (10 % to 90 %) |",
-    ]
+    lines += ["### Truth", "", "| cells [%] | published labels | one published label | aimed, median (10 % to 90 %) |"]
     lines += ["|---" * 4 + "|"]
     for name, row in record["truth"].items():
         made = row["simulated"]
@@ -563,9 +537,7 @@ def picture(
         part.colorbar(image, label="range [m]", pad=0.005)
         part.suptitle(f"Range image, {name} (layers from top to bottom, azimuth; white: no return)")
         if state is not None:
-            ax.imshow(
-                colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest"
-            )
+            ax.imshow(colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest")
             ax.set_title(f"Truth, {name} (green free, red occupied, white unknown)")
     for ax, (name, edges) in zip(parts[-1].subplots(1, len(EDGES)), EDGES.items(), strict=True):
         for colour, (group, members) in zip(COLOURS, sweeps.items(), strict=False):
@@ -589,9 +561,7 @@ def range_picture(sweep: Sweep, columns: int = 1800) -> NDArray[np.float32]:
     xyz = sweep.points[:, :3]
     turn = np.arctan2(xyz[:, 1], xyz[:, 0]) / (2 * np.pi)
     image = np.full((len(sweep.elevations), columns), np.nan, np.float32)
-    image[sweep.layer, np.floor((0.5 - turn) * columns + 0.25).astype(int) % columns] = np.linalg.norm(
-        xyz, axis=1
-    )
+    image[sweep.layer, np.floor((0.5 - turn) * columns + 0.25).astype(int) % columns] = np.linalg.norm(xyz, axis=1)
     return image[::-1]
 
 
@@ -604,9 +574,7 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=10, help="places in each town (default 10)")
     parser.add_argument("--quick", action="store_true", help="one town, two places")
     parser.add_argument("--out", type=Path, default=RESULTS / "realism.json", help="where the figures go")
-    parser.add_argument(
-        "--picture", type=Path, default=PICTURES / "realism.png", help="where the picture goes"
-    )
+    parser.add_argument("--picture", type=Path, default=PICTURES / "realism.png", help="where the picture goes")
     options = parser.parse_args()
     if min(options.towns, options.each) < 1:
         parser.error("--towns and --each must be at least 1")
@@ -648,10 +616,7 @@ def main() -> None:
     record["truth"] = {}
     for name in shares[0]:
         low, median, high = np.percentile([one[name] for one in shares], (10, 50, 90)).tolist()
-        record["truth"][name] = {
-            "label": known.get(name),
-            "simulated": {"median": median, "p10": low, "p90": high},
-        }
+        record["truth"][name] = {"label": known.get(name), "simulated": {"median": median, "p10": low, "p90": high}}
     text = tables(record)
     print(text)
     write_json(options.out, record)

@@ -49,9 +49,7 @@ def rays_of(here: SceneSetup) -> tuple[Any, Any]:
     whole = merge([here.world.town.mesh, *meshes])
     scene = open3d.t.geometry.RaycastingScene(nthreads=2)
     scene.add_triangles(open3d.core.Tensor(whole.vertices), open3d.core.Tensor(whole.triangles))
-    directions = np.concatenate(
-        [here.spec.directions().reshape(-1, 3), hd_directions(here.spec).reshape(-1, 3)]
-    )
+    directions = np.concatenate([here.spec.directions().reshape(-1, 3), hd_directions(here.spec).reshape(-1, 3)])
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3] = T[:3, 3]
     rays[:, 3:] = directions @ T[:3, :3].T.astype(np.float32)
@@ -158,9 +156,7 @@ def reading(path: Path) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument(
-        "--moments", type=int, default=6, help="moments of samples that are timed (default 6)"
-    )
+    parser.add_argument("--moments", type=int, default=6, help="moments of samples that are timed (default 6)")
     parser.add_argument("--repeats", type=int, default=3, help="times each (default 3)")
     parser.add_argument("--samples", type=int, default=80, help="made to compare workers (default 80)")
     parser.add_argument("--store", type=Path, help="data set to read (default: the one made for the workers)")

@@ -45,9 +45,7 @@ from ogm import GridSpec, Mount
 from ogm.geometric import HeightBandISM, RayISM
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)  # 512 x 352 cells
-MAX_RANGE = (
-    math.hypot(SPEC.length, SPEC.width) / 2
-)  # [m] the grid's far corner, where the 3D mappers stop too
+MAX_RANGE = math.hypot(SPEC.length, SPEC.width) / 2  # [m] the grid's far corner, where the 3D mappers stop too
 SIZES = {"57.6k": (57_600, 32), "120k": (120_000, 64)}  # points, layers of the synthetic scan
 COUNTS = (10_000, 30_000, 100_000, 300_000, 1_000_000, 2_000_000)
 RESOLUTIONS = (0.32, 0.16, 0.08)  # [m] 256 x 176, 512 x 352, 1024 x 704 cells over the same area
@@ -99,8 +97,7 @@ def compare(scan: NamedScan, size: str, rounds: int) -> dict[str, Any]:
     if slow:
         mass = HeightBandISM(SPEC, mount)(points).mass
         result[DIFFER] = {
-            name: int((np.abs(mass - ours[name].run(None)) > 1e-6).any(axis=2).sum())
-            for name in (NUMPY, PYTHON)
+            name: int((np.abs(mass - ours[name].run(None)) > 1e-6).any(axis=2).sum()) for name in (NUMPY, PYTHON)
         }
     return result
 
@@ -207,12 +204,8 @@ def _bars(ax: Any, comparisons: list[dict[str, Any]]) -> None:
         text = f"{median:.3g} ms" if median < 1000 else f"{median:.0f} ms"
         ax.text(1.02, row, text, va="center", transform=ax.get_yaxis_transform())
     for other, marker in zip(comparisons[1:], "o^sD", strict=False):
-        rows = [
-            (other["times"][name].median, row) for row, name in enumerate(names) if name in other["times"]
-        ]
-        ax.plot(
-            *zip(*rows, strict=True), marker, color="black", markersize=5, mfc="white", label=other["scan"]
-        )
+        rows = [(other["times"][name].median, row) for row, name in enumerate(names) if name in other["times"]]
+        ax.plot(*zip(*rows, strict=True), marker, color="black", markersize=5, mfc="white", label=other["scan"])
     labels = [name.replace(" of the bytes it", "\nof the bytes it").replace("), ", "),\n") for name in names]
     ax.set_yticks(range(len(names)), labels, fontsize=9)
     ax.set_xscale("log")
@@ -255,9 +248,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=9, help="rounds; at least 3 for what takes seconds")
     parser.add_argument("--quick", action="store_true", help="one scan, one round, up to 300 000 points")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "speed.json", help="where the figures go")
-    parser.add_argument(
-        "--picture", type=Path, default=run.PICTURES / "speed.png", help="where the picture goes"
-    )
+    parser.add_argument("--picture", type=Path, default=run.PICTURES / "speed.png", help="where the picture goes")
     options = parser.parse_args()
     if options.repeats < 1:
         parser.error("--repeats must be at least 1")

@@ -61,13 +61,9 @@ def taken_out(masked: list[NDArray[np.uint8]], whole: list[NDArray[np.uint8]]) -
 
 def compared(place: str, frames: int | None) -> dict[str, Any]:
     """Evaluate every frame of a drive by four truths."""
-    kinds = {
-        others: (truths(place, others, True), truths(place, others, False)) for others in ("all", "later")
-    }
+    kinds = {others: (truths(place, others, True), truths(place, others, False)) for others in ("all", "later")}
     scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
-    maps = {
-        f"{name} + {RULE}": FusedMethod.by_rule(name, one.model, RULE, SPEC) for name, one in scans.items()
-    }
+    maps = {f"{name} + {RULE}": FusedMethod.by_rule(name, one.model, RULE, SPEC) for name, one in scans.items()}
     runner = MethodRunner(scans | maps, SPEC)
     rows: dict[tuple[str, str], list[list[list[float]]]] = {}
     for k, frame in enumerate(open_dataset(DATA / place, others="later")[:frames]):
@@ -79,28 +75,21 @@ def compared(place: str, frames: int | None) -> dict[str, Any]:
                     rows.setdefault((others, name), []).append(values)
     found: dict[str, Any] = {}
     for others, pair in kinds.items():
-        means = {
-            name: np.nanmean(values, axis=0) for (which, name), values in rows.items() if which == others
-        }
+        means = {name: np.nanmean(values, axis=0) for (which, name), values in rows.items() if which == others}
         gain = {name: one[0] - one[1] for name, one in means.items()}
         spread = np.ptp(list(gain.values()), axis=0)
         found[others] = {
             "share that is taken out": taken_out(*pair),
             "means, with and without": {
-                name: {metric: one[:, n].tolist() for n, metric in enumerate(KEPT)}
-                for name, one in means.items()
+                name: {metric: one[:, n].tolist() for n, metric in enumerate(KEPT)} for name, one in means.items()
             },
-            "by how much differences between methods move, at most": dict(
-                zip(KEPT, spread.tolist(), strict=True)
-            ),
+            "by how much differences between methods move, at most": dict(zip(KEPT, spread.tolist(), strict=True)),
         }
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="three frames of each; writes nothing")
     given = parser.parse_args()
     record: dict[str, Any] = {"environment": environment(), "drives": {}}

@@ -134,18 +134,11 @@ def compare(times: list[float], place: Callable[[int], Moment], layers: int, sec
     return {
         "against the reference": {mode: table(counts[mode]) for mode in MODES},
         "hd and aimed agree where both know": round(float(np.trace(both) / both.sum()), 4),
-        "known to aimed only [share of cells]": round(
-            float(pairs[CellState.UNKNOWN, 1:3].sum() / pairs.sum()), 4
-        ),
-        "known to hd only [share of cells]": round(
-            float(pairs[1:3, CellState.UNKNOWN].sum() / pairs.sum()), 4
-        ),
+        "known to aimed only [share of cells]": round(float(pairs[CellState.UNKNOWN, 1:3].sum() / pairs.sum()), 4),
+        "known to hd only [share of cells]": round(float(pairs[1:3, CellState.UNKNOWN].sum() / pairs.sum()), 4),
         "shares on the 512 x 352 grid": {
             mode: {
-                name: [
-                    round(getattr(one, name) + (one.ignore if name == "unknown" else 0), 4)
-                    for one in shares[mode]
-                ]
+                name: [round(getattr(one, name) + (one.ignore if name == "unknown" else 0), 4) for one in shares[mode]]
                 for name in ("free", "occupied", "unknown")
             }
             for mode in MODES
@@ -170,9 +163,7 @@ def picture(truths: list[dict[str, Truth]], record: Mapping[str, Any], path: Pat
         for axis, state, title in zip(row, (*states, differ), titles, strict=True):
             colours = ListedColormap([*COLOURS, "white"])
             extent = (y1, y0, x0, x1)
-            axis.imshow(
-                state[::-1, ::-1], cmap=colours, vmin=0, vmax=4, interpolation="nearest", extent=extent
-            )
+            axis.imshow(state[::-1, ::-1], cmap=colours, vmin=0, vmax=4, interpolation="nearest", extent=extent)
             axis.set_title(title, fontsize=10)
             axis.set_xlabel("y, left [m]")
         row[0].set_ylabel("x, forward [m]")

@@ -102,9 +102,7 @@ def headline() -> str:
 
 def speed() -> str:
     """Return the time per scan of ogm's models, of peers and of a copy."""
-    times = {
-        one["size"]: one["times"] for one in record("speed")["comparisons"] if one["scan"].startswith("KITTI")
-    }
+    times = {one["size"]: one["times"] for one in record("speed")["comparisons"] if one["scan"].startswith("KITTI")}
     octomap = min(
         (name for name in times["120k"] if name.startswith("OctoMap")),
         key=lambda name: times["120k"][name]["median [ms]"],
@@ -134,9 +132,7 @@ def ground() -> str:
         for name, groups in record("ground")["labelled"].items():
             scores = groups["not seen while choosing"]["together"]
             cells = [
-                " / ".join(
-                    f"{100 * scores[who][f'{kind} {what}']:.1f}" for what in ("precision", "recall", "F1")
-                )
+                " / ".join(f"{100 * scores[who][f'{kind} {what}']:.1f}" for what in ("precision", "recall", "F1"))
                 for who in ("local_ground", "Patchwork++")
             ]
             rows.append([f"{kind}, {name}", *cells])
@@ -178,25 +174,14 @@ def deep_occupied() -> str:
     rows = []
     for kind, title in kinds.items():
         for what, word in (("false free", "free"), ("called occupied", "occupied")):
-            rows.append(
-                [f"{title}: {word}", *(f"{100 * found[model][kind][what]:.1f} %" for model in MODELS)]
-            )
+            rows.append([f"{title}: {word}", *(f"{100 * found[model][kind][what]:.1f} %" for model in MODELS)])
     return table(["occupied cells, predicted", *(f"`{model}`" for model in MODELS)], rows)
 
 
 def deep_losses() -> str:
     """Return what networks reach that were trained alike with other losses."""
     scores = record("deep_losses")["scores"]
-    metrics = (
-        "kl_e10",
-        "auroc_unknown",
-        "iou_free",
-        "iou_occupied",
-        "iou_unknown",
-        "ece",
-        "brier",
-        "false_free",
-    )
+    metrics = ("kl_e10", "auroc_unknown", "iou_free", "iou_occupied", "iou_unknown", "ece", "brier", "false_free")
     titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
     rows = [[name, *(f"{one[metric]['value']:.3f}" for metric in metrics)] for name, one in scores.items()]
     return table(["loss, one seed each", *titles], rows)
@@ -218,10 +203,7 @@ def losses_of_the_paper() -> str:
         "auroc_unknown": "AUROC unknown",
         "ece": "ECE",
     }
-    rows = [
-        [title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)]
-        for name, title in names.items()
-    ]
+    rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
     return table(["", *metrics.values()], rows)
 
 
@@ -242,15 +224,7 @@ def divergences() -> str:
             cells.append(f"{found['paired'][f'lite against {other}'][metric]['wins']:.0f}")
         rows.append([title, *cells])
     return table(
-        [
-            "mean, and frames that `lite` wins",
-            "`lite`",
-            "baseline, evidence 10",
-            "",
-            "baseline as released",
-            "",
-        ],
-        rows,
+        ["mean, and frames that `lite` wins", "`lite`", "baseline, evidence 10", "", "baseline as released", ""], rows
     )
 
 
@@ -289,10 +263,7 @@ def deep_speed() -> str:
     networks = [summary[name] for name in ("lite", "paper")]
     rows += [
         ["scans per second", *(f"{one['scans per second']:.3g}" for one in networks)],
-        [
-            "share of the time outside convolutions",
-            *(f"{one['share outside convolutions']:.0%}" for one in networks),
-        ],
+        ["share of the time outside convolutions", *(f"{one['share outside convolutions']:.0%}" for one in networks)],
         ["`RayISM`, `HeightBandISM` in the same run", f"{ms('RayISM')}, {ms('HeightBandISM')}", ""],
     ]
     return table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
@@ -305,10 +276,7 @@ def fusion(part: str) -> str:
     for name, title in MAPS.items():
         if name not in maps:
             continue
-        means, ratio = (
-            maps[name]["mean and 95 % interval"],
-            maps[name]["ratio to the classical filter"]["ghost_area"],
-        )
+        means, ratio = (maps[name]["mean and 95 % interval"], maps[name]["ratio to the classical filter"]["ghost_area"])
         cells = [
             f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}"
             for key in MAP_COLUMNS
@@ -321,16 +289,9 @@ def fusion(part: str) -> str:
 def fusion_real() -> str:
     """Return what maps reach on a real drive."""
     drive = record("fusion_real")["recordings"]["KITTI drive 0005"]["maps"]["mean"]
-    columns = {
-        "complete": "known",
-        "iou_occupied": "IoU occupied",
-        "false_free": "false free",
-        "brier": "Brier",
-    }
+    columns = {"complete": "known", "iou_occupied": "IoU occupied", "false_free": "false free", "brier": "Brier"}
     rows = [
-        [name, *(f"{100 * means[key]:.1f}" for key in columns)]
-        for name, means in drive.items()
-        if name.count(",") == 1
+        [name, *(f"{100 * means[key]:.1f}" for key in columns)] for name, means in drive.items() if name.count(",") == 1
     ]
     return table(["KITTI drive 0005 [%]", *columns.values()], rows)
 
@@ -387,9 +348,7 @@ def metrics() -> str:
     def cell(text: str) -> str:
         return text.replace("|", "∣")
 
-    rows = [
-        [f"`{name}`", one.title, one.better or "-", cell(one.description)] for name, one in METRICS.items()
-    ]
+    rows = [[f"`{name}`", one.title, one.better or "-", cell(one.description)] for name, one in METRICS.items()]
     return table(["key", "title", "better", "what it is"], rows).replace("---:", "---")
 
 
@@ -435,14 +394,10 @@ def fill(page: str, made: Mapping[str, str]) -> str:
     """
     for name, text in made.items():
         begin, end = f"<!-- {name} -->", f"<!-- /{name} -->"
-        place = re.compile(
-            rf"^([ \t]*){re.escape(begin)}\n.*?^[ \t]*{re.escape(end)}", re.DOTALL | re.MULTILINE
-        )
+        place = re.compile(rf"^([ \t]*){re.escape(begin)}\n.*?^[ \t]*{re.escape(end)}", re.DOTALL | re.MULTILINE)
         found = place.search(page)
         if found is None:
-            raise ValueError(
-                f"the page has no place for {name}: {begin} and {end}, each on a line of its own"
-            )
+            raise ValueError(f"the page has no place for {name}: {begin} and {end}, each on a line of its own")
         lines = "\n".join(found[1] + line for line in (begin, *text.splitlines(), end))
         page = page[: found.start()] + lines + page[found.end() :]
     return page
@@ -461,9 +416,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
 
 def main() -> int:
     """Write the pages, or compare them."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
     check = parser.parse_args().check
     made = {"docs/results.md": results()}

@@ -49,9 +49,7 @@ def triangle(axes: Any) -> None:
     axes.axis("off")
 
 
-def dot(
-    axes: Any, mass: np.ndarray, name: str, color: str, offset: tuple[float, float] | None = None
-) -> None:
+def dot(axes: Any, mass: np.ndarray, name: str, color: str, offset: tuple[float, float] | None = None) -> None:
     """Draw a mass with its name beside it, `offset` points away."""
     x, y = place(mass)
     axes.plot(x, y, "o", color=color, markersize=6)
@@ -118,9 +116,7 @@ def picture_of_times(record: dict[str, Any]) -> None:
     names = sorted(times, key=times.__getitem__, reverse=True)
     colors = {"copy": LIGHT, "numba": ORANGE, "numpy": BLUE, "powerset": "#56b4e9"}
     figure, axes = plt.subplots(figsize=(8, 0.27 * len(names) + 1.3), layout="constrained")
-    bars = axes.barh(
-        names, [times[n] for n in names], color=[colors.get(n.split()[0], "#bbbbbb") for n in names]
-    )
+    bars = axes.barh(names, [times[n] for n in names], color=[colors.get(n.split()[0], "#bbbbbb") for n in names])
     texts = [f"{times[n]:,.0f}" if times[n] > 100 else f"{times[n]:.2g}" for n in names]
     axes.bar_label(bars, texts, padding=3, fontsize=8)
     axes.set_xscale("log")
@@ -137,30 +133,22 @@ def picture_of_times(record: dict[str, Any]) -> None:
 def write_tables(record: dict[str, Any]) -> None:
     """Replace the tables of times in docs/evidence.md."""
     times = times_per_grid(record)
-    rules = [
-        name.removeprefix("numpy ") for name in times if name.startswith("numpy") and name.count(" ") == 1
-    ]
+    rules = [name.removeprefix("numpy ") for name in times if name.startswith("numpy") and name.count(" ") == 1]
     lines = ["| rule | numpy [ms] | numba [ms] | fastest other library [ms] |", "|---|---|---|---|"]
     for name in rules:
         numba = times.get(f"numba {name} with discount")
         others = [
-            (ms, key.split()[0])
-            for key, ms in times.items()
-            if of_other_library(key) and key.endswith(f" {name}")
+            (ms, key.split()[0]) for key, ms in times.items() if of_other_library(key) and key.endswith(f" {name}")
         ]
         other = "{:,.0f} ({})".format(*min(others)) if others else ""
-        lines.append(
-            f"| `{name}` | {times[f'numpy {name}']:.1f} | {f'{numba:.2f}' if numba else ''} | {other} |"
-        )
+        lines.append(f"| `{name}` | {times[f'numpy {name}']:.1f} | {f'{numba:.2f}' if numba else ''} | {other} |")
     machine = record["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in machine["versions"].items())
     lines += ["", f"{machine['cpu']}, one core, {record['date']}; {versions}; `{record['command']}`."]
     replace_between("times", lines)
     copies = ("copy", "copy of half")
     lines = [
-        "A copy of all bytes takes {:.2f} ms, one of half of them {:.2f} ms.".format(
-            *(times[c] for c in copies)
-        ),
+        "A copy of all bytes takes {:.2f} ms, one of half of them {:.2f} ms.".format(*(times[c] for c in copies)),
         "",
         "| with the discount included | time [ms] | x copying the bytes | x the same traffic |",
         "|---|---|---|---|",
@@ -186,9 +174,7 @@ def picture_of_the_maximal_unknown() -> None:
     triangle(axes)
     mass = np.array([0.1, 0.7])
     axes.plot(*place(np.stack([mass, evidence.maximize_uncertainty(mass)])), color=LIGHT, linewidth=1.5)
-    axes.plot(
-        *place(np.stack([evidence.maximize_uncertainty(mass), [0.2, 0.8]])), ":", color=LIGHT, linewidth=1.5
-    )
+    axes.plot(*place(np.stack([evidence.maximize_uncertainty(mass), [0.2, 0.8]])), ":", color=LIGHT, linewidth=1.5)
     dot(axes, mass, "A", BLUE, (-13, -2))
     axes.plot(*place(evidence.maximize_uncertainty(mass)), "*", color=DARK, markersize=12)
     save(figure, "maximize_uncertainty")

@@ -32,17 +32,9 @@ def shot(browser: str, page: str, shown: tuple[str, ...], theme: str, folder: Pa
     style = f"<style>{hidden}{first} {{ display: none !important }} :root {{ color-scheme: {theme} }}</style>"
     path, picture = folder / "part.html", folder / "part.png"
     path.write_text(page.replace("</head>", f"{style}</head>", 1))
-    words = (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--hide-scrollbars",
-        "--virtual-time-budget=4000",
-    )
+    words = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=4000")
     size = f"--window-size={WIDTH},{HEIGHT}"
-    subprocess.run(
-        [browser, *words, size, f"--screenshot={picture}", path.as_uri()], check=True, capture_output=True
-    )
+    subprocess.run([browser, *words, size, f"--screenshot={picture}", path.as_uri()], check=True, capture_output=True)
     with Image.open(picture) as image:
         return image.convert("RGB")
 

@@ -21,39 +21,13 @@ TITLES = {
 TOWN = (
     *("iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
     *("false_occupied", "missed_obstacles", "free_recall_1", "ap_occupied_near", "brier", "nll", "ece"),
-    *(
-        "ece_relative",
-        "interval_violation",
-        "auroc_unknown",
-        "aurc",
-        "kl_e10",
-        "kl_e1",
-        "kl_e1_scaled",
-        "legacy_kl",
-    ),
+    *("ece_relative", "interval_violation", "auroc_unknown", "aurc", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl"),
     "mean_unknown",
 )
-PAIRS = (
-    "kl_e10",
-    "kl_e1",
-    "iou_free",
-    "iou_occupied",
-    "false_free",
-    "missed_obstacles",
-    "brier",
-    "auroc_unknown",
-)
+PAIRS = ("kl_e10", "kl_e1", "iou_free", "iou_occupied", "false_free", "missed_obstacles", "brier", "auroc_unknown")
 RANGE = {"iou_occupied": 3, "false_free": 3, "missed_occupied": 3, "free_recall_1": 3}
 DRIVES = (
-    *(
-        "iou_free",
-        "iou_occupied",
-        "false_free",
-        "missed_occupied",
-        "missed_obstacles",
-        "free_recall_1",
-        "brier",
-    ),
+    *("iou_free", "iou_occupied", "false_free", "missed_occupied", "missed_obstacles", "free_recall_1", "brier"),
     *("ece_relative", "kl_e10", "mean_unknown"),
 )
 FUSED = (
@@ -80,10 +54,7 @@ def tables(record: Record) -> dict[str, str]:
             "published": _published(record["town"]["as the released code would report"]),
         }
     if record.get("drives"):
-        found |= {
-            "drives": _list(record["drives"]["models"], DRIVES),
-            "memory": _memory(record["drives"]),
-        }
+        found |= {"drives": _list(record["drives"]["models"], DRIVES), "memory": _memory(record["drives"])}
     if record.get("real"):
         found |= {"real": _real(record["real"], "alone"), "real-fused": _real(record["real"], "fused")}
     return found
@@ -133,9 +104,7 @@ def _sentences_of_town(town: Record) -> dict[str, str]:
 
 def _sentence_of_drives(part: Record) -> str:
     models = part["models"]
-    shown = [
-        name for name in ("ray", "ray + bayes", "ray + cautious", "lite", "lite + cautious") if name in models
-    ]
+    shown = [name for name in ("ray", "ray + bayes", "ray + cautious", "lite", "lite + cautious") if name in models]
     values = "; ".join(
         f"`{name}` {_value(models[name]['mean']['iou_occupied'][0])} and "
         f"{_percent(models[name]['mean']['false_free'][0])}"
@@ -221,9 +190,7 @@ def _published(published: Record) -> str:
         ["accuracy, deep", _value(published["accuracy, deep"])],
         ["accuracy, geometric", _value(published["accuracy, geometric"])],
     ]
-    return _markdown(
-        [f"as the released code reports `{published['deep']}` and `{published['geometric']}`", ""], rows
-    )
+    return _markdown([f"as the released code reports `{published['deep']}` and `{published['geometric']}`", ""], rows)
 
 
 def _memory(part: Record) -> str:
@@ -280,11 +247,7 @@ def _with_ends(interval: Sequence[float | None]) -> str:
     value, low, high = interval
     if value is None or low is None or high is None:
         return _value(value)
-    return (
-        f"{value:.2f} ({low:.2f} to {high:.2f})"
-        if abs(value) >= 1
-        else f"{value:.3f} ({low:.3f} to {high:.3f})"
-    )
+    return f"{value:.2f} ({low:.2f} to {high:.2f})" if abs(value) >= 1 else f"{value:.3f} ({low:.3f} to {high:.3f})"
 
 
 def _p(value: float | None) -> str:

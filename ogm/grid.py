@@ -66,9 +66,7 @@ class GridSpec:
         if len(shape) != 2 or not all(n == int(n) and n > 0 for n in shape):
             raise ValueError(f"shape must be two positive whole numbers (nx, ny), got {self.shape}")
         if shape[0] * shape[1] > _MAX_CELLS:
-            raise ValueError(
-                f"shape {self.shape} has more than {_MAX_CELLS} cells; use coarser or fewer cells"
-            )
+            raise ValueError(f"shape {self.shape} has more than {_MAX_CELLS} cells; use coarser or fewer cells")
         if len(origin) != 2 or not np.isfinite(origin).all():
             raise ValueError(f"origin must be two finite numbers (x, y) [m], got {self.origin}")
         object.__setattr__(self, "resolution", resolution)
@@ -214,9 +212,7 @@ class EvidentialGrid:
     def __post_init__(self) -> None:
         mass = np.asarray(self.mass)
         if mass.dtype.kind != "f":
-            raise TypeError(
-                f"mass must be a float array, got dtype {mass.dtype}; convert it with .astype('float32')"
-            )
+            raise TypeError(f"mass must be a float array, got dtype {mass.dtype}; convert it with .astype('float32')")
         if mass.ndim != 3 or mass.shape[-1] != 2:
             raise ValueError(
                 f"mass must have 2 states (free, occupied) on its last axis and shape (nx, ny, 2), got {mass.shape}"
@@ -322,9 +318,7 @@ class EvidentialGrid:
         ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
         """
         if not str(path).endswith(".npz"):
-            raise ValueError(
-                f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture"
-            )
+            raise ValueError(f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture")
         with atomic_write(path) as file:
             np.savez_compressed(
                 file,
@@ -358,9 +352,7 @@ class EvidentialGrid:
                 if "format" not in data or str(data["format"]) != _FORMAT:
                     found = str(data["format"]) if "format" in data else f"arrays {sorted(data.files)}"
                     raise ValueError(f"{path} is not an {_FORMAT} file: found {found}")
-                spec = GridSpec(
-                    float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist())
-                )
+                spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
                 return cls(spec, data["mass"])
         except _UNREADABLE as error:
             if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
@@ -391,9 +383,7 @@ class LayeredGrid:
         layers = {name: np.asarray(layer, np.float32) for name, layer in self.layers.items()}
         for name, layer in layers.items():
             if layer.shape != self.spec.shape:
-                raise ValueError(
-                    f"layer {name!r} has shape {layer.shape}, but the spec has {self.spec.shape}"
-                )
+                raise ValueError(f"layer {name!r} has shape {layer.shape}, but the spec has {self.spec.shape}")
         object.__setattr__(self, "layers", layers)
 
     def __getitem__(self, name: str) -> NDArray[np.float32]:

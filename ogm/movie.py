@@ -104,9 +104,7 @@ class Movie:
         self.waiting: tuple[Image, float] | None = None
         self.duration = 0.1  # [s] of the frame before
 
-    def add(
-        self, points: NDArray[np.float32], panels: Sequence["plot.Panel"], line: str, stamp: float
-    ) -> None:
+    def add(self, points: NDArray[np.float32], panels: Sequence["plot.Panel"], line: str, stamp: float) -> None:
         """Append a frame: one scan.
 
         Parameters
@@ -215,9 +213,7 @@ def palette() -> "Image":
         ]
     )
     image = Image.new("P", (1, 1))
-    image.putpalette(
-        np.round(255 * np.pad(colours, ((0, 256 - len(colours)), (0, 0)))).astype(np.uint8).tobytes()
-    )
+    image.putpalette(np.round(255 * np.pad(colours, ((0, 256 - len(colours)), (0, 0)))).astype(np.uint8).tobytes())
     return image
 
 

@@ -61,9 +61,7 @@ def _bytes(colours: NDArray) -> NDArray[np.uint8]:
     return np.round(255 * np.clip(colours, 0, 1)).astype(np.uint8)
 
 
-def cells_panel(
-    colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
-) -> Panel:
+def cells_panel(colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]) -> Panel:
     """Show a colour for every cell.
 
     Parameters
@@ -78,11 +76,7 @@ def cells_panel(
 
 
 def dots_panel(
-    xyz: NDArray,
-    colours: NDArray,
-    spec: GridSpec,
-    title: str,
-    legend: dict[str, tuple[float, float, float]],
+    xyz: NDArray, colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
 ) -> Panel:
     """Show points from above, each in a colour of its own, on cells half as wide as those of `spec`.
 
@@ -141,9 +135,7 @@ def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
     return cells_panel(colours, conflict.spec, title or "conflict", legend)
 
 
-def points_panel(
-    cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None
-) -> Panel:
+def points_panel(cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None) -> Panel:
     """Show points from above, coloured by height.
 
     Parameters
@@ -162,9 +154,7 @@ def points_panel(
     low, high = -0.5, 3.5
     colours = _colour_map("turbo", 0.12 + 0.85 * (cloud[:, 2] - base - low) / (high - low))
     legend = {
-        f"{height:g} m": tuple(
-            _colour_map("turbo", np.array([0.12 + 0.85 * (height - low) / (high - low)]))[0]
-        )
+        f"{height:g} m": tuple(_colour_map("turbo", np.array([0.12 + 0.85 * (height - low) / (high - low)]))[0])
         for height in (0, 1, 2, 3)
     }
     return dots_panel(cloud, colours, spec, title or "points by height", legend)
@@ -241,9 +231,7 @@ def _panels(items: Sequence[EvidentialGrid | NDArray | Panel], titles: Sequence[
         elif isinstance(item, EvidentialGrid):
             panels.append(mass_panel(item, title))
         elif spec is None:
-            raise ValueError(
-                "points need an area: show them beside a grid, or as ogm.plot.points_panel(cloud, spec)"
-            )
+            raise ValueError("points need an area: show them beside a grid, or as ogm.plot.points_panel(cloud, spec)")
         else:
             panels.append(points_panel(item, spec, title))
     return panels
@@ -269,9 +257,7 @@ def _draw(figure: "Figure", panels: Sequence[Panel]) -> "Figure":
         x_min, x_max, y_min, y_max = panel.spec.extent
         axis.imshow(panel.image, extent=(y_max, y_min, x_min, x_max), interpolation="nearest", aspect="equal")
         if panel.spec.contains(0.0, 0.0):
-            axis.plot(
-                0, 0, marker="^", markersize=7, color="white", markeredgecolor="black", markeredgewidth=0.8
-            )
+            axis.plot(0, 0, marker="^", markersize=7, color="white", markeredgecolor="black", markeredgewidth=0.8)
         axis.set_title(_shown(panel.title), fontsize=11, parse_math=False)
         axis.set_xlabel("y, left [m]")
         if k == 0:

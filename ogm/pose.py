@@ -127,9 +127,7 @@ def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[n
     """
     t, T = np.asarray(stamps, np.float64), np.asarray(poses, np.float64)
     if t.ndim != 1 or len(t) < 2 or T.shape != (len(t), 4, 4):
-        raise ValueError(
-            f"stamps (K,) and poses (K, 4, 4) must agree and K be at least 2, got {t.shape} and {T.shape}"
-        )
+        raise ValueError(f"stamps (K,) and poses (K, 4, 4) must agree and K be at least 2, got {t.shape} and {T.shape}")
     for k, one in enumerate(T):
         check_pose(one, name=f"poses[{k}]")
     _check_increasing(t)
@@ -205,9 +203,7 @@ class Trajectory:
         if len(self) == 1:
             times = np.asarray(stamps, np.float64)
             if not (times == self.stamps[0]).all():
-                raise ValueError(
-                    f"the trajectory has one time only, {self.stamps[0]} s, asked for {times.tolist()}"
-                )
+                raise ValueError(f"the trajectory has one time only, {self.stamps[0]} s, asked for {times.tolist()}")
             return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
         return _interpolate(self.stamps, self.poses, stamps)
 

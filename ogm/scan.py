@@ -67,9 +67,7 @@ class Scan:
                 continue
             column = np.asarray(getattr(self, name), dtype)
             if column.shape != (len(self.points),):
-                raise ValueError(
-                    f"{name} must be ({len(self.points)},) like points, got shape {column.shape}"
-                )
+                raise ValueError(f"{name} must be ({len(self.points)},) like points, got shape {column.shape}")
             object.__setattr__(self, name, column)
         if self.no_returns is not None:
             directions = np.asarray(self.no_returns)
@@ -81,11 +79,7 @@ class Scan:
         return len(self.points)
 
     def __repr__(self) -> str:
-        extras = [
-            name
-            for name in ("time", "ring", "no_returns", "doppler", "rcs")
-            if getattr(self, name) is not None
-        ]
+        extras = [name for name in ("time", "ring", "no_returns", "doppler", "rcs") if getattr(self, name) is not None]
         stamp = "" if self.stamp is None else f", stamp {self.stamp:.6g} s"
         return f"Scan({len(self)} points{stamp}{''.join(f', {name}' for name in extras)})"
 
@@ -135,9 +129,7 @@ def _checked_points(points: Any) -> NDArray[np.float32]:
         if points.ndim == 2 and points.shape[0] in (3, 4):
             raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}; give points.T")
         if points.ndim == 2 and points.shape[1] > 4:
-            raise ValueError(
-                f"points must have shape (N, 4), {columns}, got {points.shape}; give points[:, :4]"
-            )
+            raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}; give points[:, :4]")
         raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}")
     if points.shape[1] == 3:
         points = np.concatenate([points, np.zeros((len(points), 1), points.dtype)], axis=1)
@@ -272,9 +264,7 @@ class Boxes:
         counts["velocity"] = count if velocity is None else len(velocity)
         for name, number in counts.items():
             if number != count:
-                raise ValueError(
-                    f"there must be one {name} per box, got {count} boxes and {number} of {name}"
-                )
+                raise ValueError(f"there must be one {name} per box, got {count} boxes and {number} of {name}")
         values = np.column_stack([center, size, yaw])
         good = np.isfinite(values).all(axis=1) & (size > 0).all(axis=1)
         if not good.all():

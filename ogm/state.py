@@ -83,9 +83,7 @@ class Truth:
         if self.state.shape != self.spec.shape:
             raise ValueError(f"state has shape {self.state.shape}, but the spec has {self.spec.shape} cells")
         if self.state.size and self.state.max() > CellState.IGNORE:
-            raise ValueError(
-                f"a state must be 0 unknown, 1 free, 2 occupied or 3 ignore, got {int(self.state.max())}"
-            )
+            raise ValueError(f"a state must be 0 unknown, 1 free, 2 occupied or 3 ignore, got {int(self.state.max())}")
 
     @property
     def known(self) -> NDArray[np.bool_]:

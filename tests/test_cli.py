@@ -70,9 +70,7 @@ def test_map_many_goes_on_after_a_bad_file(scan: Path, tmp_path: Path) -> None:
 def test_points_in_the_vehicle_frame(scan: Path, tmp_path: Path) -> None:
     points = np.fromfile(scan, np.float32).reshape(-1, 4) + np.float32([1.5, 0, 1.4, 0])
     points.tofile(tmp_path / "vehicle.bin")
-    result = ogm(
-        "map", tmp_path / "vehicle.bin", "--sensor-position", 1.5, 0, 1.4, "--out", tmp_path / "v.npz", *SMALL
-    )
+    result = ogm("map", tmp_path / "vehicle.bin", "--sensor-position", 1.5, 0, 1.4, "--out", tmp_path / "v.npz", *SMALL)
     assert "sensor height 1.70 m" in result.output
     assert EvidentialGrid.load(tmp_path / "v.npz").at(9.6, 0.1).occupied > 0.5
 
@@ -81,14 +79,12 @@ def test_beams_without_a_return_reach_the_model(tmp_path: Path) -> None:
     """An organised scan whose front came back empty: the ground there is cleared all the same."""
     elevation, azimuth = np.radians(np.linspace(-20, -3, 16)), np.radians(np.arange(0, 360, 1.0))
     run = 1.7 / np.tan(-elevation)[:, None] + 0 * azimuth
-    raster = np.stack(
-        [run * np.cos(azimuth), run * np.sin(azimuth), 0 * run - 1.7, 0 * run + 0.5], axis=-1
-    ).astype(np.float32)
+    raster = np.stack([run * np.cos(azimuth), run * np.sin(azimuth), 0 * run - 1.7, 0 * run + 0.5], axis=-1).astype(
+        np.float32
+    )
     raster[8:, 20:60] = 0
     np.save(tmp_path / "organised.npy", raster)
-    result = ogm(
-        "map", tmp_path / "organised.npy", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL
-    )
+    result = ogm("map", tmp_path / "organised.npy", "--sensor-height", 1.7, "--out", tmp_path / "o.npz", *SMALL)
     assert result.exit_code == 0, result.output
     assert EvidentialGrid.load(tmp_path / "o.npz").at(8.0, 6.5).free > 0.02
 
@@ -176,9 +172,7 @@ def test_errors_are_one_line_and_exit_code_2(scan: Path, words: tuple, text: str
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    "name", ["m$\\frac$.bin", "tag[red].bin", "with space.bin", "日本.bin", "x" * 120 + ".bin"]
-)
+@pytest.mark.parametrize("name", ["m$\\frac$.bin", "tag[red].bin", "with space.bin", "日本.bin", "x" * 120 + ".bin"])
 def test_odd_file_names(scan: Path, tmp_path: Path, name: str) -> None:
     odd = tmp_path / name
     odd.write_bytes(scan.read_bytes())
@@ -212,7 +206,5 @@ def test_every_command_has_help_with_an_example() -> None:
 
 
 def test_the_installed_script_runs() -> None:
-    run = subprocess.run(
-        [sys.executable, "-m", "ogm.cli", "--version"], capture_output=True, text=True, check=True
-    )
+    run = subprocess.run([sys.executable, "-m", "ogm.cli", "--version"], capture_output=True, text=True, check=True)
     assert run.stdout.startswith("ogm 0.")

@@ -101,9 +101,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
         bearings=False,
         scale=(15, 10, 2, 0.5, 0.2, 0.2, 0.3, 0.3, 0.3),
     )
-    return save_network(
-        tmp_path_factory.mktemp("run") / "small.safetensors", PillarNetwork(config, PAPER), {}
-    )
+    return save_network(tmp_path_factory.mktemp("run") / "small.safetensors", PillarNetwork(config, PAPER), {})
 
 
 @pytest.fixture
@@ -124,12 +122,7 @@ def test_models_are_evaluated_on_the_same_samples(
     folder = tmp_path / "new" / "report"
     result = ogm("evaluate", data, "--ism", "height-band", "ray", weights, "--out", folder)
     assert result.exit_code == 0, result.output
-    for text in (
-        "Means over data, validation, 4 frames",
-        "IoU occupied",
-        "small against ray",
-        "ratio of means",
-    ):
+    for text in ("Means over data, validation, 4 frames", "IoU occupied", "small against ray", "ratio of means"):
         assert text in result.output
     record = record_of(folder)
     assert record["data"]["samples"] == [0, 1, 2, 3]
@@ -145,11 +138,7 @@ def test_models_are_evaluated_on_the_same_samples(
             assert len(values) == 4
             if None not in values:
                 assert one["macro"][metric]["value"] == pytest.approx(np.mean(values), abs=1e-6)
-    assert set(record["paired"]) == {
-        "ray against height-band",
-        "small against height-band",
-        "small against ray",
-    }
+    assert set(record["paired"]) == {"ray against height-band", "small against height-band", "small against ray"}
     for one in record["paired"]["small against ray"].values():
         assert one["wins"] + one["ties"] + one["losses"] == one["frames"]
     for name in ("metrics.png", "frames.png"):
@@ -279,9 +268,7 @@ def test_frames_of_other_settings_are_not_mixed(
     assert (tmp_path / "frames" / "000000.npz").exists()
     assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 0
     del evaluated[:]
-    assert (
-        ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path).exit_code == 0
-    )  # that one was finished
+    assert ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path).exit_code == 0  # that one was finished
     assert evaluated == [0, 1, 2, 3]
 
 
@@ -316,9 +303,7 @@ def test_grids_that_were_written_again_are_evaluated_again(folders: Path) -> Non
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_frames_by_another_ogm_are_not_mixed(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_by_another_ogm_are_not_mixed(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
         interrupted(patch, 1)
         assert ogm("evaluate", data, "--ism", "ray", "--out", tmp_path).exit_code == 130
@@ -363,9 +348,7 @@ def test_a_folder_of_frames_that_is_not_ours_is_left_alone(data: Path, tmp_path:
         assert note.read_text() == text
 
 
-def test_a_frame_that_gets_lost_stops_the_run(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_frame_that_gets_lost_stops_the_run(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     load = cache.ResultCache.load
     monkeypatch.setattr(cache.ResultCache, "load", lambda self, k: None if k == 1 else load(self, k))
     result = ogm("evaluate", data, "--ism", "ray", "--out", tmp_path)
@@ -411,9 +394,7 @@ def test_frames_that_do_not_pair_are_named(folders: Path) -> None:
     (folders / "perfect" / "1.npz").rename(folders / "perfect" / "one.npz")
     result = ogm("evaluate", folders / "truth", "--grids", folders / "perfect", "--out", folders / "report")
     assert result.exit_code == 2
-    assert (
-        "there is no grid for 1 and 0 more of 3 frames; it has 1 with other names, first one" in result.output
-    )
+    assert "there is no grid for 1 and 0 more of 3 frames; it has 1 with other names, first one" in result.output
     assert not (folders / "report").exists()
 
 
@@ -563,9 +544,7 @@ def test_maps_are_those_of_the_mapper_and_begin_anew_with_every_sequence(drive: 
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_an_interrupted_map_fuses_its_past_again(
-    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_map_fuses_its_past_again(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     words = ("evaluate", drive, "--ism", "ray", "--fused", "dempster", "--every", 4)
     with monkeypatch.context() as patch:
         interrupted(patch, 5)
@@ -597,10 +576,7 @@ def test_an_interrupted_map_fuses_its_past_again(
         (("{data}", "--ism", "ray", "ray"), "ray is given twice"),
         (("{data}", "--ism", "ray", "--out", "{file}"), "is a file, but the report is a folder"),
         (("{data}", "--fused", "bayes"), "has no split 'sequences'"),
-        (
-            ("{data}", "--fused", "bayes", "--split", "validation"),
-            "fuses frames that follow each other",
-        ),
+        (("{data}", "--fused", "bayes", "--split", "validation"), "fuses frames that follow each other"),
         (("{data}", "--fused", "best"), "--fused takes cautious"),
         (("{data}", "--truth", "boxes"), "(--truth) is for recordings"),
         (("{data}", "--truth", "hearsay"), "--truth takes boxes"),
@@ -643,8 +619,6 @@ def test_a_real_drive_is_compared_with_its_boxes_and_its_other_scans(
     assert result.exit_code == 0, result.output
     record = record_of(tmp_path)
     assert record["data"]["kind"] == "KITTI raw drive"
-    assert (
-        record["methods"]["ray"]["macro"]["auroc_unknown"]["value"] is None
-    )  # no label states what is unknown
+    assert record["methods"]["ray"]["macro"]["auroc_unknown"]["value"] is None  # no label states what is unknown
     assert record["methods"]["ray"]["missing"]["auroc_unknown"]
     assert record["methods"]["ray"]["macro"]["iou_free_known"]["value"] > 0.5

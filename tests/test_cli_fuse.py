@@ -122,9 +122,7 @@ def test_poses_are_interpolated_to_the_stamps_of_the_scans(tmp_path: Path) -> No
 def test_poses_are_not_interpolated_over_long_gaps(tmp_path: Path) -> None:
     scan_at(pose()).tofile(tmp_path / "1700000005000000.bin")
     write_poses(tmp_path / "p.csv", Trajectory(1.7e9 + np.array([0.0, 10.0]), POSES[:2]))
-    result = ogm(
-        "fuse", tmp_path / "1700000005000000.bin", "--poses", tmp_path / "p.csv", "--out", tmp_path / "m.npz"
-    )
+    result = ogm("fuse", tmp_path / "1700000005000000.bin", "--poses", tmp_path / "p.csv", "--out", tmp_path / "m.npz")
     assert result.exit_code == 2
     assert "at most 2 s apart" in result.output
 
@@ -154,9 +152,7 @@ def test_poses_have_the_axes_of_the_scans(scans: Path, poses: Path, tmp_path: Pa
     assert off[2] > 1e-2  # the points alone, along the wrong axis
 
 
-def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(
-    scans: Path, poses: Path, tmp_path: Path
-) -> None:
+def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(scans: Path, poses: Path, tmp_path: Path) -> None:
     movie, picture = tmp_path / "m.gif", tmp_path / "m.png"
     result = ogm("fuse", scans, "--poses", poses, "--rate", 5, "--picture", picture, "--movie", movie, *SMALL)
     assert result.exit_code == 0, result.output
@@ -191,9 +187,7 @@ def test_damaged_scans_are_skipped_and_the_rest_goes_on(scans: Path, tmp_path: P
 def test_one_glitch_of_the_pose_is_skipped(scans: Path, tmp_path: Path) -> None:
     off = POSES.copy()
     off[3, 0, 3] += 500
-    result = ogm(
-        "fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL
-    )
+    result = ogm("fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL)
     assert result.exit_code == 2
     assert "7 mapped, 1 skipped" in result.output
     assert "scan_8 is skipped: the pose jumps" in result.output
@@ -203,9 +197,7 @@ def test_one_glitch_of_the_pose_is_skipped(scans: Path, tmp_path: Path) -> None:
 def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Path, tmp_path: Path) -> None:
     off = POSES.copy()
     off[4:, 0, 3] += 500
-    result = ogm(
-        "fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL
-    )
+    result = ogm("fuse", scans, "--poses", kitti(tmp_path / "p.txt", off), "--out", tmp_path / "m.npz", *SMALL)
     assert result.exit_code == 2
     assert "6 mapped, 2 skipped" in result.output
     assert "1, after jumps of the pose" in result.output
@@ -214,9 +206,7 @@ def test_after_three_jumps_the_map_begins_anew_and_the_old_one_is_kept(scans: Pa
     assert after.at(500 + WALL + 0.25, 1.0).occupied > 0.9
 
 
-@pytest.mark.parametrize(
-    ("error", "code"), [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)]
-)
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt(), 130), (RuntimeError("the device is lost"), 2)])
 def test_an_error_or_interrupt_half_way_writes_the_map_so_far(
     scans: Path, tmp_path: Path, poses: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException, code: int
 ) -> None:
@@ -242,16 +232,7 @@ def test_an_error_or_interrupt_half_way_writes_the_map_so_far(
 def test_nothing_mapped_is_an_error_and_writes_nothing(scans: Path, tmp_path: Path, poses: Path) -> None:
     for k in range(2):
         (tmp_path / f"scan_{k + 5}.bin").write_bytes(b"xyz")
-    words = (
-        "--poses",
-        poses,
-        "--sensor-height",
-        HEIGHT,
-        "--out",
-        tmp_path / "m.npz",
-        "--movie",
-        tmp_path / "m.gif",
-    )
+    words = ("--poses", poses, "--sensor-height", HEIGHT, "--out", tmp_path / "m.npz", "--movie", tmp_path / "m.gif")
     result = ogm("fuse", tmp_path / "scan_5.bin", tmp_path / "scan_6.bin", *words)
     assert result.exit_code == 2
     assert "no scan could be mapped" in result.output
@@ -269,9 +250,7 @@ def test_the_first_scans_alone_can_be_mapped(scans: Path, tmp_path: Path, number
     assert "--first must be at least 1" in result.output
 
 
-@pytest.mark.parametrize(
-    "rule", ["dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"]
-)
+@pytest.mark.parametrize("rule", ["dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes"])
 def test_every_rule_maps_the_drive(scans: Path, poses: Path, tmp_path: Path, rule: str) -> None:
     movie = ("--movie", tmp_path / "m.png") if rule == "bayes" else ()  # it has other panels
     words = ("--rule", rule, "--half-life", 1, "--out", tmp_path / "m.npz", *movie)
@@ -521,9 +500,7 @@ def test_outputs_may_lie_in_new_folders_and_extents_follow_the_resolution(
     assert EvidentialGrid.load(out).spec.resolution == 0.7
 
 
-def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(
-    scans: Path, tmp_path: Path
-) -> None:
+def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(scans: Path, tmp_path: Path) -> None:
     """Two sequences of KITTI odometry, the second with scans 5 to 8 of the drive."""
     for name, numbers in (("00", range(4)), ("07", range(4, 8))):
         folder = tmp_path / "sequences" / name

@@ -113,9 +113,7 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("{new}", "--samples", 1, "--export", "{file}"), "is a file"),
     ],
 )
-def test_errors_are_one_line_and_exit_code_2(
-    data: Path, tmp_path: Path, words: tuple, description: str
-) -> None:
+def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: tuple, description: str) -> None:
     other, file = tmp_path / "other", tmp_path / "file"
     other.mkdir()
     (other / "thesis.tex").write_text("dear")
@@ -151,9 +149,7 @@ def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
     # More samples than are made before the signal comes, however busy the machine
     many = ("--samples", 20, *TINY[2:], "--workers", 1)
     words = [sys.executable, "-m", "ogm.cli", "simulate", str(tmp_path / "data"), *map(str, many)]
-    with subprocess.Popen(
-        words, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "200"}
-    ) as child:
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "200"}) as child:
         while not (tmp_path / "data" / "zarr.json").exists():
             time.sleep(0.05)
             assert child.poll() is None
@@ -168,9 +164,7 @@ def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
 def test_preview_draws_a_sample_and_its_town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("_from_the_air", "_from_behind"):  # the same views with fewer pixels
         camera = getattr(studio, name)
-        smaller = functools.partial(
-            lambda here, made: made(here)._replace(width=360, height=200), made=camera
-        )
+        smaller = functools.partial(lambda here, made: made(here)._replace(width=360, height=200), made=camera)
         monkeypatch.setattr(studio, name, smaller)
     result = ogm("simulate", "--preview", tmp_path / "p.png", "--town-size", 240, "--lidar", "hdl-32e")
     assert result.exit_code == 0, result.output

@@ -73,12 +73,7 @@ def test_index_floors_and_never_truncates() -> None:
     ix, iy = SPEC.index([-1.0, -0.51, -1.01, 1.99, 2.0], [-2.0, -1.51, -2.01, -0.01, 0.0])
     assert ix.tolist() == [0, 0, -1, 5, 6]
     assert iy.tolist() == [0, 0, -1, 3, 4]
-    assert SPEC.contains([-1.0, -1.01, 1.99, 2.0], [-2.0, -2.0, -0.01, 0.0]).tolist() == [
-        True,
-        False,
-        True,
-        False,
-    ]
+    assert SPEC.contains([-1.0, -1.01, 1.99, 2.0], [-2.0, -2.0, -0.01, 0.0]).tolist() == [True, False, True, False]
 
 
 @given(st.floats(0.05, 2), st.integers(1, 40), st.integers(1, 40), st.floats(-50, 50), st.floats(-50, 50))
@@ -128,8 +123,7 @@ def test_a_grid_is_printed_on_one_line() -> None:
     mass[:3, :, 0], mass[3, :, 1] = 0.5, 1.0
     text = repr(EvidentialGrid(SPEC, mass))
     assert text == (
-        "EvidentialGrid(6 x 4 cells of 0.5 m, x -1 to 2 m, y -2 to 0 m: "
-        "free 25.0%, occupied 16.7%, unknown 58.3%)"
+        "EvidentialGrid(6 x 4 cells of 0.5 m, x -1 to 2 m, y -2 to 0 m: free 25.0%, occupied 16.7%, unknown 58.3%)"
     )
 
 

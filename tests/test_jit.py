@@ -28,9 +28,7 @@ def load(path: Path) -> Any:
     return module
 
 
-def test_compilation_is_logged_where_nothing_is_cached(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_compilation_is_logged_where_nothing_is_cached(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "kernels_of_a_test.py"
     path.write_text(SOURCE)
     first = load(path)

@@ -28,19 +28,14 @@ def test_import_ogm_loads_nothing_heavy() -> None:
 
 def test_import_ogm_is_quick() -> None:
     times = [
-        float(run("import time; t = time.perf_counter(); import ogm; print(time.perf_counter() - t)"))
-        for _ in range(3)
+        float(run("import time; t = time.perf_counter(); import ogm; print(time.perf_counter() - t)")) for _ in range(3)
     ]
     assert min(times) < 0.2
 
 
 def test_heavy_packages_are_loaded_by_their_own_package_only() -> None:
-    code = (
-        "import sys, ogm.geometric, ogm.fusion, ogm.datasets, ogm.metrics, ogm.evidence; print(*sys.modules)"
-    )
-    assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp", "scipy.stats"} & set(
-        run(code).split()
-    )
+    code = "import sys, ogm.geometric, ogm.fusion, ogm.datasets, ogm.metrics, ogm.evidence; print(*sys.modules)"
+    assert not {"torch", "open3d", "matplotlib", "filterpy", "kiss_icp", "scipy.stats"} & set(run(code).split())
 
 
 def test_the_package_exports_what_it_names() -> None:
@@ -60,9 +55,7 @@ def test_import_contracts_hold() -> None:
 def modules() -> list[str]:
     """Every module of the package by its dotted name."""
     paths = sorted((ROOT / "ogm").rglob("*.py"))
-    return [
-        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths
-    ]
+    return [".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in paths]
 
 
 def test_every_public_name_is_documented() -> None:
@@ -109,9 +102,7 @@ def test_public_classes_have_names_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_examples_of_the_documentation_run(
-    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_examples_of_the_documentation_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a page's Python blocks, one after the other, on the shipped scan; then its interactive examples."""
     import matplotlib
 

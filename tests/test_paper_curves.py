@@ -19,9 +19,7 @@ SPEC.loader.exec_module(facts)
 RECORD = ROOT / "benchmarks/results/paper_curves.json"
 
 
-def figures(
-    belief: float = 0.85, averaged: bool = True, noise: float = 0.0, frames: int = 100
-) -> facts.Curves:
+def figures(belief: float = 0.85, averaged: bool = True, noise: float = 0.0, frames: int = 100) -> facts.Curves:
     """Make figures as the released code would of models that are known: evidence 1 per observed cell."""
     rng = np.random.default_rng(3)
     seen = rng.uniform(0.2, 0.3, frames)  # by the geometric model
@@ -70,10 +68,7 @@ def test_demixing_undoes_the_mean_of_both() -> None:
 
 def test_demixing_turns_no_win_into_a_loss_and_doubles_the_difference() -> None:
     curves, rng = figures(), np.random.default_rng(0)
-    plotted, own = (
-        facts.versus(curves.kl, curves.kl_geo, rng),
-        facts.versus(curves.kl, facts.demixed(curves), rng),
-    )
+    plotted, own = (facts.versus(curves.kl, curves.kl_geo, rng), facts.versus(curves.kl, facts.demixed(curves), rng))
     assert (plotted["wins"], plotted["losses"]) == (own["wins"], own["losses"])
     assert own["difference"]["value"] == pytest.approx(2 * plotted["difference"]["value"])
 
@@ -124,9 +119,7 @@ def test_what_turning_leaves_without_a_label_is_what_lies_outside() -> None:
     wide = GridSpec.centered(length=8, width=4, resolution=0.5)
     found = facts.turned(wide, 3.0, steps=720)
     assert found["share of cells at 90 degrees"] == pytest.approx(0.5)
-    assert found["share of angles, 3 m straight ahead"] == pytest.approx(
-        1 - 2 * np.arcsin(2 / 3) / np.pi, abs=0.01
-    )
+    assert found["share of angles, 3 m straight ahead"] == pytest.approx(1 - 2 * np.arcsin(2 / 3) / np.pi, abs=0.01)
     assert 0.1 < found["mean share of cells"] < 0.5
 
 
@@ -149,9 +142,7 @@ def test_the_command_writes_record_and_picture_or_asks_for_the_values(tmp_path: 
         command = [sys.executable, str(ROOT / "benchmarks/paper_curves.py"), *options]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
-    assert "give the values behind the paper's figures with --curves" in run(
-        "--curves", str(tmp_path / "no.csv")
-    )
+    assert "give the values behind the paper's figures with --curves" in run("--curves", str(tmp_path / "no.csv"))
     path = write(tmp_path / "curves.csv", figures())
     out, picture = tmp_path / "new/found.json", tmp_path / "found.png"
     run("--curves", str(path), "--out", str(out), "--picture", str(picture))

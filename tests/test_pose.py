@@ -22,9 +22,7 @@ def test_inverse_undoes(x: float, y: float, z: float, roll: float, pitch: float,
 def test_yaw_turns_left_and_pitch_looks_down() -> None:
     forward = np.array([[1.0, 0.0, 0.0, 0.5]])
     np.testing.assert_allclose(transform_points(pose(yaw=math.pi / 2), forward), [[0, 1, 0, 0.5]], atol=1e-12)
-    np.testing.assert_allclose(
-        transform_points(pose(pitch=math.pi / 2), forward), [[0, 0, -1, 0.5]], atol=1e-12
-    )
+    np.testing.assert_allclose(transform_points(pose(pitch=math.pi / 2), forward), [[0, 0, -1, 0.5]], atol=1e-12)
 
 
 def test_transform_keeps_dtype_and_intensity() -> None:

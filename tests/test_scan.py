@@ -59,9 +59,7 @@ def test_no_returns_are_directions(shape: tuple[int, ...]) -> None:
         Scan(POINTS, no_returns=np.zeros(shape))
 
 
-@pytest.mark.parametrize(
-    "keep", [np.array([True, False, True, False, False]), np.array([2, 0]), slice(1, None)]
-)
+@pytest.mark.parametrize("keep", [np.array([True, False, True, False, False]), np.array([2, 0]), slice(1, None)])
 def test_select_keeps_columns_with_their_points_and_all_beams_without_echo(keep: Any) -> None:
     columns = {name: np.arange(5) * 10 for name in ("time", "ring", "doppler", "rcs")}
     scan = Scan(POINTS, stamp=1.0, no_returns=np.eye(3), sensor="top", **columns)
@@ -223,9 +221,7 @@ def test_fields_given_as_functions_are_called_once_and_only_when_asked_for() -> 
         return lambda: calls.append(name) or value
 
     scan = Scan(POINTS)
-    frame = Frame(
-        give("scan", scan), give("mount", Mount(1.7)), give("boxes", None), give("truth", None), name="007"
-    )
+    frame = Frame(give("scan", scan), give("mount", Mount(1.7)), give("boxes", None), give("truth", None), name="007")
     assert repr(frame) == "Frame('007')"
     assert calls == []
     assert frame.scan is frame.scan is scan

@@ -71,9 +71,7 @@ def slow_crop(truth: Truth, spec: GridSpec, yaw: float, dx: float, dy: float) ->
     st.sampled_from([0.25, 0.5, 0.8]),
 )
 @settings(max_examples=100, deadline=None)
-def test_a_crop_equals_the_loop_over_cells(
-    seed: int, yaw: float, dx: float, dy: float, resolution: float
-) -> None:
+def test_a_crop_equals_the_loop_over_cells(seed: int, yaw: float, dx: float, dy: float, resolution: float) -> None:
     truth, spec = random_truth(seed), GridSpec(resolution, (21, 17), (-5.0, -4.0))
     cut = truth.crop(spec, yaw, dx, dy)
     assert cut.spec == spec

@@ -40,9 +40,7 @@ def draw(truth: Truth) -> list[str]:
     return ["".join(LETTERS[state] for state in row[::-1]) for row in truth.state[::-1]]
 
 
-def box(
-    x: float, y: float, yaw: float, length: float, width: float, bottom: float = -50, top: float = 50
-) -> Boxes:
+def box(x: float, y: float, yaw: float, length: float, width: float, bottom: float = -50, top: float = 50) -> Boxes:
     """Return one box."""
     center, size = [x, y, (bottom + top) / 2], [length, width, top - bottom]
     return Boxes(np.array(center), np.array(size), np.array([yaw]))
@@ -64,15 +62,7 @@ def random_truth(seed: int = 0, spec: GridSpec = SMALL) -> Truth:
 def test_a_street_with_a_wall_looks_as_drawn() -> None:
     road = [(x, y, Kind.GROUND, 0.0) for x in range(-3, 3) for y in (-1, 0, 1)]
     wall = [(3, y, Kind.OBSTACLE, 1.0) for y in range(-3, 2)]
-    assert draw(truth_of(road + wall)) == [
-        "  #####",
-        "  ...  ",
-        "  ...  ",
-        "  ...  ",
-        "  ...  ",
-        "  ...  ",
-        "  ...  ",
-    ]
+    assert draw(truth_of(road + wall)) == ["  #####", "  ...  ", "  ...  ", "  ...  ", "  ...  ", "  ...  ", "  ...  "]
 
 
 def test_nothing_is_known_without_hits() -> None:
@@ -155,9 +145,7 @@ def test_turning_hits_and_boxes_by_a_quarter_turns_the_truth() -> None:
     rng = np.random.default_rng(1)
     hits = [
         (x, y, k, h)
-        for x, y, k, h in zip(
-            *rng.uniform(-3, 3, (2, 40)), rng.integers(0, 5, 40), rng.uniform(-1, 3, 40), strict=True
-        )
+        for x, y, k, h in zip(*rng.uniform(-3, 3, (2, 40)), rng.integers(0, 5, 40), rng.uniform(-1, 3, 40), strict=True)
     ]
     turned = [(-y, x, k, h) for x, y, k, h in hits]
     there, quarter = box(1.0, -1.2, 0.4, 3.0, 1.5), pose(yaw=np.pi / 2)
@@ -183,9 +171,7 @@ def test_the_grid_is_dogmatic_where_known_and_vacuous_elsewhere() -> None:
 
 def test_cells_beyond_the_world_are_ignored_unless_hit() -> None:
     seen = np.array([[0, 1], [2, 0]], np.uint8)
-    truth = finalize_truth(
-        seen, GridSpec(1.0, (2, 2), (0, 0)), beyond=np.array([[True, True], [True, False]])
-    )
+    truth = finalize_truth(seen, GridSpec(1.0, (2, 2), (0, 0)), beyond=np.array([[True, True], [True, False]]))
     assert truth.state.tolist() == [[IGNORE, FREE], [OCCUPIED, UNKNOWN]]
 
 
@@ -230,9 +216,7 @@ def test_an_observation_may_be_built_up_in_parts() -> None:
     seen = np.zeros(SMALL.shape, np.uint8)
     for part in np.array_split(rng.permutation(60), 7):
         observe_points(seen, x[part], y[part], kind[part], height[part], SMALL)
-    np.testing.assert_array_equal(
-        finalize_truth(seen, SMALL).state, truth_grid(x, y, kind, height, SMALL).state
-    )
+    np.testing.assert_array_equal(finalize_truth(seen, SMALL).state, truth_grid(x, y, kind, height, SMALL).state)
 
 
 # --- Crops ------------------------------------------------------------------------------------------
@@ -496,10 +480,7 @@ def kinds_of(classes: np.ndarray, ground: tuple, plants: tuple, other: tuple) ->
 
 @pytest.mark.parametrize(
     ("name", "ground", "plants", "other"),
-    [
-        ("semantic_kitti/0", (9, 10, 11, 12, 17), (15,), (0,)),
-        ("nuscenes/25611", (0, 1), (4,), (10,)),
-    ],
+    [("semantic_kitti/0", (9, 10, 11, 12, 17), (15,), (0,)), ("nuscenes/25611", (0, 1), (4,), (10,))],
 )
 def test_a_labelled_scan_makes_a_plausible_truth(real, name, ground, plants, other) -> None:
     path = real(f"labelled_range_images/{name}.npy.xz")

@@ -69,15 +69,7 @@ def seen(scans: list[tuple[np.ndarray, np.ndarray]], **how) -> int:
 
 def test_a_box_with_enough_returns_is_occupied_and_nothing_else_is_known() -> None:
     truth = truth_from_boxes(boxes_of(BOX, [-2, 2, 0, 2, 2, 0, 1]), [50, 49], SMALL)
-    assert draw(truth) == [
-        "       ",
-        "  ###  ",
-        "  ###  ",
-        "  ###  ",
-        "       ",
-        "       ",
-        "       ",
-    ]
+    assert draw(truth) == ["       ", "  ###  ", "  ###  ", "  ###  ", "       ", "       ", "       "]
 
 
 def test_boxes_need_their_returns() -> None:
@@ -174,9 +166,7 @@ def test_areas_are_those_of_matplotlib(seed: int) -> None:
     rng = np.random.default_rng(seed)
     spec = GridSpec.centered(32.0, 24.0, 0.16)
     angle = np.sort(rng.uniform(0, 2 * np.pi, 17))
-    star = rng.uniform(2, 15, (17, 1)) * np.column_stack([np.cos(angle), np.sin(angle)]) + rng.uniform(
-        -3, 3, 2
-    )
+    star = rng.uniform(2, 15, (17, 1)) * np.column_stack([np.cos(angle), np.sin(angle)]) + rng.uniform(-3, 3, 2)
     square = rng.uniform(-9, 9, 2) + np.array([[0, 0], [4, 1], [3, 5], [-1, 4]])
     x, y = np.broadcast_arrays(*spec.cell_centers)
     places = np.column_stack([x.ravel(), y.ravel()])
@@ -206,15 +196,7 @@ def test_an_empty_street_is_free() -> None:
 def test_a_return_hides_the_road_behind_it() -> None:
     """It is 1.7 m high at 1 m ahead: the sensor sees over it only from 17 m on."""
     truth = road_with([[1.0, 0.0, -0.1]])
-    assert draw(truth) == [
-        "... ...",
-        "... ...",
-        "... ...",
-        ".......",
-        ".......",
-        ".......",
-        ".......",
-    ]
+    assert draw(truth) == ["... ...", "... ...", "... ...", ".......", ".......", ".......", "......."]
 
 
 def test_low_returns_stand_but_they_hide_little() -> None:

@@ -28,9 +28,9 @@ app = typer.Typer(
 )
 app.command(epilog="Example:  ogm demo --out /tmp")(demo)
 app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz --picture scan.png")(map_)
-app.command(
-    epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif"
-)(fuse)
+app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif")(
+    fuse
+)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)
@@ -39,9 +39,7 @@ app.command(epilog="Example:  ogm info scan.pcd")(info)
 
 
 @app.callback(invoke_without_command=True)
-def _options(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
-) -> None:
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
     if version:
         out.print(f"ogm {ogm.__version__}")
         raise typer.Exit

@@ -69,9 +69,7 @@ def first_call() -> Iterator[None]:
     with stderr.status("the first call compiles kernels (once per environment) ..."):
         yield
     if (seconds := time.perf_counter() - start) > COMPILED:
-        stderr.print(
-            f"ogm: kernels were compiled in {seconds:.0f} s; later calls take them from numba's cache"
-        )
+        stderr.print(f"ogm: kernels were compiled in {seconds:.0f} s; later calls take them from numba's cache")
 
 
 def distinct(names: Sequence[str], width: int = 36) -> list[str]:

@@ -44,8 +44,7 @@ Data = Annotated[
 Fused = Annotated[
     str | None,
     typer.Option(
-        help="Evaluate each model also fused over time, by one or more rules with commas between: "
-        f"{', '.join(RULES)}.",
+        help=f"Evaluate each model also fused over time, by one or more rules with commas between: {', '.join(RULES)}.",
         metavar="RULE[,RULE]...",
     ),
 ]
@@ -68,15 +67,11 @@ def evaluate(
     fused: Fused = None,
     grids: Annotated[
         list[Path] | None,
-        typer.Option(
-            help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."
-        ),
+        typer.Option(help="Folder of precomputed grids (.npz, .npy, .png) with the frames' names; may be repeated."),
     ] = None,
     resample: Annotated[
         str | None,
-        typer.Option(
-            help="Resample --grids with other cells: area, nearest or cautious. [default: refuse them]"
-        ),
+        typer.Option(help="Resample --grids with other cells: area, nearest or cautious. [default: refuse them]"),
     ] = None,
     split: Annotated[
         str | None,
@@ -94,18 +89,14 @@ def evaluate(
         ),
     ] = None,
     axes: Annotated[
-        str,
-        typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z."),
+        str, typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
     ] = "flu",
     samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
     seed: Annotated[int, typer.Option(help="Random seed of --samples and of the bootstrap.")] = 0,
     out_folder: Annotated[
-        Path,
-        typer.Option(
-            "--out", help="Folder for report.html, report.json, frames.csv, metrics.png, frames.png."
-        ),
+        Path, typer.Option("--out", help="Folder for report.html, report.json, frames.csv, metrics.png, frames.png.")
     ] = Path("report"),
 ) -> None:
     """Evaluate sensor models, maps and precomputed grids on the same frames, and write a report.
@@ -137,9 +128,7 @@ def evaluate(
         split = "sequences"
     spec = GridSpec.centered()
     others = "later" if rules else "all"
-    dataset = open_dataset(
-        data, axes=parsed_axes(axes), split=split, truth=tuple(sources), others=others, spec=spec
-    )
+    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, truth=tuple(sources), others=others, spec=spec)
     numbers = _numbers(dataset, samples, every, seed)
     methods = _methods(names, rules, grids or [], spec, resample)
     result = run_evaluation(
@@ -183,18 +172,12 @@ def _numbers(dataset: "Dataset", samples: int | None, every: int, seed: int) -> 
     if samples is None:
         return numbers.tolist()
     if not 1 <= samples <= len(numbers):
-        raise ValueError(
-            f"--samples must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}"
-        )
+        raise ValueError(f"--samples must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}")
     return np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False)).tolist()
 
 
 def _methods(
-    models: Sequence[str],
-    rules: Sequence[str],
-    folders: Sequence[Path],
-    spec: "GridSpec",
-    resample: str | None,
+    models: Sequence[str], rules: Sequence[str], folders: Sequence[Path], spec: "GridSpec", resample: str | None
 ) -> "dict[str, Method]":
     """Return the models, each of them fused by every rule, and the folders of grids."""
     from ogm.evaluation.methods import FusedMethod, PrecomputedGrids, SingleScanMethod
@@ -235,9 +218,7 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
         for name, *row in zip(names, *columns, strict=True):
             table.add_row(Text(_clean(name)), *row)
     out.print(table)
-    out.print(
-        "(- lower, + higher is better; +- half of the 95 % interval; report.html describes the metrics)"
-    )
+    out.print("(- lower, + higher is better; +- half of the 95 % interval; report.html describes the metrics)")
     for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
         out.print(_clean(f"\n{name}"), markup=False, soft_wrap=True)
         table = Table(box=None, pad_edge=False)

@@ -30,28 +30,19 @@ ScanPaths = Annotated[
     list[Path], typer.Argument(help="Scans, a folder of them, or a data set with drives.", metavar="SCANS")
 ]
 PosesFile = Annotated[
-    Path | None,
-    typer.Option(help="Poses of the sensor: KITTI, KITTI-360 or TUM (.txt), or what --save-poses wrote."),
+    Path | None, typer.Option(help="Poses of the sensor: KITTI, KITTI-360 or TUM (.txt), or what --save-poses wrote.")
 ]
-Calibration = Annotated[
-    Path | None, typer.Option(help="KITTI's calib.txt, where the poses are those of its camera.")
-]
-Odometry = Annotated[
-    str | None, typer.Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")
-]
+Calibration = Annotated[Path | None, typer.Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
+Odometry = Annotated[str | None, typer.Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
 SavePoses = Annotated[
     Path | None, typer.Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")
 ]
-Rate = Annotated[
-    float, typer.Option(help="Scans per second [Hz], where neither scans nor poses have stamps.")
-]
+Rate = Annotated[float, typer.Option(help="Scans per second [Hz], where neither scans nor poses have stamps.")]
 SequenceName = Annotated[
     str | None, typer.Option(help="Which drive of a data set: its name or number. [default: the first]")
 ]
 First = Annotated[int | None, typer.Option(help="Map the first so many scans only. [default: all]")]
-Model = Annotated[
-    str, typer.Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")
-]
+Model = Annotated[str, typer.Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")]
 AxesName = Annotated[
     str, typer.Option(help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.")
 ]
@@ -82,22 +73,15 @@ WindowName = Annotated[
         "kept)."
     ),
 ]
-Length = Annotated[
-    float | None, typer.Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")
-]
-Width = Annotated[
-    float | None, typer.Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")
-]
+Length = Annotated[float | None, typer.Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")]
+Width = Annotated[float | None, typer.Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")]
 Resolution = Annotated[float, typer.Option(help="Side of a cell [m].")]
 Out = Annotated[
-    Path | None,
-    typer.Option("--out", help="Map (.npz); its folder is made if need be. [default: map.npz]"),
+    Path | None, typer.Option("--out", help="Map (.npz); its folder is made if need be. [default: map.npz]")
 ]
 Picture = Annotated[
     Path | None,
-    typer.Option(
-        help="Picture of the last scan: points, measurement, map, conflict (.png). [default: map.png]"
-    ),
+    typer.Option(help="Picture of the last scan: points, measurement, map, conflict (.png). [default: map.png]"),
 ]
 MovieFile = Annotated[
     Path | None, typer.Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")
@@ -184,9 +168,7 @@ def fuse(
     with open_movie(movie, spec, titles, run.ground_z) if movie else nullcontext() as film:
         code = run.map_all(steps, film)
         if run.last is None:
-            raise (
-                typer.Exit(code) if code == 130 else ValueError("no scan could be mapped; nothing is written")
-            )
+            raise (typer.Exit(code) if code == 130 else ValueError("no scan could be mapped; nothing is written"))
         if out_path is not None:
             mapper.grid.save(out_path)
         if save_poses is not None:
@@ -264,12 +246,7 @@ def _drive(dataset: "Dataset", sequence: str | None, sensor_height: float | None
 
 
 def _posed(
-    dataset: "Dataset",
-    poses: Path | None,
-    calib: Path | None,
-    odometry: str | None,
-    rate: float,
-    first: int | None,
+    dataset: "Dataset", poses: Path | None, calib: Path | None, odometry: str | None, rate: float, first: int | None
 ) -> "Dataset":
     """Return the first scans of a drive with their poses: its own, those of a file, or estimated ones."""
     from ogm.datasets import with_odometry, with_poses

@@ -12,9 +12,7 @@ from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 @report_errors
 def info(
     scan: Annotated[Path, typer.Argument(help="A scan, a grid (.npz), a folder of scans or a data set.")],
-    axes: Annotated[
-        str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")
-    ] = "flu",
+    axes: Annotated[str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")] = "flu",
     intensity_max: IntensityMax = None,
     time_unit: TimeUnit = None,
 ) -> None:

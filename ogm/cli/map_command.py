@@ -27,9 +27,7 @@ DEMO_MODELS = {"height-band": "height band (paper's baseline)", "ray": "RayISM",
 
 @report_errors
 def demo(
-    out_folder: Annotated[
-        Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")
-    ] = Path("."),
+    out_folder: Annotated[Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")] = Path("."),
 ) -> None:
     """Map the shipped road scan (Velodyne VLS-128) and draw it: points, two geometric models, the learned one."""
     from ogm import Mount, plot, read_scan
@@ -64,7 +62,7 @@ def map_(
     scans: Annotated[
         list[Path],
         typer.Argument(
-            help="Scans (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder of them, or a data set.",
+            help="Scans (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder of them, or a data set."
         ),
     ],
     ism: Annotated[
@@ -74,8 +72,7 @@ def map_(
         ),
     ] = "ray",
     axes: Annotated[
-        str,
-        typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z."),
+        str, typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.")
     ] = "flu",
     sensor_height: Annotated[
         float | None, typer.Option(help="Sensor above ground [m]; by default estimated from the scans.")
@@ -87,18 +84,11 @@ def map_(
     intensity_max: IntensityMax = None,
     time_unit: TimeUnit = None,
     out_path: Annotated[
-        Path | None,
-        typer.Option("--out", help="Grid file (.npz), or a folder; made if need be. [default: ./NAME.npz]"),
+        Path | None, typer.Option("--out", help="Grid file (.npz), or a folder; made if need be. [default: ./NAME.npz]")
     ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Picture (.png), or a folder. [default: ./NAME.png]")
-    ] = None,
-    length: Annotated[
-        float | None, typer.Option(help="Extent of the grid along x [m]. [default: about 81.92]")
-    ] = None,
-    width: Annotated[
-        float | None, typer.Option(help="Extent of the grid along y [m]. [default: about 56.32]")
-    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
+    length: Annotated[float | None, typer.Option(help="Extent of the grid along x [m]. [default: about 81.92]")] = None,
+    width: Annotated[float | None, typer.Option(help="Extent of the grid along y [m]. [default: about 56.32]")] = None,
     resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
 ) -> None:
     """Map scans to evidential grids, one each, and draw them."""
@@ -148,9 +138,7 @@ def map_(
                 raise
             failed.append(f"{frame.name}: {one_line(error)}")
     if heights:
-        stderr.print(
-            f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)"
-        )
+        stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:
         out.print(f"{_cells(spec)}, {ism}", markup=False, soft_wrap=True)
         out.print(table)
@@ -212,8 +200,6 @@ def _outputs(path: Path | None, names: list[str], suffix: str, option: str) -> l
         path.parent.mkdir(parents=True, exist_ok=True)
         return [path]
     if path.suffix and not path.is_dir():
-        raise ValueError(
-            f"{option} writes {suffix} files, got {path}; give a name that ends in {suffix}, or a folder"
-        )
+        raise ValueError(f"{option} writes {suffix} files, got {path}; give a name that ends in {suffix}, or a folder")
     path.mkdir(parents=True, exist_ok=True)
     return [path / f"{name}{suffix}" for name in names]

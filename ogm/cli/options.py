@@ -4,14 +4,10 @@ from typing import Annotated
 
 import typer
 
-IntensityMax = Annotated[
-    float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")
-]
+IntensityMax = Annotated[float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")]
 TimeUnit = Annotated[
     float | None,
-    typer.Option(
-        help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds."
-    ),
+    typer.Option(help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds."),
 ]
 
 

@@ -34,15 +34,12 @@ def simulate(
     validation: Annotated[
         int | None, typer.Option(help="Samples of other traffic in the same town. [default: samples / 10]")
     ] = None,
-    test: Annotated[
-        int | None, typer.Option(help="Samples of another town. [default: samples / 100]")
-    ] = None,
+    test: Annotated[int | None, typer.Option(help="Samples of another town. [default: samples / 100]")] = None,
     sequences: Annotated[
         int | None, typer.Option(help="Pieces of 10 s at 10 Hz, 100 samples each. [default: 0]")
     ] = None,
     lidar: Annotated[
-        str | None,
-        typer.Option(help="One lidar, such as vlp-32c, for all samples. [default: a mix, 85 % vlp-32c]"),
+        str | None, typer.Option(help="One lidar, such as vlp-32c, for all samples. [default: a mix, 85 % vlp-32c]")
     ] = None,
     truth: Annotated[
         TruthMode | None,
@@ -58,8 +55,7 @@ def simulate(
         float | None, typer.Option(help="Share of samples that the ego motion distorts. [default: 0]")
     ] = None,
     towns: Annotated[
-        int | None,
-        typer.Option(help="Towns for training and validation; that of the test is another. [default: 1]"),
+        int | None, typer.Option(help="Towns for training and validation; that of the test is another. [default: 1]")
     ] = None,
     town_size: Annotated[float | None, typer.Option(help="Side of the towns [m]. [default: 480]")] = None,
     workers: Annotated[
@@ -132,15 +128,11 @@ def _check_paths(path: Path | None, resume: bool, preview: Path | None, export: 
     if path is None and (resume or export is not None):
         raise ValueError("--resume and --export want the data set's folder")
     if path is None and preview is None:
-        raise ValueError(
-            "give a folder for the data set, or --preview PICTURE.png for pictures of one sample"
-        )
+        raise ValueError("give a folder for the data set, or --preview PICTURE.png for pictures of one sample")
     if preview is not None and preview.suffix.lower() != ".png":
         raise ValueError(f"a picture is saved as .png, got --preview {preview}")
     if preview is not None and not preview.parent.is_dir():
-        raise FileNotFoundError(
-            f"there is no folder {preview.parent} for --preview {preview.name}; create it first"
-        )
+        raise FileNotFoundError(f"there is no folder {preview.parent} for --preview {preview.name}; create it first")
     if export is not None and export.exists() and not export.is_dir():
         raise ValueError(f"--export writes a folder, but {export} is a file")
 
@@ -153,14 +145,10 @@ def _plan_of(path: Path, resume: bool) -> "DatasetPlan | None":
     if Store.exists(path):
         store = Store.open(path)
         if not resume:
-            raise ValueError(
-                f"{path} holds a data set already; --resume goes on with it, or give a new folder"
-            )
+            raise ValueError(f"{path} holds a data set already; --resume goes on with it, or give a new folder")
         return DatasetPlan.from_dict(store.plan)
     if resume:
-        raise FileNotFoundError(
-            errno.ENOENT, "no data set to go on with; leave out --resume to begin one", str(path)
-        )
+        raise FileNotFoundError(errno.ENOENT, "no data set to go on with; leave out --resume to begin one", str(path))
     return None
 
 
@@ -174,9 +162,7 @@ def _preview(picture: Path, plan: "DatasetPlan") -> None:
     out.print(f"pictures {picture} and {town}", markup=False)
 
 
-def _make(
-    path: Path, plan: "DatasetPlan", workers: int | None, scheduler: str | None, resume: bool
-) -> "Store":
+def _make(path: Path, plan: "DatasetPlan", workers: int | None, scheduler: str | None, resume: bool) -> "Store":
     """Make the samples, with a progress bar."""
     from ogm.simulation import dataset
     from ogm.simulation import workers as crew
@@ -192,9 +178,7 @@ def _make(
                 stderr.print(_describe(event), markup=False)
                 display.update(task, description="simulating", total=event.samples)
 
-        return dataset.simulate(
-            path, plan, workers=workers, scheduler=scheduler, resume=resume, progress=show
-        )
+        return dataset.simulate(path, plan, workers=workers, scheduler=scheduler, resume=resume, progress=show)
 
 
 def _describe(estimate: "Estimate") -> str:

@@ -48,9 +48,7 @@ def train_command(
         Path | None,
         typer.Option(help="Data set that the weights are chosen by. [default: the validation split of DATA]"),
     ] = None,
-    out_folder: Annotated[
-        Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")
-    ] = None,
+    out_folder: Annotated[Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where the run in --out stopped.")] = False,
     epochs: Annotated[int | None, typer.Option(help="Passes over all frames.")] = None,
     batch: Annotated[int | None, typer.Option(help="Frames per step and device.")] = None,
@@ -65,8 +63,7 @@ def train_command(
     devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
     nodes: Annotated[int, typer.Option(help="Machines; start the command on each, as Lightning asks.")] = 1,
     precision: Annotated[
-        str | None,
-        typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed on CUDA devices, else 32-true]"),
+        str | None, typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed on CUDA devices, else 32-true]")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes that prepare frames. [default: half the cores, 12 at most]")
@@ -157,8 +154,7 @@ def _open(path: Path, split: str) -> "Dataset":
     planned = dataset.facts["plan"].get({"training": "samples"}.get(split, split), 0)
     if len(dataset) < planned:
         stderr.print(
-            f"ogm: {len(dataset)} of {planned} {split} samples are made; "
-            f"`ogm simulate {path} --resume` makes the rest",
+            f"ogm: {len(dataset)} of {planned} {split} samples are made; `ogm simulate {path} --resume` makes the rest",
             markup=False,
         )
     return dataset

@@ -142,9 +142,7 @@ class Dataset(Sequence[Frame]):
         sequences = [name for name in self.sequences if name]
         found = {"format": self.format, "frames": str(len(self))}
         if sequences:
-            found["sequences"] = (
-                f"{len(sequences)} ({', '.join(sequences[:3])}{', ...' if sequences[3:] else ''})"
-            )
+            found["sequences"] = f"{len(sequences)} ({', '.join(sequences[:3])}{', ...' if sequences[3:] else ''})"
         found["poses"] = f"{posed} of {len(self)} frames" if posed else "none (see `ogm fuse --odometry`)"
         if stamps:
             found["stamps"] = f"{min(stamps):.3f} ... {max(stamps):.3f} s"
@@ -165,11 +163,7 @@ class Dataset(Sequence[Frame]):
         return result
 
     def placed(
-        self,
-        stamps: NDArray[np.float64],
-        poses: NDArray[np.float64],
-        facts: Mapping[str, Any],
-        trajectory: Trajectory,
+        self, stamps: NDArray[np.float64], poses: NDArray[np.float64], facts: Mapping[str, Any], trajectory: Trajectory
     ) -> "Dataset":
         """Return the data set with other stamps and poses, as one sequence; NaN where a frame has none.
 
@@ -318,8 +312,7 @@ def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
     """Give each frame a name of its own: some data sets count the frames of each sequence from 0."""
     times = Counter(one.name for one in frames)
     return tuple(
-        one if times[one.name] == 1 else one._replace(name=f"{one.sequence} {one.name}".strip())
-        for one in frames
+        one if times[one.name] == 1 else one._replace(name=f"{one.sequence} {one.name}".strip()) for one in frames
     )
 
 

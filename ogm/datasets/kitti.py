@@ -177,12 +177,4 @@ def kitti_odometry(path: Path) -> Layout | None:
 
     name = "SemanticKITTI" if labelled else "KITTI odometry"
     stamped = all((folder / "times.txt").is_file() for folder in folders)
-    return Layout(
-        name,
-        tuple(frames),
-        read,
-        _CLASSES,
-        classes=bool(labelled),
-        ego_footprint=KITTI_EGO,
-        stamped=stamped,
-    )
+    return Layout(name, tuple(frames), read, _CLASSES, classes=bool(labelled), ego_footprint=KITTI_EGO, stamped=stamped)

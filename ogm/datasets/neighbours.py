@@ -42,13 +42,7 @@ _BAND = 0.2  # [m] above and below the ground of its square, a point is a ground
 _DRAWN = 500_000  # points that the ground is estimated from, drawn at random of more
 
 
-def choose_neighbours(
-    n: int,
-    stamps: NDArray[np.float64],
-    places: NDArray[np.float64],
-    *,
-    later: bool,
-) -> list[int]:
+def choose_neighbours(n: int, stamps: NDArray[np.float64], places: NDArray[np.float64], *, later: bool) -> list[int]:
     """Choose the scans that show the surroundings of scan n: those near it in space and time, never itself.
 
     Parameters

@@ -56,9 +56,7 @@ def with_poses(
     """
     layout = dataset.layout
     if layout.mount is not None:
-        raise ValueError(
-            f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)"
-        )
+        raise ValueError(f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)")
     T_camera_sensor = None if calibration is None else read_calibration(calibration)
     try:
         poses = read_poses(path, T_camera_sensor=T_camera_sensor)
@@ -69,9 +67,7 @@ def with_poses(
     return _matched(dataset, _to_flu(poses, layout.axes), os.path.basename(path), rate, progress)
 
 
-def with_odometry(
-    dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter
-) -> Dataset:
+def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
     """Return a data set with poses that are estimated from its scans alone; its frames are one sequence.
 
     Scans that cannot be read, or have too few points between 2.5 and 100 m, get no pose.

@@ -49,9 +49,7 @@ def range_images(path: Path) -> Layout | None:
 def _is_range_image(path: Path) -> bool:
     """Tell whether an array has the shape of a range image with classes."""
     try:
-        parse_array(
-            read_bytes(path)[0], path, lambda shape: len(shape) == 3 and shape[2] == 6, "a range image"
-        )
+        parse_array(read_bytes(path)[0], path, lambda shape: len(shape) == 3 and shape[2] == 6, "a range image")
     except ValueError:  # another array, or a damaged one, which its reader reports
         return False
     return True

@@ -30,10 +30,7 @@ _POSES = "poses of the scans (poses.txt, poses.csv, derived/poses*.txt)"
 
 
 def scans(
-    paths: Sequence[Path],
-    axes: Axes = "flu",
-    intensity_max: float | None = None,
-    time_unit: float | None = None,
+    paths: Sequence[Path], axes: Axes = "flu", intensity_max: float | None = None, time_unit: float | None = None
 ) -> Layout | None:
     """Line up scans: files, or one folder of them, which may hold poses; None where it holds no scans.
 
@@ -108,7 +105,5 @@ def _files_in(folder: Path) -> list[Path]:
             if path.is_file() and not path.name.startswith(".") and (ending := ending_of(path)):
                 formats.setdefault(ending, []).append(path)
     if len(formats) > 1:
-        raise OgmError(
-            f"{folder} holds scans of several formats ({', '.join(formats)}); give the files of one"
-        )
+        raise OgmError(f"{folder} holds scans of several formats ({', '.join(formats)}); give the files of one")
     return next(iter(formats.values()), [])

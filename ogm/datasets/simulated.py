@@ -72,9 +72,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         return ignore_cells(one, one.state == CellState.UNKNOWN)
 
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
-    description = (
-        f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
-    )
+    description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
         description += " Maps may know such cells from other frames: they are left out."
     return Layout(

@@ -152,9 +152,7 @@ class RecordedTruth:
         hd_map, raw = self.layout.hd_map(n), self.reader.raw(n)
         low = -self.reader.height(n)
         x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
-        ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(
-            x.shape
-        )
+        ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         points = raw.scan.points if raw.all_points is None else raw.all_points
         below = hd_map.ground(points[:, :3].astype(np.float64))
         road = free_road(

@@ -20,9 +20,7 @@ def grid_files(folder: Path) -> dict[str, Path]:
     for file in sorted(folder.iterdir()) if folder.is_dir() else []:
         if file.suffix.lower() in GRID_ENDINGS and file.is_file():
             if file.stem in found:
-                raise OgmError(
-                    f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}"
-                )
+                raise OgmError(f"{folder} holds two grids of {file.stem}: {found[file.stem].name} and {file.name}")
             found[file.stem] = file
     return found
 

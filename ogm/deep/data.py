@@ -163,11 +163,7 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
     low, high = np.min(rows, axis=0).tolist(), np.max(rows, axis=0).tolist()
     low[2], high[2] = np.quantile(np.array(rows)[:, 2], (0.01, 0.99)).tolist()
     factor = float(np.exp(2 * dataset.augmentation.gain))
-    return {
-        "height": (low[0], high[0]),
-        "points": (low[1], high[1]),
-        "intensity": (low[2] / factor, high[2] * factor),
-    }
+    return {"height": (low[0], high[0]), "points": (low[1], high[1]), "intensity": (low[2] / factor, high[2] * factor)}
 
 
 class EpochSampler(Sampler[tuple[int, int]]):

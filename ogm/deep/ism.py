@@ -99,10 +99,7 @@ class DeepISM:
         self._warned: set[str] = set()
         low, high = ranges.get("height", (0.0, np.inf))
         if not low - 0.1 <= mount.sensor_height <= high + 0.1:
-            self._warn(
-                "height",
-                f"sensor_height {mount.sensor_height:g} m, but in training {low:.2f} to {high:.2f} m",
-            )
+            self._warn("height", f"sensor_height {mount.sensor_height:g} m, but in training {low:.2f} to {high:.2f} m")
 
     @classmethod
     def load(

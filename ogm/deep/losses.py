@@ -77,9 +77,7 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
     return loss
 
 
-def sum_of_squares(
-    evidence: Tensor, target: Tensor, variant: Literal["paper", "released"] = "paper"
-) -> Tensor:
+def sum_of_squares(evidence: Tensor, target: Tensor, variant: Literal["paper", "released"] = "paper") -> Tensor:
     """Return the expected squared error sum (y - p)^2 + p (1 - p) / (S + 1), per cell.
 
     Parameters
@@ -189,9 +187,7 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
         raise TypeError(f"valid must be bool, got {valid.dtype}")
     for name, tensor in (("valid", valid), ("weight", weight)):
         if tensor is not None and tensor.shape != loss.shape:
-            raise ValueError(
-                f"{name} must have the loss's shape {tuple(loss.shape)}, got {tuple(tensor.shape)}"
-            )
+            raise ValueError(f"{name} must have the loss's shape {tuple(loss.shape)}, got {tuple(tensor.shape)}")
     kept = torch.where(valid, *_precise(loss), 0)
     if weight is not None:
         kept = kept * weight

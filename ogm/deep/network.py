@@ -177,9 +177,7 @@ class PillarNetwork(nn.Module):
         """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
         sizes = [part.shape[1] for part in parts]
         x = conv2d(parts[0], self.head.weight[:, : sizes[0]], self.head.bias, padding=1)
-        for part, weight in zip(
-            parts[1:], self.head.weight[:, sizes[0] :].split(sizes[1:], dim=1), strict=True
-        ):
+        for part, weight in zip(parts[1:], self.head.weight[:, sizes[0] :].split(sizes[1:], dim=1), strict=True):
             x += conv2d(part, weight, padding=1)
         return x
 
@@ -211,9 +209,7 @@ class ConcatenateNeck(nn.Module):
     def __init__(self, channels: list[int], up: int) -> None:
         super().__init__()
         self.ups = nn.ModuleList(
-            nn.Sequential(
-                nn.ConvTranspose2d(size, up, 2**k, 2**k, bias=False), _norm(up), nn.ReLU(inplace=True)
-            )
+            nn.Sequential(nn.ConvTranspose2d(size, up, 2**k, 2**k, bias=False), _norm(up), nn.ReLU(inplace=True))
             for k, size in enumerate(channels)
         )
 

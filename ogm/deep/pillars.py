@@ -31,9 +31,7 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
-FEATURES = (
-    9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's center
-)
+FEATURES = 9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's center
 Rectangle = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max [m]
 _EMPTY: Rectangle = (0.0, 0.0, 0.0, 0.0)
 

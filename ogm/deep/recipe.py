@@ -12,9 +12,7 @@ from ogm.deep.network import LITE, PAPER, NetworkConfig
 
 __all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "PRESETS", "Recipe", "learning_rate", "mean_loss"]
 
-LOSSES: dict[
-    str, Callable[[Tensor, Tensor, float], Tensor]
-] = {  # evidence, target, strength -> loss per cell
+LOSSES: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {  # evidence, target, strength -> loss per cell
     "reverse-kl": losses.reverse_kl,
     "squares-printed": lambda e, y, _: losses.sum_of_squares(e, y, "paper"),
     "squares-released": lambda e, y, _: losses.sum_of_squares(e, y, "released"),

@@ -185,9 +185,7 @@ def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabri
     if accelerator == "auto":  # Lightning would take others, for which torch lacks segment_reduce
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     if precision is None:
-        bfloat16 = (
-            accelerator in ("cuda", "gpu") and torch.cuda.is_available() and torch.cuda.is_bf16_supported()
-        )
+        bfloat16 = accelerator in ("cuda", "gpu") and torch.cuda.is_available() and torch.cuda.is_bf16_supported()
         precision = "bf16-mixed" if bfloat16 else "32-true"
     try:
         fabric = Fabric(accelerator=accelerator, devices=devices, num_nodes=nodes, precision=precision)

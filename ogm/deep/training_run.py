@@ -60,9 +60,7 @@ class TrainingRun:
                 f"{fabric.world_size} processes; use a smaller --batch"
             )
         self._setup = {
-            "recipe": repr(
-                replace(recipe, learning_rate=0.0, clip=0.0)
-            ),  # a resumed run may change these two
+            "recipe": repr(replace(recipe, learning_rate=0.0, clip=0.0)),  # a resumed run may change these two
             "spec": repr(spec),
             "frames": f"{training} for training, {validation} for validation",
             "processes": str(fabric.world_size),
@@ -71,9 +69,7 @@ class TrainingRun:
         self.network = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
         average = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
         average.load_state_dict(self.network.state_dict())
-        optimizer = torch.optim.AdamW(
-            self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay
-        )
+        optimizer = torch.optim.AdamW(self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)
         self._model, self.optimizer = fabric.setup(self.network, optimizer)
         self.average = average.to(fabric.device).eval()
         self.step, self.epoch, self.best = 0, 0, math.inf
@@ -161,9 +157,7 @@ class TrainingRun:
 
 
 @torch.no_grad()
-def draw_predictions(
-    path: Path, network: PillarNetwork, dataset: PillarDataset, device: torch.device | str
-) -> None:
+def draw_predictions(path: Path, network: PillarNetwork, dataset: PillarDataset, device: torch.device | str) -> None:
     """Draw points, truth and prediction of two fixed frames."""
     from ogm.plot import Panel, mass_panel, points_panel, save_picture
 
@@ -182,9 +176,7 @@ def draw_predictions(
 def nonfinite_loss_error(folder: Path, batch: Batch, loss: float, step: int) -> FloatingPointError:
     """Return the error for a loss that is not finite; the batch is saved if the loss is of this process."""
     if math.isfinite(loss):
-        return FloatingPointError(
-            f"the loss of another process is not finite at step {step}; see its message"
-        )
+        return FloatingPointError(f"the loss of another process is not finite at step {step}; see its message")
     path = folder / f"batch-{step}.npz"
     arrays = {name: getattr(batch.pillars, name).numpy() for name in ("features", "lengths", "cells")}
     with atomic_write(path) as file:

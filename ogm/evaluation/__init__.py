@@ -12,13 +12,7 @@ from ogm.evaluation.models import load_model, model_factory
 from ogm.evaluation.report import evaluation_record, write_report
 from ogm.evaluation.result import Evaluation, FrameInfo
 from ogm.evaluation.runner import evaluate
-from ogm.evaluation.statistics import (
-    Comparison,
-    Interval,
-    bootstrap_mean,
-    bootstrap_ratio,
-    compare_paired,
-)
+from ogm.evaluation.statistics import Comparison, Interval, bootstrap_mean, bootstrap_ratio, compare_paired
 
 __all__ = [
     "Comparison",

@@ -15,14 +15,7 @@ HEADLINE = (
 GROUPS = {  # title: beginnings of metrics' names, in the order of the page
     "Distance from the truth": ("kl_", "conflict"),
     "The three states": ("iou_",),
-    "Probability and its calibration, on known cells": (
-        "brier",
-        "nll",
-        "map_score",
-        "ece",
-        "ace",
-        "interval",
-    ),
+    "Probability and its calibration, on known cells": ("brier", "nll", "map_score", "ece", "ace", "interval"),
     "Unknown: does it mark the cells not to trust?": ("auroc_", "aupr_", "fpr", "aurc", "ause"),
     "Free space and obstacles": ("false_", "missed_", "free_", "ap_"),
     "What the grid holds: neither is better": ("mean_", "entropy", "dissonance"),

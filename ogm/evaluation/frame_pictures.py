@@ -89,9 +89,7 @@ def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArr
         If the shapes do not fit.
     """
     if mass.shape != (*truth.shape, 2):
-        raise ValueError(
-            f"mass must be (nx, ny, 2) on the cells of the truth, got {mass.shape} for {truth.shape}"
-        )
+        raise ValueError(f"mass must be (nx, ny, 2) on the cells of the truth, got {mass.shape} for {truth.shape}")
     return _CLASS[truth, predict_state(mass)]
 
 
@@ -144,9 +142,7 @@ def draw_frame(
 
 def height_colours() -> list[tuple[int, int, int]]:
     """Return the colours of points at `HEIGHTS` over the ground."""
-    legend = plot.points_panel(
-        np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0
-    ).legend
+    legend = plot.points_panel(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
     return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
 
 

@@ -30,9 +30,7 @@ MODELS = {  # name: description
 }
 
 
-def load_model(
-    name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: bool = False
-) -> InverseSensorModel:
+def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: bool = False) -> InverseSensorModel:
     """Return a sensor model by its name, for one mount.
 
     Parameters

@@ -78,9 +78,7 @@ def write_page(
 
 def _environment() -> Environment:
     """Return Jinja2 with the page's filters; all texts are escaped."""
-    environment = Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
-    )
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
     environment.filters |= {"number": format_number, "words": join_words, "plural": pluralize}
     environment.filters |= {"json": _json, "short": _short, "pretty": _pretty}
     return environment
@@ -98,9 +96,7 @@ def _fitting(pictures: Pictures, most: int) -> Pictures:
 
 def _as_urls(pictures: Mapping[str, bytes]) -> dict[str, str]:
     kinds = {name: "png" if data.startswith(b"\x89PNG") else "webp" for name, data in pictures.items()}
-    return {
-        name: f"data:image/{kinds[name]};base64,{b64encode(data).decode()}" for name, data in pictures.items()
-    }
+    return {name: f"data:image/{kinds[name]};base64,{b64encode(data).decode()}" for name, data in pictures.items()}
 
 
 def _json(value: Any) -> Markup:

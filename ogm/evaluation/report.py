@@ -135,8 +135,7 @@ def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str,
             for name, sums in zip(result.methods, result.pooled, strict=True)
         },
         "truth per frame": {
-            state: result.truth[:, k].tolist()
-            for k, state in enumerate(("unknown", "free", "occupied", "ignored"))
+            state: result.truth[:, k].tolist() for k, state in enumerate(("unknown", "free", "occupied", "ignored"))
         },
         "paired": {
             f"{b} against {a}": {m: _comparison(p) for m, p in result.compare(b, a, rng).items()}

@@ -119,9 +119,7 @@ class Evaluation:
             raise ValueError("no frames to build an evaluation from")
         infos = tuple(infos) or tuple(FrameInfo(str(k)) for k in range(len(rows)))
         if len(infos) != len(rows):
-            raise ValueError(
-                f"there must be one FrameInfo per frame, got {len(infos)} for {len(rows)} frames"
-            )
+            raise ValueError(f"there must be one FrameInfo per frame, got {len(infos)} for {len(rows)} frames")
         values = dict(zip(METRICS, np.array(rows).transpose(2, 1, 0), strict=True))
         return cls(names, spec, values, tuple(pooled), np.array(shares, np.float64), infos)
 
@@ -165,9 +163,7 @@ class Evaluation:
     def compare(self, method: str, other: str, rng: np.random.Generator) -> dict[str, Comparison]:
         """Compare two methods frame by frame, in every metric with a better direction, see `compare_paired`."""
         return {
-            m: compare_paired(
-                self.of(method, m), self.of(other, m), METRICS[m].better, rng, groups=self.groups
-            )
+            m: compare_paired(self.of(method, m), self.of(other, m), METRICS[m].better, rng, groups=self.groups)
             for m in self.values
             if METRICS[m].better
         }

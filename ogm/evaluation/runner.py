@@ -74,8 +74,7 @@ def evaluate(
     infos = _checked(used, dataset, numbers)
     data = _dataset_facts(dataset)
     facts = {
-        name: {"description": one.description, "weights": getattr(one, "weights", None)}
-        for name, one in used.items()
+        name: {"description": one.description, "weights": getattr(one, "weights", None)} for name, one in used.items()
     }
     rows: Iterable[FrameResult]
     if out is None:
@@ -136,10 +135,7 @@ def _results(
         masses = [grid.mass for grid in runner.grids(frame).values()]
         sums = tuple(accumulate(mass, state, away) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
-        yield (
-            number,
-            FrameResult(sums, shares, {} if draw is None else _pictures(draw, frame, state, masses, spec)),
-        )
+        yield (number, FrameResult(sums, shares, {} if draw is None else _pictures(draw, frame, state, masses, spec)))
 
 
 def _pictures(
@@ -161,14 +157,10 @@ def _frames_to_read(dataset: Sequence[Frame], numbers: Sequence[int], fused: boo
     return [k for k in range(len(dataset)) if k <= last.get(dataset[k].sequence, -1)]
 
 
-def _checked(
-    methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int]
-) -> tuple[FrameInfo, ...]:
+def _checked(methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int]) -> tuple[FrameInfo, ...]:
     """Return what the evaluated frames are, after a check of what the methods need of them."""
     if not numbers or not 0 <= numbers[0] <= numbers[-1] < len(dataset):
-        raise ValueError(
-            f"there must be frames to evaluate, in 0 ... {len(dataset) - 1}, got {numbers[:3]} ..."
-        )
+        raise ValueError(f"there must be frames to evaluate, in 0 ... {len(dataset) - 1}, got {numbers[:3]} ...")
     if not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
         raise ValueError(f"{dataset!r} has no truth to compare with; evaluate labelled data")
     frames = [dataset[k] for k in numbers]
@@ -209,9 +201,7 @@ def _open_cache(
     numbers: Sequence[int],
 ) -> ResultCache:
     """Open the folder of finished frames, with all that decides what they hold."""
-    grids = [
-        path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()
-    ]
+    grids = [path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()]
     files = [*map(Path, getattr(dataset, "files", ())), *grids]
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file, but the report is a folder")

@@ -28,17 +28,14 @@ _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a
 def namespace(array: Any, name: str = "mass") -> Any:
     """Return the module, numpy or torch, that `array` belongs to; refuse everything else."""
     if isinstance(array, np.ma.MaskedArray):
-        raise TypeError(
-            f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)"
-        )
+        raise TypeError(f"{name} must not be a masked array, as masks are ignored here; fill it: {name}.filled(0)")
     if isinstance(array, np.ndarray | np.generic):
         return np
     torch = sys.modules.get("torch")
     if torch is not None and isinstance(array, torch.Tensor):
         return torch
     raise TypeError(
-        f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; "
-        f"wrap it: np.asarray({name})"
+        f"{name} must be a numpy array or a torch tensor, got {type(array).__name__}; wrap it: np.asarray({name})"
     )
 
 
@@ -95,9 +92,7 @@ def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
             f"{first} and {second} must have one dtype, got {dtype_name(a)} and {dtype_name(b)}; cast one of them"
         )
     if namespace(a) is not np and a.device != b.device:
-        raise TypeError(
-            f"{first} and {second} must be on one device, got {a.device} and {b.device}; move one of them"
-        )
+        raise TypeError(f"{first} and {second} must be on one device, got {a.device} and {b.device}; move one of them")
     try:
         np.broadcast_shapes(tuple(a.shape[:-1]), tuple(b.shape[:-1]))
     except ValueError:
@@ -123,9 +118,7 @@ def as_like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1
             raise ValueError(f"{name} must lie in [{low:g}, {high:g}], got {number}")
         return number
     if namespace(value, name) is not xp:
-        raise TypeError(
-            f"{name} must be a number or come from the library of the mass, got {type(value).__name__}"
-        )
+        raise TypeError(f"{name} must be a number or come from the library of the mass, got {type(value).__name__}")
     try:
         np.broadcast_shapes(tuple(value.shape), tuple(cells.shape))
     except ValueError:
@@ -137,9 +130,7 @@ def as_like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1
     outside = ~((value >= low) & (value <= high))
     if outside.any():
         index = first_index(outside)
-        raise ValueError(
-            f"{name} must lie in [{low:g}, {high:g}], but {name}{index} is {value[tuple(index)]}"
-        )
+        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], but {name}{index} is {value[tuple(index)]}")
     return value.astype(cells.dtype, copy=False)
 
 
@@ -214,27 +205,21 @@ def open_sources(
     return _sources(a, b, axis, states, split_open)
 
 
-def _sources(
-    a: Any, b: Any, axis: int | None, states: tuple[int, ...], take_apart: Any
-) -> tuple[Any, list[Any]]:
+def _sources(a: Any, b: Any, axis: int | None, states: tuple[int, ...], take_apart: Any) -> tuple[Any, list[Any]]:
     xp = check_form(a, "a", states)
     if b is not None and axis is None:
         check_form(b, "b", states)
         check_alike(a, b)
         return xp, [take_apart(a, "a"), take_apart(b, "b")]
     if b is not None or axis is None:
-        raise TypeError(
-            "give two masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0)"
-        )
+        raise TypeError("give two masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0)")
     if not -a.ndim <= axis < a.ndim or axis % a.ndim == a.ndim - 1:
         raise ValueError(
             f"axis must be a leading axis of the stack, not the last one (the states), "
             f"got axis {axis} for shape {tuple(a.shape)}"
         )
     if a.shape[axis] == 0:
-        raise ValueError(
-            f"a rule needs at least one source, got none along axis {axis} of shape {tuple(a.shape)}"
-        )
+        raise ValueError(f"a rule needs at least one source, got none along axis {axis} of shape {tuple(a.shape)}")
     stacks = [xp.moveaxis(number, axis % a.ndim, 0) for number in take_apart(a, "a")]
     return xp, list(zip(*stacks, strict=True))
 

@@ -182,14 +182,10 @@ def _check_two(alpha: Any, other: Any) -> Any:
 def _check_alpha(alpha: Any, name: str) -> Any:
     xp = check_float(alpha, name)
     if alpha.ndim == 0 or alpha.shape[-1] < 2:
-        raise ValueError(
-            f"{name} must have at least 2 states on its last axis, got shape {tuple(alpha.shape)}"
-        )
+        raise ValueError(f"{name} must have at least 2 states on its last axis, got shape {tuple(alpha.shape)}")
     if xp is np and alpha.size and not (alpha.min() > 0 and np.isfinite(alpha.max())):
         index = first_index(~((alpha > 0) & np.isfinite(alpha)))
-        raise ValueError(
-            f"{name} must be finite and greater than 0, but {name}{index} is {alpha[tuple(index)]}"
-        )
+        raise ValueError(f"{name} must be finite and greater than 0, but {name}{index} is {alpha[tuple(index)]}")
     return xp
 
 
@@ -222,9 +218,7 @@ def _remainder(xp: Any, x: Any) -> Any:
     large = x >= _SERIES_FROM
     big, small = xp.where(large, x, _SERIES_FROM + 0 * x), xp.where(large, 1 + 0 * x, x)
     s = 1 / big**2
-    series = (
-        1 / 12 - s * (1 / 360 - s * (1 / 1260 - s * (1 / 1680 - s * (1 / 1188 - s * 691 / 360360))))
-    ) / big
+    series = (1 / 12 - s * (1 / 360 - s * (1 / 1260 - s * (1 / 1680 - s * (1 / 1188 - s * 691 / 360360))))) / big
     exact = _special(xp).gammaln(small) - (small - 0.5) * xp.log(small) + small - _HALF_LOG_2PI
     return xp.where(large, series, exact)
 

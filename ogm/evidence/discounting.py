@@ -71,9 +71,7 @@ def discount_over_time(mass: Array, elapsed: Any, half_life: float) -> Array:
         Time in which belief halves [s], greater than 0; infinity forgets nothing.
     """
     if not half_life > 0:
-        raise ValueError(
-            f"half_life must be greater than 0 s, got {half_life}; use infinity to forget nothing"
-        )
+        raise ValueError(f"half_life must be greater than 0 s, got {half_life}; use infinity to forget nothing")
     age = as_like(elapsed, split(mass)[0], "elapsed", high=float("inf"))
     return discount(mass, 0.5 ** (age / half_life))
 

@@ -47,10 +47,7 @@ _added_evidence = inline(subjective.added_evidence)
 def _split(one: Any, free: Any, occupied: Any) -> Any:
     """Return (free, occupied, unknown), each at least 0."""
     zero = one - one
-    free, occupied = (
-        zero if free < 0 else free,
-        zero if occupied < 0 else occupied,
-    )  # NaN < 0 is false: NaN stays
+    free, occupied = (zero if free < 0 else free, zero if occupied < 0 else occupied)  # NaN < 0 is false: NaN stays
     unknown = one - (free + occupied)
     return free, occupied, zero if unknown < 0 else unknown
 

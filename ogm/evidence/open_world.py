@@ -15,15 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import (
-    Array,
-    check_form,
-    first_index,
-    open_sources,
-    split_open,
-    stack_last,
-    tolerance_of,
-)
+from ogm.evidence.arrays import Array, check_form, first_index, open_sources, split_open, stack_last, tolerance_of
 from ogm.evidence.rules import OnConflict, check_policy, normalized, resolve
 
 __all__ = ["bold", "cautious", "close_world", "conjunctive", "disjunctive"]
@@ -79,11 +71,7 @@ def disjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) ->
     xp, parts = open_sources(a, b, axis)
     free, occupied, _, conflict = parts[0]
     for f, o, _, c in parts[1:]:
-        free, occupied, conflict = (
-            free * (f + c) + conflict * f,
-            occupied * (o + c) + conflict * o,
-            conflict * c,
-        )
+        free, occupied, conflict = (free * (f + c) + conflict * f, occupied * (o + c) + conflict * o, conflict * c)
     closed = all(mass.shape[-1] == 2 for mass in (a, b) if mass is not None)  # type: ignore[attr-defined]
     return stack_last(xp, [free, occupied] if closed else [free, occupied, conflict], a)
 

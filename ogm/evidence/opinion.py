@@ -28,14 +28,7 @@ from ogm.evidence.arrays import (
     worst_index,
 )
 
-__all__ = [
-    "Opinion",
-    "alpha_to_evidence",
-    "evidence_to_alpha",
-    "evidence_to_mass",
-    "mass_to_evidence",
-    "unknown",
-]
+__all__ = ["Opinion", "alpha_to_evidence", "evidence_to_alpha", "evidence_to_mass", "mass_to_evidence", "unknown"]
 
 
 @dataclass(frozen=True, slots=True, init=False, repr=False)
@@ -62,9 +55,7 @@ class Opinion:
     unknown: float
     base_rate: float
 
-    def __init__(
-        self, free: float, occupied: float, unknown: float | None = None, base_rate: float = 0.5
-    ) -> None:
+    def __init__(self, free: float, occupied: float, unknown: float | None = None, base_rate: float = 0.5) -> None:
         if unknown is None:
             rest = 1 - free - occupied
             unknown = 0.0 if -1e-6 <= rest < 0 else rest
@@ -178,9 +169,7 @@ def evidence_to_alpha(evidence: Array, prior_weight: float = 2.0, base_rate: flo
     _check_positive(evidence, "evidence")
     given: Any = evidence
     rate = as_like(base_rate, given[..., 0], "base_rate")
-    return stack_last(
-        xp, [given[..., 0] + prior_weight * (1 - rate), given[..., 1] + prior_weight * rate], evidence
-    )
+    return stack_last(xp, [given[..., 0] + prior_weight * (1 - rate), given[..., 1] + prior_weight * rate], evidence)
 
 
 def alpha_to_evidence(alpha: Array, prior_weight: float = 2.0, base_rate: float = 0.5) -> Array:
@@ -195,9 +184,7 @@ def alpha_to_evidence(alpha: Array, prior_weight: float = 2.0, base_rate: float 
     xp = check_form(alpha, "alpha")
     given: Any = alpha
     rate = as_like(base_rate, given[..., 0], "base_rate")
-    evidence = stack_last(
-        xp, [given[..., 0] - prior_weight * (1 - rate), given[..., 1] - prior_weight * rate], alpha
-    )
+    evidence = stack_last(xp, [given[..., 0] - prior_weight * (1 - rate), given[..., 1] - prior_weight * rate], alpha)
     _check_positive(evidence, "alpha - prior (the evidence)")
     return evidence
 

@@ -129,12 +129,8 @@ def maximize_uncertainty(mass: Array, base_rate: Any = 0.5) -> Array:
     occupied_wins = (probability * (1 - rate) >= opposite * rate) & (rate < 1)
     zero = 0 * u
     as_occupied = probability - rate * opposite / xp.where(occupied_wins, 1 - rate, 1.0 + zero).clip(1e-30)
-    as_free = opposite - (1 - rate) * probability / xp.where(occupied_wins, 1.0 + zero, rate + zero).clip(
-        1e-30
-    )
-    return stack_last(
-        xp, [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)], mass
-    )
+    as_free = opposite - (1 - rate) * probability / xp.where(occupied_wins, 1.0 + zero, rate + zero).clip(1e-30)
+    return stack_last(xp, [xp.where(occupied_wins, zero, as_free), xp.where(occupied_wins, as_occupied, zero)], mass)
 
 
 def counts_to_mass(hits: Array, passes: Array, p_miss: float = 0.8, p_false_alarm: float = 0.05) -> Array:

@@ -142,8 +142,7 @@ def _redistribute(a: Any, b: Any, axis: int | None, share: Callable[..., list[An
     xp, parts = sources(a, b, axis)
     if len(parts) > _MAX_SOURCES:
         raise ValueError(
-            f"PCR takes at most {_MAX_SOURCES} sources, got {len(parts)}; "
-            f"combine in groups, or use an associative rule"
+            f"PCR takes at most {_MAX_SOURCES} sources, got {len(parts)}; combine in groups, or use an associative rule"
         )
     totals: list[Any] = [0 * parts[0][0], 0 * parts[0][0]]
     for states in product((0, 1, _UNKNOWN), repeat=len(parts)):

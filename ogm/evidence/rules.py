@@ -117,9 +117,7 @@ def normalized_cautious(a: Array, b: Array | None = None, *, axis: int | None = 
     """
     xp, parts = sources(a, b, axis)
     least = tolerance_of(a)
-    ratios = [
-        (free / unknown.clip(least), occupied / unknown.clip(least)) for free, occupied, unknown in parts
-    ]
+    ratios = [(free / unknown.clip(least), occupied / unknown.clip(least)) for free, occupied, unknown in parts]
     for_free, for_occupied = (reduce(xp.maximum, column) for column in zip(*ratios, strict=True))
     total = 1 + for_free + for_occupied
     return stack_last(xp, [for_free / total, for_occupied / total], a)

@@ -52,11 +52,7 @@ __all__ = [
 
 
 def cumulative(
-    a: Array,
-    b: Array | None = None,
-    *,
-    axis: int | None = None,
-    dogmatic_weights: Sequence[float] | None = None,
+    a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None
 ) -> Array:
     """Fuse independent observations by (aleatory) cumulative fusion: evidence adds.
 
@@ -96,9 +92,7 @@ def added_evidence(f: Any, o: Any, u: Any, g: Any, p: Any, v: Any) -> tuple[Any,
     return f * v + g * u, o * v + p * u, u + v * (f + o)
 
 
-def cumulative_epistemic(
-    a: Array, b: Array | None = None, *, axis: int | None = None, base_rate: Any = 0.5
-) -> Array:
+def cumulative_epistemic(a: Array, b: Array | None = None, *, axis: int | None = None, base_rate: Any = 0.5) -> Array:
     """Fuse opinions about one fixed fact: cumulative fusion, then maximal uncertainty.
 
     Not associative, and the vacuous mass is not neutral, as every result is uncertainty-maximised.
@@ -148,11 +142,7 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
 
 
 def averaging(
-    a: Array,
-    b: Array | None = None,
-    *,
-    axis: int | None = None,
-    dogmatic_weights: Sequence[float] | None = None,
+    a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None
 ) -> Array:
     """Fuse dependent observations by averaging fusion: the mean of the evidence.
 
@@ -168,11 +158,7 @@ def averaging(
 
 
 def weighted(
-    a: Array,
-    b: Array | None = None,
-    *,
-    axis: int | None = None,
-    dogmatic_weights: Sequence[float] | None = None,
+    a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None
 ) -> Array:
     """Fuse by weighted belief fusion: the mean of the evidence, weighted by confidence 1 - u.
 
@@ -250,9 +236,7 @@ def _by_evidence(
     """Fuse n sources in terms of b / u, evidence over prior weight; average the dogmatic ones, if any."""
     weights = [1.0] * len(parts) if weights is None else list(weights)
     if len(weights) != len(parts) or not all(0 < weight < float("inf") for weight in weights):
-        raise ValueError(
-            f"dogmatic_weights must be {len(parts)} positive numbers, one per source, got {weights}"
-        )
+        raise ValueError(f"dogmatic_weights must be {len(parts)} positive numbers, one per source, got {weights}")
     dogmatic = [u <= rounding(mass) for _, _, u in parts]
     if not any(maybe_any(xp, here) for here in dogmatic):
         return stack_last(xp, list(combine(parts)), mass)

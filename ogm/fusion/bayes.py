@@ -63,9 +63,7 @@ class BinaryBayesMapper:
             raise ValueError(f"match must be one of {', '.join(get_args(Match))}, got {match!r}")
         low, high = limits
         if not 0 < low < 0.5 < high < 1:
-            raise ValueError(
-                f"limits must be two probabilities around 1/2, 0 < low < 0.5 < high < 1, got {limits}"
-            )
+            raise ValueError(f"limits must be two probabilities around 1/2, 0 < low < 0.5 < high < 1, got {limits}")
         self.half_life, self.match, self.limits = float(half_life), match, (float(low), float(high))
         self.forget = check_forget(forget)
         self._window = Window(spec, window)

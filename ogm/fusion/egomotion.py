@@ -125,8 +125,7 @@ class EgoMotion:
             from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
         except ImportError as error:
             raise ImportError(
-                'the ego motion filter needs the package filterpy: pip install "ogm-toolkit[track]"',
-                name=error.name,
+                'the ego motion filter needs the package filterpy: pip install "ogm-toolkit[track]"', name=error.name
             ) from error
         T = check_pose(np.eye(4) if T_map_vehicle is None else T_map_vehicle, "T_map_vehicle")
         start = [T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]), speed, yaw_rate]
@@ -137,9 +136,7 @@ class EgoMotion:
                 f"acceleration and yaw_acceleration must be above 0, got {acceleration} and {yaw_acceleration}"
             )
         if not 0 < gate <= 1:
-            raise ValueError(
-                f"gate must lie in (0, 1], the share of right measurements to accept, got {gate}"
-            )
+            raise ValueError(f"gate must lie in (0, 1], the share of right measurements to accept, got {gate}")
         if patience < 1 or not tolerance >= 0 or not longest_gap > 0:
             raise ValueError(
                 "patience must be 1 or more, tolerance 0 s or more and longest_gap above 0 s, "
@@ -250,9 +247,7 @@ class EgoMotion:
         last = np.append(np.diff(stamps) > 0, True)  # of several nodes at one stamp
         return Motion(stamps[last], np.array(states)[last], np.array(covariances)[last])
 
-    def _measure(
-        self, kind: str, stamp: float, value: ArrayLike, sigmas: NDArray[np.float64], rows: list[int]
-    ) -> bool:
+    def _measure(self, kind: str, stamp: float, value: ArrayLike, sigmas: NDArray[np.float64], rows: list[int]) -> bool:
         z = np.asarray(value, np.float64)
         if z.shape != (len(rows),) or not np.isfinite(z).all():
             raise ValueError(f"a {kind} must be {len(rows)} finite numbers, got {value!r}")
@@ -284,9 +279,7 @@ class EgoMotion:
             self._filter.P = _symmetric(self._filter.P)
             moved = np.array([_move(one, dt) for one in sigmas]) - self._filter.x
             self._stamp = until
-            self._note(
-                self._filter.x.copy(), self._filter.P.copy(), (self._points.Wc * (sigmas - before).T) @ moved
-            )
+            self._note(self._filter.x.copy(), self._filter.P.copy(), (self._points.Wc * (sigmas - before).T) @ moved)
 
     def _update(self, kind: str, z: NDArray[np.float64], R: NDArray[np.float64], rows: list[int]) -> bool:
         limit = self._limits[len(rows)]
@@ -295,16 +288,9 @@ class EgoMotion:
                 self._in_a_row[kind] += 1
                 self.refused[kind] += 1
                 return False
-            log.warning(
-                "%s at %.3f s: %d in a row did not fit; the state is widened",
-                kind,
-                self.stamp,
-                self._patience,
-            )
+            log.warning("%s at %.3f s: %d in a row did not fit; the state is widened", kind, self.stamp, self._patience)
             before = self._filter.P.copy()
-            wider = np.zeros_like(
-                before
-            )  # of what is measured: a jump of the position does not concern the yaw
+            wider = np.zeros_like(before)  # of what is measured: a jump of the position does not concern the yaw
             wider[rows, rows] = np.maximum(np.diag(R), np.diag(before)[rows])
             while self._distance(z, R, rows) > limit:
                 self._filter.P = self._filter.P + wider
@@ -322,9 +308,7 @@ class EgoMotion:
         away = z - self._filter.x[rows]
         return float(away @ np.linalg.solve(self._filter.P[np.ix_(rows, rows)] + R, away))
 
-    def _note(
-        self, predicted: NDArray[np.float64], P_predicted: NDArray[np.float64], C: NDArray[np.float64]
-    ) -> None:
+    def _note(self, predicted: NDArray[np.float64], P_predicted: NDArray[np.float64], C: NDArray[np.float64]) -> None:
         self._nodes.append(_Node(self._stamp, predicted, P_predicted, predicted, P_predicted, C))
 
 

@@ -27,9 +27,7 @@ BAYES = "bayes"
 _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 
-def make_mapper(
-    rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling"
-) -> Mapper:
+def make_mapper(rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling") -> Mapper:
     """Return a map that fuses by a rule, with defaults else.
 
     Parameters

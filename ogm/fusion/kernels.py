@@ -13,16 +13,7 @@ from ogm.evidence.kernels import agreement, cumulative_cell
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
-__all__ = [
-    "CAUTIOUS",
-    "CUMULATIVE",
-    "DEMPSTER",
-    "YAGER",
-    "Aging",
-    "bayes_update",
-    "evidential_update",
-    "log_odds_of",
-]
+__all__ = ["CAUTIOUS", "CUMULATIVE", "DEMPSTER", "YAGER", "Aging", "bayes_update", "evidential_update", "log_odds_of"]
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
@@ -162,9 +153,7 @@ def _decay_and_age(m: Any, c: Any, one: Any, decay: Any, kf: Any, ko: Any, kc: A
     for k in range(m.size // 2):
         to_occupied, to_free = c[2 * k], c[2 * k + 1]
         m[2 * k] = (m[2 * k] * kf + TINY) - TINY
-        m[2 * k + 1] = (
-            m[2 * k + 1] * (ko * _kept_of_occupied(one, part, to_occupied - to_free)) + TINY
-        ) - TINY
+        m[2 * k + 1] = (m[2 * k + 1] * (ko * _kept_of_occupied(one, part, to_occupied - to_free)) + TINY) - TINY
         c[2 * k], c[2 * k + 1] = (to_occupied * kc + TINY) - TINY, (to_free * kc + TINY) - TINY
 
 
@@ -254,12 +243,7 @@ def _cautious(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
 
 @vector
 def bayes_update(
-    state: np.ndarray,
-    ring: tuple[int, int],
-    scan: ScanLookup,
-    keep: float,
-    observed: bool,
-    limits: tuple[float, float],
+    state: np.ndarray, ring: tuple[int, int], scan: ScanLookup, keep: float, observed: bool, limits: tuple[float, float]
 ) -> None:
     """Age a map of log-odds and add those of a scan.
 

@@ -51,9 +51,7 @@ def _copy(numbers: np.ndarray, out: np.ndarray) -> None:
 
 
 @vector
-def look_up(
-    z: np.ndarray, values: np.ndarray, affine: np.ndarray, samples: int, i: int, ny: int
-) -> tuple[int, int]:
+def look_up(z: np.ndarray, values: np.ndarray, affine: np.ndarray, samples: int, i: int, ny: int) -> tuple[int, int]:
     """Fill row i of the window from a grid; return the cells [low, high) that the grid may cover."""
     mx, my = values.shape[0], values.shape[1]
     flat = values.reshape(-1)

@@ -26,12 +26,7 @@ __all__ = ["CONFLICT_LAYERS", "EvidentialMapper", "Rule"]
 Rule = Callable[[Any, Any], Any]
 CONFLICT_LAYERS = ("free_to_occupied", "occupied_to_free")
 DYNAMIC_DECAY_RATIO = 50.0  # how many times faster dynamic cells are forgotten by default
-_COMPILED: dict[Rule, int] = {
-    dempster: DEMPSTER,
-    yager: YAGER,
-    cumulative: CUMULATIVE,
-    normalized_cautious: CAUTIOUS,
-}
+_COMPILED: dict[Rule, int] = {dempster: DEMPSTER, yager: YAGER, cumulative: CUMULATIVE, normalized_cautious: CAUTIOUS}
 
 
 class EvidentialMapper:
@@ -104,13 +99,9 @@ class EvidentialMapper:
         max_delay: float = 0.5,
     ) -> None:
         if not callable(rule):
-            raise TypeError(
-                f"rule must be a function of two masses, such as ogm.evidence.dempster, got {rule!r}"
-            )
+            raise TypeError(f"rule must be a function of two masses, such as ogm.evidence.dempster, got {rule!r}")
         if discounting not in (discount, discount_evidence):
-            raise ValueError(
-                f"discounting must be discount or discount_evidence of ogm.evidence, got {discounting!r}"
-            )
+            raise ValueError(f"discounting must be discount or discount_evidence of ogm.evidence, got {discounting!r}")
         if not 0 <= min_unknown < 1:
             raise ValueError(f"min_unknown must be in [0, 1), got {min_unknown}")
         if moving_half_life is not None and not moving_half_life > 0:
@@ -200,9 +191,7 @@ class EvidentialMapper:
         """
         return _conflict_grid(self.spec, self._window.unrolled(self._conflict))
 
-    def conflict_view(
-        self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None
-    ) -> LayeredGrid:
+    def conflict_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> LayeredGrid:
         """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
         cells = spec or self._window.around
         T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
@@ -250,9 +239,7 @@ class EvidentialMapper:
             self._mass[:] = _bounded(self._combined(aged, measured), self.min_unknown)
             if scan.elapsed < 0:
                 return
-            contradicted = (
-                aged * measured[..., ::-1]
-            )  # free then and occupied now, occupied then and free now
+            contradicted = aged * measured[..., ::-1]  # free then and occupied now, occupied then and free now
             np.maximum(self._conflict * np.float32(aging.keep_conflict), contradicted, out=self._conflict)
         except BaseException:
             self._window.corner, self._mass[:], self._conflict[:] = before

@@ -15,9 +15,7 @@ _MAX_KNOTS = 100  # poses added to a trajectory at each end
 _SLACK = 1e-6  # [s] by which rounded stamps may lie outside the trajectory; the nearest pose is taken
 
 
-def deskew(
-    points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp: float
-) -> NDArray[np.float32]:
+def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp: float) -> NDArray[np.float32]:
     """Return each point where the sensor would have measured it at `stamp`.
 
     A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its
@@ -70,17 +68,13 @@ def deskew(
         low = min(low, high - 2)
         stamps, poses = trajectory.stamps[low:high], trajectory.poses[low:high]
         relative = inverse(interpolate(stamps, poses, np.clip(stamp, stamps[0], stamps[-1]))) @ poses
-        turns = Rotation.from_matrix(
-            np.swapaxes(relative[:-1, :3, :3], 1, 2) @ relative[1:, :3, :3]
-        ).as_rotvec()
+        turns = Rotation.from_matrix(np.swapaxes(relative[:-1, :3, :3], 1, 2) @ relative[1:, :3, :3]).as_rotvec()
         _deskew(cloud[:, :3].astype(np.float64), times, knots[low:high], relative, turns, result)
     return result
 
 
 @kernel
-def _deskew(
-    xyz: NDArray, time: NDArray, knots: NDArray, poses: NDArray, turns: NDArray, result: NDArray
-) -> None:
+def _deskew(xyz: NDArray, time: NDArray, knots: NDArray, poses: NDArray, turns: NDArray, result: NDArray) -> None:
     """Write ``T(time[n]) @ xyz[n]`` to ``result[n, :3]``.
 
     Between knots k and k + 1, a share s of the way, ``T = (R_k exp(s w_k), t_k + s (t_k+1 - t_k))`` where w_k
@@ -152,9 +146,7 @@ def extrapolate(trajectory: Trajectory, seconds: float) -> Trajectory:
     t, T = trajectory.stamps, trajectory.poses
     before_t, before_T = _continued(t[1], t[0], T[1], T[0], -seconds)
     after_t, after_T = _continued(t[-2], t[-1], T[-2], T[-1], seconds)
-    return Trajectory(
-        np.concatenate([before_t[::-1], t, after_t]), np.concatenate([before_T[::-1], T, after_T])
-    )
+    return Trajectory(np.concatenate([before_t[::-1], t, after_t]), np.concatenate([before_T[::-1], T, after_T]))
 
 
 def _continued(

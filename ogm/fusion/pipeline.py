@@ -161,9 +161,7 @@ def fuse(
         yield FusionStep(frame, grid, T_map_grid, None, restart, previous, seconds)
 
 
-def update_map(
-    mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: bool = True
-) -> EvidentialGrid | None:
+def update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: bool = True) -> EvidentialGrid | None:
     """Fuse the measurement grid of a frame, levelled by the frame's mount.
 
     Parameters
@@ -250,9 +248,7 @@ def _trajectory(frames: Iterable[Frame], given: bool | Trajectory) -> Trajectory
     if isinstance(given, Trajectory):
         return extrapolate(given, _MARGIN)
     if not isinstance(frames, Sequence):
-        raise ValueError(
-            "de-skewing needs the poses of all frames: give a sequence of frames, or a trajectory"
-        )
+        raise ValueError("de-skewing needs the poses of all frames: give a sequence of frames, or a trajectory")
     posed = [frame for frame in frames if frame.T_map_sensor is not None and frame.stamp is not None]
     stamps, first = np.unique([frame.stamp for frame in posed], return_index=True)
     if len(stamps) < 2:

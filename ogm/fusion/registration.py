@@ -85,9 +85,7 @@ def odometry(
             found = _nearest(register(_cloud(points, time, step, duration, within, k), np.eye(4)))
         else:
             if not stamp > known[-1]:
-                raise ValueError(
-                    f"stamps must increase, but stamps[{k - 1}]={known[-1]} is followed by {stamp}"
-                )
+                raise ValueError(f"stamps must increase, but stamps[{k - 1}]={known[-1]} is followed by {stamp}")
             # Predict: the last motion goes on; where scans are missing, for longer.
             guess = poses[-1] @ _times(step, (stamp - known[-1]) / duration) if duration else poses[-1]
             found = _nearest(register(_cloud(points, time, step, duration, within, k), guess))
@@ -104,9 +102,7 @@ def odometry(
     return Trajectory(np.array(known), np.array(poses))
 
 
-def _checked(
-    points: NDArray[Any], given: ArrayLike | None, k: int
-) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def _checked(points: NDArray[Any], given: ArrayLike | None, k: int) -> tuple[NDArray[Any], NDArray[np.float64]]:
     """Return the points of scan `k` and their times, 0 where there are none."""
     points = np.asarray(points)
     if points.ndim != 2 or points.shape[1] < 3:
@@ -191,9 +187,7 @@ METHODS: dict[str, Callable[[float], _Register]] = {"kiss-icp": _kiss_icp, "smal
 
 
 def _missing(package: str, error: ImportError) -> ImportError:
-    return ImportError(
-        f'poses by {package} need that package: pip install "ogm-toolkit[track]"', name=error.name
-    )
+    return ImportError(f'poses by {package} need that package: pip install "ogm-toolkit[track]"', name=error.name)
 
 
 def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:
@@ -219,11 +213,7 @@ def _together(
     scans: Iterable[NDArray[Any]], stamps: Iterable[float], times: Iterable[ArrayLike | None] | None
 ) -> Iterator[tuple[NDArray[Any], float, ArrayLike | None]]:
     """Yield scan, stamp and times, which must be as many."""
-    streams: list[Iterator[Any]] = [
-        iter(scans),
-        iter(stamps),
-        itertools.repeat(None) if times is None else iter(times),
-    ]
+    streams: list[Iterator[Any]] = [iter(scans), iter(stamps), itertools.repeat(None) if times is None else iter(times)]
     for count in itertools.count():
         row: list[Any] = [next(stream, _ENDED) for stream in streams]
         ended = [one is _ENDED for one in row]

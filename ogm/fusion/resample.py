@@ -21,9 +21,7 @@ ResampleMethod = Literal["area", "nearest", "cautious"]
 Reduce = Literal["mean", "occupied", "cautious"]
 
 
-def warp(
-    grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: ResampleMethod = "area"
-) -> EvidentialGrid:
+def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: ResampleMethod = "area") -> EvidentialGrid:
     """Return a grid in another frame, resampled once.
 
     Parameters
@@ -76,9 +74,7 @@ def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> Evide
     n = int(factor)
     nx, ny = grid.spec.shape
     if nx % n or ny % n:
-        raise ValueError(
-            f"{nx} x {ny} cells are no whole blocks of {n} x {n}; choose a factor that divides both"
-        )
+        raise ValueError(f"{nx} x {ny} cells are no whole blocks of {n} x {n}; choose a factor that divides both")
     blocks = grid.mass.reshape(nx // n, n, ny // n, n, 2)
     mass = blocks.mean(axis=(1, 3))
     if reduce != "mean":

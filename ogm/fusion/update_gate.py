@@ -65,9 +65,7 @@ class UpdateGate:
 
     def __init__(self, max_speed: float, max_delay: float, needs_stamps: bool) -> None:
         if not max_speed > 0:
-            raise ValueError(
-                f"max_speed must be greater than 0 m/s, got {max_speed}; infinity allows every jump"
-            )
+            raise ValueError(f"max_speed must be greater than 0 m/s, got {max_speed}; infinity allows every jump")
         if not (max_delay >= 0 and math.isfinite(max_delay)):
             raise ValueError(f"max_delay must be 0 s or more and finite, got {max_delay}")
         self.max_speed, self.max_delay, self.needs_stamps = float(max_speed), float(max_delay), needs_stamps

@@ -71,10 +71,7 @@ def overlaps(affine: NDArray[np.float64], spec: GridSpec, source: GridSpec) -> b
     det = a * e - b * d
     back = (e / det, -b / det, (b * f - e * c) / det), (-d / det, a / det, (d * c - a * f) / det)
     # Two parallelograms overlap unless one lies beyond a side of the other (separating axes).
-    for rows, (nx, ny), sizes in (
-        (((a, b, c), (d, e, f)), spec.shape, source.shape),
-        (back, source.shape, spec.shape),
-    ):
+    for rows, (nx, ny), sizes in ((((a, b, c), (d, e, f)), spec.shape, source.shape), (back, source.shape, spec.shape)):
         for (i, j, k), size in zip(rows, sizes, strict=True):
             if k + min(i * nx, 0) + min(j * ny, 0) >= size or k + max(i * nx, 0) + max(j * ny, 0) <= 0:
                 return False

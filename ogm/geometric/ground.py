@@ -14,14 +14,7 @@ from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
 from ogm.geometric.kernels.surface import fill, ground_heights, sample_many
 from ogm.grid import GridSpec
 
-__all__ = [
-    "GroundEstimate",
-    "flat_ground",
-    "ground_height",
-    "local_ground",
-    "patchwork_ground",
-    "surface_of",
-]
+__all__ = ["GroundEstimate", "flat_ground", "ground_height", "local_ground", "patchwork_ground", "surface_of"]
 
 GroundPoint = tuple[float, float, float]
 GroundEstimate = Callable[[NDArray[np.float32], GridSpec, GroundPoint], NDArray[np.float32]]
@@ -90,9 +83,7 @@ def local_ground(
     return ground_heights(points, (float(x), float(y), float(z)), cells, spec.shape, limits)
 
 
-def patchwork_ground(
-    xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint
-) -> NDArray[np.float32]:
+def patchwork_ground(xyz: NDArray[np.float32], spec: GridSpec, ground_point: GroundPoint) -> NDArray[np.float32]:
     """Estimate the ground with Patchwork++ (Lee et al. 2022), if ``pypatchworkpp`` is installed.
 
     Parameters, returns : see `flat_ground`
@@ -105,9 +96,7 @@ def patchwork_ground(
     try:
         import pypatchworkpp
     except ImportError as error:
-        raise ImportError(
-            'patchwork_ground needs pypatchworkpp: pip install "ogm-toolkit[ground]"'
-        ) from error
+        raise ImportError('patchwork_ground needs pypatchworkpp: pip install "ogm-toolkit[ground]"') from error
     parameters = pypatchworkpp.Parameters()
     parameters.verbose = False
     parameters.sensor_height = SENSOR_HEIGHT
@@ -127,9 +116,7 @@ def patchwork_ground(
     return height
 
 
-def ground_height(
-    height: NDArray[np.float32], spec: GridSpec, xyz: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def ground_height(height: NDArray[np.float32], spec: GridSpec, xyz: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the ground's height under each point, bilinear between the cells' middles.
 
     Parameters

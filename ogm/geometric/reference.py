@@ -15,13 +15,7 @@ from ogm.geometric.height_band import HeightBandISM
 from ogm.geometric.ray import RayISM
 from ogm.grid import GridSpec
 
-__all__ = [
-    "ground_map",
-    "height_band_mass",
-    "line_cells",
-    "lower_envelope",
-    "ray_grid_mass",
-]
+__all__ = ["ground_map", "height_band_mass", "line_cells", "lower_envelope", "ray_grid_mass"]
 
 Point = tuple[float, float, float]
 
@@ -218,9 +212,7 @@ def _clear_from_rays(
     return first * (1 - p_miss ** (count * per_cell))
 
 
-def ray_grid_mass(
-    xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int
-) -> NDArray[np.float32]:
+def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int) -> NDArray[np.float32]:
     """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
 
     Parameters

@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.io.labels import BoxRow, boxes_of
-from ogm.io.reading import (
-    from_quaternions,
-    need,
-    need_numbers,
-    numbers,
-    optional,
-    parse_array,
-    read_bytes,
-    read_json,
-)
+from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 
@@ -56,9 +47,7 @@ class Argoverse2Map:
         T = inverse(T_city_sensor)
         return [transform_points(T, area)[:, :2] for area in self.areas]
 
-    def ground(
-        self, xyz: NDArray[np.floating[Any]], T_city_sensor: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def ground(self, xyz: NDArray[np.floating[Any]], T_city_sensor: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the z of the ground at some places, in a sensor's frame.
 
         Parameters
@@ -204,9 +193,7 @@ def _map(folder: Path) -> Argoverse2Map | None:
         corners = [[need(p, axis, where) for axis in "xyz"] for p in boundary]
         areas.append(numbers(corners, (len(corners), 3), where))
     data, _ = read_bytes(heights)
-    raster = parse_array(
-        data, heights, lambda shape: len(shape) == 2 and min(shape) > 0, "heights (rows, columns)"
-    )
+    raster = parse_array(data, heights, lambda shape: len(shape) == 2 and min(shape) > 0, "heights (rows, columns)")
     position = read_json(placing, dict, "the position of the raster in the city: R, t, s")
     rotation, shift, scale = (
         need_numbers(position, key, shape, placing) for key, shape in (("R", 4), ("t", 2), ("s", ()))
@@ -243,18 +230,14 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
     data = read_bytes(path)[0]
     try:
         table = ipc.open_file(pyarrow.py_buffer(data)).read_all()
-        found = {
-            name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names
-        }
+        found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names}
     except (pyarrow.ArrowException, ValueError, OSError, MemoryError) as error:
         raise OgmError(
             f"{path} is no readable Feather table: it is damaged or wrongly named ({str(error)[:120]})"
         ) from error
     missing = [name for name in columns if name not in found]
     if missing:
-        raise OgmError(
-            f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}"
-        )
+        raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
         raise OgmError(
             f"timestamp_ns of {path} must be whole numbers [ns], all of them, got {table['timestamp_ns'].type}"

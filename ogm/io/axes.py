@@ -18,14 +18,7 @@ AXES: dict[str, tuple[str, str, str]] = {
 
 Axes = str | Sequence[str] | np.ndarray
 
-_WAYS = {
-    "+x": (1, 0, 0),
-    "-x": (-1, 0, 0),
-    "+y": (0, 1, 0),
-    "-y": (0, -1, 0),
-    "+z": (0, 0, 1),
-    "-z": (0, 0, -1),
-}
+_WAYS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 _WAY_OUT = f'give {", ".join(AXES)}, or the axes that point forward, left, up, such as ("+y", "-x", "+z")'
 
 
@@ -47,9 +40,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
             raise ValueError(f"axes {axes!r} are not known: {_WAY_OUT}")
         axes = AXES[axes]
     if not isinstance(axes, Sequence | np.ndarray):
-        raise ValueError(
-            f"axes must be a name, three signed axes or a (3, 3) matrix, got {axes!r}: {_WAY_OUT}"
-        )
+        raise ValueError(f"axes must be a name, three signed axes or a (3, 3) matrix, got {axes!r}: {_WAY_OUT}")
     if all(isinstance(axis, str) for axis in axes):
         if not set(axes) <= _WAYS.keys():
             raise ValueError(f"axes {tuple(axes)} are not three of {', '.join(_WAYS)}: {_WAY_OUT}")
@@ -59,9 +50,7 @@ def rotation_to_flu(axes: Axes) -> np.ndarray:
     except (TypeError, ValueError) as error:
         raise ValueError(f"axes {axes!r} are no (3, 3) matrix of numbers: {_WAY_OUT}") from error
     if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-        raise ValueError(
-            f"axes must be three at right angles to each other, got {rotation.tolist()}: {_WAY_OUT}"
-        )
+        raise ValueError(f"axes must be three at right angles to each other, got {rotation.tolist()}: {_WAY_OUT}")
     if np.linalg.det(rotation) < 0:
         raise ValueError(f"axes must be right-handed, got the reflection {rotation.tolist()}: {_WAY_OUT}")
     return rotation

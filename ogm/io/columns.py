@@ -75,9 +75,7 @@ def check_rings(raw: np.ndarray | None, path: Path) -> np.ndarray | None:
     return ring
 
 
-def split_times(
-    raw: np.ndarray | None, unit: float | None, path: Path
-) -> tuple[np.ndarray | None, float | None]:
+def split_times(raw: np.ndarray | None, unit: float | None, path: Path) -> tuple[np.ndarray | None, float | None]:
     """Return the times of the points, counted from the stamp, and the stamp [s]; None where there are none.
 
     Parameters

@@ -48,9 +48,7 @@ def read_grid(path: str | os.PathLike[str], area: GridSpec) -> EvidentialGrid:
 
 def _array(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
     try:
-        array = np.load(
-            path, mmap_mode="r", allow_pickle=False
-        )  # refuses a shape that the file does not hold
+        array = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses a shape that the file does not hold
     except (ValueError, EOFError, OverflowError) as error:
         raise OgmError(f"{path} is damaged or no .npy file of numbers: {error}") from error
     if array.ndim != 3 or array.shape[-1] != 2 or array.dtype.kind != "f":
@@ -66,9 +64,7 @@ def _picture(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]
     try:
         with Image.open(path) as picture:
             if picture.mode not in ("RGB", "RGBA"):
-                raise OgmError(
-                    f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}"
-                )
+                raise OgmError(f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}")
             spec = _on(area, (picture.height, picture.width), path)  # before it is unpacked
             pixels = np.asarray(picture.convert("RGB"))
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError) as error:

@@ -14,9 +14,7 @@ from ogm.scan import Boxes
 
 __all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
-_OBJECT = (
-    "type, truncated, occluded, alpha, 4 of the picture's box, height, width, length, x, y, z, rotation_y"
-)
+_OBJECT = "type, truncated, occluded, alpha, 4 of the picture's box, height, width, length, x, y, z, rotation_y"
 _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
@@ -217,9 +215,7 @@ def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.f
                 f"the {words[0]} in line {n} of {path} must have height, width and length above 0 m, got {height:g}, "
                 f"{width:g}, {length:g}: drop the line, or rename it DontCare"
             )
-        center = (
-            T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]
-        )  # the file has the middle of the bottom
+        center = T[:3, :3] @ [x, y, z] + T[:3, 3] + [0, 0, height / 2]  # the file has the middle of the bottom
         ahead = T[:3, :3] @ [np.cos(turn), 0.0, -np.sin(turn)]
         yaw = np.arctan2(ahead[1], ahead[0])
         boxes.append(BoxRow(center, [length, width, height], yaw, words[0], track))

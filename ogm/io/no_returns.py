@@ -8,9 +8,7 @@ _PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a
 _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster
 
 
-def directions_without_return(
-    x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray
-) -> np.ndarray | None:
+def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, returned: np.ndarray) -> np.ndarray | None:
     """Return the directions of the beams without a return.
 
     A spinning lidar's raster has one elevation per row and one azimuth per column, plus, on some sensors, an

@@ -73,9 +73,7 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
         versions = sorted(one for one in folder.glob("v1.*-*") if one.is_dir())
         if len(versions) != 1:
             found = ", ".join(one.name for one in versions) or "none"
-            raise OgmError(
-                f"{folder} must have one folder of tables (v1.0-...), found {found}: give that folder"
-            )
+            raise OgmError(f"{folder} must have one folder of tables (v1.0-...), found {found}: give that folder")
         folder = versions[0]
     noted = (folder / "sample_annotation.json").is_file()
     tables = {name: _table(folder, name) for name in (*_TABLES, *(_NOTES if noted else ()))}
@@ -226,9 +224,7 @@ def _look_up(
     """Follow a row's reference to another table."""
     token = str(need(row, f"{name}_token", f"a row of {of}.json"))
     if token not in tables[name]:
-        raise OgmError(
-            f"{of}.json refers to {name} {token}, which {name}.json does not have: are they of one version?"
-        )
+        raise OgmError(f"{of}.json refers to {name} {token}, which {name}.json does not have: are they of one version?")
     return tables[name][token]
 
 

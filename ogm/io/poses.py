@@ -142,9 +142,7 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     return Poses(poses, stamps, numbers, _OURS if ours else "csv" if header else _KINDS[columns])
 
 
-def write_poses(
-    path: str | os.PathLike[str], trajectory: Trajectory, numbers: ArrayLike | None = None
-) -> None:
+def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
     """Write poses with their stamps, in full precision; the file appears when it is whole.
 
     Parameters
@@ -274,9 +272,7 @@ def _from_matrices(path: Path, where: list[str], table: NDArray[np.float64]) -> 
     poses.reshape(len(table), 16)[:, : table.shape[1]] = table
     R = poses[:, :3, :3]
     error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    bad = (
-        (error > _ROUNDED) | (np.linalg.det(R) < 0) | (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9)
-    )
+    bad = (error > _ROUNDED) | (np.linalg.det(R) < 0) | (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9)
     if bad.any():
         k = int(np.argmax(bad))
         rigid(poses[k], f"the pose in {where[k]}")

@@ -24,11 +24,7 @@ _WANTED = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, cl
 
 
 def read_range_image(
-    path: str | os.PathLike[str],
-    names: Mapping[int, str],
-    axes: Axes = "flu",
-    *,
-    intensity_max: float = 1.0,
+    path: str | os.PathLike[str], names: Mapping[int, str], axes: Axes = "flu", *, intensity_max: float = 1.0
 ) -> LabelledPoints:
     """Read an array (layers, azimuths, 6) of x, y, z [m], intensity, range [m], class.
 

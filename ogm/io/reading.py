@@ -86,8 +86,7 @@ def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:
         ) from error
     if len(content) > BYTE_LIMIT:
         raise OgmError(
-            f"{path} holds more than {BYTE_LIMIT} bytes, wanted one scan below that (ogm.io.BYTE_LIMIT): "
-            "split it"
+            f"{path} holds more than {BYTE_LIMIT} bytes, wanted one scan below that (ogm.io.BYTE_LIMIT): split it"
         )
     if not content:
         raise OgmError(f"{path} holds 0 bytes: was it written to its end?")
@@ -143,15 +142,11 @@ def read_json(path: Path, kind: type, wanted: str) -> Any:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}, wanted {wanted}: check the name and the folder")
     packed = path.suffix.lower() in (".xz", ".gz")
-    data = (
-        read_bytes(path)[0] if packed else path.read_bytes()
-    )  # tables of a data set may be beyond BYTE_LIMIT
+    data = read_bytes(path)[0] if packed else path.read_bytes()  # tables of a data set may be beyond BYTE_LIMIT
     try:
         value = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise OgmError(
-            f"{path} is no JSON ({error}), wanted {wanted}: it is cut short or wrongly named"
-        ) from error
+        raise OgmError(f"{path} is no JSON ({error}), wanted {wanted}: it is cut short or wrongly named") from error
     if not isinstance(value, kind):
         raise OgmError(
             f"{path} holds a JSON {type(value).__name__}, wanted a {kind.__name__}: {wanted}; is it another data "
@@ -228,9 +223,7 @@ def from_quaternions(
     return poses
 
 
-def parse_array(
-    data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool], wanted: str
-) -> NDArray[Any]:
+def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool], wanted: str) -> NDArray[Any]:
     """View the numbers of an ``.npy`` file, whose header is trusted only as far as the file reaches.
 
     Parameters

@@ -231,9 +231,7 @@ def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
     return facts
 
 
-def _first(
-    columns: dict[str, np.ndarray], names: tuple[str, ...], kept: np.ndarray | slice
-) -> np.ndarray | None:
+def _first(columns: dict[str, np.ndarray], names: tuple[str, ...], kept: np.ndarray | slice) -> np.ndarray | None:
     return next((columns[name][kept] for name in names if name in columns), None)
 
 

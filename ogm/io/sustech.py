@@ -42,11 +42,7 @@ def read_sustech(path: str | os.PathLike[str], axes: Axes = "sustech") -> Boxes:
         where = f"object {n} of {path}"
         psr = need(note, "psr", where)
         center, size, angles = (
-            numbers(
-                [need(need(psr, key, where), axis, f"{key} of {where}") for axis in "xyz"],
-                3,
-                f"{key} of {where}",
-            )
+            numbers([need(need(psr, key, where), axis, f"{key} of {where}") for axis in "xyz"], 3, f"{key} of {where}")
             for key in ("position", "scale", "rotation")
         )
         ahead = turn @ [np.cos(angles[2]), np.sin(angles[2]), 0.0]

@@ -112,9 +112,7 @@ def by_error(counts: ConfusionSums) -> tuple[NDArray[np.float64], NDArray[np.flo
     return _ends(cells, np.array([0.0, 0.5, 1.0]) * cells)
 
 
-def _ends(
-    cells: NDArray[np.float64], wrong: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _ends(cells: NDArray[np.float64], wrong: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     there = cells > 0
     zero = np.zeros(1)
     return np.concatenate([zero, np.cumsum(cells[there])]), np.concatenate([zero, np.cumsum(wrong[there])])

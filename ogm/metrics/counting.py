@@ -38,9 +38,7 @@ def _predicted(free: float, occupied: float, unknown: float) -> int:
 
 
 @kernel
-def count_neighbours(
-    mass: Any, state: Any, groups: Any, near: Any, best_of_group: Any, sums: "ConfusionSums"
-) -> None:
+def count_neighbours(mass: Any, state: Any, groups: Any, near: Any, best_of_group: Any, sums: "ConfusionSums") -> None:
     """Add every occupied cell to `p_occupied_hist_tol1` by the largest P(occupied) within one cell.
 
     Parameters
@@ -147,9 +145,7 @@ def count_cells(mass: Any, state: Any, near: Any, limits: Limits, sums: "Confusi
 
 
 @kernel
-def count_ranges(
-    mass: Any, state: Any, distance: Any, edges: Any, limits: Limits, sums: "ConfusionSums"
-) -> None:
+def count_ranges(mass: Any, state: Any, distance: Any, edges: Any, limits: Limits, sums: "ConfusionSums") -> None:
     """Add every cell to the sums by its distance, (N,), in bins with these edges, (ranges + 1,) float64."""
     last, levels = edges.shape[0] - 2, sums.range_bel_free_hist.shape[2]
     for k in range(state.shape[0]):

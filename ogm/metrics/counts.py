@@ -114,21 +114,7 @@ class ConfusionSums(NamedTuple):
         """Return the sums of no cell."""
         ranges = len(RANGES) - 1
         shapes = [
-            *(
-                (3,),
-                (3, 2),
-                (3, 3),
-                (2, 3),
-                (3,),
-                (3, 3),
-                (3, 3),
-                (3, 2),
-                (3, BINS, 3),
-                (BINS, 4),
-                (3,),
-                (3,),
-                (3,),
-            ),
+            *((3,), (3, 2), (3, 3), (2, 3), (3,), (3, 3), (3, 3), (3, 2), (3, BINS, 3), (BINS, 4), (3,), (3,), (3,)),
             *((3,), (3, LEVELS), (3, LEVELS), (3, LEVELS), (2, LEVELS), (2,)),
             *((ranges, 3, 3), (ranges, 3, 2), (ranges, 2, RANGE_LEVELS)),
         ]
@@ -202,9 +188,7 @@ def _check(mass: NDArray, state: NDArray) -> None:
             f"{state.shape}; crop the truth to the grid's spec"
         )
     if mass.dtype not in (np.float32, np.float64):
-        raise TypeError(
-            f"mass must be float32 or float64, got {mass.dtype}; convert it: mass.astype('float32')"
-        )
+        raise TypeError(f"mass must be float32 or float64, got {mass.dtype}; convert it: mass.astype('float32')")
     if state.dtype != np.uint8 or (state.size and state.max() > CellState.IGNORE):
         raise ValueError(
             f"state must be uint8 with 0 unknown, 1 free, 2 occupied, 3 ignore, got {state.dtype} up to "

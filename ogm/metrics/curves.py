@@ -117,9 +117,7 @@ class PrecisionRecall(NamedTuple):
     threshold: NDArray[np.float64]
 
 
-def reliability(
-    counts: ConfusionSums, which: Literal["all", "predicted_known", "relative"] = "all"
-) -> Reliability:
+def reliability(counts: ConfusionSums, which: Literal["all", "predicted_known", "relative"] = "all") -> Reliability:
     """Return how often known cells are occupied, by bins of P(occupied).
 
     Parameters

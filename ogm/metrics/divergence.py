@@ -96,13 +96,9 @@ def to_truth(sums: DivergenceSums, scale: int, cells: NDArray, strength: float) 
     strength : float
         E, the evidence of the truth for a cell that it knows.
     """
-    log_true = np.array(
-        [0.0, sums.log_free[scale, CellState.FREE], sums.log_occupied[scale, CellState.OCCUPIED]]
-    )
+    log_true = np.array([0.0, sums.log_free[scale, CellState.FREE], sums.log_occupied[scale, CellState.OCCUPIED]])
     known = np.array([0.0, 1.0, 1.0])
-    return np.maximum(
-        sums.uniform_kl[scale] - known * (np.log1p(strength) * cells + strength * log_true), 0.0
-    )
+    return np.maximum(sums.uniform_kl[scale] - known * (np.log1p(strength) * cells + strength * log_true), 0.0)
 
 
 def from_truth(sums: DivergenceSums, scale: int, cells: NDArray, strength: float) -> NDArray[np.float64]:

@@ -8,11 +8,7 @@ from numpy.typing import NDArray
 from ogm.metrics import areas
 from ogm.metrics.areas import parts
 from ogm.metrics.counts import ConfusionSums
-from ogm.metrics.ranking import (
-    auroc_of_histograms,
-    average_precision_of_histograms,
-    false_positive_rate_of_histograms,
-)
+from ogm.metrics.ranking import auroc_of_histograms, average_precision_of_histograms, false_positive_rate_of_histograms
 from ogm.state import CellState
 
 __all__ = ["METRICS", "Metric", "reasons", "score"]
@@ -44,9 +40,7 @@ METRICS: dict[str, Metric] = {
     "kl_e10": Metric("KL, E = 10", "lower", "mean KL[grid || truth], truth of evidence 10 [nats]"),
     "kl_e1": Metric("KL, E = 1", "lower", "mean KL[grid || truth], truth of evidence 1 [nats]"),
     "kl_e1_scaled": Metric(
-        "KL, E = 1, e/10",
-        "lower",
-        "the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10",
+        "KL, E = 1, e/10", "lower", "the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10"
     ),
     "iou_free": Metric(
         "IoU free", "higher", "IoU of free cells; predicted is the state of greatest mass, unknown included"
@@ -55,17 +49,13 @@ METRICS: dict[str, Metric] = {
     "iou_unknown": Metric("IoU unknown", "higher", "IoU of unknown cells, likewise"),
     "brier": Metric("Brier", "lower", "mean squared error of P(occupied) on known cells"),
     "nll": Metric(
-        "NLL",
-        "lower",
-        "mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid",
+        "NLL", "lower", "mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid"
     ),
     "false_free": Metric("false free", "lower", "share of occupied cells with a mass of free above 1/2"),
     "missed_occupied": Metric(
         "missed occupied", "lower", "share of occupied cells without a mass of occupied above 1/2"
     ),
-    "false_occupied": Metric(
-        "false occupied", "lower", "share of free cells with a mass of occupied above 1/2"
-    ),
+    "false_occupied": Metric("false occupied", "lower", "share of free cells with a mass of occupied above 1/2"),
     "missed_obstacles": Metric(
         "missed obstacles",
         "lower",
@@ -78,20 +68,14 @@ METRICS: dict[str, Metric] = {
     ),
     "free_recall_01": Metric("free recall at 0.1 %", "higher", "the same for at most 0.1 %"),
     "ap_occupied_near": Metric(
-        "AP occupied, 1 cell",
-        "higher",
-        "average precision of P(occupied) on known cells, with a tolerance of one cell",
+        "AP occupied, 1 cell", "higher", "average precision of P(occupied) on known cells, with a tolerance of one cell"
     ),
     "ap_occupied": Metric("AP occupied", "higher", "the same without tolerance"),
-    "auroc_unknown": Metric(
-        "AUROC unknown", "higher", "AUROC of the mass of unknown for cells whose truth is unknown"
-    ),
+    "auroc_unknown": Metric("AUROC unknown", "higher", "AUROC of the mass of unknown for cells whose truth is unknown"),
     "aupr_unknown": Metric(
         "AUPR unknown", "higher", "average precision of the mass of unknown for cells whose truth is unknown"
     ),
-    "aupr_known": Metric(
-        "AUPR known", "higher", "average precision of little unknown for cells whose truth is known"
-    ),
+    "aupr_known": Metric("AUPR known", "higher", "average precision of little unknown for cells whose truth is known"),
     "fpr95_unknown": Metric(
         "FPR at 95 %",
         "lower",
@@ -104,13 +88,9 @@ METRICS: dict[str, Metric] = {
     ),
     "ause": Metric("AUSE", "lower", "the same minus its least value, that of cells sorted by their error"),
     "ece": Metric("ECE", "lower", "expected calibration error of P(occupied) on known cells, 15 bins"),
-    "ece_relative": Metric(
-        "ECE, relative", "lower", "the same of occupied / (free + occupied), 1/2 where both are 0"
-    ),
+    "ece_relative": Metric("ECE, relative", "lower", "the same of occupied / (free + occupied), 1/2 where both are 0"),
     "ece_called": Metric(
-        "ECE, predicted known",
-        "lower",
-        "the same on those known cells that the grid predicts as free or occupied",
+        "ECE, predicted known", "lower", "the same on those known cells that the grid predicts as free or occupied"
     ),
     "ace": Metric("ACE", "lower", "calibration error of P(occupied) on known cells, 15 bins of equal weight"),
     "interval_violation": Metric(
@@ -132,28 +112,20 @@ METRICS: dict[str, Metric] = {
         "IoU occupied, known", "higher", "IoU of occupied by P(occupied) > 1/2, on known cells"
     ),
     "map_score": Metric(
-        "MapScore",
-        "higher",
-        "mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid",
+        "MapScore", "higher", "mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid"
     ),
     "entropy": Metric("entropy", "", "mean Shannon entropy of P(occupied) [bit]"),
     "dissonance": Metric("dissonance", "", "mean 2 min(free, occupied)"),
     "mean_free": Metric("mean free", "", "mean mass of free"),
     "mean_occupied": Metric("mean occupied", "", "mean mass of occupied"),
     "mean_unknown": Metric("mean unknown", "", "mean mass of unknown"),
-    "kl_e10_reverse": Metric(
-        "reverse KL, E = 10", "lower", "mean KL[truth || grid], truth of evidence 10 [nats]"
-    ),
-    "kl_e1_reverse": Metric(
-        "reverse KL, E = 1", "lower", "mean KL[truth || grid], truth of evidence 1 [nats]"
-    ),
+    "kl_e10_reverse": Metric("reverse KL, E = 10", "lower", "mean KL[truth || grid], truth of evidence 10 [nats]"),
+    "kl_e1_reverse": Metric("reverse KL, E = 1", "lower", "mean KL[truth || grid], truth of evidence 1 [nats]"),
     "legacy_kl": Metric(
         "released code's KL", "lower", "categorical KL of clipped evidence, as in the EviLOG code [nats]"
     ),
     "legacy_accuracy": Metric(
-        "released code's accuracy",
-        "",
-        "share of cells predicted unknown, which the EviLOG code reports as accuracy",
+        "released code's accuracy", "", "share of cells predicted unknown, which the EviLOG code reports as accuracy"
     ),
 }
 
@@ -163,15 +135,12 @@ NEEDS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("iou_occupied", "iou_occupied_known"), ("occupied",)),
     **dict.fromkeys(("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"), ("unknown", "known")),
     **dict.fromkeys(
-        ("brier", "nll", "aurc", "ause", "ece", "ece_relative", "ece_called", "ace", "interval_violation"),
-        ("known",),
+        ("brier", "nll", "aurc", "ause", "ece", "ece_relative", "ece_called", "ace", "interval_violation"), ("known",)
     ),
     **dict.fromkeys(("brier_relative", "brier_expected", "conflict", "map_score"), ("known",)),
     **dict.fromkeys(("false_free", "missed_occupied", "missed_obstacles", "conflict_free"), ("occupied",)),
     **dict.fromkeys(("false_occupied", "conflict_occupied"), ("free",)),
-    **dict.fromkeys(
-        ("free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"), ("free", "occupied")
-    ),
+    **dict.fromkeys(("free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"), ("free", "occupied")),
 }  # cells of these truths; all need some that are not ignored
 
 

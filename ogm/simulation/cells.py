@@ -37,10 +37,7 @@ class Below(NamedTuple):
 
 
 def measure_ground(
-    surface: Scene,
-    T_world_sensor: ArrayLike,
-    spec: GridSpec = TRUTH_SPEC,
-    step: float = HEIGHT_LIMITS.obstacle,
+    surface: Scene, T_world_sensor: ArrayLike, spec: GridSpec = TRUTH_SPEC, step: float = HEIGHT_LIMITS.obstacle
 ) -> Below:
     """Find the ground in the middle of every cell, and the steps in it.
 
@@ -150,11 +147,7 @@ AIMS = Aims(
 
 
 def aimed_directions(
-    z: NDArray[np.float32],
-    spec: GridSpec,
-    aim: Aim,
-    elevations: tuple[float, float],
-    chosen: NDArray[np.bool_],
+    z: NDArray[np.float32], spec: GridSpec, aim: Aim, elevations: tuple[float, float], chosen: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """Return the unit vectors from the sensor to one point of every chosen cell in its field of view.
 

@@ -47,9 +47,7 @@ __all__ = ["SceneSetup", "World", "beams_of", "lidars", "make_sample", "set_up",
 _log = logging.getLogger(__name__)
 
 REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
-LISTED = (
-    85.0  # [m] around the sensor, within which objects are listed: a little more than the truth's corners
-)
+LISTED = 85.0  # [m] around the sensor, within which objects are listed: a little more than the truth's corners
 DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were
 
 
@@ -142,9 +140,7 @@ def simulate(
     check_workers(count)
     store = begin(Path(folder), plan, lidars(plan), versions())
     if store.versions != versions():
-        _log.warning(
-            "the data set was begun with other versions of libraries; new samples may differ in detail"
-        )
+        _log.warning("the data set was begun with other versions of libraries; new samples may differ in detail")
     plan = DatasetPlan.from_dict(store.plan)
     with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
         for event in events:

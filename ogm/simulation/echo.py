@@ -111,9 +111,7 @@ def _patch(x: float, y: float, z: float, size: float) -> int:
 
 
 @kernel
-def reflect(
-    directions: NDArray, T: NDArray, hits: Hits, optics: NDArray, coats: NDArray, strength: NDArray
-) -> None:
+def reflect(directions: NDArray, T: NDArray, hits: Hits, optics: NDArray, coats: NDArray, strength: NDArray) -> None:
     """Fill in how strong the return of each ray would be if nothing disturbed it.
 
     Parameters
@@ -180,9 +178,7 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
 
 
 @kernel
-def _share_light(
-    i: int, distance: NDArray, strength: NDArray, device: Device, seed: int
-) -> tuple[float, float, int]:
+def _share_light(i: int, distance: NDArray, strength: NDArray, device: Device, seed: int) -> tuple[float, float, int]:
     """Return distance, strength and source of the light of ray i, whose beam's edge may lap over to neighbours."""
     d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
     for side in range(4):

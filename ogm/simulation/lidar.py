@@ -65,9 +65,7 @@ def scan(
     T = check_pose(T_world_sensor, "T_world_sensor")
     motion = np.asarray(velocity, np.float64)
     if motion.shape != (3,) or not np.isfinite(motion).all() or not np.isfinite(yaw_rate):
-        raise ValueError(
-            f"velocity must be three finite numbers and yaw_rate one, got {velocity!r}, {yaw_rate}"
-        )
+        raise ValueError(f"velocity must be three finite numbers and yaw_rate one, got {velocity!r}, {yaw_rate}")
     seed = int(rng.integers(2**62))
     rays = spec.directions().reshape(-1, 3)
     if spec.origins or motion.any() or yaw_rate:
@@ -76,9 +74,7 @@ def scan(
         hits = scene.cast(T, rays, salt=seed % 2**31)
     paint = np.arange(scene.things) if coats is None else np.asarray(coats)
     if paint.shape != (scene.things,) or (paint.size and paint.dtype.kind not in "iu"):
-        raise ValueError(
-            f"coats must be one integer for each of the {scene.things} things in the scene, got {coats!r}"
-        )
+        raise ValueError(f"coats must be one integer for each of the {scene.things} things in the scene, got {coats!r}")
     return _report(spec, T, hits, weather, paint.astype(np.int64), seed)
 
 
@@ -164,9 +160,7 @@ def _air(weather: Weather) -> Air:
     return Air(extinction, drops, depth)
 
 
-def to_points(
-    image: RangeImage, spec: LidarSpec
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+def to_points(image: RangeImage, spec: LidarSpec) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
     """Return the returns of a range image as points, layer by layer.
 
     Returns

@@ -51,10 +51,7 @@ class LidarMount:
         object.__setattr__(self, "forward", tuple(map(float, self.forward)))
         if not (self.share > 0 and math.isfinite(self.share)):
             raise ValueError(f"the share of {self.lidar} must be positive, got {self.share}")
-        for name, pair, low, high in (
-            ("height", self.height, 0.3, 5.0),
-            ("forward", self.forward, -3.0, 3.0),
-        ):
+        for name, pair, low, high in (("height", self.height, 0.3, 5.0), ("forward", self.forward, -3.0, 3.0)):
             if pair is None:
                 continue
             if len(pair) != 2 or not low <= pair[0] <= pair[1] <= high:
@@ -241,9 +238,7 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
     return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
 
 
-def draw_mount(
-    plan: DatasetPlan, split: str, index: int
-) -> tuple[LidarMount, tuple[float, float, float, float]]:
+def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, tuple[float, float, float, float]]:
     """Draw the lidar of a sample and its mounting: height, forward [m], roll, pitch [rad].
 
     All samples of a sequence have the same.

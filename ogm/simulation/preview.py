@@ -50,9 +50,7 @@ def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple
     return cloud, truth_panel(sample.truth.crop(spec))
 
 
-def materials_panel(
-    points: NDArray[np.float32], material: NDArray[np.uint8], spec: GridSpec, title: str
-) -> plot.Panel:
+def materials_panel(points: NDArray[np.float32], material: NDArray[np.uint8], spec: GridSpec, title: str) -> plot.Panel:
     """Show points from above, coloured by what they hit.
 
     Parameters
@@ -168,12 +166,7 @@ def _figure(rows: int, columns: int, size: tuple[float, float], **layout: Any) -
 
 
 def _save(
-    path: str | os.PathLike[str],
-    figure: Any,
-    axes: Any,
-    images: Sequence[tuple[str, NDArray]],
-    font: int,
-    dpi: int,
+    path: str | os.PathLike[str], figure: Any, axes: Any, images: Sequence[tuple[str, NDArray]], font: int, dpi: int
 ) -> None:
     for axis, (title, image) in zip(axes, images, strict=False):
         axis.imshow(image, interpolation="nearest")

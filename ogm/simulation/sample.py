@@ -90,9 +90,7 @@ class Beams:
                 f"got {layers}, {len(self.azimuth)} and {len(self.origin)}"
             )
         if self.columns < 1 or not self.rate > 0:
-            raise ValueError(
-                f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}"
-            )
+            raise ValueError(f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -105,11 +103,7 @@ class Beams:
         elevation = np.array(self.elevation)[:, None]
         azimuth = np.array(self.azimuth)[:, None] + self.step * np.arange(self.columns)
         return np.stack(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation) + 0 * azimuth,
-            ],
+            [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth],
             axis=-1,
         ).astype(np.float32)
 

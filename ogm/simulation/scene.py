@@ -115,9 +115,7 @@ class Scene:
         index = np.arange(len(rays), dtype=np.int32)
         self._keep_nearest(hits, index, rays, np.zeros(len(rays), np.float32))
         for turn in range(PASSES):
-            index = kernels.transmitted(
-                hits.material, self._transmission, number, PASSES * salt + turn, index
-            )
+            index = kernels.transmitted(hits.material, self._transmission, number, PASSES * salt + turn, index)
             if not len(index):
                 return
             self._keep_nearest(hits, index, *kernels.restart(hits, index, rays, SKIN))
@@ -153,11 +151,7 @@ def _tensor(array: NDArray) -> "open3d.core.Tensor":
 
 def _check(mesh: Mesh) -> None:
     """Refuse a mesh that Open3D would crash on."""
-    for name, columns, dtype in (
-        ("vertices", 3, "float32"),
-        ("triangles", 3, "uint32"),
-        ("material", 0, "uint8"),
-    ):
+    for name, columns, dtype in (("vertices", 3, "float32"), ("triangles", 3, "uint32"), ("material", 0, "uint8")):
         array = getattr(mesh, name)
         if array.dtype != dtype or array.shape[1:] != (columns,) * (columns > 0):
             shape = f"(N, {columns})" if columns else "(N,)"
@@ -169,14 +163,10 @@ def _check(mesh: Mesh) -> None:
     if len(mesh.triangles) and mesh.triangles.max() >= len(mesh.vertices):
         raise ValueError(f"triangle corner {mesh.triangles.max()} but only {len(mesh.vertices)} vertices")
     if len(mesh.material) != len(mesh.triangles):
-        raise ValueError(
-            f"{len(mesh.triangles)} triangles but {len(mesh.material)} materials; each needs one"
-        )
+        raise ValueError(f"{len(mesh.triangles)} triangles but {len(mesh.material)} materials; each needs one")
 
 
-def _aim(
-    origin: ArrayLike, directions: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _aim(origin: ArrayLike, directions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return origins (1 or N, 3) and the rotation that takes directions to the world."""
     if not isinstance(directions, np.ndarray) or directions.dtype != np.float32:
         got = getattr(directions, "dtype", type(directions).__name__)

@@ -162,9 +162,7 @@ class LidarSpec:
 
     def directions(self) -> NDArray[np.float32]:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
-        return _shared_rays(
-            self.elevations, self.azimuth_offsets, self.first_azimuth, self.azimuth_step, self.azimuths
-        )
+        return _shared_rays(self.elevations, self.azimuth_offsets, self.first_azimuth, self.azimuth_step, self.azimuths)
 
 
 @lru_cache(maxsize=2)
@@ -185,9 +183,7 @@ def hd_directions(spec: LidarSpec, layers: int = 3000) -> NDArray[np.float32]:
     if layers < 2:
         raise ValueError(f"layers must be 2 or more, got {layers}")
     elevations = np.linspace(spec.elevations[0], spec.elevations[-1], layers)
-    return _rays(
-        tuple(elevations.tolist()), (0.0,) * layers, spec.first_azimuth, spec.azimuth_step, spec.azimuths
-    )
+    return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.first_azimuth, spec.azimuth_step, spec.azimuths)
 
 
 def _rays(

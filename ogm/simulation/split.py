@@ -18,12 +18,7 @@ __all__ = ["FACTS", "OBJECTS", "SHARD", "Damaged", "Split"]
 
 SHARD = 10  # samples per shard: they become complete together
 OBJECTS = 160  # rows for objects per sample; of more, the first are kept
-_POSES = [
-    f"T_{name}_sensor_{row}{column}"
-    for name in ("world", "vehicle")
-    for row in range(3)
-    for column in range(4)
-]
+_POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]
 FACTS = (
     *("made", "lidar", "objects", "scenario", "stamp"),
     *_POSES,
@@ -200,11 +195,8 @@ def open_array(path: Path, mode: str = "r") -> Any:
     try:
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
-        raise Damaged(
-            f"{path} is missing: the data set is not whole; make it anew in a new folder"
-        ) from error
+        raise Damaged(f"{path} is missing: the data set is not whole; make it anew in a new folder") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:  # what zarr raises of odd metadata
         raise Damaged(
-            f"{path} is no array that can be read ({error}): the data set is not whole; "
-            "make it anew in a new folder"
+            f"{path} is no array that can be read ({error}): the data set is not whole; make it anew in a new folder"
         ) from error

@@ -22,9 +22,7 @@ __all__ = ["hd_points", "preview", "render"]
 FAR = 900.0  # [m] at which the air hides a third of what is there
 
 
-def preview(
-    path: str | os.PathLike[str], town_path: str | os.PathLike[str], plan: DatasetPlan, index: int = 0
-) -> None:
+def preview(path: str | os.PathLike[str], town_path: str | os.PathLike[str], plan: DatasetPlan, index: int = 0) -> None:
     """Draw a training sample as the paper's Fig. 2, and the town that it was taken in.
 
     Parameters
@@ -75,9 +73,7 @@ def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     """Draw triangles in sunlight, with shadows and haze; (height, width, 3) uint8."""
     tensor: Any = open3d.core.Tensor  # its own hints are too narrow
     scene = open3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        tensor(np.ascontiguousarray(mesh.vertices)), tensor(np.ascontiguousarray(mesh.triangles))
-    )
+    scene.add_triangles(tensor(np.ascontiguousarray(mesh.vertices)), tensor(np.ascontiguousarray(mesh.triangles)))
     directions = camera.directions().reshape(-1, 3)
     rays = np.empty((len(directions), 6), np.float32)
     rays[:, :3], rays[:, 3:] = camera.eye, directions

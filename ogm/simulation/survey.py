@@ -155,6 +155,4 @@ class _Observer:
     def truth(self, boxes: Boxes | None, returns: ArrayLike | None, ego: NDArray[np.bool_] | None) -> Truth:
         """Return the truth of the cells."""
         beyond = np.isnan(self.below.z)
-        return finalize_truth(
-            self.seen, self.spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond
-        )
+        return finalize_truth(self.seen, self.spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond)

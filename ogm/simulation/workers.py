@@ -52,9 +52,7 @@ class Estimate(NamedTuple):
     workers: int
 
 
-def begin(
-    path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]
-) -> Store:
+def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]) -> Store:
     """Begin a data set, or open one that was begun by the same plan, to go on with it.
 
     Incomplete files of a killed run are removed. Where other versions of libraries go on, the data set names
@@ -217,9 +215,7 @@ def _with_dask(
     with _client(workers, scheduler) as client:
         count = len(client.ncores())
         if not count:
-            raise OSError(
-                f"the scheduler {scheduler} has no workers; start some with `dask worker {scheduler}`"
-            )
+            raise OSError(f"the scheduler {scheduler} has no workers; start some with `dask worker {scheduler}`")
         yield _estimate(client.submit(work.measure, todo[0], pure=False).result(), todo, count, store)
         ahead, later = todo[: 2 * count], iter(todo[2 * count :])
         running = as_completed((client.submit(work.make, job, pure=False) for job in ahead), loop=client.loop)
@@ -251,11 +247,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": environment}))
         with _interrupt_delayed():
             cluster = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address=":0",
-                silence_logs=_SILENT,
-                memory_limit=0,
+                n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=_SILENT, memory_limit=0
             )
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))

@@ -22,9 +22,7 @@ __all__ = [
 
 MIN_RETURNS = 50  # points in the input scan that make all cells of an object occupied (Sec. IV-B)
 MOVING_SPEED = 1.0  # [m/s] from the first box of a track to the last, above which an object moves
-MOVING_DISTANCE = (
-    3.0  # [m] or so far from its first box at any time: it may have driven a little, then waited
-)
+MOVING_DISTANCE = 3.0  # [m] or so far from its first box at any time: it may have driven a little, then waited
 
 
 def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
@@ -148,11 +146,7 @@ def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> Boxes:
 
 
 def moving_tracks(
-    stamps: Sequence[float],
-    boxes: Sequence[Boxes],
-    *,
-    speed: float = MOVING_SPEED,
-    distance: float = MOVING_DISTANCE,
+    stamps: Sequence[float], boxes: Sequence[Boxes], *, speed: float = MOVING_SPEED, distance: float = MOVING_DISTANCE
 ) -> frozenset[str]:
     """Return the tracks of the objects that move while they are recorded.
 
@@ -173,9 +167,7 @@ def moving_tracks(
         Tracks above either. An object that was seen once is none of them.
     """
     if len(stamps) != len(boxes):
-        raise ValueError(
-            f"there must be one stamp per frame, got {len(stamps)} stamps and {len(boxes)} frames"
-        )
+        raise ValueError(f"there must be one stamp per frame, got {len(stamps)} stamps and {len(boxes)} frames")
     track: dict[str, list[tuple[float, float, float]]] = {}
     for k in np.argsort(np.asarray(stamps, np.float64), kind="stable"):
         for name, (x, y) in zip(boxes[k].track, boxes[k].center[:, :2], strict=True):
@@ -190,9 +182,7 @@ def moving_tracks(
     return frozenset(moving)
 
 
-def truth_from_boxes(
-    boxes: Boxes, returns: ArrayLike, spec: GridSpec, *, min_returns: int = MIN_RETURNS
-) -> Truth:
+def truth_from_boxes(boxes: Boxes, returns: ArrayLike, spec: GridSpec, *, min_returns: int = MIN_RETURNS) -> Truth:
     """Return the truth of boxes alone: objects with enough returns are occupied (van Kempen et al. 2021, Sec. IV-B).
 
     Parameters

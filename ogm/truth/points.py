@@ -13,9 +13,7 @@ from ogm.truth.observe import HEIGHT_LIMITS, HeightLimits, Kind, observe_points
 
 __all__ = ["TRUTH_SPEC", "finalize_truth", "height_above_ground", "truth_from_points", "truth_grid"]
 
-TRUTH_SPEC = GridSpec.centered(
-    length=99.84, width=99.84, resolution=0.16
-)  # holds the paper's grid at any yaw
+TRUTH_SPEC = GridSpec.centered(length=99.84, width=99.84, resolution=0.16)  # holds the paper's grid at any yaw
 _MOST_SQUARES = 1e8  # on which ground is estimated: 10 km x 10 km of 1 m
 
 
@@ -78,9 +76,7 @@ def truth_grid(
         raise ValueError(f"kind must lie in 0..{len(Kind) - 1}, see Kind; got {kind.min()} to {kind.max()}")
     seen = np.zeros(spec.shape, np.uint8)
     observe_points(seen, x, y, kind, height, spec, limits)
-    return finalize_truth(
-        seen, spec, boxes=boxes, returns=returns, min_returns=min_returns, unobserved=unobserved
-    )
+    return finalize_truth(seen, spec, boxes=boxes, returns=returns, min_returns=min_returns, unobserved=unobserved)
 
 
 def finalize_truth(
@@ -110,9 +106,7 @@ def finalize_truth(
         state[beyond & (state == CellState.UNKNOWN)] = CellState.IGNORE
     if boxes is not None:
         if returns is None:
-            raise ValueError(
-                "boxes need returns, the points that each has in the input scan: count_returns()"
-            )
+            raise ValueError("boxes need returns, the points that each has in the input scan: count_returns()")
         returns = np.asarray(returns)
         if returns.dtype.kind not in "iu":
             raise TypeError(f"returns must be integers, got dtype {returns.dtype}")
@@ -158,9 +152,7 @@ def height_above_ground(
     if xyz.ndim != 2 or xyz.shape[1] < 3:
         raise ValueError(f"xyz must have shape (N, 3 or more), got {xyz.shape}")
     if is_ground.dtype != bool or is_ground.shape != (len(xyz),):
-        raise ValueError(
-            f"is_ground must be {len(xyz)} booleans, got {is_ground.dtype} of shape {is_ground.shape}"
-        )
+        raise ValueError(f"is_ground must be {len(xyz)} booleans, got {is_ground.dtype} of shape {is_ground.shape}")
     if not np.isfinite(xyz[:, :3]).all():
         raise ValueError("xyz holds NaN or inf; drop those points first")
     if not (0 < resolution < np.inf and reach >= 0):

@@ -57,9 +57,7 @@ def observe_rays(
 
 
 @kernel
-def _observe_rays(
-    seen: Any, distance: Any, directions: Any, kinds: Any, ground: Any, rise: Any, rules: _Rules
-) -> None:
+def _observe_rays(seen: Any, distance: Any, directions: Any, kinds: Any, ground: Any, rise: Any, rules: _Rules) -> None:
     nx, ny = seen.shape
     for n in range(len(distance)):
         kind = kinds[n]

@@ -13,9 +13,7 @@ import pytest
 
 HEIGHT = 1.8  # [m] of the sensor
 SCANS = 4
-PARKED = np.array(
-    [8.0, -4.0, 0.3, 4.0, 2.0, 0.0, 1.5]
-)  # x, y, yaw, length, width, bottom, top; on the street
+PARKED = np.array([8.0, -4.0, 0.3, 4.0, 2.0, 0.0, 1.5])  # x, y, yaw, length, width, bottom, top; on the street
 # Camera: x right, y down, z forward; a little behind and above the lidar
 T_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
 CLASSES = {"road": 40, "building": 50, "car": 10, "moving-car": 252, "outlier": 1}
@@ -49,9 +47,7 @@ def scan(k: int) -> tuple[np.ndarray, np.ndarray]:
         c, s, px, py = np.cos(yaw), np.sin(yaw), ground[:, 0] - cx, ground[:, 1] - cy
         under |= (np.abs(c * px + s * py) < length / 2) & (np.abs(c * py - s * px) < width / 2)
     ground = ground[~under & (ground[:, 0] < 13)]
-    wall = np.column_stack(
-        [rng.uniform(13.0, 13.1, 3000), rng.uniform(-9, 9, 3000), rng.uniform(0.4, 1.9, 3000)]
-    )
+    wall = np.column_stack([rng.uniform(13.0, 13.1, 3000), rng.uniform(-9, 9, 3000), rng.uniform(0.4, 1.9, 3000)])
     own = np.tile([k + 0.4, 0.2, 1.4], (40, 1)) + rng.uniform(0, 0.2, (40, 3))
     parts = {
         "road": ground,
@@ -106,9 +102,7 @@ def write_kitti_object(folder: Path) -> None:
 
 
 def tracking_lines() -> str:
-    rows = [
-        f"{k} {track} {kitti_line(box, 'Car')}" for k in range(SCANS) for track, box in enumerate(boxes(k))
-    ]
+    rows = [f"{k} {track} {kitti_line(box, 'Car')}" for k in range(SCANS) for track, box in enumerate(boxes(k))]
     return "\n".join([*rows, "0 -1 DontCare -1 -1 -10 1 2 3 4 -1000 -1000 -1000 -10 -1 -1 -1"]) + "\n"
 
 
@@ -138,12 +132,8 @@ def write_kitti_raw(folder: Path) -> None:
     (folder / "velodyne_points" / "timestamps.txt").write_text("\n".join(stamps) + "\n")
     rows = [f"R: {' '.join(map(repr, T_CAMERA[:3, :3].ravel().tolist()))}"]
     rows.append(f"T: {' '.join(map(repr, T_CAMERA[:3, 3].tolist()))}")
-    (folder.parent / "calib_velo_to_cam.txt").write_text(
-        "calib_time: 15-Mar-2012 11:37:16\n" + "\n".join(rows)
-    )
-    (folder.parent / "calib_cam_to_cam.txt").write_text(
-        "corner_dist: 9.95e-02\nR_rect_00: 1 0 0 0 1 0 0 0 1\n"
-    )
+    (folder.parent / "calib_velo_to_cam.txt").write_text("calib_time: 15-Mar-2012 11:37:16\n" + "\n".join(rows))
+    (folder.parent / "calib_cam_to_cam.txt").write_text("corner_dist: 9.95e-02\nR_rect_00: 1 0 0 0 1 0 0 0 1\n")
     (folder / "label_02").mkdir()
     (folder / "label_02" / "0000.txt").write_text(tracking_lines())
     write_lidar_poses(folder / "derived" / "poses_lidar.txt")
@@ -214,9 +204,7 @@ def write_nuscenes(folder: Path, version: str = "v1.0-mini") -> None:
         sample, pose = f"sample {k}", f"pose {k}"
         tables["sample"].append({"token": sample, "scene_token": "s", "timestamp": 10**15 + 100_000 * k})
         T = ego(k)
-        tables["ego_pose"].append(
-            {"token": pose, "translation": T[:3, 3].tolist(), "rotation": quaternion(T)}
-        )
+        tables["ego_pose"].append({"token": pose, "translation": T[:3, 3].tolist(), "rotation": quaternion(T)})
         for sensor, key_frame in (("lidar", True), ("camera", True), ("lidar", False)):
             name = f"samples/LIDAR_TOP/n__LIDAR_TOP__{10**15 + 100_000 * k}.pcd.bin"
             row = {
@@ -318,9 +306,7 @@ def write_argoverse2(folder: Path) -> None:
             half = box[2] / 2
             rows.append([*box[3:5], box[6] - box[5], np.cos(half), 0, 0, np.sin(half), *middle])
     names = ("length_m", "width_m", "height_m", "qw", "qx", "qy", "qz", "tx_m", "ty_m", "tz_m")
-    write(
-        "annotations.feather", {**notes, **dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))}
-    )
+    write("annotations.feather", {**notes, **dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))})
     write("city_SE3_egovehicle.feather", poses)
     write(
         "calibration/egovehicle_SE3_sensor.feather",

@@ -194,9 +194,7 @@ def test_descriptions_state_what_the_frames_own_scan_has_to_do_with_the_truth(wr
     assert "above labelled ground" in descriptions["semantic kitti"]
     assert "above the map's ground" in descriptions["argoverse 2"]
     assert "above the lowest returns per square metre" in descriptions["kitti raw"]
-    assert all(
-        "objects that move taken out" in descriptions[name] for name in ("semantic kitti", "kitti raw")
-    )
+    assert all("objects that move taken out" in descriptions[name] for name in ("semantic kitti", "kitti raw"))
 
 
 def test_a_drive_of_few_times_says_so(fresh):
@@ -316,9 +314,7 @@ def test_a_height_that_is_not_plausible_is_refused(fresh, street):
     scan, _, _ = street
     for k in range(4):
         (scan(k)[0] + np.array([0, 0, 1.6, 0], np.float32)).tofile(folder / f"{k:06}.bin")
-    with pytest.raises(
-        ValueError, match=r"0\.\d+ m, estimated .* not plausible \(0.5 to 5 m\).*sensor_position"
-    ):
+    with pytest.raises(ValueError, match=r"0\.\d+ m, estimated .* not plausible \(0.5 to 5 m\).*sensor_position"):
         _ = open_dataset(folder)[0].mount
     mount = open_dataset(folder, sensor_position=(1.0, 0.0, 1.6))[0].mount
     assert mount.sensor_height == pytest.approx(1.8, abs=0.03)

@@ -42,8 +42,7 @@ def test_scans_come_by_number(tmp_path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("first", "unit"),
-    [(7, 0.1), (1_317_042_145_964, 1e-3), (1317042145964389, 1e-6), (1317042145964389445, 1e-9)],
+    ("first", "unit"), [(7, 0.1), (1_317_042_145_964, 1e-3), (1317042145964389, 1e-6), (1317042145964389445, 1e-9)]
 )
 def test_names_of_scans_tell_the_time(first, unit) -> None:
     scans = [Path(f"{first + round(k * 0.2 / unit):010}.bin") for k in range(3)]

@@ -18,9 +18,7 @@ SPEC = GridSpec.centered(length=24, width=16, resolution=0.5)
 def cloud(height: float = HEIGHT) -> np.ndarray:
     """Flat ground, and a wall across the way."""
     rng = np.random.default_rng(0)
-    ground = np.column_stack(
-        [rng.uniform(-20, 20, (20_000, 2)), np.full(20_000, -height), np.full(20_000, 0.5)]
-    )
+    ground = np.column_stack([rng.uniform(-20, 20, (20_000, 2)), np.full(20_000, -height), np.full(20_000, 0.5)])
     return ground.astype(np.float32)
 
 
@@ -80,9 +78,7 @@ def test_scans_are_read_as_the_options_state(tmp_path: Path) -> None:
     points = cloud()
     points[:, 3] = 40
     np.save(tmp_path / "a.npy", points[:, [1, 0, 2, 3]] * [1, -1, 1, 1])
-    frame = open_dataset(tmp_path / "a.npy", axes=("-y", "+x", "+z"), intensity_max=80.0, sensor_height=1.6)[
-        0
-    ]
+    frame = open_dataset(tmp_path / "a.npy", axes=("-y", "+x", "+z"), intensity_max=80.0, sensor_height=1.6)[0]
     np.testing.assert_allclose(frame.scan.points, np.column_stack([points[:, :3], np.full(20_000, 0.5)]))
     assert frame.mount.sensor_height == 1.6
 

@@ -73,10 +73,7 @@ def test_without_a_split_the_one_that_has_samples_is_taken_and_named(store: Path
     assert dataset.facts["plan"] == {"seed": 1, "truth": "aimed"}
     assert dataset.files == (store / "zarr.json", store / "sequences")
     assert not dataset.motion_distorted
-    assert {name: len(frames) for name, frames in dataset.sequences.items()} == {
-        "sequence 0": 10,
-        "sequence 1": 2,
-    }
+    assert {name: len(frames) for name, frames in dataset.sequences.items()} == {"sequence 0": 10, "sequence 1": 2}
     assert dataset[11].name == "sequence 1 frame 1"
     assert dataset[3].stamp == pytest.approx(20.3)
     assert "rays from the sensor's place, aimed at every cell, hit" in dataset.description

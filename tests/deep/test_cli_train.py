@@ -55,18 +55,13 @@ def test_train_writes_weights_that_can_be_used(store: Path, frames: list, tmp_pa
     with open(run / "log.csv") as file:
         assert [row["epoch"] for row in csv.DictReader(file)] == ["1", "2"]
     description = json.loads((run / "best.json").read_text())
-    assert {name: part["frames"] for name, part in description["data"].items()} == {
-        "training": 8,
-        "validation": 10,
-    }
+    assert {name: part["frames"] for name, part in description["data"].items()} == {"training": 8, "validation": 10}
     assert description["seen"]["height"] == [1.8, 1.8]
     assert description["recipe"]["batch"] == 4
     assert DeepISM.load(run, mount=Mount(1.8))(frames[0].scan).spec.shape == (48, 32)
 
 
-def test_an_interrupted_run_is_saved_and_resumes(
-    store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_run_is_saved_and_resumes(store: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from ogm.deep import training_run
 
     steps = []
@@ -98,9 +93,7 @@ def test_missing_data_and_bad_grids_are_refused(store: Path, tmp_path: Path) -> 
     result = ogm("train", store, "--out", tmp_path / "run", "--samples", 11)
     assert result.exit_code == 2
     assert "--samples must be 1 to 10" in result.output
-    result = ogm(
-        "train", store, "--out", tmp_path / "run", "--length", 30.08, "--width", 20.48, "--resolution", 0.64
-    )
+    result = ogm("train", store, "--out", tmp_path / "run", "--length", 30.08, "--width", 20.48, "--resolution", 0.64)
     assert result.exit_code == 2
     assert "multiples of 16 cells" in result.output
 

@@ -53,9 +53,7 @@ def test_turning_makes_no_cell_unknown_or_ignored(frames, small):
 
 
 def test_truth_stays_when_only_the_sensor_is_disturbed(frames, small):
-    how = Augmentation(
-        turn=0, mirror=0, no_intensity=0, layers=1, points=1, noise=0.05, height=0.1, tilt=0.01
-    )
+    how = Augmentation(turn=0, mirror=0, no_intensity=0, layers=1, points=1, noise=0.05, height=0.1, tilt=0.01)
     points, state = augment(frames[0], small, how, np.random.default_rng(3))
     np.testing.assert_array_equal(state, frames[0].truth.crop(small).state)
     assert 0.3 * len(frames[0].scan.points) < len(points) < len(frames[0].scan.points)

@@ -51,9 +51,7 @@ def mass_of(network: PillarNetwork, pillars: Pillars) -> np.ndarray:
 
 
 @pytest.fixture(scope="module", params=NETWORKS)
-def exported(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[PillarNetwork, Path]:
+def exported(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[PillarNetwork, Path]:
     network = trained(NETWORKS[request.param])
     path = tmp_path_factory.mktemp("onnx") / f"{request.param}.onnx"
     facts = export_onnx(network, path)
@@ -62,9 +60,7 @@ def exported(
 
 
 @pytest.mark.parametrize("points", [scan(3000), scan(0), np.float32([[1, 0.5, 0.2, 0.4]])], ids=len)
-def test_onnx_runtime_gives_the_networks_masses(
-    exported: tuple[PillarNetwork, Path], points: np.ndarray
-) -> None:
+def test_onnx_runtime_gives_the_networks_masses(exported: tuple[PillarNetwork, Path], points: np.ndarray) -> None:
     network, path = exported
     pillars = pillarize(points, SPEC, network.config.z_range)
     wanted = mass_of(network, pillars)
@@ -172,9 +168,7 @@ def test_a_missing_runtime_is_answered_with_the_pip_command(monkeypatch: pytest.
         run_onnx("lite.onnx", pillarize(scan(0), SPEC))
 
 
-def test_damaged_foreign_and_missing_files_are_refused(
-    exported: tuple[PillarNetwork, Path], tmp_path: Path
-) -> None:
+def test_damaged_foreign_and_missing_files_are_refused(exported: tuple[PillarNetwork, Path], tmp_path: Path) -> None:
     _, whole = exported
     pillars = pillarize(scan(10), SPEC)
     path = tmp_path / "some.onnx"

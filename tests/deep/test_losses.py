@@ -93,9 +93,7 @@ def test_reverse_kl_is_the_exact_divergence(strength: float, dtype: torch.dtype,
 
 @pytest.mark.parametrize("strength", [1.0, 10.0, 1e3])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.float32, 1e-6), (torch.float64, 1e-8)])
-def test_reverse_kl_has_the_gradient_of_the_closed_form(
-    strength: float, dtype: torch.dtype, tolerance: float
-) -> None:
+def test_reverse_kl_has_the_gradient_of_the_closed_form(strength: float, dtype: torch.dtype, tolerance: float) -> None:
     evidence, target = cells(5_000, dtype=dtype)
     evidence.requires_grad_()
     reverse_kl(evidence, target, strength).sum().backward()
@@ -193,9 +191,7 @@ def test_gradients_agree_with_finite_differences(loss: Callable[[Tensor, Tensor]
 @every_loss
 def test_losses_are_the_same_when_free_and_occupied_swap(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence, target = cells(1000, seed=2)
-    torch.testing.assert_close(
-        loss(evidence.flip(-1), target.flip(-1)), loss(evidence, target), rtol=1e-10, atol=1e-13
-    )
+    torch.testing.assert_close(loss(evidence.flip(-1), target.flip(-1)), loss(evidence, target), rtol=1e-10, atol=1e-13)
 
 
 @every_loss
@@ -214,9 +210,7 @@ def test_losses_are_finite_and_not_negative_from_none_to_much_evidence(
 
 @every_loss
 @pytest.mark.parametrize("dtype", [torch.bfloat16, torch.float16])
-def test_half_precision_is_computed_in_single(
-    loss: Callable[[Tensor, Tensor], Tensor], dtype: torch.dtype
-) -> None:
+def test_half_precision_is_computed_in_single(loss: Callable[[Tensor, Tensor], Tensor], dtype: torch.dtype) -> None:
     evidence, target = cells(500, seed=4)
     half = evidence.clamp(max=3e4).to(dtype)
     half, single = half.clone().requires_grad_(), half.float().requires_grad_()
@@ -350,9 +344,7 @@ def test_optima_of_cells_whose_state_varies(chances: tuple, weight: float, masse
 
 @pytest.mark.parametrize("strength", [1.0, 10.0])
 def test_reverse_kl_of_a_batch_is_least_at_the_evidence_of_its_frequencies(strength: float) -> None:
-    state = torch.from_numpy(
-        np.random.default_rng(0).choice(4, 5000, p=[0.3, 0.4, 0.1, 0.2]).astype(np.uint8)
-    )
+    state = torch.from_numpy(np.random.default_rng(0).choice(4, 5000, p=[0.3, 0.4, 0.1, 0.2]).astype(np.uint8))
     target, valid = targets(state)
     frequency = target[valid].double().mean(0)
     evidence = (strength * frequency).requires_grad_()
@@ -437,9 +429,7 @@ def test_ignored_cells_get_no_gradient_at_all(loss: Callable[[Tensor, Tensor], T
 
 
 @pytest.mark.parametrize("loss", [reverse_kl, uniform_kl])
-def test_nan_in_ignored_cells_reaches_neither_mean_nor_gradient(
-    loss: Callable[[Tensor, Tensor], Tensor],
-) -> None:
+def test_nan_in_ignored_cells_reaches_neither_mean_nor_gradient(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence, target = cells(300, seed=10, dtype=torch.float32)
     valid = torch.arange(300) % 3 > 0
     clean, dirty = evidence.clone().requires_grad_(), evidence.clone()
@@ -456,9 +446,7 @@ def test_nan_in_ignored_cells_reaches_neither_mean_nor_gradient(
 def test_nan_in_a_valid_cell_is_seen(loss: Callable[[Tensor, Tensor], Tensor]) -> None:
     evidence = torch.ones(4, 2)
     evidence[2, 0] = math.nan
-    assert torch.isnan(
-        masked_mean(loss(evidence, torch.eye(2).repeat(2, 1)), torch.ones(4, dtype=torch.bool))
-    )
+    assert torch.isnan(masked_mean(loss(evidence, torch.eye(2).repeat(2, 1)), torch.ones(4, dtype=torch.bool)))
 
 
 @every_loss

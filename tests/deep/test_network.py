@@ -185,9 +185,7 @@ def test_the_weights_do_not_depend_on_the_grids_size(config: NetworkConfig) -> N
 def test_sensor_coords_are_polar_coordinates() -> None:
     coords = PillarNetwork(SMALL[0], SPEC).sensor_coords[0]
     assert coords.shape == (4, 16, 8)
-    x, y = np.meshgrid(
-        np.arange(-4.8, 5, 0.64), np.arange(-2.24, 2.5, 0.64), indexing="ij"
-    )  # [m], 4 x 4 cells
+    x, y = np.meshgrid(np.arange(-4.8, 5, 0.64), np.arange(-2.24, 2.5, 0.64), indexing="ij")  # [m], 4 x 4 cells
     r = np.hypot(x, y)
     np.testing.assert_allclose(coords, [r / 40, np.log(r / 10), x / r, y / r], atol=1e-5)
 

@@ -54,9 +54,7 @@ def test_training_learns(go, recipe, tmp_path):
     assert rows[-1]["loss"] < 0.5 * rows[0]["loss"]
     assert rows[-1]["free"] > 0.75
     network, description = load_network(path)
-    assert description["result"]["validation"]["loss"] == pytest.approx(
-        min(row["loss"] for row in rows), rel=1e-4
-    )
+    assert description["result"]["validation"]["loss"] == pytest.approx(min(row["loss"] for row in rows), rel=1e-4)
     assert description["recipe"]["learning_rate"] == 1e-2
     assert (tmp_path / "run" / "epoch-024.png").stat().st_size > 10_000
 

@@ -8,14 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ogm.evaluation import (
-    FusedMethod,
-    MethodRunner,
-    PrecomputedGrids,
-    SingleScanMethod,
-    evaluate,
-    write_report,
-)
+from ogm.evaluation import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod, evaluate, write_report
 from ogm.evaluation.models import MODELS, load_model, model_factory, short_names
 from ogm.fusion import EvidentialMapper, PoseJump
 from ogm.grid import EvidentialGrid, GridSpec
@@ -70,9 +63,7 @@ def test_every_method_has_every_metric_in_every_frame() -> None:
     np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.2, 0.3], rtol=1e-6)
     assert result.macro("flat")["mean_free"] == pytest.approx(0.2)
     known = 1 - result.truth[:, 3]
-    assert result.micro("flat")["mean_free"] == pytest.approx(
-        result.of("flat", "mean_free") @ known / known.sum()
-    )
+    assert result.micro("flat")["mean_free"] == pytest.approx(result.of("flat", "mean_free") @ known / known.sum())
 
 
 def test_methods_are_compared_frame_by_frame() -> None:
@@ -135,9 +126,7 @@ def test_a_map_begins_again_with_a_sequence_and_after_a_jump(caplog: pytest.LogC
 
 def test_frames_that_stand_alone_cannot_be_fused() -> None:
     fused = FusedMethod(Flat(), lambda: EvidentialMapper(SPEC))
-    with pytest.raises(
-        ValueError, match="map fuses frames that follow each other, .* but frame 0 stands alone"
-    ):
+    with pytest.raises(ValueError, match="map fuses frames that follow each other, .* but frame 0 stands alone"):
         evaluate({"map": fused}, FRAMES, SPEC)
 
 

@@ -57,15 +57,9 @@ def made() -> tuple[dict[str, Any], dict[int, dict[str, bytes]]]:
     result = Evaluation.from_sums(METHODS, SPEC, zip(sums, shares, strict=True), frames)
     weights = {"file": "sharp.safetensors", "sha256": "ab" * 32}
     facts = {
-        name: {"description": f"how {name} works", "weights": weights if name == "sharp" else None}
-        for name in METHODS
+        name: {"description": f"how {name} works", "weights": weights if name == "sharp" else None} for name in METHODS
     }
-    data = {
-        "kind": "simulated data set",
-        "name": "made",
-        "truth": "drawn at random",
-        "plan": {"a": [1, {"b": 2}]},
-    }
+    data = {"kind": "simulated data set", "name": "made", "truth": "drawn at random", "plan": {"a": [1, {"b": 2}]}}
     record = {
         "title": "A made-up town",
         "command": "ogm evaluate data/ --ism base sharp vague",
@@ -143,16 +137,7 @@ def test_a_page_needs_nothing_but_itself(made: Any, page: Callable[..., Page]) -
     for address in [*found.all("href"), *found.all("src")]:
         assert address.startswith(("#", "data:")), address
     code = found.scripts["code"] + found.text[found.text.index("<style>") : found.text.index("</style>")]
-    for word in (
-        "fetch(",
-        "XMLHttpRequest",
-        "import(",
-        "@import",
-        "url(",
-        "localStorage",
-        "innerHTML",
-        "eval(",
-    ):
+    for word in ("fetch(", "XMLHttpRequest", "import(", "@import", "url(", "localStorage", "innerHTML", "eval("):
         assert word not in code
     assert "http" not in code.replace("http://www.w3.org/2000/svg", "")
     (policy,) = (a["content"] for tag, a in found.elements if tag == "meta" and "http-equiv" in a)
@@ -173,14 +158,7 @@ def test_parts_of_a_page_refer_to_parts_that_are_there(made: Any, page: Callable
 def test_the_page_states_all_of_the_run(made: Any, page: Callable[..., Page]) -> None:
     record, views = made
     content = page(record, views).content
-    for word in (
-        record["title"],
-        record["command"],
-        record["date"],
-        "drawn at random",
-        "ab" * 32,
-        "how vague works",
-    ):
+    for word in (record["title"], record["command"], record["date"], "drawn at random", "ab" * 32, "how vague works"):
         assert word in content
     assert "16 x 12 cells of 0.4 m" in content
     assert all(version in content for version in record["versions"].values())
@@ -215,9 +193,7 @@ def test_the_summary_names_the_best_and_its_significance(made: Any, page: Callab
     assert "vague makes the fewest false free cells at the lowest IoU free" in words
 
 
-def test_a_difference_within_its_interval_is_not_significant(
-    record: dict[str, Any], page: Callable[..., Page]
-) -> None:
+def test_a_difference_within_its_interval_is_not_significant(record: dict[str, Any], page: Callable[..., Page]) -> None:
     for pair in record["paired"].values():
         for one in pair.values():
             one["difference"] = {"value": 0.0, "low": -1.0, "high": 1.0}
@@ -226,9 +202,7 @@ def test_a_difference_within_its_interval_is_not_significant(
     assert "not significant" in content
 
 
-def test_a_difference_that_may_be_chance_is_not_significant(
-    record: dict[str, Any], page: Callable[..., Page]
-) -> None:
+def test_a_difference_that_may_be_chance_is_not_significant(record: dict[str, Any], page: Callable[..., Page]) -> None:
     for pair in record["paired"].values():
         for one in pair.values():
             one["difference"], one["p"] = {"value": -2.0, "low": -3.0, "high": -1.0}, 0.04
@@ -241,9 +215,7 @@ def test_a_difference_that_may_be_chance_is_not_significant(
 
 def rows_of_summary(found: Page) -> list[str]:
     """Return "sure" or "unsure" for every row of the summary's table."""
-    return [
-        a["class"] or "" for tag, a in found.elements if tag == "td" and a.get("class") in ("sure", "unsure")
-    ]
+    return [a["class"] or "" for tag, a in found.elements if tag == "td" and a.get("class") in ("sure", "unsure")]
 
 
 def test_a_cautious_method_is_named(record: dict[str, Any], page: Callable[..., Page]) -> None:
@@ -262,9 +234,7 @@ def test_the_page_warns_of_few_drives(record: dict[str, Any], page: Callable[...
     assert "frames of a drive are alike" not in page(record).content
 
 
-def test_of_two_that_were_not_compared_the_intervals_decide(
-    record: dict[str, Any], page: Callable[..., Page]
-) -> None:
+def test_of_two_that_were_not_compared_the_intervals_decide(record: dict[str, Any], page: Callable[..., Page]) -> None:
     record["paired"] = {}
     assert "sharp is best in" in page(record).content
     for model in record["methods"].values():
@@ -286,9 +256,7 @@ def test_what_is_missing_is_a_dash_with_its_reason(record: dict[str, Any], page:
     assert found.data["perFrame"]["auroc_unknown"] == [[None] * FRAMES] * 3
 
 
-def test_names_are_text_wherever_they_stand(
-    made: Any, record: dict[str, Any], page: Callable[..., Page]
-) -> None:
+def test_names_are_text_wherever_they_stand(made: Any, record: dict[str, Any], page: Callable[..., Page]) -> None:
     plain = page(*made)
     record["methods"] = {HOSTILE if name == "sharp" else name: one for name, one in record["methods"].items()}
     record["paired"] = {
@@ -325,9 +293,7 @@ def test_pictures_that_do_not_fit_are_left_out_evenly(made: Any, tmp_path: Path)
         write_page(path, record, views, most=int(most))
         found = Page(path.read_text("utf-8"))
         assert found.data["pictures"] == list(kept)
-        assert sorted(name for name in found.scripts if name.startswith("pictures-")) == [
-            f"pictures-{k}" for k in kept
-        ]
+        assert sorted(name for name in found.scripts if name.startswith("pictures-")) == [f"pictures-{k}" for k in kept]
         assert f"Pictures of {len(kept)} of 6 frames" in found.content
         assert ("left out to keep the page small" in found.content) == (len(kept) < 6)
 
@@ -367,9 +333,7 @@ def test_many_methods_on_many_frames_carry_the_headline_metrics(
     record["methods"] = {f"method {k}": model for k in range(40)}
     record["paired"] = {}
     found = page(record)
-    assert (
-        {*headline(METRICS), "kl_e1", "legacy_kl", "mean_free"} <= set(found.data["perFrame"]) < set(METRICS)
-    )
+    assert {*headline(METRICS), "kl_e1", "legacy_kl", "mean_free"} <= set(found.data["perFrame"]) < set(METRICS)
     assert len(found.text) < 6_000_000
 
 
@@ -389,9 +353,7 @@ def test_colours_stand_out_from_the_page_in_light_and_in_dark(theme: int) -> Non
 def luminance(colour: str) -> float:
     """Return the relative luminance of a colour, as WCAG 2 defines it."""
     part = np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    return float(
-        np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
-    )
+    return float(np.where(part <= 0.04045, part / 12.92, ((part + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722])
 
 
 def contrast(one: float, other: float) -> float:
@@ -435,18 +397,14 @@ def browse(tmp_path: Path) -> Callable[..., dict[str, Any]]:
     if program is None:
         pytest.skip(f"no browser on the path: none of {', '.join(BROWSERS)}")
 
-    def run(
-        record: dict[str, Any], views: Any, steps: str, hash_: str = "", size: str = "1280,900"
-    ) -> dict[str, Any]:
+    def run(record: dict[str, Any], views: Any, steps: str, hash_: str = "", size: str = "1280,900") -> dict[str, Any]:
         path = tmp_path / "report.html"
         write_page(path, record, views)
         text = path.read_text("utf-8").replace("<style>", WATCH + "<style>", 1)
         path.write_text(text.replace("</body>", ACT % steps + "</body>"), "utf-8")
         words = [program, "--headless=new", "--no-sandbox", "--disable-gpu", f"--window-size={size}"]
         words += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000", "--dump-dom"]
-        done = subprocess.run(
-            [*words, f"{path.as_uri()}{hash_}"], capture_output=True, timeout=60, check=False
-        )
+        done = subprocess.run([*words, f"{path.as_uri()}{hash_}"], capture_output=True, timeout=60, check=False)
         match = re.search(r'<pre id="outcome">([^<]*)</pre>', done.stdout.decode("utf-8", "replace"))
         assert match, done.stderr[-2000:]
         return json.loads(b64decode(match[1]))
@@ -454,9 +412,7 @@ def browse(tmp_path: Path) -> Callable[..., dict[str, Any]]:
     return run
 
 
-def test_in_a_browser_frames_are_stepped_sorted_and_linked(
-    made: Any, browse: Callable[..., dict[str, Any]]
-) -> None:
+def test_in_a_browser_frames_are_stepped_sorted_and_linked(made: Any, browse: Callable[..., dict[str, Any]]) -> None:
     record, views = made
     kl = record["methods"]["sharp"]["per frame"]["kl_e10"]
     seen = browse(
@@ -487,11 +443,7 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(
         *(f"{what} of {name} in 003" for name in METHODS for what in ("masses", "errors")),
     ]
     assert seen["source"] == "data:image/webp;base64"
-    assert (seen["right"], seen["hash"], seen["alt"]) == (
-        "004",
-        "#frame=004",
-        "points of 004, coloured by height",
-    )
+    assert (seen["right"], seen["hash"], seen["alt"]) == ("004", "#frame=004", "points of 004, coloured by height")
     assert (seen["left"], seen["end"], seen["beyond"]) == ("002", "005", "005")
     assert (seen["home"], seen["down"], seen["followed"]) == ("000", "005", "001")
     assert seen["sorted"] == [f"{k:03d}" for k in np.argsort(kl)[::-1]]
@@ -499,9 +451,7 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(
     assert seen["loaded"] is True
 
 
-def test_in_a_browser_charts_tables_and_theme_answer(
-    made: Any, browse: Callable[..., dict[str, Any]]
-) -> None:
+def test_in_a_browser_charts_tables_and_theme_answer(made: Any, browse: Callable[..., dict[str, Any]]) -> None:
     record, views = made
     seen = browse(
         record,
@@ -583,9 +533,7 @@ def test_in_a_browser_one_frame_without_points_or_unknown_is_shown(
     record["frames"] = [{"name": HOSTILE, "sequence": "", "stamp": None}]
     record["truth per frame"] = {name: values[:1] for name, values in record["truth per frame"].items()}
     view = {name: data for name, data in made[1][0].items() if name in ("truth", "mass 0", "error 0")}
-    seen = browse(
-        record, {0: view}, 'key("j"); o.frame = frame(); o.alts = alts(); o.hacked = "hacked" in window;'
-    )
+    seen = browse(record, {0: view}, 'key("j"); o.frame = frame(); o.alts = alts(); o.hacked = "hacked" in window;')
     written = HOSTILE.replace("\udcff", "?")
     assert seen["errors"] == seen["blocked"] == seen["requests"] == []
     assert seen["frame"] == written

@@ -37,12 +37,7 @@ def tolerance(mass: np.ndarray) -> float:
 
 @st.composite
 def arrays_of_masses(
-    draw: Callable[..., Any],
-    count: int = 1,
-    *,
-    states: int = 2,
-    least_unknown: int = 0,
-    least_conflict: int = 0,
+    draw: Callable[..., Any], count: int = 1, *, states: int = 2, least_unknown: int = 0, least_conflict: int = 0
 ) -> Any:
     """Draw `count` mass arrays of one shape and dtype, edges and corners of the simplex included.
 

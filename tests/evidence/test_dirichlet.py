@@ -57,9 +57,7 @@ def test_kl_vectors(alpha: tuple, other: tuple, expected: float) -> None:
     single = evidence.dirichlet_kl(a.astype(np.float32), b.astype(np.float32))
     assert single.dtype == np.float32
     assert single == pytest.approx(expected, rel=1e-4)
-    assert evidence.dirichlet_kl(torch.tensor(a), torch.tensor(b)).item() == pytest.approx(
-        expected, rel=1e-11
-    )
+    assert evidence.dirichlet_kl(torch.tensor(a), torch.tensor(b)).item() == pytest.approx(expected, rel=1e-11)
 
 
 @pytest.mark.parametrize("e", [0.5, 1.0, 10.0, 1e3])

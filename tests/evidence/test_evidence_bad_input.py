@@ -116,9 +116,7 @@ def test_renormalize_is_the_explicit_repair() -> None:
         evidence.renormalize(np.array([[0.1, np.nan]]))
 
 
-@pytest.mark.parametrize(
-    "function", (OF_ONE | {"check": evidence.check_mass}).values(), ids=[*OF_ONE, "check"]
-)
+@pytest.mark.parametrize("function", (OF_ONE | {"check": evidence.check_mass}).values(), ids=[*OF_ONE, "check"])
 def test_a_wrong_form_is_refused(function: Any) -> None:
     with pytest.raises(ValueError, match=r"2 states \(free, occupied\).*got shape \(512, 4\)"):
         function(np.zeros((512, 4)))
@@ -183,10 +181,7 @@ def test_numbers_out_of_range_are_refused() -> None:
         (lambda: evidence.dempster(GOOD, GOOD, on_conflict="ignore"), "on_conflict must be one of average"),  # type: ignore[arg-type]
         (lambda: evidence.cumulative(GOOD, GOOD, dogmatic_weights=[1]), "2 positive numbers"),
         (lambda: evidence.averaging(GOOD, GOOD, dogmatic_weights=[1, -1]), "2 positive numbers"),
-        (
-            lambda: evidence.cumulative_unfusion(np.zeros(2), GOOD),
-            "part must not hold more evidence than fused",
-        ),
+        (lambda: evidence.cumulative_unfusion(np.zeros(2), GOOD), "part must not hold more evidence than fused"),
         (lambda: evidence.multiplication(GOOD, GOOD, 1.0, 1.0), "must not both be 1"),
         (lambda: evidence.comultiplication(GOOD, GOOD, 0.0, 0.0), "must not both be 0"),
         (lambda: evidence.bold(np.zeros(3), np.zeros(3)), "conflict > 0"),

@@ -108,9 +108,7 @@ def test_base_rates_of_vacuous_and_dogmatic_masses_are_averaged() -> None:
 
 def test_unfusing_certainty_from_certainty_leaves_the_question_open() -> None:
     np.testing.assert_array_equal(evidence.cumulative_unfusion(OCCUPIED, OCCUPIED), VACUOUS)
-    np.testing.assert_allclose(
-        evidence.cumulative_unfusion(np.array([0.1, 0.9]), np.array([0.1, 0.9])), VACUOUS
-    )
+    np.testing.assert_allclose(evidence.cumulative_unfusion(np.array([0.1, 0.9]), np.array([0.1, 0.9])), VACUOUS)
     np.testing.assert_allclose(evidence.cumulative_unfusion(OCCUPIED, np.array([0, 0.5])), OCCUPIED)
     np.testing.assert_allclose(evidence.cumulative_unfusion(np.array([0.2, 0.5]), VACUOUS), (0.2, 0.5))
 
@@ -137,9 +135,7 @@ def test_evidence_of_dogmatic_masses() -> None:
     np.testing.assert_array_equal(evidence.mass_to_evidence(np.array([0.3, 0.7])), (np.inf, np.inf))
     np.testing.assert_array_equal(evidence.mass_to_evidence(OCCUPIED), (0, np.inf))
     np.testing.assert_allclose(evidence.mass_to_evidence(OCCUPIED, min_unknown=2e-5), (0, 1e5))
-    np.testing.assert_allclose(
-        evidence.mass_to_evidence(np.array([0.25, 0.75]), min_unknown=2e-5), (25e3, 75e3)
-    )
+    np.testing.assert_allclose(evidence.mass_to_evidence(np.array([0.25, 0.75]), min_unknown=2e-5), (25e3, 75e3))
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -165,9 +161,7 @@ def test_rounding_does_not_leave_the_simplex_in_a_thousand_steps(name: str, dtyp
 def test_rules_broadcast_one_mass_over_a_grid(name: str) -> None:
     grid = np.random.default_rng(0).dirichlet([1, 1, 1, 1], (3, 4))[..., : 3 if name == "bold" else 2]
     one = grid[0, 0]
-    np.testing.assert_allclose(
-        rule(name)(grid, one), rule(name)(grid, np.broadcast_to(one, grid.shape)), atol=1e-15
-    )
+    np.testing.assert_allclose(rule(name)(grid, one), rule(name)(grid, np.broadcast_to(one, grid.shape)), atol=1e-15)
 
 
 @pytest.mark.parametrize("name", CLOSED)

@@ -9,9 +9,7 @@ from ogm.evidence import powerset
 
 def test_importing_loads_no_heavy_package() -> None:
     code = "import sys, ogm.evidence; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
-    modules = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    ).stdout.split()
+    modules = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
     assert "numpy" in modules
     assert not {"torch", "numba", "matplotlib", "open3d", "pandas", "mpmath"} & set(modules)
 

@@ -134,13 +134,7 @@ def test_a_stack_of_one_is_itself(name: str, data: Any) -> None:
 @given(mass=arrays_of_masses(4))
 def test_pcr6_plus_and_weighted_ignore_vacuous_sources_in_any_stack(mass: Any) -> None:
     with_vacuous = np.stack([*mass, np.zeros_like(mass[0])])
-    for fuse in (
-        evidence.pcr6_plus,
-        evidence.weighted,
-        evidence.yager,
-        evidence.dempster,
-        evidence.cumulative,
-    ):
+    for fuse in (evidence.pcr6_plus, evidence.weighted, evidence.yager, evidence.dempster, evidence.cumulative):
         same(fuse(with_vacuous, axis=0), fuse(np.stack(mass), axis=0))
 
 
@@ -273,11 +267,7 @@ def test_probabilities_lie_between_belief_and_plausibility(mass: np.ndarray) -> 
 def test_uncertainty_maximisation_keeps_the_probability(mass: np.ndarray, base_rate: float) -> None:
     maximal = evidence.maximize_uncertainty(mass, base_rate)
     evidence.check_mass(maximal)
-    same(
-        evidence.mass_to_probability(maximal, base_rate),
-        evidence.mass_to_probability(mass, base_rate),
-        times=5,
-    )
+    same(evidence.mass_to_probability(maximal, base_rate), evidence.mass_to_probability(mass, base_rate), times=5)
     assert (evidence.unknown(maximal) >= evidence.unknown(mass) - tolerance(mass)).all()
     assert (maximal.min(-1) <= tolerance(mass)).all()
     same(evidence.maximize_uncertainty(maximal, base_rate), maximal, times=5)
@@ -350,11 +340,7 @@ def test_deduction_follows_the_law_of_total_probability(masses: Any, base_rate: 
     evidence.check_mass(y, tolerance=tolerance(x))
     p = evidence.mass_to_probability(x, base_rate)
     p_true, p_false_alarm = (evidence.mass_to_probability(c, rate) for c in (if_true, if_false))
-    same(
-        evidence.mass_to_probability(evidence.renormalize(y), rate),
-        p * p_true + (1 - p) * p_false_alarm,
-        times=5,
-    )
+    same(evidence.mass_to_probability(evidence.renormalize(y), rate), p * p_true + (1 - p) * p_false_alarm, times=5)
 
 
 @three
@@ -369,9 +355,7 @@ def test_deduction_from_certainty_is_the_conditional(conditionals: Any) -> None:
 
 @laws
 @given(hits=st.integers(0, 6), passes=st.integers(0, 6), miss=numbers, false=numbers)
-def test_count_masses_are_yagers_rule_on_simple_masses(
-    hits: int, passes: int, miss: float, false: float
-) -> None:
+def test_count_masses_are_yagers_rule_on_simple_masses(hits: int, passes: int, miss: float, false: float) -> None:
     sources = [[0, 1 - false]] * hits + [[1 - miss, 0]] * passes + [[0, 0]]
     expected = evidence.yager(np.array(sources, float), axis=0)
     same(evidence.counts_to_mass(np.array(float(hits)), np.array(float(passes)), miss, false), expected)

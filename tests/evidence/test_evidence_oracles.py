@@ -56,10 +56,7 @@ def from_pyds(mass: pyds.MassFunction) -> tuple[float, float]:
 def test_py_dempster_shafer_agrees() -> None:
     a, b = random_pairs()
     pairs = [(to_pyds(x), to_pyds(y)) for x, y in zip(a, b, strict=True)]
-    answers = {
-        "dempster": [from_pyds(x & y) for x, y in pairs],
-        "disjunctive": [from_pyds(x | y) for x, y in pairs],
-    }
+    answers = {"dempster": [from_pyds(x & y) for x, y in pairs], "disjunctive": [from_pyds(x | y) for x, y in pairs]}
     for name, expected in answers.items():
         np.testing.assert_allclose(getattr(evidence, name)(a, b), expected, atol=1e-14)
     conjunctive = [x.combine_conjunctive(y, normalization=False) for x, y in pairs]
@@ -80,9 +77,7 @@ def test_py_dempster_shafer_agrees_on_three_states() -> None:
         p = pyds.MassFunction(dict(zip(sets, x.tolist(), strict=True)))
         q = pyds.MassFunction(dict(zip(sets, y.tolist(), strict=True)))
         np.testing.assert_allclose(powerset.dempster(x, y), [(p & q)[s] for s in sets], atol=1e-13)
-        np.testing.assert_allclose(
-            powerset.mass_to_commonality(x)[1:], [p.q(s) for s in sets[1:]], atol=1e-13
-        )
+        np.testing.assert_allclose(powerset.mass_to_commonality(x)[1:], [p.q(s) for s in sets[1:]], atol=1e-13)
         np.testing.assert_allclose(powerset.mass_to_belief(x), [p.bel(s) for s in sets], atol=1e-13)
         np.testing.assert_allclose(powerset.mass_to_plausibility(x), [p.pl(s) for s in sets], atol=1e-13)
 
@@ -102,9 +97,7 @@ def from_pybelief(mass: pybelief.MassFunction) -> tuple[float, float]:
 def test_pybelief_agrees() -> None:
     a, b = random_pairs()
     pairs = [(to_pybelief(x), to_pybelief(y)) for x, y in zip(a, b, strict=True)]
-    np.testing.assert_allclose(
-        evidence.yager(a, b), [from_pybelief(x.combine_yager(y)) for x, y in pairs], atol=1e-14
-    )
+    np.testing.assert_allclose(evidence.yager(a, b), [from_pybelief(x.combine_yager(y)) for x, y in pairs], atol=1e-14)
     np.testing.assert_allclose(
         evidence.dempster(a, b), [from_pybelief(x.combine_dempster(y)) for x, y in pairs], atol=1e-14
     )
@@ -126,10 +119,7 @@ def to_evtools(mass: np.ndarray, frame: str = STATES) -> Any:
 
 def test_evtools_agrees() -> None:
     a, b = random_pairs()
-    pairs = [
-        (to_evtools(x), to_evtools(y))
-        for x, y in zip(powerset.from_pair(a), powerset.from_pair(b), strict=True)
-    ]
+    pairs = [(to_evtools(x), to_evtools(y)) for x, y in zip(powerset.from_pair(a), powerset.from_pair(b), strict=True)]
     answers = {
         "conjunctive": combinations.crc,
         "dempster": combinations.dempster,
@@ -148,9 +138,7 @@ def test_evtools_agrees_on_discounting() -> None:
     a, _ = random_pairs()
     betas = {frozenset("f"): 0.7, frozenset("o"): 0.4}
     expected = [corrections.contextual_discount(to_evtools(x), betas).dense for x in powerset.from_pair(a)]
-    np.testing.assert_allclose(
-        evidence.contextual_discount(a, 0.7, 0.4), np.array(expected)[:, 1:3], atol=1e-13
-    )
+    np.testing.assert_allclose(evidence.contextual_discount(a, 0.7, 0.4), np.array(expected)[:, 1:3], atol=1e-13)
     faded = [corrections.discount(to_evtools(x), 0.3).dense for x in powerset.from_pair(a)]
     np.testing.assert_allclose(evidence.discount(a, 0.3), np.array(faded)[:, 1:3], atol=1e-13)
 
@@ -215,8 +203,7 @@ def from_eslimpp(opinion: Any) -> tuple[float, float]:
 def test_eslimpp_agrees_on_fusion(eslimpp: Any, name: str, method: str) -> None:
     a, b = random_pairs()
     expected = [
-        from_eslimpp(getattr(to_eslimpp(eslimpp, x), method)(to_eslimpp(eslimpp, y)))
-        for x, y in zip(a, b, strict=True)
+        from_eslimpp(getattr(to_eslimpp(eslimpp, x), method)(to_eslimpp(eslimpp, y))) for x, y in zip(a, b, strict=True)
     ]
     np.testing.assert_allclose(getattr(evidence, name)(a, b), expected, atol=1e-12)
 
@@ -231,8 +218,7 @@ def test_eslimpp_agrees_on_trust_conflict_and_unfusion(eslimpp: Any) -> None:
     np.testing.assert_allclose(evidence.discount(a, 0.5), half, atol=1e-13)
     fused = evidence.cumulative(a, b)
     rest = [
-        from_eslimpp(to_eslimpp(eslimpp, x).cum_unfuse(to_eslimpp(eslimpp, y)))
-        for x, y in zip(fused, a, strict=True)
+        from_eslimpp(to_eslimpp(eslimpp, x).cum_unfuse(to_eslimpp(eslimpp, y))) for x, y in zip(fused, a, strict=True)
     ]
     np.testing.assert_allclose(evidence.cumulative_unfusion(fused, a), rest, atol=1e-9)
 

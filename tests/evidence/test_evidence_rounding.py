@@ -51,9 +51,7 @@ def test_every_rule_maps_tolerated_masses_to_tolerated_masses(name: str, dtype: 
 @pytest.mark.parametrize("name", ["conjunctive", "disjunctive", "cautious"])
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_open_world_rules_map_tolerated_triples_to_tolerated_triples(
-    name: str, dtype: Any, data: Any
-) -> None:
+def test_open_world_rules_map_tolerated_triples_to_tolerated_triples(name: str, dtype: Any, data: Any) -> None:
     a, b = data.draw(tolerated(dtype, 3)), data.draw(tolerated(dtype, 3))
     evidence.check_mass(rule(name)(a, b))
     evidence.check_mass(evidence.close_world(a))

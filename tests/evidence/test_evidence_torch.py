@@ -95,9 +95,7 @@ def agree(result: Any, expected: Any, times: float = 1) -> None:
     assert isinstance(result, torch.Tensor)
     assert str(result.dtype).endswith(str(expected.dtype))
     assert tuple(result.shape) == expected.shape
-    np.testing.assert_allclose(
-        result.numpy(), expected, atol=times * tolerance(np.asarray(expected)), rtol=1e-4
-    )
+    np.testing.assert_allclose(result.numpy(), expected, atol=times * tolerance(np.asarray(expected)), rtol=1e-4)
 
 
 @pytest.mark.parametrize("name", OF_ONE)
@@ -129,9 +127,7 @@ def test_general_rules_agree_with_numpy(name: str) -> None:
     agree(GENERAL[name](torch.from_numpy(a), torch.from_numpy(b)), GENERAL[name](a, b))
 
 
-@pytest.mark.parametrize(
-    "name", ["mass_to_commonality", "mass_to_belief", "mass_to_plausibility", "pignistic"]
-)
+@pytest.mark.parametrize("name", ["mass_to_commonality", "mass_to_belief", "mass_to_plausibility", "pignistic"])
 def test_general_transforms_agree_with_numpy(name: str) -> None:
     mass = np.random.default_rng(0).dirichlet([1] * 8, (3, 4))
     agree(getattr(powerset, name)(torch.from_numpy(mass)), getattr(powerset, name)(mass))
@@ -171,9 +167,7 @@ def test_second_derivatives_of_the_divergence() -> None:
     assert torch.autograd.gradgradcheck(evidence.dirichlet_kl, [a, b])
 
 
-@pytest.mark.parametrize(
-    "name", ["dempster", "cumulative", "averaging", "weighted", "pcr5", "yager", "murphy"]
-)
+@pytest.mark.parametrize("name", ["dempster", "cumulative", "averaging", "weighted", "pcr5", "yager", "murphy"])
 def test_gradients_are_finite_at_the_corners(name: str) -> None:
     corners = torch.tensor([[1.0, 0], [0, 1], [0, 0], [0.5, 0.5]], dtype=torch.float64)
     a = corners.repeat(4, 1).requires_grad_()

@@ -21,31 +21,16 @@ def opinion(b: float, d: float, u: float) -> tuple[float, float, float]:
 @pytest.mark.parametrize(
     ("rule", "all_three", "first_two", "last_two"),
     [
-        (
-            "cumulative",
-            (0.651163, 0.209302, 0.139535),
-            (0.368421, 0.315789, 0.315789),
-            (0.692308, 0.153846, 0.153846),
-        ),
+        ("cumulative", (0.651163, 0.209302, 0.139535), (0.368421, 0.315789, 0.315789), (0.692308, 0.153846, 0.153846)),
         ("averaging", (0.509091, 0.163636, 0.327273), (0.28, 0.24, 0.48), (0.6, 0.133333, 0.266667)),
-        (
-            "weighted",
-            (0.562162, 0.145946, 0.291892),
-            (0.307692, 0.230769, 0.461538),
-            (0.618182, 0.127273, 0.254545),
-        ),
+        ("weighted", (0.562162, 0.145946, 0.291892), (0.307692, 0.230769, 0.461538), (0.618182, 0.127273, 0.254545)),
         (
             "belief_constraint",
             (0.737864, 0.184466, 0.077670),
             (0.372093, 0.348837, 0.279070),
             (0.780488, 0.121951, 0.097561),
         ),
-        (
-            "consensus_compromise",
-            (0.62875, 0.18225, 0.189),
-            (0.4312, 0.2736, 0.2952),
-            (0.696471, 0.149412, 0.154118),
-        ),
+        ("consensus_compromise", (0.62875, 0.18225, 0.189), (0.4312, 0.2736, 0.2952), (0.696471, 0.149412, 0.154118)),
     ],
 )
 def test_fusion_2018(rule: str, all_three: tuple, first_two: tuple, last_two: tuple) -> None:
@@ -74,12 +59,8 @@ def test_redistribution_of_three_sources(rule: str, expected: tuple) -> None:
 
 def test_redistribution_of_two_sources() -> None:
     for rule in (evidence.pcr5, evidence.pcr6, evidence.pcr6_plus):
-        np.testing.assert_allclose(
-            triple(rule(pair(C1), pair(C2))), opinion(0.395238, 0.364762, 0.24), atol=6e-7
-        )
-        np.testing.assert_allclose(
-            triple(rule(pair(C2), pair(C3))), opinion(0.780889, 0.139111, 0.08), atol=6e-7
-        )
+        np.testing.assert_allclose(triple(rule(pair(C1), pair(C2))), opinion(0.395238, 0.364762, 0.24), atol=6e-7)
+        np.testing.assert_allclose(triple(rule(pair(C2), pair(C3))), opinion(0.780889, 0.139111, 0.08), atol=6e-7)
     np.testing.assert_allclose(
         triple(evidence.murphy(pair(C1), pair(C2))), opinion(0.357143, 0.357143, 0.285714), atol=6e-7
     )
@@ -279,17 +260,13 @@ def test_go_cumulative_of_dogmatic_and_uncertain_numbers() -> None:
 
 # Josang (2016), examples of chapters 7, 9 and 12; printed to two digits, recomputed to more.
 def test_book_multiplication() -> None:
-    mass, base_rate = evidence.multiplication(
-        pair(opinion(0.75, 0.15, 0.10)), pair(opinion(0.10, 0, 0.90)), 0.5, 0.2
-    )
+    mass, base_rate = evidence.multiplication(pair(opinion(0.75, 0.15, 0.10)), pair(opinion(0.10, 0, 0.90)), 0.5, 0.2)
     np.testing.assert_allclose(triple(mass), opinion(0.154444, 0.15, 0.695556), atol=6e-7)
     assert base_rate == pytest.approx(0.1)
 
 
 def test_book_comultiplication() -> None:
-    mass, base_rate = evidence.comultiplication(
-        pair(opinion(0.75, 0.15, 0.10)), pair(opinion(0.35, 0, 0.65)), 0.5, 0.2
-    )
+    mass, base_rate = evidence.comultiplication(pair(opinion(0.75, 0.15, 0.10)), pair(opinion(0.35, 0, 0.65)), 0.5, 0.2)
     np.testing.assert_allclose(triple(mass), opinion(0.8375, 0.065, 0.0975), atol=1e-12)
     assert base_rate == pytest.approx(0.6)
 
@@ -346,9 +323,7 @@ def test_count_masses(hits: int, passes: int, expected: tuple) -> None:
 def test_mass_and_evidence_discounting_differ() -> None:
     """Shafer (1976) and the scaling of Dirichlet evidence, on A with reliability 0.9."""
     np.testing.assert_allclose(triple(evidence.discount(pair(A), 0.9)), (0.45, 0.18, 0.37))
-    np.testing.assert_allclose(
-        triple(evidence.discount_evidence(pair(A), 0.9)), (0.4839, 0.1935, 0.3226), atol=6e-5
-    )
+    np.testing.assert_allclose(triple(evidence.discount_evidence(pair(A), 0.9)), (0.4839, 0.1935, 0.3226), atol=6e-5)
 
 
 def test_steady_state_of_discounted_cumulative_fusion() -> None:

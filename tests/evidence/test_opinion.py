@@ -94,9 +94,7 @@ def test_probability_and_back(mass: np.ndarray, rate: float) -> None:
 
 def test_probability_to_mass_inverts_the_projection() -> None:
     np.testing.assert_allclose(evidence.probability_to_mass(np.array(0.35), 0.3), pair(A))
-    np.testing.assert_allclose(
-        evidence.probability_to_mass(np.array([0.26]), np.array([0.3]), 0.2), [pair(A)]
-    )
+    np.testing.assert_allclose(evidence.probability_to_mass(np.array([0.26]), np.array([0.3]), 0.2), [pair(A)])
 
 
 @laws

@@ -47,9 +47,7 @@ def test_binary_rules_are_the_general_ones(name: str, masses: Any) -> None:
 def test_epistemic_fusion_is_the_general_cumulative_one_maximised() -> None:
     a, b = np.random.default_rng(0).dirichlet([1, 1, 1], (2, 50))[..., :2]
     fused = powerset.to_pair(powerset.cumulative(powerset.from_pair(a), powerset.from_pair(b)))
-    np.testing.assert_allclose(
-        evidence.cumulative_epistemic(a, b), evidence.maximize_uncertainty(fused), atol=1e-12
-    )
+    np.testing.assert_allclose(evidence.cumulative_epistemic(a, b), evidence.maximize_uncertainty(fused), atol=1e-12)
 
 
 @laws
@@ -76,13 +74,9 @@ def test_open_world_rules_are_the_general_ones(name: str, masses: Any) -> None:
 def test_binary_transforms_are_the_general_ones(mass: np.ndarray) -> None:
     general = powerset.from_pair(mass)
     np.testing.assert_array_equal(powerset.to_pair(general), mass)
+    np.testing.assert_allclose(powerset.pignistic(general)[..., 1], evidence.pignistic(mass), atol=tolerance(mass))
     np.testing.assert_allclose(
-        powerset.pignistic(general)[..., 1], evidence.pignistic(mass), atol=tolerance(mass)
-    )
-    np.testing.assert_allclose(
-        powerset.plausibility_transform(general)[..., 1],
-        evidence.plausibility_transform(mass),
-        atol=tolerance(mass),
+        powerset.plausibility_transform(general)[..., 1], evidence.plausibility_transform(mass), atol=tolerance(mass)
     )
     np.testing.assert_allclose(
         powerset.to_pair(powerset.discount(general, 0.7)), evidence.discount(mass, 0.7), atol=tolerance(mass)
@@ -146,9 +140,7 @@ def test_general_rules_are_their_definitions(name: str) -> None:
 def test_general_rules_give_mass_functions(name: str, dtype: Any, shape: tuple) -> None:
     a, b = random_masses(3, shape, dtype, seed=1), random_masses(3, shape, dtype, seed=2)
     if name == "bold":
-        a, b = (
-            powerset.discount(m, 0.5) * dtype(0.9) + dtype(0.1) * np.eye(8, dtype=dtype)[0] for m in (a, b)
-        )
+        a, b = (powerset.discount(m, 0.5) * dtype(0.9) + dtype(0.1) * np.eye(8, dtype=dtype)[0] for m in (a, b))
     combine = getattr(powerset, name)
     result = combine(a, b)
     assert result.dtype == dtype

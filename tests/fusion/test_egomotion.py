@@ -95,9 +95,7 @@ def test_a_straight_line_is_straight() -> None:
     for t in np.arange(10.1, 12.05, 0.1):
         assert ego.speed(t, 5.0, 0.01)
         assert ego.yaw_rate(t, 0.0, 0.001)
-    np.testing.assert_allclose(
-        ego.state, [1 + 10 * math.cos(0.5), 2 + 10 * math.sin(0.5), 0.5, 5, 0], atol=0.02
-    )
+    np.testing.assert_allclose(ego.state, [1 + 10 * math.cos(0.5), 2 + 10 * math.sin(0.5), 0.5, 5, 0], atol=0.02)
     T = ego.trajectory()
     np.testing.assert_allclose(T.poses[0], pose(1, 2, yaw=0.5), atol=1e-12)
     np.testing.assert_allclose(T.stamps, np.arange(10.0, 12.05, 0.1), atol=1e-9)
@@ -123,9 +121,7 @@ def test_a_long_gap_is_the_same_as_many_short_ones() -> None:
     for t in np.arange(0.05, 2.01, 0.05):
         often.speed(t, 6.0, 1e6)
     np.testing.assert_allclose(once.state, often.state, rtol=0.01, atol=0.01)
-    np.testing.assert_allclose(
-        np.sqrt(np.diag(once.covariance)), np.sqrt(np.diag(often.covariance)), rtol=0.1
-    )
+    np.testing.assert_allclose(np.sqrt(np.diag(once.covariance)), np.sqrt(np.diag(often.covariance)), rtol=0.1)
 
 
 def test_the_filter_beats_its_sensors_and_the_smoother_beats_the_filter() -> None:
@@ -200,9 +196,7 @@ def test_an_unknown_heading_is_found() -> None:
     for wrong in (-1.5, 1.0):
         drive = simulated(5, gnss=10.0)
         ego = EgoMotion(
-            0.0,
-            pose(*drive.states[0, :2], yaw=drive.states[0, 2] + wrong),
-            deviation=[1, 1, math.pi / 2, 10, 0.3],
+            0.0, pose(*drive.states[0, :2], yaw=drive.states[0, 2] + wrong), deviation=[1, 1, math.pi / 2, 10, 0.3]
         )
         run(ego, drive.measured)
         away = errors(drive, ego.filtered())
@@ -215,9 +209,7 @@ def test_the_yaw_passes_pi_without_a_jump() -> None:
     for t in np.arange(0.1, 7.0, 0.1):
         turn = (3.0 + t + np.pi) % (2 * np.pi) - np.pi  # as a compass message it
         assert ego.pose(
-            t,
-            [3 * (math.sin(3 + t) - math.sin(3)), -3 * (math.cos(3 + t) - math.cos(3)), turn],
-            [0.1, 0.1, 0.05],
+            t, [3 * (math.sin(3 + t) - math.sin(3)), -3 * (math.cos(3 + t) - math.cos(3)), turn], [0.1, 0.1, 0.05]
         )
     for motion in (ego.filtered(), ego.smoothed()):
         np.testing.assert_allclose(np.diff(motion.states[:, 2]), 0.1, atol=0.03)
@@ -332,9 +324,7 @@ def test_a_missing_package_is_named_with_its_install_command(monkeypatch: pytest
 @pytest.mark.parametrize("off", [20.0, 100.0, 1000.0])
 def test_a_jump_of_the_position_leaves_heading_and_speed_alone(off: float) -> None:
     """GNSS that is off from some time on: after some patience the filter follows, and drives on straight ahead."""
-    ego = EgoMotion(
-        0.0, speed=10.0, deviation=(0.5, 0.5, 0.02, 0.3, 0.02), acceleration=1.0, yaw_acceleration=0.2
-    )
+    ego = EgoMotion(0.0, speed=10.0, deviation=(0.5, 0.5, 0.02, 0.3, 0.02), acceleration=1.0, yaw_acceleration=0.2)
     for k in range(1, 300):
         t = 0.1 * k
         ego.speed(t, 10.0, 0.1)

@@ -35,12 +35,7 @@ from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=12.8, width=9.6, resolution=0.2)  # 64 x 48
 FOREVER = math.inf
-COMPILED = {
-    "dempster": dempster,
-    "yager": yager,
-    "cumulative": cumulative,
-    "cautious": normalized_cautious,
-}
+COMPILED = {"dempster": dempster, "yager": yager, "cumulative": cumulative, "cautious": normalized_cautious}
 
 
 def noise(spec: GridSpec, seed: int = 0) -> EvidentialGrid:
@@ -106,8 +101,7 @@ def test_any_rule_of_two_masses_works(rule):
     for k in range(3):
         mapper.update(noise(SPEC, k), np.eye(4))
     expected = rule(
-        rule(rule(np.zeros_like(noise(SPEC).mass), noise(SPEC, 0).mass), noise(SPEC, 1).mass),
-        noise(SPEC, 2).mass,
+        rule(rule(np.zeros_like(noise(SPEC).mass), noise(SPEC, 0).mass), noise(SPEC, 1).mass), noise(SPEC, 2).mass
     )
     np.testing.assert_allclose(mapper.grid.mass, expected, atol=1e-5)
 
@@ -146,18 +140,14 @@ def test_driving_a_thousand_steps_changes_nothing_that_is_still_in_view(mapper_o
         mapper.update(nothing, pose(x, y, yaw=yaw), stamp=0.1 * k)
         lowest, highest = np.minimum(lowest, (x, y)), np.maximum(highest, (x, y))
     kept = cut(first, mapper.spec)
-    margin = (
-        np.ceil((highest - lowest) / SPEC.resolution).astype(int) + 1
-    )  # rows and columns that left the view
+    margin = np.ceil((highest - lowest) / SPEC.resolution).astype(int) + 1  # rows and columns that left the view
     inside = (slice(margin[0], -margin[0]), slice(margin[1], -margin[1]))
     np.testing.assert_allclose(mapper.grid.mass[inside], kept[inside], atol=1e-5)
 
 
 @settings(max_examples=25, deadline=None)
 @example([(0.0, 1.5, 0.0)])
-@given(
-    st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.25, 0.25)), min_size=1, max_size=8)
-)
+@given(st.lists(st.tuples(st.floats(-4, 4), st.floats(-4, 4), st.floats(-0.25, 0.25)), min_size=1, max_size=8))
 def test_the_ring_buffer_equals_a_map_of_the_whole_world(steps):
     """A rolling window holds what a fixed map large enough for the drive does, as far as it never left the view."""
     world = GridSpec(0.2, (512, 512), (SPEC.origin[0] - 224 * 0.2, SPEC.origin[1] - 232 * 0.2))
@@ -213,10 +203,7 @@ def test_forgetting_does_not_depend_on_the_rate(rate, discounting):
         assert occupied == pytest.approx(0.075, abs=1e-5)
     else:  # evidence 5 and 3, of which a half and a quarter are left
         total = 2 + 2.5 + 0.75
-        assert (free, occupied) == (
-            pytest.approx(2.5 / total, abs=1e-5),
-            pytest.approx(0.75 / total, abs=1e-5),
-        )
+        assert (free, occupied) == (pytest.approx(2.5 / total, abs=1e-5), pytest.approx(0.75 / total, abs=1e-5))
 
 
 def test_steady_state_of_dempster_with_a_simple_mass():
@@ -425,9 +412,7 @@ def test_scans_of_other_cells_fill_the_same_area(resolution):
     mapper.update(uniform(other, 0.6, 0.1), np.eye(4), stamp=0)
     x, y = mapper.spec.cell_centers
     inside = (np.abs(x) < 3.2) & (np.abs(y) < 2.4)
-    np.testing.assert_allclose(
-        mapper.grid.mass[inside], np.broadcast_to((0.6, 0.1), (inside.sum(), 2)), atol=1e-6
-    )
+    np.testing.assert_allclose(mapper.grid.mass[inside], np.broadcast_to((0.6, 0.1), (inside.sum(), 2)), atol=1e-6)
     assert not mapper.grid.mass[~inside].any()
 
 
@@ -503,9 +488,7 @@ def test_far_from_the_origin_the_map_is_the_same():
         near.update(noise(SPEC, k), T, stamp=0.1 * k)
         T[:2, 3] += 2_000_000 * 0.2, 25_000_000 * 0.2
         far.update(noise(SPEC, k), T, stamp=0.1 * k)
-    assert (
-        np.mean(np.abs(near.grid.mass - far.grid.mass) > 1e-5) < 0.001
-    )  # cells whose middle lies on an edge
+    assert np.mean(np.abs(near.grid.mass - far.grid.mass) > 1e-5) < 0.001  # cells whose middle lies on an edge
 
 
 def test_the_map_keeps_its_own_copy_of_a_pose():

@@ -12,9 +12,7 @@ STAMP = 735.25
 def drive(count: int = 8, start: float = STAMP - 0.2) -> Trajectory:
     """Give poses at uneven times, with all six degrees of freedom, far from the map's origin."""
     t = np.cumsum([0.0, 0.1, 0.05, 0.12, 0.1, 0.08, 0.1, 0.1])[:count]
-    poses = [
-        pose(4e5 + 15 * s, 5e6 + 8 * s * s, 0.3 * s, roll=0.2 * s, pitch=-0.3 * s, yaw=2.5 * s) for s in t
-    ]
+    poses = [pose(4e5 + 15 * s, 5e6 + 8 * s * s, 0.3 * s, roll=0.2 * s, pitch=-0.3 * s, yaw=2.5 * s) for s in t]
     return Trajectory(start + t, poses)
 
 
@@ -62,15 +60,10 @@ def test_a_wall_seen_in_a_turn_is_straight_again() -> None:
     t = np.linspace(-0.05, 0.05, 201)
     circle = Trajectory(
         np.linspace(-0.06, 0.06, 25),
-        [
-            pose(20 * np.sin(0.5 * s), 20 * (1 - np.cos(0.5 * s)), yaw=0.5 * s)
-            for s in np.linspace(-0.06, 0.06, 25)
-        ],
+        [pose(20 * np.sin(0.5 * s), 20 * (1 - np.cos(0.5 * s)), yaw=0.5 * s) for s in np.linspace(-0.06, 0.06, 25)],
     )
     wall = np.column_stack([np.full(201, 20.0), np.linspace(-15, 15, 201), np.zeros(201)])
-    measured = np.array(
-        [transform_points(inverse(circle.at(s)), p[None])[0] for s, p in zip(t, wall, strict=True)]
-    )
+    measured = np.array([transform_points(inverse(circle.at(s)), p[None])[0] for s, p in zip(t, wall, strict=True)])
     assert np.ptp(measured[:, 0]) > 1.0
     straight = deskew(measured.astype(np.float32), t, circle, 0.0)
     np.testing.assert_allclose(straight, wall, atol=1e-4)
@@ -90,9 +83,7 @@ def test_without_motion_nothing_moves() -> None:
 def test_where_the_map_has_its_origin_does_not_matter() -> None:
     points, time = cloud(200)
     elsewhere = Trajectory(drive().stamps, pose(-4e5, -5e6, 7, yaw=2) @ drive().poses)
-    np.testing.assert_allclose(
-        deskew(points, time, elsewhere, STAMP), deskew(points, time, drive(), STAMP), atol=1e-5
-    )
+    np.testing.assert_allclose(deskew(points, time, elsewhere, STAMP), deskew(points, time, drive(), STAMP), atol=1e-5)
 
 
 def test_moving_the_stamp_moves_the_cloud_as_one() -> None:
@@ -129,18 +120,10 @@ def test_the_ends_of_the_trajectory_are_inside() -> None:
         deskew(points, time, trajectory, STAMP), slow(points, time, trajectory, STAMP), atol=1e-5
     )
     # A stamp on the last pose: all points were measured before; on the first: all after, or just then.
-    for stamp, time in (
-        (-1, [-0.05, 0.0]),
-        (0, [0.05, 0.0]),
-        (-1, [0.0, 0.0]),
-        (0, [0.0, 0.0]),
-        (3, [0.0, 0.0]),
-    ):
+    for stamp, time in ((-1, [-0.05, 0.0]), (0, [0.05, 0.0]), (-1, [0.0, 0.0]), (0, [0.0, 0.0]), (3, [0.0, 0.0])):
         at = float(trajectory.stamps[stamp])
         np.testing.assert_allclose(
-            deskew(points, np.array(time), trajectory, at),
-            slow(points, np.array(time), trajectory, at),
-            atol=1e-5,
+            deskew(points, np.array(time), trajectory, at), slow(points, np.array(time), trajectory, at), atol=1e-5
         )
     # Rounded stamps may lie a hair outside.
     first = float(trajectory.stamps[0])

@@ -47,16 +47,7 @@ def drive(count: int = 6, **changed: object) -> list[Frame]:
     """Return frames along x, 0.1 m and 0.1 s apart."""
     poses = [pose(0.1 * k) for k in range(count)]
     return [
-        Frame(
-            scan_of(T),
-            MOUNT,
-            None,
-            None,
-            T_map_sensor=T,
-            stamp=0.1 * k,
-            name=f"frame {k}",
-            sequence="a",
-        )
+        Frame(scan_of(T), MOUNT, None, None, T_map_sensor=T, stamp=0.1 * k, name=f"frame {k}", sequence="a")
         for k, T in enumerate(poses)
     ]
 

@@ -45,9 +45,7 @@ def circle(stamps: np.ndarray) -> Trajectory:
     """Give a drive at 8 m/s that turns left at 0.3 rad/s and begins at the map's origin."""
     return Trajectory(
         stamps,
-        np.array(
-            [pose(8 / 0.3 * np.sin(0.3 * t), 8 / 0.3 * (1 - np.cos(0.3 * t)), yaw=0.3 * t) for t in stamps]
-        ),
+        np.array([pose(8 / 0.3 * np.sin(0.3 * t), 8 / 0.3 * (1 - np.cos(0.3 * t)), yaw=0.3 * t) for t in stamps]),
     )
 
 
@@ -61,9 +59,7 @@ def scan(T: np.ndarray, seed: int) -> np.ndarray:
 def departure(T: np.ndarray, U: np.ndarray) -> tuple[float, float]:
     """Return how far [m] and how much [degree] two poses lie apart."""
     D = inverse(T) @ U
-    return float(np.linalg.norm(D[:3, 3])), float(
-        np.degrees(np.arccos(np.clip((np.trace(D[:3, :3]) - 1) / 2, -1, 1)))
-    )
+    return float(np.linalg.norm(D[:3, 3])), float(np.degrees(np.arccos(np.clip((np.trace(D[:3, :3]) - 1) / 2, -1, 1))))
 
 
 STAMPS = 100 + 0.1 * np.arange(6)
@@ -140,16 +136,13 @@ def test_the_ego_vehicle_and_missing_points_do_not_bias_the_poses(method: str) -
         ([np.ones((500, 3)) * 10], [0.0, 1.0], "scans ended after 1"),
     ],
 )
-def test_scans_that_cannot_be_registered_are_refused(
-    method: str, scans: list, stamps: list, message: str
-) -> None:
+def test_scans_that_cannot_be_registered_are_refused(method: str, scans: list, stamps: list, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         odometry(scans, stamps, method)
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
-    [({"method": "icp"}, "kiss-icp or small-gicp"), ({"range_min": 100}, "below range_max")],
+    ("given", "message"), [({"method": "icp"}, "kiss-icp or small-gicp"), ({"range_min": 100}, "below range_max")]
 )
 def test_impossible_settings_are_refused_before_the_first_scan(given: dict[str, Any], message: str) -> None:
     def never() -> Iterator[np.ndarray]:
@@ -161,9 +154,7 @@ def test_impossible_settings_are_refused_before_the_first_scan(given: dict[str, 
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_missing_package_is_named_with_its_install_command(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_package_is_named_with_its_install_command(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     real_import = builtins.__import__
 
     def without(module: str, *args: Any, **kwargs: Any) -> Any:

@@ -64,9 +64,7 @@ def test_areas_are_those_of_polygons():
     for index in np.ndindex(spec.shape):
         x, y = (spec.origin[a] + 0.4 * index[a] for a in (0, 1))
         cell = shapely.box(x, y, x + 0.4, y + 0.4)
-        expected = (
-            sum(cell.intersection(p).area * grid.mass[k].astype(float) for k, p in cells.items()) / 0.16
-        )
+        expected = sum(cell.intersection(p).area * grid.mass[k].astype(float) for k, p in cells.items()) / 0.16
         np.testing.assert_allclose(found.mass[index], expected, atol=1e-6)
 
 
@@ -103,9 +101,7 @@ def test_outside_all_is_unknown(method):
     x, y = WIDE.cell_centers
     outside = (np.abs(x) > 4) | (np.abs(y) > 3)
     assert not found.mass[outside].any()
-    np.testing.assert_allclose(
-        found.mass[~outside], np.broadcast_to((0.6, 0.2), ((~outside).sum(), 2)), atol=1e-6
-    )
+    np.testing.assert_allclose(found.mass[~outside], np.broadcast_to((0.6, 0.2), ((~outside).sum(), 2)), atol=1e-6)
 
 
 def test_nearest_mixes_nothing():
@@ -178,9 +174,7 @@ def test_finer_cells_repeat_the_masses_and_coarsening_gives_back_the_grid():
 def test_other_cells_are_refused_unless_a_method_is_given(spec):
     with pytest.raises(ValueError, match="give a resampling method"):
         resample_to(noise(), spec)
-    np.testing.assert_array_equal(
-        resample_to(noise(), spec, "area").mass, warp(noise(), spec, np.eye(4), "area").mass
-    )
+    np.testing.assert_array_equal(resample_to(noise(), spec, "area").mass, warp(noise(), spec, np.eye(4), "area").mass)
 
 
 def test_bad_arguments_are_named():

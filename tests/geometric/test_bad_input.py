@@ -46,9 +46,7 @@ def test_any_floats_give_masses(ism, points: np.ndarray) -> None:
 
 
 @both
-@pytest.mark.parametrize(
-    "point", [(0, 0, 0), (0, 0, -1.7), (1e-20, 0, -1), (9.999999, 9.999999, -1), (-10, -10, -1)]
-)
+@pytest.mark.parametrize("point", [(0, 0, 0), (0, 0, -1.7), (1e-20, 0, -1), (9.999999, 9.999999, -1), (-10, -10, -1)])
 def test_one_point_anywhere(ism, point: tuple) -> None:
     grid = ism(np.array([[*point, 0.0]], np.float32))
     EvidentialGrid(grid.spec, grid.mass)
@@ -87,9 +85,7 @@ def test_a_torch_tensor_is_refused_and_the_fix_works() -> None:
     points = torch.rand(30, 4)
     with pytest.raises(TypeError, match="give points.detach"):
         MODELS[1](points)
-    np.testing.assert_array_equal(
-        MODELS[1](points.detach().cpu().numpy()).mass, MODELS[1](points.numpy()).mass
-    )
+    np.testing.assert_array_equal(MODELS[1](points.detach().cpu().numpy()).mass, MODELS[1](points.numpy()).mass)
 
 
 @both
@@ -171,9 +167,7 @@ def test_models_can_run_in_several_threads() -> None:
     from concurrent.futures import ThreadPoolExecutor
 
     rng = np.random.default_rng(1)
-    clouds = [
-        rng.uniform((-9, -9, -1.7, 0), (9, 9, 1, 1), (n, 4)).astype(np.float32) for n in (2000, 50, 900, 4000)
-    ]
+    clouds = [rng.uniform((-9, -9, -1.7, 0), (9, 9, 1, 1), (n, 4)).astype(np.float32) for n in (2000, 50, 900, 4000)]
     expected = [MODELS[1](cloud).mass for cloud in clouds]
     with ThreadPoolExecutor(4) as pool:
         for _ in range(5):
@@ -207,9 +201,7 @@ def test_a_ground_estimate_that_returns_nonsense_is_refused(height) -> None:
         ism(np.zeros((1, 4), np.float32))
 
 
-@pytest.mark.parametrize(
-    "spec", [GridSpec(0.1, (2**17, 1), (0.0, 0.0)), GridSpec(50.0, (2000, 2), (0.0, 0.0))]
-)
+@pytest.mark.parametrize("spec", [GridSpec(0.1, (2**17, 1), (0.0, 0.0)), GridSpec(50.0, (2000, 2), (0.0, 0.0))])
 def test_a_grid_longer_than_the_kernels_count_is_refused(spec: GridSpec) -> None:
     with pytest.raises(ValueError, match="use coarser cells or a smaller grid"):
         RayISM(spec, MOUNT)(np.zeros((1, 4), np.float32))

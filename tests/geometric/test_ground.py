@@ -38,9 +38,7 @@ def test_local_ground_follows_slopes_under_cars_walls_and_crowns() -> None:
     assert (above[is_ground] < 0.15).mean() > 0.99
     assert (above[~is_ground & (xyz[:, 2] - hill(xyz[:, 0], xyz[:, 1]) > 0.3)] > 0.15).mean() > 0.99
     flat = xyz[:, 2] - ground_height(flat_ground(xyz, SPEC, GROUND_POINT), SPEC, xyz)
-    assert (
-        flat[is_ground] < 0.15
-    ).mean() < 0.7  # the plane fails here, which is why there is a local estimate
+    assert (flat[is_ground] < 0.15).mean() < 0.7  # the plane fails here, which is why there is a local estimate
 
 
 @pytest.mark.parametrize("depth", [0.6, 3.0, 20.0])
@@ -62,9 +60,7 @@ def test_a_few_strays_under_a_thin_layer_of_road_do_not_lower_it() -> None:
     cell[:, 2] = hill(cell[:, 0], cell[:, 1]) + rng.normal(0, 0.01, 320)
     cell[:20, 2] -= 0.38
     both = np.concatenate([xyz, cell.astype(np.float32)])
-    above = cell[20:, 2] - ground_height(
-        local_ground(both, SPEC, GROUND_POINT), SPEC, cell[20:].astype(np.float32)
-    )
+    above = cell[20:, 2] - ground_height(local_ground(both, SPEC, GROUND_POINT), SPEC, cell[20:].astype(np.float32))
     assert (np.abs(above) < 0.1).mean() > 0.95
 
 
@@ -81,9 +77,7 @@ def test_a_large_cloud_is_thinned_and_gives_the_same() -> None:
     many = np.repeat(xyz, 5, axis=0)
     above = xyz[:, 2] - ground_height(local_ground(many, SPEC, GROUND_POINT), SPEC, xyz)
     assert (np.abs(above[is_ground]) < 0.15).mean() > 0.99
-    np.testing.assert_array_equal(
-        local_ground(many, SPEC, GROUND_POINT), local_ground(many[::4], SPEC, GROUND_POINT)
-    )
+    np.testing.assert_array_equal(local_ground(many, SPEC, GROUND_POINT), local_ground(many[::4], SPEC, GROUND_POINT))
 
 
 def test_a_ground_point_or_a_map_that_the_kernels_cannot_take_is_refused() -> None:
@@ -120,9 +114,7 @@ def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
     above = z - ground_height(local_ground(xyz, SPEC, GROUND_POINT), SPEC, xyz)
     assert np.abs(above[np.abs(y) < 3]).mean() < 0.03
     assert np.abs(above[np.abs(y) > 6]).mean() < 0.03
-    assert (
-        np.abs(above).max() < 0.2
-    )  # the step itself is shared out over a metre: kerbs are not marked reliably
+    assert np.abs(above).max() < 0.2  # the step itself is shared out over a metre: kerbs are not marked reliably
 
 
 def test_without_points_the_ground_is_the_plane_under_the_sensor() -> None:

@@ -52,12 +52,7 @@ def test_height_band_evidence_is_a_belief() -> None:
 
 
 def test_height_band_clears_up_to_the_border_for_returns_beyond() -> None:
-    assert drawing(HeightBandISM(SPEC, MOUNT)(at((9, 0, 1.0))))[:4] == [
-        "...f...",
-        "...f...",
-        "...f...",
-        "...f...",
-    ]
+    assert drawing(HeightBandISM(SPEC, MOUNT)(at((9, 0, 1.0))))[:4] == ["...f...", "...f...", "...f...", "...f..."]
 
 
 def test_height_band_stops_at_the_first_obstacle() -> None:
@@ -69,15 +64,11 @@ def test_height_band_stops_at_the_first_obstacle() -> None:
 def test_the_released_code_never_exceeds_a_third() -> None:
     spec = GridSpec.centered(8.0, 8.0, 0.5)
     ism = HeightBandISM.as_released(spec)
-    points = np.array(
-        [(3.4, 0.1, 0.0, 0), (3.4, 0.1, 0.4, 0), (2.9, 0.0, 0.0, 0), (-3.2, 1.0, -1.0, 0)], np.float32
-    )
+    points = np.array([(3.4, 0.1, 0.0, 0), (3.4, 0.1, 0.4, 0), (2.9, 0.0, 0.0, 0), (-3.2, 1.0, -1.0, 0)], np.float32)
     grid = ism(points)
     assert grid.spec == spec
     assert grid.mass.max() <= 1 / 3 + 1e-6
-    assert grid.at(3.4, 0.1).occupied == pytest.approx(
-        0.25 / 2.5, abs=0.02
-    )  # one of four small cells, one free
+    assert grid.at(3.4, 0.1).occupied == pytest.approx(0.25 / 2.5, abs=0.02)  # one of four small cells, one free
     assert grid.at(2.9, 0.0).occupied == 0  # nearer than 3 m
     assert grid.at(-3.2, 1.0).occupied > 0
 
@@ -86,9 +77,7 @@ def test_free_cells_lie_before_the_first_hit() -> None:
     """A wall ahead: free before it, marked at it, unknown behind it."""
     spec = GridSpec.centered(20.0, 20.0, 0.25)
     wall = [(6.0, y, z) for y in np.arange(-4, 4, 0.05) for z in np.arange(0.2, 3.0, 0.1)]
-    ground = [
-        (x, y, 0.0) for x in np.arange(2.5, 6.0, 0.2) for y in np.arange(-4, 4, 0.1) if abs(y) < 0.6 * x
-    ]
+    ground = [(x, y, 0.0) for x in np.arange(2.5, 6.0, 0.2) for y in np.arange(-4, 4, 0.1) if abs(y) < 0.6 * x]
     grid = RayISM(spec, MOUNT)(at(*wall, *ground))
     assert grid.at(4.0, 0.5).free > 0.9
     assert grid.at(6.1, 0.0).occupied > 0.75
@@ -136,9 +125,7 @@ def test_many_rays_over_a_roof_do_not_clear_what_is_below() -> None:
 def test_shadows_stay_unknown() -> None:
     spec = GridSpec.centered(30.0, 30.0, 0.25)
     scene = [(5.0, y, z) for y in np.arange(-1, 1, 0.02) for z in np.arange(0.2, 1.9, 0.05)]
-    scene += [
-        (r * math.cos(a), r * math.sin(a), 0.0) for r in range(3, 15) for a in np.arange(0.25, 6.03, 0.01)
-    ]
+    scene += [(r * math.cos(a), r * math.sin(a), 0.0) for r in range(3, 15) for a in np.arange(0.25, 6.03, 0.01)]
     grid = RayISM(spec, MOUNT)(at(*scene))
     shadow = grid.mass[spec.index(6.0, 0)[0] : spec.index(14.0, 0)[0], spec.index(0, 0.0)[1]]
     assert (shadow == 0).all()
@@ -224,9 +211,7 @@ def test_passing_rays_lower_the_belief_in_a_lone_return_only_as_far_as_they_are_
     scene = at(*[(8.0, 0.001 * k, 0.0) for k in range(800)], (6.2, 0.2, 0.5))
 
     def lone(reliability: float):
-        return RayISM(spec, MOUNT, ground=flat_ground, free_reliability_at_hits=reliability)(scene).at(
-            6.2, 0.2
-        )
+        return RayISM(spec, MOUNT, ground=flat_ground, free_reliability_at_hits=reliability)(scene).at(6.2, 0.2)
 
     assert lone(0.0).occupied == pytest.approx(0.95)
     assert lone(1.0).occupied < 0.45
@@ -253,9 +238,7 @@ def test_on_a_falling_road_high_rays_take_nothing_either() -> None:
     ism = RayISM(spec, Mount(1.9))
     x, y = np.meshgrid(np.arange(4, 36, 0.25), np.arange(-1.5, 1.5, 0.05))
     road = np.stack([x, y, -1.9 - 0.1 * x, 0 * x], -1).reshape(-1, 4)
-    facade = np.array(
-        [(38.0, b, -1.9 - 3.8 + c, 0) for b in np.arange(-1.5, 1.5, 0.02) for c in (2.5, 3.0, 4.0)]
-    )
+    facade = np.array([(38.0, b, -1.9 - 3.8 + c, 0) for b in np.arange(-1.5, 1.5, 0.02) for c in (2.5, 3.0, 4.0)])
     alone = ism(road.astype(np.float32))
     both = ism(np.concatenate([road, facade]).astype(np.float32))
     near = slice(0, spec.index(34.0, 0)[0])
@@ -274,9 +257,7 @@ def test_directions_of_beams_without_echo_turn_with_the_mount() -> None:
 
 def test_no_mass_exceeds_its_bound() -> None:
     spec = GridSpec.centered(20.0, 20.0, 0.5)
-    scene = at(
-        *[(6.2, 0.2, z) for z in np.linspace(0.2, 1.9, 400)], *[(8.0, 0.001 * k, 0.0) for k in range(4000)]
-    )
+    scene = at(*[(6.2, 0.2, z) for z in np.linspace(0.2, 1.9, 400)], *[(8.0, 0.001 * k, 0.0) for k in range(4000)])
     grid = RayISM(spec, MOUNT, max_mass=0.6)(scene)
     assert grid.occupied.max() == pytest.approx(0.6)
     assert grid.free.max() == pytest.approx(0.6)

@@ -26,9 +26,7 @@ def cloud(seed: int, count: int = 300, height: float = HEIGHT) -> np.ndarray:
     rng = np.random.default_rng(seed)
     azimuth, run = rng.uniform(0, 2 * math.pi, count), rng.uniform(1.0, 14, count)
     z = rng.choice([0, 0, 0, 0.6, 1.5, 3.0, -2.0], count) + rng.normal(0, 0.02, count) - height
-    return np.stack([run * np.cos(azimuth), run * np.sin(azimuth), z, rng.uniform(0, 1, count)], 1).astype(
-        np.float32
-    )
+    return np.stack([run * np.cos(azimuth), run * np.sin(azimuth), z, rng.uniform(0, 1, count)], 1).astype(np.float32)
 
 
 @given(st.integers(-40, 40), st.integers(-40, 40))
@@ -53,9 +51,7 @@ def test_height_band_equals_one_line_per_return(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("position", [(0.0, 0.0), (2.3, -1.1)])
 @pytest.mark.parametrize("height", [1.7, 3.0, 5.0])
-def test_ray_model_equals_the_loop_over_cells_and_rays(
-    seed: int, position: tuple[float, float], height: float
-) -> None:
+def test_ray_model_equals_the_loop_over_cells_and_rays(seed: int, position: tuple[float, float], height: float) -> None:
     points = cloud(seed, height=height)
     rng = np.random.default_rng(seed + 100)
     no_returns = rng.normal(0, [1, 1, 0.05], (40, 3))

@@ -131,9 +131,7 @@ def test_an_unknown_name(name, tmp_path):
     refused(put(tmp_path, name, packed(b"1234")), "wanted .pcd.bin, .bin")
 
 
-@pytest.mark.parametrize(
-    ("name", "number"), [("a.bin", 15), ("a.bin", 33), ("a.pcd.bin", 16), ("a.pcd.bin", 41)]
-)
+@pytest.mark.parametrize(("name", "number"), [("a.bin", 15), ("a.bin", 33), ("a.pcd.bin", 16), ("a.pcd.bin", 41)])
 def test_a_size_that_is_no_number_of_points(name, number, tmp_path):
     refused(put(tmp_path, name, b"\x01" * number), "no multiple of")
 
@@ -191,11 +189,7 @@ def test_a_pcd_header_that_cannot_be(line, instead, tmp_path):
 @pytest.mark.parametrize("points", [11, 10**6, 10**12, 10**17])
 def test_a_pcd_header_that_promises_more_than_there_is(encoding, points, tmp_path):
     header = PCD.replace("10", str(points)).replace("DATA binary", f"DATA {encoding}")
-    body = {
-        "ascii": b"1 2 3\n" * 10,
-        "binary": bytes(120),
-        "binary_compressed": struct.pack("<II", 112, 2**32 - 1),
-    }
+    body = {"ascii": b"1 2 3\n" * 10, "binary": bytes(120), "binary_compressed": struct.pack("<II", 112, 2**32 - 1)}
     refused(put(tmp_path, "a.pcd", header.encode() + body[encoding]), "cut short|damaged")
 
 
@@ -215,8 +209,7 @@ def test_pcd_lines_that_cannot_be(lines, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "body",
-    [b"", b"\0" * 7, struct.pack("<II", 5, 120) + b"\xff" * 5, struct.pack("<II", 500, 120) + b"\0" * 50],
+    "body", [b"", b"\0" * 7, struct.pack("<II", 5, 120) + b"\xff" * 5, struct.pack("<II", 500, 120) + b"\0" * 50]
 )
 def test_pcd_points_that_do_not_unpack(body, tmp_path):
     header = PCD.replace("DATA binary", "DATA binary_compressed")
@@ -242,9 +235,7 @@ def test_pcd_points_that_would_fill_the_memory(tmp_path):
 
 def test_a_pcd_field_of_no_values(tmp_path):
     header = PCD.replace("x y z", "x y z intensity").replace("4 4 4", "4 4 4 4").replace("F F F", "F F F F")
-    refused(
-        put(tmp_path, "a.pcd", header.replace("1 1 1", "1 1 1 0").encode() + bytes(160)), "wanted 1 or more"
-    )
+    refused(put(tmp_path, "a.pcd", header.replace("1 1 1", "1 1 1 0").encode() + bytes(160)), "wanted 1 or more")
 
 
 @pytest.mark.parametrize("names", [("x",), ("w", "w"), ("scalar_Time", "time")])
@@ -293,10 +284,7 @@ def test_a_ply_header_that_cannot_be(line, instead, tmp_path):
 def test_a_ply_property_that_is_there_twice(name, double, tmp_path):
     more = f"property float {double}\n" + ("property float w\n" if name == "w" else "")
     header = PLY.replace("end_header", f"{more}end_header")
-    refused(
-        put(tmp_path, "a.ply", header.encode() + bytes(200)),
-        f"fields {name}, {double}, wanted one of each name",
-    )
+    refused(put(tmp_path, "a.ply", header.encode() + bytes(200)), f"fields {name}, {double}, wanted one of each name")
 
 
 @pytest.mark.parametrize("number", [11, 99999999999])
@@ -310,9 +298,7 @@ def test_a_ply_text_that_is_too_short(number, tmp_path):
 @pytest.mark.parametrize("name", ["a.pcd", "a.ply"])
 def test_text_without_end(name, tmp_path, monkeypatch):
     monkeypatch.setattr(ogm.io.formats.table, "TEXT_LIMIT", 30)
-    header = (
-        PCD.replace("binary", "ascii") if name == "a.pcd" else PLY.replace("binary_little_endian", "ascii")
-    )
+    header = PCD.replace("binary", "ascii") if name == "a.pcd" else PLY.replace("binary_little_endian", "ascii")
     refused(put(tmp_path, name, header.encode() + b"1 2 3\n" * 10), "60 bytes of text, wanted at most 30")
 
 
@@ -513,17 +499,11 @@ def whole(request, cloud, tmp_path) -> Path:
             pypcd4.PointCloud.from_xyzi_points(cloud).save(path, encoding=pypcd4.Encoding(path.stem))
         case [".ply"]:
             plyfile = pytest.importorskip("plyfile")
-            vertex = np.array(
-                [tuple(row) for row in cloud], dtype=[(name, "f4") for name in ("x", "y", "z", "i")]
-            )
-            plyfile.PlyData([plyfile.PlyElement.describe(vertex, "vertex")], text=path.stem == "text").write(
-                str(path)
-            )
+            vertex = np.array([tuple(row) for row in cloud], dtype=[(name, "f4") for name in ("x", "y", "z", "i")])
+            plyfile.PlyData([plyfile.PlyElement.describe(vertex, "vertex")], text=path.stem == "text").write(str(path))
         case [".feather"]:
             pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
-            feather.write_feather(
-                pyarrow.table(dict(zip(["x", "y", "z", "intensity"], cloud.T, strict=True))), path
-            )
+            feather.write_feather(pyarrow.table(dict(zip(["x", "y", "z", "intensity"], cloud.T, strict=True))), path)
         case _:
             laspy = pytest.importorskip("laspy")
             las = laspy.create(point_format=3)
@@ -542,9 +522,7 @@ def test_a_file_cut_short_anywhere_is_refused_or_shorter(whole):
         if scan is None:
             assert whole.name in message
         else:  # KITTI and nuScenes files do not hold their length; a text may lack its last digits
-            assert len(scan.points) < 60 or (
-                whole.name in ("ascii.pcd", "text.ply") and end > len(content) - 20
-            )
+            assert len(scan.points) < 60 or (whole.name in ("ascii.pcd", "text.ply") and end > len(content) - 20)
 
 
 @pytest.mark.parametrize("whole", NAMES, indirect=True)  # lazrs takes the sizes in a LAZ file on trust
@@ -568,11 +546,7 @@ def test_a_file_with_wrong_bytes_is_refused_or_read(whole):
     [
         ("a.las", "laspy", b"LASF"),
         ("a.feather", "pyarrow", b"ARROW1"),
-        (
-            "a.pcd",
-            "lzf",
-            PCD.replace("binary", "binary_compressed").encode() + struct.pack("<II", 8, 120) + bytes(8),
-        ),
+        ("a.pcd", "lzf", PCD.replace("binary", "binary_compressed").encode() + struct.pack("<II", 8, 120) + bytes(8)),
     ],
 )
 def test_a_missing_package_is_named_with_its_cure(name, module, content, tmp_path, monkeypatch):

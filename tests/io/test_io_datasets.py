@@ -107,9 +107,7 @@ def test_labelled_points_must_fit():
 def test_kittis_boxes_turn_from_the_camera_to_the_lidar(tmp_path, turn, yaw):
     """A rotation_y of 0 points to the right: the camera's x."""
     path = tmp_path / "labels.txt"
-    path.write_text(
-        f"{LINE} {turn}\nDontCare -1 -1 -10 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10\n\n{LINE} 0 0.9\n"
-    )
+    path.write_text(f"{LINE} {turn}\nDontCare -1 -1 -10 0 0 0 0 -1 -1 -1 -1000 -1000 -1000 -10\n\n{LINE} 0 0.9\n")
     found = read_kitti_objects(path, TO_CAMERA)
     assert found.label == ("Car", "Car")
     x, y, angle, *rest = rows_of(found)[0]
@@ -140,10 +138,7 @@ def test_an_empty_file_of_labels_has_no_objects(tmp_path):
         (f"{LINE} 0 1 2\n", "line 1 of .* has 17 columns"),
         (f"{LINE} left\n", "the box in line 1 of .* must be numbers of shape .7,., got"),
         (f"{LINE} nan\n", "the box in line 1 of .* must be finite numbers"),
-        (
-            f"{LINE.replace('4.0', '0.0')} 0\n",
-            "Car in line 1 of .* above 0 m, got 1.5, 1.8, 0: drop the line",
-        ),
+        (f"{LINE.replace('4.0', '0.0')} 0\n", "Car in line 1 of .* above 0 m, got 1.5, 1.8, 0: drop the line"),
         ("\x00\x01\x02", "is no text"),
         (b"\xff\xfe\xfd", "is no text"),
     ],
@@ -203,9 +198,7 @@ def test_stamps_are_dates_or_seconds(tmp_path):
 
 def test_the_boxes_of_drive_0005_hold_their_points(real):
     folder = real("kitti_raw_0005")
-    tracks = read_kitti_tracks(
-        folder / "label_02_0000.txt", read_calibration(folder / "calib_2011_09_26.txt")
-    )
+    tracks = read_kitti_tracks(folder / "label_02_0000.txt", read_calibration(folder / "calib_2011_09_26.txt"))
     lines = [line.split() for line in (folder / "label_02_0000.txt").read_text().splitlines()]
     assert sorted(tracks) == list(range(60, 84))
     for scan in (60, 83):
@@ -274,14 +267,7 @@ def test_training_classes_are_the_data_sets_learning_map():
     assert set(SEMANTIC_KITTI_TO_TRAINING) == set(SEMANTIC_KITTI)
     assert set(SEMANTIC_KITTI_TO_TRAINING.values()) == set(SEMANTIC_KITTI_TRAINING) == set(range(20))
     for word, number in (
-        *(
-            ("outlier", 0),
-            ("bus", 5),
-            ("moving-bus", 5),
-            ("truck", 4),
-            ("moving-truck", 4),
-            ("lane-marking", 9),
-        ),
+        *(("outlier", 0), ("bus", 5), ("moving-bus", 5), ("truck", 4), ("moving-truck", 4), ("lane-marking", 9)),
         *(("moving-person", 6), ("moving-bicyclist", 7), ("other-structure", 0), ("traffic-sign", 19)),
         *(("moving-on-rails", 5), ("moving-other-vehicle", 5), ("terrain", 17), ("car", 1), ("fence", 14)),
     ):
@@ -576,16 +562,10 @@ def test_nuscenes_names_no_files_elsewhere(tmp_path, name):
         ("{", "is no JSON"),
         ("[" * 100_000, "is no JSON"),
         ('{"a": 1}', "has no 'metainfo', only a"),
-        (
-            '{"metainfo": {"dataset": "waymo", "categories": {}}, "data_list": []}',
-            "is of waymo, wanted nuscenes",
-        ),
+        ('{"metainfo": {"dataset": "waymo", "categories": {}}, "data_list": []}', "is of waymo, wanted nuscenes"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": {}}}', "has no 'data_list'"),
         ('{"metainfo": {"dataset": "nuscenes", "categories": ["car"]}}', "'categories' of .* wanted a dict"),
-        (
-            '{"metainfo": {"dataset": "nuscenes", "categories": {}}, "data_list": 3}',
-            "'data_list' of .* a list",
-        ),
+        ('{"metainfo": {"dataset": "nuscenes", "categories": {}}, "data_list": 3}', "'data_list' of .* a list"),
     ],
 )
 def test_json_of_another_kind_is_refused(tmp_path, content, message):
@@ -596,10 +576,7 @@ def test_json_of_another_kind_is_refused(tmp_path, content, message):
 
 @pytest.mark.parametrize(
     ("note", "message"),
-    [
-        ("car", "an object of frame 0 of .* has no 'bbox_3d', only str"),
-        ({"bbox_label_3d": 0}, "has no 'bbox_3d'"),
-    ],
+    [("car", "an object of frame 0 of .* has no 'bbox_3d', only str"), ({"bbox_label_3d": 0}, "has no 'bbox_3d'")],
 )
 def test_damaged_objects_of_an_info_are_named(tmp_path, note, message):
     info = INFO | {"frame": INFO["frame"] | {"instances": [note]}}
@@ -672,14 +649,7 @@ def write_log(folder, **changed):
     sizes = {"length_m": [4.0], "width_m": [2.0], "height_m": [1.0]}
     tables = {
         "city_SE3_egovehicle": {"timestamp_ns": [7], **turn, **place},
-        "annotations": {
-            "timestamp_ns": [7],
-            "track_uuid": ["t"],
-            "category": ["BUS"],
-            **sizes,
-            **turn,
-            **place,
-        },
+        "annotations": {"timestamp_ns": [7], "track_uuid": ["t"], "category": ["BUS"], **sizes, **turn, **place},
         "sensors/lidar/7": {"x": [1.0]},
     }
     for name, columns in tables.items():
@@ -711,10 +681,7 @@ def test_a_log_without_map_or_calibration(tmp_path):
         ({"annotations": {"length_m": [0.0]}}, "annotations.feather at 7: box 0"),
         ({"annotations": {"track_uuid": None}}, "has no column track_uuid"),
         ({"annotations": {"length_m": ["long"]}}, "length_m of .* must be columns of numbers, got object"),
-        (
-            {"annotations": {"tx_m": np.array([7], "M8[ns]")}},
-            "tx_m of .* must be columns of numbers, got dat",
-        ),
+        ({"annotations": {"tx_m": np.array([7], "M8[ns]")}}, "tx_m of .* must be columns of numbers, got dat"),
         ({"annotations": {"tx_m": [1e300]}}, "box 0 .* within 100000 m"),
         ({"city": {"timestamp_ns": [[7]]}}, "timestamp_ns of .* must be whole numbers"),
         ({"city": {"timestamp_ns": ["7"]}}, "timestamp_ns of .* must be whole numbers"),
@@ -795,10 +762,7 @@ def test_a_raster_has_rows_along_y(tmp_path):
         ({"place": {"R": [1, 0, 0, 1], "t": [10**400, 0], "s": 1}}, "t of .* must be numbers"),
         ({"place": {"R": [1, 0, 0, 1], "s": 1}}, "has no 't'"),
         ({"place": [1]}, "holds a JSON list, wanted a dict"),
-        (
-            {"areas": {"drivable_areas": {"1": {"area_boundary": [{"x": 1}]}}}},
-            "drivable area 1 of .* has no 'y'",
-        ),
+        ({"areas": {"drivable_areas": {"1": {"area_boundary": [{"x": 1}]}}}}, "drivable area 1 of .* has no 'y'"),
         ({"areas": {"lanes": []}}, "has no 'drivable_areas'"),
     ],
 )
@@ -826,9 +790,7 @@ def test_sustechs_example_drives_towards_minus_y(tmp_path):
     found = read_sustech(tmp_path / "0.json")
     assert rows_of(found)[0] == pytest.approx([10, 3, 0, 4, 2, -0.25, 1.25])
     assert (found.label, found.track) == (("Car",), ("4",))
-    assert rows_of(read_sustech(tmp_path / "0.json", axes="flu"))[0, :3] == pytest.approx(
-        [3, -10, -np.pi / 2]
-    )
+    assert rows_of(read_sustech(tmp_path / "0.json", axes="flu"))[0, :3] == pytest.approx([3, -10, -np.pi / 2])
 
 
 def test_an_object_without_a_name_has_no_track(tmp_path):
@@ -843,10 +805,7 @@ def test_an_object_without_a_name_has_no_track(tmp_path):
         ({"frame": 1}, "holds a JSON dict, wanted a list"),
         ([3], "object 0 of .* has no 'psr', only int"),
         ([note(), note(psr={"scale": {"x": 1, "y": 1}})], "scale of object 1 of .* has no 'z'"),
-        (
-            [note(psr={"scale": {"x": 1, "y": 1, "z": "tall"}})],
-            "scale of object 0 .* must be numbers of shape",
-        ),
+        ([note(psr={"scale": {"x": 1, "y": 1, "z": "tall"}})], "scale of object 0 .* must be numbers of shape"),
         ([note(psr={"scale": {"x": 1, "y": -1, "z": 1}})], r"box 0 \(Car\) must be finite"),
     ],
 )

@@ -15,9 +15,7 @@ from ogm.io import read_points, read_scan, read_scan_file
 from ogm.io.formats.feather import parse_feather
 
 CLOUDS = hnp.arrays(
-    np.float32,
-    st.tuples(st.integers(1, 30), st.just(4)),
-    elements=st.floats(0.0009765625, 1.0, width=32),
+    np.float32, st.tuples(st.integers(1, 30), st.just(4)), elements=st.floats(0.0009765625, 1.0, width=32)
 ).map(lambda unit: unit * np.float32([900, -900, 30, 1]))
 
 
@@ -130,16 +128,13 @@ def test_what_is_written_is_read(write, cloud):
 
 
 @pytest.mark.parametrize(
-    "write",
-    [write_npy, write_pcd_ascii, write_pcd_binary, write_ply_ascii, write_ply_big, write_feather, write_las],
+    "write", [write_npy, write_pcd_ascii, write_pcd_binary, write_ply_ascii, write_ply_big, write_feather, write_las]
 )
 def test_formats_with_a_header_can_hold_no_points(write, cloud, tmp_path):
     assert read_points(write(tmp_path, cloud[:0])).shape == (0, 4)
 
 
-@pytest.mark.parametrize(
-    "write", [write_kitti, write_npy, write_pcd_binary, write_pcd_compressed, write_ply_big]
-)
+@pytest.mark.parametrize("write", [write_kitti, write_npy, write_pcd_binary, write_pcd_compressed, write_ply_big])
 def test_formats_of_float32_lose_nothing(write, cloud, tmp_path):
     np.testing.assert_array_equal(read_points(write(tmp_path, cloud)), cloud)
 
@@ -251,9 +246,7 @@ def records(cloud) -> np.ndarray:
 def test_pcd_padding_is_stepped_over(counts, records, cloud, tmp_path):
     with_gap = len(counts.split()) == 10
     header = HEADER.format(
-        fields="x y z _ intensity _ timestamp _ ring _"
-        if with_gap
-        else "x y z _ intensity _ timestamp ring _",
+        fields="x y z _ intensity _ timestamp _ ring _" if with_gap else "x y z _ intensity _ timestamp ring _",
         sizes="4 4 4 1 4 1 8 1 2 1" if with_gap else "4 4 4 1 4 1 8 2 1",
         types="F F F U F U F U U U" if with_gap else "F F F U F U F U U",
         counts=counts,

@@ -15,11 +15,7 @@ def spinning():
     elevation = np.radians(np.linspace(12, -18, ROWS))[:, None]
     azimuth = np.radians(180 - np.arange(COLUMNS) + np.tile([2.0, 0.7, -0.7, -2.0], ROWS // 4)[:, None])
     way = np.stack(
-        [
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation) + 0 * azimuth,
-        ]
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation) + 0 * azimuth]
     )
     distance = rng.uniform(3, 60, (ROWS, COLUMNS))
     returned = rng.random((ROWS, COLUMNS)) < np.linspace(0.3, 0.95, ROWS)[:, None]  # the sky returns little

@@ -66,11 +66,7 @@ def turned(axes, centre, yaw):
     """Bring a box from the file's axes to forward, left, up by hand: its centre, and the way it points."""
     x, y, z = centre
     c, s = np.cos(yaw), np.sin(yaw)
-    return {
-        "flu": ([x, y, z], [c, s]),
-        "nuscenes": ([y, -x, z], [s, -c]),
-        "sustech": ([-y, x, z], [-s, c]),
-    }[axes]
+    return {"flu": ([x, y, z], [c, s]), "nuscenes": ([y, -x, z], [s, -c]), "sustech": ([-y, x, z], [-s, c])}[axes]
 
 
 # ---- axes
@@ -112,9 +108,7 @@ def test_argoverse2_boxes_hold_exactly_their_points(real):
     assert len(boxes) == 47
     for box in boxes:
         yaw = 2 * np.arctan2(box["qz"], box["qw"])
-        centre, size = [
-            [box[f"{a}_m"] for a in names] for names in (("tx", "ty", "tz"), ("length", "width", "height"))
-        ]
+        centre, size = [[box[f"{a}_m"] for a in names] for names in (("tx", "ty", "tz"), ("length", "width", "height"))]
         found = inside(points, centre, size, np.array([np.cos(yaw), np.sin(yaw)])).sum()
         assert found == box["num_interior_pts"]
 
@@ -161,18 +155,14 @@ def test_returns_far_below_the_ground_are_kept(frame, real):
 
 def test_a_slope_is_kept(real):
     x, y, z, _ = read_points(real("sustechpoints/lidar/000970.pcd.xz"), "sustech").T
-    ahead, behind = (
-        np.percentile(z[way & (abs(y) < 4)], 10) for way in ((x > 20) & (x < 40), (x < -20) & (x > -40))
-    )
+    ahead, behind = (np.percentile(z[way & (abs(y) < 4)], 10) for way in ((x > 20) & (x < 40), (x < -20) & (x > -40)))
     assert ahead - behind > 2.0
 
 
 def test_points_in_the_frame_of_the_vehicle_stay_there(real):
     feather = pytest.importorskip("pyarrow.feather")
     scan = read_scan(real(AV2), "argoverse")
-    calibration = feather.read_table(
-        real("argoverse2_adcf/calibration*/egovehicle_SE3_sensor.feather")
-    ).to_pylist()
+    calibration = feather.read_table(real("argoverse2_adcf/calibration*/egovehicle_SE3_sensor.feather")).to_pylist()
     (upper,) = (sensor for sensor in calibration if sensor["sensor_name"] == "up_lidar")
     place = np.array([upper["tx_m"], upper["ty_m"], upper["tz_m"]])
     assert place[2] > 1.6
@@ -220,10 +210,7 @@ def test_wrong_padding_fields_are_seen_through(real):
 
 
 def test_stamps_follow_each_other(real):
-    stamps = [
-        read_scan(real(f"sustechpoints/lidar/{frame}.pcd.xz")).stamp
-        for frame in ("000965", "000970", "000975")
-    ]
+    stamps = [read_scan(real(f"sustechpoints/lidar/{frame}.pcd.xz")).stamp for frame in ("000965", "000970", "000975")]
     np.testing.assert_allclose(np.diff(stamps), 0.5, atol=0.01)
 
 
@@ -238,14 +225,11 @@ def test_stamps_follow_each_other(real):
     ],
 )
 def test_stamps_are_those_of_the_names(name, stamp, real):
-    assert read_scan(real(name), "nuscenes").stamp == (
-        None if stamp is None else pytest.approx(stamp, abs=1e-6)
-    )
+    assert read_scan(real(name), "nuscenes").stamp == (None if stamp is None else pytest.approx(stamp, abs=1e-6))
 
 
 @pytest.mark.parametrize(
-    ("name", "lasers"),
-    [(NUSCENES, 32), (AV2, 64), ("argoverse1/*.ply", 32), ("nebula_apache2/vlp16/*.pcd", 15)],
+    ("name", "lasers"), [(NUSCENES, 32), (AV2, 64), ("argoverse1/*.ply", 32), ("nebula_apache2/vlp16/*.pcd", 15)]
 )
 def test_lasers_are_counted(name, lasers, real):
     assert len(set(read_scan(real(name), "nuscenes").ring)) == lasers

@@ -177,9 +177,7 @@ def test_a_row_without_a_point_may_lack_everything(tmp_path, caplog):
 
 def test_a_wall_of_unknown_intensity_is_no_beam_without_return(save):
     azimuth, elevation = np.meshgrid(np.linspace(-1, 1, 40), np.linspace(-0.3, 0.1, 8))
-    way = np.stack(
-        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
-    )
+    way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     image = np.concatenate([10 * way, np.full((1, 8, 40), 0.5)]).transpose(1, 2, 0).astype(np.float32)
     image[2, 10:20, 3] = np.nan  # a wall
     image[5, 30:33] = np.nan  # the sky
@@ -253,9 +251,7 @@ def test_a_guessed_scale_is_logged_where_it_divides(tmp_path, caplog):
     with caplog.at_level(logging.INFO, logger="ogm"):
         read_scan(feather(tmp_path / "a.feather", x=ONES, y=ONES, z=ONES, intensity=ONES))
         read_scan(feather(tmp_path / "b.feather", x=ONES, y=ONES, z=ONES, intensity=np.uint8([0, 9, 255])))
-        read_scan(
-            feather(tmp_path / "c.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES), intensity_max=9
-        )
+        read_scan(feather(tmp_path / "c.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES), intensity_max=9)
         assert not caplog.records
         read_scan(feather(tmp_path / "d.feather", x=ONES, y=ONES, z=ONES, intensity=9 * ONES))
     assert "intensities up to 9 are divided by 255; give intensity_max" in caplog.text
@@ -327,9 +323,7 @@ def timed(path, times):
 )
 def test_times_too_long_for_a_sweep_are_refused_unless_their_unit_is_given(times, unit, stamp, tmp_path):
     path = timed(tmp_path, times)
-    with pytest.raises(
-        ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"
-    ):
+    with pytest.raises(ValueError, match=r"times that last .* give as time_unit \[s\].* 1e-9 for nanoseconds"):
         read_scan(path)
     scan = read_scan(path, time_unit=unit)
     np.testing.assert_allclose(scan.time, [0, 0.05, 0.1], atol=1e-6)

@@ -37,9 +37,7 @@ def test_kitti_and_kitti_360_and_full_matrices_hold_the_same(tmp_path: Path) -> 
     poses, numbers = drive().poses, list(range(3, 27, 2))
     (tmp_path / "kitti.txt").write_text(rows(poses))
     (tmp_path / "kitti360.txt").write_text("# a comment\n\n" + rows(poses, numbers))
-    full = [
-        f"{n} " + " ".join(map(repr, T.ravel().tolist())) + "\n" for n, T in zip(numbers, poses, strict=True)
-    ]
+    full = [f"{n} " + " ".join(map(repr, T.ravel().tolist())) + "\n" for n, T in zip(numbers, poses, strict=True)]
     (tmp_path / "full.txt").write_text("".join(full))
     kitti, kitti360, matrices = (read_poses(tmp_path / f) for f in ("kitti.txt", "kitti360.txt", "full.txt"))
     for read in (kitti, kitti360, matrices):
@@ -122,14 +120,10 @@ def test_rounded_rotations_become_true_ones(tmp_path: Path) -> None:
     path = tmp_path / "rounded.txt"
     path.write_text("".join(" ".join(f"{v:.3f}" for v in T[:3].ravel()) + "\n" for T in exact))
     read = read_poses(path).poses
-    np.testing.assert_allclose(
-        np.swapaxes(read[:, :3, :3], 1, 2) @ read[:, :3, :3], [np.eye(3)] * 12, atol=1e-14
-    )
+    np.testing.assert_allclose(np.swapaxes(read[:, :3, :3], 1, 2) @ read[:, :3, :3], [np.eye(3)] * 12, atol=1e-14)
     np.testing.assert_allclose(read, exact, atol=1e-3)
     (tmp_path / "rounded.tum").write_text("0.5 1 2 3 0 0 0.7071 0.7071\n")
-    np.testing.assert_allclose(
-        read_poses(tmp_path / "rounded.tum").poses[0], pose(1, 2, 3, yaw=np.pi / 2), atol=1e-12
-    )
+    np.testing.assert_allclose(read_poses(tmp_path / "rounded.tum").poses[0], pose(1, 2, 3, yaw=np.pi / 2), atol=1e-12)
 
 
 def test_packed_files_windows_line_ends_and_byte_order_marks_are_read(tmp_path: Path) -> None:
@@ -157,11 +151,7 @@ CSV = "stamp,x,y,z,qx,qy,qz,qw\n"
         ("a.txt", f"# x\n{IDENTITY}\n2 0 0 0 0 2 0 0 0 0 2 0\n", "line 3 .*rigid"),
         ("a.txt", "-1 0 0 0 0 1 0 0 0 0 1 0\n", "line 1 .*mirror"),
         ("a.txt", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 2\n", "last row of the pose in line 1"),
-        (
-            "a.txt",
-            f"1 {IDENTITY}\n1 {IDENTITY}\n",
-            "numbers must increase, but line 1 .* has 1 and the next has 1",
-        ),
+        ("a.txt", f"1 {IDENTITY}\n1 {IDENTITY}\n", "numbers must increase, but line 1 .* has 1 and the next has 1"),
         ("a.txt", f"0.5 {IDENTITY}\n", "frame number, got 0.5"),
         ("a.txt", "1 0 0 0 0 0 0 0\n", "line 1 .* length 1, got 0"),
         ("a.txt", "1 0 0 0 0 0 0 1.02\n", "length 1, got 1.02"),
@@ -178,9 +168,7 @@ CSV = "stamp,x,y,z,qx,qy,qz,qw\n"
         ("a.csv", "# ogm.poses/2: ...\n" + CSV, "newer release"),
     ],
 )
-def test_errors_of_damaged_files_name_the_line(
-    name: str, content: str | bytes, message: str, tmp_path: Path
-) -> None:
+def test_errors_of_damaged_files_name_the_line(name: str, content: str | bytes, message: str, tmp_path: Path) -> None:
     path = tmp_path / name
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(OgmError, match=message):
@@ -220,9 +208,7 @@ def test_our_own_files_need_no_calibration(tmp_path: Path) -> None:
         ("poses.csv", np.zeros(12, int), "increase"),
     ],
 )
-def test_what_cannot_be_written_is_refused(
-    name: str, numbers: np.ndarray, message: str, tmp_path: Path
-) -> None:
+def test_what_cannot_be_written_is_refused(name: str, numbers: np.ndarray, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
         write_poses(tmp_path / name, drive(), numbers)
     assert not list(tmp_path.iterdir())
@@ -237,9 +223,7 @@ def test_calibrations_of_all_recordings_are_read(tmp_path: Path) -> None:
     path.write_text(f"P0: {'1 ' * 12}\nTr: {text_of(T[:3])}\n")
     np.testing.assert_array_equal(read_calibration(path), T)
     turned = pose(yaw=0.01) @ T
-    path.write_text(
-        f"R0_rect: {text_of(rectify)}\nTr_velo_to_cam: {text_of(T[:3])}\nTr_imu_to_velo: {text_of(T[:3])}"
-    )
+    path.write_text(f"R0_rect: {text_of(rectify)}\nTr_velo_to_cam: {text_of(T[:3])}\nTr_imu_to_velo: {text_of(T[:3])}")
     np.testing.assert_allclose(read_calibration(path), turned, atol=1e-15)
     np.testing.assert_array_equal(read_calibration(path, "Tr_imu_to_velo"), T)
     path.write_text(f"R_rect {text_of(rectify)}\nTr_velo_cam {text_of(T[:3])}\n")
@@ -273,9 +257,7 @@ def test_damaged_calibrations_are_named(text: str, name: str, message: str, tmp_
         ("sustechpoints", (965, 970, 975), 5.54),
     ],
 )
-def test_derived_poses_are_read(
-    real: Callable[[str], Path], folder: str, numbers: range, path_length: float
-) -> None:
+def test_derived_poses_are_read(real: Callable[[str], Path], folder: str, numbers: range, path_length: float) -> None:
     read = read_poses(real(folder) / "derived" / "poses_lidar_gicp.txt")
     assert read.numbers is not None
     assert read.numbers.tolist() == list(numbers)

@@ -100,9 +100,7 @@ def test_sums_are_those_of_every_cell() -> None:
     counts = accumulate(mass, state)
     evidence = alphas(mass, state, 1.0)[0] - 1
     predicted, rest = predict_state(mass), 1 - mass.sum(axis=-1, dtype=np.float64)
-    by_probability = np.where(
-        mass[..., 0] > mass[..., 1], FREE, np.where(mass[..., 1] > mass[..., 0], OCCUPIED, 0)
-    )
+    by_probability = np.where(mass[..., 0] > mass[..., 1], FREE, np.where(mass[..., 1] > mass[..., 0], OCCUPIED, 0))
     for truth in (UNKNOWN, FREE, OCCUPIED):
         here = state == truth
         assert counts.cells[truth] == here.sum()
@@ -135,14 +133,7 @@ def test_sums_are_those_of_every_cell() -> None:
 def test_a_perfect_map_is_perfect() -> None:
     _, state = random_grid(4)
     scores = score(accumulate(dogmatic(state), state))
-    ones = (
-        "iou_free",
-        "iou_occupied",
-        "iou_unknown",
-        "iou_free_known",
-        "iou_occupied_known",
-        "auroc_unknown",
-    )
+    ones = ("iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "auroc_unknown")
     assert [scores[name] for name in ones] == [1.0] * len(ones)
     for name in (
         "ece",
@@ -249,12 +240,7 @@ def test_exchanging_free_and_occupied_exchanges_their_scores() -> None:
     mass, state = random_grid(8)
     swap = np.array([UNKNOWN, OCCUPIED, FREE, IGNORE], np.uint8)
     one, other = score(accumulate(mass, state)), score(accumulate(mass[..., ::-1], swap[state]))
-    for a, b in (
-        ("iou_free", "iou_occupied"),
-        ("mean_free", "mean_occupied"),
-        ("kl_e10", "kl_e10"),
-        ("ece",) * 2,
-    ):
+    for a, b in (("iou_free", "iou_occupied"), ("mean_free", "mean_occupied"), ("kl_e10", "kl_e10"), ("ece",) * 2):
         assert one[a] == pytest.approx(other[b])
         assert one[b] == pytest.approx(other[a])
 
@@ -302,9 +288,7 @@ def test_invalid_masses_and_states_are_refused(mass: NDArray, state: NDArray, de
 
 
 @settings(max_examples=50, deadline=None)
-@given(
-    values=st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=40),
-)
+@given(values=st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=1, max_size=40))
 def test_auroc_is_the_share_of_pairs_in_order(values: list[tuple[int, bool]]) -> None:
     number, positive = np.array([v for v, _ in values], float), np.array([p for _, p in values])
     pairs = [(a > b) + 0.5 * (a == b) for a in number[positive] for b in number[~positive]]

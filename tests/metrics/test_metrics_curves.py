@@ -49,10 +49,7 @@ def test_curves_are_short_columns_of_one_length(counts: ConfusionSums) -> None:
 
 def test_curves_without_cells_are_empty() -> None:
     mass, state = lattice_grid(3)
-    for nothing in (
-        accumulate(mass, np.full_like(state, IGNORE)),
-        accumulate(mass, np.full_like(state, UNKNOWN)),
-    ):
+    for nothing in (accumulate(mass, np.full_like(state, IGNORE)), accumulate(mass, np.full_like(state, UNKNOWN))):
         for curve in CURVES:
             assert {len(column) for column in curve(nothing)} == {0}
 
@@ -209,9 +206,7 @@ def test_ranges_without_cells_or_distances_are_nan() -> None:
 
 def test_distances_are_those_of_the_middles_of_the_cells() -> None:
     spec = GridSpec.centered(length=6, width=4, resolution=2, center=(10, 0))
-    np.testing.assert_allclose(
-        distances(spec), np.hypot([[8], [10], [12]], [[-1, 1]]).astype(np.float32), rtol=1e-6
-    )
+    np.testing.assert_allclose(distances(spec), np.hypot([[8], [10], [12]], [[-1, 1]]).astype(np.float32), rtol=1e-6)
     assert distances(spec).dtype == np.float32
 
 

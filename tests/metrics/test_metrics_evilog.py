@@ -6,14 +6,7 @@ from numpy.typing import NDArray
 from plain import FREE, IGNORE, OCCUPIED, UNKNOWN, lattice_grid
 
 from ogm.evidence import evidence_to_mass
-from ogm.metrics import (
-    accumulate,
-    evilog_accuracy,
-    evilog_kl,
-    evilog_published,
-    evilog_unmixed,
-    score,
-)
+from ogm.metrics import accumulate, evilog_accuracy, evilog_kl, evilog_published, evilog_unmixed, score
 
 
 class KerasMean:
@@ -33,11 +26,7 @@ def frames(count: int = 6) -> list[tuple[NDArray, NDArray, NDArray]]:
     """Evidence of two methods, and the truth's states."""
     rng = np.random.default_rng(0)
     return [
-        (
-            rng.gamma(0.5, 4, (7, 7, 2)),
-            rng.gamma(0.2, 0.5, (7, 7, 2)),
-            rng.choice(3, size=(7, 7)).astype(np.uint8),
-        )
+        (rng.gamma(0.5, 4, (7, 7, 2)), rng.gamma(0.2, 0.5, (7, 7, 2)), rng.choice(3, size=(7, 7)).astype(np.uint8))
         for _ in range(count)
     ]
 

@@ -42,9 +42,7 @@ def truth_as_mass(state: NDArray[np.uint8], strength: float = math.inf) -> NDArr
 
 
 @settings(max_examples=15, deadline=None)
-@given(
-    seed=st.integers(0, 2**31), axis=st.sampled_from([(0,), (1,), (0, 1)]), coarse=st.sampled_from([1, 256])
-)
+@given(seed=st.integers(0, 2**31), axis=st.sampled_from([(0,), (1,), (0, 1)]), coarse=st.sampled_from([1, 256]))
 def test_flipping_both_grids_changes_nothing(seed: int, axis: tuple[int, ...], coarse: int) -> None:
     mass, state = lattice_grid(seed, coarse=coarse)
     away = distances(SPEC)
@@ -78,10 +76,7 @@ def test_cells_that_the_truth_ignores_have_no_effect(seed: int) -> None:
 
 def test_counts_add_up_to_those_of_the_cells_together() -> None:
     (a, a_state), (b, b_state) = lattice_grid(1), lattice_grid(2)
-    between = (
-        np.zeros((1, 7, 2), np.float32),
-        np.full((1, 7), IGNORE, np.uint8),
-    )  # else cells become neighbours
+    between = (np.zeros((1, 7, 2), np.float32), np.full((1, 7), IGNORE, np.uint8))  # else cells become neighbours
     both = accumulate(np.concatenate([a, between[0], b]), np.concatenate([a_state, between[1], b_state]))
     for name, one, other in zip(
         ConfusionSums._fields, accumulate(a, a_state).plus(accumulate(b, b_state)), both, strict=True
@@ -121,12 +116,9 @@ def test_a_perfect_map_is_perfect_under_every_metric(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("strength", "names"),
-    [(1.0, ("kl_e1", "kl_e1_reverse")), (10.0, ("kl_e10", "kl_e10_reverse", "kl_e1_scaled"))],
+    ("strength", "names"), [(1.0, ("kl_e1", "kl_e1_reverse")), (10.0, ("kl_e10", "kl_e10_reverse", "kl_e1_scaled"))]
 )
-def test_a_divergence_is_zero_for_the_truth_of_its_own_evidence_only(
-    strength: float, names: tuple[str, ...]
-) -> None:
+def test_a_divergence_is_zero_for_the_truth_of_its_own_evidence_only(strength: float, names: tuple[str, ...]) -> None:
     """A divergence grows where evidence exceeds that of the truth: its optimum is the evidence of the truth."""
     _, state = lattice_grid(5)
     exact = score(accumulate(truth_as_mass(state, strength), state))
@@ -155,9 +147,7 @@ def test_no_map_is_better_than_the_perfect_one(seed: int, share: float) -> None:
 def test_fractions_are_fractions_and_divergences_are_not_negative(seed: int) -> None:
     for name, value in score(accumulate(*lattice_grid(seed))).items():
         if not math.isnan(value):
-            low, high = (
-                (0, 1) if name in FRACTIONS else (-math.inf, 1) if name == "map_score" else (0, math.inf)
-            )
+            low, high = (0, 1) if name in FRACTIONS else (-math.inf, 1) if name == "map_score" else (0, math.inf)
             assert low - 1e-9 <= value <= high + 1e-9, name
 
 
@@ -238,25 +228,18 @@ def test_unknown_cells_alone_leave_what_is_about_unknown() -> None:
 def test_a_vacuous_grid_has_no_calibration_of_predicted_states() -> None:
     _, state = lattice_grid(8)
     found = reasons(accumulate(np.zeros((7, 7, 2)), state))
-    assert found == {
-        "ece_called": "the grid predicts every known cell as unknown",
-    }
+    assert found == {"ece_called": "the grid predicts every known cell as unknown"}
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    states=st.lists(st.integers(0, 3), min_size=1, max_size=6),
-    mass=st.sampled_from([(0, 0), (1, 0), (0.2, 0.7)]),
-)
+@given(states=st.lists(st.integers(0, 3), min_size=1, max_size=6), mass=st.sampled_from([(0, 0), (1, 0), (0.2, 0.7)]))
 def test_what_is_nan_has_a_reason_and_nothing_else_has(states: list[int], mass: tuple[float, float]) -> None:
     counts = accumulate(np.full((1, len(states), 2), mass, np.float64), np.array([states], np.uint8))
     assert reasons(counts).keys() == {name for name, value in score(counts).items() if math.isnan(value)}
 
 
 def test_a_grid_without_cells_has_no_scores() -> None:
-    assert all(
-        math.isnan(v) for v in score(accumulate(np.zeros((0, 7, 2)), np.zeros((0, 7), np.uint8))).values()
-    )
+    assert all(math.isnan(v) for v in score(accumulate(np.zeros((0, 7, 2)), np.zeros((0, 7), np.uint8))).values())
 
 
 # Bad input

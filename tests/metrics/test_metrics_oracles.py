@@ -10,14 +10,7 @@ from sklearn import metrics as sk
 from sklearn.calibration import calibration_curve
 
 from ogm import evidence
-from ogm.metrics import (
-    accumulate,
-    auroc,
-    average_precision,
-    precision_recall,
-    reliability,
-    score,
-)
+from ogm.metrics import accumulate, auroc, average_precision, precision_recall, reliability, score
 from ogm.state import predict_state
 
 SHAPE = (60, 50)
@@ -120,10 +113,7 @@ def test_expected_brier_is_the_mean_over_beta_densities() -> None:
     mass, state = lattice_grid(8, SHAPE)
     mass = (0.99 * mass).astype(np.float64)
     known = (state == FREE) | (state == OCCUPIED)
-    e, y = (
-        torch.from_numpy(evidence.mass_to_evidence(mass[known])),
-        torch.from_numpy(state[known] == OCCUPIED),
-    )
+    e, y = (torch.from_numpy(evidence.mass_to_evidence(mass[known])), torch.from_numpy(state[known] == OCCUPIED))
     beta = torch.distributions.Beta(1 + e[:, 1], 1 + e[:, 0])
     wanted = ((beta.mean - y.double()) ** 2 + beta.variance).mean()
     found = score(accumulate(mass, state))["brier_expected"]
@@ -137,9 +127,7 @@ def test_expected_brier_is_the_mean_over_beta_densities() -> None:
 def test_divergences_are_those_of_torch(strength: float) -> None:
     mass, state = lattice_grid(9, SHAPE)
     kept = state != IGNORE
-    alpha = torch.from_numpy(
-        1 + np.minimum(evidence.mass_to_evidence(mass[kept].astype(float), min_unknown=2e-5), 1e5)
-    )
+    alpha = torch.from_numpy(1 + np.minimum(evidence.mass_to_evidence(mass[kept].astype(float), min_unknown=2e-5), 1e5))
     truth = np.stack([state == FREE, state == OCCUPIED], axis=-1)[kept] * strength + 1.0
     grid, true = (torch.distributions.Dirichlet(a) for a in (alpha, torch.from_numpy(truth)))
     scores = score(accumulate(mass, state))

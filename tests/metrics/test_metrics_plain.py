@@ -27,9 +27,7 @@ def test_scores_are_their_definitions(seed: int, coarse: int) -> None:
     check(*lattice_grid(seed, coarse=coarse))
 
 
-@pytest.mark.parametrize(
-    "states", [(UNKNOWN,), (FREE,), (OCCUPIED,), (UNKNOWN, OCCUPIED), (FREE, OCCUPIED), (IGNORE,)]
-)
+@pytest.mark.parametrize("states", [(UNKNOWN,), (FREE,), (OCCUPIED,), (UNKNOWN, OCCUPIED), (FREE, OCCUPIED), (IGNORE,)])
 def test_scores_are_their_definitions_where_states_are_missing(states: tuple[int, ...]) -> None:
     mass, _ = lattice_grid(1, coarse=64)
     check(mass, np.resize(np.array(states, np.uint8), (7, 7)))

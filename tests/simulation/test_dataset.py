@@ -42,13 +42,7 @@ def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[SimulatedSample, 
 def fingerprint(sample: SimulatedSample) -> str:
     """Return a hash of all that a data set keeps of a sample."""
     numbers = np.array([sample.yaw_rate, sample.stamp, *sample.weather])
-    arrays = (
-        sample.steps,
-        sample.intensities,
-        sample.truth.state,
-        sample.T_world_sensor,
-        sample.T_vehicle_sensor,
-    )
+    arrays = (sample.steps, sample.intensities, sample.truth.state, sample.T_world_sensor, sample.T_vehicle_sensor)
     digest = hashlib.sha256()
     for array in (*arrays, sample.velocity, numbers, sample.objects):
         digest.update(np.ascontiguousarray(array).tobytes())
@@ -127,9 +121,7 @@ def test_points_are_those_of_the_lidar() -> None:
         steps = steps.astype(np.uint16)
         empty = np.zeros(spec.shape, np.int32)
         intensities = np.full(spec.shape, 51, np.uint8)
-        image = RangeImage(
-            steps * np.float32(RANGE_STEP), intensities / np.float32(255), empty, empty.astype(np.uint8)
-        )
+        image = RangeImage(steps * np.float32(RANGE_STEP), intensities / np.float32(255), empty, empty.astype(np.uint8))
         made = SimulatedSample(
             beams,
             steps,
@@ -166,9 +158,7 @@ def test_both_ways_to_observe_the_truth_agree(pair: tuple[SimulatedSample, Simul
     hd = dataset.make_sample(replace(PLAN, truth="hd", hd_layers=300), "training", 3)
     assert np.array_equal(hd.steps, pair[0].steps)
     a, b = hd.truth.state, pair[0].truth.state
-    both = (np.isin(a, (CellState.FREE, CellState.OCCUPIED))) & (
-        np.isin(b, (CellState.FREE, CellState.OCCUPIED))
-    )
+    both = (np.isin(a, (CellState.FREE, CellState.OCCUPIED))) & (np.isin(b, (CellState.FREE, CellState.OCCUPIED)))
     assert both.sum() > 10_000
     assert np.mean(a[both] == b[both]) > 0.95
 

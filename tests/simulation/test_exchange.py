@@ -75,9 +75,7 @@ def test_a_data_set_is_exported_and_imported(tmp_path: Path, store: Store) -> No
     for pair, sample in zip(pairs, store["training"], strict=True):
         np.testing.assert_allclose(pair.points, sample.points, rtol=1e-5)
         wanted = sample.truth.crop(PAPER_GRID).state
-        np.testing.assert_array_equal(
-            pair.truth.state, np.where(wanted == CellState.IGNORE, CellState.UNKNOWN, wanted)
-        )
+        np.testing.assert_array_equal(pair.truth.state, np.where(wanted == CellState.IGNORE, CellState.UNKNOWN, wanted))
     assert len(pairs[1:]) == 2
 
 

@@ -120,9 +120,7 @@ def test_every_lidar_is_sane(name: str) -> None:
     np.testing.assert_allclose(np.diff(azimuth, axis=1), -spec.azimuth_step, atol=2e-6)  # clockwise
     ahead = azimuth[:, spec.azimuths // 2] - np.array(spec.azimuth_offsets)
     np.testing.assert_allclose((ahead + np.pi) % (2 * np.pi) - np.pi, 0, atol=spec.azimuth_step)
-    assert (
-        len(np.unique(np.round(rays[:, 0].astype(np.float64), 5), axis=0)) >= spec.layers - 40
-    )  # few coincide
+    assert len(np.unique(np.round(rays[:, 0].astype(np.float64), 5), axis=0)) >= spec.layers - 40  # few coincide
     np.testing.assert_allclose(np.diff(spec.times), 1 / spec.rate / spec.azimuths)
     assert spec.times.mean() == pytest.approx(0, abs=1e-9)
     image = scan(Scene(street_mesh(), threads=1), spec, pose(0, 0, spec.height), rng())
@@ -198,9 +196,7 @@ def test_ranges_without_noise_are_those_of_geometry() -> None:
     image = scan(Scene(FLAT, threads=1), EXACT, T, rng())
     for layer in range(8):
         seen = image.range[layer][image.range[layer] > 0]
-        np.testing.assert_allclose(
-            seen, -1.9 / math.sin(EXACT.elevations[layer]), atol=0.01 + 0.02 * (layer > 4)
-        )
+        np.testing.assert_allclose(seen, -1.9 / math.sin(EXACT.elevations[layer]), atol=0.01 + 0.02 * (layer > 4))
     assert (image.range[20:] == 0).all()  # the horizon, and the sky
     assert (image.object[20:] == -1).all()
     assert (image.material[20:] == 255).all()
@@ -300,9 +296,7 @@ def test_edges_are_mixed_only_by_beams_that_are_wide() -> None:
 
     def between(spec: LidarSpec) -> float:
         image = scan(scene, spec, np.eye(4), rng())
-        ahead = (
-            (image.range > 0) & (np.abs(spec.directions()[..., 1]) < 0.7) & (spec.directions()[..., 0] > 0)
-        )
+        ahead = (image.range > 0) & (np.abs(spec.directions()[..., 1]) < 0.7) & (spec.directions()[..., 0] > 0)
         depth = image.range[ahead] * spec.directions()[ahead][:, 0]
         return ((depth > 10.06) & (depth < 10.34)).mean()
 
@@ -354,9 +348,7 @@ def test_dry_asphalt_is_seen_for_some_thirty_metres_and_wet_asphalt_is_not() -> 
 
 
 def test_a_wet_road_returns_less() -> None:
-    shares = [
-        (scan(street(), VLP, T, rng(), weather=Weather(wet=wet)).range > 0).mean() for wet in (0, 0.5, 1)
-    ]
+    shares = [(scan(street(), VLP, T, rng(), weather=Weather(wet=wet)).range > 0).mean() for wet in (0, 0.5, 1)]
     assert shares[0] > shares[1] > shares[2]
 
 

@@ -47,9 +47,7 @@ def test_sequences_are_ten_seconds_at_ten_hertz() -> None:
     assert {one.scenario for one in piece[:100]} == {0}
     assert {one.scenario for one in piece[100:]} == {1}
     np.testing.assert_allclose(np.diff([one.time for one in piece[:100]]), 0.1)
-    mixed = replace(
-        PLAN, mounts=(LidarMount("vlp-32c"), LidarMount("hdl-32e", 1.0, (1.5, 2.5), (0, 0.4), 0.05))
-    )
+    mixed = replace(PLAN, mounts=(LidarMount("vlp-32c"), LidarMount("hdl-32e", 1.0, (1.5, 2.5), (0, 0.4), 0.05)))
     assert len({draw_mount(mixed, "sequences", i) for i in range(100)}) == 1
     assert len({draw_mount(mixed, "sequences", 100 * i) for i in range(20)}) > 5
 

@@ -67,9 +67,7 @@ def test_distances_inside_a_box_are_those_of_geometry() -> None:
     low, high, origin = np.array([-3.0, -2.0, -1.0]), np.array([5.0, 4.0, 2.5]), np.array([0.5, 0.7, 0.2])
     hits = Scene(box(low, high, Material.BRICK), threads=1).cast(origin, rays)
     with np.errstate(divide="ignore"):
-        to_walls = np.where(
-            rays > 0, (high - origin) / rays, np.where(rays < 0, (low - origin) / rays, np.inf)
-        )
+        to_walls = np.where(rays > 0, (high - origin) / rays, np.where(rays < 0, (low - origin) / rays, np.inf))
     np.testing.assert_allclose(hits.distance, to_walls.min(axis=1), rtol=1e-5)
 
 
@@ -89,24 +87,18 @@ def random_world(rng: np.random.Generator) -> tuple[list[Mesh], list[Mesh], Mesh
     static = [PLANE]
     for _ in range(8):
         x, y = rng.uniform(-60, 60, 2)
-        static.append(
-            box([x, y, 0], [x + rng.uniform(1, 9), y + rng.uniform(1, 9), rng.uniform(1, 9)], Material.BRICK)
-        )
+        static.append(box([x, y, 0], [x + rng.uniform(1, 9), y + rng.uniform(1, 9), rng.uniform(1, 9)], Material.BRICK))
     moving = [
         ellipsoid([*rng.uniform(-40, 40, 2), rng.uniform(0, 3)], rng.uniform(0.3, 3, 3), Material.PAINT_DARK)
         for _ in range(12)
     ]
     angle = rng.uniform(0, 2 * np.pi)
     moving += [
-        ellipsoid(
-            [rng.uniform(1, 30), 0, 1.5], [0.5, 0.7, 1], Material.PAINT_LIGHT
-        ),  # dead ahead, where 0 is
+        ellipsoid([rng.uniform(1, 30), 0, 1.5], [0.5, 0.7, 1], Material.PAINT_LIGHT),  # dead ahead, where 0 is
         ellipsoid([rng.uniform(-30, -1), 0, 1.5], [0.5, 0.7, 1], Material.PAINT_LIGHT),
         box([-2, -3, 4.5], [3, 2, 5], Material.CONCRETE),  # overhead
         box([8, 8, 0], [28, 8.3, 4], Material.PAINT_LIGHT).moved(pose(yaw=angle)),  # long, close by
-        wall(
-            20 * np.stack([np.cos(k := np.arange(7)), np.sin(k), 0 * k], 1), 3.0, Material.TARPAULIN
-        ),  # around
+        wall(20 * np.stack([np.cos(k := np.arange(7)), np.sin(k), 0 * k], 1), 3.0, Material.TARPAULIN),  # around
         cylinder([0, 0, 0], [0, 0, 1.2], 0.3, Material.METAL_POLE),  # below
     ]
     own = box([-2, -0.9, 0.2], [2.2, 0.9, 1.45], Material.EGO_VEHICLE).moved(pose(yaw=angle))
@@ -124,9 +116,7 @@ def test_moving_and_static_things_apart_are_hit_as_if_they_were_one(seed: int) -
     scene = Scene(merge(static), threads=2)
     scene.place(moving, own)
     fast = scene.cast(origin, rays)
-    slow = slow_cast(
-        [*static, *moving, own], [STATIC] * len(static) + [*range(len(moving)), EGO], origin, rays
-    )
+    slow = slow_cast([*static, *moving, own], [STATIC] * len(static) + [*range(len(moving)), EGO], origin, rays)
     same(fast, slow)
     assert {EGO, STATIC, 14} < set(fast.object.tolist())
     # rays of different origins, which take another way through the code
@@ -134,10 +124,7 @@ def test_moving_and_static_things_apart_are_hit_as_if_they_were_one(seed: int) -
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    st.tuples(*[st.floats(-8, 8)] * 9),
-    st.tuples(*[st.floats(-2, 2)] * 3),
-)
+@given(st.tuples(*[st.floats(-8, 8)] * 9), st.tuples(*[st.floats(-2, 2)] * 3))
 def test_no_triangle_is_overlooked(corners: tuple[float, ...], origin: tuple[float, ...]) -> None:
     triangle = Mesh(
         np.array(corners, np.float32).reshape(3, 3), np.array([[0, 1, 2]], np.uint32), np.array([3], np.uint8)

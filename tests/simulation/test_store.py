@@ -22,9 +22,7 @@ Make = Callable[..., SimulatedSample]
 @pytest.fixture
 def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> Store:
     """Two shards of training samples, the second of three; validation planned but not made."""
-    store = Store.create(
-        tmp_path / "data", {"seed": 7}, {"training": 13, "validation": 4}, beams, {"ogm": "0"}
-    )
+    store = Store.create(tmp_path / "data", {"seed": 7}, {"training": 13, "validation": 4}, beams, {"ogm": "0"})
     store.write("training", 0, [make_sample(None, "training", i) for i in range(10)])
     store.write("training", 1, [make_sample(None, "training", i) for i in range(10, 13)])
     return store
@@ -51,9 +49,7 @@ def test_points_are_range_times_direction(make_sample: Make) -> None:
     for i in (0, 1):
         sample = make_sample(None, "training", i)
         where = np.nonzero(sample.steps)
-        expected = (
-            sample.range[where][:, None] * sample.beams.directions[where] + sample.beams.origins[where[0]]
-        )
+        expected = sample.range[where][:, None] * sample.beams.directions[where] + sample.beams.origins[where[0]]
         np.testing.assert_allclose(sample.points[:, :3], expected, atol=2e-5)
         np.testing.assert_allclose(sample.points[:, 3], sample.intensity[where])
         np.testing.assert_array_equal(sample.ring, where[0])

@@ -148,9 +148,7 @@ def test_a_step_seen_from_above_only_is_free() -> None:
 
 def test_poles_and_fences_are_seen_and_seen_through() -> None:
     poles = [
-        cylinder(
-            (6 * np.cos(a), 6 * np.sin(a), 0), (6 * np.cos(a), 6 * np.sin(a), 4), 0.04, Material.METAL_POLE
-        )
+        cylinder((6 * np.cos(a), 6 * np.sin(a), 0), (6 * np.cos(a), 6 * np.sin(a), 4), 0.04, Material.METAL_POLE)
         for a in np.arange(12) * np.pi / 6 + 0.05
     ]
     for truth in View(*poles).both():
@@ -266,12 +264,7 @@ def test_rays_down_find_ground_steps_and_holes() -> None:
     np.testing.assert_allclose(found.ground[step], -1.9, atol=1e-4)
     assert (found.rise[np.abs(x - 5.03) > 0.3] < 1e-4).all()
     torn = Scene(
-        merge(
-            [
-                rectangle(-40, 3.0, -40, 40, 0.0, Material.SOIL),
-                rectangle(3.15, 40, -40, 40, 0.0, Material.SOIL),
-            ]
-        )
+        merge([rectangle(-40, 3.0, -40, 40, 0.0, Material.SOIL), rectangle(3.15, 40, -40, 40, 0.0, Material.SOIL)])
     )
     torn_z = measure_ground(torn, SENSOR, SPEC).z
     np.testing.assert_allclose(torn_z, -1.9, atol=1e-4)

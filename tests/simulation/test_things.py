@@ -340,11 +340,7 @@ def test_bushes_are_loose_and_stand_on_the_ground():
 
 def test_tall_enclosures_hide_what_is_behind_them():
     starts = np.column_stack([np.linspace(1, 7, 61), np.full(61, -3.0), np.full(61, 1.25)])
-    for make in (
-        partial(plants.hedge, lowest=1.6),
-        partial(fences.low_wall, lowest=1.5),
-        fences.screen,
-    ):
+    for make in (partial(plants.hedge, lowest=1.6), partial(fences.low_wall, lowest=1.5), fences.screen):
         for seed in range(5):
             piece = make(LINE, np.random.default_rng(seed))
             distance, _ = first_hits(piece, starts, np.array([[0.0, 1.0, 0.0]]))
@@ -432,9 +428,7 @@ def test_signs_are_retroreflective_on_the_front_only(name):
         if not len(plates):
             continue
         low, high = plates.min(axis=0), plates.max(axis=0)
-        y, z = (
-            g.ravel() for g in np.meshgrid(np.linspace(low[1], high[1], 40), np.linspace(low[2], high[2], 40))
-        )
+        y, z = (g.ravel() for g in np.meshgrid(np.linspace(low[1], high[1], 40), np.linspace(low[2], high[2], 40)))
         front = np.column_stack([np.full(1600, 30.0), y, z])
         behind = np.column_stack([np.full(1600, -30.0), y, z])
         ahead = np.array([[-1.0, 0.0, 0.0]])
@@ -463,13 +457,7 @@ def test_fences_let_rays_through_but_not_all():
 
 def test_fences_follow_the_ground():
     steep = np.array([[0, 0, 0], [10, 0, 2.0], [20, 0, 1.0]])
-    for make in (
-        fences.fence,
-        fences.low_wall,
-        fences.screen,
-        plants.hedge,
-        lambda line, rng: fences.guard_rail(line),
-    ):
+    for make in (fences.fence, fences.low_wall, fences.screen, plants.hedge, lambda line, rng: fences.guard_rail(line)):
         mesh = make(steep, np.random.default_rng(1))
         ground = np.interp(mesh.vertices[:, 0], steep[:, 0], steep[:, 2])
         assert (mesh.vertices[:, 2] - ground).min() < -0.1
@@ -478,20 +466,8 @@ def test_fences_follow_the_ground():
 
 def test_a_line_without_length_is_refused():
     rng = np.random.default_rng(0)
-    bad = [
-        np.zeros((2, 3)),
-        [[0, 0, 0]],
-        [[0, 0], [1, 1]],
-        [[0, 0, 0], [0, 0, 5]],
-        [[0, 0, 0], [np.nan, 1, 0]],
-    ]
-    for make in (
-        fences.fence,
-        fences.low_wall,
-        fences.screen,
-        plants.hedge,
-        lambda line, rng: fences.guard_rail(line),
-    ):
+    bad = [np.zeros((2, 3)), [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [0, 0, 5]], [[0, 0, 0], [np.nan, 1, 0]]]
+    for make in (fences.fence, fences.low_wall, fences.screen, plants.hedge, lambda line, rng: fences.guard_rail(line)):
         for line in bad:
             with pytest.raises(ValueError, match="line must be"):
                 make(line, rng)

@@ -39,9 +39,7 @@ def scene(mesh: Mesh, kept: np.ndarray | None = None) -> "open3d.t.geometry.Rayc
     return result
 
 
-def cast(
-    scene: "open3d.t.geometry.RaycastingScene", origins: np.ndarray, directions: np.ndarray
-) -> np.ndarray:
+def cast(scene: "open3d.t.geometry.RaycastingScene", origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     rays = np.concatenate([origins, np.broadcast_to(directions, origins.shape)], axis=1)
     return scene.cast_rays(core.Tensor(rays.astype(np.float32)), nthreads=1)["t_hit"].numpy()
 
@@ -86,8 +84,7 @@ def test_ground_is_made_of_ground_and_lies_flat(town: Town) -> None:
     area = np.linalg.norm(
         np.cross(
             *(
-                town.ground.vertices[town.ground.triangles[:, k]]
-                - town.ground.vertices[town.ground.triangles[:, 0]]
+                town.ground.vertices[town.ground.triangles[:, k]] - town.ground.vertices[town.ground.triangles[:, 0]]
                 for k in (1, 2)
             )
         ),
@@ -173,12 +170,7 @@ def test_lanes_of_one_phase_do_not_cross(town: Town) -> None:
     """Lanes that may be driven at once start at the same arm, or belong to a ring that yields."""
     for k, lane in enumerate(town.lanes):
         for other in town.lanes[k + 1 :]:
-            if (
-                lane.junction < 0
-                or lane.junction != other.junction
-                or lane.phase < 0
-                or lane.phase != other.phase
-            ):
+            if lane.junction < 0 or lane.junction != other.junction or lane.phase < 0 or lane.phase != other.phase:
                 continue
             assert np.linalg.norm(lane.points[0] - other.points[0]) < 12
 

@@ -78,9 +78,7 @@ def make_village():
     for first, parts in ((0, clockwise), (4, counter)):
         for k, part in enumerate(parts):
             junction = -1 if k % 2 == 0 else (0 if part[:, 1].mean() > 0 else 1)
-            lanes.append(
-                Lane(part, 3.2, 12.0, (first + (k + 1) % 4,), junction, -1 if junction < 0 else first // 4)
-            )
+            lanes.append(Lane(part, 3.2, 12.0, (first + (k + 1) % 4,), junction, -1 if junction < 0 else first // 4))
     # The shortcut leaves the inner ring in the south, runs north and merges into it again.
     south = next(k for k in range(4) if lanes[k].junction == 1)
     north = next(k for k in range(4) if lanes[k].junction == 0)
@@ -92,9 +90,7 @@ def make_village():
     lanes.append(Lane(into, 3.2, 8.0, (9,), 1, 2))
     lanes.append(Lane(middle, 3.2, 12.0, (10,), -1, -1))
     lanes.append(Lane(back, 3.2, 8.0, lanes[north].successors, 0, 2))
-    bays = np.array(
-        [(56.8 * s, y, 0.0, np.pi / 2, 6.0, 2.1) for s in (-1, 1) for y in np.arange(-40, 41, 6.5)]
-    )
+    bays = np.array([(56.8 * s, y, 0.0, np.pi / 2, 6.0, 2.1) for s in (-1, 1) for y in np.arange(-40, 41, 6.5)])
     walkways = (_line((-66, 30), (-50, 30)), _line((68, -45), (68, 45)), _line((-52, -45), (-52, 45)))
     return Village(tuple(lanes), bays, walkways, (0, 1, 2, 3), (4, 5, 6, 7))
 
@@ -274,9 +270,7 @@ def rectangles(frame):
     own = ego_vehicle().vertices
     poses = np.array([frame.ego] + [o.pose for o in frame.objects])
     size = np.array([np.ptp(own, axis=0)] + [o.size for o in frame.objects])
-    return np.column_stack(
-        [poses[:, 0, 3], poses[:, 1, 3], np.arctan2(poses[:, 1, 0], poses[:, 0, 0]), size[:, :2]]
-    )
+    return np.column_stack([poses[:, 0, 3], poses[:, 1, 3], np.arctan2(poses[:, 1, 0], poses[:, 0, 0]), size[:, :2]])
 
 
 def test_vehicles_do_not_drive_through_each_other(village, traffic):

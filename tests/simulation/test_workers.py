@@ -83,9 +83,7 @@ def test_a_grown_data_set_is_as_one_made_in_one_go(
     assert contents(tmp_path / "data") == whole
 
 
-def test_another_plan_is_refused(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
-) -> None:
+def test_another_plan_is_refused(tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction) -> None:
     run(tmp_path / "data", beams, make_sample, replace(PLAN, samples=1, validation=0))
     before = contents(tmp_path / "data")
     with pytest.raises(ValueError, match="begun with seed = 1, got 2"):

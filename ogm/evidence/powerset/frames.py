@@ -32,8 +32,7 @@ def plausibility_transform(mass: Array) -> Array:
     """
     columns = masses_of(mass)
     plausible: list[Any] = [
-        sum(column for place, column in enumerate(columns) if place >> state & 1)
-        for state in range(_states(columns))
+        sum(column for place, column in enumerate(columns) if place >> state & 1) for state in range(_states(columns))
     ]
     with np.errstate(invalid="ignore"):
         return stack([number / sum(plausible) for number in plausible], mass)

@@ -50,9 +50,7 @@ def dempster(a: Array, b: Array, *, on_conflict: OnConflict = "average") -> Arra
     xp = namespace(a)
     joint = _conjunctive(first, second)
     surviving = joint[1:].sum(0)
-    none = (
-        surviving <= len(joint) * np.finfo(dtype_name(a)).eps
-    )  # the transforms leave rounding in place of 0
+    none = surviving <= len(joint) * np.finfo(dtype_name(a)).eps  # the transforms leave rounding in place of 0
     refuse_total_conflict(none, on_conflict)
     result = [0 * surviving, *(joint[1:] / xp.where(none, 1 + 0 * surviving, surviving))]
     if maybe_any(xp, none):
@@ -60,9 +58,7 @@ def dempster(a: Array, b: Array, *, on_conflict: OnConflict = "average") -> Arra
         for place in range(len(result)):
             fill = float("nan") if on_conflict == "nan" else float(place == whole)
             average = 0.5 * (first[place] + second[place])
-            result[place] = xp.where(
-                none, average if on_conflict == "average" else fill + 0 * surviving, result[place]
-            )
+            result[place] = xp.where(none, average if on_conflict == "average" else fill + 0 * surviving, result[place])
     return stack(result, a)
 
 
@@ -86,9 +82,7 @@ def pcr5(a: Array, b: Array) -> Array:
     """Combine by PCR5 (= PCR6 = PCR6+ for two sources): conflict goes back to its two sets, in proportion."""
     first, second = _two(a, b)
     result = list(_conjunctive(first, second))
-    result[0] = (
-        first[0] + second[0] - first[0] * second[0]
-    )  # conflict of the sources themselves has no parties
+    result[0] = first[0] + second[0] - first[0] * second[0]  # conflict of the sources themselves has no parties
     for (i, p), (j, q) in product(enumerate(first), enumerate(second)):
         if i and j and not i & j:
             share = p * q / (p + q + (p + q == 0))
@@ -160,9 +154,7 @@ def _two(a: Any, b: Any) -> tuple[Any, Any]:
     first, second = masses_of(a, "a"), masses_of(b, "b")
     check_alike(a, b)
     if len(first) != len(second):
-        raise ValueError(
-            f"a and b must be on one frame, got {len(first)} and {len(second)} subsets on their last axes"
-        )
+        raise ValueError(f"a and b must be on one frame, got {len(first)} and {len(second)} subsets on their last axes")
     if tuple(a.shape) == tuple(b.shape):
         return first, second
     xp = namespace(a)

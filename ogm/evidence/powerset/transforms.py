@@ -122,8 +122,7 @@ def columns_of(values: Any, name: str, states: int | None = None) -> Any:
         raise ValueError(f"{name} must have 2^K numbers on its last axis, got shape {tuple(values.shape)}")
     if size > 1 << MAX_STATES:
         raise ValueError(
-            f"frames of at most {MAX_STATES} states are supported, got {size.bit_length() - 1}; "
-            f"coarsen the frame first"
+            f"frames of at most {MAX_STATES} states are supported, got {size.bit_length() - 1}; coarsen the frame first"
         )
     if states is not None and size != 1 << states:
         raise ValueError(f"{name} must be on a frame of {states} states, got shape {tuple(values.shape)}")

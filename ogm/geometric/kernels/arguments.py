@@ -5,17 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Cells",
-    "GroundLimits",
-    "HeightBand",
-    "Points",
-    "PolarGrid",
-    "RayNumbers",
-    "Rays",
-    "Surface",
-    "WorkSpace",
-]
+__all__ = ["Cells", "GroundLimits", "HeightBand", "Points", "PolarGrid", "RayNumbers", "Rays", "Surface", "WorkSpace"]
 
 
 class Cells(NamedTuple):
@@ -81,9 +71,7 @@ class PolarGrid(NamedTuple):
     sectors: int
     rows: int  # coarse sectors in which the ground is sampled
     bins: int
-    sector: NDArray[
-        np.int16
-    ]  # (nx, ny) first sector that the cell touches, counted to the left from the x axis
+    sector: NDArray[np.int16]  # (nx, ny) first sector that the cell touches, counted to the left from the x axis
     span: NDArray[np.int16]  # (nx, ny) how many sectors it subtends, at least one
     ring: NDArray[np.int16]  # (nx, ny) radial bin; -1 for a cell under the ego vehicle
 

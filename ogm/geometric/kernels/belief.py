@@ -39,10 +39,7 @@ def clear_sectors(rays, no_return_rays, level, polar, numbers, free):
         Filled.
     """
     sectors, bins = polar.sectors, polar.bins
-    per_row, cell_sectors = (
-        sectors // polar.rows,
-        sectors / math.pi,
-    )  # T is counted for cells, not for sectors
+    per_row, cell_sectors = (sectors // polar.rows, sectors / math.pi)  # T is counted for cells, not for sectors
     scale, zero, one = np.float32(polar.step / numbers.clearance), np.float32(0.0), np.float32(1.0)
     weight = np.float32(numbers.no_return_weight)
     # Of the rays that stop before a bin, later of those that pass the bin before: number, sum and least of slopes
@@ -55,8 +52,7 @@ def clear_sectors(rays, no_return_rays, level, polar, numbers, free):
     for s in range(sectors):
         count[:], rise[:], lowest[:] = zero, zero, np.inf
         end = max(
-            _count_rays(rays, s, one, count, rise, lowest),
-            _count_rays(no_return_rays, s, weight, count, rise, lowest),
+            _count_rays(rays, s, one, count, rise, lowest), _count_rays(no_return_rays, s, weight, count, rise, lowest)
         )
         through, climb, least = zero, zero, np.float32(np.inf)
         for k in range(end, 0, -1):

@@ -123,9 +123,7 @@ def level_ray_weight(ground, origin, clearance, step, rows, bins):
             if k > 0:
                 for part in range(4):
                     if k - 4 + part < bins:
-                        weight[s, k - 4 + part] = before + (now - before) * np.float32(part) * np.float32(
-                            0.25
-                        )
+                        weight[s, k - 4 + part] = before + (now - before) * np.float32(part) * np.float32(0.25)
             if k < bins:
                 weight[s, k] = now
             before = now

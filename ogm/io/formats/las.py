@@ -37,9 +37,7 @@ def parse_las(data: bytes, path: Path) -> Table:
         with np.errstate(over="ignore", invalid="ignore"):  # such points are dropped later
             columns = {name: np.asarray(record[name]) for name in names}
     except Exception as error:  # laspy and its decoders let through whatever a damaged file leads them to
-        raise OgmError(
-            f"{path} is no readable LAS cloud ({error}): it is damaged or wrongly named"
-        ) from error
+        raise OgmError(f"{path} is no readable LAS cloud ({error}): it is damaged or wrongly named") from error
     return Table("LAS", columns)
 
 

@@ -91,8 +91,7 @@ def _checked(entries: dict[str, list[str]], path: Path) -> _Header:
     (points,) = _integers(entries, "POINTS", 1, path) if "POINTS" in entries else [width * height]
     if min(width, height) < 0 or points != width * height:
         raise OgmError(
-            f"{path} has POINTS {points} in its PCD header, wanted WIDTH {width} times HEIGHT {height}: "
-            "it is damaged"
+            f"{path} has POINTS {points} in its PCD header, wanted WIDTH {width} times HEIGHT {height}: it is damaged"
         )
     encoding = " ".join(entries["DATA"]).lower()
     if encoding not in ("ascii", "binary", "binary_compressed"):

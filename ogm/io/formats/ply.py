@@ -10,15 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ogm.files import OgmError
-from ogm.io.formats.table import (
-    Field,
-    Table,
-    binary_columns,
-    check_size,
-    check_text,
-    refuse_doubles,
-    text_columns,
-)
+from ogm.io.formats.table import Field, Table, binary_columns, check_size, check_text, refuse_doubles, text_columns
 
 __all__ = ["parse_ply"]
 
@@ -86,8 +78,7 @@ def _single(fields: list[Field | None], element: str, path: Path) -> list[Field]
     single = [field for field in fields if field is not None]
     if len(single) < len(fields):
         raise OgmError(
-            f"{path} has lists in its PLY element {element}, wanted single numbers: write the points "
-            "without them"
+            f"{path} has lists in its PLY element {element}, wanted single numbers: write the points without them"
         )
     refuse_doubles((field.name for field in single), path)
     return single

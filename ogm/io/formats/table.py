@@ -148,9 +148,7 @@ def text_columns(fields: list[Field], points: int, body: memoryview, path: Path)
         if first:
             table = np.loadtxt(itertools.chain(first, lines), row, comments=None, ndmin=1)
     except (ValueError, OverflowError) as error:
-        raise OgmError(
-            f"{path} has a line that is not {per_line} numbers as its header promises: {error}"
-        ) from error
+        raise OgmError(f"{path} has a line that is not {per_line} numbers as its header promises: {error}") from error
     if len(table) < points:
         raise OgmError(
             f"{path} has {len(table)} lines of points, its header promises {points}: it is cut short or damaged"

@@ -24,9 +24,7 @@ __all__ = ["Lane", "Town", "build_town"]
 HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
 ATTEMPTS = 20  # draws of streets
 SMALLEST, LARGEST = 240.0, 1000.0  # [m]
-APRON = (
-    25.0  # [m] ground and backs of houses beyond the square, so that no street is near the end of the ground
-)
+APRON = 25.0  # [m] ground and backs of houses beyond the square, so that no street is near the end of the ground
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +165,10 @@ def _terrain(plan: TownLayout, rng: Generator) -> Terrain:
     banks = [(face, uneven[style]) for face, style in zip(network.faces, network.styles, strict=True)]
     edge = plan.size / 2
     ticks = np.linspace(-edge, edge, 9)
-    banks += [
-        (np.array(point), 1.3) for t in ticks for point in ((t, -edge), (t, edge), (-edge, t), (edge, t))
-    ]
+    banks += [(np.array(point), 1.3) for t in ticks for point in ((t, -edge), (t, edge), (-edge, t), (edge, t))]
     longest = max(network.streets, key=lambda street: street.length)
     dip = longest.at(longest.length * 0.5)
-    return make_terrain(
-        plan.size, plan.road, plan.corridor, kerbs, banks, (float(dip[0]), float(dip[1])), rng
-    )
+    return make_terrain(plan.size, plan.road, plan.corridor, kerbs, banks, (float(dip[0]), float(dip[1])), rng)
 
 
 def _raise(points: NDArray, terrain: Terrain) -> Floats:

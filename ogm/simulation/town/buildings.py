@@ -137,9 +137,7 @@ def _role(side: Side, street: Side, design: HouseDesign) -> str:
     return "blind" if design.blind_sides or side.length < 2.0 else "side"
 
 
-def _passage(
-    outline: Polygon, street: Side, design: HouseDesign, rng: Generator
-) -> tuple[shapely.Geometry, Polygon]:
+def _passage(outline: Polygon, street: Side, design: HouseDesign, rng: Generator) -> tuple[shapely.Geometry, Polygon]:
     """Cut a way for cars through the ground floor of some houses in a row: what is left, and the way."""
     none = outline, Polygon()
     if design.storeys < 2 or design.ground_storey < 3.5 or not 11 < street.length < 40 or rng.random() > 0.3:
@@ -147,9 +145,7 @@ def _passage(
     width = rng.uniform(3.0, 4.0)
     at = rng.uniform(1.5, street.length - width - 1.5)
     far = 200.0
-    strip = Polygon(
-        [street.xy(at, 1.0), street.xy(at, -far), street.xy(at + width, -far), street.xy(at + width, 1.0)]
-    )
+    strip = Polygon([street.xy(at, 1.0), street.xy(at, -far), street.xy(at + width, -far), street.xy(at + width, 1.0)])
     way, rest = outline.intersection(strip), outline.difference(strip.buffer(1e-6, join_style="mitre"))
     parts = shapely.get_parts(rest)
     if not isinstance(way, Polygon) or len(parts) != 2 or min(part.area for part in parts) < 8:
@@ -202,16 +198,11 @@ def _flat_roof(outline: Polygon, top: float, design: HouseDesign, rng: Generator
     if design.storeys == 1 and rng.random() < 0.5:
         over = outline.buffer(design.eaves, join_style="mitre")
         parts = [roofs.flat(over, z, M.ROOF) for z in (top, top + 0.25)]
-        parts += [
-            s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + 0.25), M.METAL_SHEET)])
-            for s in _sides(over)
-        ]
+        parts += [s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + 0.25), M.METAL_SHEET)]) for s in _sides(over)]
         return merge(parts)
     high = rng.uniform(0.3, 0.9)
     parts = [roofs.flat(outline, top, M.ROOF)]
-    parts += [
-        s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + high), design.wall)]) for s in _sides(outline)
-    ]
+    parts += [s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + high), design.wall)]) for s in _sides(outline)]
     if outline.area > 120:
         x, y = outline.representative_point().coords[0]
         parts.append(roofs.chimney(x, y, top, top + 2.4))
@@ -254,9 +245,7 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])
     parts = [roofs.flat(deck_outline, h, M.METAL_SHEET) for h in (z, z + 0.9)]
-    parts += [
-        s.built([(upright(0.0, s.length, 0.0, 0.0, z, z + 0.9), M.METAL_SHEET)]) for s in _sides(deck_outline)
-    ]
+    parts += [s.built([(upright(0.0, s.length, 0.0, 0.0, z, z + 0.9), M.METAL_SHEET)]) for s in _sides(deck_outline)]
     for s in (0.2, 0.8):
         for t in (0.18, 0.48):
             xy = spot(s, t)
@@ -266,9 +255,7 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
                 parts.append(cylinder([*at, low], [*at, high + 1.9], 0.38, M.PLASTIC_DARK, sides=4))
     shop = Polygon([spot(0.1, 0.75), spot(0.9, 0.75), spot(0.9, 1.0), spot(0.1, 1.0)])
     design = draw_design("arterial", Polygon(ring), rng)
-    design = design._replace(
-        storeys=1, ground_floor="shop", roof="flat", ground_storey=4.0, plinth=0.02, balconies=0.0
-    )
+    design = design._replace(storeys=1, ground_floor="shop", roof="flat", ground_storey=4.0, plinth=0.02, balconies=0.0)
     if shop.area > 12:
         parts.append(_house(shop, side_of(spot(0.1, 0.75), spot(0.9, 0.75)), design, height_at, rng))
     return merge(parts)

@@ -41,9 +41,7 @@ def draw_design(style: str, outline: Polygon, rng: Generator) -> HouseDesign:
         wall = int(rng.choice([light, dark, brick, stone], p=[0.45, 0.25, 0.2, 0.1]))
         shop = rng.random() < 0.6
         storeys = int(rng.integers(3, 7)) if area > 60 else int(rng.integers(1, 4))
-        window = (
-            (u(1.0, 1.35), u(0.5, 0.85), u(2.3, 2.7)) if old else (u(1.3, 2.0), u(0.8, 0.95), u(2.15, 2.3))
-        )
+        window = (u(1.0, 1.35), u(0.5, 0.85), u(2.3, 2.7)) if old else (u(1.3, 2.0), u(0.8, 0.95), u(2.15, 2.3))
         return HouseDesign(
             storeys, u(3.7, 4.4), u(3.2, 3.7) if old else u(2.8, 3.0), 0.03 if shop else u(0.15, 0.9),
             wall, stone if rng.random() < 0.3 else wall, u(2.2, 2.8) if old else u(2.6, 3.4), window,

@@ -77,9 +77,7 @@ class Openings(NamedTuple):
     pane: NDArray[np.uint8]
 
 
-def upright(
-    u0: ArrayLike, u1: ArrayLike, d0: ArrayLike, d1: ArrayLike, z0: ArrayLike, z1: ArrayLike
-) -> Corners:
+def upright(u0: ArrayLike, u1: ArrayLike, d0: ArrayLike, d1: ArrayLike, z0: ArrayLike, z1: ArrayLike) -> Corners:
     """Return upright rectangles over the ground lines from (u0, d0) to (u1, d1)."""
     return _corners((u0, u1, u1, u0), (d0, d1, d1, d0), (z0, z0, z1, z1))
 
@@ -139,9 +137,7 @@ def awning(u0: float, u1: float, depth: float, z: float, drop: float) -> Corners
     )
 
 
-def balcony(
-    u0: float, u1: float, depth: float, z: float, bars: int, panel: int
-) -> list[tuple[Corners, ArrayLike]]:
+def balcony(u0: float, u1: float, depth: float, z: float, bars: int, panel: int) -> list[tuple[Corners, ArrayLike]]:
     """Make a balcony whose slab ends at height z.
 
     Parameters
@@ -163,12 +159,7 @@ def balcony(
     side = np.linspace(0.2, d, 3)
     front = upright(u - 0.012, u + 0.012, d - 0.012, d + 0.012, z, z + 1.0)
     ends = upright(
-        np.repeat([u0, u1], 3),
-        np.repeat([u0, u1], 3),
-        np.tile(side, 2) - 0.012,
-        np.tile(side, 2) + 0.012,
-        z,
-        z + 1,
+        np.repeat([u0, u1], 3), np.repeat([u0, u1], 3), np.tile(side, 2) - 0.012, np.tile(side, 2) + 0.012, z, z + 1
     )
     return [*pieces, (np.concatenate([rail, front, ends]), M.METAL_POLE)]
 

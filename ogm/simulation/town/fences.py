@@ -29,9 +29,7 @@ def fence(line: ArrayLike, rng: Generator) -> Mesh:
     if kind < 0.3:
         return _pickets(line, rng.uniform(0.8, 1.3), rng.uniform(0.13, 0.17), rng.uniform(0.07, 0.1))
     if kind < 0.55:
-        return bars(
-            line, rng.uniform(1.0, 2.0), rng.uniform(0.12, 0.15), rng.uniform(0.016, 0.025), M.METAL_POLE
-        )
+        return bars(line, rng.uniform(1.0, 2.0), rng.uniform(0.12, 0.15), rng.uniform(0.016, 0.025), M.METAL_POLE)
     if kind < 0.8:
         return _mesh_fence(line, rng.uniform(1.0, 2.2), rng)
     if kind < 0.9:

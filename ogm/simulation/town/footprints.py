@@ -87,15 +87,11 @@ def _row(lot: Polygon, rng: Generator) -> Placed:
         kind = rng.random()
         if kind < 0.25 and width > 11:  # a recess, as for an entrance court
             wide = rng.uniform(3.0, 0.4 * width)
-            shape = shape.difference(
-                _rectangle(x + rng.uniform(0.2, 0.5) * width, y - 1, wide, 1 + rng.uniform(1, 3))
-            )
+            shape = shape.difference(_rectangle(x + rng.uniform(0.2, 0.5) * width, y - 1, wide, 1 + rng.uniform(1, 3)))
         elif kind < 0.5 and width > 9 and y1 - y > depth + 6:
             wing = rng.uniform(5.0, min(8.0, 0.6 * width))
             side = x if rng.random() < 0.5 else x + width - wing
-            shape = shape.union(
-                _rectangle(side, y + depth - 1, wing, rng.uniform(4, min(14, y1 - y - depth)))
-            )
+            shape = shape.union(_rectangle(side, y + depth - 1, wing, rng.uniform(4, min(14, y1 - y - depth))))
         placed.append((shape, 30.0))
         x += width + (rng.uniform(2.5, 6.0) if rng.random() < 0.07 else 0.0)
     return placed
@@ -181,9 +177,7 @@ def _large(lot: Polygon, rng: Generator) -> Placed:
         shape = _rectangle(x, y, width, depth)
         if rng.random() < 0.35:
             at = rng.uniform(0.2, 0.6)
-            shape = shape.difference(
-                _rectangle(x + at * width, y - 1, 0.25 * width, 1 + rng.uniform(1.5, 4.0))
-            )
+            shape = shape.difference(_rectangle(x + at * width, y - 1, 0.25 * width, 1 + rng.uniform(1.5, 4.0)))
         placed.append((shape, 60.0))
         x += width + rng.uniform(3.0, 9.0)
     return placed

@@ -84,14 +84,7 @@ def _street(plan: TownLayout, k: int, street: Street, yard: Yard) -> None:
 
 
 def _stand(
-    yard: Yard,
-    street: Street,
-    side: int,
-    maker: Maker,
-    at: float,
-    behind: float,
-    radius: float,
-    turn: float = 0.0,
+    yard: Yard, street: Street, side: int, maker: Maker, at: float, behind: float, radius: float, turn: float = 0.0
 ) -> None:
     """Stand a piece at a way along the street and so far behind the kerb; it faces its traffic."""
     kerb = street.profile.right if side < 0 else street.profile.left
@@ -118,9 +111,7 @@ def _trees_and_lamps(yard: Yard, street: Street, side: int, begin: float, end: f
             _stand(yard, street, side, f.lamp, at, 0.5, 0.2)
 
 
-def _pieces_beside(
-    street: Street, walk: float, busy: bool, yard: Yard
-) -> list[tuple[Maker, float, float, float]]:
+def _pieces_beside(street: Street, walk: float, busy: bool, yard: Yard) -> list[tuple[Maker, float, float, float]]:
     """Return pieces beside a street: how many for 100 m, how far behind the kerb, radius [m]."""
     verge, centre = street.profile.verge, street.district == "centre"
     back = verge + walk - 0.45
@@ -209,9 +200,7 @@ def _lot(lot: Lot, yard: Yard) -> None:
         open_ground = shapely.difference(shape, paths)
         scatter(open_ground.buffer(-1.5), yard.trees, 95, 1.8)
         scatter(open_ground.buffer(-1.0), yard.bushes, 80, 0.9)
-        yard.pieces(
-            shapely.intersection(paths.buffer(1.4).difference(paths.buffer(0.6)), shape), PIECES["park"]
-        )
+        yard.pieces(shapely.intersection(paths.buffer(1.4).difference(paths.buffer(0.6)), shape), PIECES["park"])
         yard.add(plants.grass_tufts(open_ground.buffer(-1), yard.height, yard.rng, density=0.35))
 
 
@@ -240,9 +229,7 @@ def _fences(lot: Lot, yard: Yard) -> None:
     solid = shapely.union_all([ways, area(shapely.intersection(yard.blocked, lot.shape))])
     space = shapely.difference(lot.shape.buffer(-0.55), solid)
     # How far behind the front the houses stand, in the middle.
-    back = (
-        float(np.median([((np.array(h.exterior.coords) - front) @ inward).min() for h in lot.houses])) + 2.0
-    )
+    back = float(np.median([((np.array(h.exterior.coords) - front) @ inward).min() for h in lot.houses])) + 2.0
 
     def stand(start: Floats, stop: Floats, share: float) -> None:
         """Build one kind of enclosure along a line, one that hides what is behind it with that probability."""

@@ -80,12 +80,7 @@ def sign(rng: Generator) -> Mesh:
         return merge([pole(2.3 + 0.32 * count, 0.045), *arms])
     quarter = np.pi / 2
     shapes = (
-        *(
-            regular(0.3, 10),
-            regular(0.52, 3, quarter),
-            regular(0.52, 3, -quarter),
-            regular(0.45, 8, np.pi / 8),
-        ),
+        *(regular(0.3, 10), regular(0.52, 3, quarter), regular(0.52, 3, -quarter), regular(0.45, 8, np.pi / 8)),
         *(panel(0.6, 0.6), panel(0.42, 0.63), regular(0.42, 4), panel(0.25, 0.5)),
     )
     low = rng.uniform(2.0, 2.3) if rng.random() < 0.8 else rng.uniform(0.6, 1.0)
@@ -163,8 +158,7 @@ def _parked_bike(x: float, y: float) -> Mesh:
     parts = []
     for cy in (-0.52, 0.52):
         inner, outer = (
-            np.stack([0 * angles + x, y + cy + r * np.cos(angles), 0.34 + r * np.sin(angles)], 1)
-            for r in (0.28, 0.34)
+            np.stack([0 * angles + x, y + cy + r * np.cos(angles), 0.34 + r * np.sin(angles)], 1) for r in (0.28, 0.34)
         )
         parts.append(sheet(inner, outer, M.TYRE))
     spots = [[0, -0.52, 0.34], [0, -0.15, 0.8], [0, 0.4, 0.85], [0, 0.0, 0.3], [0, 0.52, 0.34], [0, 0.4, 1.0]]
@@ -236,10 +230,7 @@ def barrier(rng: Generator) -> Mesh:
 
 def cafe(rng: Generator) -> Mesh:
     """Make a table with two to four chairs, often below a parasol."""
-    parts = [
-        rod(0.72, 0.75, rng.uniform(0.35, 0.5), M.WOOD),
-        rod(-0.05, 0.72, 0.03, M.METAL_POLE, sides=4, caps=False),
-    ]
+    parts = [rod(0.72, 0.75, rng.uniform(0.35, 0.5), M.WOOD), rod(-0.05, 0.72, 0.03, M.METAL_POLE, sides=4, caps=False)]
     turn = rng.uniform(0, 2 * np.pi)
     for k in range(int(rng.integers(2, 4))):
         a = turn + 2.1 * k

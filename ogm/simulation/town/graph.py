@@ -87,9 +87,7 @@ def dead_ends(
         middle = np.array([(nodes[a] + nodes[b]) / 2 for a, b in edges])
         length = np.array([np.linalg.norm(nodes[a] - nodes[b]) for a, b in edges])
         far = np.linalg.norm(middle - faces[face], axis=1) + 1000 * (length < 76)
-        far += 1000 * np.array(
-            [edge in broad or max(edge) >= len(nodes) or roundabout in edge for edge in edges]
-        )
+        far += 1000 * np.array([edge in broad or max(edge) >= len(nodes) or roundabout in edge for edge in edges])
         k = int(np.argmin(far))
         inward = faces[face] - middle[k]
         reach = min(40.0, float(np.linalg.norm(inward)))

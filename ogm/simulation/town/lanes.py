@@ -80,9 +80,7 @@ def cuts(network: StreetNetwork) -> Floats:
                 for other, other_end, direction in arms:
                     if (other, other_end) == (street, end):
                         continue
-                    angle = np.arctan2(
-                        outward[0] * direction[1] - outward[1] * direction[0], outward @ direction
-                    )
+                    angle = np.arctan2(outward[0] * direction[1] - outward[1] * direction[0], outward @ direction)
                     # A corner lies between the left side of one arm and the right side of the next one.
                     other_right, other_left = _sides(network.streets[other], other_end)
                     mine, theirs = (left, other_right) if angle > 0 else (right, other_left)
@@ -144,9 +142,7 @@ def make_lanes(network: StreetNetwork) -> Draft:
         if not arms:
             continue
         if node in network.heads:
-            new = [
-                (arms[0].incoming[0], _turn_round(lanes, arms[0], network.nodes[node]), arms[0].outgoing[0])
-            ]
+            new = [(arms[0].incoming[0], _turn_round(lanes, arms[0], network.nodes[node]), arms[0].outgoing[0])]
         elif node == network.roundabout:
             _ring(lanes, links, arms, network.nodes[node], number)
             owners += [-1] * (len(lanes) - len(owners))
@@ -172,8 +168,7 @@ def _across(lanes: list[Lane], arms: list[_Arm], number: int) -> list[tuple[int,
         for other in arms:
             if other is not arm and other.outgoing:
                 turn = np.arctan2(
-                    -arm.outward[0] * other.outward[1] + arm.outward[1] * other.outward[0],
-                    -arm.outward @ other.outward,
+                    -arm.outward[0] * other.outward[1] + arm.outward[1] * other.outward[0], -arm.outward @ other.outward
                 )
                 exits.append((float(turn), other))
         exits.sort(key=lambda pair: pair[0])  # rightmost (negative) first
@@ -182,12 +177,7 @@ def _across(lanes: list[Lane], arms: list[_Arm], number: int) -> list[tuple[int,
             share = []
             for n, (turn, other) in enumerate(exits):
                 straight = abs(turn) < STRAIGHT
-                mine = (
-                    straight
-                    or len(exits) == 1
-                    or (k == 0 and n == 0)
-                    or (k == count - 1 and n == len(exits) - 1)
-                )
+                mine = straight or len(exits) == 1 or (k == 0 and n == 0) or (k == count - 1 and n == len(exits) - 1)
                 if mine or (0 < n < len(exits) - 1):
                     share.append((turn, other))
             for turn, other in share:
@@ -200,9 +190,7 @@ def _across(lanes: list[Lane], arms: list[_Arm], number: int) -> list[tuple[int,
     return new
 
 
-def _ring(
-    lanes: list[Lane], links: dict[int, list[int]], arms: list[_Arm], center: Floats, number: int
-) -> None:
+def _ring(lanes: list[Lane], links: dict[int, list[int]], arms: list[_Arm], center: Floats, number: int) -> None:
     """Lanes into, round (counter-clockwise) and out of a roundabout; the phase of an entry is its arm."""
     radius = (ISLAND + RING) / 2 + 0.4
     width = 4.0
@@ -213,10 +201,7 @@ def _ring(
     past: list[int] = []  # arc from the exit of arm k to its entry
     for k, angle in enumerate(angles):
         following = angles[(k + 1) % len(arms)] + (2 * np.pi if k == len(arms) - 1 else 0)
-        for bucket, start, end in (
-            (past, angle - half, angle + half),
-            (along, angle + half, following - half),
-        ):
+        for bucket, start, end in ((past, angle - half, angle + half), (along, angle + half, following - half)):
             sweep = np.linspace(start, end, max(3, int((end - start) * radius) + 1))
             line = center + radius * np.stack([np.cos(sweep), np.sin(sweep)], axis=1)
             bucket.append(len(lanes))

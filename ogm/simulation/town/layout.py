@@ -77,9 +77,7 @@ def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator)
     road, islands = _carriageway(network, draft)
     corridor = _corridor(network, road, size)
     frame = shapely.box(-size / 2, -size / 2, size / 2, size / 2)
-    plan = TownLayout(
-        size, network, draft, road, corridor, [], [], [], [], [], [], [], islands, [], Polygon()
-    )
+    plan = TownLayout(size, network, draft, road, corridor, [], [], [], [], [], [], [], islands, [], Polygon())
     plan.zones.append(Zone(frame, M.GRASS))
     plan.zones.append(Zone(corridor, M.PAVING))
     _surfaces(plan, islands, rng)
@@ -200,10 +198,7 @@ def _verges(plan: TownLayout, k: int, street: Street) -> None:
     start, end = plan.draft.cuts[k, 0] + 1, street.length - plan.draft.cuts[k, 1] - 1
     if profile.verge <= 0 or end - start < 6:
         return
-    for right, left in (
-        (-profile.right - profile.verge, -profile.right),
-        (profile.left, profile.left + profile.verge),
-    ):
+    for right, left in ((-profile.right - profile.verge, -profile.right), (profile.left, profile.left + profile.verge)):
         band = shapely.difference(street.band(start, end, right, left).buffer(0), plan.road)
         plan.zones.append(Zone(band, M.GRASS if profile.kind != "industrial" else M.SOIL))
 
@@ -232,10 +227,7 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
             plan.bays.append(Bay(float(x), float(y), float((yaw + np.pi) % (2 * np.pi) - np.pi), long, width))
             if profile.kind in ("main", "avenue"):
                 tick = street.band(
-                    at + long / 2 - 0.05,
-                    at + long / 2 + 0.05,
-                    side * edge - side * width,
-                    side * (edge - 0.3),
+                    at + long / 2 - 0.05, at + long / 2 + 0.05, side * edge - side * width, side * (edge - 0.3)
                 )
                 plan.mark(tick)
             at += long
@@ -269,9 +261,7 @@ def _crossings(plan: TownLayout, rng: Generator) -> None:
             edges = (-profile.right, profile.left)
             for edge in edges:
                 point, normal = street.at(at, edge), street.normal(at)
-                plan.drops.append(
-                    Drop(float(point[0]), float(point[1]), (float(normal[1]), float(-normal[0])), 1.5)
-                )
+                plan.drops.append(Drop(float(point[0]), float(point[1]), (float(normal[1]), float(-normal[0])), 1.5))
             reach = (
                 edges[0] - profile.verge - profile.sidewalk[0] / 2,
                 edges[1] + profile.verge + profile.sidewalk[1] / 2,
@@ -297,10 +287,7 @@ def _markings(plan: TownLayout) -> None:
             dashed.append(-profile.median / 2 - n * profile.lane)
         for n in range(1, profile.back):
             dashed.append(profile.median / 2 + n * profile.lane)
-        outer = (
-            -profile.median / 2 - profile.forward * profile.lane,
-            profile.median / 2 + profile.back * profile.lane,
-        )
+        outer = (-profile.median / 2 - profile.forward * profile.lane, profile.median / 2 + profile.back * profile.lane)
         if profile.cycle > 0 or profile.kind == "arterial":
             solid += [outer[0], outer[1]]
         for offset in dashed:
@@ -314,6 +301,4 @@ def _markings(plan: TownLayout) -> None:
         ):
             if left - right > 1 and node not in plan.network.heads:
                 plan.mark(street.band(at, at + 0.5, right + 0.1, left - 0.1))
-    plan.lines += [
-        LineString(street.line[::3]) for street in plan.network.streets if street.profile.median == 0
-    ]
+    plan.lines += [LineString(street.line[::3]) for street in plan.network.streets if street.profile.median == 0]

@@ -65,9 +65,7 @@ def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
         if inner:
             plan.zones.append(Zone(block.shape, ground[block.style]))
             if block.style == "centre":  # courts behind the houses
-                plan.zones.append(
-                    Zone(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS)
-                )
+                plan.zones.append(Zone(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS))
         lots += _along(plan, block, k == square, rng)
     return lots
 
@@ -138,9 +136,7 @@ def _sides(plan: TownLayout, block: Block) -> list[tuple[Floats, Floats, Floats]
     return sorted(result, key=lambda side: -float(np.linalg.norm(side[1] - side[0])))
 
 
-def _driveway(
-    plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M
-) -> None:
+def _driveway(plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M) -> None:
     """Pave a way from the kerb to `reach` metres behind the front, and let the kerb down."""
     along = np.array([lot.inward[1], -lot.inward[0]])
     street = plan.network.streets[near]
@@ -186,12 +182,8 @@ def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
                 _driveway(plan, lot, near, at, setback + 0.5, min(width, 3.4), surface)
                 if setback > 6.5 and rng.random() < 0.8:
                     spot = at + lot.inward * (setback / 2 + 0.4)
-                    yaw = float(
-                        np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0)
-                    )
-                    plan.bays.append(
-                        Bay(float(spot[0]), float(spot[1]), (yaw + np.pi) % (2 * np.pi) - np.pi, 5.2, 2.4)
-                    )
+                    yaw = float(np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0))
+                    plan.bays.append(Bay(float(spot[0]), float(spot[1]), (yaw + np.pi) % (2 * np.pi) - np.pi, 5.2, 2.4))
             elif setback > 1.0:
                 at = at + along * rng.uniform(-0.25, 0.25) * width
                 path = LineString([at - 0.1 * lot.inward, at + (setback + 0.5) * lot.inward]).buffer(
@@ -243,9 +235,7 @@ def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
                 continue  # the way in
             spot = lot.front[0] + along * u + row * lot.inward
             x, t = along * 1.25, lot.inward * 2.45
-            if not shapely.contains(
-                ground, Polygon([spot - x - t, spot + x - t, spot + x + t, spot - x + t])
-            ):
+            if not shapely.contains(ground, Polygon([spot - x - t, spot + x - t, spot + x + t, spot - x + t])):
                 continue
             plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
             side = spot + x

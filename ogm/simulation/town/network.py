@@ -195,9 +195,7 @@ def _streets(
         district = styles[int(np.argmin(np.linalg.norm(faces - middle, axis=1)))]
         districts.append(district)
         round_it = roundabout in (chain[0], chain[-1])
-        if not round_it and any(
-            (a, b) in broad or (b, a) in broad for a, b in zip(chain[:-1], chain[1:], strict=True)
-        ):
+        if not round_it and any((a, b) in broad or (b, a) in broad for a, b in zip(chain[:-1], chain[1:], strict=True)):
             kinds.append("arterial")
         elif chain[0] in heads or chain[-1] in heads:
             kinds.append("industrial" if district == "industrial" else "lane")
@@ -226,9 +224,7 @@ _CHOICES = {
 }
 
 
-def _one_way(
-    chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: Generator
-) -> None:
+def _one_way(chains: list[list[int]], kinds: list[str], roundabout: int, heads: list[int], rng: Generator) -> None:
     """Make narrow streets two-way where some place could not be reached or left otherwise."""
     single = [k for k, kind in enumerate(kinds) if PROFILES[kind].back == 0]
     for k in single:

@@ -138,9 +138,7 @@ def hedge(line: ArrayLike, rng: Generator, *, lowest: float = 0.8) -> Mesh:
     k = rng.integers(n - 1, size=count)
     base = points[k] + rng.random((count, 1)) * (points[k + 1] - points[k])
     high = rng.random(count) < 0.2
-    across = np.where(
-        high, rng.uniform(-1, 1, count), rng.choice([-1.0, 1.0], count) * rng.uniform(0.8, 1.05, count)
-    )
+    across = np.where(high, rng.uniform(-1, 1, count), rng.choice([-1.0, 1.0], count) * rng.uniform(0.8, 1.05, count))
     up = height * np.where(high, rng.uniform(0.92, 1.0, count), rng.uniform(0.05, 1.0, count))
     centers = base + half * across[:, None] * side[k] + up[:, None] * [0.0, 0.0, 1.0]
     return merge([core, _cards(rng, centers, rng.uniform(0.12, 0.34, count))])
@@ -181,9 +179,7 @@ def grass_tufts(polygon: Polygon, height_at: HeightAt, rng: Generator, *, densit
     across = 0.5 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * (0.04 + 0.6 * tall)[:, None]
     lean = np.stack([*(0.3 * tall * rng.normal(0, 1, (2, len(x)))), tall], axis=1)
     base[:, 2] -= 0.03
-    corners = np.stack(
-        [base - across, base + across, base + 0.6 * across + lean, base - 0.6 * across + lean], 1
-    )
+    corners = np.stack([base - across, base + across, base + 0.6 * across + lean, base - 0.6 * across + lean], 1)
     return quads(corners, M.GRASS)
 
 

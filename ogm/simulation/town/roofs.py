@@ -13,10 +13,7 @@ from ogm.simulation.mesh import Mesh, box, merge, quads
 def flat(footprint: Polygon, z: float, material: int) -> Mesh:
     """Cover a footprint of any shape with a level sheet at height z [m]."""
     corners = np.array(
-        [
-            np.array(part.exterior.coords)[:3]
-            for part in shapely.constrained_delaunay_triangles(footprint).geoms
-        ]
+        [np.array(part.exterior.coords)[:3] for part in shapely.constrained_delaunay_triangles(footprint).geoms]
     ).reshape(-1, 3, 2)
     vertices = np.concatenate([corners, np.full((*corners.shape[:2], 1), z)], axis=-1).reshape(-1, 3)
     triangles = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
@@ -62,11 +59,7 @@ def pitched(
     rise, low = pitch * run, z - pitch * eaves
     over = verge if hip == 0 else eaves
     eave = np.column_stack(
-        [
-            p
-            + over * np.array([[-1], [1], [1], [-1]]) * along
-            + eaves * np.array([[1], [1], [-1], [-1]]) * across
-        ]
+        [p + over * np.array([[-1], [1], [1], [-1]]) * along + eaves * np.array([[1], [1], [-1], [-1]]) * across]
         + [np.full(4, low)]
     )
     inset = min(hip * run, 0.48 * span) if hip else -verge

@@ -33,14 +33,7 @@ def pole(
 
 
 def rod(
-    low: float,
-    high: float,
-    radius: float,
-    material: M,
-    end: float | None = None,
-    sides: int = 8,
-    *,
-    caps: bool = True,
+    low: float, high: float, radius: float, material: M, end: float | None = None, sides: int = 8, *, caps: bool = True
 ) -> Mesh:
     """Make an upright cylinder or cone between two heights, with another radius at its upper `end` if given."""
     return cylinder([0, 0, low], [0, 0, high], radius, material, end_radius=end, sides=sides, caps=caps)

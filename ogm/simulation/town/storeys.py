@@ -101,9 +101,7 @@ def ground_floor(side: Side, role: str, door: bool, house: House, rng: Generator
         sill=sills[:, None], head=heads[:, None], recess=recess[:, None], pane=np.asarray(pane)[:, None]
     )
     if front and design.storeys > 1 and rng.random() < 0.7:
-        extra.append(
-            (ledge(0.0, side.length, rng.uniform(0.05, 0.15), upper - 0.12, upper + 0.1), design.base)
-        )
+        extra.append((ledge(0.0, side.length, rng.uniform(0.05, 0.15), upper - 0.12, upper + 0.1), design.base))
     if front and side.length > 4 and rng.random() < 0.7:
         top = upper + (design.storeys - 1) * design.storey
         ends = [ledge(u, u + 0.09, 0.13, low, top) for u in (0.15, side.length - 0.24)]
@@ -177,9 +175,7 @@ def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[M
     return [side.built([*punched(side.length, upper, top, openings, design.wall), *extra]), *parts]
 
 
-def _bay(
-    side: Side, middle: float, half: float, rows: Any, house: House, rng: Generator
-) -> tuple[list[Mesh], Floats]:
+def _bay(side: Side, middle: float, half: float, rows: Any, house: House, rng: Generator) -> tuple[list[Mesh], Floats]:
     """Make a bay through all upper storeys: three narrow walls before the wide one, floor and roof.
 
     `rows` are the last four columns of `Openings`.
@@ -233,12 +229,8 @@ def _gates(
     sills = np.choose(kind, [ground, ground + 1.15, np.full(columns, floor + 1.0)])
     heads = np.choose(kind, [ground + rng.uniform(3.6, 4.5), ground + 4.0, np.full(columns, floor + 2.6)])
     heads = np.minimum(heads, upper - 0.4)
-    recess = np.choose(
-        kind, [np.full(columns, rng.uniform(0.2, 0.5)), np.full(columns, 0.3), np.full(columns, 0.1)]
-    )
-    pane = np.choose(
-        kind, [np.full(columns, M.METAL_SHEET), np.full(columns, M.METAL_SHEET), _panes(rng, columns)]
-    )
+    recess = np.choose(kind, [np.full(columns, rng.uniform(0.2, 0.5)), np.full(columns, 0.3), np.full(columns, 0.1)])
+    pane = np.choose(kind, [np.full(columns, M.METAL_SHEET), np.full(columns, M.METAL_SHEET), _panes(rng, columns)])
     extra: Pieces = []
     if rng.random() < 0.5:
         joints = np.linspace(0, side.length, columns + 1)

@@ -26,9 +26,7 @@ def shelter(rng: Generator) -> Mesh:
     side = [[-half, 0.1, 0.15], [-half, depth, 0.15], [-half, depth, 2.2], [-half, 0.1, 2.2]]
     seat = box([-0.35 * length, depth - 0.5, 0.42], [0.2 * length, depth - 0.12, 0.48], M.WOOD)
     poster = box([half - 0.06, 0.1, 0.25], [half + 0.06, depth - 0.1, 2.1], M.WINDOW)
-    stop = merge([pole(2.6, 0.035), *plate(panel(0.45, 0.45), 2.35, 0.035)]).moved(
-        upright(half + 1.0, -0.2, 0.0)
-    )
+    stop = merge([pole(2.6, 0.035), *plate(panel(0.45, 0.45), 2.35, 0.035)]).moved(upright(half + 1.0, -0.2, 0.0))
     return merge([roof, *posts, quads([back, side], glass), seat, poster, stop])
 
 
@@ -81,10 +79,7 @@ def gantry(width: float, rng: Generator) -> Mesh:
     """
     half, z = width / 2, rng.uniform(6.0, 6.6)
     posts = [pole(z + 0.4, 0.14, y=y, sides=8) for y in (-half, half)]
-    beams = [
-        cylinder([0, -half, h], [0, half, h], 0.07, M.METAL_POLE, sides=5, caps=False)
-        for h in (z - 0.3, z + 0.3)
-    ]
+    beams = [cylinder([0, -half, h], [0, half, h], 0.07, M.METAL_POLE, sides=5, caps=False) for h in (z - 0.3, z + 0.3)]
     ends = np.linspace(-half, half, int(width / 1.2) + 2)
     zigzag = z + 0.3 * (-1.0) ** np.arange(len(ends))
     lattice = np.stack([0 * ends, ends, zigzag], axis=1)

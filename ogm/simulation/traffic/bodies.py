@@ -108,9 +108,7 @@ CARS: dict[str, Shape] = {
     "hatchback": Shape(4.27, 1.79, 1.46, 2.63, 0.88, 0.72, 0.98, 1.00, 1.18, 2.05, 3.66, 4.14),
     "saloon": Shape(4.76, 1.83, 1.45, 2.84, 0.88, 0.72, 0.97, 1.05, 1.40, 2.32, 3.42, 4.14),
     "estate": Shape(4.78, 1.83, 1.48, 2.79, 0.92, 0.73, 0.98, 1.02, 1.34, 2.20, 4.30, 4.66),
-    "suv": Shape(
-        4.56, 1.88, 1.68, 2.68, 0.90, 0.90, 1.10, 1.12, 1.24, 2.02, 4.02, 4.42, floor=0.23, tyre=0.36
-    ),
+    "suv": Shape(4.56, 1.88, 1.68, 2.68, 0.90, 0.90, 1.10, 1.12, 1.24, 2.02, 4.02, 4.42, floor=0.23, tyre=0.36),
     "coupe": Shape(4.50, 1.84, 1.36, 2.62, 0.92, 0.66, 0.92, 0.98, 1.52, 2.40, 2.98, 4.08, floor=0.14),
     "people carrier": Shape(4.62, 1.84, 1.66, 2.79, 0.92, 0.80, 1.06, 1.08, 1.02, 2.00, 4.16, 4.52),
 }
@@ -145,9 +143,7 @@ def _shell(shape: Shape, paint: int) -> Mesh:
     s = _stations(shape)
     end, half = shape.length, shape.width / 2
     width = half * np.interp(
-        s,
-        [0, 0.1, 0.35, 0.8, end - 0.8, end - 0.25, end - 0.1, end],
-        [0.7, 0.88, 0.965, 1, 1, 0.97, 0.92, 0.8],
+        s, [0, 0.1, 0.35, 0.8, end - 0.8, end - 0.25, end - 0.1, end], [0.7, 0.88, 0.965, 1, 1, 0.97, 0.92, 0.8]
     )
     belt = np.interp(
         s,
@@ -166,9 +162,7 @@ def _shell(shape: Shape, paint: int) -> Mesh:
         [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end],
         [shape.nose - 0.1, shape.nose, shape.cowl, shape.deck + 0.01, shape.deck - 0.01, shape.deck - 0.1],
     )
-    floor = np.interp(
-        s, [0, 0.3, end - 0.5, end], [shape.floor + 0.07, shape.floor, shape.floor, shape.floor + 0.14]
-    )
+    floor = np.interp(s, [0, 0.3, end - 0.5, end], [shape.floor + 0.07, shape.floor, shape.floor, shape.floor + 0.14])
     sill = floor.copy()
     reach = shape.tyre + 0.07
     for axle in (shape.overhang, shape.overhang + shape.wheelbase):
@@ -240,9 +234,7 @@ def _greenhouse(shape: Shape, paint: int) -> Mesh:
     belt = np.interp(low_s, [shape.cowl_at, shape.deck_at], [shape.cowl - 0.06, shape.deck - 0.04])
     taper = np.array([0.94, 1, 1, 1, 1, 0.94])
     rail = half * shape.roof_width
-    base = ring(
-        low_s, 0.925 * half * taper, shape.cowl_at - 0.02, shape.deck_at + 0.02, belt, belt[[0, -1]] + 0.03
-    )
+    base = ring(low_s, 0.925 * half * taper, shape.cowl_at - 0.02, shape.deck_at + 0.02, belt, belt[[0, -1]] + 0.03)
     z = shape.height - 0.075 - np.array([0.02, 0, 0, 0, 0, 0.03])
     rails = ring(high_s, rail * taper, roof - 0.12, tail + 0.04, z, z[[0, -1]] + 0.045)
     crown_s = roof + 0.12 + share * (tail - roof - 0.22)
@@ -252,14 +244,10 @@ def _greenhouse(shape: Shape, paint: int) -> Mesh:
     if shape.side_glass < 1:
         sides = [paint, paint, M.CAR_GLASS, paint, paint]
     rear = M.CAR_GLASS if shape.rear_glass else paint
-    around = np.array(
-        [int(m) for m in (M.CAR_GLASS, *sides, rear, rear, *sides[::-1], M.CAR_GLASS)], np.uint8
-    )
+    around = np.array([int(m) for m in (M.CAR_GLASS, *sides, rear, rear, *sides[::-1], M.CAR_GLASS)], np.uint8)
     skin = loft([base, rails, crown], np.stack([around, np.full(14, paint, np.uint8)]))
     left, right = crown[1:7], crown[:7:-1]
-    lid = [
-        np.array([a, b, d, c]) for a, b, c, d in zip(left[:-1], left[1:], right[:-1], right[1:], strict=True)
-    ]
+    lid = [np.array([a, b, d, c]) for a, b, c, d in zip(left[:-1], left[1:], right[:-1], right[1:], strict=True)]
     tips = [crown[[0, 1, 13, 13]], crown[[7, 6, 8, 8]]]
     return merge([skin, quads(lid + tips, paint)])
 

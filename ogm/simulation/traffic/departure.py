@@ -67,10 +67,7 @@ def fill_bays(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: 
     placed = park(town.bays, table.points, walkways.points, bodies, town.ground_height, rng)
     first = 1000  # tracks of what moves are smaller
     still = np.zeros(3)
-    return [
-        Object(body.label, pose, body.size, still, first + k, body.mesh)
-        for k, (body, pose) in enumerate(placed)
-    ]
+    return [Object(body.label, pose, body.size, still, first + k, body.mesh) for k, (body, pose) in enumerate(placed)]
 
 
 def set_out(
@@ -110,9 +107,7 @@ def set_out(
         else:
             if n == 0:
                 raise ValueError("no lane of the round trip is long enough for the ego vehicle to start on")
-    routes = [_around(loop, starts[0][0])] + [
-        _wander(town, table, alive, lane, rng) for lane, _ in starts[1:]
-    ]
+    routes = [_around(loop, starts[0][0])] + [_wander(town, table, alive, lane, rng) for lane, _ in starts[1:]]
     return units, _drivers(table, routes, lengths, manners, [front for _, front in starts], rng)
 
 
@@ -211,9 +206,7 @@ def choose_people(
     lengths = walkways.length
     usable = np.flatnonzero(lengths > 6.0)
     number = min(MOST_WALKERS, int(lengths[usable].sum() / PER_WALKWAY)) if len(usable) else 0
-    share = lengths[usable] * np.where(
-        lengths[usable] < 25, 0.5, 1.0
-    )  # crossings are waited at, not lived on
+    share = lengths[usable] * np.where(lengths[usable] < 25, 0.5, 1.0)  # crossings are waited at, not lived on
     still = min(number // 10, len(usable) // 4)  # who stands has a walkway alone
     line = np.zeros(number, np.int64)
     if number:

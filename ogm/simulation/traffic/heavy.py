@@ -69,9 +69,7 @@ def _cab(front: float, length: float, half: float, height: float, paint: int) ->
 def _load(front: float, rear: float, half: float, height: float, cover: int) -> Mesh:
     """Make a box body or a tarpaulin over its frame, with the chassis, guards and bumper below."""
     body = loft(
-        [_outline(x, half, 1.02, height, bevel=0.06) for x in (front, (front + rear) / 2, rear)],
-        cover,
-        caps=cover,
+        [_outline(x, half, 1.02, height, bevel=0.06) for x in (front, (front + rear) / 2, rear)], cover, caps=cover
     )
     frame = box((rear + 0.1, -0.45, 0.72), (front - 0.05, 0.45, 1.0), M.METAL_SHEET)
     guards = [
@@ -108,13 +106,10 @@ def trailer(rng: Generator) -> Body:
     front = length / 2
     axles = [front - 1.0, -front + 1.2]
     bar = [
-        cylinder((front - 0.6, y, 0.75), (front + 1.0, y / 6, 0.62), 0.06, M.METAL_SHEET, sides=6)
-        for y in (-0.5, 0.5)
+        cylinder((front - 0.6, y, 0.75), (front + 1.0, y / 6, 0.62), 0.06, M.METAL_SHEET, sides=6) for y in (-0.5, 0.5)
     ]
     return centered(
-        "trailer",
-        merge([_load(front, -front, half, height, cover), *_axles(axles, half - 0.02, 0.45), *bar]),
-        axles,
+        "trailer", merge([_load(front, -front, half, height, cover), *_axles(axles, half - 0.02, 0.45), *bar]), axles
     )
 
 
@@ -135,9 +130,7 @@ def bus(rng: Generator, paint: M) -> Body:
     for place, y in zip(x, width, strict=True):
         arch = min(abs(place - axle) for axle in axles) < 0.62
         bottom = 0.98 if arch else low
-        left = np.array(
-            [(y, bottom), (y, max(sill, bottom + 0.01)), (y - 0.03, height - 0.45), (y - 0.2, height)]
-        )
+        left = np.array([(y, bottom), (y, max(sill, bottom + 0.01)), (y - 0.03, height - 0.45), (y - 0.2, height)])
         sections.append(np.column_stack([np.full(8, place), np.concatenate([left, (left * [-1, 1])[::-1]])]))
     material = np.full((len(x) - 1, 8), paint, np.uint8)
     material[:, 7] = M.PLASTIC_DARK
@@ -154,18 +147,9 @@ def bus(rng: Generator, paint: M) -> Body:
         for y in (-1.1, 0.3)
     ]
     mirrors = [
-        box((front - 0.05, y - 0.08, 1.9), (front + 0.12, y + 0.08, 2.35), M.PLASTIC_DARK)
-        for y in (half, -half)
+        box((front - 0.05, y - 0.08, 1.9), (front + 0.12, y + 0.08, 2.35), M.PLASTIC_DARK) for y in (half, -half)
     ]
     plates = quads([_plate(front + 0.01, 0.5), _plate(-front - 0.01, 0.6)], M.PLATE)
     lamps = [_lamps(front + 0.01, half - 0.12, 0.7), _lamps(-front - 0.01, half - 0.1, 0.8)]
-    parts = [
-        loft(np.array(sections), material),
-        ends,
-        floor,
-        quads(seats, M.PLASTIC_DARK),
-        *mirrors,
-        plates,
-        *lamps,
-    ]
+    parts = [loft(np.array(sections), material), ends, floor, quads(seats, M.PLASTIC_DARK), *mirrors, plates, *lamps]
     return centered("bus", merge(parts + _axles(axles, half - 0.02, 0.48)), axles)

@@ -6,15 +6,7 @@ import numpy as np
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.town import Town
-from ogm.simulation.traffic.departure import (
-    LAST,
-    WARM_UP,
-    Object,
-    choose_people,
-    fill_bays,
-    make_signals,
-    set_out,
-)
+from ogm.simulation.traffic.departure import LAST, WARM_UP, Object, choose_people, fill_bays, make_signals, set_out
 from ogm.simulation.traffic.fleet import make_fleet
 from ogm.simulation.traffic.graph import crossings, lane_table
 from ogm.simulation.traffic.kernels import advance
@@ -79,9 +71,7 @@ class Traffic:
         self._parked = fill_bays(town, self._table, self._walkways, self._fleet, draws[1])
         self._units, self._drivers = set_out(town, self._table, loop, self._fleet, draws[2])
         self._crossings = crossings(self._table, self._walkways)
-        self._walkers, self._people, self._sides = choose_people(
-            self._walkways, self._crossings, self._fleet, draws[3]
-        )
+        self._walkers, self._people, self._sides = choose_people(self._walkways, self._crossings, self._fleet, draws[3])
         self._signals = make_signals(self._table, draws[4])
         steps = int(round((LAST + WARM_UP) / STEP)) + 3
         vehicles, walkers = len(self._drivers.x), len(self._walkers.w)
@@ -105,9 +95,7 @@ class Traffic:
         """
         time = float(time)
         if not 0 <= time <= LAST:
-            raise ValueError(
-                f"time must lie in [0, {LAST:g}] s, got {time}; use another seed for more traffic"
-            )
+            raise ValueError(f"time must lie in [0, {LAST:g}] s, got {time}; use another seed for more traffic")
         step = (time + WARM_UP) / STEP
         self._simulate(int(step) + 3)
         poses, velocity, turn = self._vehicles(step)

@@ -74,13 +74,7 @@ def _person(
     ax = np.array([np.sin(lean), 0.0, np.cos(lean)])
     angles = 2 * np.pi * np.arange(8) / 8
     sections = []
-    profile = [
-        (-0.08, 0.11, 0.16),
-        (0.12, 0.11, 0.15),
-        (0.38, 0.125, 0.19),
-        (0.52, 0.07, 0.17),
-        (0.56, 0.05, 0.06),
-    ]
+    profile = [(-0.08, 0.11, 0.16), (0.12, 0.11, 0.15), (0.38, 0.125, 0.19), (0.52, 0.07, 0.17), (0.56, 0.05, 0.06)]
     for up, depth, width in profile:
         ring = np.stack([depth * np.cos(angles), width * np.sin(angles), 0 * angles], axis=1) * build * k
         sections.append(ring + up * k * ax)
@@ -116,9 +110,7 @@ def walking(rng: Generator, *, grown: bool = True) -> list[Body]:
         mesh = _person(height, build, wear, thighs=(left, right), knees=knees, arms=arms, elbows=elbows)
         bodies.append(
             centered(
-                "pedestrian",
-                merge([mesh, *_carried(extra, height, float(mesh.vertices[:, 2].min()))]),
-                (0.1, -0.1),
+                "pedestrian", merge([mesh, *_carried(extra, height, float(mesh.vertices[:, 2].min()))]), (0.1, -0.1)
             )
         )
     return bodies
@@ -135,10 +127,7 @@ def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
         outline = [(0.5, 0.75), (1.1, 0.6), (1.05, 0.3), (0.6, 0.35)]
         sides = [[(x, y, ground + z) for x, z in outline] for y in (-0.2, 0.2)]
         seat = loft(sides, M.CLOTH_DARK, caps=M.CLOTH_DARK)
-        bars = [
-            cylinder((0.42, y, 0.1), (0.7, y, ground + 0.35), 0.015, M.METAL_POLE, sides=4)
-            for y in (-0.22, 0.22)
-        ]
+        bars = [cylinder((0.42, y, 0.1), (0.7, y, ground + 0.35), 0.015, M.METAL_POLE, sides=4) for y in (-0.22, 0.22)]
         return [*wheels, seat, *bars]
     if extra == 1:
         grip, top = np.array([0.32, -0.25, 0.3]), np.array([0.2, -0.15, 0.25 + 0.55 * height])
@@ -154,19 +143,10 @@ def _carried(extra: int, height: float, ground: float) -> list[Mesh]:
 def standing(rng: Generator) -> Body:
     """Make a person who stands: arms hanging, on the hips or before the chest."""
     height, build = float(np.clip(rng.normal(1.72, 0.08), 1.5, 2.0)), float(rng.uniform(0.88, 1.25))
-    arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][
-        rng.integers(3)
-    ]
+    arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][rng.integers(3)]
     stance = float(rng.uniform(0.0, 0.12))
     mesh = _person(
-        height,
-        build,
-        clothes(rng),
-        thighs=(0.05, -0.05),
-        knees=(0.05, 0.05),
-        arms=arms,
-        elbows=elbows,
-        spread=stance,
+        height, build, clothes(rng), thighs=(0.05, -0.05), knees=(0.05, 0.05), arms=arms, elbows=elbows, spread=stance
     )
     return centered("pedestrian", mesh, (0.1, -0.1))
 
@@ -191,9 +171,7 @@ def bicycle(rng: Generator) -> Body:
     turn = float(rng.uniform(0, 2 * np.pi))
     thighs = (0.85 + 0.42 * np.sin(turn), 0.85 - 0.42 * np.sin(turn))
     knees = (0.95 + 0.35 * np.sin(turn + 0.6), 0.95 - 0.35 * np.sin(turn + 0.6))
-    rider = _person(
-        height, build, wear, thighs=thighs, knees=knees, arms=(1.05, 1.05), elbows=(0.15, 0.15), lean=0.45
-    )
+    rider = _person(height, build, wear, thighs=thighs, knees=knees, arms=(1.05, 1.05), elbows=(0.15, 0.15), lean=0.45)
     rider = rider._replace(vertices=(rider.vertices + hips).astype(np.float32))
     axle, head, crank, saddle = (0.54, 0, r), (0.36, 0, 0.9), (-0.05, 0, 0.3), (-0.24, 0, 0.88 * k)
     rear = (-0.52, 0, r)
@@ -228,10 +206,7 @@ def motorcycle(rng: Generator, paint: M) -> Body:
         box((-0.9, -0.08, 0.78), (-0.86, 0.08, 0.86), M.LAMP),
         box((-0.93, -0.1, 0.55), (-0.91, 0.1, 0.68), M.PLATE),
         cylinder((0.45, -0.36, 1.08), (0.45, 0.36, 1.08), 0.025, M.METAL_POLE, sides=4),
-        *[
-            cylinder((0.48, y, 1.0), (0.72, y, r), 0.035, M.METAL_POLE, sides=4, caps=False)
-            for y in (-0.1, 0.1)
-        ],
+        *[cylinder((0.48, y, 1.0), (0.72, y, r), 0.035, M.METAL_POLE, sides=4, caps=False) for y in (-0.1, 0.1)],
         rider,
     ]
     return centered("motorcycle", merge(parts), (0.72, -0.7))

@@ -44,11 +44,7 @@ def _chain_end(t: LaneTable, d: Drivers, i, k):
                 return k
             k += 1
         space = d.start[i, k + 1] - d.start[i, k]
-        if (
-            space > d.length[i] + GAP + 1.0
-            or not t.guarded[d.route[i, k + 1]]
-            or k + AHEAD > d.route.shape[1]
-        ):
+        if space > d.length[i] + GAP + 1.0 or not t.guarded[d.route[i, k + 1]] or k + AHEAD > d.route.shape[1]:
             return k - 1
         k += 1
 
