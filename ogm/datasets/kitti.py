@@ -33,48 +33,45 @@ def kitti_object(path: Path) -> Layout | None:
     scans = scan_paths(path / "velodyne")
     if not scans or not (path / "calib").is_dir() or (path / "label_02").is_dir():
         return None
-    folders = [(path / "label_2", "label"), (path / "calib", "calibration")]
-    labelled = folders[0][0].is_dir()
-    for folder, what in folders if labelled else []:
-        for one in scans:
-            if not (folder / f"{scan_name(one)}.txt").is_file():
-                raise OgmError(
-                    f"scan {one.name} has no {what} {folder / scan_name(one)}.txt: add it, or move the scan elsewhere"
-                )
-
-    def boxes(n: int) -> Boxes:
-        name = f"{scan_name(scans[n])}.txt"
-        return read_kitti_objects(path / "label_2" / name, read_calibration(path / "calib" / name))
-
+    labelled = (path / "label_2").is_dir()
+    labels = [_beside(one, path / "label_2", "label") for one in scans if labelled]
+    calibrations = [_beside(one, path / "calib", "calibration") for one in scans if labelled]
     return Layout(
         "KITTI object recordings",
         tuple(FrameRef(scan_name(one)) for one in scans),
         lambda n: RawFrame(read_scan(scans[n])),
         _BOXES,
-        boxes if labelled else None,
+        (lambda n: read_kitti_objects(labels[n], read_calibration(calibrations[n]))) if labelled else None,
         ego_footprint=KITTI_EGO,
         view=FRONT,
     )
 
 
+def _beside(scan: Path, folder: Path, what: str, ending: str = ".txt") -> Path:
+    """Return the file of a folder that has the name of a scan."""
+    path = folder / f"{scan_name(scan)}{ending}"
+    if not path.is_file():
+        raise OgmError(f"scan {scan.name} has no {what} {path}: add it, or move the scan elsewhere")
+    return path
+
+
 def kitti_tracking(path: Path) -> Layout | None:
     """Find ``velodyne/0000/``, ``label_02/0000.txt`` and ``calib/0000.txt``: one drive per number."""
     labels = sorted((path / "label_02").glob("*.txt")) if (path / "velodyne").is_dir() else []
-    drives = [(one, scan_paths(path / "velodyne" / one.stem)) for one in labels]
-    drives = [(one, scans) for one, scans in drives if scans]
-    if not drives:
+    frames: list[FrameRef] = []
+    files: list[tuple[Path, Path]] = []
+    for label in labels:
+        scans = scan_paths(path / "velodyne" / label.stem)
+        names = [scan_name(one) for one in scans]
+        frames += sequence_of(label.stem, names, poses_of([path / "poses" / label.name], names))
+        files += [(label, scan) for scan in scans]
+    if not files:
         return None
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
         return read_kitti_tracks(label, read_calibration(path / "calib" / label.name))
 
-    frames: list[FrameRef] = []
-    files: list[tuple[Path, Path]] = []
-    for label, scans in drives:
-        names = [scan_name(one) for one in scans]
-        frames += sequence_of(label.stem, names, poses_of([path / "poses" / label.name], names))
-        files += [(label, scan) for scan in scans]
     return Layout(
         "KITTI tracking recordings",
         tuple(frames),
@@ -144,7 +141,7 @@ def _calibration(path: Path) -> NDArray[np.float64]:
 def kitti_odometry(path: Path) -> Layout | None:
     """Find KITTI odometry: one sequence or all under ``sequences/``, with SemanticKITTI's classes or poses alone."""
     inside = sorted(path.glob("sequences/*/velodyne")) or sorted(path.glob("[0-9][0-9]/velodyne"))
-    folders = [one.parent for one in inside] or ([path] if (path / "velodyne").is_dir() else [])
+    folders = [one.parent for one in inside or sorted(path.glob("velodyne/"))]
     labelled = [one for one in folders if (one / "labels").is_dir()]
     folders = labelled or folders
     frames: list[FrameRef] = []
@@ -159,11 +156,7 @@ def kitti_odometry(path: Path) -> Layout | None:
             raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
         poses = poses_of([*pose_files(folder), more], names, T_camera_sensor=T)
         frames += sequence_of(folder.name, names, poses, times)
-        for one in scans:
-            label = folder / "labels" / f"{scan_name(one)}.label" if labelled else None
-            if label is not None and not label.is_file():
-                raise OgmError(f"scan {one} has no labels {label}: add them, or move the scan elsewhere")
-            files.append((one, label))
+        files += [(one, _beside(one, folder / "labels", "label", ".label") if labelled else None) for one in scans]
     if not files:
         return None
 

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from ogm.datasets.layout import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
@@ -112,23 +113,13 @@ class RecordedTruth:
     def _there(self) -> tuple[str, ...]:
         layout = self.layout
         posed = [frame.sequence for frame in layout.frames if frame.T_map_sensor is not None]
-        there = {
-            "boxes": layout.boxes is not None,
-            "classes": layout.classes,
-            "map": layout.hd_map is not None,
-            "aggregated": len(posed) > len(set(posed)),
-        }
-        return tuple(name for name in SOURCES if there[name])
+        there = layout.boxes is not None, layout.classes, layout.hd_map is not None, len(posed) > len(set(posed))
+        return tuple(name for name, is_there in zip(SOURCES, there, strict=True) if is_there)
 
     def _make(self, n: int) -> Truth:
-        parts = []
+        makers = {"classes": self._from_classes, "map": self._from_map, "aggregated": self._from_neighbours}
+        parts = [makers[one](n) for one in self.sources if one in makers]
         labelled, boxes, uncertain = self.reader.boxes(n), None, None
-        if "classes" in self.sources:
-            parts.append(self._from_classes(n))
-        if "map" in self.sources:
-            parts.append(self._from_map(n))
-        if "aggregated" in self.sources:
-            parts.append(self._from_neighbours(n))
         if "boxes" in self.sources and labelled is not None:
             returns = count_returns(self.reader.scan(n).points, labelled, above_bottom=_ABOVE_BOTTOM)
             boxes = truth_from_boxes(labelled, returns, TRUTH_SPEC)
@@ -147,8 +138,7 @@ class RecordedTruth:
 
     def _from_map(self, n: int) -> Truth:
         """Return the free road. Where the map has no ground, it is taken to be as low as under the vehicle."""
-        if self.layout.hd_map is None:
-            raise ValueError(f"{self.reader.path} has no map")
+        assert self.layout.hd_map is not None
         hd_map, raw = self.layout.hd_map(n), self.reader.raw(n)
         low = -self.reader.height(n)
         x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
@@ -225,8 +215,6 @@ class RecordedTruth:
 
 def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return the cells that lie near points."""
-    from scipy.ndimage import binary_dilation
-
     result = np.zeros(TRUTH_SPEC.shape, bool)
     inside = TRUTH_SPEC.contains(points[:, 0], points[:, 1])
     result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
