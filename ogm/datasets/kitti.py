@@ -6,18 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm import io
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
 from ogm.files import OgmError
-from ogm.io import (
-    SEMANTIC_KITTI_MOVING,
-    read_calibration,
-    read_kitti_objects,
-    read_kitti_stamps,
-    read_kitti_tracks,
-    read_scan,
-    read_semantic_kitti,
-)
 from ogm.scan import Boxes, Scan
 
 __all__ = ["kitti_object", "kitti_odometry", "kitti_raw", "kitti_tracking"]
@@ -39,9 +31,9 @@ def kitti_object(path: Path) -> Layout | None:
     return Layout(
         "KITTI object recordings",
         tuple(FrameRef(scan_name(one)) for one in scans),
-        lambda n: RawFrame(read_scan(scans[n])),
+        lambda n: RawFrame(io.read_scan(scans[n])),
         _BOXES,
-        (lambda n: read_kitti_objects(labels[n], read_calibration(calibrations[n]))) if labelled else None,
+        (lambda n: io.read_kitti_objects(labels[n], io.read_calibration(calibrations[n]))) if labelled else None,
         ego_footprint=KITTI_EGO,
         view=FRONT,
     )
@@ -70,12 +62,12 @@ def kitti_tracking(path: Path) -> Layout | None:
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
-        return read_kitti_tracks(label, read_calibration(path / "calib" / label.name))
+        return io.read_kitti_tracks(label, io.read_calibration(path / "calib" / label.name))
 
     return Layout(
         "KITTI tracking recordings",
         tuple(frames),
-        lambda n: RawFrame(read_scan(files[n][1])),
+        lambda n: RawFrame(io.read_scan(files[n][1])),
         _TRACKS,
         lambda n: tracks(files[n][0]).get(int(scan_name(files[n][1])), Boxes.empty()),
         ego_footprint=KITTI_EGO,
@@ -99,7 +91,7 @@ def kitti_raw(path: Path) -> Layout | None:
         raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
     stamps = None
     if (raw / "timestamps.txt").is_file():
-        times = read_kitti_stamps(raw / "timestamps.txt")
+        times = io.read_kitti_stamps(raw / "timestamps.txt")
         beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
         if beyond:
             raise OgmError(
@@ -110,12 +102,12 @@ def kitti_raw(path: Path) -> Layout | None:
 
     @lru_cache(1)
     def tracks() -> dict[int, Boxes]:
-        return read_kitti_tracks(labels[0], _calibration(path))
+        return io.read_kitti_tracks(labels[0], _calibration(path))
 
     return Layout(
         "KITTI raw drive",
         sequence_of(path.name, names, poses_of(pose_files(path), names), stamps),
-        lambda n: RawFrame(read_scan(scans[n])),
+        lambda n: RawFrame(io.read_scan(scans[n])),
         _TRACKS,
         (lambda n: tracks().get(int(names[n]), Boxes.empty())) if labels else None,
         ego_footprint=KITTI_EGO,
@@ -128,10 +120,10 @@ def _calibration(path: Path) -> NDArray[np.float64]:
     """Find a calibration in the folder of a drive, or in that of its day."""
     for folder in (path, path.parent):
         if (folder / "calib_velo_to_cam.txt").is_file():
-            return read_calibration(folder)
+            return io.read_calibration(folder)
         files = sorted(folder.glob("calib*.txt"))
         if len(files) == 1:
-            return read_calibration(files[0])
+            return io.read_calibration(files[0])
     raise OgmError(
         f"{path} has boxes but no calibration, without which their places are unknown: wanted one calib*.txt with "
         "Tr_velo_to_cam and R0_rect, or calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or above it"
@@ -150,8 +142,8 @@ def kitti_odometry(path: Path) -> Layout | None:
         scans = scan_paths(folder / "velodyne")
         names = [scan_name(one) for one in scans]
         calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
-        T = read_calibration(calib) if calib.is_file() else None
-        times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
+        T = io.read_calibration(calib) if calib.is_file() else None
+        times = io.read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
         if times is not None and len(times) != len(scans):
             raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
         poses = poses_of([*pose_files(folder), more], names, T_camera_sensor=T)
@@ -163,9 +155,9 @@ def kitti_odometry(path: Path) -> Layout | None:
     def read(n: int) -> RawFrame:
         scan, label = files[n]
         if label is None:
-            return RawFrame(read_scan(scan))
-        found = read_semantic_kitti(scan, label)
-        moving = np.isin(found.classes, list(SEMANTIC_KITTI_MOVING))
+            return RawFrame(io.read_scan(scan))
+        found = io.read_semantic_kitti(scan, label)
+        moving = np.isin(found.classes, list(io.SEMANTIC_KITTI_MOVING))
         return RawFrame(Scan(found.points), kinds_of(found), moving)
 
     name = "SemanticKITTI" if labelled else "KITTI odometry"

@@ -164,10 +164,8 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
         )
     has = rows >= 0
     placed = np.where(has[:, None, None], poses.poses[rows], np.nan)
-    if poses.stamps is not None:
-        stamps = np.where(has, poses.stamps[rows], np.nan)
-    else:
-        stamps = _stamps(dataset, rate, progress)
+    given = poses.stamps
+    stamps = _stamps(dataset, rate, progress) if given is None else np.where(has, given[rows], np.nan)
     known = np.isfinite(stamps) & has
     t, first = np.unique(stamps[known], return_index=True)
     if not len(t):

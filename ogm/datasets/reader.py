@@ -76,16 +76,17 @@ class FrameReader:
         """Return the median over some scans: the vehicle stays the same."""
         if self._given_height is not None:
             return self._given_height
-        members = self.groups[group]
-        chosen = np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int))
-        known = self.layout.sensor_height or (lambda k: estimate_sensor_height(self.layout.read(k).scan.points))
-        found, failed = [], ""
-        for k in chosen:
+        members, layout = self.groups[group], self.layout
+        heights, failed = [], ""
+        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+            n, known = members[k], layout.sensor_height
             try:
-                found.append(known(members[k]))
+                height = known(n) if known else estimate_sensor_height(layout.read(n).scan.points)
             except _UNREADABLE as error:
                 failed = f" ({error})"
-        heights = [one for one in found if one is not None]
+                continue
+            if height is not None:
+                heights.append(height)
         if not heights:
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "

@@ -167,12 +167,10 @@ def test_a_single_file_opens(written):
 
 
 def test_opening_reads_no_scan(written, fresh, monkeypatch):
-    import ogm.datasets.kitti as module
-
     def refuse(*args, **kwargs):
         raise AssertionError("a scan was read")
 
-    monkeypatch.setattr(module, "read_scan", refuse)
+    monkeypatch.setattr("ogm.io.read_scan", refuse)
     dataset = open_dataset(written("kitti raw"))
     frames = [(frame.name, frame.stamp) for frame in dataset]
     assert frames[2][0] == "0000000002"
