@@ -45,7 +45,7 @@ def with_poses(
     calibration : path, optional
         KITTI's calib.txt, where the poses are those of its camera.
     rate : float
-        Scans per second [1/s], where neither scans nor poses have stamps.
+        Rate of the scans [1/s], where neither scans nor poses have stamps.
     progress : function
         Iterates over numbers, and may draw how far the reading of stamps is, as ``rich.progress.track`` does.
 
@@ -70,14 +70,14 @@ def with_poses(
 def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
     """Return a data set with poses that are estimated from its scans alone; its frames are one sequence.
 
-    Scans that cannot be read, or have too few points between 2.5 and 100 m, get no pose.
+    A scan that cannot be read, or has too few points between 2.5 and 100 m, gets no pose.
 
     Parameters
     ----------
     dataset : Dataset
     method : {"kiss-icp", "small-gicp"}
     rate : float
-        Scans per second [1/s], where the scans have no stamps.
+        Rate of the scans [1/s], where the scans have no stamps.
     progress : function
         Iterates over the numbers of the frames, and may draw how far it is, as ``rich.progress.track`` does.
 

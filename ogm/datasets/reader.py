@@ -1,4 +1,4 @@
-"""Scans and mounts of a data set, read when they are asked for; the last scans are kept."""
+"""A data set's scans and mounts, read on demand; the last scans are kept."""
 
 from functools import lru_cache
 from pathlib import Path
