@@ -9,7 +9,6 @@ from ogm.datasets.layout import FrameRef, HdMap, Layout, RawFrame
 from ogm.files import OgmError
 from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
 from ogm.pose import pose
-from ogm.scan import Boxes
 
 __all__ = ["argoverse2"]
 
@@ -31,7 +30,7 @@ def argoverse2(path: Path) -> Layout | None:
             f"{path} does not state where its upper lidar is mounted: wanted calibration/egovehicle_SE3_sensor.feather "
             "with up_lidar; that of another log of the data set will do, for the cars are alike"
         )
-    origin = log.lidars["up_lidar"]
+    origin, city = log.lidars["up_lidar"], log.map
     poses = [log.poses[stamp] @ pose(*origin) for stamp in log.stamps]
 
     def read(n: int) -> RawFrame:
@@ -42,13 +41,8 @@ def argoverse2(path: Path) -> Layout | None:
         upper = replace(sweep, points=every).select(sweep.ring < _UPPER)
         return RawFrame(upper, all_points=every)
 
-    def boxes(n: int) -> Boxes:
-        return log.boxes(n).moved(pose(*-origin))
-
     def hd_map(n: int) -> HdMap:
-        city = log.map
-        if city is None:
-            raise OgmError(f"{path} has no map")
+        assert city is not None
         return HdMap(city.outlines(poses[n]), lambda xyz: city.ground(xyz, poses[n]))
 
     def height(n: int) -> float:
@@ -62,8 +56,8 @@ def argoverse2(path: Path) -> Layout | None:
         tuple(FrameRef(str(stamp), path.name, stamp * 1e-9, T) for stamp, T in rows),
         read,
         "boxes (annotations.feather), or a map (map/)",
-        None if log.annotations is None else boxes,
-        None if log.map is None else hd_map,
+        None if log.annotations is None else (lambda n: log.boxes(n).moved(pose(*-origin))),
+        None if city is None else hd_map,
         view="seen from the upper lidar",
         sensor_height=height,
         stamped=True,

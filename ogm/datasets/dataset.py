@@ -78,25 +78,21 @@ class Dataset(Sequence[Frame]):
         layout: Layout,
         options: Mapping[str, Any],
         numbers: Sequence[int] | None = None,
-        facts: Mapping[str, Any] | None = None,
         trajectory: Trajectory | None = None,
     ) -> None:
         path = Path(options["path"][0])
+        self.layout, self._options, self.trajectory = layout, options, trajectory
         self.reader = FrameReader(layout, path, options["sensor_height"], options["sensor_position"])
         self._truth: Callable[[int], Truth]
         if layout.truth is not None:
             self._truth, self.description = layout.truth, layout.description
         else:
-            self._truth = RecordedTruth(self.reader, options["truth"], options["others"])
-            self.description = self._truth.description
-        self.layout, self._options = layout, options
+            self._truth = made = RecordedTruth(self.reader, options["truth"], options["others"])
+            self.description = made.description
         self._numbers = tuple(range(len(layout.frames)) if numbers is None else numbers)
-        self._more_facts, self.trajectory = dict(facts or {}), trajectory
         self.name = layout.name or path.name or path.resolve().name or str(path)
         self.format, self.motion_distorted = layout.format, layout.motion_distorted
-        self.files = layout.files or (path,)
-        stated = layout.facts or {"format": layout.format, "frames": len(layout.frames)}
-        self.facts: dict[str, Any] = {**stated, **self._more_facts}
+        self.files, self.facts = layout.files or (path,), dict(layout.facts)
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -111,23 +107,14 @@ class Dataset(Sequence[Frame]):
             return self.select(range(*n.indices(len(self))))
         k = self._numbers[n]
         ref, reader = self.layout.frames[k], self.reader
-        return Frame(
-            partial(reader.scan, k),
-            partial(reader.mount, k),
-            partial(reader.boxes, k),
-            partial(self._truth, k),
-            T_map_sensor=ref.T_map_sensor,
-            stamp=ref.stamp,
-            name=ref.name,
-            sequence=ref.sequence,
-        )
+        scan, mount, boxes = partial(reader.scan, k), partial(reader.mount, k), partial(reader.boxes, k)
+        return Frame(scan, mount, boxes, partial(self._truth, k), **ref._asdict())
 
     def __repr__(self) -> str:
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        more = self._numbers, self._more_facts, self.trajectory
-        return _reopened, (self._options, self.layout.frames, *more)
+        return _reopened, (self._options, self.layout.frames, self.facts, self._numbers, self.trajectory)
 
     def select(self, numbers: Iterable[int]) -> "Dataset":
         """Return the data set of some frames, by their numbers in this one; they share what was read."""
@@ -178,14 +165,14 @@ class Dataset(Sequence[Frame]):
         trajectory : Trajectory
         """
         frames = [one._replace(T_map_sensor=None) for one in self.layout.frames]
-        names = list({ref.sequence for ref in self.refs})
-        sequence = (names[0] if len(names) == 1 else "") or self.name
+        names = {ref.sequence for ref in self.refs}
+        sequence = (names.pop() if len(names) == 1 else "") or self.name
         known = np.isfinite(stamps) & np.isfinite(poses).all(axis=(1, 2))
         for n, k in enumerate(self._numbers):
             place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
-        layout = replace(self.layout, frames=tuple(frames))
-        return Dataset(layout, self._options, self._numbers, {**self._more_facts, **facts}, trajectory)
+        layout = replace(self.layout, frames=tuple(frames), facts={**self.facts, **facts})
+        return Dataset(layout, self._options, self._numbers, trajectory)
 
 
 def open_dataset(
@@ -250,7 +237,8 @@ def open_dataset(
     if not given:
         raise ValueError("there is no path to open: give files of scans, or a folder")
     options = {
-        **{"path": given, "axes": axes, "intensity_max": intensity_max, "time_unit": time_unit},
+        "path": given,
+        "reading": {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit},
         **{"sensor_height": sensor_height, "sensor_position": sensor_position, "split": split},
         **{"truth": (truth,) if isinstance(truth, str) else tuple(truth), "others": others, "spec": spec},
     }
@@ -261,51 +249,42 @@ def _opened(options: Mapping[str, Any]) -> Layout:
     """Return the layout of a data set by the options of `open_dataset`."""
     if options["others"] not in _OTHERS:
         raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {options['others']!r}")
-    paths = [Path(one) for one in options["path"]]
-    reading = {name: options[name] for name in ("axes", "intensity_max", "time_unit")}
-    layout = _layout(paths, options["split"], options["others"], options["spec"], reading)
+    paths, reading = [Path(one) for one in options["path"]], options["reading"]
+    path, layout = paths[0], _layout(paths, options)
     if layout is None:
         grids = "it holds grids: give spec, their cells, to open them"
         raise OgmError(
-            f"{paths[0]} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
-            + (grids if grid_files(paths[0]) else f"known are: {_KNOWN}")
+            f"{path} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
+            + (grids if grid_files(path) else f"known are: {_KNOWN}")
         )
-    turned = not np.array_equal(rotation_to_flu(options["axes"]), np.eye(3))
-    if layout.known_axes and (turned or options["intensity_max"] or options["time_unit"]):
+    turned = not np.array_equal(rotation_to_flu(reading["axes"]), np.eye(3))
+    if layout.known_axes and (turned or reading["intensity_max"] or reading["time_unit"]):
         raise ValueError(
-            f"{paths[0]} ({layout.format}) has known axes and units; leave out axes, intensity_max and time_unit "
+            f"{path} ({layout.format}) has known axes and units; leave out axes, intensity_max and time_unit "
             "(--axes, --intensity-max, --time-unit), or give its scans as files"
         )
     if layout.truth is not None and options["truth"]:
         raise ValueError(
-            f"truth (--truth) is for recordings; {paths[0]} ({layout.format}) holds its truth itself: leave it out"
+            f"truth (--truth) is for recordings; {path} ({layout.format}) holds its truth itself: leave it out"
         )
-    return replace(layout, frames=_named_apart(layout.frames))
+    facts = layout.facts or {"format": layout.format, "frames": len(layout.frames)}
+    return replace(layout, frames=_named_apart(layout.frames), facts=facts)
 
 
-def _layout(
-    paths: Sequence[Path], split: str | None, others: str, spec: GridSpec | None, reading: Mapping[str, Any]
-) -> Layout | None:
+def _layout(paths: Sequence[Path], options: Mapping[str, Any]) -> Layout | None:
     """Return what the first layout that knows the paths makes of them."""
-    path = paths[0]
+    path, spec = paths[0], options["spec"]
     if len(paths) == 1 and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
     if len(paths) == 1 and (path / "zarr.json").exists():
-        return simulated(path, split, others)
-    if split is not None:
+        return simulated(path, options["split"], options["others"])
+    if options["split"] is not None:
         raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
-    if len(paths) > 1:
-        return scans(paths, **reading)
-    grids = {} if spec is None else grid_files(path)
-    try:
-        layout = next((one for find in _LAYOUTS if (one := find(path)) is not None), None)
-    except ValueError:
-        if not grids:  # else arrays that state nothing of themselves, or a damaged recording
-            raise
-        layout = None
-    if layout is not None:
-        return layout
-    return truth_grids(path, spec) if spec is not None and grids else scans(paths, **reading)
+    found = (find(path) for find in _LAYOUTS) if len(paths) == 1 else ()
+    layout = next((one for one in found if one is not None), None)
+    if layout is None and len(paths) == 1 and spec is not None and grid_files(path):
+        return truth_grids(path, spec)
+    return layout or scans(paths, **options["reading"])
 
 
 def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
@@ -316,6 +295,8 @@ def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:
     )
 
 
-def _reopened(options: Mapping[str, Any], frames: tuple[FrameRef, ...], *more: Any) -> Dataset:
+def _reopened(
+    options: Mapping[str, Any], frames: tuple[FrameRef, ...], facts: Mapping[str, Any], *more: Any
+) -> Dataset:
     """Open a pickled data set again, with its poses."""
-    return Dataset(replace(_opened(options), frames=frames), options, *more)
+    return Dataset(replace(_opened(options), frames=frames, facts=facts), options, *more)

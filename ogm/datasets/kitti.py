@@ -6,18 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm import io
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
 from ogm.files import OgmError
-from ogm.io import (
-    SEMANTIC_KITTI_MOVING,
-    read_calibration,
-    read_kitti_objects,
-    read_kitti_stamps,
-    read_kitti_tracks,
-    read_scan,
-    read_semantic_kitti,
-)
 from ogm.scan import Boxes, Scan
 
 __all__ = ["kitti_object", "kitti_odometry", "kitti_raw", "kitti_tracking"]
@@ -33,52 +25,49 @@ def kitti_object(path: Path) -> Layout | None:
     scans = scan_paths(path / "velodyne")
     if not scans or not (path / "calib").is_dir() or (path / "label_02").is_dir():
         return None
-    folders = [(path / "label_2", "label"), (path / "calib", "calibration")]
-    labelled = folders[0][0].is_dir()
-    for folder, what in folders if labelled else []:
-        for one in scans:
-            if not (folder / f"{scan_name(one)}.txt").is_file():
-                raise OgmError(
-                    f"scan {one.name} has no {what} {folder / scan_name(one)}.txt: add it, or move the scan elsewhere"
-                )
-
-    def boxes(n: int) -> Boxes:
-        name = f"{scan_name(scans[n])}.txt"
-        return read_kitti_objects(path / "label_2" / name, read_calibration(path / "calib" / name))
-
+    labelled = (path / "label_2").is_dir()
+    labels = [_beside(one, path / "label_2", "label") for one in scans if labelled]
+    calibrations = [_beside(one, path / "calib", "calibration") for one in scans if labelled]
     return Layout(
         "KITTI object recordings",
         tuple(FrameRef(scan_name(one)) for one in scans),
-        lambda n: RawFrame(read_scan(scans[n])),
+        lambda n: RawFrame(io.read_scan(scans[n])),
         _BOXES,
-        boxes if labelled else None,
+        (lambda n: io.read_kitti_objects(labels[n], io.read_calibration(calibrations[n]))) if labelled else None,
         ego_footprint=KITTI_EGO,
         view=FRONT,
     )
 
 
+def _beside(scan: Path, folder: Path, what: str, ending: str = ".txt") -> Path:
+    """Return the file of a folder that has the name of a scan."""
+    path = folder / f"{scan_name(scan)}{ending}"
+    if not path.is_file():
+        raise OgmError(f"scan {scan.name} has no {what} {path}: add it, or move the scan elsewhere")
+    return path
+
+
 def kitti_tracking(path: Path) -> Layout | None:
     """Find ``velodyne/0000/``, ``label_02/0000.txt`` and ``calib/0000.txt``: one drive per number."""
     labels = sorted((path / "label_02").glob("*.txt")) if (path / "velodyne").is_dir() else []
-    drives = [(one, scan_paths(path / "velodyne" / one.stem)) for one in labels]
-    drives = [(one, scans) for one, scans in drives if scans]
-    if not drives:
+    frames: list[FrameRef] = []
+    files: list[tuple[Path, Path]] = []
+    for label in labels:
+        scans = scan_paths(path / "velodyne" / label.stem)
+        names = [scan_name(one) for one in scans]
+        frames += sequence_of(label.stem, names, poses_of([path / "poses" / label.name], names))
+        files += [(label, scan) for scan in scans]
+    if not files:
         return None
 
     @lru_cache(8)
     def tracks(label: Path) -> dict[int, Boxes]:
-        return read_kitti_tracks(label, read_calibration(path / "calib" / label.name))
+        return io.read_kitti_tracks(label, io.read_calibration(path / "calib" / label.name))
 
-    frames: list[FrameRef] = []
-    files: list[tuple[Path, Path]] = []
-    for label, scans in drives:
-        names = [scan_name(one) for one in scans]
-        frames += sequence_of(label.stem, names, poses_of([path / "poses" / label.name], names))
-        files += [(label, scan) for scan in scans]
     return Layout(
         "KITTI tracking recordings",
         tuple(frames),
-        lambda n: RawFrame(read_scan(files[n][1])),
+        lambda n: RawFrame(io.read_scan(files[n][1])),
         _TRACKS,
         lambda n: tracks(files[n][0]).get(int(scan_name(files[n][1])), Boxes.empty()),
         ego_footprint=KITTI_EGO,
@@ -102,7 +91,7 @@ def kitti_raw(path: Path) -> Layout | None:
         raise OgmError(f"scans of {path} must be named by their numbers, as their labels are; got {names[0]}")
     stamps = None
     if (raw / "timestamps.txt").is_file():
-        times = read_kitti_stamps(raw / "timestamps.txt")
+        times = io.read_kitti_stamps(raw / "timestamps.txt")
         beyond = [name for name in names if not name.isdigit() or int(name) >= len(times)]
         if beyond:
             raise OgmError(
@@ -113,12 +102,12 @@ def kitti_raw(path: Path) -> Layout | None:
 
     @lru_cache(1)
     def tracks() -> dict[int, Boxes]:
-        return read_kitti_tracks(labels[0], _calibration(path))
+        return io.read_kitti_tracks(labels[0], _calibration(path))
 
     return Layout(
         "KITTI raw drive",
         sequence_of(path.name, names, poses_of(pose_files(path), names), stamps),
-        lambda n: RawFrame(read_scan(scans[n])),
+        lambda n: RawFrame(io.read_scan(scans[n])),
         _TRACKS,
         (lambda n: tracks().get(int(names[n]), Boxes.empty())) if labels else None,
         ego_footprint=KITTI_EGO,
@@ -131,10 +120,10 @@ def _calibration(path: Path) -> NDArray[np.float64]:
     """Find a calibration in the folder of a drive, or in that of its day."""
     for folder in (path, path.parent):
         if (folder / "calib_velo_to_cam.txt").is_file():
-            return read_calibration(folder)
+            return io.read_calibration(folder)
         files = sorted(folder.glob("calib*.txt"))
         if len(files) == 1:
-            return read_calibration(files[0])
+            return io.read_calibration(files[0])
     raise OgmError(
         f"{path} has boxes but no calibration, without which their places are unknown: wanted one calib*.txt with "
         "Tr_velo_to_cam and R0_rect, or calib_velo_to_cam.txt and calib_cam_to_cam.txt, in the folder or above it"
@@ -144,7 +133,7 @@ def _calibration(path: Path) -> NDArray[np.float64]:
 def kitti_odometry(path: Path) -> Layout | None:
     """Find KITTI odometry: one sequence or all under ``sequences/``, with SemanticKITTI's classes or poses alone."""
     inside = sorted(path.glob("sequences/*/velodyne")) or sorted(path.glob("[0-9][0-9]/velodyne"))
-    folders = [one.parent for one in inside] or ([path] if (path / "velodyne").is_dir() else [])
+    folders = [one.parent for one in inside or sorted(path.glob("velodyne/"))]
     labelled = [one for one in folders if (one / "labels").is_dir()]
     folders = labelled or folders
     frames: list[FrameRef] = []
@@ -153,26 +142,22 @@ def kitti_odometry(path: Path) -> Layout | None:
         scans = scan_paths(folder / "velodyne")
         names = [scan_name(one) for one in scans]
         calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
-        T = read_calibration(calib) if calib.is_file() else None
-        times = read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
+        T = io.read_calibration(calib) if calib.is_file() else None
+        times = io.read_kitti_stamps(folder / "times.txt") if (folder / "times.txt").is_file() else None
         if times is not None and len(times) != len(scans):
             raise OgmError(f"{folder}/times.txt has {len(times)} times, but there are {len(scans)} scans")
         poses = poses_of([*pose_files(folder), more], names, T_camera_sensor=T)
         frames += sequence_of(folder.name, names, poses, times)
-        for one in scans:
-            label = folder / "labels" / f"{scan_name(one)}.label" if labelled else None
-            if label is not None and not label.is_file():
-                raise OgmError(f"scan {one} has no labels {label}: add them, or move the scan elsewhere")
-            files.append((one, label))
+        files += [(one, _beside(one, folder / "labels", "label", ".label") if labelled else None) for one in scans]
     if not files:
         return None
 
     def read(n: int) -> RawFrame:
         scan, label = files[n]
         if label is None:
-            return RawFrame(read_scan(scan))
-        found = read_semantic_kitti(scan, label)
-        moving = np.isin(found.classes, list(SEMANTIC_KITTI_MOVING))
+            return RawFrame(io.read_scan(scan))
+        found = io.read_semantic_kitti(scan, label)
+        moving = np.isin(found.classes, list(io.SEMANTIC_KITTI_MOVING))
         return RawFrame(Scan(found.points), kinds_of(found), moving)
 
     name = "SemanticKITTI" if labelled else "KITTI odometry"

@@ -22,12 +22,8 @@ EGO: Footprint = (-2.5, 2.5, -1.1, 1.1)
 KITTI_EGO: Footprint = (-2.6, 2.6, -1.7, 1.7)  # with the mirrors and what else stands out at the sides
 
 # Classes by what they mean to a car, under the names of all data sets. What is not here is an obstacle.
-_GROUND = ("road", "parking", "sidewalk", "other-ground", "terrain", "lane-marking")
-_KINDS = {
-    **dict.fromkeys(_GROUND, Kind.GROUND),
-    "vegetation": Kind.PLANT,
-    **dict.fromkeys(("unlabeled", "outlier", "none"), Kind.OTHER),
-}
+_KINDS = {"vegetation": Kind.PLANT} | dict.fromkeys(("unlabeled", "outlier", "none"), Kind.OTHER)
+_KINDS |= dict.fromkeys(("road", "parking", "sidewalk", "other-ground", "terrain", "lane-marking"), Kind.GROUND)
 
 
 class FrameRef(NamedTuple):

@@ -12,17 +12,6 @@ from ogm.files import OgmError
 from ogm.io import Axes, read_poses
 from ogm.io.axes import rotation_to_flu
 
-__all__ = [
-    "SCAN_ENDINGS",
-    "clock_stamps",
-    "frame_numbers",
-    "pose_files",
-    "poses_of",
-    "scan_name",
-    "scan_paths",
-    "sequence_of",
-]
-
 SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")
 _PACKED = (".xz", ".gz")
 _LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public data sets
@@ -93,10 +82,8 @@ def sequence_of(
     Without stamps, their names give the time: a clock's, or numbers that count tenths of a second.
     """
     if stamps is None:
-        numbered = all(_is_number(one) for one in names)
-        stamps = clock_stamps(names) or [
-            0.1 * number for number in ([int(one) for one in names] if numbered else range(len(names)))
-        ]
+        counts = [int(one) for one in names] if all(map(_is_number, names)) else range(len(names))
+        stamps = clock_stamps(names) or [0.1 * count for count in counts]
     rows = zip(names, stamps, poses, strict=True)
     return tuple(FrameRef(one, name, float(stamp), T) for one, stamp, T in rows)
 

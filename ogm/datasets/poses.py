@@ -45,7 +45,7 @@ def with_poses(
     calibration : path, optional
         KITTI's calib.txt, where the poses are those of its camera.
     rate : float
-        Scans per second [1/s], where neither scans nor poses have stamps.
+        Rate of the scans [1/s], where neither scans nor poses have stamps.
     progress : function
         Iterates over numbers, and may draw how far the reading of stamps is, as ``rich.progress.track`` does.
 
@@ -70,14 +70,14 @@ def with_poses(
 def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
     """Return a data set with poses that are estimated from its scans alone; its frames are one sequence.
 
-    Scans that cannot be read, or have too few points between 2.5 and 100 m, get no pose.
+    A scan that cannot be read, or has too few points between 2.5 and 100 m, gets no pose.
 
     Parameters
     ----------
     dataset : Dataset
     method : {"kiss-icp", "small-gicp"}
     rate : float
-        Scans per second [1/s], where the scans have no stamps.
+        Rate of the scans [1/s], where the scans have no stamps.
     progress : function
         Iterates over the numbers of the frames, and may draw how far it is, as ``rich.progress.track`` does.
 
@@ -116,14 +116,9 @@ def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0
         while waiting:
             yield waiting.popleft()
 
-    known = odometry(
-        clouds(),
-        (stamps[k] for k in taken),  # grows as the scans are read
-        method,
-        times(),
-        range_min=_RANGE[0],
-        range_max=_RANGE[1],
-    )
+    near, far = _RANGE
+    read = (stamps[k] for k in taken)  # grows as the scans are read
+    known = odometry(clouds(), read, method, times(), range_min=near, range_max=far)
     placed = np.full((len(dataset), 4, 4), np.nan)
     placed[taken] = known.poses
     how = f"{len(taken)} of {len(dataset)} scans, estimated by {method}"
@@ -156,8 +151,8 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
                 f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
                 f"{_span(numbers)}"
             )
-    elif poses.stamps is not None and ((clock := _clock(dataset, 1.0)) is None or dataset.layout.stamped):
-        return _by_stamp(dataset, poses, source, _read_stamps(dataset, progress) if clock is None else clock)
+    elif poses.stamps is not None and (dataset.layout.stamped or _clock(dataset, rate) is None):
+        return _by_stamp(dataset, poses, source, _stamps(dataset, rate, progress))
     elif total == count:
         how, rows = "in their order", np.arange(count)
     elif numbers is not None and poses.stamps is None and numbers[-1] < total:
@@ -168,13 +163,9 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
             "poses with frame numbers (KITTI-360) or stamps (TUM) that the scans have too, or --odometry"
         )
     has = rows >= 0
-    placed, stamps = np.full((count, 4, 4), np.nan), np.full(count, np.nan)
-    placed[has] = poses.poses[rows[has]]
-    if poses.stamps is not None:
-        stamps[has] = poses.stamps[rows[has]]
-    else:
-        clock = _clock(dataset, rate)
-        stamps = _read_stamps(dataset, progress) if clock is None else clock
+    placed = np.where(has[:, None, None], poses.poses[rows], np.nan)
+    given = poses.stamps
+    stamps = _stamps(dataset, rate, progress) if given is None else np.where(has, given[rows], np.nan)
     known = np.isfinite(stamps) & has
     t, first = np.unique(stamps[known], return_index=True)
     if not len(t):
@@ -230,8 +221,11 @@ def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
     return (np.arange(len(refs)) if numbers is None else numbers) / rate
 
 
-def _read_stamps(dataset: Dataset, progress: Progress) -> NDArray[np.float64]:
-    """Return the stamps of the scans [s], NaN where one cannot be read, or has none."""
+def _stamps(dataset: Dataset, rate: float, progress: Progress) -> NDArray[np.float64]:
+    """Return when the scans were taken [s], NaN where one cannot be read, or has no stamp."""
+    clock = _clock(dataset, rate)
+    if clock is not None:
+        return clock
     stamps = np.full(len(dataset), np.nan)
     for k in progress(range(len(dataset))):
         try:

@@ -1,4 +1,4 @@
-"""Scans and mounts of a data set, read when they are asked for; the last scans are kept."""
+"""A data set's scans and mounts, read on demand; the last scans are kept."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -64,10 +64,8 @@ class FrameReader:
         """Return how the sensor of a scan is mounted, above the ground below it."""
         if self.layout.mount is not None:
             return self.layout.mount(n)
-        height = self.height(n)
-        if self.sensor_position is not None:
-            return Mount(height, pose(*self.sensor_position), points_in="vehicle")
-        return Mount(height, pose(z=height))
+        height, place = self.height(n), self.sensor_position
+        return Mount(height, pose(z=height)) if place is None else Mount(height, pose(*place), points_in="vehicle")
 
     def height(self, n: int) -> float:
         """Return the height of the sensor above ground [m]."""
@@ -78,15 +76,17 @@ class FrameReader:
         """Return the median over some scans: the vehicle stays the same."""
         if self._given_height is not None:
             return self._given_height
-        members = self.groups[group]
-        chosen = np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int))
-        found, failed = [], ""
-        for k in chosen:
+        members, layout = self.groups[group], self.layout
+        heights, failed = [], ""
+        for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
+            n, known = members[k], layout.sensor_height
             try:
-                found.append(self._one_height(members[k]))
+                height = known(n) if known else estimate_sensor_height(layout.read(n).scan.points)
             except _UNREADABLE as error:
                 failed = f" ({error})"
-        heights = [one for one in found if one is not None]
+                continue
+            if height is not None:
+                heights.append(height)
         if not heights:
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
@@ -95,22 +95,15 @@ class FrameReader:
         height = float(np.median(heights)) + (self.sensor_position or (0, 0, 0))[2]
         return plausible_sensor_height(height, f"{group} in {self.path}")
 
-    def _one_height(self, n: int) -> float | None:
-        known = self.layout.sensor_height
-        return known(n) if known else estimate_sensor_height(self.layout.read(n).scan.points)
-
     def _read(self, n: int) -> RawFrame:
         """Read a scan without the ego vehicle."""
         raw, box = self.layout.read(n), self.layout.ego_footprint
         if box is None:
             return raw
-        kept = outside(box, raw.scan.points)
-        return RawFrame(
-            raw.scan.select(kept),
-            None if raw.kinds is None else raw.kinds[kept],
-            None if raw.moving is None else raw.moving[kept],
-            None if raw.all_points is None else raw.all_points[outside(box, raw.all_points)],
-        )
+        kept, every = outside(box, raw.scan.points), raw.all_points
+        kinds = None if raw.kinds is None else raw.kinds[kept]
+        moving = None if raw.moving is None else raw.moving[kept]
+        return RawFrame(raw.scan.select(kept), kinds, moving, None if every is None else every[outside(box, every)])
 
 
 def outside(box: Footprint, points: NDArray[np.float32]) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
@@ -44,22 +45,25 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         If there is no such split, or no sample in it.
     """
     store = Store.open(path)
-    found = {name: store[name].finished for name in store.counts if split is None or _is(name, split)}
+    wanted = None if split is None else _SHORT.get(split, split)
+    found = {one: store[one].finished for one in store.counts if wanted in (None, one)}
     name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
     if name is None:
-        raise OgmError(_no_sample(store, path, split))
+        raise OgmError(_no_sample(store, wanted))
     part, numbers = store[name], found[name]
     facts = part.facts[numbers]
-    poses, mounts = (_poses(facts, f"T_{one}_00") for one in ("world_sensor", "vehicle_sensor"))
-    mounts[:, :2, 3] = 0.0  # the grids lie around the sensor
+    poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
+    first = FACTS.index("T_world_sensor_00")
+    poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
+    T_world_sensor, T_vehicle_sensor = poses
+    T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the sensor
     drive = name == "sequences"
-    stamps = facts[:, FACTS.index("stamp")].tolist()
-    frames = tuple(
-        FrameRef(f"sequence {n // SEQUENCE} frame {n % SEQUENCE}", f"sequence {n // SEQUENCE}", stamp, T)
-        if drive
-        else FrameRef(f"{name} {n}", "", None, T)
-        for n, stamp, T in zip(numbers.tolist(), stamps, poses, strict=True)
-    )
+    frames = [FrameRef(f"{name} {n}", T_map_sensor=T) for n, T in zip(numbers, T_world_sensor, strict=True)]
+    if drive:
+        stamps = facts[:, FACTS.index("stamp")].tolist()
+        drives = [f"sequence {n // SEQUENCE}" for n in numbers]
+        names = [f"{one} frame {n % SEQUENCE}" for one, n in zip(drives, numbers, strict=True)]
+        frames = list(map(FrameRef, names, drives, stamps, T_world_sensor))
 
     @lru_cache(2)
     def sample(k: int) -> SimulatedSample:
@@ -77,11 +81,11 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         description += " Maps may know such cells from other frames: they are left out."
     return Layout(
         "simulated data set",
-        frames,
+        tuple(frames),
         lambda k: RawFrame(_scan(sample(k))),
         boxes=lambda k: _boxes(sample(k)),
         ego_footprint=None,
-        mount=lambda k: Mount(mounts[k, 2, 3], mounts[k]),
+        mount=lambda k: Mount(T_vehicle_sensor[k, 2, 3], T_vehicle_sensor[k]),
         truth=truth,
         description=description,
         stamped=drive,
@@ -92,46 +96,38 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     )
 
 
-def _is(name: str, split: str) -> bool:
-    return name == _SHORT.get(split, split)
-
-
-def _no_sample(store: Store, path: Path, split: str | None) -> str:
-    if split is None:
-        return f"{path} has no finished sample; go on with `ogm simulate {path} --resume`"
-    name = _SHORT.get(split, split)
+def _no_sample(store: Store, name: str | None) -> str:
+    """Return why there is no sample of a split, and the way out."""
+    path, resume = store.path, f"go on with `ogm simulate {store.path} --resume`"
+    if name is None:
+        return f"{path} has no finished sample; {resume}"
     begin = f"; `ogm simulate {path} --resume --sequences 1` makes one (100 scans at 10 Hz)"
     way = begin if name == "sequences" else ""
     if name not in store.counts:
-        return f"{path} has no split {split!r}; it has {', '.join(store.counts)}{way}"
-    way = f"; go on with `ogm simulate {path} --resume`" if store.counts[name] else way
-    return f"{path} has no sample of {name}{way}"
-
-
-def _poses(facts: NDArray[np.float64], first: str) -> NDArray[np.float64]:
-    """Return the poses whose numbers begin at a column of `FACTS`, (K, 4, 4)."""
-    poses = np.tile(np.eye(4), (len(facts), 1, 1))
-    poses[:, :3] = facts[:, FACTS.index(first) :][:, :12].reshape(-1, 3, 4)
-    return poses
+        return f"{path} has no split {name!r}; it has {', '.join(store.counts)}{way}"
+    return f"{path} has no sample of {name}{f'; {resume}' if store.counts[name] else way}"
 
 
 def _scan(sample: SimulatedSample) -> Scan:
     """Return a sample's scan; beams of its range image without range are those without echo."""
+    beams, echo = sample.beams, sample.steps > 0
+    layers = len(beams.elevation)
     return Scan(
         sample.points,
         stamp=sample.stamp,
-        time=sample.time.astype(np.float64),
-        ring=sample.ring,
-        no_returns=sample.beams.directions[sample.steps == 0],
+        time=np.tile(beams.times.astype(np.float64), layers).take(np.flatnonzero(echo)),
+        ring=np.repeat(np.arange(layers, dtype=np.uint16), np.count_nonzero(echo, axis=1)),
+        no_returns=beams.directions.reshape(-1, 3).take(np.flatnonzero(~echo), axis=0),
         sensor=sample.lidar,
     )
 
 
 def _boxes(sample: SimulatedSample) -> Boxes:
-    columns = {name: sample.objects[name].astype(np.float64) for name in sample.objects.dtype.names or ()}
-    center, size, velocity = (
-        np.column_stack([columns[name] for name in names])
-        for names in (("x", "y", "z"), ("length", "width", "height"), ("vx", "vy"))
-    )
-    labels, tracks = [LABELS[one] for one in sample.objects["label"]], map(str, sample.objects["track"])
-    return Boxes(center, size, columns["yaw"], velocity, labels, tuple(tracks))
+    objects = sample.objects
+
+    def columns(*names: str) -> NDArray[np.float64]:
+        return structured_to_unstructured(objects[list(names)], np.float64)
+
+    center, size, yaw = columns("x", "y", "z"), columns("length", "width", "height"), columns("yaw")
+    labels, tracks = [LABELS[one] for one in objects["label"]], [str(one) for one in objects["track"]]
+    return Boxes(center, size, yaw, columns("vx", "vy"), labels, tracks)

@@ -5,7 +5,9 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
+from ogm import truth as rules
 from ogm.datasets.layout import EGO
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.reader import FrameReader
@@ -13,24 +15,7 @@ from ogm.files import OgmError
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
-from ogm.truth import (
-    MARGIN,
-    MIN_RETURNS,
-    TRUTH_SPEC,
-    Kind,
-    boxes_over_points,
-    cells_in_areas,
-    cells_in_boxes,
-    cells_in_footprint,
-    combine_truths,
-    count_returns,
-    free_road,
-    ignore_cells,
-    moving_tracks,
-    truth_from_boxes,
-    truth_from_points,
-    truth_from_road,
-)
+from ogm.truth import MARGIN, MIN_RETURNS, TRUTH_SPEC, Kind
 
 __all__ = ["SOURCES", "RecordedTruth"]
 
@@ -112,51 +97,40 @@ class RecordedTruth:
     def _there(self) -> tuple[str, ...]:
         layout = self.layout
         posed = [frame.sequence for frame in layout.frames if frame.T_map_sensor is not None]
-        there = {
-            "boxes": layout.boxes is not None,
-            "classes": layout.classes,
-            "map": layout.hd_map is not None,
-            "aggregated": len(posed) > len(set(posed)),
-        }
-        return tuple(name for name in SOURCES if there[name])
+        there = layout.boxes is not None, layout.classes, layout.hd_map is not None, len(posed) > len(set(posed))
+        return tuple(name for name, is_there in zip(SOURCES, there, strict=True) if is_there)
 
     def _make(self, n: int) -> Truth:
-        parts = []
+        makers = {"classes": self._from_classes, "map": self._from_map, "aggregated": self._from_neighbours}
+        parts = [makers[one](n) for one in self.sources if one in makers]
         labelled, boxes, uncertain = self.reader.boxes(n), None, None
-        if "classes" in self.sources:
-            parts.append(self._from_classes(n))
-        if "map" in self.sources:
-            parts.append(self._from_map(n))
-        if "aggregated" in self.sources:
-            parts.append(self._from_neighbours(n))
         if "boxes" in self.sources and labelled is not None:
-            returns = count_returns(self.reader.scan(n).points, labelled, above_bottom=_ABOVE_BOTTOM)
-            boxes = truth_from_boxes(labelled, returns, TRUTH_SPEC)
-            uncertain = cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
-        return combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
+            returns = rules.count_returns(self.reader.scan(n).points, labelled, above_bottom=_ABOVE_BOTTOM)
+            boxes = rules.truth_from_boxes(labelled, returns, TRUTH_SPEC)
+            uncertain = rules.cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
+        return rules.combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())
 
     def _ego_cells(self) -> NDArray[np.bool_]:
-        return cells_in_footprint(self.layout.ego_footprint or EGO, TRUTH_SPEC)
+        return rules.cells_in_footprint(self.layout.ego_footprint or EGO, TRUTH_SPEC)
 
     # --- Parts ---------------------------------------------------------------------------------------
 
     def _from_classes(self, n: int) -> Truth:
         raw = self.reader.raw(n)
         kinds = np.zeros(0, np.uint8) if raw.kinds is None else raw.kinds
-        return truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
+        return rules.truth_from_points(raw.scan.points, kinds, TRUTH_SPEC, unobserved=self._ego_cells())
 
     def _from_map(self, n: int) -> Truth:
         """Return the free road. Where the map has no ground, it is taken to be as low as under the vehicle."""
-        if self.layout.hd_map is None:
-            raise ValueError(f"{self.reader.path} has no map")
+        assert self.layout.hd_map is not None
         hd_map, raw = self.layout.hd_map(n), self.reader.raw(n)
         low = -self.reader.height(n)
         x, y = np.broadcast_arrays(*TRUTH_SPEC.cell_centers)
         ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         points = raw.scan.points if raw.all_points is None else raw.all_points
         below = hd_map.ground(points[:, :3].astype(np.float64))
-        road = free_road(
-            cells_in_areas(hd_map.outlines, TRUTH_SPEC),
+        road = rules.free_road(
+            rules.cells_in_areas(hd_map.outlines, TRUTH_SPEC),
             np.where(np.isnan(ground), low, ground),
             points,
             points[:, 2] - np.where(np.isnan(below), low, below),
@@ -164,7 +138,7 @@ class RecordedTruth:
             boxes=self.reader.boxes(n),
             min_range=(self.layout.ego_footprint or EGO)[1],
         )
-        return truth_from_road(road, TRUTH_SPEC)
+        return rules.truth_from_road(road, TRUTH_SPEC)
 
     def _from_neighbours(self, n: int) -> Truth:
         """Return what neighbouring scans of the sequence agree on around scan n."""
@@ -182,7 +156,7 @@ class RecordedTruth:
         clouds, is_ground = [], []
         for k in chosen:
             raw = self.reader.raw(members[k])
-            kept = ~boxes_over_points(raw.scan.points, self._moving_boxes(members[k]).widened(MARGIN))
+            kept = ~rules.boxes_over_points(raw.scan.points, self._moving_boxes(members[k]).widened(MARGIN))
             if raw.moving is not None:
                 kept &= ~raw.moving
             clouds.append(transform_points(T_here_other[k], raw.scan.points[kept]))
@@ -199,9 +173,9 @@ class RecordedTruth:
             min_scans=1 if len(chosen) < _FEW else 2,
         )
         if here.moving is not None and here.moving.any():
-            truth = ignore_cells(truth, _near(here.scan.points[here.moving]))
+            truth = rules.ignore_cells(truth, _near(here.scan.points[here.moving]))
         # No static object stands where the ego vehicle was at any time: another road user followed it
-        return ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
+        return rules.ignore_cells(truth, ego_path_cells(T_here_other) & (truth.state == CellState.OCCUPIED))
 
     def _find_moving(self, sequence: str) -> frozenset[str]:
         """Return the tracks of a sequence that move."""
@@ -212,7 +186,7 @@ class RecordedTruth:
             if frame.T_map_sensor is not None and frame.stamp is not None and around is not None:
                 stamps.append(frame.stamp)
                 boxes.append(around.moved(frame.T_map_sensor))
-        return moving_tracks(stamps, boxes)
+        return rules.moving_tracks(stamps, boxes)
 
     def _moving_boxes(self, n: int) -> Boxes:
         """Return the boxes of objects that move, in scan n and its frame, and of those without a track."""
@@ -225,8 +199,6 @@ class RecordedTruth:
 
 def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return the cells that lie near points."""
-    from scipy.ndimage import binary_dilation
-
     result = np.zeros(TRUTH_SPEC.shape, bool)
     inside = TRUTH_SPEC.contains(points[:, 0], points[:, 1])
     result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True

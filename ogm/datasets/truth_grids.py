@@ -9,6 +9,7 @@ from ogm.datasets.layout import FrameRef, Layout
 from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io.grids import GRID_ENDINGS, read_grid
+from ogm.io.reading import parse_array, read_bytes
 from ogm.state import CellState, Truth, predict_state
 
 __all__ = ["grid_files", "truth_grids"]
@@ -62,23 +63,20 @@ def _truth(path: Path, spec: GridSpec) -> Truth:
 
         return read_label(path, spec)
     if path.suffix.lower() == ".npy":
-        try:
-            state = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (ValueError, EOFError, OverflowError) as error:
-            raise OgmError(f"{path} is damaged or no .npy file of numbers: {error}") from error
-        if state.dtype != np.uint8 or state.shape != spec.shape or state.max(initial=0) > CellState.IGNORE:
-            raise OgmError(
-                f"{path} must hold states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}, got "
-                f"{state.dtype} {state.shape}"
-            )
+        wanted = f"states 0 unknown, 1 free, 2 occupied, 3 ignore, uint8 {spec.shape}"
+        state = parse_array(read_bytes(path)[0], path, lambda shape: shape == spec.shape, wanted)
+        if state.dtype != np.uint8 or state.max(initial=0) > CellState.IGNORE:
+            raise OgmError(f"{path} must hold {wanted}, got {state.dtype} up to {state.max(initial=0)}")
         return Truth(spec, np.array(state))
     grid = read_grid(path, spec)
     ratio = grid.spec.resolution / spec.resolution
     places = np.array([ratio, *(np.array(grid.spec.origin) - spec.origin) / spec.resolution])
     if round(ratio) < 1 or not np.allclose(places, np.rint(places), rtol=0, atol=1e-3):
+        has, wanted = (
+            f"cells of {s.resolution:g} m from x {s.origin[0]:g}, y {s.origin[1]:g} m" for s in (grid.spec, spec)
+        )
         raise OgmError(
-            f"{path} has cells of {grid.spec.resolution:g} m from x {grid.spec.origin[0]:g}, y "
-            f"{grid.spec.origin[1]:g} m on, but wanted are cells of {spec.resolution:g} m from x {spec.origin[0]:g}, "
-            f"y {spec.origin[1]:g} m on; a truth is not resampled: save it on those, or on whole multiples of them"
+            f"{path} has {has} on, but wanted are {wanted} on; a truth is not resampled: save it on those, or on whole "
+            "multiples of them"
         )
     return Truth(grid.spec, predict_state(grid.mass))

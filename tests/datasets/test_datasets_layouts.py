@@ -167,12 +167,10 @@ def test_a_single_file_opens(written):
 
 
 def test_opening_reads_no_scan(written, fresh, monkeypatch):
-    import ogm.datasets.kitti as module
-
     def refuse(*args, **kwargs):
         raise AssertionError("a scan was read")
 
-    monkeypatch.setattr(module, "read_scan", refuse)
+    monkeypatch.setattr("ogm.io.read_scan", refuse)
     dataset = open_dataset(written("kitti raw"))
     frames = [(frame.name, frame.stamp) for frame in dataset]
     assert frames[2][0] == "0000000002"
@@ -264,7 +262,7 @@ def remove(folder, name):
     [
         ("kitti object", "label_2/000001.txt", r"scan 000001.bin has no label .*000001.txt: add it"),
         ("kitti object", "calib/000001.txt", r"scan 000001.bin has no calibration"),
-        ("semantic kitti", "sequences/07/labels/000002.label", r"has no labels .*000002.label: add them"),
+        ("semantic kitti", "sequences/07/labels/000002.label", r"has no label .*000002.label: add it"),
         ("argoverse 2", "calibration/*", r"does not state where its upper lidar is mounted"),
         ("argoverse 2", "map/*.npy", r"must have one file of each .*found 1, 0, 1"),
         ("argoverse 2", "city_SE3_egovehicle.feather", r"no file .*city_SE3"),

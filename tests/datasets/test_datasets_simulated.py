@@ -9,7 +9,7 @@ import pytest
 from ogm.datasets import open_dataset, with_poses
 from ogm.pose import pose
 from ogm.scan import Mount
-from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, Sample
+from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 from ogm.truth import TRUTH_SPEC
@@ -25,7 +25,7 @@ BEAMS = Beams(
 )
 
 
-def sample(split: str, index: int) -> Sample:
+def sample(split: str, index: int) -> SimulatedSample:
     """Flat ground around a vehicle that goes 0.4 m forward per sample; a car stands ahead."""
     z = BEAMS.directions[..., 2].astype(np.float64)
     with np.errstate(divide="ignore"):
@@ -36,7 +36,7 @@ def sample(split: str, index: int) -> Sample:
     car = np.zeros(1, OBJECT)
     car[["x", "y", "z", "length", "width", "height"]] = [(9.0, 1.0, -1.1, 4.0, 2.0, 1.5)]
     car["track"], car["vx"], car["yaw"] = 7, 3.0, 0.25
-    return Sample(
+    return SimulatedSample(
         beams=BEAMS,
         steps=steps,
         intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
