@@ -13,8 +13,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-__all__ = ["Array", "check_mass", "renormalize", "tolerance_of"]
-
 Array = TypeVar("Array")  # a numpy array or a torch tensor: what goes in comes out
 
 _STATES: dict[tuple[int, ...], str] = {

@@ -25,8 +25,6 @@ import numpy as np
 
 from ogm.evidence.arrays import Array, check_alike, check_float, dtype_name, first_index, maybe_any
 
-__all__ = ["dirichlet_entropy", "dirichlet_kl", "dirichlet_kl_gradient"]
-
 _HALF_LOG_2PI = 0.9189385332046727
 _SERIES_FROM = 10.0  # from here on six terms of the asymptotic series are exact to 1e-15
 _NEAR = 1e-4  # relative difference of two alphas below which the series in it is more exact

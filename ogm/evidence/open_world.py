@@ -18,8 +18,6 @@ import numpy as np
 from ogm.evidence.arrays import Array, check_form, first_index, open_sources, split_open, stack_last, tolerance_of
 from ogm.evidence.rules import OnConflict, check_policy, normalized, resolve
 
-__all__ = ["bold", "cautious", "close_world", "conjunctive", "disjunctive"]
-
 
 def conjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     """Combine by the unnormalised conjunctive rule of the transferable belief model.

@@ -28,8 +28,6 @@ from ogm.evidence.arrays import (
     worst_index,
 )
 
-__all__ = ["Opinion", "alpha_to_evidence", "evidence_to_alpha", "evidence_to_mass", "mass_to_evidence", "unknown"]
-
 
 @dataclass(frozen=True, slots=True, init=False, repr=False)
 class Opinion:

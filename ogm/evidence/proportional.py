@@ -17,8 +17,6 @@ from typing import Any
 
 from ogm.evidence.arrays import Array, maybe_any, sources, stack_last
 
-__all__ = ["consensus_compromise", "murphy", "pcr5", "pcr6", "pcr6_plus"]
-
 _MAX_SOURCES = 8  # 3^8 products of masses
 _UNKNOWN = 2  # place of the unknown in (free, occupied, unknown)
 

@@ -38,18 +38,6 @@ from ogm.evidence.arrays import (
 from ogm.evidence.probability import maximize_uncertainty
 from ogm.evidence.rules import OnConflict, dempster
 
-__all__ = [
-    "added_evidence",
-    "averaging",
-    "belief_constraint",
-    "confidence_base_rate",
-    "cumulative",
-    "cumulative_base_rate",
-    "cumulative_epistemic",
-    "cumulative_unfusion",
-    "weighted",
-]
-
 
 def cumulative(
     a: Array, b: Array | None = None, *, axis: int | None = None, dogmatic_weights: Sequence[float] | None = None

@@ -5,20 +5,6 @@ from numpy.typing import NDArray
 
 from ogm.metrics.counts import BINS, ConfusionSums
 
-__all__ = [
-    "above",
-    "average_precision_of",
-    "by_error",
-    "by_unknown",
-    "detection_curve",
-    "equal_mass_error",
-    "free_recall",
-    "interval_violation",
-    "overlaps",
-    "parts",
-    "risk_areas",
-]
-
 
 def interval_violation(counts: ConfusionSums) -> float:
     """Return how far the shares of occupied cells lie outside of [Bel, Pl], the mean over known cells' bins."""

@@ -9,8 +9,6 @@ from ogm.state import CellState
 if TYPE_CHECKING:
     from ogm.metrics.counts import ConfusionSums
 
-__all__ = ["Limits", "count_cells", "count_neighbours", "count_ranges", "nearest_level"]
-
 _LOG_2 = math.log(2.0)
 _TINY = 1e-300  # in place of 0 in logarithms that are multiplied by it
 _UNKNOWN, _FREE, _OCCUPIED = int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.OCCUPIED)

@@ -15,8 +15,6 @@ from ogm.metrics.counting import Limits, count_cells, count_neighbours, count_ra
 from ogm.metrics.divergence import MIN_EVIDENCE, MIN_UNKNOWN, from_truth, sum_divergences, to_truth
 from ogm.state import CellState
 
-__all__ = ["BINS", "LEVELS", "RANGES", "ConfusionSums", "accumulate"]
-
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1

@@ -13,8 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.metrics.divergence import MIN_EVIDENCE
 from ogm.state import CellState, predict_state
 
-__all__ = ["Published", "evilog_accuracy", "evilog_kl", "evilog_published", "evilog_unmixed"]
-
 
 class Published(NamedTuple):
     """Values that the EviLOG code's stateful metric reports of two methods, see `evilog_published`.

@@ -7,14 +7,6 @@ a bin are ties.
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "auroc",
-    "auroc_of_histograms",
-    "average_precision",
-    "average_precision_of_histograms",
-    "false_positive_rate_of_histograms",
-]
-
 
 def auroc(score: NDArray[np.floating], positive: NDArray[np.bool_]) -> float:
     """Return the chance that a positive cell has the higher score of two, a tie counting one half. Exact.

@@ -11,8 +11,6 @@ from ogm.metrics.counts import ConfusionSums
 from ogm.metrics.ranking import auroc_of_histograms, average_precision_of_histograms, false_positive_rate_of_histograms
 from ogm.state import CellState
 
-__all__ = ["METRICS", "Metric", "reasons", "score"]
-
 FALSE_FREE = {"free_recall_1": 0.01, "free_recall_01": 0.001}  # the bounds of false free
 
 _UNKNOWN, _FREE, _OCCUPIED = CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED
