@@ -24,39 +24,13 @@ from ogm.metrics.curves import (
     risk_coverage,
 )
 from ogm.metrics.divergence import MIN_UNKNOWN
-from ogm.metrics.evilog import Published, evilog_accuracy, evilog_kl, evilog_published, evilog_unmixed
+from ogm.metrics.evilog import Published, evilog_kl, evilog_published, evilog_unmixed
 from ogm.metrics.ranges import by_range, distances
-from ogm.metrics.ranking import auroc, auroc_of_histograms, average_precision
 from ogm.metrics.scores import METRICS, Metric, reasons, score
 
 __all__ = [
-    "ConfusionSums",
-    "FreeSpace",
-    "Intervals",
-    "METRICS",
-    "MIN_UNKNOWN",
-    "Metric",
-    "PrecisionRecall",
-    "Published",
-    "RANGES",
-    "Reliability",
-    "RiskCoverage",
-    "accumulate",
-    "auroc",
-    "auroc_of_histograms",
-    "average_precision",
-    "by_range",
-    "dirichlet_kl",
-    "distances",
-    "evilog_accuracy",
-    "evilog_kl",
-    "evilog_published",
-    "evilog_unmixed",
-    "free_space",
-    "intervals",
-    "precision_recall",
-    "reasons",
-    "reliability",
-    "risk_coverage",
-    "score",
-]
+    "ConfusionSums", "FreeSpace", "Intervals", "METRICS", "MIN_UNKNOWN", "Metric", "PrecisionRecall", "Published",
+    "RANGES", "Reliability", "RiskCoverage", "accumulate", "by_range", "dirichlet_kl", "distances", "evilog_kl",
+    "evilog_published", "evilog_unmixed", "free_space", "intervals", "precision_recall", "reasons", "reliability",
+    "risk_coverage", "score",
+]  # fmt: skip

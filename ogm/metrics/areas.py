@@ -59,7 +59,7 @@ def free_recall(hist: NDArray[np.float64], false_free: float) -> float:
 
 
 def average_precision_of(counts: ConfusionSums, tolerance: int) -> float:
-    """Return the average precision of occupied, see `precision_recall` and `average_precision`."""
+    """Return the average precision of occupied, see `precision_recall`."""
     precision, recall = detection_curve(counts, tolerance)
     return float(precision @ np.diff(recall, prepend=0.0)) if len(recall) else float("nan")
 

@@ -11,8 +11,8 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.counting import Limits, count_cells, count_neighbours, count_ranges
-from ogm.metrics.divergence import MIN_EVIDENCE, MIN_UNKNOWN, from_truth, sum_divergences, to_truth
+from ogm.metrics.counting import count_cells, count_neighbours, count_ranges
+from ogm.metrics.divergence import MIN_EVIDENCE, from_truth, sum_divergences, to_truth
 from ogm.state import CellState
 
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
@@ -20,7 +20,6 @@ BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
 RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther
 RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
-LIMITS = Limits(least_probability=MIN_UNKNOWN / 2, detection=0.5)  # a wrong dogmatic cell costs 11.5 nats
 ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
 
 
@@ -150,11 +149,11 @@ def accumulate(
     mass, state = np.ascontiguousarray(mass), np.ascontiguousarray(state)
     cells, states = mass.reshape(-1, 2), state.ravel()
     near = _count_obstacles(mass, state, sums)
-    count_cells(cells, states, near.ravel(), LIMITS, sums)
+    count_cells(cells, states, near.ravel(), sums)
     if distance is not None:
         _check_distance(distance, state)
         far = np.ascontiguousarray(distance.ravel())
-        count_ranges(cells, states, far, np.array(RANGES), LIMITS, sums)
+        count_ranges(cells, states, far, np.array(RANGES), sums)
 
     divergence = sum_divergences(cells, states, np.array([1.0, STRENGTHS[0] / STRENGTHS[1]]))
     sums.to_truth[:2] = [to_truth(divergence, 0, sums.cells, strength) for strength in STRENGTHS]
