@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_alike, check_float, dtype_name, first_index, maybe_any
+from ogm.evidence.arrays import Array, check_alike, check_float, dtype_name, maybe_any, refuse
 
 _HALF_LOG_2PI = 0.9189385332046727
 _SERIES_FROM = 10.0  # from here on six terms of the asymptotic series are exact to 1e-15
@@ -181,9 +181,8 @@ def _check_alpha(alpha: Any, name: str) -> Any:
     xp = check_float(alpha, name)
     if alpha.ndim == 0 or alpha.shape[-1] < 2:
         raise ValueError(f"{name} must have at least 2 states on its last axis, got shape {tuple(alpha.shape)}")
-    if xp is np and alpha.size and not (alpha.min() > 0 and np.isfinite(alpha.max())):
-        index = first_index(~((alpha > 0) & np.isfinite(alpha)))
-        raise ValueError(f"{name} must be finite and greater than 0, but {name}{index} is {alpha[tuple(index)]}")
+    if xp is np:
+        refuse(~((alpha > 0) & np.isfinite(alpha)), alpha, name, "be finite and greater than 0")
     return xp
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_form, first_index, open_sources, split_open, stack_last, tolerance_of
+from ogm.evidence.arrays import Array, first_index, namespace, open_sources, split_open, stack_last, tolerance_of
 from ogm.evidence.rules import OnConflict, check_policy, normalized, resolve
 
 
@@ -155,8 +155,8 @@ def close_world(open_mass: Array, *, on_conflict: OnConflict = "average") -> Arr
     6e-8 / (1 - conflict) at best. `dempster` has no such loss, as it never forms the conflict.
     """
     check_policy(on_conflict)
-    xp = check_form(open_mass, "open_mass", states=(3,))
-    free, occupied, unknown, _ = split_open(open_mass, "open_mass")
+    xp = namespace(open_mass)
+    free, occupied, unknown, _ = split_open(open_mass, "open_mass", states=(3,))
     free, occupied, _, none = normalized(xp, free, occupied, unknown)
     return resolve(xp, open_mass, free, occupied, none, (0.5, 0.5), on_conflict)
 
