@@ -16,11 +16,7 @@ import numpy as np
 
 Array = TypeVar("Array")  # a numpy array or a torch tensor: what goes in comes out
 
-_STATES: dict[tuple[int, ...], str] = {
-    (2,): "2 states (free, occupied)",
-    (3,): "3 numbers (free, occupied, conflict)",
-    (2, 3): "2 states (free, occupied), or 3 numbers (free, occupied, conflict),",
-}
+_STATES = {2: "2 states (free, occupied)", 3: "3 numbers (free, occupied, conflict)"}
 _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a mass outside the simplex
 
 
@@ -63,7 +59,7 @@ def check_form(array: Any, name: str = "mass", states: tuple[int, ...] = (2,)) -
     """Refuse a wrong library, dtype or last axis; return the library's module."""
     xp = check_float(array, name)
     if array.ndim == 0 or array.shape[-1] not in states:
-        wanted = _STATES[states]
+        wanted = " or ".join(_STATES[number] for number in states)
         raise ValueError(f"{name} must have {wanted} on its last axis, got shape {tuple(array.shape)}")
     return xp
 
@@ -273,7 +269,8 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
     above = values.sum(-1) - 1
     outside = xp.where(below > above, below, above)
     must = "be non-negative and sum to at most 1 in every cell"
-    refuse_worst(outside, tolerance, values, name, must, f"; repair it on purpose with renormalize({name})")
+    remedy = f"; evidence becomes masses by evidence_to_mass, rounding is repaired by renormalize({name})"
+    refuse_worst(outside, tolerance, values, name, must, remedy)
 
 
 def renormalize(mass: Array) -> Array:

@@ -50,8 +50,13 @@ def dirichlet_kl(alpha: Array, other: Array) -> Array:
     Where all relative differences are below 1e-4, the series in them to third order. Against 60 digits, for alpha
     from 1e-3 to 1e7: the error is below 1e-11 (1 + value), and below 1 % of the value down to a value of 1e-15.
     """
-    xp = _check_two(alpha, other)
+    xp = _check_alpha(alpha, "alpha")
+    _check_alpha(other, "other")
+    check_alike(alpha, other, ("alpha", "other"))
     x, y = _double(xp, other), _double(xp, alpha)
+    if x.shape[-1] != y.shape[-1]:
+        shapes = f"{tuple(y.shape)} and {tuple(x.shape)}"
+        raise ValueError(f"alpha and other must have the same number of states on their last axis, got shapes {shapes}")
     x_sum, y_sum = x.sum(-1), y.sum(-1)
     ratio, t = x / y, (x - y) / y
     ratio_sum, t_sum = x_sum / y_sum, (x_sum - y_sum) / y_sum
@@ -163,18 +168,6 @@ def dirichlet_entropy(alpha: Array) -> Array:
     remainders = (_remainder(xp, x) - (x - 1) * _remainder_slope(xp, x)).sum(-1)
     whole = _remainder(xp, total) - (total - k) * _remainder_slope(xp, total)
     return _cast(xp, logs + halves + remainders - whole, alpha)
-
-
-def _check_two(alpha: Any, other: Any) -> Any:
-    xp = _check_alpha(alpha, "alpha")
-    _check_alpha(other, "other")
-    check_alike(alpha, other, ("alpha", "other"))
-    if alpha.shape[-1] != other.shape[-1]:
-        raise ValueError(
-            f"alpha and other must have the same number of states on their last axis, "
-            f"got shapes {tuple(alpha.shape)} and {tuple(other.shape)}"
-        )
-    return xp
 
 
 def _check_alpha(alpha: Any, name: str) -> Any:

@@ -11,6 +11,7 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.evidence import check_mass
 from ogm.metrics.counting import count_cells, count_neighbours, count_ranges
 from ogm.metrics.divergence import MIN_EVIDENCE, from_truth, sum_divergences, to_truth
 from ogm.state import CellState
@@ -191,16 +192,9 @@ def _check(mass: NDArray, state: NDArray) -> None:
             f"state must be uint8 with 0 unknown, 1 free, 2 occupied, 3 ignore, got {state.dtype} up to "
             f"{state.max() if state.size else 'nothing'}"
         )
-    if not state.size:
-        return
-    least, most = float(mass.min()), float((mass[..., 0] + mass[..., 1]).max())
-    if not np.isfinite(least + most):
-        raise ValueError("mass holds NaN or inf: a grid of masses has neither, see ogm.evidence.check_mass")
-    if least < -ROUNDING or most > 1 + ROUNDING:
-        raise ValueError(
-            f"masses are at least 0 and free + occupied at most 1, got {least:g} and {most:g}; evidence becomes "
-            "masses by ogm.evidence.evidence_to_mass"
-        )
+    least, most = float(mass.min(initial=0)), float((mass[..., 0] + mass[..., 1]).max(initial=0))
+    if not (least >= -ROUNDING and most <= 1 + ROUNDING):
+        check_mass(mass, ROUNDING)
 
 
 def _check_distance(distance: NDArray, state: NDArray) -> None:

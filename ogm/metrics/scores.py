@@ -189,17 +189,14 @@ def score(counts: ConfusionSums) -> dict[str, float]:
 
 def reasons(counts: ConfusionSums) -> dict[str, str]:
     """Return why scores are NaN: of each metric that has no value, what is missing."""
-    has = {
-        "unknown": counts.cells[_UNKNOWN] > 0,
-        "free": counts.cells[_FREE] > 0,
-        "occupied": counts.cells[_OCCUPIED] > 0,
-        "known": counts.cells[1:].sum() > 0,
-    }
+    cells = [*counts.cells, counts.cells[1:].sum()]
     result = {}
     for name, value in score(counts).items():
         if not np.isnan(value):
             continue
-        missing = [kind for kind, needing in _NEEDS.items() if name in needing.split() and not has[kind]]
+        missing = [
+            kind for (kind, needing), n in zip(_NEEDS.items(), cells, strict=True) if not n and name in needing.split()
+        ]
         if counts.cells.sum() == 0:
             result[name] = "the truth ignores every cell"
         elif missing:

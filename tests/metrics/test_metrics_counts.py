@@ -277,7 +277,7 @@ def test_pooled_counts_are_those_of_all_cells_together() -> None:
         (np.zeros((3, 3, 3)), np.zeros((3, 3), np.uint8), "crop the truth"),
         (np.zeros((3, 3, 2)), np.zeros((3, 3)), "state must be uint8"),
         (np.zeros((3, 3, 2)), np.full((3, 3), 4, np.uint8), "up to 4"),
-        (np.full((3, 3, 2), np.nan), np.zeros((3, 3), np.uint8), "NaN or inf"),
+        (np.full((3, 3, 2), np.nan), np.zeros((3, 3), np.uint8), "nan"),
     ],
 )
 def test_invalid_masses_and_states_are_refused(mass: NDArray, state: NDArray, description: str) -> None:
