@@ -9,19 +9,14 @@ for tensors, where reading a value would stall the GPU and stop tracing: use `ch
 """
 
 import sys
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import numpy as np
 
-__all__ = ["Array", "check_mass", "renormalize", "tolerance_of"]
-
 Array = TypeVar("Array")  # a numpy array or a torch tensor: what goes in comes out
 
-_STATES: dict[tuple[int, ...], str] = {
-    (2,): "2 states (free, occupied)",
-    (3,): "3 numbers (free, occupied, conflict)",
-    (2, 3): "2 states (free, occupied), or 3 numbers (free, occupied, conflict),",
-}
+_STATES = {2: "2 states (free, occupied)", 3: "3 numbers (free, occupied, conflict)"}
 _TOLERANCE = {"float32": 1e-6, "float64": 1e-12}  # how far rounding may carry a mass outside the simplex
 
 
@@ -64,7 +59,7 @@ def check_form(array: Any, name: str = "mass", states: tuple[int, ...] = (2,)) -
     """Refuse a wrong library, dtype or last axis; return the library's module."""
     xp = check_float(array, name)
     if array.ndim == 0 or array.shape[-1] not in states:
-        wanted = _STATES[states]
+        wanted = " or ".join(_STATES[number] for number in states)
         raise ValueError(f"{name} must have {wanted} on its last axis, got shape {tuple(array.shape)}")
     return xp
 
@@ -77,6 +72,25 @@ def first_index(condition: Any) -> list[int]:
 def worst_index(badness: Any) -> tuple[int, ...]:
     """Return the index of the greatest element, or of the first NaN."""
     return tuple(int(i) for i in np.unravel_index(int(badness.argmax()), tuple(badness.shape)))
+
+
+def refuse(bad: Any, values: Any, name: str, must: str) -> None:
+    """Raise if numbers of an array are bad; name the first."""
+    if bad.any():
+        index = first_index(bad)
+        raise ValueError(f"{name} must {must}, but {name}{index} is {values[tuple(index)]}")
+
+
+def refuse_worst(outside: Any, tolerance: float, values: Any, name: str, must: str, remedy: str = "") -> None:
+    """Raise if a cell lies outside the simplex by more than the tolerance, or is NaN; name the worst."""
+    inside = outside <= tolerance
+    if bool(inside.all()):
+        return
+    index = worst_index(outside)
+    raise ValueError(
+        f"{name} must {must} (tolerance {tolerance:g}); the worst of the {int((~inside).sum())} cells that are not, "
+        f"{name}[{', '.join(map(str, (*index, ':')))}], is {values[index].tolist()}{remedy}"
+    )
 
 
 def check_alike(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> None:
@@ -127,10 +141,7 @@ def as_like(value: Any, cells: Any, name: str, low: float = 0.0, high: float = 1
         ) from None
     if xp is not np:
         return value.to(cells.dtype)
-    outside = ~((value >= low) & (value <= high))
-    if outside.any():
-        index = first_index(outside)
-        raise ValueError(f"{name} must lie in [{low:g}, {high:g}], but {name}{index} is {value[tuple(index)]}")
+    refuse(~((value >= low) & (value <= high)), value, name, f"lie in [{low:g}, {high:g}]")
     return value.astype(cells.dtype, copy=False)
 
 
@@ -146,13 +157,7 @@ def split(mass: Any, name: str = "mass") -> tuple[Any, Any, Any]:
     in numpy a pair whose sum exceeds one by more than rounding is divided by the sum, as rules that divide small
     numbers would amplify the error. The caller's array is not changed.
     """
-    xp = check_form(mass, name)
-    free, occupied = mass[..., 0], mass[..., 1]
-    if xp is not np:
-        free, occupied = free.clip(0), occupied.clip(0)
-        return free, occupied, (1 - (free + occupied)).clip(0)
-    unknown = 1 - (free + occupied)  # in this order free and occupied are treated alike to the last bit
-    (free, occupied), unknown = _inside([free, occupied], unknown, mass, name)
+    (free, occupied), unknown = _take_apart(mass, name, (2,))
     return free, occupied, unknown
 
 
@@ -163,29 +168,26 @@ def split_two(a: Any, b: Any, names: tuple[str, str] = ("a", "b")) -> tuple[Any,
     return parts
 
 
-def split_open(mass: Any, name: str = "mass") -> tuple[Any, Any, Any, Any]:
+def split_open(mass: Any, name: str = "mass", states: tuple[int, ...] = (2, 3)) -> tuple[Any, Any, Any, Any]:
     """Return (free, occupied, unknown, conflict) of a pair (its conflict is 0) or an open-world triple."""
-    xp = check_form(mass, name, states=(2, 3))
-    if mass.shape[-1] == 2:
-        free, occupied, unknown = split(mass, name)
-        return free, occupied, unknown, 0 * unknown
-    free, occupied, conflict = mass[..., 0], mass[..., 1], mass[..., 2]
+    (free, occupied, *conflict), unknown = _take_apart(mass, name, states)
+    return free, occupied, unknown, conflict[0] if conflict else 0 * unknown
+
+
+def _take_apart(mass: Any, name: str, states: tuple[int, ...]) -> tuple[list[Any], Any]:
+    """Return the numbers per cell and the unknown; in numpy check them, and correct what rounding left outside."""
+    xp = check_form(mass, name, states)
+    numbers = [mass[..., place] for place in range(mass.shape[-1])]
     if xp is not np:
-        free, occupied, conflict = free.clip(0), occupied.clip(0), conflict.clip(0)
-        return free, occupied, (1 - conflict - (free + occupied)).clip(0), conflict
-    unknown = 1 - conflict - (free + occupied)
-    (free, occupied, conflict), unknown = _inside([free, occupied, conflict], unknown, mass, name)
-    return free, occupied, unknown, conflict
-
-
-def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[list[Any], Any]:
-    """Check an array by two minima, and correct what rounding left outside the simplex."""
+        numbers = [number.clip(0) for number in numbers]
+        return numbers, _rest(numbers).clip(0)
+    unknown = _rest(numbers)
     given, least = float(mass.min(initial=0)), float(unknown.min(initial=0))
     if not (given >= -tolerance_of(mass) and least >= -tolerance_of(mass)):
         check_mass(mass, name=name)
     if given < 0:
         numbers = [np.maximum(number, 0) for number in numbers]
-        unknown = 1 - sum(numbers[2:]) - (numbers[0] + numbers[1])
+        unknown = _rest(numbers)
         least = float(unknown.min(initial=0))
     if least < -np.finfo(mass.dtype).eps:  # more than the last bit of a dogmatic mass
         scale = np.maximum(1 - unknown, 1)
@@ -193,19 +195,21 @@ def _inside(numbers: list[Any], unknown: Any, mass: Any, name: str) -> tuple[lis
     return numbers, unknown if least >= 0 else np.maximum(unknown, 0)
 
 
+def _rest(numbers: list[Any]) -> Any:
+    """Return 1 - conflict - (free + occupied): in this order free and occupied are treated alike to the last bit."""
+    free, occupied, *conflict = numbers
+    return 1 - sum(conflict) - (free + occupied)
+
+
 def sources(a: Any, b: Any, axis: int | None) -> tuple[Any, list[tuple[Any, Any, Any]]]:
     """Return (module, parts) of the sources ``(a, b)`` or along `axis` of `a`; a part is (free, occupied, unknown)."""
-    return _sources(a, b, axis, (2,), split)
+    return open_sources(a, b, axis, (2,), split)
 
 
 def open_sources(
-    a: Any, b: Any, axis: int | None, states: tuple[int, ...] = (2, 3)
-) -> tuple[Any, list[tuple[Any, Any, Any, Any]]]:
+    a: Any, b: Any, axis: int | None, states: tuple[int, ...] = (2, 3), take_apart: Callable[..., Any] = split_open
+) -> tuple[Any, list[tuple[Any, ...]]]:
     """Return the same for open-world rules: each part is (free, occupied, unknown, conflict)."""
-    return _sources(a, b, axis, states, split_open)
-
-
-def _sources(a: Any, b: Any, axis: int | None, states: tuple[int, ...], take_apart: Any) -> tuple[Any, list[Any]]:
     xp = check_form(a, "a", states)
     if b is not None and axis is None:
         check_form(b, "b", states)
@@ -215,8 +219,7 @@ def _sources(a: Any, b: Any, axis: int | None, states: tuple[int, ...], take_apa
         raise TypeError("give two masses, rule(a, b), or one stack of sources and its axis, rule(stack, axis=0)")
     if not -a.ndim <= axis < a.ndim or axis % a.ndim == a.ndim - 1:
         raise ValueError(
-            f"axis must be a leading axis of the stack, not the last one (the states), "
-            f"got axis {axis} for shape {tuple(a.shape)}"
+            f"axis must be a leading axis, not the last one (the states), got {axis} for shape {tuple(a.shape)}"
         )
     if a.shape[axis] == 0:
         raise ValueError(f"a rule needs at least one source, got none along axis {axis} of shape {tuple(a.shape)}")
@@ -265,16 +268,9 @@ def check_mass(mass: Any, tolerance: float | None = None, name: str = "mass") ->
     below = -(values.min(-1) if xp is np else values.amin(-1))
     above = values.sum(-1) - 1
     outside = xp.where(below > above, below, above)
-    if bool((outside <= tolerance).all()):
-        return
-    index = worst_index(outside)
-    place = f"{name}[{', '.join(map(str, (*index, ':')))}]"
-    count = int((~(outside <= tolerance)).sum())
-    raise ValueError(
-        f"{name} must be non-negative and sum to at most 1 in every cell (tolerance {tolerance:g}); the "
-        f"worst of the {count} cells that are not, {place}, is {values[index].tolist()}; "
-        f"repair it on purpose with renormalize({name})"
-    )
+    must = "be non-negative and sum to at most 1 in every cell"
+    remedy = f"; evidence becomes masses by evidence_to_mass, rounding is repaired by renormalize({name})"
+    refuse_worst(outside, tolerance, values, name, must, remedy)
 
 
 def renormalize(mass: Array) -> Array:
@@ -295,9 +291,8 @@ def renormalize(mass: Array) -> Array:
     """
     xp = check_form(mass, states=(2, 3))
     given: Any = mass
-    if xp is np and not np.isfinite(given).all():
-        index = first_index(~np.isfinite(given))
-        raise ValueError(f"mass must be finite to be renormalized, but mass{index} is {given[tuple(index)]}")
+    if xp is np:
+        refuse(~np.isfinite(given), given, "mass", "be finite to be renormalized")
     positive = given.clip(0)
     total = positive.sum(-1)[..., None]
     return positive / xp.where(total > 1, total, xp.ones_like(total))

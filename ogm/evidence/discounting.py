@@ -8,15 +8,6 @@ from typing import Any
 
 from ogm.evidence.arrays import Array, as_like, namespace, split, split_two, stack_last
 
-__all__ = [
-    "contextual_discount",
-    "discount",
-    "discount_evidence",
-    "discount_over_time",
-    "trust_discount",
-    "trust_discount_opposite",
-]
-
 
 def discount(mass: Array, reliability: Any) -> Array:
     """Return Shafer's discounted mass: every belief times the reliability, the rest unknown.

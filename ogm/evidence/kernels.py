@@ -18,8 +18,6 @@ import numpy as np
 from ogm.evidence import rules, subjective
 from ogm.jit import inline
 
-__all__ = ["FLOAT32", "FLOAT64", "RULES", "Constants", "Rule", "agreement", "cumulative_cell"]
-
 
 class Constants(NamedTuple):
     """Numbers of one dtype: a literal 1 would make float32 sums float64."""
@@ -53,40 +51,32 @@ def _split(one: Any, free: Any, occupied: Any) -> Any:
 
 
 @inline
-def agreement(one: Any, f: Any, o: Any, g: Any, p: Any) -> Any:
-    """Return (free, occupied, unknown) on which (f, o) and (g, p) agree, see `ogm.evidence.rules.agreement`."""
-    f, o, u = _split(one, f, o)
-    g, p, v = _split(one, g, p)
+def _joint(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
+    f, o, u = _split(c.one, f, o)
+    g, p, v = _split(c.one, g, p)
     return _agreement(f, o, u, g, p, v)
 
 
 @inline
-def cumulative_cell(one: Any, f: Any, o: Any, g: Any, p: Any, rounding: Any) -> Any:
-    """Return (free, occupied) of (f, o) fused with (g, p); both are dogmatic where unknown is at most `rounding`."""
-    f, o, u = _split(one, f, o)
-    g, p, v = _split(one, g, p)
-    both = (u <= rounding) & (v <= rounding)
-    half = one / (one + one)
-    free, occupied, whole = _added_evidence(f, o, u, g, p, v)
-    return half * (f + g) if both else free / whole, half * (o + p) if both else occupied / whole
-
-
-@inline
 def _dempster(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied, unknown = agreement(c.one, f, o, g, p)
+    free, occupied, unknown = _joint(c, f, o, g, p)
     return free, occupied, free + occupied + unknown
 
 
 @inline
 def _yager(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied, _ = agreement(c.one, f, o, g, p)
+    free, occupied, _ = _joint(c, f, o, g, p)
     return free, occupied, c.one
 
 
 @inline
 def _cumulative(c: Constants, f: Any, o: Any, g: Any, p: Any) -> Any:
-    free, occupied = cumulative_cell(c.one, f, o, g, p, c.dogmatic)
-    return free, occupied, c.one
+    f, o, u = _split(c.one, f, o)
+    g, p, v = _split(c.one, g, p)
+    both = (u <= c.dogmatic) & (v <= c.dogmatic)
+    half = c.one / (c.one + c.one)
+    free, occupied, whole = _added_evidence(f, o, u, g, p, v)
+    return half * (f + g) if both else free / whole, half * (o + p) if both else occupied / whole, c.one
 
 
 @inline

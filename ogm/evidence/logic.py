@@ -12,8 +12,6 @@ import numpy as np
 
 from ogm.evidence.arrays import Array, as_like, namespace, per_cell, split_two, stack_last
 
-__all__ = ["Conclusion", "comultiplication", "deduction", "multiplication"]
-
 
 class Conclusion(NamedTuple):
     """Result of a logical operator: masses (..., 2), and the base rate of the new proposition."""

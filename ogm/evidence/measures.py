@@ -9,21 +9,6 @@ from ogm.evidence.arrays import Array, namespace, per_cell, split, split_two, st
 from ogm.evidence.opinion import unknown
 from ogm.evidence.probability import mass_to_probability, plausibility_transform
 
-__all__ = [
-    "conflict",
-    "conflict_direction",
-    "degree_of_conflict",
-    "deng_entropy",
-    "dissonance",
-    "jirousek_shenoy_entropy",
-    "jousselme_distance",
-    "nonspecificity",
-    "pignistic_entropy",
-    "specificity",
-    "vacuity",
-    "yager_entropy",
-]
-
 
 def conflict(a: Array, b: Array) -> Array:
     """Return the mass that two sources put on the empty set before normalising, in [0, 1].

@@ -15,10 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_form, first_index, open_sources, split_open, stack_last, tolerance_of
+from ogm.evidence.arrays import Array, first_index, namespace, open_sources, split_open, stack_last, tolerance_of
 from ogm.evidence.rules import OnConflict, check_policy, normalized, resolve
-
-__all__ = ["bold", "cautious", "close_world", "conjunctive", "disjunctive"]
 
 
 def conjunctive(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
@@ -99,7 +97,8 @@ def cautious(a: Array, b: Array | None = None, *, axis: int | None = None) -> Ar
     Undefined for unknown = 0: unknown is read as at least 1e-6 (float32) or 1e-12 (float64).
     """
     xp, parts = open_sources(a, b, axis)
-    w_free, w_occupied, w_empty = _least(xp, (_conjunctive_weights(part, tolerance_of(a)) for part in parts))
+    weights = (_weights(free, occupied, unknown.clip(tolerance_of(a))) for free, occupied, unknown, _ in parts)
+    w_free, w_occupied, w_empty = _least(xp, weights)
     free = (1 - w_free) * w_occupied * w_empty
     occupied = (1 - w_occupied) * w_free * w_empty
     conflict = (1 - free - occupied - w_free * w_occupied * w_empty).clip(0)
@@ -130,7 +129,9 @@ def bold(a: Array, b: Array | None = None, *, axis: int | None = None) -> Array:
     xp, parts = open_sources(a, b, axis, states=(3,))
     if xp is np:
         refuse_no_conflict([conflict for *_, conflict in parts])
-    w_free, w_occupied, w_whole = _least(xp, map(_disjunctive_weights, parts))
+    w_free, w_occupied, w_whole = _least(
+        xp, (_weights(free, occupied, conflict) for free, occupied, _, conflict in parts)
+    )
     free = (1 - w_free) * w_occupied * w_whole
     occupied = (1 - w_occupied) * w_free * w_whole
     return stack_last(xp, [free, occupied, w_free * w_occupied * w_whole], a)
@@ -157,8 +158,8 @@ def close_world(open_mass: Array, *, on_conflict: OnConflict = "average") -> Arr
     6e-8 / (1 - conflict) at best. `dempster` has no such loss, as it never forms the conflict.
     """
     check_policy(on_conflict)
-    xp = check_form(open_mass, "open_mass", states=(3,))
-    free, occupied, unknown, _ = split_open(open_mass, "open_mass")
+    xp = namespace(open_mass)
+    free, occupied, unknown, _ = split_open(open_mass, "open_mass", states=(3,))
     free, occupied, _, none = normalized(xp, free, occupied, unknown)
     return resolve(xp, open_mass, free, occupied, none, (0.5, 0.5), on_conflict)
 
@@ -179,22 +180,10 @@ def _least(xp: Any, weights: Iterable[tuple[Any, ...]]) -> list[Any]:
     return [reduce(xp.minimum, column) for column in zip(*weights, strict=True)]
 
 
-def _conjunctive_weights(part: tuple[Any, Any, Any, Any], least: float) -> tuple[Any, Any, Any]:
-    """Return the weights w(free), w(occupied), w(empty) of Smets' canonical decomposition."""
-    free, occupied, unknown, _ = part
-    unknown = unknown.clip(least)
-    return (
-        unknown / (free + unknown),
-        unknown / (occupied + unknown),
-        (free + unknown) * (occupied + unknown) / unknown,
-    )
+def _weights(free: Any, occupied: Any, base: Any) -> tuple[Any, Any, Any]:
+    """Return the weights of the canonical decomposition: of free, of occupied, and of the set opposite to the base.
 
-
-def _disjunctive_weights(part: tuple[Any, Any, Any, Any]) -> tuple[Any, Any, Any]:
-    """Return the disjunctive weights v(free), v(occupied), v(whole frame)."""
-    free, occupied, _, conflict = part
-    return (
-        conflict / (free + conflict),
-        conflict / (occupied + conflict),
-        (free + conflict) * (occupied + conflict) / conflict,
-    )
+    With unknown as base these are Smets' conjunctive weights, the last that of the empty set; with conflict as base
+    the disjunctive ones, the last that of the whole frame.
+    """
+    return base / (free + base), base / (occupied + base), (free + base) * (occupied + base) / base

@@ -11,17 +11,6 @@ import numpy as np
 
 from ogm.evidence.arrays import Array, as_like, check_float, namespace, per_cell, split, stack_last
 
-__all__ = [
-    "counts_to_mass",
-    "log_odds_to_mass",
-    "mass_to_log_odds",
-    "mass_to_probability",
-    "maximize_uncertainty",
-    "pignistic",
-    "plausibility_transform",
-    "probability_to_mass",
-]
-
 
 def mass_to_probability(mass: Array, base_rate: Any = 0.5) -> Array:
     """Return the projected probability of occupied, P = occupied + a * unknown.

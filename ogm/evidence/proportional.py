@@ -17,8 +17,6 @@ from typing import Any
 
 from ogm.evidence.arrays import Array, maybe_any, sources, stack_last
 
-__all__ = ["consensus_compromise", "murphy", "pcr5", "pcr6", "pcr6_plus"]
-
 _MAX_SOURCES = 8  # 3^8 products of masses
 _UNKNOWN = 2  # place of the unknown in (free, occupied, unknown)
 
@@ -160,14 +158,17 @@ def _redistribute(a: Any, b: Any, axis: int | None, share: Callable[..., list[An
     return stack_last(xp, totals, a)
 
 
+def _groups(states: tuple[int, ...], picked: list[Any]) -> list[list[Any]]:
+    """Return the masses of the sources that picked free, those of occupied, those of unknown."""
+    return [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
+
+
 def _in_proportion_to_products(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    groups = [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
-    return [_product(group) if group else 0 * picked[0] for group in groups]
+    return [_product(group) if group else 0 * picked[0] for group in _groups(states, picked)]
 
 
 def _in_proportion_to_sums(states: tuple[int, ...], picked: list[Any]) -> list[Any]:
-    groups = [[m for s, m in zip(states, picked, strict=True) if s == wanted] for wanted in (0, 1, _UNKNOWN)]
-    return [sum(group, start=0 * picked[0]) for group in groups]
+    return [sum(group, start=0 * picked[0]) for group in _groups(states, picked)]
 
 
 def _in_proportion_to_sums_of_the_conflicting(states: tuple[int, ...], picked: list[Any]) -> list[Any]:

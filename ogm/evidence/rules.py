@@ -16,8 +16,6 @@ from typing import Any, Literal, get_args
 
 from ogm.evidence.arrays import Array, first_index, maybe_any, sources, stack_last, tolerance_of
 
-__all__ = ["OnConflict", "agreement", "dempster", "dubois_prade", "normalized_cautious", "yager"]
-
 OnConflict = Literal["average", "vacuous", "nan", "raise"]
 
 

@@ -18,6 +18,7 @@ subjective logic" (Fusion 2018).
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,27 +29,15 @@ from ogm.evidence.arrays import (
     maybe_any,
     namespace,
     per_cell,
+    refuse,
     rounding,
     sources,
     split_two,
     stack_last,
     tolerance_of,
-    worst_index,
 )
 from ogm.evidence.probability import maximize_uncertainty
 from ogm.evidence.rules import OnConflict, dempster
-
-__all__ = [
-    "added_evidence",
-    "averaging",
-    "belief_constraint",
-    "confidence_base_rate",
-    "cumulative",
-    "cumulative_base_rate",
-    "cumulative_epistemic",
-    "cumulative_unfusion",
-    "weighted",
-]
 
 
 def cumulative(
@@ -127,13 +116,8 @@ def cumulative_unfusion(fused: Array, part: Array) -> Array:
     (f, o, u), (g, p, v) = split_two(fused, part, ("fused", "part"))
     free, occupied = f * v - g * u, o * v - p * u
     if xp is np:
-        least = np.minimum(free, occupied)
-        if least.size and not least.min() >= -tolerance_of(fused):
-            index = worst_index(-least)
-            raise ValueError(
-                f"part must not hold more evidence than fused, but at {list(index)} it does: what remains, "
-                f"times both unknowns, is {least[index]} (tolerance {tolerance_of(fused):g})"
-            )
+        least, must = np.minimum(free, occupied), "not be negative, as part must not hold more evidence than fused"
+        refuse(least < -tolerance_of(fused), least, "what remains", must)
     dogmatic = (u <= rounding(fused)) & (v <= rounding(fused))
     free, occupied = (xp.where(dogmatic, 0.0, belief.clip(0)) for belief in (free, occupied))
     total = free + occupied + u * v
@@ -154,7 +138,7 @@ def averaging(
         As for `cumulative`.
     """
     xp, parts = sources(a, b, axis)
-    return _by_evidence(xp, a, parts, dogmatic_weights, _mean_of_evidence)
+    return _by_evidence(xp, a, parts, dogmatic_weights, partial(_sum_of_evidence, divisor=len(parts)))
 
 
 def weighted(
@@ -254,10 +238,6 @@ def _sum_of_evidence(parts: list[tuple[Any, Any, Any]], divisor: int = 1) -> tup
     free = sum(f / u for f, _, u in parts) / divisor
     occupied = sum(o / u for _, o, u in parts) / divisor
     return free / (1 + free + occupied), occupied / (1 + free + occupied)
-
-
-def _mean_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
-    return _sum_of_evidence(parts, len(parts))
 
 
 def _confident_mean_of_evidence(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.evidence.kernels import agreement, cumulative_cell
+from ogm.evidence.kernels import FLOAT32, RULES
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
@@ -18,8 +18,6 @@ __all__ = ["CAUTIOUS", "CUMULATIVE", "DEMPSTER", "YAGER", "Aging", "bayes_update
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
 TINY = np.float32(1e-18)
-LEAST = np.float32(1e-6)  # what the cautious rule reads unknown as at least, as the plain one does
-DOGMATIC = np.float32(4 * 2.0**-23)  # an unknown as good as zero
 A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the series of exp
 
 
@@ -45,6 +43,27 @@ class Aging(NamedTuple):
     keep_conflict: float
     evidence: bool
     observed: bool
+
+
+def _combiner(rule: str) -> Any:
+    """Return the loop that combines rows of a map with those of a scan by a rule of `RULES`."""
+    cell = RULES[rule].cell
+
+    @vector
+    def combine(m: Any, c: Any, z: Any, limit: Any) -> None:
+        for k in range(m.size // 2):
+            f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
+            c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
+            free, occupied, whole = cell(FLOAT32, f, o, g, p)
+            half = np.float32(0.5) * limit
+            scale = limit / max(limit * whole, free + occupied)  # 1 / whole, or limit / known where that is less
+            m[2 * k] = half if whole == 0 else free * scale
+            m[2 * k + 1] = half if whole == 0 else occupied * scale
+
+    return combine
+
+
+_dempster, _yager, _cumulative, _cautious = map(_combiner, RULES)
 
 
 @vector
@@ -113,13 +132,13 @@ def evidential_update(
             m = state[at, 2 * (a + shift) : 2 * (b + shift)]
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
             if rule == DEMPSTER:
-                _dempster(m, c, z[2 * a : 2 * b], one, limit)
+                _dempster(m, c, z[2 * a : 2 * b], limit)
             elif rule == YAGER:
-                _yager(m, c, z[2 * a : 2 * b], one, limit)
+                _yager(m, c, z[2 * a : 2 * b], limit)
             elif rule == CUMULATIVE:
-                _cumulative(m, c, z[2 * a : 2 * b], one, limit)
+                _cumulative(m, c, z[2 * a : 2 * b], limit)
             else:
-                _cautious(m, c, z[2 * a : 2 * b], one, limit)
+                _cautious(m, c, z[2 * a : 2 * b], limit)
         z[:] = 0
 
 
@@ -192,53 +211,6 @@ def _age_observed(m: Any, c: Any, z: Any, one: Any, kf: Any, ko: Any, kc: Any, e
         m[2 * k + 1] = (occupied / total + TINY) - TINY
         c[2 * k] = (c[2 * k] * kc + TINY) - TINY
         c[2 * k + 1] = (c[2 * k + 1] * kc + TINY) - TINY
-
-
-@vector
-def _dempster(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
-    for k in range(m.size // 2):
-        f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        free, occupied, unknown = agreement(one, f, o, g, p)
-        known = free + occupied
-        whole = known + unknown
-        half = limit / (one + one)
-        scale = limit / max(limit * whole, known)  # 1 / whole, or limit / known where that is less
-        m[2 * k] = half if whole == 0 else free * scale
-        m[2 * k + 1] = half if whole == 0 else occupied * scale
-
-
-@vector
-def _yager(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
-    for k in range(m.size // 2):
-        f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        free, occupied, _ = agreement(one, f, o, g, p)
-        scale = limit / max(limit, free + occupied)
-        m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
-
-
-@vector
-def _cumulative(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
-    for k in range(m.size // 2):
-        f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        free, occupied = cumulative_cell(one, f, o, g, p, DOGMATIC)
-        scale = limit / max(limit, free + occupied)
-        m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
-
-
-@vector
-def _cautious(m: Any, c: Any, z: Any, one: Any, limit: Any) -> None:
-    for k in range(m.size // 2):
-        f, o, g, p = m[2 * k], m[2 * k + 1], z[2 * k], z[2 * k + 1]
-        u, v = max(one - (f + o), LEAST), max(one - (g + p), LEAST)
-        c[2 * k], c[2 * k + 1] = max(c[2 * k], f * p), max(c[2 * k + 1], o * g)
-        # Both sides times u v: max(f / u, g / v) is max(f v, g u)
-        free, occupied = max(f * v, g * u), max(o * v, p * u)
-        known = free + occupied
-        scale = limit / max(limit * (known + u * v), known)
-        m[2 * k], m[2 * k + 1] = free * scale, occupied * scale
 
 
 @vector

@@ -9,54 +9,14 @@ the reason. `METRICS` describes each.
 >>> risk_coverage(counts), by_range(counts), reasons(counts)                          # doctest: +SKIP
 """
 
-from ogm.evidence import dirichlet_kl
 from ogm.metrics.counts import RANGES, ConfusionSums, accumulate
-from ogm.metrics.curves import (
-    FreeSpace,
-    Intervals,
-    PrecisionRecall,
-    Reliability,
-    RiskCoverage,
-    free_space,
-    intervals,
-    precision_recall,
-    reliability,
-    risk_coverage,
-)
-from ogm.metrics.divergence import MIN_UNKNOWN
-from ogm.metrics.evilog import Published, evilog_accuracy, evilog_kl, evilog_published, evilog_unmixed
+from ogm.metrics.curves import free_space, intervals, precision_recall, reliability, risk_coverage
+from ogm.metrics.evilog import evilog_kl, evilog_published, evilog_unmixed
 from ogm.metrics.ranges import by_range, distances
-from ogm.metrics.ranking import auroc, auroc_of_histograms, average_precision
 from ogm.metrics.scores import METRICS, Metric, reasons, score
 
 __all__ = [
-    "ConfusionSums",
-    "FreeSpace",
-    "Intervals",
-    "METRICS",
-    "MIN_UNKNOWN",
-    "Metric",
-    "PrecisionRecall",
-    "Published",
-    "RANGES",
-    "Reliability",
-    "RiskCoverage",
-    "accumulate",
-    "auroc",
-    "auroc_of_histograms",
-    "average_precision",
-    "by_range",
-    "dirichlet_kl",
-    "distances",
-    "evilog_accuracy",
-    "evilog_kl",
-    "evilog_published",
-    "evilog_unmixed",
-    "free_space",
-    "intervals",
-    "precision_recall",
-    "reasons",
-    "reliability",
-    "risk_coverage",
-    "score",
-]
+    "ConfusionSums", "METRICS", "Metric", "RANGES", "accumulate", "by_range", "distances", "evilog_kl",
+    "evilog_published", "evilog_unmixed", "free_space", "intervals", "precision_recall", "reasons", "reliability",
+    "risk_coverage", "score",
+]  # fmt: skip

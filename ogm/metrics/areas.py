@@ -5,20 +5,6 @@ from numpy.typing import NDArray
 
 from ogm.metrics.counts import BINS, ConfusionSums
 
-__all__ = [
-    "above",
-    "average_precision_of",
-    "by_error",
-    "by_unknown",
-    "detection_curve",
-    "equal_mass_error",
-    "free_recall",
-    "interval_violation",
-    "overlaps",
-    "parts",
-    "risk_areas",
-]
-
 
 def interval_violation(counts: ConfusionSums) -> float:
     """Return how far the shares of occupied cells lie outside of [Bel, Pl], the mean over known cells' bins."""
@@ -73,7 +59,7 @@ def free_recall(hist: NDArray[np.float64], false_free: float) -> float:
 
 
 def average_precision_of(counts: ConfusionSums, tolerance: int) -> float:
-    """Return the average precision of occupied, see `precision_recall` and `average_precision`."""
+    """Return the average precision of occupied, see `precision_recall`."""
     precision, recall = detection_curve(counts, tolerance)
     return float(precision @ np.diff(recall, prepend=0.0)) if len(recall) else float("nan")
 

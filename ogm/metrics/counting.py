@@ -1,26 +1,20 @@
 """What is counted of every cell, compiled by numba."""
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from ogm.jit import inline, kernel
+from ogm.metrics.divergence import MIN_UNKNOWN
 from ogm.state import CellState
 
 if TYPE_CHECKING:
     from ogm.metrics.counts import ConfusionSums
 
-__all__ = ["Limits", "count_cells", "count_neighbours", "count_ranges", "nearest_level"]
-
 _LOG_2 = math.log(2.0)
+_LOG_LEAST = math.log(MIN_UNKNOWN / 2)  # of P(true state) in the log loss: a wrong dogmatic cell costs 11.5 nats
+_DETECTION = 0.5  # the mass above which a state is detected
 _TINY = 1e-300  # in place of 0 in logarithms that are multiplied by it
 _UNKNOWN, _FREE, _OCCUPIED = int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.OCCUPIED)
-
-
-class Limits(NamedTuple):
-    """Thresholds of the counts: the floor of P(true state) in the log loss, and the mass of a detection."""
-
-    least_probability: float
-    detection: float
 
 
 @inline
@@ -70,7 +64,7 @@ def count_neighbours(mass: Any, state: Any, groups: Any, near: Any, best_of_grou
 
 
 @kernel
-def count_cells(mass: Any, state: Any, near: Any, limits: Limits, sums: "ConfusionSums") -> None:
+def count_cells(mass: Any, state: Any, near: Any, sums: "ConfusionSums") -> None:
     """Add every cell to the sums that need no neighbours; ignored cells are left out.
 
     Parameters
@@ -79,12 +73,10 @@ def count_cells(mass: Any, state: Any, near: Any, limits: Limits, sums: "Confusi
     state : (N,) uint8
     near : (N,) uint8
         Not 0 where an occupied cell lies within one cell.
-    limits : Limits
     sums : ConfusionSums
         Added to; of `p_occupied_hist_tol1` the first two rows.
     """
     bins, levels = sums.reliability.shape[1], sums.unknown_hist.shape[1]
-    log_least = math.log(limits.least_probability)
     for k in range(state.shape[0]):
         truth = state[k]
         if truth > _OCCUPIED:
@@ -107,8 +99,8 @@ def count_cells(mass: Any, state: Any, near: Any, limits: Limits, sums: "Confusi
         sums.confusion[truth, predicted] += 1.0
         by_probability = _OCCUPIED if occupied > free else _FREE if free > occupied else _UNKNOWN
         sums.confusion_by_probability[truth, by_probability] += 1.0
-        sums.detections[truth, 0] += free > limits.detection
-        sums.detections[truth, 1] += occupied > limits.detection
+        sums.detections[truth, 0] += free > _DETECTION
+        sums.detections[truth, 1] += occupied > _DETECTION
         unknown_level = nearest_level(unknown, levels)
         sums.unknown_hist[0 if truth > 0 else 1, unknown_level] += 1.0
 
@@ -123,7 +115,7 @@ def count_cells(mass: Any, state: Any, near: Any, limits: Limits, sums: "Confusi
         sums.squared_error[0] += error * error
         sums.squared_error[1] += (relative - is_occupied) ** 2
         sums.squared_error[2] += error * error + probability * (1.0 - probability) * unknown / (2.0 + unknown)
-        sums.log_loss[truth] -= max(log_occupied if truth == _OCCUPIED else log_free, log_least)
+        sums.log_loss[truth] -= max(log_occupied if truth == _OCCUPIED else log_free, _LOG_LEAST)
         level = nearest_level(probability, levels)
         sums.p_occupied_hist[truth - 1, level] += 1.0
         sums.p_occupied_hist[2, level] += probability
@@ -145,7 +137,7 @@ def count_cells(mass: Any, state: Any, near: Any, limits: Limits, sums: "Confusi
 
 
 @kernel
-def count_ranges(mass: Any, state: Any, distance: Any, edges: Any, limits: Limits, sums: "ConfusionSums") -> None:
+def count_ranges(mass: Any, state: Any, distance: Any, edges: Any, sums: "ConfusionSums") -> None:
     """Add every cell to the sums by its distance, (N,), in bins with these edges, (ranges + 1,) float64."""
     last, levels = edges.shape[0] - 2, sums.range_bel_free_hist.shape[2]
     for k in range(state.shape[0]):
@@ -158,7 +150,7 @@ def count_ranges(mass: Any, state: Any, distance: Any, edges: Any, limits: Limit
         free, occupied = max(float(mass[k, 0]), 0.0), max(float(mass[k, 1]), 0.0)
         unknown = max(1.0 - free - occupied, 0.0)
         sums.range_confusion[r, truth, _predicted(free, occupied, unknown)] += 1.0
-        sums.range_detections[r, truth, 0] += free > limits.detection
-        sums.range_detections[r, truth, 1] += occupied > limits.detection
+        sums.range_detections[r, truth, 0] += free > _DETECTION
+        sums.range_detections[r, truth, 1] += occupied > _DETECTION
         if truth != _UNKNOWN:
             sums.range_bel_free_hist[r, truth - 1, nearest_level(free, levels)] += 1.0

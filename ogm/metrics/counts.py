@@ -11,18 +11,16 @@ from typing import NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.metrics.counting import Limits, count_cells, count_neighbours, count_ranges
-from ogm.metrics.divergence import MIN_EVIDENCE, MIN_UNKNOWN, from_truth, sum_divergences, to_truth
+from ogm.evidence import check_mass
+from ogm.metrics.counting import count_cells, count_neighbours, count_ranges
+from ogm.metrics.divergence import MIN_EVIDENCE, from_truth, sum_divergences, to_truth
 from ogm.state import CellState
-
-__all__ = ["BINS", "LEVELS", "RANGES", "ConfusionSums", "accumulate"]
 
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
 RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther
 RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
-LIMITS = Limits(least_probability=MIN_UNKNOWN / 2, detection=0.5)  # a wrong dogmatic cell costs 11.5 nats
 ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
 
 
@@ -152,11 +150,11 @@ def accumulate(
     mass, state = np.ascontiguousarray(mass), np.ascontiguousarray(state)
     cells, states = mass.reshape(-1, 2), state.ravel()
     near = _count_obstacles(mass, state, sums)
-    count_cells(cells, states, near.ravel(), LIMITS, sums)
+    count_cells(cells, states, near.ravel(), sums)
     if distance is not None:
         _check_distance(distance, state)
         far = np.ascontiguousarray(distance.ravel())
-        count_ranges(cells, states, far, np.array(RANGES), LIMITS, sums)
+        count_ranges(cells, states, far, np.array(RANGES), sums)
 
     divergence = sum_divergences(cells, states, np.array([1.0, STRENGTHS[0] / STRENGTHS[1]]))
     sums.to_truth[:2] = [to_truth(divergence, 0, sums.cells, strength) for strength in STRENGTHS]
@@ -194,16 +192,9 @@ def _check(mass: NDArray, state: NDArray) -> None:
             f"state must be uint8 with 0 unknown, 1 free, 2 occupied, 3 ignore, got {state.dtype} up to "
             f"{state.max() if state.size else 'nothing'}"
         )
-    if not state.size:
-        return
-    least, most = float(mass.min()), float((mass[..., 0] + mass[..., 1]).max())
-    if not np.isfinite(least + most):
-        raise ValueError("mass holds NaN or inf: a grid of masses has neither, see ogm.evidence.check_mass")
-    if least < -ROUNDING or most > 1 + ROUNDING:
-        raise ValueError(
-            f"masses are at least 0 and free + occupied at most 1, got {least:g} and {most:g}; evidence becomes "
-            "masses by ogm.evidence.evidence_to_mass"
-        )
+    least, most = float(mass.min(initial=0)), float((mass[..., 0] + mass[..., 1]).max(initial=0))
+    if not (least >= -ROUNDING and most <= 1 + ROUNDING):
+        check_mass(mass, ROUNDING)
 
 
 def _check_distance(distance: NDArray, state: NDArray) -> None:

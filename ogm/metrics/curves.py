@@ -11,19 +11,6 @@ from numpy.typing import NDArray
 from ogm.metrics.areas import above, by_error, by_unknown, detection_curve
 from ogm.metrics.counts import LEVELS, ConfusionSums
 
-__all__ = [
-    "FreeSpace",
-    "Intervals",
-    "PrecisionRecall",
-    "Reliability",
-    "RiskCoverage",
-    "free_space",
-    "intervals",
-    "precision_recall",
-    "reliability",
-    "risk_coverage",
-]
-
 POINTS = 200  # of a curve, at most
 WHICH = ("all", "predicted_known", "relative")  # rows of ConfusionSums.reliability
 

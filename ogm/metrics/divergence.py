@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from ogm.jit import inline, vector
 from ogm.state import CellState
 
-__all__ = ["MIN_EVIDENCE", "MIN_UNKNOWN", "DivergenceSums", "from_truth", "sum_divergences", "to_truth"]
-
 MIN_UNKNOWN = 2e-5  # floor of unknown: evidence ends at 1e5, the limit of the resolution of float32 masses
 MIN_EVIDENCE = 1e-7  # Keras' epsilon: floor of the evidence in the divergence of the EviLOG code
 

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.metrics.divergence import MIN_EVIDENCE
-from ogm.state import CellState, predict_state
-
-__all__ = ["Published", "evilog_accuracy", "evilog_kl", "evilog_published", "evilog_unmixed"]
+from ogm.state import CellState
 
 
 class Published(NamedTuple):
@@ -95,30 +93,6 @@ def evilog_unmixed(first: ArrayLike, published: ArrayLike) -> NDArray[np.float64
     """
     a, b = _alike(first, published)
     return 2 * b - a
-
-
-def evilog_accuracy(mass: NDArray[np.floating], state: NDArray[np.uint8]) -> float:
-    """Return the "accuracy" of the EviLOG code: agreement in the largest of (free, occupied, unknown).
-
-    Its truth has evidence 1, hence masses of 1/3 for the true state and 2/3 for unknown: by largest mass, every
-    cell of the truth is unknown, and the accuracy is the share of cells predicted unknown. A vacuous grid is perfect.
-
-    Parameters
-    ----------
-    mass : (..., 2) float array
-        Masses of free and occupied.
-    state : (...) uint8
-        True states: 0 unknown, 1 free, 2 occupied, 3 ignored.
-
-    Returns
-    -------
-    float
-        In [0, 1]; NaN if every cell is ignored.
-    """
-    kept = state != CellState.IGNORE
-    if not kept.any():
-        return float("nan")
-    return float((predict_state(mass[kept]) == CellState.UNKNOWN).mean())
 
 
 def _alike(first: ArrayLike, second: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -8,8 +8,6 @@ from ogm.metrics.areas import free_recall, overlaps, parts
 from ogm.metrics.counts import ConfusionSums
 from ogm.state import CellState
 
-__all__ = ["by_range", "distances"]
-
 
 def distances(spec: GridSpec) -> NDArray[np.float32]:
     """Return how far the middles of the cells are from the origin of the grid's frame, which is the sensor.

@@ -8,10 +8,8 @@ from numpy.typing import NDArray
 from ogm.metrics import areas
 from ogm.metrics.areas import parts
 from ogm.metrics.counts import ConfusionSums
-from ogm.metrics.ranking import auroc_of_histograms, average_precision_of_histograms, false_positive_rate_of_histograms
+from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
 from ogm.state import CellState
-
-__all__ = ["METRICS", "Metric", "reasons", "score"]
 
 FALSE_FREE = {"free_recall_1": 0.01, "free_recall_01": 0.001}  # the bounds of false free
 
@@ -36,112 +34,69 @@ class Metric(NamedTuple):
     description: str
 
 
-METRICS: dict[str, Metric] = {
-    "kl_e10": Metric("KL, E = 10", "lower", "mean KL[grid || truth], truth of evidence 10 [nats]"),
-    "kl_e1": Metric("KL, E = 1", "lower", "mean KL[grid || truth], truth of evidence 1 [nats]"),
-    "kl_e1_scaled": Metric(
-        "KL, E = 1, e/10", "lower", "the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10"
-    ),
-    "iou_free": Metric(
-        "IoU free", "higher", "IoU of free cells; predicted is the state of greatest mass, unknown included"
-    ),
-    "iou_occupied": Metric("IoU occupied", "higher", "IoU of occupied cells, likewise"),
-    "iou_unknown": Metric("IoU unknown", "higher", "IoU of unknown cells, likewise"),
-    "brier": Metric("Brier", "lower", "mean squared error of P(occupied) on known cells"),
-    "nll": Metric(
-        "NLL", "lower", "mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid"
-    ),
-    "false_free": Metric("false free", "lower", "share of occupied cells with a mass of free above 1/2"),
-    "missed_occupied": Metric(
-        "missed occupied", "lower", "share of occupied cells without a mass of occupied above 1/2"
-    ),
-    "false_occupied": Metric("false occupied", "lower", "share of free cells with a mass of occupied above 1/2"),
-    "missed_obstacles": Metric(
-        "missed obstacles",
-        "lower",
-        "share of the groups of touching occupied cells without P(occupied) > 1/2 anywhere within one cell",
-    ),
-    "free_recall_1": Metric(
-        "free recall at 1 %",
-        "higher",
-        "share of free cells above the least Bel(free) that at most 1 % of occupied cells exceed",
-    ),
-    "free_recall_01": Metric("free recall at 0.1 %", "higher", "the same for at most 0.1 %"),
-    "ap_occupied_near": Metric(
-        "AP occupied, 1 cell", "higher", "average precision of P(occupied) on known cells, with a tolerance of one cell"
-    ),
-    "ap_occupied": Metric("AP occupied", "higher", "the same without tolerance"),
-    "auroc_unknown": Metric("AUROC unknown", "higher", "AUROC of the mass of unknown for cells whose truth is unknown"),
-    "aupr_unknown": Metric(
-        "AUPR unknown", "higher", "average precision of the mass of unknown for cells whose truth is unknown"
-    ),
-    "aupr_known": Metric("AUPR known", "higher", "average precision of little unknown for cells whose truth is known"),
-    "fpr95_unknown": Metric(
-        "FPR at 95 %",
-        "lower",
-        "share of known cells with as much unknown as the least that finds 95 % of the unknown cells",
-    ),
-    "aurc": Metric(
-        "AURC",
-        "lower",
-        "mean risk over coverage: share of wrong P(occupied) among known cells taken by ascending unknown",
-    ),
-    "ause": Metric("AUSE", "lower", "the same minus its least value, that of cells sorted by their error"),
-    "ece": Metric("ECE", "lower", "expected calibration error of P(occupied) on known cells, 15 bins"),
-    "ece_relative": Metric("ECE, relative", "lower", "the same of occupied / (free + occupied), 1/2 where both are 0"),
-    "ece_called": Metric(
-        "ECE, predicted known", "lower", "the same on those known cells that the grid predicts as free or occupied"
-    ),
-    "ace": Metric("ACE", "lower", "calibration error of P(occupied) on known cells, 15 bins of equal weight"),
-    "interval_violation": Metric(
-        "outside [Bel, Pl]",
-        "lower",
-        "how far the share of occupied cells lies outside [Bel, Pl], mean over 15 bins of Bel(occupied)",
-    ),
-    "brier_relative": Metric("Brier, relative", "lower", "squared error of occupied / (free + occupied)"),
-    "brier_expected": Metric(
-        "Brier, expected", "lower", "mean squared error of p drawn from the grid's Beta density, known cells"
-    ),
-    "conflict": Metric("conflict", "lower", "mean mass on the wrong state, known cells"),
-    "conflict_free": Metric("conflict free", "lower", "mean mass of free on occupied cells"),
-    "conflict_occupied": Metric("conflict occupied", "lower", "mean mass of occupied on free cells"),
-    "iou_free_known": Metric(
-        "IoU free, known", "higher", "IoU of free by P(occupied) < 1/2, on cells whose truth is known"
-    ),
-    "iou_occupied_known": Metric(
-        "IoU occupied, known", "higher", "IoU of occupied by P(occupied) > 1/2, on known cells"
-    ),
-    "map_score": Metric(
-        "MapScore", "higher", "mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid"
-    ),
-    "entropy": Metric("entropy", "", "mean Shannon entropy of P(occupied) [bit]"),
-    "dissonance": Metric("dissonance", "", "mean 2 min(free, occupied)"),
-    "mean_free": Metric("mean free", "", "mean mass of free"),
-    "mean_occupied": Metric("mean occupied", "", "mean mass of occupied"),
-    "mean_unknown": Metric("mean unknown", "", "mean mass of unknown"),
-    "kl_e10_reverse": Metric("reverse KL, E = 10", "lower", "mean KL[truth || grid], truth of evidence 10 [nats]"),
-    "kl_e1_reverse": Metric("reverse KL, E = 1", "lower", "mean KL[truth || grid], truth of evidence 1 [nats]"),
-    "legacy_kl": Metric(
-        "released code's KL", "lower", "categorical KL of clipped evidence, as in the EviLOG code [nats]"
-    ),
-    "legacy_accuracy": Metric(
-        "released code's accuracy", "", "share of cells predicted unknown, which the EviLOG code reports as accuracy"
-    ),
-}
+_TABLE = """\
+kl_e10 | KL, E = 10 | lower | mean KL[grid || truth], truth of evidence 10 [nats]
+kl_e1 | KL, E = 1 | lower | mean KL[grid || truth], truth of evidence 1 [nats]
+kl_e1_scaled | KL, E = 1, e/10 | lower | the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10
+iou_free | IoU free | higher | IoU of free cells; predicted is the state of greatest mass, unknown included
+iou_occupied | IoU occupied | higher | IoU of occupied cells, likewise
+iou_unknown | IoU unknown | higher | IoU of unknown cells, likewise
+brier | Brier | lower | mean squared error of P(occupied) on known cells
+nll | NLL | lower | mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid
+false_free | false free | lower | share of occupied cells with a mass of free above 1/2
+missed_occupied | missed occupied | lower | share of occupied cells without a mass of occupied above 1/2
+false_occupied | false occupied | lower | share of free cells with a mass of occupied above 1/2
+missed_obstacles | missed obstacles | lower | share of the groups of touching occupied cells without P(occupied) > \
+1/2 anywhere within one cell
+free_recall_1 | free recall at 1 % | higher | share of free cells above the least Bel(free) that at most 1 % of \
+occupied cells exceed
+free_recall_01 | free recall at 0.1 % | higher | the same for at most 0.1 %
+ap_occupied_near | AP occupied, 1 cell | higher | average precision of P(occupied) on known cells, with a tolerance \
+of one cell
+ap_occupied | AP occupied | higher | the same without tolerance
+auroc_unknown | AUROC unknown | higher | AUROC of the mass of unknown for cells whose truth is unknown
+aupr_unknown | AUPR unknown | higher | average precision of the mass of unknown for cells whose truth is unknown
+aupr_known | AUPR known | higher | average precision of little unknown for cells whose truth is known
+fpr95_unknown | FPR at 95 % | lower | share of known cells with as much unknown as the least that finds 95 % of the \
+unknown cells
+aurc | AURC | lower | mean risk over coverage: share of wrong P(occupied) among known cells taken by ascending unknown
+ause | AUSE | lower | the same minus its least value, that of cells sorted by their error
+ece | ECE | lower | expected calibration error of P(occupied) on known cells, 15 bins
+ece_relative | ECE, relative | lower | the same of occupied / (free + occupied), 1/2 where both are 0
+ece_called | ECE, predicted known | lower | the same on those known cells that the grid predicts as free or occupied
+ace | ACE | lower | calibration error of P(occupied) on known cells, 15 bins of equal weight
+interval_violation | outside [Bel, Pl] | lower | how far the share of occupied cells lies outside [Bel, Pl], mean \
+over 15 bins of Bel(occupied)
+brier_relative | Brier, relative | lower | squared error of occupied / (free + occupied)
+brier_expected | Brier, expected | lower | mean squared error of p drawn from the grid's Beta density, known cells
+conflict | conflict | lower | mean mass on the wrong state, known cells
+conflict_free | conflict free | lower | mean mass of free on occupied cells
+conflict_occupied | conflict occupied | lower | mean mass of occupied on free cells
+iou_free_known | IoU free, known | higher | IoU of free by P(occupied) < 1/2, on cells whose truth is known
+iou_occupied_known | IoU occupied, known | higher | IoU of occupied by P(occupied) > 1/2, on known cells
+map_score | MapScore | higher | mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid
+entropy | entropy |  | mean Shannon entropy of P(occupied) [bit]
+dissonance | dissonance |  | mean 2 min(free, occupied)
+mean_free | mean free |  | mean mass of free
+mean_occupied | mean occupied |  | mean mass of occupied
+mean_unknown | mean unknown |  | mean mass of unknown
+kl_e10_reverse | reverse KL, E = 10 | lower | mean KL[truth || grid], truth of evidence 10 [nats]
+kl_e1_reverse | reverse KL, E = 1 | lower | mean KL[truth || grid], truth of evidence 1 [nats]
+legacy_kl | released code's KL | lower | categorical KL of clipped evidence, as in the EviLOG code [nats]
+legacy_accuracy | released code's accuracy |  | share of cells predicted unknown, which the EviLOG code reports as \
+accuracy
+"""  # name | title | better | description
+METRICS = {name: Metric(*rest) for name, *rest in (row.split(" | ") for row in _TABLE.splitlines())}
 
-NEEDS: dict[str, tuple[str, ...]] = {
-    "iou_unknown": ("unknown",),
-    **dict.fromkeys(("iou_free", "iou_free_known"), ("free",)),
-    **dict.fromkeys(("iou_occupied", "iou_occupied_known"), ("occupied",)),
-    **dict.fromkeys(("auroc_unknown", "aupr_unknown", "aupr_known", "fpr95_unknown"), ("unknown", "known")),
-    **dict.fromkeys(
-        ("brier", "nll", "aurc", "ause", "ece", "ece_relative", "ece_called", "ace", "interval_violation"), ("known",)
-    ),
-    **dict.fromkeys(("brier_relative", "brier_expected", "conflict", "map_score"), ("known",)),
-    **dict.fromkeys(("false_free", "missed_occupied", "missed_obstacles", "conflict_free"), ("occupied",)),
-    **dict.fromkeys(("false_occupied", "conflict_occupied"), ("free",)),
-    **dict.fromkeys(("free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"), ("free", "occupied")),
-}  # cells of these truths; all need some that are not ignored
+_NEEDS = {
+    "unknown": "iou_unknown auroc_unknown aupr_unknown aupr_known fpr95_unknown",
+    "free": "iou_free iou_free_known false_occupied conflict_occupied free_recall_1 free_recall_01 ap_occupied "
+    "ap_occupied_near",
+    "occupied": "iou_occupied iou_occupied_known false_free missed_occupied missed_obstacles conflict_free "
+    "free_recall_1 free_recall_01 ap_occupied ap_occupied_near",
+    "known": "auroc_unknown aupr_unknown aupr_known fpr95_unknown brier nll aurc ause ece ece_relative ece_called ace "
+    "interval_violation brier_relative brier_expected conflict map_score",
+}  # the metrics that need cells of this truth; all need some that are not ignored
 
 
 def score(counts: ConfusionSums) -> dict[str, float]:
@@ -200,10 +155,10 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         **{name: areas.free_recall(counts.bel_free_hist, bound) for name, bound in FALSE_FREE.items()},
         "ap_occupied_near": areas.average_precision_of(counts, 1),
         "ap_occupied": areas.average_precision_of(counts, 0),
-        "auroc_unknown": auroc_of_histograms(of_unknown, of_known),
-        "aupr_unknown": average_precision_of_histograms(of_unknown, of_known),
-        "aupr_known": average_precision_of_histograms(of_known[::-1], of_unknown[::-1]),
-        "fpr95_unknown": false_positive_rate_of_histograms(of_unknown, of_known),
+        "auroc_unknown": auroc(of_unknown, of_known),
+        "aupr_unknown": average_precision(of_unknown, of_known),
+        "aupr_known": average_precision(of_known[::-1], of_unknown[::-1]),
+        "fpr95_unknown": false_positive_rate(of_unknown, of_known),
         "aurc": aurc,
         "ause": ause,
         "ece": ece,
@@ -234,17 +189,14 @@ def score(counts: ConfusionSums) -> dict[str, float]:
 
 def reasons(counts: ConfusionSums) -> dict[str, str]:
     """Return why scores are NaN: of each metric that has no value, what is missing."""
-    has = {
-        "unknown": counts.cells[_UNKNOWN] > 0,
-        "free": counts.cells[_FREE] > 0,
-        "occupied": counts.cells[_OCCUPIED] > 0,
-        "known": counts.cells[1:].sum() > 0,
-    }
+    cells = [*counts.cells, counts.cells[1:].sum()]
     result = {}
     for name, value in score(counts).items():
         if not np.isnan(value):
             continue
-        missing = [kind for kind in NEEDS.get(name, ()) if not has[kind]]
+        missing = [
+            kind for (kind, needing), n in zip(_NEEDS.items(), cells, strict=True) if not n and name in needing.split()
+        ]
         if counts.cells.sum() == 0:
             result[name] = "the truth ignores every cell"
         elif missing:

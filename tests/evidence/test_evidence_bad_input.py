@@ -169,7 +169,7 @@ def test_numbers_out_of_range_are_refused() -> None:
         (lambda: evidence.discount_over_time(GOOD, -1.0, 1.0), "elapsed must lie in"),
         (lambda: evidence.mass_to_probability(GOOD, 1.1), "base_rate must lie in"),
         (lambda: evidence.mass_to_evidence(GOOD, prior_weight=0), "prior_weight must be greater than 0"),
-        (lambda: evidence.evidence_to_mass(np.array([[1.0, 2], [-1, 3]])), r"evidence.*at \[1, 0\] it is -1"),
+        (lambda: evidence.evidence_to_mass(np.array([[1.0, 2], [-1, 3]])), r"evidence\[1, 0\] is -1"),
         (lambda: evidence.evidence_to_mass(np.array([np.nan, 3])), "evidence.*nan"),
         (lambda: evidence.evidence_to_mass(np.array([np.inf, 3])), "evidence.*inf"),
         (lambda: evidence.alpha_to_evidence(np.array([0.5, 3])), "alpha - prior.*-0.5"),

@@ -257,12 +257,12 @@ def with_one(value: float) -> NDArray[np.float32]:
 @pytest.mark.parametrize(
     ("mass", "description"),
     [
-        (with_one(math.nan), "NaN or inf"),
-        (with_one(math.inf), "NaN or inf"),
-        (with_one(-math.inf), "NaN or inf"),
-        (with_one(-0.01), "masses are at least 0 .* got -0.01"),
-        (with_one(1.01), "at most 1, got 0 and 1.01; evidence becomes masses by"),
-        (np.full((3, 3, 2), 0.6, np.float32), "free . occupied at most 1"),
+        (with_one(math.nan), "nan"),
+        (with_one(math.inf), "inf"),
+        (with_one(-math.inf), "-inf"),
+        (with_one(-0.01), "must be non-negative .* worst of the 1 cells .*-0.00999"),
+        (with_one(1.01), "sum to at most 1 .*1.00999.*; evidence becomes masses by"),
+        (np.full((3, 3, 2), 0.6, np.float32), "worst of the 9 cells"),
         (np.zeros((3, 2), np.float32), r"shape \(nx, ny, 2\)"),
         (np.zeros((9, 2), np.float32), r"shape \(nx, ny, 2\)"),
     ],

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.evidence.arrays import Array, check_float, namespace, split_open, tolerance_of, worst_index
+from ogm.evidence.arrays import Array, check_float, namespace, refuse_worst, split_open, tolerance_of
 
 __all__ = [
     "belief_to_mass", "check_powerset", "commonality_to_mass", "from_pair", "implicability_to_mass",
@@ -34,17 +34,8 @@ def check_powerset(mass: Any, tolerance: float | None = None, name: str = "mass"
     columns_of(mass, name)
     values = mass if namespace(mass) is np else mass.detach().cpu().numpy()
     tolerance = tolerance_of(mass) * values.shape[-1] if tolerance is None else tolerance
-    if values.size == 0:
-        return
     outside = np.maximum(-values.min(-1), abs(values.sum(-1) - 1))
-    if (outside <= tolerance).all():  # false where there is NaN
-        return
-    index = worst_index(outside)
-    place = f"{name}[{', '.join(map(str, (*index, ':')))}]"
-    raise ValueError(
-        f"{name} must be non-negative and sum to 1 over the power set in every cell (tolerance "
-        f"{tolerance:g}), but the worst cell, {place}, is {values[index].tolist()}"
-    )
+    refuse_worst(outside, tolerance, values, name, "be non-negative and sum to 1 over the power set in every cell")
 
 
 def from_pair(mass: Array) -> Array:
