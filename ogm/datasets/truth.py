@@ -24,7 +24,6 @@ from ogm.truth import (
     cells_in_footprint,
     combine_truths,
     count_returns,
-    free_road,
     ignore_cells,
     moving_tracks,
     truth_from_boxes,
@@ -155,7 +154,7 @@ class RecordedTruth:
         ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         points = raw.scan.points if raw.all_points is None else raw.all_points
         below = hd_map.ground(points[:, :3].astype(np.float64))
-        road = free_road(
+        return truth_from_road(
             cells_in_areas(hd_map.outlines, TRUTH_SPEC),
             np.where(np.isnan(ground), low, ground),
             points,
@@ -164,7 +163,6 @@ class RecordedTruth:
             boxes=self.reader.boxes(n),
             min_range=(self.layout.ego_footprint or EGO)[1],
         )
-        return truth_from_road(road, TRUTH_SPEC)
 
     def _from_neighbours(self, n: int) -> Truth:
         """Return what neighbouring scans of the sequence agree on around scan n."""

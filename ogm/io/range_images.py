@@ -8,7 +8,7 @@ import numpy as np
 
 from ogm.files import OgmError
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.labels import REACH, LabelledPoints
+from ogm.io.labels import LabelledPoints
 from ogm.io.reading import parse_array, read_bytes
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
@@ -58,8 +58,6 @@ def read_range_image(
     if not np.isfinite(image).all():
         bad = np.count_nonzero(~np.isfinite(image).all(axis=1))
         raise OgmError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
-    if np.abs(image[:, :3]).max(initial=0) > REACH:
-        raise OgmError(f"{path} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
     classes = np.clip(image[:, 5], -1, 2**31).astype(np.int64)
     if not np.array_equal(classes, image[:, 5]):
         raise OgmError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")

@@ -68,7 +68,7 @@ def cells_in_footprint(footprint: Sequence[float], spec: GridSpec) -> NDArray[np
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
 
 
-def cells_in_hit_boxes(boxes: Boxes, returns: ArrayLike, spec: GridSpec) -> NDArray[np.bool_]:
+def cells_in_hit_boxes(boxes: Boxes, returns: ArrayLike | None, spec: GridSpec) -> NDArray[np.bool_]:
     """Return which cells are covered by boxes with `MIN_RETURNS` points or more in the scan (`count_returns`)."""
     counts = np.asarray(returns)
     if counts.shape != (len(boxes),):

@@ -21,7 +21,7 @@ def finalize_truth(
     spec: GridSpec,
     *,
     boxes: Boxes | None = None,
-    returns: ArrayLike = (),
+    returns: ArrayLike | None = None,
     unobserved: NDArray[np.bool_] | None = None,
     beyond: NDArray[np.bool_] | None = None,
 ) -> Truth:
@@ -34,7 +34,7 @@ def finalize_truth(
     spec : GridSpec
     boxes : Boxes, optional
         Traffic participants, in the grid's frame: all cells of those with `MIN_RETURNS` or more are occupied.
-    returns : (B,) integer
+    returns : (B,) integer, needed with `boxes`
         Points that each box has in the input scan, from `count_returns`.
     unobserved : (nx, ny) bool, optional
         Cells to be ignored whatever was hit in them: those under the ego vehicle (`cells_in_footprint`).
@@ -138,5 +138,5 @@ def truth_from_points(
     high = np.where(is_ground, 0.0, height_above_ground(xyz, is_ground))
     known = np.isfinite(high)
     seen = np.zeros(spec.shape, np.uint8)
-    observe_points(seen, *xyz[known, :2].T, kinds[known], high[known], spec)
+    observe_points(seen, xyz[known, 0], xyz[known, 1], kinds[known], high[known], spec)
     return finalize_truth(seen, spec, unobserved=unobserved)
