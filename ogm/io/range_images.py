@@ -62,7 +62,8 @@ def read_range_image(
     if not np.array_equal(classes, image[:, 5]):
         raise OgmError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")
     points = np.empty((len(image), 4), np.float32)
-    points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T
+    with np.errstate(over="ignore"):  # refused by `LabelledPoints`
+        points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T
     points[:, 3] = np.clip(image[:, 3] / intensity_max, 0, 1)
     try:
         return LabelledPoints(points, classes, names)

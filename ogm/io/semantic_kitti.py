@@ -72,4 +72,4 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
     try:
         return LabelledPoints(rows[kept], both[kept] & 0xFFFF, SEMANTIC_KITTI)
     except ValueError as error:
-        raise OgmError(f"{named}: {error}") from error
+        raise OgmError(f"{scan} with {named}: {error}") from error

@@ -91,9 +91,9 @@ def test_labelled_points_must_fit():
     points = np.zeros((3, 4), np.float32)
     found = LabelledPoints(points, np.array([0, 2, 0]), {0: "road", 1: "car", 2: "none"})
     assert found.named().tolist() == ["road", "none", "road"]
-    with pytest.raises(OgmError, match=r"one of classes per point, shape \(3,\), got \(2,\)"):
+    with pytest.raises(OgmError, match=r"one of classes per point, got \(2,\) for 3"):
         LabelledPoints(points, np.zeros(2, np.int64), {0: "road"})
-    with pytest.raises(OgmError, match=r"class 5, 7 is not one of the 1 that are known \(0 road"):
+    with pytest.raises(OgmError, match="class 5, 7 is not one of the 1 that are known"):
         LabelledPoints(points, np.array([0, 5, 7]), {0: "road"})
 
 
@@ -152,7 +152,7 @@ def test_damaged_labels_are_named(tmp_path, content, message):
 def test_damaged_tracks_are_named(tmp_path):
     path = tmp_path / "0000.txt"
     path.write_text(f"one 7 {LINE} 0\n")
-    with pytest.raises(OgmError, match="line 1 of .* must begin with two whole numbers, got 'one'"):
+    with pytest.raises(OgmError, match="line 1 of .* must begin with two whole numbers, got .*one"):
         read_kitti_tracks(path, TO_CAMERA)
     path.write_text(f"1 7 {LINE} 0\n1 7 {LINE} 0\n")
     with pytest.raises(OgmError, match="line 2 of .* second box of track 7 in scan 1"):
@@ -253,7 +253,7 @@ def test_labels_must_be_as_many_as_points(tmp_path):
     with pytest.raises(OgmError, match=r"0.label has 2 labels, .*0.bin has 3 points"):
         read_semantic_kitti(*files)
     files = write_labelled(tmp_path, [[1, 1, 1, 0], [1, 1e30, 1, 0]], [40, 40])
-    with pytest.raises(OgmError, match=r"0.bin has coordinates of more than 100000 m"):
+    with pytest.raises(OgmError, match=r"0.bin with .* coordinates of more than 100000 m"):
         read_semantic_kitti(*files)
     files = write_labelled(tmp_path, np.ones((2, 4)), [40, 77])
     with pytest.raises(OgmError, match=r"0.label: class 77 is not one of the 34 that are known"):
