@@ -61,7 +61,7 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
     Returns
     -------
     dict of int to Boxes
-        By the number of the scan. Scans without a line are not in it: they have no objects, or no labels.
+        By the number of the scan. What has no line is not in it: such scans have no objects, or no labels.
 
     Raises
     ------

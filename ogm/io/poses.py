@@ -64,7 +64,7 @@ class Poses:
         Parameters
         ----------
         rate : float, optional
-            Scans per second [1/s]. Only for files without stamps, whose times become frame number / rate, or
+            Rate of the scans [1/s]. Only for files without stamps, whose times become frame number / rate, or
             k / rate where there are no frame numbers; stamps of a file are never overruled.
 
         Raises

@@ -212,7 +212,7 @@ def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool]
     Parameters
     ----------
     data : bytes
-        The whole file. (`numpy.load` makes room for what the header promises before it reads on.)
+        The whole file. (`numpy.load` allocates what the header promises before it reads on.)
     path : Path
         Its name, for messages.
     fits : function
