@@ -18,7 +18,7 @@ class OgmError(ValueError):
 def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]:
     """Open a file that appears under its name only when all of it has been written.
 
-    The bytes go to a temporary file in the same folder; leaving the ``with`` block flushes it to disk and
+    The bytes go to a temporary file in the same folder; the end of the ``with`` block flushes it to disk and
     renames it over `path` in one step. An error or an interrupt inside the block removes the temporary file
     and leaves the file that was at `path` before untouched.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Trajectory", "check_pose", "interpolate", "inverse", "pose", "transform_points"]
+__all__ = ["Trajectory", "check_pose", "inverse", "pose", "transform_points"]
 
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 _TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
@@ -104,38 +104,8 @@ def transform_points(T: ArrayLike, points: NDArray) -> NDArray:
     return result
 
 
-def interpolate(stamps: ArrayLike, poses: ArrayLike, at: ArrayLike) -> NDArray[np.float64]:
-    """Interpolate poses in time: positions on a straight line, rotations on the shortest arc (slerp).
-
-    Parameters
-    ----------
-    stamps : (K,) float
-        Times of the known poses [s], strictly increasing, K >= 2.
-    poses : (K, 4, 4) float
-    at : (M,) float or float
-        Times asked for [s], all inside ``[stamps[0], stamps[-1]]``.
-
-    Returns
-    -------
-    (M, 4, 4) or (4, 4) float64
-
-    Raises
-    ------
-    ValueError
-        If the stamps do not increase, the counts differ, or a time lies outside: poses are never
-        extrapolated.
-    """
-    t, T = np.asarray(stamps, np.float64), np.asarray(poses, np.float64)
-    if t.ndim != 1 or len(t) < 2 or T.shape != (len(t), 4, 4):
-        raise ValueError(f"stamps (K,) and poses (K, 4, 4) must agree and K be at least 2, got {t.shape} and {T.shape}")
-    for k, one in enumerate(T):
-        check_pose(one, name=f"poses[{k}]")
-    _check_increasing(t)
-    return _interpolate(t, T, at)
-
-
 def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:
-    """Do what `interpolate` does for stamps and poses that were checked; only those around the times are used."""
+    """Interpolate 2 poses or more: positions on a straight line, rotations on the shortest arc (slerp)."""
     from scipy.spatial.transform import Rotation, Slerp
 
     times = np.asarray(at, np.float64)
@@ -183,7 +153,9 @@ class Trajectory:
             )
         if not np.isfinite(t).all():
             raise ValueError(f"stamps must be finite [s], stamps[{int(np.argmin(np.isfinite(t)))}] is not")
-        _check_increasing(t)
+        if not (np.diff(t) > 0).all():
+            k = int(np.argmin(np.diff(t)))
+            raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")
         for k, one in enumerate(T):
             check_pose(one, name=f"poses[{k}]")
         object.__setattr__(self, "stamps", t)
@@ -193,7 +165,9 @@ class Trajectory:
         return len(self.stamps)
 
     def at(self, stamps: ArrayLike) -> NDArray[np.float64]:
-        """Return the poses at some times, `interpolate`-d: (4, 4) for one time, (M, 4, 4) for M.
+        """Return the poses at some times: (4, 4) for one time, (M, 4, 4) for M.
+
+        Positions are interpolated on a straight line, rotations on the shortest arc (slerp).
 
         Raises
         ------
@@ -206,9 +180,3 @@ class Trajectory:
                 raise ValueError(f"the trajectory has one time only, {self.stamps[0]} s, asked for {times.tolist()}")
             return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
         return _interpolate(self.stamps, self.poses, stamps)
-
-
-def _check_increasing(t: NDArray[np.float64]) -> None:
-    if not (np.diff(t) > 0).all():
-        k = int(np.argmin(np.diff(t)))
-        raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")

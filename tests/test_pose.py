@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.pose import Trajectory, check_pose, interpolate, inverse, pose, transform_points
+from ogm.pose import Trajectory, check_pose, inverse, pose, transform_points
 
 angles = st.floats(-1.5, 1.5)
 lengths = st.floats(-100, 100)
@@ -47,19 +47,10 @@ def test_what_is_not_rigid_is_refused(bad: np.ndarray, message: str) -> None:
         check_pose(bad)
 
 
-def test_interpolate_takes_the_straight_line_and_the_shortest_arc() -> None:
+def test_poses_between_lie_on_the_straight_line_and_the_shortest_arc() -> None:
     poses = [pose(0, 0, 0, yaw=math.radians(170)), pose(2, 4, 6, yaw=math.radians(-170))]
-    np.testing.assert_allclose(interpolate([1.0, 2.0], poses, 1.5), pose(1, 2, 3, yaw=math.pi), atol=1e-12)
-    assert interpolate([1.0, 2.0], poses, [1.0, 1.2, 2.0]).shape == (3, 4, 4)
-
-
-@pytest.mark.parametrize(
-    ("stamps", "at", "message"),
-    [([0.0, 0.0], 0.0, "increase"), ([0.0, 1.0], 1.1, "extrapolated"), ([0.0], 0.0, "at least 2")],
-)
-def test_interpolate_refuses(stamps: list, at: float, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        interpolate(stamps, [np.eye(4)] * len(stamps), at)
+    np.testing.assert_allclose(Trajectory([1.0, 2.0], poses).at(1.5), pose(1, 2, 3, yaw=math.pi), atol=1e-12)
+    assert Trajectory([1.0, 2.0], poses).at([1.0, 1.2, 2.0]).shape == (3, 4, 4)
 
 
 def test_transform_points_refuses_wrong_shapes() -> None:

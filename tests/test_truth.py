@@ -13,8 +13,8 @@ from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
 from ogm.truth import (
+    HEIGHT_LIMITS,
     TRUTH_SPEC,
-    HeightLimits,
     Kind,
     boxes_seen_from,
     cells_in_boxes,
@@ -25,7 +25,6 @@ from ogm.truth import (
     observe_points,
     rays,
     truth_from_points,
-    truth_grid,
 )
 from ogm.truth.rays import observe_rays
 
@@ -49,7 +48,9 @@ def box(x: float, y: float, yaw: float, length: float, width: float, bottom: flo
 def truth_of(hits: list[tuple], **known) -> Truth:
     """Return the truth of hits given as (x, y, kind, height)."""
     x, y, kind, height = np.array(hits or np.empty((0, 4)), float).T
-    return truth_grid(x, y, kind.astype(int), height, SMALL, **known)
+    seen = np.zeros(SMALL.shape, np.uint8)
+    observe_points(seen, x, y, kind.astype(int), height, SMALL)
+    return finalize_truth(seen, SMALL, **known)
 
 
 def random_truth(seed: int = 0, spec: GridSpec = SMALL) -> Truth:
@@ -130,7 +131,7 @@ def test_a_participant_with_enough_returns_is_filled() -> None:
 def test_a_participant_with_fewer_returns_is_occupied_where_hit() -> None:
     hits = [(0, 0, Kind.OBSTACLE, 0.5), (1, 1, Kind.GROUND, 0.0)]
     assert (truth_of(hits, boxes=BOX, returns=[49]).state == truth_of(hits).state).all()
-    filled = truth_of(hits, boxes=BOX, returns=[49], min_returns=49)
+    filled = truth_of(hits, boxes=BOX, returns=[50])
     assert np.count_nonzero(filled.state == OCCUPIED) == 9
 
 
@@ -193,7 +194,7 @@ def test_rays_and_points_give_the_same_observation() -> None:
     fast, uncompiled = np.zeros((2, *SMALL.shape), np.uint8)
     hits = (distance, directions, kind, ground, rise)
     observe_rays(fast, *hits, SMALL)
-    rules = rays._Rules(SMALL.resolution, *SMALL.origin, 0.05, 0.25, 2.0)
+    rules = rays._Rules(SMALL.resolution, *SMALL.origin, HEIGHT_LIMITS)
     rays._observe_rays.py_func(uncompiled, *hits, rules)
     np.testing.assert_array_equal(fast, uncompiled)
 
@@ -213,10 +214,11 @@ def test_an_observation_may_be_built_up_in_parts() -> None:
     rng = np.random.default_rng(4)
     x, y = rng.uniform(-3, 3, (2, 60))
     kind, height = rng.integers(0, 5, 60), rng.uniform(0, 3, 60)
-    seen = np.zeros(SMALL.shape, np.uint8)
+    seen, whole = np.zeros((2, *SMALL.shape), np.uint8)
     for part in np.array_split(rng.permutation(60), 7):
         observe_points(seen, x[part], y[part], kind[part], height[part], SMALL)
-    np.testing.assert_array_equal(finalize_truth(seen, SMALL).state, truth_grid(x, y, kind, height, SMALL).state)
+    observe_points(whole, x, y, kind, height, SMALL)
+    np.testing.assert_array_equal(seen, whole)
 
 
 # --- Crops ------------------------------------------------------------------------------------------
@@ -350,38 +352,15 @@ def test_a_box_seen_from_a_tilted_sensor_holds_all_its_corners_in_height() -> No
 
 # --- Bad input --------------------------------------------------------------------------------------
 
-GOOD = {"x": np.zeros(3), "y": np.zeros(3), "kind": np.zeros(3, int), "height": np.zeros(3)}
 
-
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"x": np.zeros(4)}, ValueError, r"one number per hit.*\(4,\)"),
-        ({"x": np.zeros((3, 1))}, ValueError, r"x must have shape \(N,\)"),
-        ({"x": np.zeros(3, complex)}, TypeError, "x must be a float array"),
-        ({"y": np.array([0, np.nan, 0])}, ValueError, "1 of 3 are not; drop"),
-        ({"height": np.array([np.inf, np.nan, 0])}, ValueError, "2 of 3"),
-        ({"kind": np.zeros(3)}, TypeError, "kind must be an integer"),
-        ({"kind": np.array([0, 5, 0])}, ValueError, r"kind must lie in 0\.\.4"),
-        ({"kind": np.array([0, -1, 0])}, ValueError, r"kind must lie in 0\.\.4"),
-        ({"boxes": [BOX]}, ValueError, "boxes need returns"),
-        ({"boxes": [BOX], "returns": [1, 2]}, ValueError, r"returns must have shape \(1,\)"),
-        ({"boxes": [BOX], "returns": [50.0]}, TypeError, "returns must be integers"),
-    ],
-)
-def test_hits_that_are_none_are_refused(change: dict, error: type, message: str) -> None:
-    with pytest.raises(error, match=message):
-        truth_grid(**{**GOOD, "spec": SMALL, **change})
-
-
-@pytest.mark.parametrize("limits", [{"clearance": 0.1}, {"obstacle": float("nan")}, {"obstacle": 0.3}])
-def test_heights_out_of_order_are_refused(limits: dict) -> None:
-    with pytest.raises(ValueError, match="heights must obey"):
-        HeightLimits(**limits)
+@pytest.mark.parametrize("returns", [None, [1, 2], 50])
+def test_boxes_need_their_returns(returns) -> None:
+    with pytest.raises(ValueError, match=r"returns must have shape \(1,\)"):
+        truth_of([], boxes=BOX, returns=returns)
 
 
 def test_no_boxes_are_boxes_too() -> None:
-    truth = truth_grid(**GOOD, spec=SMALL, boxes=Boxes.empty(), returns=np.zeros(0, int))
+    truth = truth_of([(0, 0, Kind.GROUND, 0.0)], boxes=Boxes.empty(), returns=np.zeros(0, int))
     assert np.count_nonzero(truth.state) == 1
 
 
@@ -410,12 +389,13 @@ def test_a_crop_refuses_a_yaw_that_is_no_number() -> None:
         (lambda: count_returns(np.zeros((3, 2)), BOX), r"points must have shape"),
         (lambda: boxes_seen_from(np.eye(4), [np.eye(4)], np.ones((2, 3))), "1 poses and 2 sizes"),
         (lambda: truth_from_points(np.zeros((3, 2)), np.zeros(3, int), SMALL), "points must have shape"),
-        (lambda: truth_from_points(np.zeros((3, 3)), np.zeros(2, int), SMALL), "one per point"),
+        (lambda: truth_from_points(np.zeros((3, 3)), np.zeros(2, int), SMALL), "one Kind per point"),
+        (lambda: truth_from_points(np.zeros((3, 3)), np.array([0, 5, 0]), SMALL), "one Kind per point"),
+        (lambda: truth_from_points(np.zeros((3, 3)), np.array([0, -1, 0]), SMALL), "one Kind per point"),
         (lambda: height_above_ground(np.zeros(3), np.zeros(3, bool)), "xyz must have shape"),
         (lambda: height_above_ground(np.zeros((3, 3)), np.zeros(3, int)), "is_ground must be 3 booleans"),
         (lambda: height_above_ground(np.full((3, 3), np.nan), np.ones(3, bool)), "xyz holds NaN"),
         (lambda: height_above_ground(np.diag([1e30, 1e30, 0]), np.ones(3, bool)), "one lies at .*: drop it"),
-        (lambda: height_above_ground(np.zeros((3, 3)), np.ones(3, bool), resolution=0.0), "resolution must"),
     ],
 )
 def test_wrong_points_are_refused(call, message: str) -> None:
@@ -459,16 +439,6 @@ def test_recorded_cells_are_known_only_where_points_are() -> None:
     np.testing.assert_array_equal(truth.state == FREE, holding)
     assert truth.state[6, 3] == OCCUPIED
     assert truth.known.sum() == holding.sum() + 1
-
-
-def test_a_recorded_box_counts_its_own_returns_without_ground() -> None:
-    ground = np.column_stack([np.random.default_rng(0).uniform(-3, 3, (400, 2)), np.full(400, -1.7)])
-    body = np.random.default_rng(1).uniform((0, 0.2, -1.4), (0.2, 1.8, -0.5), (50, 3))
-    points, kind = np.concatenate([ground, body]), np.array([0] * 400 + [1] * 50)
-    car = box(1.0, 1.0, 0.0, 3.0, 2.0, -1.7, -0.2)
-    assert np.count_nonzero(truth_from_points(points, kind, SMALL, boxes=car).state == OCCUPIED) == 9
-    fewer = truth_from_points(points[:-1], kind[:-1], SMALL, boxes=car)
-    assert np.count_nonzero(fewer.state == OCCUPIED) < 9
 
 
 def kinds_of(classes: np.ndarray, ground: tuple, plants: tuple, other: tuple) -> np.ndarray:
@@ -523,7 +493,9 @@ def test_vehicles_of_argoverse_become_occupied(real) -> None:
     kind = np.where(high < 0.15, Kind.GROUND, Kind.OBSTACLE)
     returns = count_returns(xyz[kind == Kind.OBSTACLE], boxes)
     ego = cells_in_footprint((-1.05, 3.85, -1.0, 1.0), PAPER)
-    truth = truth_from_points(xyz, kind, PAPER, height=lambda *_: high, boxes=boxes, unobserved=ego)
+    seen = np.zeros(PAPER.shape, np.uint8)
+    observe_points(seen, *xyz[:, :2].T, kind, np.where(kind == Kind.GROUND, 0.0, high), PAPER)
+    truth = finalize_truth(seen, PAPER, boxes=boxes, returns=returns, unobserved=ego)
     dense = boxes.select((returns >= 50) & PAPER.contains(*boxes.center[:, :2].T))
     assert len(dense) >= 5
     state = truth.state[cells_in_boxes(dense, PAPER)]

@@ -16,7 +16,6 @@ from ogm.truth import (
     combine_truths,
     contradicted,
     count_returns,
-    free_road,
     ignore_cells,
     moving_tracks,
     truth_from_boxes,
@@ -184,8 +183,7 @@ def road_with(points: list[list[float]], *boxes: list[float], near: float = 0.0)
     """Return the road of a flat street, all of it drivable, 1.8 m below the sensor."""
     xyz = np.array(points or np.empty((0, 3)), float).reshape(-1, 3)
     everywhere, ground = np.ones(SMALL.shape, bool), np.full(SMALL.shape, -1.8)
-    road = free_road(everywhere, ground, xyz, xyz[:, 2] + 1.8, SMALL, boxes=boxes_of(*boxes), min_range=near)
-    return truth_from_road(road, SMALL)
+    return truth_from_road(everywhere, ground, xyz, xyz[:, 2] + 1.8, SMALL, boxes=boxes_of(*boxes), min_range=near)
 
 
 def test_an_empty_street_is_free() -> None:
@@ -217,8 +215,8 @@ def test_boxes_are_no_road_however_few_returns_they_have() -> None:
 def test_only_drivable_cells_are_free() -> None:
     drivable = np.zeros(SMALL.shape, bool)
     drivable[5, 1:4] = True
-    road = free_road(drivable, np.full(SMALL.shape, -1.8), np.empty((0, 3)), np.empty(0), SMALL)
-    assert (truth_from_road(road, SMALL).state == np.where(drivable, FREE, IGNORE)).all()
+    truth = truth_from_road(drivable, np.full(SMALL.shape, -1.8), np.empty((0, 3)), np.empty(0), SMALL)
+    assert (truth.state == np.where(drivable, FREE, IGNORE)).all()
 
 
 # --- Other scans ------------------------------------------------------------------------------------

@@ -129,7 +129,7 @@ class RecordedTruth:
         ground = hd_map.ground(np.stack([x.ravel(), y.ravel(), np.full(x.size, low)], axis=1)).reshape(x.shape)
         points = raw.scan.points if raw.all_points is None else raw.all_points
         below = hd_map.ground(points[:, :3].astype(np.float64))
-        road = rules.free_road(
+        return rules.truth_from_road(
             rules.cells_in_areas(hd_map.outlines, TRUTH_SPEC),
             np.where(np.isnan(ground), low, ground),
             points,
@@ -138,7 +138,6 @@ class RecordedTruth:
             boxes=self.reader.boxes(n),
             min_range=(self.layout.ego_footprint or EGO)[1],
         )
-        return rules.truth_from_road(road, TRUTH_SPEC)
 
     def _from_neighbours(self, n: int) -> Truth:
         """Return what neighbouring scans of the sequence agree on around scan n."""

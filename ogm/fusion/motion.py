@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ogm.jit import kernel
-from ogm.pose import Trajectory, interpolate, inverse
+from ogm.pose import Trajectory, inverse
 
 __all__ = ["deskew", "extrapolate"]
 
@@ -19,7 +19,7 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
     """Return each point where the sensor would have measured it at `stamp`.
 
     A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its
-    poses the trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.interpolate`. That
+    poses the trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.Trajectory`. That
     is right for static objects; dynamic ones stay distorted by their own motion.
 
     Parameters
@@ -66,8 +66,8 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
         low = max(int(np.searchsorted(knots, first, "right")) - 1, 0)
         high = min(max(int(np.searchsorted(knots, last, "left")) + 1, 2), len(knots))
         low = min(low, high - 2)
-        stamps, poses = trajectory.stamps[low:high], trajectory.poses[low:high]
-        relative = inverse(interpolate(stamps, poses, np.clip(stamp, stamps[0], stamps[-1]))) @ poses
+        part = Trajectory(trajectory.stamps[low:high], trajectory.poses[low:high])
+        relative = inverse(part.at(np.clip(stamp, part.stamps[0], part.stamps[-1]))) @ part.poses
         turns = Rotation.from_matrix(np.swapaxes(relative[:-1, :3, :3], 1, 2) @ relative[1:, :3, :3]).as_rotvec()
         _deskew(cloud[:, :3].astype(np.float64), times, knots[low:high], relative, turns, result)
     return result

@@ -3,41 +3,30 @@
 A new format of point clouds goes to `ogm.io.formats`; the labels of a data set are read by the module of its name.
 """
 
-from ogm.io.argoverse2 import Argoverse2Log, Argoverse2Map, read_argoverse2
+from ogm.io.argoverse2 import read_argoverse2
 from ogm.io.axes import AXES, Axes
 from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.labels import LabelledPoints
-from ogm.io.nuscenes import NuScenes, NuScenesFrame, read_mmdet3d, read_nuscenes
+from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
 from ogm.io.reading import BYTE_LIMIT
 from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_file
-from ogm.io.semantic_kitti import (
-    SEMANTIC_KITTI,
-    SEMANTIC_KITTI_MOVING,
-    SEMANTIC_KITTI_TO_TRAINING,
-    SEMANTIC_KITTI_TRAINING,
-    read_semantic_kitti,
-)
-from ogm.io.sensor_height import PLAUSIBLE_HEIGHTS, estimate_sensor_height, plausible_sensor_height
+from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
+from ogm.io.sensor_height import estimate_sensor_height, plausible_sensor_height
 from ogm.io.sustech import read_sustech
 
 __all__ = [
     "AXES",
     "BYTE_LIMIT",
     "NUSCENES_ELEVEN",
-    "PLAUSIBLE_HEIGHTS",
     "SEMANTIC_KITTI",
     "SEMANTIC_KITTI_MOVING",
-    "SEMANTIC_KITTI_TO_TRAINING",
     "SEMANTIC_KITTI_TRAINING",
-    "Argoverse2Log",
-    "Argoverse2Map",
     "Axes",
     "FileFacts",
     "LabelledPoints",
     "NuScenes",
-    "NuScenesFrame",
     "Poses",
     "describe",
     "estimate_sensor_height",

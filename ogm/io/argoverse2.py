@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,8 +21,7 @@ _QUATERNION = ("qx", "qy", "qz", "qw")
 _SIZE = ("length_m", "width_m", "height_m")
 
 
-@dataclass(frozen=True, eq=False)
-class Argoverse2Map:
+class Argoverse2Map(NamedTuple):
     """Where a log's city may be driven on, and how high its ground lies.
 
     Parameters
@@ -71,13 +69,11 @@ class Argoverse2Map:
         return xyz[:, 2] + np.where(inside, z, np.nan) - city[:, 2]
 
 
-@dataclass(frozen=True, eq=False)
-class Argoverse2Log:
+class Argoverse2Log(NamedTuple):
     """One log. The vehicle's frame: x forward, y left, z up, its origin above the rear axle.
 
     Parameters
     ----------
-    folder : Path
     sweeps : tuple of Path
         The files of the two lidars' points, in the vehicle's frame, by time.
     stamps : tuple of int
@@ -92,7 +88,6 @@ class Argoverse2Log:
         None where the log has no map.
     """
 
-    folder: Path
     sweeps: tuple[Path, ...]
     stamps: tuple[int, ...]
     poses: Mapping[int, NDArray[np.float64]]
@@ -151,23 +146,16 @@ def read_argoverse2(path: str | os.PathLike[str]) -> Argoverse2Log:
     poses = table.poses(np.array([row[stamp] for stamp in stamps]))
     notes = folder / "annotations.feather"
     wanted = ("timestamp_ns", "track_uuid", "category", *_SIZE, *_QUATERNION, *_POSITION)
-    return Argoverse2Log(
-        folder,
-        tuple(sweeps),
-        stamps,
-        dict(zip(stamps, poses, strict=True)),
-        _lidars(folder),
-        _table(notes, wanted) if notes.is_file() else None,
-        _map(folder),
-    )
+    annotations = _table(notes, wanted) if notes.is_file() else None
+    found = dict(zip(stamps, poses, strict=True))
+    return Argoverse2Log(tuple(sweeps), stamps, found, _lidars(folder), annotations, _map(folder))
 
 
 def _lidars(folder: Path) -> dict[str, NDArray[np.float64]]:
-    files = [folder / "calibration" / "egovehicle_SE3_sensor.feather"]
-    files += sorted(folder.glob("calibration*/egovehicle_SE3_sensor.feather"))
-    file = next((one for one in files if one.is_file()), None)
-    if file is None:
+    files = sorted(folder.glob("calibration*/egovehicle_SE3_sensor.feather"))  # the log's own comes first
+    if not files:
         return {}
+    file = files[0]
     table = _table(file, ("sensor_name", *_POSITION))
     positions = table.numbers(_POSITION)
     if not np.isfinite(positions).all():
@@ -232,14 +220,10 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
         table = ipc.open_file(pyarrow.py_buffer(data)).read_all()
         found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names}
     except (pyarrow.ArrowException, ValueError, OSError, MemoryError) as error:
-        raise OgmError(
-            f"{path} is no readable Feather table: it is damaged or wrongly named ({str(error)[:120]})"
-        ) from error
+        raise OgmError(f"{path} is no readable Feather table, damaged or wrongly named ({error})"[:400]) from error
     missing = [name for name in columns if name not in found]
     if missing:
         raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
-        raise OgmError(
-            f"timestamp_ns of {path} must be whole numbers [ns], all of them, got {table['timestamp_ns'].type}"
-        )
+        raise OgmError(f"all timestamp_ns of {path} must be whole numbers [ns], got {table['timestamp_ns'].type}")
     return _Table(path, found)

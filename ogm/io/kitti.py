@@ -61,7 +61,7 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
     Returns
     -------
     dict of int to Boxes
-        By the number of the scan. Scans without a line are not in it: they have no objects, or no labels.
+        By the number of the scan. What has no line is not in it: such scans have no objects, or no labels.
 
     Raises
     ------
@@ -72,7 +72,10 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
     T = inverse(check_pose(T_camera_sensor, "T_camera_sensor"))
     scans: dict[int, list[tuple[int, list[str], str]]] = {}
     for n, words in _lines(path, 17, f"scan, track, {_OBJECT}"):
-        scan, track = (_whole(word, n, path) for word in words[:2])
+        try:
+            scan, track = map(int, words[:2])
+        except ValueError as error:
+            raise OgmError(f"line {n} of {path} must begin with two whole numbers, got {words[:2]}") from error
         rows = scans.setdefault(scan, [])
         if track >= 0 and any(one == str(track) for _, _, one in rows):
             raise OgmError(f"line {n} of {path} has a second box of track {track} in scan {scan}: drop one")
@@ -80,7 +83,7 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
     return {scan: _objects(path, rows, T) for scan, rows in scans.items()}
 
 
-def read_calibration(path: str | os.PathLike[str], name: str = "Tr") -> NDArray[np.float64]:
+def read_calibration(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Read the transform from the lidar to camera 0, in whose frame KITTI's labels and poses are given.
 
     Parameters
@@ -89,10 +92,9 @@ def read_calibration(path: str | os.PathLike[str], name: str = "Tr") -> NDArray[
         ``calib.txt`` of an odometry sequence, a calibration of the object or tracking recordings, or
         ``calib_velo_to_cam.txt`` of the raw ones: lines of a name, perhaps a colon, and numbers. Or the folder of
         a day of the raw recordings, with that file and ``calib_cam_to_cam.txt``, whose ``R_rect_00`` is used.
-    name : str
-        The entry to take: 12 numbers, the upper three rows of a transform. Where the default, ``Tr``, is not
-        there: ``Tr_velo_to_cam`` or ``Tr_velo_cam``, turned by ``R0_rect`` or ``R_rect`` if the file has it
-        (the labels are those of the rectified camera); else ``R`` and ``T``, a rotation and a shift.
+        The entry ``Tr`` is taken; where it is not there, ``Tr_velo_to_cam`` or ``Tr_velo_cam``, turned by
+        ``R0_rect`` or ``R_rect`` if the file has it (the labels are those of the rectified camera); else ``R`` and
+        ``T``, a rotation and a shift.
 
     Returns
     -------
@@ -108,19 +110,18 @@ def read_calibration(path: str | os.PathLike[str], name: str = "Tr") -> NDArray[
     """
     path = Path(path)
     if path.is_dir():
-        rectify = _rotation(path / _RECTIFY, _entries(path / _RECTIFY), "R_rect_00")
+        rectify = _transform(path / _RECTIFY, _entries(path / _RECTIFY), "R_rect_00", 9)
         return rectify @ read_calibration(path / _TO_CAMERA)
     entries = _entries(path)
-    if name in entries or name != "Tr":
-        return _transform(path, name, _entry(path, entries, name, 12).reshape(3, 4))
-    for key in ("Tr_velo_to_cam", "Tr_velo_cam"):  # raw and object recordings; tracking
+    for key in ("Tr", "Tr_velo_to_cam", "Tr_velo_cam"):  # odometry; raw and object recordings; tracking
         if key in entries:
-            T = _transform(path, key, _entry(path, entries, key, 12).reshape(3, 4))
-            found = [one for one in ("R0_rect", "R_rect", "R_rect_00") if one in entries]
-            return _rotation(path, entries, found[0]) @ T if found else T
+            T = _transform(path, entries, key, 12)
+            turns = [one for one in ("R0_rect", "R_rect", "R_rect_00") if one in entries and key != "Tr"]
+            return _transform(path, entries, turns[0], 9) @ T if turns else T
     if "R" in entries and "T" in entries:
-        R, shift = _entry(path, entries, "R", 9).reshape(3, 3), _entry(path, entries, "T", 3)
-        return _transform(path, "R and T", np.column_stack([R, shift]))
+        T = _transform(path, entries, "R", 9)
+        T[:3, 3] = _entry(path, entries, "T", 3)
+        return T
     raise OgmError(
         f"{path} has no entry Tr, Tr_velo_to_cam, Tr_velo_cam, or R and T, only {', '.join(entries)[:200] or 'none'}: "
         "give the calibration of the lidar to the camera"
@@ -137,15 +138,10 @@ def _entry(path: Path, entries: dict[str, list[str]], name: str, count: int) -> 
     return numbers(entries[name], count, f"entry {name} of {path}")
 
 
-def _transform(path: Path, name: str, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+def _transform(path: Path, entries: dict[str, list[str]], name: str, count: int) -> NDArray[np.float64]:
     T = np.eye(4)
-    T[:3] = rows
+    T[:3, : count // 3] = _entry(path, entries, name, count).reshape(3, -1)
     return rigid(T, f"{name} of {path}")
-
-
-def _rotation(path: Path, entries: dict[str, list[str]], name: str) -> NDArray[np.float64]:
-    R = _entry(path, entries, name, 9).reshape(3, 3)
-    return _transform(path, name, np.column_stack([R, np.zeros(3)]))
 
 
 def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
@@ -194,13 +190,6 @@ def _lines(path: Path, columns: int, meaning: str) -> list[tuple[int, list[str]]
                 "score: it is cut short, or of another kind of label"
             )
     return rows
-
-
-def _whole(word: str, n: int, path: Path) -> int:
-    try:
-        return int(word)
-    except ValueError as error:
-        raise OgmError(f"line {n} of {path} must begin with two whole numbers, got {word!r}") from error
 
 
 def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.float64]) -> Boxes:

@@ -68,43 +68,30 @@ class LabelledPoints:
         Number of each point's class.
     names : mapping of int to str
         Name of each class.
-    instances : (N,) int64 or None
-        Number of the object that each point belongs to, within its class; 0 for none. None where the file has
-        none.
 
     Raises
     ------
     OgmError
-        If the counts disagree, or a class has no name.
+        If the counts disagree, a class has no name, or a point lies beyond `REACH`.
     """
 
     points: NDArray[np.float32]
     classes: NDArray[np.int64]
     names: Mapping[int, str]
-    instances: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
-        wanted = (len(self.points),)
-        for name, column in (("classes", self.classes), ("instances", self.instances)):
-            if column is not None and column.shape != wanted:
-                raise OgmError(
-                    f"there must be one of {name} per point, shape {wanted}, got {column.shape}: do the labels belong "
-                    "to this scan?"
-                )
+        if self.classes.shape != (len(self.points),):
+            raise OgmError(f"there must be one of classes per point, got {self.classes.shape} for {len(self.points)}")
+        if np.abs(self.points[:, :3]).max(initial=0) > REACH:
+            raise OgmError(f"points have coordinates of more than {REACH:g} m, wanted metres: the scan is damaged")
         unknown = sorted(set(np.unique(self.classes).tolist()) - set(self.names))
         if unknown:
             raise OgmError(
-                f"class {', '.join(map(str, unknown[:8]))} is not one of {_range(self.names)}: are these labels of "
-                "another data set, or in another order of bytes?"
+                f"class {', '.join(map(str, unknown[:8]))} is not one of the {len(self.names)} that are known (up to "
+                f"{max(self.names)}): are these labels of another data set, or in another order of bytes?"
             )
 
     def named(self) -> NDArray[np.str_]:
         """Return the name of each point's class, (N,)."""
         numbers, where = np.unique(self.classes, return_inverse=True)
         return np.array([self.names[int(number)] for number in numbers], dtype=np.str_)[where]
-
-
-def _range(names: Mapping[int, str]) -> str:
-    numbers = sorted(names)
-    shown = ", ".join(f"{number} {names[number]}" for number in numbers[:3])
-    return f"the {len(numbers)} that are known ({shown}, ... {numbers[-1]} {names[numbers[-1]]})"

@@ -98,18 +98,11 @@ def read_nuscenes(path: str | os.PathLike[str]) -> NuScenes:
             continue
         T_vehicle_sensor = _pose(mounting, "a row of calibrated_sensor.json")
         T_map_vehicle = _pose(_look_up(tables, "ego_pose", row, "sample_data"), "a row of ego_pose.json")
-        T = T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T
-        frames.append(
-            NuScenesFrame(
-                scene=str(_look_up(tables, "scene", sample, "sample").get("name", "")),
-                name=file.name,
-                path=file,
-                stamp=float(need_numbers(row, "timestamp", (), "a row of sample_data.json")) * 1e-6,
-                T_map_sensor=T,
-                height=float(T_vehicle_sensor[2, 3]),
-                read_boxes=partial(_boxes, notes.get(str(row["sample_token"]), []), labels, T, file.name),
-            )
-        )
+        scene = str(_look_up(tables, "scene", sample, "sample").get("name", ""))
+        stamp = float(need_numbers(row, "timestamp", (), "a row of sample_data.json")) * 1e-6
+        placed, height = T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T, float(T_vehicle_sensor[2, 3])
+        boxes = partial(_boxes, notes.get(str(row["sample_token"]), []), labels, placed, file.name)
+        frames.append(NuScenesFrame(scene, file.name, file, stamp, placed, height, boxes))
     if not frames:
         raise OgmError(f"{folder} names no key frame of {_LIDAR} whose points are under {folder.parent}")
     return NuScenes(_in_order(frames), annotated)
@@ -173,17 +166,10 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
         notes = need(entry, "instances", where, list)
         for note in notes:
             need(note, "bbox_3d", f"an object of {where}")
-        frames.append(
-            NuScenesFrame(
-                scene=file.name.split("__")[0],
-                name=file.name,
-                path=file,
-                stamp=float(need_numbers(entry, "timestamp", (), where)),
-                T_map_sensor=T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T,
-                height=float(T_vehicle_sensor[2, 3]),
-                read_boxes=partial(_mmdet3d_boxes, notes, labels, file.name),
-            )
-        )
+        scene, stamp = file.name.split("__")[0], float(need_numbers(entry, "timestamp", (), where))
+        placed, height = T_map_vehicle @ T_vehicle_sensor @ _T_FLU_LIDAR.T, float(T_vehicle_sensor[2, 3])
+        boxes = partial(_mmdet3d_boxes, notes, labels, file.name)
+        frames.append(NuScenesFrame(scene, file.name, file, stamp, placed, height, boxes))
     return NuScenes(_in_order(frames), True)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError, atomic_write
-from ogm.io.reading import from_quaternions, read_text, rigid
+from ogm.io.reading import from_quaternions, numbers, read_text, rigid
 from ogm.pose import Trajectory, check_pose, inverse
 
 __all__ = ["Poses", "read_poses", "write_poses"]
@@ -18,6 +18,9 @@ __all__ = ["Poses", "read_poses", "write_poses"]
 log = logging.getLogger(__name__)
 
 _OURS = "ogm.poses/1"
+_EXPLAINED = f"""# {_OURS}: T_map_sensor, the sensor's pose in the map at each stamp [s]; position x y z [m] and
+# rotation as a unit quaternion take sensor coordinates (x forward, y left, z up) to the map's
+"""
 _NAMES = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 _KINDS = {8: "TUM", 12: "KITTI", 13: "KITTI-360", 16: "4x4", 17: "KITTI-360 4x4"}
 _WANTED = (
@@ -61,7 +64,7 @@ class Poses:
         Parameters
         ----------
         rate : float, optional
-            Scans per second [1/s]. Only for files without stamps, whose times become frame number / rate, or
+            Rate of the scans [1/s]. Only for files without stamps, whose times become frame number / rate, or
             k / rate where there are no frame numbers; stamps of a file are never overruled.
 
         Raises
@@ -120,17 +123,17 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     columns = len(header) if header else len(lines[0][1])
     if not header and columns not in _KINDS:
         raise OgmError(f"{lines[0][0]} has {columns} columns, wanted {_WANTED}")
-    where, table = [line for line, _ in lines], _table(lines, columns)
-    stamps, numbers = None, None
+    where, table = [line for line, _ in lines], np.array([numbers(words, columns, line) for line, words in lines])
+    stamps, counted = None, None
     if header:
         table = table[:, [header.index(name) for name in (*_NAMES, "number") if name in header]]
-        numbers = _frame_numbers(where, table[:, 8]) if "number" in header else None
+        counted = _frame_numbers(where, table[:, 8]) if "number" in header else None
     if header or columns == 8:
         stamps = _stamps(where, table[:, 0])
         poses = from_quaternions(table[:, 1:4], table[:, 4:8], where.__getitem__)
     else:
         if columns in (13, 17):
-            numbers, table = _frame_numbers(where, table[:, 0]), table[:, 1:]
+            counted, table = _frame_numbers(where, table[:, 0]), table[:, 1:]
         poses = _from_matrices(path, where, table)
     if T_camera_sensor is not None:
         if ours:
@@ -139,7 +142,7 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
         poses = inverse(T) @ poses @ T
     elif not ours:
         _refuse_camera(path, poses)
-    return Poses(poses, stamps, numbers, _OURS if ours else "csv" if header else _KINDS[columns])
+    return Poses(poses, stamps, counted, _OURS if ours else "csv" if header else _KINDS[columns])
 
 
 def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: ArrayLike | None = None) -> None:
@@ -174,26 +177,15 @@ def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: A
         counted = np.asarray(numbers)
         if ending != ".csv":
             raise ValueError(f"TUM files have no frame numbers, got some for {path}: name it .csv")
-        if counted.shape != (len(trajectory),) or counted.dtype.kind not in "iu":
-            raise ValueError(
-                f"numbers must be {len(trajectory)} integers, got {counted.dtype} of shape {counted.shape}"
-            )
-        if not (np.diff(counted.astype(np.int64)) > 0).all():
-            raise ValueError("frame numbers must increase")
+        whole = counted.shape == (len(trajectory),) and counted.dtype.kind in "iu"
+        if not whole or not (np.diff(counted.astype(np.int64)) > 0).all():
+            raise ValueError(f"numbers must be {len(trajectory)} integers that increase, got {counted.tolist()}")
         names.append("number")
         rows = [[*row, number] for row, number in zip(rows, counted.tolist(), strict=True)]
-    comma = ending == ".csv"
+    separator, comment = (",", _EXPLAINED) if ending == ".csv" else (" ", "# ")
     with atomic_write(path, "w") as file:
-        if comma:
-            file.write(
-                f"# {_OURS}: T_map_sensor, the sensor's pose in the map at each stamp [s]; position x y z [m] and\n"
-                "# rotation as a unit quaternion take sensor coordinates (x forward, y left, z up) to the map's\n"
-            )
-            file.write(",".join(names) + "\n")
-        else:
-            file.write("# " + " ".join(names) + "\n")
-        for row in rows:
-            file.write(("," if comma else " ").join(map(repr, row)) + "\n")
+        file.write(comment + separator.join(names) + "\n")
+        file.writelines(separator.join(map(repr, row)) + "\n" for row in rows)
 
 
 def _rows(path: Path) -> tuple[list[tuple[str, list[str]]], list[str], bool]:
@@ -222,21 +214,6 @@ def _rows(path: Path) -> tuple[list[tuple[str, list[str]]], list[str], bool]:
     if not lines:
         raise OgmError(f"{path} holds no pose, only comments or a header: was it written to its end?")
     return lines, header, ours
-
-
-def _table(lines: list[tuple[str, list[str]]], columns: int) -> NDArray[np.float64]:
-    """Return the table (K, columns) of finite numbers, or raise with the line that is none."""
-    table = np.empty((len(lines), columns))
-    for row, (line, fields) in zip(table, lines, strict=True):
-        if len(fields) != columns:
-            raise OgmError(f"{line} has {len(fields)} columns, those before it have {columns}")
-        try:
-            row[:] = [float(field) for field in fields]
-        except ValueError as error:
-            raise OgmError(f"{line} is no row of numbers: {' '.join(fields)[:80]!r}") from error
-        if not np.isfinite(row).all():
-            raise OgmError(f"{line} holds NaN or inf: drop that pose")
-    return table
 
 
 def _frame_numbers(where: list[str], column: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ogm.files import OgmError
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.labels import REACH, LabelledPoints
+from ogm.io.labels import LabelledPoints
 from ogm.io.reading import parse_array, read_bytes
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
@@ -58,13 +58,12 @@ def read_range_image(
     if not np.isfinite(image).all():
         bad = np.count_nonzero(~np.isfinite(image).all(axis=1))
         raise OgmError(f"{path} has {bad} beams with a range but with NaN or inf: set their range to 0")
-    if np.abs(image[:, :3]).max(initial=0) > REACH:
-        raise OgmError(f"{path} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
     classes = np.clip(image[:, 5], -1, 2**31).astype(np.int64)
     if not np.array_equal(classes, image[:, 5]):
         raise OgmError(f"{path} has classes that are no whole numbers in its last column, wanted numbers")
     points = np.empty((len(image), 4), np.float32)
-    points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T
+    with np.errstate(over="ignore"):  # refused by `LabelledPoints`
+        points[:, :3] = image[:, :3] @ rotation_to_flu(axes).T
     points[:, 3] = np.clip(image[:, 3] / intensity_max, 0, 1)
     try:
         return LabelledPoints(points, classes, names)

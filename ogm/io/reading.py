@@ -18,21 +18,6 @@ from numpy.typing import NDArray
 from ogm.files import OgmError
 from ogm.pose import check_pose
 
-__all__ = [
-    "BYTE_LIMIT",
-    "from_quaternions",
-    "need",
-    "need_numbers",
-    "numbers",
-    "optional",
-    "parse_array",
-    "read_bytes",
-    "read_json",
-    "read_lines",
-    "read_text",
-    "rigid",
-]
-
 BYTE_LIMIT = 2**30  # [byte] of one unpacked file: 67 M points of 16 bytes
 _UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
 _CHUNK = 2**20  # [byte] unpacked in one step
@@ -81,9 +66,7 @@ def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:
             while len(content) <= BYTE_LIMIT and (chunk := stream.read(_CHUNK)):
                 content += chunk
     except (lzma.LZMAError, gzip.BadGzipFile, zlib.error, EOFError, MemoryError) as error:
-        raise OgmError(
-            f"{path} is no whole {packing} file ({error}): it is damaged, cut short or wrongly named"
-        ) from error
+        raise OgmError(f"{path} is no whole {packing} file ({error}): it is cut short or wrongly named") from error
     if len(content) > BYTE_LIMIT:
         raise OgmError(
             f"{path} holds more than {BYTE_LIMIT} bytes, wanted one scan below that (ogm.io.BYTE_LIMIT): split it"
@@ -229,7 +212,7 @@ def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool]
     Parameters
     ----------
     data : bytes
-        The whole file. (`numpy.load` makes room for what the header promises before it reads on.)
+        The whole file. (`numpy.load` allocates what the header promises before it reads on.)
     path : Path
         Its name, for messages.
     fits : function

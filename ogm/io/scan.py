@@ -3,8 +3,7 @@
 import logging
 import os
 from collections.abc import Sequence
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -48,27 +47,22 @@ class FileFacts(NamedTuple):
     shape: tuple[int, int] | None = None
 
 
-def read_points(
-    path: str | os.PathLike[str],
-    axes: Axes = "flu",
-    *,
-    intensity_max: float | None = None,
-    origin: Sequence[float] = (0.0, 0.0, 0.0),
-    time_unit: float | None = None,
-) -> np.ndarray:
+def read_points(path: str | os.PathLike[str], axes: Axes = "flu", **options: Any) -> np.ndarray:
     """Read the points of one scan.
 
     Parameters
     ----------
-    path, axes, intensity_max, origin, time_unit
+    path, axes
         As for `read_scan`, which lists the formats, the defaults and the errors.
+    **options
+        ``intensity_max``, ``origin`` and ``time_unit`` of `read_scan`.
 
     Returns
     -------
     points : (N, 4) float32
         x forward, y left, z up [m], intensity [0, 1].
     """
-    return read_scan(path, axes, intensity_max=intensity_max, origin=origin, time_unit=time_unit).points
+    return read_scan(path, axes, **options).points
 
 
 def read_scan(
@@ -163,7 +157,10 @@ def read_scan_file(
     # Points are the rows with a finite position and a distance, whatever else they lack.
     fields = table.fields or tuple(table.columns)
     columns = {plain(name): column for name, column in table.columns.items()}
-    xyz = _coordinates(columns, fields, inner)
+    if not columns.keys() >= set(POSITION):
+        raise OgmError(f"{inner} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
+    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
+        xyz = np.array([columns[name] for name in POSITION], dtype=np.float64)
     returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
     kept: np.ndarray | slice = slice(None)
     dropped = returned.size - int(np.count_nonzero(returned))
@@ -179,10 +176,18 @@ def read_scan_file(
         x, y, z = xyz.reshape(3, *table.shape)
         no_returns = directions_without_return(x, y, z, returned.reshape(table.shape))
     points = np.zeros((returned.size - dropped, 4), np.float32)
-    points[:, :3] = _within_reach(xyz[:, kept], inner).T
+    xyz = xyz[:, kept]
+    reach = np.abs(xyz).max(initial=0.0)
+    if reach > REACH:
+        raise OgmError(
+            f"{inner} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
+            "coordinates, give the sensor's position as origin; if not, the file is damaged or wrongly named"
+        )
+    points[:, :3] = xyz.T
 
     # What else was measured.
-    intensity, ring, time = (_first(columns, names, kept) for names in (INTENSITY, RING, TIME))
+    known = ([columns[name][kept] for name in names if name in columns] for names in (INTENSITY, RING, TIME))
+    intensity, ring, time = (found[0] if found else None for found in known)
     scale = None
     if intensity is not None:
         points[:, 3], scale = scale_intensities(intensity, intensity_max, table.intensity_max, inner)
@@ -229,26 +234,3 @@ def describe(scan: Scan, file: FileFacts) -> dict[str, str]:
     if height is not None:
         facts["ground"] = f"about {height:.2f} m below the origin"
     return facts
-
-
-def _first(columns: dict[str, np.ndarray], names: tuple[str, ...], kept: np.ndarray | slice) -> np.ndarray | None:
-    return next((columns[name][kept] for name in names if name in columns), None)
-
-
-def _coordinates(columns: dict[str, np.ndarray], fields: tuple[str, ...], path: Path) -> np.ndarray:
-    """Gather x, y, z as (3, N) float64."""
-    if not columns.keys() >= set(POSITION):
-        raise OgmError(f"{path} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
-    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
-        return np.array([columns[name] for name in POSITION], dtype=np.float64)
-
-
-def _within_reach(xyz: np.ndarray, path: Path) -> np.ndarray:
-    reach = np.abs(xyz).max(initial=0.0)
-    if reach > REACH:
-        raise OgmError(
-            f"{path} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if "
-            "they are map coordinates, give the sensor's position as origin; if not, the file is damaged or "
-            "wrongly named"
-        )
-    return xyz

@@ -1,22 +1,15 @@
 """SemanticKITTI: a class for every point of KITTI's odometry scans (Behley et al. 2019)."""
 
 import os
-from pathlib import Path
 
 import numpy as np
 
 from ogm.files import OgmError
 from ogm.io.formats.raw import parse_kitti
-from ogm.io.labels import REACH, LabelledPoints
+from ogm.io.labels import LabelledPoints
 from ogm.io.reading import read_bytes
 
-__all__ = [
-    "SEMANTIC_KITTI",
-    "SEMANTIC_KITTI_MOVING",
-    "SEMANTIC_KITTI_TO_TRAINING",
-    "SEMANTIC_KITTI_TRAINING",
-    "read_semantic_kitti",
-]
+__all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 
 SEMANTIC_KITTI = {
     **{0: "unlabeled", 1: "outlier", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on-rails"},
@@ -40,30 +33,18 @@ SEMANTIC_KITTI_TRAINING = {
 }
 """The 20 classes that networks are trained on."""
 
-_SAME = {name: number for number, name in SEMANTIC_KITTI_TRAINING.items()}
-_MERGED = {
-    **dict.fromkeys(("outlier", "other-structure", "other-object"), "unlabeled"),
-    **dict.fromkeys(("bus", "on-rails"), "other-vehicle"),
-    "lane-marking": "road",
-}
-SEMANTIC_KITTI_TO_TRAINING = {
-    number: _SAME[_MERGED.get(name.removeprefix("moving-"), name.removeprefix("moving-"))]
-    for number, name in SEMANTIC_KITTI.items()
-}
-"""Which of the 20 each class belongs to: the data set's ``learning_map``."""
-
 _LABEL = np.dtype("<u4")
 
 
 def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[str]) -> LabelledPoints:
-    """Read a scan with the classes and objects that its points belong to.
+    """Read a scan with the classes that its points belong to.
 
     Parameters
     ----------
     scan : path
         ``velodyne/000000.bin``, KITTI's own.
     labels : path
-        ``labels/000000.label``: a number of 32 bits per point, the lower 16 the class, the upper 16 the object.
+        ``labels/000000.label``: a number of 32 bits per point, the lower 16 the class.
 
     Returns
     -------
@@ -80,7 +61,7 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
     """
     (data, inner), (numbers, named) = read_bytes(scan), read_bytes(labels)
     columns = parse_kitti(data, inner).columns
-    rows = np.column_stack([columns[name] for name in ("x", "y", "z", "intensity")]).astype(np.float32)
+    rows = np.column_stack(list(columns.values()))
     if len(numbers) != _LABEL.itemsize * len(rows):
         raise OgmError(
             f"{labels} has {len(numbers) / _LABEL.itemsize:g} labels, {scan} has {len(rows)} points: wanted as many, "
@@ -88,10 +69,7 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
         )
     both = np.frombuffer(numbers, _LABEL).astype(np.int64)
     kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)
-    if np.abs(rows[kept, :3]).max(initial=0) > REACH:
-        raise OgmError(f"{scan} has coordinates of more than {REACH:g} m, wanted metres: it is damaged")
     try:
-        points = np.ascontiguousarray(rows[kept])
-        return LabelledPoints(points, both[kept] & 0xFFFF, SEMANTIC_KITTI, both[kept] >> 16)
+        return LabelledPoints(rows[kept], both[kept] & 0xFFFF, SEMANTIC_KITTI)
     except ValueError as error:
-        raise OgmError(f"{Path(named)}: {error}") from error
+        raise OgmError(f"{scan} with {named}: {error}") from error

@@ -60,7 +60,7 @@ def hd_truth(
     spec : GridSpec
         Cells in the sensor's frame.
     boxes, returns
-        Traffic participants, and the points that the scan has on each, as in `ogm.truth.truth_grid`.
+        Traffic participants, and the points that the scan has on each, as in `ogm.truth.finalize_truth`.
     ego : (nx, ny) bool
         Cells under the ego vehicle, which become `IGNORE`.
     salt : int
@@ -149,7 +149,7 @@ class _Observer:
             hits = self.scene.cast(self.T, part, salt=self.salt, number=self._number + start, out=out)
             ground, rise = self.below.ground, self.below.rise
             kind = KINDS[hits.material]
-            observe_rays(self.seen, hits.distance, part, kind, ground, rise, self.spec, HEIGHT_LIMITS)
+            observe_rays(self.seen, hits.distance, part, kind, ground, rise, self.spec)
         self._number += len(directions)
 
     def truth(self, boxes: Boxes | None, returns: ArrayLike | None, ego: NDArray[np.bool_] | None) -> Truth:

@@ -30,21 +30,18 @@ from ogm.truth.boxes import (
     truth_from_boxes,
 )
 from ogm.truth.combine import combine_truths, ignore_cells
-from ogm.truth.observe import GROUND_SEEN, HEIGHT_LIMITS, OBSTACLE_SEEN, HeightLimits, Kind, observe_points
-from ogm.truth.points import TRUTH_SPEC, finalize_truth, height_above_ground, truth_from_points, truth_grid
-from ogm.truth.road import Road, cells_in_areas, free_road, truth_from_road
+from ogm.truth.observe import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, observe_points
+from ogm.truth.points import TRUTH_SPEC, finalize_truth, height_above_ground, truth_from_points
+from ogm.truth.road import cells_in_areas, truth_from_road
 from ogm.truth.scans import MARGIN, contradicted, truth_from_scans
 
 __all__ = [
-    "GROUND_SEEN",
     "HEIGHT_LIMITS",
     "MARGIN",
     "MIN_RETURNS",
     "OBSTACLE_SEEN",
     "TRUTH_SPEC",
-    "HeightLimits",
     "Kind",
-    "Road",
     "boxes_over_points",
     "boxes_seen_from",
     "cells_in_areas",
@@ -54,7 +51,6 @@ __all__ = [
     "contradicted",
     "count_returns",
     "finalize_truth",
-    "free_road",
     "height_above_ground",
     "ignore_cells",
     "moving_tracks",
@@ -63,5 +59,4 @@ __all__ = [
     "truth_from_points",
     "truth_from_road",
     "truth_from_scans",
-    "truth_grid",
 ]

@@ -9,17 +9,6 @@ from ogm.grid import GridSpec
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
 
-__all__ = [
-    "MIN_RETURNS",
-    "boxes_over_points",
-    "boxes_seen_from",
-    "cells_in_boxes",
-    "cells_in_footprint",
-    "count_returns",
-    "moving_tracks",
-    "truth_from_boxes",
-]
-
 MIN_RETURNS = 50  # points in the input scan that make all cells of an object occupied (Sec. IV-B)
 MOVING_SPEED = 1.0  # [m/s] from the first box of a track to the last, above which an object moves
 MOVING_DISTANCE = 3.0  # [m] or so far from its first box at any time: it may have driven a little, then waited
@@ -77,6 +66,14 @@ def cells_in_footprint(footprint: Sequence[float], spec: GridSpec) -> NDArray[np
     x_min, x_max, y_min, y_max = footprint
     x, y = spec.cell_centers
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
+
+
+def cells_in_hit_boxes(boxes: Boxes, returns: ArrayLike | None, spec: GridSpec) -> NDArray[np.bool_]:
+    """Return which cells are covered by boxes with `MIN_RETURNS` points or more in the scan (`count_returns`)."""
+    counts = np.asarray(returns)
+    if counts.shape != (len(boxes),):
+        raise ValueError(f"returns must have shape ({len(boxes)},), one per box, got {counts.shape}")
+    return cells_in_boxes(boxes.select(counts >= MIN_RETURNS), spec)
 
 
 def boxes_over_points(points: NDArray[np.floating], boxes: Boxes) -> NDArray[np.bool_]:
@@ -145,9 +142,7 @@ def boxes_seen_from(T: ArrayLike, poses: ArrayLike, sizes: ArrayLike) -> Boxes:
     return Boxes(center, np.column_stack([sizes[:, :2], height]), yaw)
 
 
-def moving_tracks(
-    stamps: Sequence[float], boxes: Sequence[Boxes], *, speed: float = MOVING_SPEED, distance: float = MOVING_DISTANCE
-) -> frozenset[str]:
+def moving_tracks(stamps: Sequence[float], boxes: Sequence[Boxes]) -> frozenset[str]:
     """Return the tracks of the objects that move while they are recorded.
 
     Parameters
@@ -156,15 +151,11 @@ def moving_tracks(
         Times of some frames [s], in any order.
     boxes : sequence of K Boxes
         The boxes of each, in the map's frame. Those without a track are left out.
-    speed : float
-        From first to last box, over the time between [m/s].
-    distance : float
-        From the first box at any time [m].
 
     Returns
     -------
     frozenset of str
-        Tracks above either. An object that was seen once is none of them.
+        Tracks above `MOVING_SPEED` or `MOVING_DISTANCE`. An object that was seen once is none of them.
     """
     if len(stamps) != len(boxes):
         raise ValueError(f"there must be one stamp per frame, got {len(stamps)} stamps and {len(boxes)} frames")
@@ -177,12 +168,12 @@ def moving_tracks(
     for name, rows in track.items():
         t, *place = np.array(rows).T
         away, time = np.hypot(*(np.array(place) - np.array(place)[:, :1])), t[-1] - t[0]
-        if away.max() > distance or (time > 0 and away[-1] > speed * time):
+        if away.max() > MOVING_DISTANCE or (time > 0 and away[-1] > MOVING_SPEED * time):
             moving.add(name)
     return frozenset(moving)
 
 
-def truth_from_boxes(boxes: Boxes, returns: ArrayLike, spec: GridSpec, *, min_returns: int = MIN_RETURNS) -> Truth:
+def truth_from_boxes(boxes: Boxes, returns: ArrayLike, spec: GridSpec) -> Truth:
     """Return the truth of boxes alone: objects with enough returns are occupied (van Kempen et al. 2021, Sec. IV-B).
 
     Parameters
@@ -190,19 +181,13 @@ def truth_from_boxes(boxes: Boxes, returns: ArrayLike, spec: GridSpec, *, min_re
     boxes : Boxes
         In the grid's frame.
     returns : (B,) integer
-        Points that each has in the scan: `count_returns`.
+        Points that each has in the scan: `count_returns`. `MIN_RETURNS` make the cells of a box occupied.
     spec : GridSpec
-    min_returns : int
-        Boxes with at least so many make their cells occupied.
 
     Returns
     -------
     Truth
         Never free or unknown: boxes with fewer returns, and all outside of boxes, are to be ignored.
     """
-    counts = np.asarray(returns)
-    if counts.shape != (len(boxes),):
-        raise ValueError(f"returns must have shape ({len(boxes)},), one per box, got {counts.shape}")
-    state = np.full(spec.shape, np.uint8(CellState.IGNORE))
-    state[cells_in_boxes(boxes.select(counts >= min_returns), spec)] = CellState.OCCUPIED
-    return Truth(spec, state)
+    hit = cells_in_hit_boxes(boxes, returns, spec)
+    return Truth(spec, np.where(hit, np.uint8(CellState.OCCUPIED), np.uint8(CellState.IGNORE)))

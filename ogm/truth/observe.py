@@ -1,7 +1,7 @@
 """Which cells hold ground or obstacles, from classified points."""
 
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,35 +23,12 @@ class Kind(IntEnum):
     OTHER = 4  # no evidence: no hit, ego vehicle, unlabelled, spray
 
 
-@dataclass(frozen=True)
-class HeightLimits:
-    """Between which heights above ground a hit blocks a car.
+class HeightLimits(NamedTuple):
+    """Between which heights above ground a hit blocks a car."""
 
-    Parameters
-    ----------
-    obstacle : float
-        Lower hits, such as those on a dropped kerb, can be driven over [m].
-    plant : float
-        The same for grass and other soft plants [m].
-    clearance : float
-        Higher hits block no car [m]: the top of the height band of van Kempen et al. 2021.
-
-    Raises
-    ------
-    ValueError
-        If they are not finite, or out of order.
-    """
-
-    obstacle: float = 0.05
-    plant: float = 0.25
-    clearance: float = 2.0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.obstacle <= self.plant < self.clearance < np.inf:
-            raise ValueError(
-                f"heights must obey 0 <= obstacle <= plant < clearance, got {self.obstacle}, {self.plant}, "
-                f"{self.clearance} m"
-            )
+    obstacle: float = 0.05  # [m] lower hits, such as those on a dropped kerb, can be driven over
+    plant: float = 0.25  # [m] the same for grass and other soft plants
+    clearance: float = 2.0  # [m] higher hits block no car: the top of the height band of van Kempen et al. 2021
 
 
 HEIGHT_LIMITS = HeightLimits()
@@ -64,7 +41,6 @@ def observe_points(
     kind: NDArray[np.integer],
     height: NDArray[np.float64],
     spec: GridSpec,
-    limits: HeightLimits = HEIGHT_LIMITS,
 ) -> None:
     """Add classified points to an observation.
 
@@ -72,9 +48,15 @@ def observe_points(
     ----------
     seen : (nx, ny) uint8
         Changed in place, bits `GROUND_SEEN` and `OBSTACLE_SEEN`; begin with zeros.
-    x, y, kind, height, spec, limits
-        As in `truth_grid`; nothing is checked.
+    x, y : (N,) float64
+        Where the hits are, in the grid's frame [m]. Those outside `spec` count for nothing.
+    kind : (N,) integer
+        `Kind` of each.
+    height : (N,) float64
+        Height of each above the ground around it [m].
+    spec : GridSpec
     """
+    limits = HEIGHT_LIMITS
     below = height < limits.clearance
     plant = kind == Kind.PLANT
     free = below & ((kind == Kind.GROUND) | (plant & (height < limits.plant)))

@@ -16,9 +16,7 @@ class _Rules(NamedTuple):
     resolution: float  # [m]
     x0: float  # origin of the grid [m]
     y0: float
-    obstacle: float  # heights above ground [m]
-    plant: float
-    clearance: float
+    heights: HeightLimits
 
 
 def observe_rays(
@@ -29,7 +27,6 @@ def observe_rays(
     ground: NDArray[np.float32],
     rise: NDArray[np.float32],
     spec: GridSpec,
-    limits: HeightLimits = HEIGHT_LIMITS,
 ) -> None:
     """Add what rays from the grid's (0, 0) hit to an observation, in one pass; `observe_points` is the reference.
 
@@ -50,9 +47,8 @@ def observe_rays(
     rise : (nx, ny) float32
         How far the ground rises or drops abruptly in each cell [m]: decides about `Kind.STEP`.
     spec : GridSpec
-    limits : HeightLimits
     """
-    rules = _Rules(spec.resolution, *spec.origin, limits.obstacle, limits.plant, limits.clearance)
+    rules = _Rules(spec.resolution, *spec.origin, HEIGHT_LIMITS)
     _observe_rays(seen, distance, directions, kind, ground, rise, rules)
 
 
@@ -72,11 +68,11 @@ def _observe_rays(seen: Any, distance: Any, directions: Any, kinds: Any, ground:
             continue
         ix, iy = int(u), int(v)
         height = t * directions[n, 2] - ground[ix, iy]
-        if not height < rules.clearance:
+        if not height < rules.heights.clearance:
             continue
         if kind == 3:  # Kind.STEP
             height = rise[ix, iy]
-        if kind == 0 or (kind == 2 and height < rules.plant):
+        if kind == 0 or (kind == 2 and height < rules.heights.plant):
             seen[ix, iy] |= 1
-        elif height >= (rules.plant if kind == 2 else rules.obstacle):
+        elif height >= (rules.heights.plant if kind == 2 else rules.heights.obstacle):
             seen[ix, iy] |= 2

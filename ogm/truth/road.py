@@ -1,7 +1,6 @@
 """Truth of a map's road: free where it is drivable, in sight of the sensor, and no obstacle was hit."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,16 +11,9 @@ from ogm.state import CellState, Truth
 from ogm.truth.boxes import cells_in_boxes
 from ogm.truth.scans import MARGIN, STANDING
 
-__all__ = ["Road", "cells_in_areas", "free_road", "truth_from_road"]
+__all__ = ["cells_in_areas", "truth_from_road"]
 
 SECTOR = np.radians(0.4)  # [rad] of azimuth in which a return hides the road; a VLP-32C fires every 0.2 deg
-
-
-class Road(NamedTuple):
-    """The road around a sensor, from a map and a scan."""
-
-    clear: NDArray[np.bool_]  # (nx, ny) drivable, and without obstacle
-    in_sight: NDArray[np.bool_]  # (nx, ny) of these, those that no return hides from the sensor
 
 
 def cells_in_areas(outlines: Sequence[ArrayLike], spec: GridSpec) -> NDArray[np.bool_]:
@@ -47,18 +39,15 @@ def cells_in_areas(outlines: Sequence[ArrayLike], spec: GridSpec) -> NDArray[np.
         inside = np.zeros(spec.shape, bool)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
             rows = np.flatnonzero((xs < x0) != (xs < x1))  # the edge crosses the line of middles at this x
-            if not len(rows):
-                continue
             y = y0 + (y1 - y0) * (xs[rows] - x0) / (x1 - x0)
             # Middles below the crossing change sides; a middle on it lies inside the area to its left
             count = np.ceil((y - spec.origin[1]) / spec.resolution - 0.5)
-            below = np.arange(spec.shape[1])[None, :] < count[:, None]
-            inside[rows] ^= below
+            inside[rows] ^= np.arange(spec.shape[1]) < count[:, None]
         result |= inside
     return result
 
 
-def free_road(
+def truth_from_road(
     drivable: NDArray[np.bool_],
     ground: NDArray[np.floating],
     points: NDArray[np.floating],
@@ -67,8 +56,8 @@ def free_road(
     *,
     boxes: Boxes | None = None,
     min_range: float = 0.0,
-) -> Road:
-    """Return the cells of the road that should be free, and which of them are in sight of a sensor at (0, 0, 0).
+) -> Truth:
+    """Return the truth of a map's road: free where it is in sight of a sensor at (0, 0, 0), ignored elsewhere.
 
     Left out are cells of boxes (all of them, however few returns they have, and `MARGIN` around them) and cells with
     a return from an obstacle. A cell is in sight if no such return lies nearer in its direction, on or above the
@@ -92,7 +81,8 @@ def free_road(
 
     Returns
     -------
-    Road
+    Truth
+        Never occupied or unknown.
     """
     xyz = np.asarray(points, np.float64)[:, :3]
     standing = xyz[(above > STANDING[0]) & (above < STANDING[1])]
@@ -118,9 +108,5 @@ def free_road(
         highest = np.maximum.accumulate(tangent[first:last])
         nearer = np.searchsorted(far[first:last], distance.ravel()[seen]) - 1
         hidden[seen] = (nearer >= 0) & (highest[np.maximum(nearer, 0)] >= slope[seen])
-    return Road(clear, clear & ~hidden.reshape(spec.shape))
-
-
-def truth_from_road(road: Road, spec: GridSpec) -> Truth:
-    """Make a truth grid of the road: free where it is in sight; all else is to be ignored, never occupied."""
-    return Truth(spec, np.where(road.in_sight, np.uint8(CellState.FREE), np.uint8(CellState.IGNORE)))
+    free = clear & ~hidden.reshape(spec.shape)
+    return Truth(spec, np.where(free, np.uint8(CellState.FREE), np.uint8(CellState.IGNORE)))

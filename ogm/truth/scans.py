@@ -44,7 +44,7 @@ def truth_from_scans(
         Their heights above ground [m].
     spec : GridSpec
     min_scans : int
-        Scans that must agree.
+        How many scans must agree.
     moving : (nx, ny) bool, optional
         Cells to be ignored whatever the scans hold: something that moves is there now.
 

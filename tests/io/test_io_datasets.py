@@ -12,7 +12,6 @@ from ogm.io import (
     NUSCENES_ELEVEN,
     SEMANTIC_KITTI,
     SEMANTIC_KITTI_MOVING,
-    SEMANTIC_KITTI_TO_TRAINING,
     SEMANTIC_KITTI_TRAINING,
     LabelledPoints,
     read_argoverse2,
@@ -92,9 +91,9 @@ def test_labelled_points_must_fit():
     points = np.zeros((3, 4), np.float32)
     found = LabelledPoints(points, np.array([0, 2, 0]), {0: "road", 1: "car", 2: "none"})
     assert found.named().tolist() == ["road", "none", "road"]
-    with pytest.raises(OgmError, match=r"one of classes per point, shape \(3,\), got \(2,\)"):
+    with pytest.raises(OgmError, match=r"one of classes per point, got \(2,\) for 3"):
         LabelledPoints(points, np.zeros(2, np.int64), {0: "road"})
-    with pytest.raises(OgmError, match=r"class 5, 7 is not one of the 1 that are known \(0 road"):
+    with pytest.raises(OgmError, match="class 5, 7 is not one of the 1 that are known"):
         LabelledPoints(points, np.array([0, 5, 7]), {0: "road"})
 
 
@@ -153,7 +152,7 @@ def test_damaged_labels_are_named(tmp_path, content, message):
 def test_damaged_tracks_are_named(tmp_path):
     path = tmp_path / "0000.txt"
     path.write_text(f"one 7 {LINE} 0\n")
-    with pytest.raises(OgmError, match="line 1 of .* must begin with two whole numbers, got 'one'"):
+    with pytest.raises(OgmError, match="line 1 of .* must begin with two whole numbers, got .*one"):
         read_kitti_tracks(path, TO_CAMERA)
     path.write_text(f"1 7 {LINE} 0\n1 7 {LINE} 0\n")
     with pytest.raises(OgmError, match="line 2 of .* second box of track 7 in scan 1"):
@@ -246,7 +245,6 @@ def test_a_label_is_a_class_and_an_instance(tmp_path):
     found = read_semantic_kitti(*files)
     assert found.points[:, 0].tolist() == [1, 4]  # what lies at the sensor goes, with its label
     assert found.classes.tolist() == [40, 252]
-    assert found.instances.tolist() == [0, 17]
     assert found.named().tolist() == ["road", "moving-car"]
 
 
@@ -255,23 +253,14 @@ def test_labels_must_be_as_many_as_points(tmp_path):
     with pytest.raises(OgmError, match=r"0.label has 2 labels, .*0.bin has 3 points"):
         read_semantic_kitti(*files)
     files = write_labelled(tmp_path, [[1, 1, 1, 0], [1, 1e30, 1, 0]], [40, 40])
-    with pytest.raises(OgmError, match=r"0.bin has coordinates of more than 100000 m"):
+    with pytest.raises(OgmError, match=r"0.bin with .* coordinates of more than 100000 m"):
         read_semantic_kitti(*files)
     files = write_labelled(tmp_path, np.ones((2, 4)), [40, 77])
     with pytest.raises(OgmError, match=r"0.label: class 77 is not one of the 34 that are known"):
         read_semantic_kitti(*files)
 
 
-def test_training_classes_are_the_data_sets_learning_map():
-    named = {name: number for number, name in SEMANTIC_KITTI.items()}
-    assert set(SEMANTIC_KITTI_TO_TRAINING) == set(SEMANTIC_KITTI)
-    assert set(SEMANTIC_KITTI_TO_TRAINING.values()) == set(SEMANTIC_KITTI_TRAINING) == set(range(20))
-    for word, number in (
-        *(("outlier", 0), ("bus", 5), ("moving-bus", 5), ("truck", 4), ("moving-truck", 4), ("lane-marking", 9)),
-        *(("moving-person", 6), ("moving-bicyclist", 7), ("other-structure", 0), ("traffic-sign", 19)),
-        *(("moving-on-rails", 5), ("moving-other-vehicle", 5), ("terrain", 17), ("car", 1), ("fence", 14)),
-    ):
-        assert SEMANTIC_KITTI_TO_TRAINING[named[word]] == number, word
+def test_moving_classes_are_named_so():
     assert {SEMANTIC_KITTI[n].split("-")[0] for n in SEMANTIC_KITTI_MOVING} == {"moving"}
     assert len(SEMANTIC_KITTI_MOVING) == 8
 
@@ -351,9 +340,7 @@ def test_semantic_kittis_own_files_hold_the_same_as_the_range_image(real, tmp_pa
     numbers = np.array([back[word] for word in image.named()])
     found = read_semantic_kitti(*write_labelled(tmp_path, image.points, numbers | 5 << 16))
     assert (found.points == image.points).all()
-    to_training = np.vectorize(SEMANTIC_KITTI_TO_TRAINING.get)
-    assert (to_training(found.classes) == image.classes).all()
-    assert (found.instances == 5).all()
+    assert (found.named() == image.named()).all()
 
 
 # --- nuScenes ---------------------------------------------------------------------------------------

@@ -26,21 +26,17 @@ def parse_feather(data: bytes, path: Path) -> Table:
     pyarrow, ipc, dataset = (optional(name, path) for name in ("pyarrow", "pyarrow.ipc", "pyarrow.dataset"))
     if data.startswith(b"FEA1"):
         raise OgmError(f"{path} is Feather of version 1, wanted version 2: write it anew with pyarrow")
-    damaged = f"{path} is no readable Feather table: it is damaged or wrongly named"
     buffer, types = pyarrow.py_buffer(data), pyarrow.types
     try:
         schema = ipc.open_file(buffer).schema
         names = schema.names
-    except (pyarrow.ArrowException, ValueError, OSError) as error:
-        raise OgmError(f"{damaged} ({error})") from error
-    numeric = [i for i, kind in enumerate(schema.types) if types.is_integer(kind) or types.is_floating(kind)]
-    fields = tuple(names[i] for i in numeric)
-    refuse_doubles(fields, path)
-    wanted = [i for i in numeric if plain(names[i]) in KNOWN]
-    width = sum(schema.types[i].bit_width // 8 for i in wanted)
-    if not wanted:  # to pyarrow, no fields would mean all
-        return Table("Feather", {}, fields=fields)
-    try:
+        numeric = [i for i, kind in enumerate(schema.types) if types.is_integer(kind) or types.is_floating(kind)]
+        fields = tuple(names[i] for i in numeric)
+        refuse_doubles(fields, path)
+        wanted = [i for i in numeric if plain(names[i]) in KNOWN]
+        width = sum(schema.types[i].bit_width // 8 for i in wanted)
+        if not wanted:  # to pyarrow, no fields would mean all
+            return Table("Feather", {}, fields=fields)
         rows = dataset.IpcFileFormat().make_fragment(buffer).count_rows(use_threads=False)  # unpacks nothing
         if rows * width > BYTE_LIMIT:
             raise OgmError(
@@ -52,5 +48,5 @@ def parse_feather(data: bytes, path: Path) -> Table:
     except OgmError:
         raise
     except (pyarrow.ArrowException, ValueError, OSError) as error:
-        raise OgmError(f"{damaged} ({error})") from error
+        raise OgmError(f"{path} is no readable Feather table: it is damaged or wrongly named ({error})") from error
     return Table("Feather", columns, fields=fields)

@@ -29,8 +29,8 @@ def parse_las(data: bytes, path: Path) -> Table:
         decoder = laspy.LazBackend.Lazrs
         with laspy.open(io.BytesIO(data), laz_backend=decoder, read_evlrs=False) as reader:
             header = reader.header
-            room = BYTE_LIMIT if header.are_points_compressed else len(data) - header.offset_to_point_data
-            if header.point_count * header.point_format.size > room:
+            space = BYTE_LIMIT if header.are_points_compressed else len(data) - header.offset_to_point_data
+            if header.point_count * header.point_format.size > space:
                 raise ValueError(f"its header promises {header.point_count} points, which do not fit in it")
             record = reader.read_points(-1)
         names = ["x", "y", "z", "intensity", *({"gps_time"} & set(header.point_format.dimension_names))]

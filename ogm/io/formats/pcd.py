@@ -6,8 +6,8 @@ further packages; only binary_compressed needs one.
 """
 
 import struct
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ _LZF_EXPANSION = 88  # at most: 3 bytes of LZF unpack to 264
 _KINDS = {f"{kind}{size}" for kind in "IU" for size in (1, 2, 4, 8)} | {"F4", "F8"}
 
 
-@dataclass(frozen=True)
-class _Header:
+class _Header(NamedTuple):
     fields: list[Field]
     width: int
     height: int
@@ -137,7 +136,7 @@ def _repaired(fields: list[Field], path: Path) -> list[Field]:
 def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.ndarray]:
     """Undo LZF; the fields then lie one after the other, each for all points."""
     if not header.points:
-        return {field.name: np.empty(0, field.type) for field in header.fields}
+        return binary_columns(header.fields, 0, body, path)
     check_size(8, header.points, body, path)
     packed, size = struct.unpack("<II", body[:8])
     needed = sum(field.length for field in header.fields) * header.points
@@ -148,14 +147,9 @@ def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.nda
             "points: it is damaged"
         )
     try:
-        content = optional("lzf", path).decompress(bytes(body[8 : 8 + packed]), size)
+        content = optional("lzf", path).decompress(bytes(body[8 : 8 + packed]), size) or b""
     except ValueError as error:
         raise OgmError(f"{path} has points that do not unpack ({error}): it is damaged") from error
-    if content is None or len(content) != size:
+    if len(content) != size:
         raise OgmError(f"{path} has points that do not unpack to {size} bytes: it is damaged")
-    columns = {}
-    offset = 0
-    for field in header.fields:
-        columns[field.name] = np.ndarray((header.points,), field.type, content, offset, (field.length,))
-        offset += field.length * header.points
-    return columns
+    return binary_columns(header.fields, header.points, memoryview(content), path, planar=True)

@@ -6,27 +6,11 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from ogm.files import OgmError
-
-__all__ = [
-    "INTENSITY",
-    "KNOWN",
-    "POSITION",
-    "RING",
-    "TEXT_LIMIT",
-    "TIME",
-    "Field",
-    "Table",
-    "binary_columns",
-    "check_size",
-    "check_text",
-    "plain",
-    "refuse_doubles",
-    "text_columns",
-]
 
 POSITION = ("x", "y", "z")
 INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts
@@ -37,8 +21,7 @@ KNOWN = frozenset(POSITION + INTENSITY + RING + TIME)
 TEXT_LIMIT = 2**28  # [byte] of the points of one cloud of text: some 10 M points
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """What a file holds, before axes and scales are settled.
 
     Parameters
@@ -101,7 +84,9 @@ def refuse_doubles(names: Iterable[str], path: Path) -> None:
         )
 
 
-def binary_columns(fields: list[Field], points: int, body: memoryview, path: Path) -> dict[str, np.ndarray]:
+def binary_columns(
+    fields: list[Field], points: int, body: memoryview, path: Path, *, planar: bool = False
+) -> dict[str, np.ndarray]:
     """View every field in the bytes of the file, without a copy; of several values, the first.
 
     Parameters
@@ -114,17 +99,19 @@ def binary_columns(fields: list[Field], points: int, body: memoryview, path: Pat
         The bytes; what follows the last record is left alone.
     path : Path
         The file's name, for messages.
+    planar : bool
+        Whether the fields lie one after the other, each for all points, rather than in records.
     """
     record = sum(field.length for field in fields)
     check_size(record * points, points, body, path)
     if not points:
         return {field.name: np.empty(0, field.type) for field in fields}
-    columns = {}
-    offset = 0
+    columns, offset = {}, 0
     for field in fields:
         if field.count > 0:
-            columns[field.name] = np.ndarray((points,), field.type, body, offset, (record,))
-        offset += field.length
+            stride = field.length if planar else record
+            columns[field.name] = np.ndarray((points,), field.type, body, offset, (stride,))
+        offset += field.length * (points if planar else 1)
     return columns
 
 
