@@ -24,7 +24,7 @@ A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the ser
 
 
 class Aging(NamedTuple):
-    """What time leaves of a map.
+    """How much of a map is left after some time.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ def evidential_update(
         at = (i + row) % nx
         low, high = look_up(z, scan.values, scan.affine, scan.samples, i, ny)
         if w != 1:
-            _scale(z[2 * low : 2 * high], w)
+            z[2 * low : 2 * high] *= w
         for part in range(2):
             a, b = (0, first) if part == 0 else (first, ny)  # cells of the window
             shift = column if part == 0 else column - ny  # to their place in the row
@@ -99,10 +99,8 @@ def evidential_update(
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
             if decay > 0 and not plain:
                 _decay(m, c, one, decay)
-            if plain and decay > 0:
+            if plain:
                 _decay_and_age(m, c, one, decay, kf, ko, kc)
-            elif plain:
-                _age(m, c, kf, ko, kc)
             elif aging.observed:
                 _age_observed(m, c, z[2 * a : 2 * b], one, kf, ko, kc, aging.evidence)
             else:
@@ -121,12 +119,6 @@ def evidential_update(
             else:
                 _cautious(m, c, z[2 * a : 2 * b], one, limit)
         z[:] = 0
-
-
-@vector
-def _scale(numbers: Any, factor: Any) -> None:
-    for k in range(numbers.size):
-        numbers[k] *= factor
 
 
 @vector
@@ -155,15 +147,6 @@ def _decay_and_age(m: Any, c: Any, one: Any, decay: Any, kf: Any, ko: Any, kc: A
         m[2 * k] = (m[2 * k] * kf + TINY) - TINY
         m[2 * k + 1] = (m[2 * k + 1] * (ko * _kept_of_occupied(one, part, to_occupied - to_free)) + TINY) - TINY
         c[2 * k], c[2 * k + 1] = (to_occupied * kc + TINY) - TINY, (to_free * kc + TINY) - TINY
-
-
-@vector
-def _age(m: Any, c: Any, kf: Any, ko: Any, kc: Any) -> None:
-    for k in range(m.size // 2):
-        m[2 * k] = (m[2 * k] * kf + TINY) - TINY
-        m[2 * k + 1] = (m[2 * k + 1] * ko + TINY) - TINY
-        c[2 * k] = (c[2 * k] * kc + TINY) - TINY
-        c[2 * k + 1] = (c[2 * k + 1] * kc + TINY) - TINY
 
 
 @vector
@@ -256,7 +239,7 @@ def bayes_update(
     scan : ScanLookup
         Of log-odds.
     keep : float
-        Share of the log-odds that ageing leaves, [0, 1].
+        Share of the log-odds that stays, [0, 1].
     limits : (float, float)
         Between which log-odds are kept.
     """

@@ -1,9 +1,9 @@
 """What all maps share: how their window and last scan are read, and the view along the vehicle's axes.
 
-`EvidentialMapper` and `BinaryBayesMapper` take these as their own properties and method.
+`EvidentialMapper` and `BinaryBayesMapper` take these as their own properties and methods.
 """
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["Forget", "T_map_vehicle", "check_forget", "scans", "spec", "stamp", "view"]
+__all__ = ["Forget", "T_map_vehicle", "reset", "scans", "spec", "stamp", "view"]
 
 Forget = Literal["everywhere", "observed"]
 
@@ -40,6 +40,14 @@ def scans(self: Any) -> int:
     return self._gate.scans
 
 
+def reset(self: Any) -> None:
+    """Forget everything: the next scan begins a new map."""
+    for layer in self._layers:
+        layer[:] = 0
+    self._window.corner = (0, 0)
+    self._gate.clear()
+
+
 def view(
     self: Any,
     spec: GridSpec | None = None,
@@ -61,10 +69,3 @@ def view(
     grid, cells = self.grid, spec or self._window.around
     T = self._gate.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
     return EvidentialGrid.trusted(cells, view_layers(grid.mass, grid.spec, cells, T, method))
-
-
-def check_forget(forget: Forget) -> Forget:
-    """Return which cells a map forgets, or refuse what is no choice."""
-    if forget not in get_args(Forget):
-        raise ValueError(f"forget must be one of {', '.join(get_args(Forget))}, got {forget!r}")
-    return forget

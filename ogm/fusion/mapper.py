@@ -15,10 +15,10 @@ from ogm.evidence import cumulative, dempster, discount, discount_evidence, norm
 from ogm.fusion import map_access
 from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup, gather
-from ogm.fusion.map_access import Forget, check_forget
+from ogm.fusion.map_access import Forget
 from ogm.fusion.resample import view_layers
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
-from ogm.fusion.window import Window, WindowMode
+from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
 __all__ = ["CONFLICT_LAYERS", "EvidentialMapper", "Rule"]
@@ -109,17 +109,15 @@ class EvidentialMapper:
         if not conflict_half_life >= 0:
             raise ValueError(f"conflict_half_life must be 0 s or more, got {conflict_half_life}")
         self.rule, self.half_life = rule, _half_lives(half_life)
-        self.moving_half_life = (
-            self.half_life[1] / DYNAMIC_DECAY_RATIO if moving_half_life is None else float(moving_half_life)
-        )
-        self.discounting, self.forget = discounting, check_forget(forget)
+        by_default = self.half_life[1] / DYNAMIC_DECAY_RATIO
+        self.moving_half_life = by_default if moving_half_life is None else float(moving_half_life)
+        self.discounting, self.forget = discounting, check_choice("forget", forget, Forget)
         self.min_unknown = float(min_unknown)
         self.conflict_half_life = float(conflict_half_life)
         forgets = not math.inf == self.moving_half_life == min(self.half_life)
         self._window = Window(spec, window)
         self._gate = UpdateGate(max_speed, max_delay, needs_stamps=forgets)
-        self._mass = np.zeros((*spec.shape, 2), np.float32)
-        self._conflict = np.zeros((*spec.shape, 2), np.float32)
+        self._layers = self._mass, self._conflict = np.zeros((2, *spec.shape, 2), np.float32)
 
     def update(
         self,
@@ -159,8 +157,7 @@ class EvidentialMapper:
             grid and the window have no cell in common.
         """
         scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
-        mass = grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed)
-        mass = np.ascontiguousarray(mass)
+        mass = np.ascontiguousarray(grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed))
         if self.rule in _COMPILED:
             self._window.move_to(scan.corner, self._mass, self._conflict)
             self._fuse(mass, scan, reliability)
@@ -175,7 +172,7 @@ class EvidentialMapper:
         return f"EvidentialMapper({rule}, half-life {memory}, {self.scans} scans, {self.spec})"
 
     spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, view = map_access.scans, map_access.view
+    scans, view, reset = map_access.scans, map_access.view, map_access.reset
 
     @property
     def grid(self) -> EvidentialGrid:
@@ -193,17 +190,8 @@ class EvidentialMapper:
 
     def conflict_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> LayeredGrid:
         """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
-        cells = spec or self._window.around
-        T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        layers = self._window.unrolled(self._conflict)
-        return _conflict_grid(cells, view_layers(layers, self.spec, cells, T))
-
-    def reset(self) -> None:
-        """Forget everything: the next scan begins a new map."""
-        self._mass[:] = 0
-        self._conflict[:] = 0
-        self._window.corner = (0, 0)
-        self._gate.clear()
+        cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        return _conflict_grid(cells, view_layers(self._window.unrolled(self._conflict), self.spec, cells, T))
 
     def _fuse(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
         """Fuse a scan in one compiled pass over the map."""
@@ -246,7 +234,7 @@ class EvidentialMapper:
             raise
 
     def _aging(self, seconds: float) -> Aging:
-        """Return what some time leaves of the map."""
+        """Return the shares of the map that are left after some time, and its dynamic decay."""
         free, occupied = self._kept(seconds)
         evidence, observed = self.discounting is discount_evidence, self.forget == "observed"
         if seconds == 0:  # a scan of the same moment
@@ -262,8 +250,7 @@ class EvidentialMapper:
 
     def _kept(self, seconds: float) -> tuple[float, float]:
         """Return the shares of free and of occupied that are left after some time."""
-        free, occupied = (0.5 ** (seconds / one) for one in self.half_life)
-        return free, occupied
+        return 0.5 ** (seconds / self.half_life[0]), 0.5 ** (seconds / self.half_life[1])
 
     def _combined(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply a rule that has no kernel, and check that it gives masses."""

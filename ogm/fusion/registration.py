@@ -22,7 +22,7 @@ _NEIGHBOURS = 10  # points from which it estimates a surface
 _HORIZON = 100  # scans for which it keeps a voxel that no scan hits
 
 _NAMES = ("scans", "stamps", "times")
-_ENDED = object()
+_ENDED: Any = object()
 
 _Register = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
@@ -213,15 +213,9 @@ def _together(
     scans: Iterable[NDArray[Any]], stamps: Iterable[float], times: Iterable[ArrayLike | None] | None
 ) -> Iterator[tuple[NDArray[Any], float, ArrayLike | None]]:
     """Yield scan, stamp and times, which must be as many."""
-    streams: list[Iterator[Any]] = [iter(scans), iter(stamps), itertools.repeat(None) if times is None else iter(times)]
-    for count in itertools.count():
-        row: list[Any] = [next(stream, _ENDED) for stream in streams]
-        ended = [one is _ENDED for one in row]
-        if all(ended[:2]) and (ended[2] or times is None):
-            return
-        if any(ended):
-            raise ValueError(
-                f"scans, stamps and times, if given, must be as many, but {_NAMES[ended.index(True)]} ended after "
-                f"{count}"
-            )
-        yield row[0], float(row[1]), row[2]
+    streams = (scans, stamps) if times is None else (scans, stamps, times)
+    for count, row in enumerate(itertools.zip_longest(*streams, fillvalue=_ENDED)):
+        ended = [name for name, one in zip(_NAMES, row, strict=False) if one is _ENDED]
+        if ended:
+            raise ValueError(f"scans, stamps and times, if given, must be as many, but {ended[0]} ended after {count}")
+        yield row[0], float(row[1]), None if times is None else row[2]
