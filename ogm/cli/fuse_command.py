@@ -25,12 +25,12 @@ ENDINGS = {  # of what each option writes
     "--save-poses": (".csv", ".txt", ".tum"),
 }
 
-ScanPaths = Annotated[list[Path], Argument(help="Scans, a folder, or a data set with drives.", metavar="SCANS")]
+ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, or a data set.", metavar="SCANS")]
 Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM (.txt), or what --save-poses wrote.")]
 Calibration = Annotated[File, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
 Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
 SavePoses = Annotated[File, Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")]
-Rate = Annotated[float, Option(help="Scans per second [Hz], where neither scans nor poses have stamps.")]
+Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
 First = Annotated[int | None, Option(help="Map the first so many scans only. [default: all]")]
 Model = Annotated[str, Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")]

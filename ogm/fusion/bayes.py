@@ -8,14 +8,14 @@ import math
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from ogm.fusion import map_access
 from ogm.fusion.kernels import bayes_update, log_odds_of
 from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.map_access import Forget
-from ogm.fusion.update_gate import UpdateGate
+from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
 
@@ -70,17 +70,7 @@ class BinaryBayesMapper:
         self._log_odds = np.zeros(spec.shape, np.float32)
         self._layers = (self._log_odds,)
 
-    def update(
-        self,
-        grid: EvidentialGrid,
-        T_map_sensor: ArrayLike,
-        *,
-        stamp: float | None = None,
-        T_vehicle_sensor: ArrayLike | None = None,
-        reliability: float = 1.0,
-    ) -> None:
-        """Age the map to a new scan's time and add the scan's log-odds: `EvidentialMapper.update`."""
-        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+    def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         mass = np.ascontiguousarray(grid.mass) * np.float32(reliability)
         log_odds: NDArray[np.float32] = np.empty(grid.spec.shape, np.float32)
         low, high = (math.log(p / (1 - p)) for p in self.limits)
@@ -91,14 +81,13 @@ class BinaryBayesMapper:
             log_odds, keep = log_odds * np.float32(keep), 1.0
         lookup = ScanLookup(log_odds, scan.affine, scan.samples)
         bayes_update(self._log_odds, self._window.ring, lookup, keep, self.forget == "observed", (low, high))
-        self._gate.accept(scan)
 
     def __repr__(self) -> str:
         memory = "never forgets" if math.isinf(self.half_life) else f"half-life {self.half_life:g} s"
         return f"BinaryBayesMapper({self.match}, {memory}, {self.scans} scans, {self.spec})"
 
     spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, view, reset = map_access.scans, map_access.view, map_access.reset
+    scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
     def probability(self) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
+from ogm.fusion.registration import import_package
 from ogm.pose import Trajectory, check_pose
 
 __all__ = ["EgoMotion", "Motion"]
@@ -29,8 +30,8 @@ class Motion(NamedTuple):
     stamps : (K,) float64
         [s], increasing.
     states : (K, 5) float64
-        x, y [m] and yaw [rad] in the map, speed along the vehicle's x axis [m/s], yaw rate [rad/s]. The yaw
-        goes on beyond pi: it does not jump.
+        x, y [m] and yaw [rad] in the map, speed along the vehicle's x axis [m/s], yaw rate [rad/s]. The yaw goes on
+        beyond pi: it does not jump.
     covariances : (K, 5, 5) float64
         Of those, in the same units.
     """
@@ -63,16 +64,14 @@ class _Node(NamedTuple):
 class EgoMotion:
     """Where the vehicle is and how it moves, from measurements in the order of their stamps.
 
-    The state is x, y, yaw, speed and yaw rate, at constant turn rate and velocity between measurements
-    (CTRV; Schubert et al., FUSION 2008). The filter is the unscented one (Wan and van der Merwe 2000, by
-    filterpy). Measurements have their own stamps, and any number may share one; each is accepted, or refused
-    where it is less likely than `gate` allows.
+    The state is x, y, yaw, speed and yaw rate, at constant turn rate and velocity between measurements (CTRV; Schubert
+    et al., FUSION 2008). The filter is the unscented one (Wan and van der Merwe 2000, by filterpy). Measurements have
+    their own stamps, and any number may share one; each is accepted, or refused where it is less likely than `gate`
+    allows. Every stamp is kept for `smoothed`: about 1 kB each.
 
     A filter that diverged refuses right measurements. So the `patience`-th measurement of one kind that would be
     refused in a row is accepted: the covariance of what it measures is doubled until it passes the gate. `smoothed`
     does not reach back across such a step.
-
-    The filter remembers every stamp for `smoothed`: about 1 kB each.
 
     Parameters
     ----------
@@ -84,8 +83,8 @@ class EgoMotion:
         [m/s], [rad/s], then.
     deviation : 5 float
         How well x, y [m], yaw [rad], speed [m/s] and yaw rate [rad/s] are known then, 1 sigma each, above 0.
-        An unknown heading has pi / 2; fixes much more precise than the distance between them then need a gyro, or a
-        heading taken from the first two of them: the filter is local, and may converge to a wrong heading.
+        An unknown heading has pi / 2; fixes much more precise than their distance then need a gyro, or a heading
+        taken from the first two of them: the filter is local, and may converge to a wrong heading.
     acceleration : float
         By how much the speed changes within a second, 1 sigma [m/s^2]; the change grows with the root of time.
     yaw_acceleration : float
@@ -123,10 +122,7 @@ class EgoMotion:
         gate: float = 0.999,
         patience: int = 5,
     ) -> None:
-        try:
-            from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-        except ImportError as error:
-            raise ImportError('EgoMotion needs filterpy: pip install "ogm-toolkit[track]"', name=error.name) from error
+        kalman = import_package("filterpy.kalman")
         T = check_pose(np.eye(4) if T_map_vehicle is None else T_map_vehicle, "T_map_vehicle")
         start = [T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]), speed, yaw_rate]
         sigmas = _deviations(deviation, 5)
@@ -141,8 +137,8 @@ class EgoMotion:
         if patience < 1:
             raise ValueError(f"patience must be 1 or more, got {patience}")
         # alpha 1 and kappa 0: no negative weight, so every covariance is one, however uncertain the yaw
-        self._points = MerweScaledSigmaPoints(5, 1.0, 2.0, 0.0)
-        self._filter = UnscentedKalmanFilter(5, 1, 1.0, hx=None, fx=_move, points=self._points)
+        self._points = kalman.MerweScaledSigmaPoints(5, 1.0, 2.0, 0.0)
+        self._filter = kalman.UnscentedKalmanFilter(5, 1, 1.0, hx=None, fx=_move, points=self._points)
         self._filter.x, self._filter.P = np.array(start, np.float64), np.diag(sigmas**2)
         self._noise = acceleration**2, yaw_acceleration**2
         # Quantiles of chi-square for 1, 2 and 3 measured numbers; scipy.stats would be a slow import.
@@ -172,14 +168,13 @@ class EgoMotion:
         Returns
         -------
         bool
-            Whether it was accepted; `refused` counts those that were not. The state moves on to `stamp`
-            either way.
+            Whether it was accepted; `refused` counts those that were not. The state moves on to `stamp` either way.
 
         Raises
         ------
         ValueError
-            If a number is not finite or out of its range, or `stamp` lies before the last one by more than
-            a millisecond or after it by more than a minute. Then nothing has changed.
+            If a number is not finite or out of its range, or `stamp` lies before the last one by more than a
+            millisecond or after it by more than a minute. Then nothing has changed.
         """
         return self._measure("speed", stamp, [value], deviation, [_SPEED])
 
@@ -188,17 +183,13 @@ class EgoMotion:
         return self._measure("yaw_rate", stamp, [value], deviation, [_YAW_RATE])
 
     def position(self, stamp: float, xy: ArrayLike, deviation: ArrayLike) -> bool:
-        """Take in a position in the map, of GNSS: x, y [m] of the vehicle's origin.
-
-        `deviation` is 1 sigma, one number or one each; all else as `speed`.
-        """
+        """Take in a position in the map, of GNSS: x, y [m]; `deviation` is one number or one each; else as `speed`."""
         return self._measure("position", stamp, xy, deviation, [_X, _Y])
 
     def pose(self, stamp: float, pose: ArrayLike, deviation: ArrayLike) -> bool:
         """Take in a pose in the map, of a registration.
 
-        `pose` is x, y [m] and yaw [rad], or ``T_map_vehicle`` (4, 4); `deviation` is 1 sigma of x, y [m] and
-        yaw [rad]; all else as `speed`.
+        `pose` is x, y [m] and yaw [rad], or ``T_map_vehicle`` (4, 4); `deviation` is of x, y and yaw; else as `speed`.
         """
         value = np.asarray(pose, np.float64)
         if value.shape == (4, 4):
@@ -211,10 +202,7 @@ class EgoMotion:
         return self._motion([node.x for node in self._nodes], [node.P for node in self._nodes])
 
     def smoothed(self) -> Motion:
-        """Return the states at each stamp, from all measurements before and after it.
-
-        Rauch, Tung and Striebel's smoother on the filter's sigma points (Sarkka, IEEE TAC 2008).
-        """
+        """Return the states from all measurements, by the smoother of Rauch, Tung and Striebel (Sarkka 2008)."""
         x, P = [self._nodes[-1].x], [self._nodes[-1].P]
         for node, after in zip(self._nodes[-2::-1], self._nodes[:0:-1], strict=True):
             gain = np.linalg.solve(after.P_predicted, after.C.T).T

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["Forget", "T_map_vehicle", "reset", "scans", "spec", "stamp", "view"]
+__all__ = ["Forget", "T_map_vehicle", "reset", "scans", "spec", "stamp", "update", "view"]
 
 Forget = Literal["everywhere", "observed"]
 
@@ -38,6 +38,48 @@ def T_map_vehicle(self: Any) -> NDArray[np.float64] | None:  # noqa: N802
 def scans(self: Any) -> int:
     """Number of scans in the map."""
     return self._gate.scans
+
+
+def update(
+    self: Any,
+    grid: EvidentialGrid,
+    T_map_sensor: ArrayLike,  # noqa: N803
+    *,
+    stamp: float | None = None,
+    T_vehicle_sensor: ArrayLike | None = None,  # noqa: N803
+    reliability: float = 1.0,
+) -> None:
+    """Age the map to a new scan's time and fuse its measurement grid.
+
+    Parameters
+    ----------
+    grid : EvidentialGrid
+        The measurement grid of a scan, in the frame that the next argument takes to the map. Its extent and
+        resolution are free: cells of the map take the masses at their centre, or, if the scan's cells are finer,
+        the mean over the cell.
+    T_map_sensor : (4, 4) array
+        Takes the grid's frame to the map [m].
+    stamp : float
+        When the scan was taken [s].
+    T_vehicle_sensor : (4, 4) array, optional
+        Where that frame sits on the vehicle, of which there is one for all sensors: the window and the check for
+        jumps follow the vehicle. By default the frame is the vehicle's.
+    reliability : float
+        Of this sensor, [0, 1]: its masses are discounted by it.
+
+    Raises
+    ------
+    TypeError
+        If `grid` is no EvidentialGrid.
+    PoseJump
+        If the pose is further from the last one than `max_speed` allows.
+    ValueError
+        If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper, or
+        the grid and the window have no cell in common.
+    """
+    scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+    self._fuse(grid, scan, reliability)
+    self._gate.accept(scan)
 
 
 def reset(self: Any) -> None:

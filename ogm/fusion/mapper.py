@@ -119,52 +119,6 @@ class EvidentialMapper:
         self._gate = UpdateGate(max_speed, max_delay, needs_stamps=forgets)
         self._layers = self._mass, self._conflict = np.zeros((2, *spec.shape, 2), np.float32)
 
-    def update(
-        self,
-        grid: EvidentialGrid,
-        T_map_sensor: ArrayLike,
-        *,
-        stamp: float | None = None,
-        T_vehicle_sensor: ArrayLike | None = None,
-        reliability: float = 1.0,
-    ) -> None:
-        """Age the map to a new scan's time and fuse its measurement grid.
-
-        Parameters
-        ----------
-        grid : EvidentialGrid
-            The measurement grid of a scan, in the frame that the next argument takes to the map. Its extent and
-            resolution are free: cells of the map take the masses at their centre, or, if the scan's cells are finer,
-            the mean over the cell.
-        T_map_sensor : (4, 4) array
-            Takes the grid's frame to the map [m].
-        stamp : float
-            When the scan was taken [s].
-        T_vehicle_sensor : (4, 4) array, optional
-            Where that frame sits on the vehicle, of which there is one for all sensors: the window and the check for
-            jumps follow the vehicle. By default the frame is the vehicle's.
-        reliability : float
-            Of this sensor, [0, 1]: its masses are discounted by it.
-
-        Raises
-        ------
-        TypeError
-            If `grid` is no EvidentialGrid.
-        PoseJump
-            If the pose is further from the last one than `max_speed` allows.
-        ValueError
-            If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules above, or the
-            grid and the window have no cell in common.
-        """
-        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
-        mass = np.ascontiguousarray(grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed))
-        if self.rule in _COMPILED:
-            self._window.move_to(scan.corner, self._mass, self._conflict)
-            self._fuse(mass, scan, reliability)
-        else:
-            self._fuse_by_any_rule(mass, scan, reliability)
-        self._gate.accept(scan)
-
     def __repr__(self) -> str:
         rule = getattr(self.rule, "__name__", repr(self.rule))
         free, occupied = self.half_life
@@ -172,7 +126,7 @@ class EvidentialMapper:
         return f"EvidentialMapper({rule}, half-life {memory}, {self.scans} scans, {self.spec})"
 
     spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, view, reset = map_access.scans, map_access.view, map_access.reset
+    scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
     def grid(self) -> EvidentialGrid:
@@ -193,8 +147,12 @@ class EvidentialMapper:
         cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
         return _conflict_grid(cells, view_layers(self._window.unrolled(self._conflict), self.spec, cells, T))
 
-    def _fuse(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
-        """Fuse a scan in one compiled pass over the map."""
+    def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
+        mass = np.ascontiguousarray(grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed))
+        if self.rule not in _COMPILED:
+            self._fuse_by_any_rule(mass, scan, reliability)
+            return
+        self._window.move_to(scan.corner, self._mass, self._conflict)
         nx, ny = self._window.spec0.shape
         conflict = self._conflict if scan.elapsed >= 0 else self._conflict.copy()
         evidential_update(
@@ -209,7 +167,7 @@ class EvidentialMapper:
         )
 
     def _fuse_by_any_rule(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
-        """Do the same in numpy, with a rule that is only a function of two masses: the slow reference of `_fuse`."""
+        """Fuse in numpy, with a rule that is only a function of two masses: the slow reference of the compiled pass."""
         before = self._window.corner, self._mass.copy(), self._conflict.copy()
         try:
             self._window.move_to(scan.corner, self._mass, self._conflict)

@@ -1,7 +1,7 @@
 """Ego motion: closed forms, a simulated drive, and sensors that lie."""
 
-import builtins
 import math
+import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -308,14 +308,7 @@ def test_impossible_settings_are_refused(given: dict[str, Any], message: str) ->
 
 
 def test_a_missing_package_is_named_with_its_install_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    real_import = builtins.__import__
-
-    def without(module: str, *args: Any, **kwargs: Any) -> Any:
-        if module.split(".")[0] == "filterpy":
-            raise ImportError(module)
-        return real_import(module, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "filterpy.kalman", None)
     with pytest.raises(ImportError, match="ogm-toolkit\\[track\\]"):
         EgoMotion(0.0)
 
