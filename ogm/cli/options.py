@@ -16,7 +16,7 @@ Axes = Annotated[
     Any,
     Option(
         parser=parsed_axes,
-        metavar="TEXT",
+        metavar="<str>",
         help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.",
     ),
 ]

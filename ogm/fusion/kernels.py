@@ -89,7 +89,7 @@ def evidential_update(
         at = (i + row) % nx
         low, high = look_up(z, scan.values, scan.affine, scan.samples, i, ny)
         if w != 1:
-            z[2 * low : 2 * high] *= w
+            _scale(z[2 * low : 2 * high], w)
         for part in range(2):
             a, b = (0, first) if part == 0 else (first, ny)  # cells of the window
             shift = column if part == 0 else column - ny  # to their place in the row
@@ -119,6 +119,12 @@ def evidential_update(
             else:
                 _cautious(m, c, z[2 * a : 2 * b], one, limit)
         z[:] = 0
+
+
+@vector
+def _scale(numbers: Any, factor: Any) -> None:
+    for k in range(numbers.size):
+        numbers[k] *= factor
 
 
 @vector
