@@ -29,7 +29,7 @@ QUALITY = (
 MAPS = {  # name in the record -> title
     "scan alone": "scan alone",
     "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
-    "cautious, what came leaves, 0.04 s": "**`EvidentialMapper` with its defaults**",
+    "cautious, dynamic decay, 0.04 s": "**`EvidentialMapper` with its defaults**",
     "Dempster, 2 s": "Dempster, 2 s",
     "Bayes, plausibility, limits as Dempster, 0.5 s": "Bayes by plausibility, limits as Dempster, 0.5 s",
     "Yager, never forgets": "Yager, never forgets",

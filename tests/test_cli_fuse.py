@@ -1,7 +1,6 @@
 """``ogm fuse``, as a person uses it: a small drive between four walls."""
 
 import importlib
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -373,7 +372,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--length", "10.3"), "use 10 m or 10.5 m"),
         (("{scans}", "--poses", "{poses}", "--out", "{poses}/x.npz"), "--out cannot write into"),
         (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "--out writes .npz"),
-        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "a movie is .gif, .webp, .png"),
+        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "--movie writes .gif or .webp or .png"),
         (("{scans}", "--poses", "{poses}", "--picture", "{folder}/x.png", "--movie", "{folder}/x.png"), "both write"),
         (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
@@ -432,15 +431,6 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(
     assert result.exit_code == 2
     assert "--out cannot write into" in result.output
     assert "Permission denied" in result.output
-
-
-def test_a_film_without_pillow_names_the_install_command(
-    scans: Path, poses: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "PIL.Image", None)
-    result = ogm("fuse", scans, "--poses", poses, "--movie", tmp_path / "m.gif")
-    assert result.exit_code == 2
-    assert 'pip install "ogm-toolkit[viz]"' in result.output
 
 
 def test_six_real_scans_become_a_map_and_a_film(real: Callable[[str], Path], tmp_path: Path) -> None:

@@ -1,116 +1,75 @@
 """``ogm fuse``: the scans of a drive to one map that remembers and forgets."""
 
-import math
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import nullcontext
-from dataclasses import dataclass, field
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 from rich.progress import track
+from typer import Argument, Option
 
+from ogm.cli import options
 from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
-from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
+from ogm.cli.options import File
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
-    from ogm.fusion import FusionStep, Mapper
-    from ogm.grid import EvidentialGrid, GridSpec
-    from ogm.movie import Movie
-    from ogm.plot import Panel
-    from ogm.scan import Frame
 
-ENDINGS = {"--out": (".npz",), "--picture": (".png",), "--save-poses": (".csv", ".txt", ".tum")}
+ENDINGS = {  # of what each option writes
+    "--out": (".npz",),
+    "--picture": (".png",),
+    "--movie": (".gif", ".webp", ".png"),
+    "--save-poses": (".csv", ".txt", ".tum"),
+}
 
-ScanPaths = Annotated[
-    list[Path], typer.Argument(help="Scans, a folder of them, or a data set with drives.", metavar="SCANS")
-]
-PosesFile = Annotated[
-    Path | None, typer.Option(help="Poses of the sensor: KITTI, KITTI-360 or TUM (.txt), or what --save-poses wrote.")
-]
-Calibration = Annotated[Path | None, typer.Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
-Odometry = Annotated[str | None, typer.Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
-SavePoses = Annotated[
-    Path | None, typer.Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")
-]
-Rate = Annotated[float, typer.Option(help="Scans per second [Hz], where neither scans nor poses have stamps.")]
-SequenceName = Annotated[
-    str | None, typer.Option(help="Which drive of a data set: its name or number. [default: the first]")
-]
-First = Annotated[int | None, typer.Option(help="Map the first so many scans only. [default: all]")]
-Model = Annotated[str, typer.Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")]
-AxesName = Annotated[
-    str, typer.Option(help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.")
-]
-Height = Annotated[
-    float | None, typer.Option(help="Sensor above ground [m]; by default stated by the data, or estimated.")
-]
-Position = Annotated[
-    tuple[float, float, float] | None,
-    typer.Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
-]
-Deskew = Annotated[
-    bool, typer.Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")
-]
+ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, or a data set.", metavar="SCANS")]
+Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM (.txt), or what --save-poses wrote.")]
+Calibration = Annotated[File, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
+Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
+SavePoses = Annotated[File, Option(help="Write the poses of the scans that were mapped (.csv, or .txt for TUM).")]
+Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
+Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
+First = Annotated[int | None, Option(help="Map the first so many scans only. [default: all]")]
+Model = Annotated[str, Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")]
+Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
 Rule = Annotated[
-    str,
-    typer.Option(
-        help="How scans are combined: cautious, dempster, yager, cumulative, pcr6, averaging, weighted, or bayes "
-        "(log-odds)."
-    ),
+    str, Option(help="Combine scans by: cautious, dempster, yager, cumulative, pcr6, averaging, weighted, bayes.")
 ]
-HalfLife = Annotated[
-    float | None, typer.Option(help="Time in which belief halves [s], or inf. [default: 2; bayes: inf]")
+HalfLife = Annotated[float | None, Option(help="Time in which belief halves [s], or inf. [default: 2; bayes: inf]")]
+Window = Annotated[
+    str, Option(help="rolling: follows the vehicle. fixed: covers the drive (--half-life inf keeps it).")
 ]
-WindowName = Annotated[
-    str,
-    typer.Option(
-        help="rolling: the map follows the vehicle. fixed: it covers the whole drive (with --half-life inf all is "
-        "kept)."
-    ),
-]
-Length = Annotated[float | None, typer.Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")]
-Width = Annotated[float | None, typer.Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")]
-Resolution = Annotated[float, typer.Option(help="Side of a cell [m].")]
-Out = Annotated[
-    Path | None, typer.Option("--out", help="Map (.npz); its folder is made if need be. [default: map.npz]")
-]
-Picture = Annotated[
-    Path | None,
-    typer.Option(help="Picture of the last scan: points, measurement, map, conflict (.png). [default: map.png]"),
-]
-MovieFile = Annotated[
-    Path | None, typer.Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")
-]
+Out = Annotated[File, Option("--out", help="Map (.npz); its folder is made if need be. [default: map.npz]")]
+Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
+MovieFile = Annotated[File, Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")]
 
 
 @report_errors
 def fuse(
     scans: ScanPaths,
-    poses: PosesFile = None,
+    poses: Poses = None,
     calib: Calibration = None,
     odometry: Odometry = None,
     save_poses: SavePoses = None,
     rate: Rate = 10.0,
-    sequence: SequenceName = None,
+    sequence: Drive = None,
     first: First = None,
     ism: Model = "ray",
-    axes: AxesName = "flu",
-    sensor_height: Height = None,
-    sensor_position: Position = None,
-    intensity_max: IntensityMax = None,
-    time_unit: TimeUnit = None,
+    axes: options.Axes = "flu",
+    sensor_height: options.SensorHeight = None,
+    sensor_position: options.SensorPosition = None,
+    intensity_max: options.IntensityMax = None,
+    time_unit: options.TimeUnit = None,
     deskew: Deskew = False,
     rule: Rule = "cautious",
     half_life: HalfLife = None,
-    window: WindowName = "rolling",
-    length: Length = None,
-    width: Width = None,
-    resolution: Resolution = 0.16,
+    window: Window = "rolling",
+    length: options.Length = None,
+    width: options.Width = None,
+    resolution: options.Resolution = 0.16,
     out_path: Out = None,
     picture: Picture = None,
     movie: MovieFile = None,
@@ -127,6 +86,7 @@ def fuse(
     After three jumps in a row the map so far is saved as NAME.before-jump-1.npz and begins anew. Ctrl-C, or an error
     half-way through the mapping, writes what there is.
     """
+    from ogm.cli.fuse_run import FusionRun
     from ogm.datasets import open_dataset
     from ogm.evaluation.models import model_factory
     from ogm.fusion import covering_window, make_mapper, rolling_window
@@ -138,30 +98,23 @@ def fuse(
     if out_path is None and picture is None and movie is None:
         out_path, picture = Path("map.npz"), Path("map.png")
     _check_poses(poses, calib, odometry, save_poses, first)
-    _prepare_outputs({"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses})
+    outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses}
+    _prepare_outputs(outputs)
     spec = GridSpec.centered(length, width, resolution)
     model = PerMount(model_factory(ism, spec))
     make_mapper(rule, spec, half_life, window)  # type: ignore[arg-type]  # refuses what is no choice, before any work
-    dataset = open_dataset(
-        scans,
-        axes=parsed_axes(axes),
-        intensity_max=intensity_max,
-        time_unit=time_unit,
-        sensor_height=sensor_height,
-        sensor_position=sensor_position,
-        split="sequences" if (scans[0] / "zarr.json").exists() else None,
-    )
+    reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
+    split = "sequences" if (scans[0] / "zarr.json").exists() else None
+    dataset = open_dataset(scans, **reading, sensor_height=sensor_height, sensor_position=sensor_position, split=split)
     dataset = _drive(dataset, sequence, sensor_height)
     if deskew and not dataset.motion_distorted:
-        raise ValueError(
-            "--deskew: the points of this data set are not (or not all) distorted by the ego motion; leave it out"
-        )
+        raise ValueError("leave out --deskew: the points of this data set are not (or not all) distorted by motion")
     dataset = _posed(dataset, poses, calib, odometry, rate, first)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     cells = rolling_window(spec) if window == "rolling" else covering_window(spec, np.array(known))
     mapper = make_mapper(rule, cells, half_life, window)  # type: ignore[arg-type]
 
-    run = _Run(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or Path("map.npz"))
+    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or Path("map.npz"))
     times = (dataset.trajectory or True) if deskew else False
     steps = fused(dataset, model, mapper, deskew=times, on_error=run.report)
     titles = ("points by height", *run.titles)
@@ -176,9 +129,8 @@ def fuse(
         if picture is not None:
             run.save_picture(picture)
     print_facts(run.facts())
-    names = {"map": out_path, "picture": picture, "movie": movie, "poses": save_poses}
-    written = [f"{name} {path}" for name, path in names.items() if path is not None]
-    out.print("   ".join(written), markup=False, soft_wrap=True)
+    written = zip(("map", "picture", "movie", "poses"), outputs.values(), strict=True)
+    out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)
     if code:
         raise typer.Exit(code)
 
@@ -200,15 +152,11 @@ def _check_poses(
 
 def _prepare_outputs(wanted: dict[str, Path | None]) -> None:
     """Make the folders of all outputs, and see that they can be written, before hours of work."""
-    from ogm.movie import check_movie
-
     used: dict[Path, str] = {}
     for option, path in wanted.items():
         if path is None:
             continue
-        if option == "--movie":
-            check_movie(path)
-        elif path.suffix.lower() not in ENDINGS[option]:
+        if path.suffix.lower() not in ENDINGS[option]:
             raise ValueError(f"{option} writes {' or '.join(ENDINGS[option])}, got {path}")
         if path.is_dir():
             raise ValueError(f"{option} {path} is a folder; give a file name")
@@ -227,15 +175,15 @@ def _drive(dataset: "Dataset", sequence: str | None, sensor_height: float | None
     """Return one drive of a data set, and print the height of its sensor."""
     drives = dataset.sequences
     if drives:
-        named = (sequence, f"sequence {sequence}") if sequence is not None else (next(iter(drives)),)
-        name = next((one for one in named if one in drives), None)
-        if name is None and sequence is not None and sequence.isdecimal() and int(sequence) < len(drives):
-            name = list(drives)[int(sequence)]
-        if name is None:
+        names = list(drives)
+        wanted = names[0] if sequence is None else sequence
+        number = int(wanted) if wanted.isdecimal() else len(names)
+        found = [one for one in (wanted, f"sequence {wanted}", *names[number : number + 1]) if one in drives]
+        if not found:
             raise ValueError(f"--sequence must be one of {', '.join(drives)}, got {sequence}")
         if sequence is None and len(drives) > 1:
-            out.print(f"drive: {name}, the first of {len(drives)}; --sequence picks another", markup=False)
-        dataset = dataset.select(drives[name])
+            out.print(f"drive: {names[0]}, the first of {len(drives)}; --sequence picks another", markup=False)
+        dataset = dataset.select(drives[found[0]])
     elif sequence is not None:
         raise ValueError(f"--sequence picks one of several drives, of which {dataset.name} has none")
     height, layout = dataset[0].mount.sensor_height, dataset.reader.layout
@@ -267,164 +215,3 @@ def _posed(
     how = dataset.facts.get("poses") or f"{known} of {len(dataset)} scans, of the data set"
     out.print(f"poses: {how}", markup=False, soft_wrap=True)
     return dataset[:first]
-
-
-@dataclass
-class _Run:
-    """What has been mapped so far."""
-
-    dataset: "Dataset"
-    mapper: "Mapper"
-    spec: "GridSpec"  # of picture and film, around the vehicle
-    names: tuple[str, str]  # of sensor model and rule
-    base: Path  # the main output: maps before a restart are saved beside it
-    last: "FusionStep | None" = None
-    taken: list[int] = field(default_factory=list)  # numbers of the frames that were mapped
-    failed: int = 0
-    restarts: int = 0
-    path: float = 0.0  # [m]
-    speed: float = math.nan  # [m/s]
-    seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
-
-    @property
-    def ground_z(self) -> float:
-        """Height of the ground in the frame of the points [m]."""
-        mount = self.dataset[0].mount
-        return -mount.sensor_height if mount.points_in == "sensor" else mount.ground_point[2]
-
-    @property
-    def titles(self) -> tuple[str, str, str]:
-        """Titles of measurement, map and conflict."""
-        from ogm.fusion import EvidentialMapper
-
-        model, rule = self.names
-        half_life = self.mapper.half_life
-        first = half_life if isinstance(half_life, float) else half_life[0]
-        fading = "" if math.isinf(first) else f", half-life {first:g} s"
-        other = "conflict" if isinstance(self.mapper, EvidentialMapper) else "map, probability"
-        return f"measurement ({model})", f"map ({rule}{fading})", other
-
-    def map_all(self, steps: "Iterator[FusionStep]", film: "Movie | None") -> int:
-        """Map all scans; return the exit code: 0, 2 after skipped scans or an error, 130 after Ctrl-C."""
-        steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
-        try:
-            for k, step in enumerate(steps):
-                if step.grid is None:
-                    continue
-                self.note(k, step)
-                if film is not None:
-                    panels, line = self.panels()
-                    film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
-        except KeyboardInterrupt:
-            stderr.print(f"ogm: interrupted after {len(self.taken)} scans; what there is gets written")
-            return 130
-        except Exception as error:  # whatever it is, the map so far must not be lost
-            stderr.print(
-                f"ogm: {one_line(error)}: stopped after {len(self.taken)} scans; what there is gets written",
-                markup=False,
-            )
-            return 2
-        return 2 if self.failed else 0
-
-    def report(self, frame: "Frame", error: Exception) -> None:
-        """Print why a scan is skipped."""
-        self.failed += 1
-        stderr.print(f"ogm: {frame.name} is skipped: {one_line(error)}", markup=False)
-
-    def note(self, k: int, step: "FusionStep") -> None:
-        """Take down what was mapped, and save the map that a restart would lose."""
-        self.speed = math.nan
-        if step.previous_map is not None:
-            self.restarts += 1
-            path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
-            step.previous_map.save(path)
-            stderr.print(
-                f"ogm: {step.frame.name}: {step.restart}, the third in a row: the map so far is saved as {path}, a new "
-                "one begins here",
-                markup=False,
-            )
-        elif self.last is not None:
-            here, before = step.frame, self.last.frame
-            metres = math.dist(here.T_map_sensor[:2, 3], before.T_map_sensor[:2, 3])  # type: ignore[index]
-            seconds = (here.stamp or 0.0) - (before.stamp or 0.0)
-            self.path += metres
-            self.speed = metres / seconds if seconds > 0 else math.nan
-        self.taken.append(k)
-        self.seconds.append(step.seconds)
-        self.last = step
-
-    def panels(self) -> "tuple[tuple[Panel, Panel, Panel], str]":
-        """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""
-        from ogm import plot
-        from ogm.fusion import EvidentialMapper
-
-        assert self.last is not None
-        assert self.last.grid is not None
-        view = self.mapper.view(self.spec)
-        first, second, third = self.titles
-        if isinstance(self.mapper, EvidentialMapper):
-            other = plot.conflict_panel(self.mapper.conflict_view(self.spec), third)
-        else:
-            other = plot.probability_panel(view, third)
-        speed = "" if math.isnan(self.speed) else f"{3.6 * self.speed:.0f} km/h"
-        total, k = str(len(self.dataset)), self.taken[-1]
-        line = (
-            f"{k + 1:{len(total)}} of {total}   {_shortened(self.last.frame.name)}   {self.elapsed:.1f} s   "
-            f"{speed:>8}   map: {_shares(view)}"
-        )
-        return (plot.mass_panel(self.last.grid, first), plot.mass_panel(view, second), other), line
-
-    @property
-    def elapsed(self) -> float:
-        """Time from the first to the last scan that was mapped [s]."""
-        first, last = (self.dataset.refs[k].stamp for k in (self.taken[0], self.taken[-1]))
-        return (last or 0.0) - (first or 0.0)
-
-    def save_picture(self, path: Path) -> None:
-        """Draw the last scan and the map around it."""
-        from ogm import plot
-
-        assert self.last is not None
-        title = f"{_shortened(self.last.frame.name)}, {self.elapsed:.1f} s"
-        cloud = plot.points_panel(self.last.frame.scan.points, self.spec, title, self.ground_z)
-        plot.save_picture(path, cloud, *self.panels()[0])
-
-    def save_poses(self, path: Path) -> None:
-        """Write the poses of the scans that were mapped."""
-        from ogm.datasets import frame_numbers
-        from ogm.io import write_poses
-        from ogm.pose import Trajectory
-
-        refs = self.dataset.refs
-        stamps, first = np.unique([refs[k].stamp for k in self.taken], return_index=True)
-        rows = np.array(self.taken)[first]
-        numbers = frame_numbers([ref.name for ref in refs])
-        wanted = numbers[rows] if numbers is not None and path.suffix.lower() == ".csv" else None
-        write_poses(path, Trajectory(stamps, np.array([refs[k].T_map_sensor for k in rows])), wanted)
-
-    def facts(self) -> dict[str, str]:
-        """Return what was done, in words."""
-        model, mapper = (1e3 * median(one) for one in zip(*self.seconds, strict=True))
-        spec = self.mapper.spec
-        facts = {
-            "scans": f"{len(self.taken)} mapped, {self.failed} skipped",
-            "time": f"{self.elapsed:.1f} s",
-            "path": f"{self.path:.1f} m",
-            self.names[0]: f"{model:.1f} ms/scan",
-            "mapper": f"{mapper:.1f} ms/scan",
-            "map": f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m: {_shares(self.mapper.grid)}",
-        }
-        if self.restarts:
-            facts["restarts"] = f"{self.restarts}, after jumps of the pose"
-        return facts
-
-
-def _shares(grid: "EvidentialGrid") -> str:
-    """Return the mean masses of a grid in words."""
-    parts = (("free", grid.free), ("occupied", grid.occupied), ("unknown", grid.unknown))
-    return ", ".join(f"{name} {100 * float(mass.mean()):4.1f} %" for name, mass in parts)
-
-
-def _shortened(name: str, width: int = 28) -> str:
-    """Return a name of at most `width` characters; names of one drive differ at their end."""
-    return name if len(name) <= width else f"...{name[3 - width :]}"

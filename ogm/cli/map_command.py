@@ -13,8 +13,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from ogm.cli import options
 from ogm.cli.console import distinct, first_call, one_line, out, report_errors, stderr, ticked
-from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
@@ -71,25 +71,18 @@ def map_(
             help="Sensor model: ray, height-band, height-band-released, lite, or weights that `ogm train` wrote."
         ),
     ] = "ray",
-    axes: Annotated[
-        str, typer.Option(help="Axes of the file: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.")
-    ] = "flu",
-    sensor_height: Annotated[
-        float | None, typer.Option(help="Sensor above ground [m]; by default estimated from the scans.")
-    ] = None,
-    sensor_position: Annotated[
-        tuple[float, float, float] | None,
-        typer.Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
-    ] = None,
-    intensity_max: IntensityMax = None,
-    time_unit: TimeUnit = None,
+    axes: options.Axes = "flu",
+    sensor_height: options.SensorHeight = None,
+    sensor_position: options.SensorPosition = None,
+    intensity_max: options.IntensityMax = None,
+    time_unit: options.TimeUnit = None,
     out_path: Annotated[
         Path | None, typer.Option("--out", help="Grid file (.npz), or a folder; made if need be. [default: ./NAME.npz]")
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
-    length: Annotated[float | None, typer.Option(help="Extent of the grid along x [m]. [default: about 81.92]")] = None,
-    width: Annotated[float | None, typer.Option(help="Extent of the grid along y [m]. [default: about 56.32]")] = None,
-    resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
+    length: options.Length = None,
+    width: options.Width = None,
+    resolution: options.Resolution = 0.16,
 ) -> None:
     """Map scans to evidential grids, one each, and draw them."""
     from ogm import plot
@@ -99,14 +92,8 @@ def map_(
     from ogm.scan import run_model
 
     spec = GridSpec.centered(length, width, resolution)
-    dataset = open_dataset(
-        scans,
-        axes=parsed_axes(axes),
-        intensity_max=intensity_max,
-        time_unit=time_unit,
-        sensor_height=sensor_height,
-        sensor_position=sensor_position,
-    )
+    reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
+    dataset = open_dataset(scans, **reading, sensor_height=sensor_height, sensor_position=sensor_position)
     model = _model(ism, spec, sensor_height, sensor_position)
     estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith("scans")
     names = [frame.name.replace("/", "_") for frame in dataset]

@@ -1,16 +1,36 @@
 """Options that several commands take."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
-import typer
-
-IntensityMax = Annotated[float | None, typer.Option(help="The file's intensity that means 1; by default the format's.")]
-TimeUnit = Annotated[
-    float | None,
-    typer.Option(help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds."),
-]
+from typer import Option
 
 
 def parsed_axes(text: str) -> str | tuple[str, ...]:
     """Return the name of some axes, or the three that were given."""
     return tuple(text.split(",")) if "," in text else text
+
+
+File = Path | None
+Axes = Annotated[
+    Any,
+    Option(
+        parser=parsed_axes,
+        metavar="<str>",
+        help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.",
+    ),
+]
+IntensityMax = Annotated[float | None, Option(help="The file's intensity that means 1; by default the format's.")]
+TimeUnit = Annotated[
+    float | None, Option(help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds.")
+]
+SensorHeight = Annotated[
+    float | None, Option(help="Sensor above ground [m]; by default stated by the data, or estimated.")
+]
+SensorPosition = Annotated[
+    tuple[float, float, float] | None,
+    Option(help="x y z of the sensor [m], for points in the vehicle frame.", metavar="X Y Z"),
+]
+Length = Annotated[float | None, Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")]
+Width = Annotated[float | None, Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")]
+Resolution = Annotated[float, Option(help="Side of a cell [m].")]

@@ -1,4 +1,4 @@
-"""Scans of a moving vehicle fused into maps: mappers, pipelines, resampling, de-skewing, odometry, ego motion.
+"""Maps from the scans of a moving vehicle: mappers, pipelines, resampling, de-skewing, odometry, ego motion.
 
 >>> from ogm.fusion import EvidentialMapper, fuse
 >>> for step in fuse(frames, ism, EvidentialMapper(spec, half_life=2.0)):      # doctest: +SKIP

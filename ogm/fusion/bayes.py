@@ -5,18 +5,18 @@ Sources: Elfes, "Using occupancy grids for mobile robot perception and navigatio
 """
 
 import math
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import expit
 
 from ogm.fusion import map_access
 from ogm.fusion.kernels import bayes_update, log_odds_of
 from ogm.fusion.lookup import ScanLookup
-from ogm.fusion.map_access import Forget, check_forget
-from ogm.fusion.update_gate import UpdateGate
-from ogm.fusion.window import Window, WindowMode
+from ogm.fusion.map_access import Forget
+from ogm.fusion.update_gate import CheckedScan, UpdateGate
+from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
 
 __all__ = ["BinaryBayesMapper", "Match"]
@@ -59,28 +59,18 @@ class BinaryBayesMapper:
     ) -> None:
         if not half_life > 0:
             raise ValueError(f"half_life must be greater than 0 s, got {half_life}; infinity forgets nothing")
-        if match not in get_args(Match):
-            raise ValueError(f"match must be one of {', '.join(get_args(Match))}, got {match!r}")
+        check_choice("match", match, Match)
         low, high = limits
         if not 0 < low < 0.5 < high < 1:
             raise ValueError(f"limits must be two probabilities around 1/2, 0 < low < 0.5 < high < 1, got {limits}")
         self.half_life, self.match, self.limits = float(half_life), match, (float(low), float(high))
-        self.forget = check_forget(forget)
+        self.forget = check_choice("forget", forget, Forget)
         self._window = Window(spec, window)
         self._gate = UpdateGate(max_speed, max_delay, needs_stamps=self.half_life != math.inf)
         self._log_odds = np.zeros(spec.shape, np.float32)
+        self._layers = (self._log_odds,)
 
-    def update(
-        self,
-        grid: EvidentialGrid,
-        T_map_sensor: ArrayLike,
-        *,
-        stamp: float | None = None,
-        T_vehicle_sensor: ArrayLike | None = None,
-        reliability: float = 1.0,
-    ) -> None:
-        """Age the map to a new scan's time and add the scan's log-odds: `EvidentialMapper.update`."""
-        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+    def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         mass = np.ascontiguousarray(grid.mass) * np.float32(reliability)
         log_odds: NDArray[np.float32] = np.empty(grid.spec.shape, np.float32)
         low, high = (math.log(p / (1 - p)) for p in self.limits)
@@ -91,14 +81,13 @@ class BinaryBayesMapper:
             log_odds, keep = log_odds * np.float32(keep), 1.0
         lookup = ScanLookup(log_odds, scan.affine, scan.samples)
         bayes_update(self._log_odds, self._window.ring, lookup, keep, self.forget == "observed", (low, high))
-        self._gate.accept(scan)
 
     def __repr__(self) -> str:
         memory = "never forgets" if math.isinf(self.half_life) else f"half-life {self.half_life:g} s"
         return f"BinaryBayesMapper({self.match}, {memory}, {self.scans} scans, {self.spec})"
 
     spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, view = map_access.scans, map_access.view
+    scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
     def probability(self) -> NDArray[np.float32]:
@@ -112,9 +101,3 @@ class BinaryBayesMapper:
         p = self.probability
         mass = np.stack([np.maximum(1 - 2 * p, 0), np.maximum(2 * p - 1, 0)], axis=-1)
         return EvidentialGrid.trusted(self.spec, mass)
-
-    def reset(self) -> None:
-        """Forget everything: the next scan begins a new map."""
-        self._log_odds[:] = 0
-        self._window.corner = (0, 0)
-        self._gate.clear()

@@ -3,12 +3,13 @@
 import logging
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
+from ogm.fusion.registration import import_package
 from ogm.pose import Trajectory, check_pose
 
 __all__ = ["EgoMotion", "Motion"]
@@ -16,6 +17,8 @@ __all__ = ["EgoMotion", "Motion"]
 log = logging.getLogger(__name__)
 
 _X, _Y, _YAW, _SPEED, _YAW_RATE = range(5)
+_TOLERANCE = 1e-3  # [s] by which a stamp may lie before the last one; it then counts as equal
+_LONGEST_GAP = 60.0  # [s] between two measurements, above which a stamp is an error
 _MAX_STEP = 0.25  # [s] of one prediction; longer ones are split, because the noise turns with the vehicle
 
 
@@ -27,8 +30,8 @@ class Motion(NamedTuple):
     stamps : (K,) float64
         [s], increasing.
     states : (K, 5) float64
-        x, y [m] and yaw [rad] in the map, speed along the vehicle's x axis [m/s], yaw rate [rad/s]. The yaw
-        goes on beyond pi: it does not jump.
+        x, y [m] and yaw [rad] in the map, speed along the vehicle's x axis [m/s], yaw rate [rad/s]. The yaw goes on
+        beyond pi: it does not jump.
     covariances : (K, 5, 5) float64
         Of those, in the same units.
     """
@@ -61,16 +64,14 @@ class _Node(NamedTuple):
 class EgoMotion:
     """Where the vehicle is and how it moves, from measurements in the order of their stamps.
 
-    The state is x, y, yaw, speed and yaw rate, at constant turn rate and velocity between measurements
-    (CTRV; Schubert et al., FUSION 2008). The filter is the unscented one (Wan and van der Merwe 2000, by
-    filterpy). Measurements have their own stamps, and any number may share one; each is accepted, or refused
-    where it is less likely than `gate` allows.
+    The state is x, y, yaw, speed and yaw rate, at constant turn rate and velocity between measurements (CTRV; Schubert
+    et al., FUSION 2008). The filter is the unscented one (Wan and van der Merwe 2000, by filterpy). Measurements have
+    their own stamps, and any number may share one; each is accepted, or refused where it is less likely than `gate`
+    allows. Every stamp is kept for `smoothed`: about 1 kB each.
 
     A filter that diverged refuses right measurements. So the `patience`-th measurement of one kind that would be
     refused in a row is accepted: the covariance of what it measures is doubled until it passes the gate. `smoothed`
     does not reach back across such a step.
-
-    The filter remembers every stamp for `smoothed`: about 1 kB each.
 
     Parameters
     ----------
@@ -82,21 +83,23 @@ class EgoMotion:
         [m/s], [rad/s], then.
     deviation : 5 float
         How well x, y [m], yaw [rad], speed [m/s] and yaw rate [rad/s] are known then, 1 sigma each, above 0.
-        An unknown heading has pi / 2; fixes much more precise than the distance between them then need a gyro, or a
-        heading taken from the first two of them: the filter is local, and may converge to a wrong heading.
+        An unknown heading has pi / 2; fixes much more precise than their distance then need a gyro, or a heading
+        taken from the first two of them: the filter is local, and may converge to a wrong heading.
     acceleration : float
-        By how much the speed changes within a second, 1 sigma [m/s^2]; the change grows with the root of
-        time, so it does not matter how often there are measurements.
+        By how much the speed changes within a second, 1 sigma [m/s^2]; the change grows with the root of time.
     yaw_acceleration : float
         The same of the yaw rate [rad/s^2].
     gate : float
         Share of right measurements that are accepted, below 1; 1 accepts all there are.
     patience : int
         See above; at least 1.
-    tolerance : float
-        By how much a stamp may lie before the last one [s]; it then counts as equal.
-    longest_gap : float
-        Time between two measurements [s] above which a stamp is an error.
+
+    Attributes
+    ----------
+    stamp : float
+        Time of the state [s].
+    refused : dict of str to int
+        Number of refused measurements of each kind.
 
     Raises
     ------
@@ -118,51 +121,34 @@ class EgoMotion:
         yaw_acceleration: float = 0.5,
         gate: float = 0.999,
         patience: int = 5,
-        tolerance: float = 1e-3,
-        longest_gap: float = 60.0,
     ) -> None:
-        try:
-            from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-        except ImportError as error:
-            raise ImportError(
-                'the ego motion filter needs the package filterpy: pip install "ogm-toolkit[track]"', name=error.name
-            ) from error
+        kalman = import_package("filterpy.kalman")
         T = check_pose(np.eye(4) if T_map_vehicle is None else T_map_vehicle, "T_map_vehicle")
         start = [T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]), speed, yaw_rate]
-        sigmas = _deviations("deviation", deviation, 5)
-        _check_finite(stamp=stamp, speed=speed, yaw_rate=yaw_rate, tolerance=tolerance)
-        if not (0 < acceleration < math.inf and 0 < yaw_acceleration < math.inf):
-            raise ValueError(
-                f"acceleration and yaw_acceleration must be above 0, got {acceleration} and {yaw_acceleration}"
-            )
+        sigmas = _deviations(deviation, 5)
+        for name, value in {"stamp": stamp, "speed": speed, "yaw_rate": yaw_rate}.items():
+            if not math.isfinite(value):
+                raise ValueError(f"{name} must be finite, got {value!r}")
+        for name, value in {"acceleration": acceleration, "yaw_acceleration": yaw_acceleration}.items():
+            if not 0 < value < math.inf:
+                raise ValueError(f"{name} must be above 0 and finite, got {value}")
         if not 0 < gate <= 1:
             raise ValueError(f"gate must lie in (0, 1], the share of right measurements to accept, got {gate}")
-        if patience < 1 or not tolerance >= 0 or not longest_gap > 0:
-            raise ValueError(
-                "patience must be 1 or more, tolerance 0 s or more and longest_gap above 0 s, "
-                f"got {patience}, {tolerance}, {longest_gap}"
-            )
+        if patience < 1:
+            raise ValueError(f"patience must be 1 or more, got {patience}")
         # alpha 1 and kappa 0: no negative weight, so every covariance is one, however uncertain the yaw
-        self._points = MerweScaledSigmaPoints(5, 1.0, 2.0, 0.0, subtract=np.subtract)
-        self._filter = UnscentedKalmanFilter(
-            5, 1, 1.0, hx=None, fx=_move, points=self._points, x_mean_fn=_mean, residual_x=np.subtract
-        )
+        self._points = kalman.MerweScaledSigmaPoints(5, 1.0, 2.0, 0.0)
+        self._filter = kalman.UnscentedKalmanFilter(5, 1, 1.0, hx=None, fx=_move, points=self._points)
         self._filter.x, self._filter.P = np.array(start, np.float64), np.diag(sigmas**2)
         self._noise = acceleration**2, yaw_acceleration**2
         # Quantiles of chi-square for 1, 2 and 3 measured numbers; scipy.stats would be a slow import.
         self._limits = {count: 2 * float(gammaincinv(count / 2, gate)) for count in (1, 2, 3)}
         self._patience = patience
-        self._tolerance, self._longest_gap = tolerance, longest_gap
         self._in_a_row = dict.fromkeys(("speed", "yaw_rate", "position", "pose"), 0)
         self.refused = dict.fromkeys(self._in_a_row, 0)
-        self._stamp = float(stamp)
+        self.stamp = float(stamp)
         self._nodes: list[_Node] = []
-        self._note(self._filter.x.copy(), self._filter.P.copy(), np.zeros((5, 5)))
-
-    @property
-    def stamp(self) -> float:
-        """Time of the state [s]."""
-        return self._stamp
+        self._note(np.zeros((5, 5)))
 
     @property
     def state(self) -> NDArray[np.float64]:
@@ -177,60 +163,46 @@ class EgoMotion:
     def speed(self, stamp: float, value: float, deviation: float) -> bool:
         """Take in a speed along the vehicle's x axis, of the wheels [m/s]; negative is backwards.
 
-        Parameters
-        ----------
-        stamp : float
-            [s]
-        value : float
-        deviation : float
-            1 sigma, above 0.
+        `stamp` is in seconds, `deviation` 1 sigma, above 0.
 
         Returns
         -------
         bool
-            Whether it was accepted; `refused` counts those that were not. The state moves on to `stamp`
-            either way.
+            Whether it was accepted; `refused` counts those that were not. The state moves on to `stamp` either way.
 
         Raises
         ------
         ValueError
-            If a number is not finite or out of its range, or `stamp` lies before the last one by more than
-            `tolerance` or after it by more than `longest_gap`. Then nothing has changed.
+            If a number is not finite or out of its range, or `stamp` lies before the last one by more than a
+            millisecond or after it by more than a minute. Then nothing has changed.
         """
-        return self._measure("speed", stamp, [value], _deviations("deviation", deviation, 1), [_SPEED])
+        return self._measure("speed", stamp, [value], deviation, [_SPEED])
 
     def yaw_rate(self, stamp: float, value: float, deviation: float) -> bool:
         """Take in a yaw rate, of a gyro [rad/s], to the left; all else as `speed`."""
-        return self._measure("yaw_rate", stamp, [value], _deviations("deviation", deviation, 1), [_YAW_RATE])
+        return self._measure("yaw_rate", stamp, [value], deviation, [_YAW_RATE])
 
     def position(self, stamp: float, xy: ArrayLike, deviation: ArrayLike) -> bool:
-        """Take in a position in the map, of GNSS: x, y [m] of the vehicle's origin.
-
-        `deviation` is 1 sigma, one number or one each; all else as `speed`.
-        """
-        return self._measure("position", stamp, xy, _deviations("deviation", deviation, 2), [_X, _Y])
+        """Take in a position in the map, of GNSS: x, y [m]; `deviation` is one number or one each; else as `speed`."""
+        return self._measure("position", stamp, xy, deviation, [_X, _Y])
 
     def pose(self, stamp: float, pose: ArrayLike, deviation: ArrayLike) -> bool:
         """Take in a pose in the map, of a registration.
 
-        `pose` is x, y [m] and yaw [rad], or ``T_map_vehicle`` (4, 4); `deviation` is 1 sigma of x, y [m] and
-        yaw [rad]; all else as `speed`.
+        `pose` is x, y [m] and yaw [rad], or ``T_map_vehicle`` (4, 4); `deviation` is of x, y and yaw; else as `speed`.
         """
         value = np.asarray(pose, np.float64)
         if value.shape == (4, 4):
             T = check_pose(value)
             value = np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])])
-        return self._measure("pose", stamp, value, _deviations("deviation", deviation, 3), [_X, _Y, _YAW])
+        return self._measure("pose", stamp, value, deviation, [_X, _Y, _YAW])
 
     def filtered(self) -> Motion:
         """Return the states at each stamp, from the measurements up to it."""
         return self._motion([node.x for node in self._nodes], [node.P for node in self._nodes])
 
     def smoothed(self) -> Motion:
-        """Return the states at each stamp, from all measurements before and after it.
-
-        Rauch, Tung and Striebel's smoother on the filter's sigma points (Sarkka, IEEE TAC 2008).
-        """
+        """Return the states from all measurements, by the smoother of Rauch, Tung and Striebel (Sarkka 2008)."""
         x, P = [self._nodes[-1].x], [self._nodes[-1].P]
         for node, after in zip(self._nodes[-2::-1], self._nodes[:0:-1], strict=True):
             gain = np.linalg.solve(after.P_predicted, after.C.T).T
@@ -238,48 +210,44 @@ class EgoMotion:
             P.append(_symmetric(node.P + gain @ (P[-1] - after.P_predicted) @ gain.T))
         return self._motion(x[::-1], P[::-1])
 
-    def trajectory(self) -> Trajectory:
-        """Return the filtered poses, ``T_map_vehicle``: short for ``filtered().trajectory()``."""
-        return self.filtered().trajectory()
-
     def _motion(self, states: list[NDArray[np.float64]], covariances: list[NDArray[np.float64]]) -> Motion:
         stamps = np.array([node.stamp for node in self._nodes])
         last = np.append(np.diff(stamps) > 0, True)  # of several nodes at one stamp
         return Motion(stamps[last], np.array(states)[last], np.array(covariances)[last])
 
-    def _measure(self, kind: str, stamp: float, value: ArrayLike, sigmas: NDArray[np.float64], rows: list[int]) -> bool:
-        z = np.asarray(value, np.float64)
+    def _measure(self, kind: str, stamp: float, value: ArrayLike, deviation: ArrayLike, rows: list[int]) -> bool:
+        sigmas, z = _deviations(deviation, len(rows)), np.array(value, np.float64)
         if z.shape != (len(rows),) or not np.isfinite(z).all():
             raise ValueError(f"a {kind} must be {len(rows)} finite numbers, got {value!r}")
-        gap = float(stamp) - self._stamp
-        if not -self._tolerance <= gap <= self._longest_gap:
+        stamp = float(stamp)
+        gap = stamp - self.stamp
+        if not -_TOLERANCE <= gap <= _LONGEST_GAP:
             raise ValueError(
-                f"this {kind} has the stamp {float(stamp)!r} s, {gap:+.6g} s from the last one; wanted between "
-                f"{-self._tolerance:+g} and {self._longest_gap:+g} s: sort the measurements by stamp, or start a new "
+                f"this {kind} has the stamp {stamp!r} s, {gap:+.6g} s from the last one; wanted between "
+                f"{-_TOLERANCE:+g} and {_LONGEST_GAP:+g} s: sort the measurements by stamp, or start a new "
                 "filter after a gap"
             )
-        self._advance(float(stamp))
+        self._advance(stamp)
         if _YAW in rows:  # of all equivalent yaws, the nearest
             k = rows.index(_YAW)
-            z = z.copy()
             z[k] -= 2 * math.pi * round((z[k] - self._filter.x[_YAW]) / (2 * math.pi))
         return self._update(kind, z, np.diag(sigmas**2), rows)
 
     def _advance(self, stamp: float) -> None:
         """Predict up to `stamp`, in steps that are short enough."""
-        gap = max(stamp - self._stamp, 0.0)
-        begin, count = self._stamp, math.ceil(gap / _MAX_STEP)
+        gap = max(stamp - self.stamp, 0.0)
+        begin, count = self.stamp, math.ceil(gap / _MAX_STEP)
         for step in range(1, count + 1):
             until = stamp if step == count else begin + gap * step / count
-            dt = until - self._stamp
+            dt = until - self.stamp
             before, yaw = self._filter.x.copy(), self._filter.x[_YAW] + 0.5 * dt * self._filter.x[_YAW_RATE]
             sigmas = self._points.sigma_points(before, self._filter.P)
             self._filter.Q = _noise(dt, yaw, *self._noise)
             self._filter.predict(dt)
             self._filter.P = _symmetric(self._filter.P)
             moved = np.array([_move(one, dt) for one in sigmas]) - self._filter.x
-            self._stamp = until
-            self._note(self._filter.x.copy(), self._filter.P.copy(), (self._points.Wc * (sigmas - before).T) @ moved)
+            self.stamp = until
+            self._note((self._points.Wc * (sigmas - before).T) @ moved)
 
     def _update(self, kind: str, z: NDArray[np.float64], R: NDArray[np.float64], rows: list[int]) -> bool:
         limit = self._limits[len(rows)]
@@ -295,7 +263,7 @@ class EgoMotion:
             while self._distance(z, R, rows) > limit:
                 self._filter.P = self._filter.P + wider
                 wider *= 2
-            self._note(self._filter.x.copy(), self._filter.P.copy(), before)
+            self._note(before)
         self._in_a_row[kind] = 0
         self._filter.sigmas_f = self._points.sigma_points(self._filter.x, self._filter.P)
         self._filter.update(z, R, hx=lambda x: x[rows])
@@ -308,8 +276,9 @@ class EgoMotion:
         away = z - self._filter.x[rows]
         return float(away @ np.linalg.solve(self._filter.P[np.ix_(rows, rows)] + R, away))
 
-    def _note(self, predicted: NDArray[np.float64], P_predicted: NDArray[np.float64], C: NDArray[np.float64]) -> None:
-        self._nodes.append(_Node(self._stamp, predicted, P_predicted, predicted, P_predicted, C))
+    def _note(self, C: NDArray[np.float64]) -> None:
+        x, P = self._filter.x.copy(), self._filter.P.copy()
+        self._nodes.append(_Node(self.stamp, x, P, x, P, C))
 
 
 def _move(state: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
@@ -320,22 +289,14 @@ def _move(state: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
     x, y, yaw, speed, yaw_rate = state
     half = 0.5 * yaw_rate * dt
     chord = speed * dt * np.sinc(half / math.pi)
-    return np.array(
-        [x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + 2 * half, speed, yaw_rate]
-    )
+    middle = yaw + half
+    return np.array([x + chord * math.cos(middle), y + chord * math.sin(middle), yaw + 2 * half, speed, yaw_rate])
 
 
 def _noise(dt: float, yaw: float, speed: float, turn: float) -> NDArray[np.float64]:
-    """Return the covariance that white accelerations add within `dt`, (5, 5).
+    """Return the covariance, (5, 5), that white accelerations add within `dt` [s] at a mean yaw [rad].
 
-    Parameters
-    ----------
-    dt : float
-        [s]
-    yaw : float
-        Of the motion [rad].
-    speed, turn : float
-        Growth of the variance of speed [m^2/s^3] and of yaw rate [rad^2/s^3].
+    `speed` and `turn` are the growth of the variance of speed [m^2/s^3] and of yaw rate [rad^2/s^3].
     """
     # Of one integrated twice and once (Bar-Shalom, Li, Kirubarajan 2001, eq. 6.2.2-12).
     grown = np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
@@ -345,24 +306,14 @@ def _noise(dt: float, yaw: float, speed: float, turn: float) -> NDArray[np.float
     return speed * along @ grown @ along.T + turn * around @ grown @ around.T
 
 
-def _mean(sigmas: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    return weights @ sigmas
-
-
 def _symmetric(P: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.5 * (P + P.T)
 
 
-def _deviations(name: str, value: ArrayLike, count: int) -> NDArray[np.float64]:
+def _deviations(value: ArrayLike, count: int) -> NDArray[np.float64]:
     sigmas = np.asarray(value, np.float64)
     if sigmas.shape != (count,) and (sigmas.shape != () or count > 2):
-        raise ValueError(f"{name} must be {count} numbers, got {value!r}")
+        raise ValueError(f"deviation must be {count} numbers, got {value!r}")
     if not ((sigmas > 0) & (sigmas < math.inf)).all():
-        raise ValueError(f"{name} must be above 0 and finite, 1 sigma, got {value!r}")
+        raise ValueError(f"deviation must be above 0 and finite, 1 sigma, got {value!r}")
     return np.broadcast_to(sigmas, (count,))
-
-
-def _check_finite(**numbers: Any) -> None:
-    for name, value in numbers.items():
-        if not math.isfinite(value):
-            raise ValueError(f"{name} must be finite, got {value!r}")

@@ -22,7 +22,7 @@ A, B, C = np.float32(1 / 2), np.float32(1 / 6), np.float32(1 / 24)  # of the ser
 
 
 class Aging(NamedTuple):
-    """What time leaves of a map.
+    """How much of a map is left after some time.
 
     Attributes
     ----------
@@ -118,10 +118,8 @@ def evidential_update(
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
             if decay > 0 and not plain:
                 _decay(m, c, one, decay)
-            if plain and decay > 0:
+            if plain:
                 _decay_and_age(m, c, one, decay, kf, ko, kc)
-            elif plain:
-                _age(m, c, kf, ko, kc)
             elif aging.observed:
                 _age_observed(m, c, z[2 * a : 2 * b], one, kf, ko, kc, aging.evidence)
             else:
@@ -177,15 +175,6 @@ def _decay_and_age(m: Any, c: Any, one: Any, decay: Any, kf: Any, ko: Any, kc: A
 
 
 @vector
-def _age(m: Any, c: Any, kf: Any, ko: Any, kc: Any) -> None:
-    for k in range(m.size // 2):
-        m[2 * k] = (m[2 * k] * kf + TINY) - TINY
-        m[2 * k + 1] = (m[2 * k + 1] * ko + TINY) - TINY
-        c[2 * k] = (c[2 * k] * kc + TINY) - TINY
-        c[2 * k + 1] = (c[2 * k + 1] * kc + TINY) - TINY
-
-
-@vector
 def _age_evidence(m: Any, c: Any, one: Any, kf: Any, ko: Any, kc: Any) -> None:
     for k in range(m.size // 2):
         f, o = m[2 * k], m[2 * k + 1]
@@ -228,7 +217,7 @@ def bayes_update(
     scan : ScanLookup
         Of log-odds.
     keep : float
-        Share of the log-odds that ageing leaves, [0, 1].
+        Share of the log-odds that stays, [0, 1].
     limits : (float, float)
         Between which log-odds are kept.
     """

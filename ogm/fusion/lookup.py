@@ -45,7 +45,7 @@ def gather(scan: ScanLookup, ring: tuple[int, int], out: np.ndarray) -> None:
 
 
 @vector
-def _copy(numbers: np.ndarray, out: np.ndarray) -> None:
+def _copy(numbers: np.ndarray, out: np.ndarray) -> None:  # faster than numba's assignment of slices
     for k in range(numbers.size):
         out[k] = numbers[k]
 

@@ -1,9 +1,9 @@
 """What all maps share: how their window and last scan are read, and the view along the vehicle's axes.
 
-`EvidentialMapper` and `BinaryBayesMapper` take these as their own properties and method.
+`EvidentialMapper` and `BinaryBayesMapper` take these as their own properties and methods.
 """
 
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["Forget", "T_map_vehicle", "check_forget", "scans", "spec", "stamp", "view"]
+__all__ = ["Forget", "T_map_vehicle", "reset", "scans", "spec", "stamp", "update", "view"]
 
 Forget = Literal["everywhere", "observed"]
 
@@ -40,6 +40,56 @@ def scans(self: Any) -> int:
     return self._gate.scans
 
 
+def update(
+    self: Any,
+    grid: EvidentialGrid,
+    T_map_sensor: ArrayLike,  # noqa: N803
+    *,
+    stamp: float | None = None,
+    T_vehicle_sensor: ArrayLike | None = None,  # noqa: N803
+    reliability: float = 1.0,
+) -> None:
+    """Age the map to a new scan's time and fuse its measurement grid.
+
+    Parameters
+    ----------
+    grid : EvidentialGrid
+        The measurement grid of a scan, in the frame that the next argument takes to the map. Its extent and
+        resolution are free: cells of the map take the masses at their centre, or, if the scan's cells are finer,
+        the mean over the cell.
+    T_map_sensor : (4, 4) array
+        Takes the grid's frame to the map [m].
+    stamp : float
+        When the scan was taken [s].
+    T_vehicle_sensor : (4, 4) array, optional
+        Where that frame sits on the vehicle, of which there is one for all sensors: the window and the check for
+        jumps follow the vehicle. By default the frame is the vehicle's.
+    reliability : float
+        Of this sensor, [0, 1]: its masses are discounted by it.
+
+    Raises
+    ------
+    TypeError
+        If `grid` is no EvidentialGrid.
+    PoseJump
+        If the pose is further from the last one than `max_speed` allows.
+    ValueError
+        If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper, or
+        the grid and the window have no cell in common.
+    """
+    scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+    self._fuse(grid, scan, reliability)
+    self._gate.accept(scan)
+
+
+def reset(self: Any) -> None:
+    """Forget everything: the next scan begins a new map."""
+    for layer in self._layers:
+        layer[:] = 0
+    self._window.corner = (0, 0)
+    self._gate.clear()
+
+
 def view(
     self: Any,
     spec: GridSpec | None = None,
@@ -61,10 +111,3 @@ def view(
     grid, cells = self.grid, spec or self._window.around
     T = self._gate.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
     return EvidentialGrid.trusted(cells, view_layers(grid.mass, grid.spec, cells, T, method))
-
-
-def check_forget(forget: Forget) -> Forget:
-    """Return which cells a map forgets, or refuse what is no choice."""
-    if forget not in get_args(Forget):
-        raise ValueError(f"forget must be one of {', '.join(get_args(Forget))}, got {forget!r}")
-    return forget

@@ -15,10 +15,10 @@ from ogm.evidence import cumulative, dempster, discount, discount_evidence, norm
 from ogm.fusion import map_access
 from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup, gather
-from ogm.fusion.map_access import Forget, check_forget
+from ogm.fusion.map_access import Forget
 from ogm.fusion.resample import view_layers
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
-from ogm.fusion.window import Window, WindowMode
+from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
 __all__ = ["CONFLICT_LAYERS", "EvidentialMapper", "Rule"]
@@ -109,64 +109,15 @@ class EvidentialMapper:
         if not conflict_half_life >= 0:
             raise ValueError(f"conflict_half_life must be 0 s or more, got {conflict_half_life}")
         self.rule, self.half_life = rule, _half_lives(half_life)
-        self.moving_half_life = (
-            self.half_life[1] / DYNAMIC_DECAY_RATIO if moving_half_life is None else float(moving_half_life)
-        )
-        self.discounting, self.forget = discounting, check_forget(forget)
+        by_default = self.half_life[1] / DYNAMIC_DECAY_RATIO
+        self.moving_half_life = by_default if moving_half_life is None else float(moving_half_life)
+        self.discounting, self.forget = discounting, check_choice("forget", forget, Forget)
         self.min_unknown = float(min_unknown)
         self.conflict_half_life = float(conflict_half_life)
         forgets = not math.inf == self.moving_half_life == min(self.half_life)
         self._window = Window(spec, window)
         self._gate = UpdateGate(max_speed, max_delay, needs_stamps=forgets)
-        self._mass = np.zeros((*spec.shape, 2), np.float32)
-        self._conflict = np.zeros((*spec.shape, 2), np.float32)
-
-    def update(
-        self,
-        grid: EvidentialGrid,
-        T_map_sensor: ArrayLike,
-        *,
-        stamp: float | None = None,
-        T_vehicle_sensor: ArrayLike | None = None,
-        reliability: float = 1.0,
-    ) -> None:
-        """Age the map to a new scan's time and fuse its measurement grid.
-
-        Parameters
-        ----------
-        grid : EvidentialGrid
-            The measurement grid of a scan, in the frame that the next argument takes to the map. Its extent and
-            resolution are free: cells of the map take the masses at their centre, or, if the scan's cells are finer,
-            the mean over the cell.
-        T_map_sensor : (4, 4) array
-            Takes the grid's frame to the map [m].
-        stamp : float
-            When the scan was taken [s].
-        T_vehicle_sensor : (4, 4) array, optional
-            Where that frame sits on the vehicle, of which there is one for all sensors: the window and the check for
-            jumps follow the vehicle. By default the frame is the vehicle's.
-        reliability : float
-            Of this sensor, [0, 1]: its masses are discounted by it.
-
-        Raises
-        ------
-        TypeError
-            If `grid` is no EvidentialGrid.
-        PoseJump
-            If the pose is further from the last one than `max_speed` allows.
-        ValueError
-            If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules above, or the
-            grid and the window have no cell in common.
-        """
-        scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
-        mass = grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed)
-        mass = np.ascontiguousarray(mass)
-        if self.rule in _COMPILED:
-            self._window.move_to(scan.corner, self._mass, self._conflict)
-            self._fuse(mass, scan, reliability)
-        else:
-            self._fuse_by_any_rule(mass, scan, reliability)
-        self._gate.accept(scan)
+        self._layers = self._mass, self._conflict = np.zeros((2, *spec.shape, 2), np.float32)
 
     def __repr__(self) -> str:
         rule = getattr(self.rule, "__name__", repr(self.rule))
@@ -175,7 +126,7 @@ class EvidentialMapper:
         return f"EvidentialMapper({rule}, half-life {memory}, {self.scans} scans, {self.spec})"
 
     spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, view = map_access.scans, map_access.view
+    scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
     def grid(self) -> EvidentialGrid:
@@ -193,20 +144,15 @@ class EvidentialMapper:
 
     def conflict_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> LayeredGrid:
         """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
-        cells = spec or self._window.around
-        T = self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        layers = self._window.unrolled(self._conflict)
-        return _conflict_grid(cells, view_layers(layers, self.spec, cells, T))
+        cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        return _conflict_grid(cells, view_layers(self._window.unrolled(self._conflict), self.spec, cells, T))
 
-    def reset(self) -> None:
-        """Forget everything: the next scan begins a new map."""
-        self._mass[:] = 0
-        self._conflict[:] = 0
-        self._window.corner = (0, 0)
-        self._gate.clear()
-
-    def _fuse(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
-        """Fuse a scan in one compiled pass over the map."""
+    def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
+        mass = np.ascontiguousarray(grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed))
+        if self.rule not in _COMPILED:
+            self._fuse_by_any_rule(mass, scan, reliability)
+            return
+        self._window.move_to(scan.corner, self._mass, self._conflict)
         nx, ny = self._window.spec0.shape
         conflict = self._conflict if scan.elapsed >= 0 else self._conflict.copy()
         evidential_update(
@@ -221,7 +167,7 @@ class EvidentialMapper:
         )
 
     def _fuse_by_any_rule(self, mass: NDArray[np.float32], scan: CheckedScan, reliability: float) -> None:
-        """Do the same in numpy, with a rule that is only a function of two masses: the slow reference of `_fuse`."""
+        """Fuse in numpy, with a rule that is only a function of two masses: the slow reference of the compiled pass."""
         before = self._window.corner, self._mass.copy(), self._conflict.copy()
         try:
             self._window.move_to(scan.corner, self._mass, self._conflict)
@@ -246,7 +192,7 @@ class EvidentialMapper:
             raise
 
     def _aging(self, seconds: float) -> Aging:
-        """Return what some time leaves of the map."""
+        """Return the shares of the map that are left after some time, and its dynamic decay."""
         free, occupied = self._kept(seconds)
         evidence, observed = self.discounting is discount_evidence, self.forget == "observed"
         if seconds == 0:  # a scan of the same moment
@@ -262,8 +208,7 @@ class EvidentialMapper:
 
     def _kept(self, seconds: float) -> tuple[float, float]:
         """Return the shares of free and of occupied that are left after some time."""
-        free, occupied = (0.5 ** (seconds / one) for one in self.half_life)
-        return free, occupied
+        return 0.5 ** (seconds / self.half_life[0]), 0.5 ** (seconds / self.half_life[1])
 
     def _combined(self, aged: NDArray[np.float32], measured: NDArray[np.float32]) -> NDArray[np.float32]:
         """Apply a rule that has no kernel, and check that it gives masses."""

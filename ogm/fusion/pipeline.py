@@ -19,6 +19,7 @@ from ogm.scan import Frame, InverseSensorModel, PerMount, Scan, run_model
 __all__ = ["FusionStep", "deskew_frame", "fuse", "map_scans", "update_map"]
 
 _DAMAGED = (ValueError, TypeError, OSError)  # what is wrong with one frame, not with the program
+_MAX_JUMPS = 3  # in a row, at the last of which the map begins anew
 _MARGIN = 0.5  # [s] by which a trajectory is extrapolated for the points of its first and last scans
 
 _log = logging.getLogger(__name__)
@@ -91,12 +92,11 @@ def fuse(
     mapper: Mapper,
     *,
     deskew: bool | Trajectory = False,
-    max_jumps: int = 3,
     on_error: OnError = log_error,
 ) -> Iterator[FusionStep]:
     """Fuse the scans of a drive into a map, one step per frame.
 
-    The map begins anew with every new `Frame.sequence`, and after `max_jumps` pose jumps in a row, at the last of them.
+    The map begins anew with every new `Frame.sequence`, and after three pose jumps in a row, at the last of them.
 
     Parameters
     ----------
@@ -109,8 +109,6 @@ def fuse(
     deskew : bool or Trajectory
         Undo the ego motion during each scan, by the times of its points: with the poses of `frames`, which must then be
         a sequence, or with a trajectory of the sensor, for example of higher rate.
-    max_jumps : int
-        At least 1.
     on_error : function
         Called with every frame that is skipped, and its error; by default it is logged.
 
@@ -122,7 +120,7 @@ def fuse(
     Raises
     ------
     ValueError
-        If `max_jumps` is below 1, or de-skewing has no poses.
+        If de-skewing has no poses.
 
     Examples
     --------
@@ -131,8 +129,6 @@ def fuse(
     ...     print(step.frame.name, step.error or step.grid)
     >>> mapper.grid.save("map.npz")                                        # doctest: +SKIP
     """
-    if max_jumps < 1:
-        raise ValueError(f"max_jumps must be 1 or more, got {max_jumps}")
     trajectory = _trajectory(frames, deskew)
     jumps, sequence = 0, None
     for frame in frames:
@@ -148,7 +144,7 @@ def fuse(
             if sequence not in (None, frame.sequence) and mapper.scans:
                 restart, previous, jumps = "sequence", mapper.grid, 0
                 mapper.reset()
-            jumped = update_map(mapper, grid, frame, restart=jumps + 1 >= max_jumps)
+            jumped = update_map(mapper, grid, frame, restart=jumps + 1 >= _MAX_JUMPS)
             seconds = between - start, time.perf_counter() - between
         except _DAMAGED as error:
             jumps += isinstance(error, PoseJump)

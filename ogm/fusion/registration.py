@@ -1,5 +1,6 @@
 """Odometry: poses of scans from the scans alone, by packages that register lidar scans."""
 
+import importlib
 import itertools
 import logging
 from collections.abc import Callable, Iterable, Iterator
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.fusion.motion import deskew, extrapolate
 from ogm.pose import Trajectory, inverse
 
-__all__ = ["METHODS", "odometry"]
+__all__ = ["METHODS", "import_package", "odometry"]
 
 log = logging.getLogger(__name__)
 
@@ -22,7 +23,7 @@ _NEIGHBOURS = 10  # points from which it estimates a surface
 _HORIZON = 100  # scans for which it keeps a voxel that no scan hits
 
 _NAMES = ("scans", "stamps", "times")
-_ENDED = object()
+_ENDED: Any = object()
 
 _Register = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
@@ -140,17 +141,13 @@ def _cloud(
 
 def _kiss_icp(range_max: float) -> _Register:
     """Return the registration of KISS-ICP, without its own de-skewing, which is for the end of a scan."""
-    try:
-        from kiss_icp.config.parser import load_config
-        from kiss_icp.kiss_icp import KissICP
-    except ImportError as error:
-        raise _missing("kiss-icp", error) from error
+    load_config = import_package("kiss_icp.config.parser").load_config
     config = load_config(None)
     config.data.deskew = False
     config.data.max_range = range_max
     config.mapping.voxel_size = range_max / 100
     config.registration.max_num_threads = 1  # with more, the order of sums, and so rounding, varies
-    pipeline = KissICP(config)
+    pipeline = import_package("kiss_icp.kiss_icp").KissICP(config)
 
     def register(cloud: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
         pipeline.last_delta = np.linalg.inv(pipeline.last_pose) @ guess
@@ -162,10 +159,7 @@ def _kiss_icp(range_max: float) -> _Register:
 
 def _small_gicp(_range_max: float) -> _Register:
     """Return a registration of each scan to a map of Gaussian voxels."""
-    try:
-        import small_gicp
-    except ImportError as error:
-        raise _missing("small-gicp", error) from error
+    small_gicp = import_package("small_gicp")
     voxels = small_gicp.GaussianVoxelMap(_VOXEL)
     voxels.set_lru(horizon=_HORIZON, clear_cycle=10)
 
@@ -186,8 +180,13 @@ def _small_gicp(_range_max: float) -> _Register:
 METHODS: dict[str, Callable[[float], _Register]] = {"kiss-icp": _kiss_icp, "small-gicp": _small_gicp}
 
 
-def _missing(package: str, error: ImportError) -> ImportError:
-    return ImportError(f'poses by {package} need that package: pip install "ogm-toolkit[track]"', name=error.name)
+def import_package(module: str) -> Any:
+    """Return a module that is installed with the extra "track", or raise an error that names it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.split(".")[0].replace("_", "-")
+        raise ImportError(f'{package} is not installed: pip install "ogm-toolkit[track]"', name=error.name) from error
 
 
 def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:
@@ -213,15 +212,9 @@ def _together(
     scans: Iterable[NDArray[Any]], stamps: Iterable[float], times: Iterable[ArrayLike | None] | None
 ) -> Iterator[tuple[NDArray[Any], float, ArrayLike | None]]:
     """Yield scan, stamp and times, which must be as many."""
-    streams: list[Iterator[Any]] = [iter(scans), iter(stamps), itertools.repeat(None) if times is None else iter(times)]
-    for count in itertools.count():
-        row: list[Any] = [next(stream, _ENDED) for stream in streams]
-        ended = [one is _ENDED for one in row]
-        if all(ended[:2]) and (ended[2] or times is None):
-            return
-        if any(ended):
-            raise ValueError(
-                f"scans, stamps and times, if given, must be as many, but {_NAMES[ended.index(True)]} ended after "
-                f"{count}"
-            )
-        yield row[0], float(row[1]), row[2]
+    streams = (scans, stamps) if times is None else (scans, stamps, times)
+    for count, row in enumerate(itertools.zip_longest(*streams, fillvalue=_ENDED)):
+        ended = [name for name, one in zip(_NAMES, row, strict=False) if one is _ENDED]
+        if ended:
+            raise ValueError(f"scans, stamps and times, if given, must be as many, but {ended[0]} ended after {count}")
+        yield row[0], float(row[1]), None if times is None else row[2]

@@ -4,13 +4,13 @@ All results are masses. The methods differ in the belief of a cell that covers s
 """
 
 import math
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion.lookup import ScanLookup, gather
-from ogm.fusion.window import affine_between, cell_transform, planar_transform
+from ogm.fusion.window import affine_between, cell_transform, check_choice, planar_transform
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import kernel
 from ogm.pose import check_pose
@@ -48,8 +48,6 @@ def warp(grid: EvidentialGrid, spec: GridSpec, T_to_from: ArrayLike, method: Res
     "cautious": for m = min(F, O) of the mixture less the mixture of the cells' own min(F, O), F and O lose m each, and
     unknown gains 2 m. Repeated warping blurs: warp from the same original instead.
     """
-    if method not in get_args(ResampleMethod):
-        raise ValueError(f"method must be one of {', '.join(get_args(ResampleMethod))}, got {method!r}")
     affine = affine_between(spec, grid.spec, check_pose(T_to_from, "T_to_from"))
     return EvidentialGrid.trusted(spec, _resampled(grid.mass, spec, affine, method))
 
@@ -67,8 +65,7 @@ def coarsen(grid: EvidentialGrid, factor: int, reduce: Reduce = "mean") -> Evide
         greatest occupied of the block, and the mean of free as far as the sum allows. "cautious": the greatest
         occupied and the least free.
     """
-    if reduce not in get_args(Reduce):
-        raise ValueError(f"reduce must be one of {', '.join(get_args(Reduce))}, got {reduce!r}")
+    check_choice("reduce", reduce, Reduce)
     if not (math.isfinite(factor) and factor == int(factor) and factor >= 1):
         raise ValueError(f"factor must be a positive whole number, got {factor}")
     n = int(factor)
@@ -145,8 +142,6 @@ def view_layers(
     """
     if T_map_vehicle is None:
         raise ValueError("the map has no scan yet, and so no pose for a view; give T_map_vehicle")
-    if method not in get_args(ResampleMethod):
-        raise ValueError(f"method must be one of {', '.join(get_args(ResampleMethod))}, got {method!r}")
     A, b = planar_transform(check_pose(T_map_vehicle, "T_map_vehicle"))
     return _resampled(layers, spec, cell_transform(spec, source, A, b), method)
 
@@ -156,7 +151,7 @@ def _resampled(
 ) -> NDArray[np.float32]:
     out = np.empty((*spec.shape, 2), np.float32)
     source = np.ascontiguousarray(layers)
-    if method == "nearest":
+    if check_choice("method", method, ResampleMethod) == "nearest":
         gather(ScanLookup(source, affine, 1), (0, 0), out.reshape(spec.shape[0], -1))
     else:
         _overlap(source, affine, method == "cautious", out)

@@ -1,7 +1,7 @@
 """Where a map lies in the world: cells that scroll by whole numbers, and affine maps between cells of two grids."""
 
 import math
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ __all__ = [
     "WindowMode",
     "affine_between",
     "cell_transform",
+    "check_choice",
     "overlaps",
     "planar_transform",
     "samples_per_axis",
@@ -21,6 +22,13 @@ __all__ = [
 WindowMode = Literal["rolling", "fixed"]
 _MAX_TILT = 45.0  # [deg]
 _MAX_SAMPLES = 8  # per cell and axis, for scans with much finer cells than the map
+
+
+def check_choice(name: str, value: Any, literal: Any) -> Any:
+    """Return an argument that must be one of the values of a Literal type, or raise ValueError."""
+    if value not in get_args(literal):
+        raise ValueError(f"{name} must be one of {', '.join(get_args(literal))}, got {value!r}")
+    return value
 
 
 def planar_transform(T: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -93,9 +101,7 @@ class Window:
     """
 
     def __init__(self, spec: GridSpec, mode: WindowMode) -> None:
-        if mode not in get_args(WindowMode):
-            raise ValueError(f"window must be one of {', '.join(get_args(WindowMode))}, got {mode!r}")
-        self.spec0, self.mode = spec, mode
+        self.spec0, self.mode = spec, check_choice("window", mode, WindowMode)
         self.corner = (0, 0)  # lattice index of the first cell
 
     @property
@@ -113,10 +119,8 @@ class Window:
 
     def spec_at(self, corner: tuple[int, int]) -> GridSpec:
         """Return the cells of a window with some corner, in map coordinates."""
-        x, y = self.spec0.origin
-        resolution = self.spec0.resolution
-        i, j = corner
-        return GridSpec(resolution, self.spec0.shape, (x + i * resolution, y + j * resolution))
+        (x, y), side = self.spec0.origin, self.spec0.resolution
+        return GridSpec(side, self.spec0.shape, (x + corner[0] * side, y + corner[1] * side))
 
     @property
     def ring(self) -> tuple[int, int]:

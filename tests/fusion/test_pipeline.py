@@ -244,7 +244,6 @@ def test_points_in_the_vehicle_frame_are_deskewed_by_the_poses_of_the_vehicle() 
     [
         (drive(1), {"deskew": True}, "two frames or more"),
         (iter(drive(3)), {"deskew": True}, "sequence of frames, or a trajectory"),
-        (drive(1), {"max_jumps": 0}, "max_jumps must be 1 or more"),
     ],
 )
 def test_impossible_options_are_refused(frames: object, options: dict, message: str) -> None:

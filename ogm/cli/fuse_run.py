@@ -1,0 +1,177 @@
+"""A run of ``ogm fuse``: what was mapped, and what of it is drawn, saved and printed."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+from rich.progress import track
+
+from ogm import plot
+from ogm.cli.console import one_line, stderr
+from ogm.datasets import Dataset, frame_numbers
+from ogm.fusion import EvidentialMapper, FusionStep, Mapper
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import write_poses
+from ogm.movie import Movie
+from ogm.plot import Panel
+from ogm.pose import Trajectory
+from ogm.scan import Frame
+
+__all__ = ["FusionRun"]
+
+
+@dataclass
+class FusionRun:
+    """What has been mapped so far.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    mapper : EvidentialMapper or BinaryBayesMapper
+    spec : GridSpec
+        Of picture and film, around the vehicle.
+    names : (str, str)
+        Of sensor model and rule.
+    base : Path
+        The main output: maps before a restart are saved beside it.
+    """
+
+    dataset: Dataset
+    mapper: Mapper
+    spec: GridSpec
+    names: tuple[str, str]
+    base: Path
+    last: FusionStep | None = None
+    taken: list[int] = field(default_factory=list)  # numbers of the frames that were mapped
+    failed: int = 0
+    restarts: int = 0
+    path: float = 0.0  # [m]
+    speed: float = math.nan  # [m/s]
+    seconds: list[tuple[float, float]] = field(default_factory=list)  # of model and mapper
+
+    @property
+    def ground_z(self) -> float:
+        """Height of the ground in the frame of the points [m]."""
+        mount = self.dataset[0].mount
+        return -mount.sensor_height if mount.points_in == "sensor" else mount.ground_point[2]
+
+    @property
+    def titles(self) -> tuple[str, str, str]:
+        """Titles of measurement, map and conflict."""
+        (model, rule), half_life = self.names, np.ravel(self.mapper.half_life)[0]
+        fading = "" if math.isinf(half_life) else f", half-life {half_life:g} s"
+        other = "conflict" if hasattr(self.mapper, "conflict") else "map, probability"
+        return f"measurement ({model})", f"map ({rule}{fading})", other
+
+    def map_all(self, steps: Iterator[FusionStep], film: Movie | None) -> int:
+        """Map all scans; return the exit code: 0, 2 after skipped scans or an error, 130 after Ctrl-C."""
+        steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
+        try:
+            for k, step in enumerate(steps):
+                if step.grid is None:
+                    continue
+                self.note(k, step)
+                if film is not None:
+                    panels, line = self.panels()
+                    film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
+        except KeyboardInterrupt:
+            return self.stopped("interrupted", 130)
+        except Exception as error:  # whatever it is, the map so far must not be lost
+            return self.stopped(f"{one_line(error)}: stopped", 2)
+        return 2 if self.failed else 0
+
+    def stopped(self, why: str, code: int) -> int:
+        """Print why the mapping ends early."""
+        stderr.print(f"ogm: {why} after {len(self.taken)} scans; what there is gets written", markup=False)
+        return code
+
+    def report(self, frame: Frame, error: Exception) -> None:
+        """Print why a scan is skipped."""
+        self.failed += 1
+        stderr.print(f"ogm: {frame.name} is skipped: {one_line(error)}", markup=False)
+
+    def note(self, k: int, step: FusionStep) -> None:
+        """Take down what was mapped, and save the map that a restart would lose."""
+        self.speed = math.nan
+        if step.previous_map is not None:
+            self.restarts += 1
+            path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
+            step.previous_map.save(path)
+            why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
+            stderr.print(f"ogm: {step.frame.name}: {why}", markup=False)
+        elif self.last is not None:
+            here, before = step.frame, self.last.frame
+            metres = math.dist(here.T_map_sensor[:2, 3], before.T_map_sensor[:2, 3])  # type: ignore[index]
+            seconds = (here.stamp or 0.0) - (before.stamp or 0.0)
+            self.path += metres
+            self.speed = metres / seconds if seconds > 0 else math.nan
+        self.taken.append(k)
+        self.seconds.append(step.seconds)
+        self.last = step
+
+    def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
+        """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""
+        assert self.last is not None
+        assert self.last.grid is not None
+        view = self.mapper.view(self.spec)
+        first, second, third = self.titles
+        if isinstance(self.mapper, EvidentialMapper):
+            other = plot.conflict_panel(self.mapper.conflict_view(self.spec), third)
+        else:
+            other = plot.probability_panel(view, third)
+        speed = "" if math.isnan(self.speed) else f"{3.6 * self.speed:.0f} km/h"
+        total, name = str(len(self.dataset)), _shortened(self.last.frame.name)
+        count = f"{self.taken[-1] + 1:{len(total)}} of {total}"
+        line = f"{count}   {name}   {self.elapsed:.1f} s   {speed:>8}   map: {_shares(view)}"
+        return (plot.mass_panel(self.last.grid, first), plot.mass_panel(view, second), other), line
+
+    @property
+    def elapsed(self) -> float:
+        """Time from the first to the last scan that was mapped [s]."""
+        first, last = (self.dataset.refs[k].stamp for k in (self.taken[0], self.taken[-1]))
+        return (last or 0.0) - (first or 0.0)
+
+    def save_picture(self, path: Path) -> None:
+        """Draw the last scan and the map around it."""
+        assert self.last is not None
+        title = f"{_shortened(self.last.frame.name)}, {self.elapsed:.1f} s"
+        cloud = plot.points_panel(self.last.frame.scan.points, self.spec, title, self.ground_z)
+        plot.save_picture(path, cloud, *self.panels()[0])
+
+    def save_poses(self, path: Path) -> None:
+        """Write the poses of the scans that were mapped."""
+        refs = self.dataset.refs
+        stamps, first = np.unique([refs[k].stamp for k in self.taken], return_index=True)
+        rows = np.array(self.taken)[first]
+        numbers = frame_numbers([ref.name for ref in refs])
+        wanted = numbers[rows] if numbers is not None and path.suffix.lower() == ".csv" else None
+        write_poses(path, Trajectory(stamps, np.array([refs[k].T_map_sensor for k in rows])), wanted)
+
+    def facts(self) -> dict[str, str]:
+        """Return what was done, in words."""
+        model, mapper = (f"{1e3 * median(one):.1f} ms/scan" for one in zip(*self.seconds, strict=True))
+        spec = self.mapper.spec
+        cells = f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
+        facts = {
+            "scans": f"{len(self.taken)} mapped, {self.failed} skipped",
+            "time": f"{self.elapsed:.1f} s",
+            "path": f"{self.path:.1f} m",
+            **{self.names[0]: model, "mapper": mapper, "map": f"{cells}: {_shares(self.mapper.grid)}"},
+        }
+        if self.restarts:
+            facts["restarts"] = f"{self.restarts}, after jumps of the pose"
+        return facts
+
+
+def _shares(grid: EvidentialGrid) -> str:
+    """Return the mean masses of a grid in words."""
+    parts = (("free", grid.free), ("occupied", grid.occupied), ("unknown", grid.unknown))
+    return ", ".join(f"{name} {100 * float(mass.mean()):4.1f} %" for name, mass in parts)
+
+
+def _shortened(name: str, width: int = 28) -> str:
+    """Return a name of at most `width` characters; names of one drive differ at their end."""
+    return name if len(name) <= width else f"...{name[3 - width :]}"
