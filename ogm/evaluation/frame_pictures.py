@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ogm import plot
 from ogm.grid import GridSpec
-from ogm.state import CellState, predict_state
+from ogm.state import predict_state
 
 __all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "draw_frame", "error_classes", "height_colours"]
 
@@ -58,14 +58,13 @@ ERRORS = {
 }
 
 _RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `STATES`
-_CLASS = np.zeros((4, 3), np.uint8)  # [true state, predicted state] -> number in `ERRORS`
-for _truth, _names in {
-    CellState.UNKNOWN: ("right unknown", "false known", "false known"),
-    CellState.FREE: ("missed free", "right free", "false occupied"),
-    CellState.OCCUPIED: ("missed occupied", "false free", "right occupied"),
-    CellState.IGNORE: ("ignored", "ignored", "ignored"),
-}.items():
-    _CLASS[_truth] = [list(ERRORS).index(name) for name in _names]
+_NAMES = (  # [true state][predicted state], both in the order of `CellState`
+    ("right unknown", "false known", "false known"),
+    ("missed free", "right free", "false occupied"),
+    ("missed occupied", "false free", "right occupied"),
+    ("ignored", "ignored", "ignored"),
+)
+_CLASS = np.array([[list(ERRORS).index(name) for name in row] for row in _NAMES], np.uint8)
 
 
 def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArray[np.uint8]:

@@ -77,51 +77,32 @@ class Evaluation:
     @classmethod
     def from_sums(
         cls,
-        methods: Sequence[str],
+        methods: Iterable[str],
         spec: GridSpec,
         frames: Iterable[tuple[Sequence[ConfusionSums], NDArray[np.floating]]],
-        infos: Sequence[FrameInfo] = (),
+        infos: Iterable[FrameInfo],
     ) -> Self:
-        """Build an evaluation from sums: `evaluate` ends here, and so can an own loop.
+        """Build an evaluation from the sums of every method, and the shares of the true states, of each frame.
 
         Parameters
         ----------
-        methods : sequence of str
+        methods : iterable of str
             Names, each once.
         spec : GridSpec
             The evaluated cells.
         frames : iterable of (sums, truth)
             Of each frame, the sums of every method in their order, and the shares of its cells whose truth is
             unknown, free, occupied, ignored, (4,). Read once, none is kept.
-        infos : sequence of FrameInfo, optional
-            By default the frames are named by their numbers.
-
-        Raises
-        ------
-        ValueError
-            If there is no method or no frame, a name comes twice, or the numbers of methods or frames differ.
+        infos : iterable of FrameInfo
         """
-        names = tuple(methods)
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"methods need names, each once, got {names}")
         pooled: list[ConfusionSums] = []
         rows, shares = [], []
-        for k, (sums, truth) in enumerate(frames):
-            if len(sums) != len(names) or np.shape(truth) != (4,):
-                raise ValueError(
-                    f"frame {k} has sums of {len(sums)} methods and {np.shape(truth)} shares of truth, wanted "
-                    f"{len(names)} ({', '.join(names)}) and (4,)"
-                )
+        for sums, truth in frames:
             pooled = [a.plus(b) for a, b in zip(pooled, sums, strict=True)] if pooled else list(sums)
             rows.append([list(score(one).values()) for one in sums])
             shares.append(truth)
-        if not rows:
-            raise ValueError("no frames to build an evaluation from")
-        infos = tuple(infos) or tuple(FrameInfo(str(k)) for k in range(len(rows)))
-        if len(infos) != len(rows):
-            raise ValueError(f"there must be one FrameInfo per frame, got {len(infos)} for {len(rows)} frames")
         values = dict(zip(METRICS, np.array(rows).transpose(2, 1, 0), strict=True))
-        return cls(names, spec, values, tuple(pooled), np.array(shares, np.float64), infos)
+        return cls(tuple(methods), spec, values, tuple(pooled), np.array(shares, np.float64), tuple(infos))
 
     def of(self, method: str, metric: str) -> NDArray[np.float64]:
         """Return a metric of a method in every frame, (frames,)."""
@@ -139,8 +120,7 @@ class Evaluation:
 
     def pictures(self, frame: int) -> dict[str, bytes]:
         """Return the pictures of a frame by its place; none if the evaluation was run without a folder."""
-        one = None if self.cache is None else self.cache.load(self.numbers[frame])
-        return {} if one is None else one.pictures
+        return {} if self.cache is None else self.cache.load(self.numbers[frame]).pictures
 
     def macro(self, method: str) -> dict[str, float]:
         """Return the means over frames of every metric; frames without a value are left out."""

@@ -3,14 +3,25 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ogm.evaluation.chart_data import headline
+from ogm.evaluation.chart_data import HEADLINE
 from ogm.evaluation.statistics import MIN_SAMPLES
 
-__all__ = ["Leader", "leaders", "summarize"]
+__all__ = ["Leader", "best_value", "leaders", "summarize"]
 
 Record = Mapping[str, Any]
 LEVEL = 0.05  # of p
 SMALL_IOU = 0.05  # a method with a lower IoU hardly ever predicts the state
+
+
+def best_value(record: Record, metric: str, kind: str = "macro") -> float | None:
+    """Return the best mean (or micro average) of a metric over methods; None where there is nothing to compare."""
+    better = record["metrics"][metric]["better"]
+    found = [one[kind][metric] for one in record["methods"].values()]
+    values = [one["value"] if isinstance(one, Mapping) else one for one in found]
+    kept = [value for value in values if value is not None]
+    if not better or not kept or len(values) == 1:
+        return None
+    return min(kept) if better == "lower" else max(kept)
 
 
 class Leader(NamedTuple):
@@ -28,7 +39,7 @@ class Leader(NamedTuple):
 def leaders(record: Record) -> list[Leader]:
     """Return the best methods in the headline metrics, where methods have a value."""
     found = []
-    for metric in headline(record["metrics"]):
+    for metric in HEADLINE:
         better = record["metrics"][metric]["better"]
         means = {name: one["macro"][metric]["value"] for name, one in record["methods"].items()}
         ranking = [(name, value) for name, value in means.items() if value is not None]
@@ -88,7 +99,7 @@ def summarize(record: Record) -> dict[str, Any]:
         "leaders": best,
         "winners": sorted(winners, key=lambda item: (-len(item[1]), -item[2])),
         "ties": [metrics[one.metric]["title"] for one in best if len(one.best) > 1],
-        "empty": [metrics[m]["title"] for m in headline(metrics) if metrics[m]["better"] and m not in valued],
+        "empty": [metrics[m]["title"] for m in HEADLINE if metrics[m]["better"] and m not in valued],
         "cautious": _cautious(record, best),
         "drives": drives if drives < MIN_SAMPLES else 0,
     }
