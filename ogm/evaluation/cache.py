@@ -71,11 +71,7 @@ class ResultCache:
             for path in frames:
                 path.unlink()
         folder.mkdir(parents=True, exist_ok=True)
-        self._write_note(finished=False)
-
-    def finish(self) -> None:
-        """Note that all frames are there."""
-        self._write_note(finished=True)
+        self.note(finished=False)
 
     def missing(self, numbers: Iterable[int]) -> list[int]:
         """Return those of some frames that are not finished, or whose files are damaged."""
@@ -89,7 +85,7 @@ class ResultCache:
 
     def load(self, frame: int) -> FrameResult:
         """Return a finished frame."""
-        with np.load(self._path(frame), allow_pickle=False) as data:
+        with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
             if str(data["key"]) != self.key:
                 raise ValueError(f"{self._path(frame)} is a frame of another run")
             columns = [data[f"sums {name}"] for name in ConfusionSums._fields]
@@ -119,10 +115,11 @@ class ResultCache:
                 return found
         raise ValueError(f"{note} is damaged or not from `ogm evaluate`: give another folder")
 
-    def _write_note(self, *, finished: bool) -> None:
-        note = {"format": _FORMAT, "key": self.key, "finished": finished, "settings": self.settings}
+    def note(self, *, finished: bool) -> None:
+        """Write the settings down, and whether all frames are there."""
+        facts = {"format": _FORMAT, "key": self.key, "finished": finished, "settings": self.settings}
         with atomic_write(self.folder / "run.json", "w") as file:
-            json.dump(note, file, indent=1)
+            json.dump(facts, file, indent=1)
 
 
 def files_state(paths: Iterable[Path], besides: Path | None = None) -> str:

@@ -23,7 +23,6 @@ GROUPS = {  # title: beginnings of metrics' names, in the order of the page
     "The released code's metrics: to reproduce its figures, not to rank by": ("evilog", "legacy"),
 }
 MOST = 400_000  # per-frame values that the page carries; beyond this, those of the headline metrics only
-DIGITS = 4
 GAP = 2.0  # [s] after the frame before: lines of charts join them
 
 
@@ -65,10 +64,10 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
     if len(names) * len(frames) * len(carried) > MOST:
         kept = {*HEADLINE, *(m for m in metrics if m.startswith(("kl_", "evilog", "legacy", "mean_")))}
         carried = [name for name in metrics if name in kept]
-    keys = zip(frame_keys(frames), frames, _follows(frames), strict=True)
+    follows = [False, *(_follows(*pair) for pair in pairwise(frames))]
     data = {
         "methods": names,
-        "frames": [[key, frame["sequence"], follows] for key, frame, follows in keys],
+        "frames": list(zip(frame_keys(frames), (frame["sequence"] for frame in frames), follows, strict=True)),
         "pictures": sorted(shown),
         "metrics": metrics,
         "headline": HEADLINE,
@@ -84,17 +83,14 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
             if (pair := record["paired"].get(f"{first_name} against {second}"))
         },
     }
-    return as_json(data, DIGITS) | {"grid": record["grid"]}
+    return as_json(data, digits=4) | {"grid": record["grid"]}
 
 
-def _follows(frames: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """Return for every frame whether it was taken soon after the one before, in the same sequence."""
-    joined = [False] * len(frames)
-    for k, (before, here) in enumerate(pairwise(frames), start=1):
-        times = before["stamp"], here["stamp"]
-        if before["sequence"] == here["sequence"] and None not in times:
-            joined[k] = 0 < times[1] - times[0] <= GAP
-    return joined
+def _follows(before: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+    """Return whether a frame was taken soon after the one before, in the same sequence."""
+    if before["sequence"] != here["sequence"] or None in (before["stamp"], here["stamp"]):
+        return False
+    return 0 < here["stamp"] - before["stamp"] <= GAP
 
 
 def _row(one: Mapping[str, Any]) -> list[float | None]:

@@ -11,7 +11,7 @@ from ogm import plot
 from ogm.grid import GridSpec
 from ogm.state import predict_state
 
-__all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "draw_frame", "error_classes", "height_colours"]
+__all__ = ["ERRORS", "STATES", "Shade", "draw_frame", "error_classes", "height_legend"]
 
 STEPS = 8  # of a mass, so that pictures without loss stay small
 SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
@@ -19,7 +19,6 @@ SMALL = 0.02  # bytes per mass: a smaller picture is not encoded a second time
 QUALITY = 35  # of a picture with loss
 LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
 LAYER = 0.2  # [m] heights that have the same colour
-HEIGHTS = (0, 1, 2, 3)  # [m] over the ground, in the legend of the points
 
 
 class Shade(NamedTuple):
@@ -139,10 +138,10 @@ def draw_frame(
     return pictures
 
 
-def height_colours() -> list[tuple[int, int, int]]:
-    """Return the colours of points at `HEIGHTS` over the ground."""
+def height_legend() -> dict[str, tuple[int, int, int]]:
+    """Return the colours of points by their height over the ground."""
     legend = plot.points_panel(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
-    return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
+    return {height: _shade(colour) for height, colour in legend.items()}
 
 
 def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float) -> NDArray[np.uint8]:

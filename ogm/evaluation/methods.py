@@ -56,7 +56,7 @@ class SingleScanMethod:
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
-        return _model_state(self.model)
+        return _object_state(self.model)
 
 
 @dataclass(eq=False)
@@ -125,7 +125,7 @@ class FusedMethod:
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
-        return _model_state(self.model) + _object_state(self.new_mapper())
+        return _object_state(self.model) + _object_state(self.new_mapper())
 
 
 @dataclass(eq=False)
@@ -257,12 +257,9 @@ class MethodRunner:
         return {name: one.grid(frame, self.spec, measure) for name, one in self.methods.items()}
 
 
-def _model_state(model: Model) -> str:
-    return _object_state(model.model.__wrapped__ if isinstance(model, PerMount) else model)
-
-
 def _object_state(one: Any) -> str:
     """Return an object's repr without addresses, and a hash of the source file of its class or function."""
+    one = one.model.__wrapped__ if isinstance(one, PerMount) else one
     home = one if inspect.isroutine(one) else type(one)
     try:
         source = Path(inspect.getfile(home)).read_bytes()

@@ -13,7 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ogm.evaluation.chart_data import HEADLINE, chart_data, group_metrics
-from ogm.evaluation.frame_pictures import ERRORS, HEIGHTS, STATES, height_colours
+from ogm.evaluation.frame_pictures import ERRORS, STATES, height_legend
 from ogm.evaluation.summary import best_value, summarize
 from ogm.evaluation.text import format_number, join_words, pluralize
 from ogm.files import atomic_write
@@ -27,9 +27,7 @@ SHORT = 120  # characters of a nested fact that is shown unfolded
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")  # characters that HTML does not allow
 
 
-def write_page(
-    path: str | os.PathLike[str], record: Record, pictures: Pictures | None = None, most: int = MOST
-) -> None:
+def write_page(path: str | os.PathLike[str], record: Record, pictures: Pictures, most: int = MOST) -> None:
     """Write the record of an evaluation as one HTML page, whole or not at all.
 
     Parameters
@@ -38,13 +36,12 @@ def write_page(
         Its folder must exist.
     record : dict
         See `ogm.evaluation.report.evaluation_record`.
-    pictures : dict of int to dict of str to bytes, optional
+    pictures : dict of int to dict of str to bytes
         Of some frames by their numbers, see `ogm.evaluation.frame_pictures.draw_frame`.
     most : int
         Bytes that the pictures may take in the page. Of more, frames are left out evenly, and the page states it.
     """
-    found = pictures or {}
-    kept, files = _fitting(found, most), resources.files("ogm") / "data"
+    kept, files = _fitting(pictures, most), resources.files("ogm") / "data"
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
     environment.filters |= {"number": format_number, "words": join_words, "plural": pluralize}
     environment.filters |= {"json": _json, "short": _short, "pretty": partial(json.dumps, indent=1, ensure_ascii=False)}
@@ -58,9 +55,9 @@ def write_page(
         best=lambda kind, metric: best_value(record, metric, kind),
         reasons=lambda names: _reasons(record, names),
         legends=_legends(kept),
-        found=len(found),
+        found=len(pictures),
         kept=len(kept),
-        pictures={number: _as_urls(kept[number]) for number in sorted(kept)},
+        pictures={number: {name: _url(data) for name, data in kept[number].items()} for number in sorted(kept)},
         charts=chart_data(record, kept),
         css=Markup((files / "report.css").read_text("utf-8")),  # noqa: S704
         js=Markup((files / "report.js").read_text("utf-8")),  # noqa: S704
@@ -79,8 +76,8 @@ def _fitting(pictures: Pictures, most: int) -> Pictures:
     return {number: pictures[number] for place, number in enumerate(numbers) if place in places}
 
 
-def _as_urls(pictures: Mapping[str, bytes]) -> dict[str, str]:
-    return {name: f"data:image/webp;base64,{b64encode(data).decode()}" for name, data in pictures.items()}
+def _url(picture: bytes) -> str:
+    return f"data:image/webp;base64,{b64encode(picture).decode()}"
 
 
 def _json(value: Any) -> Markup:
@@ -105,8 +102,7 @@ def _legends(pictures: Pictures) -> dict[str, list[tuple[str, tuple[int, int, in
     """Return name, colour and meaning of what the pictures show, by kind of picture."""
     found = {}
     if any("points" in one for one in pictures.values()):
-        heights = zip(HEIGHTS, height_colours(), strict=True)
-        found["points"] = [(f"{h} m", colour, "") for h, colour in heights]
+        found["points"] = [(height, colour, "") for height, colour in height_legend().items()]
     states = [(name, *shade) for name, shade in STATES.items()]
     found["truth"] = [(name, colour, "" if text == name else text) for name, colour, text in states]
     found["masses"] = [(name, colour, "") for name, colour, _ in states if name != "ignored"]

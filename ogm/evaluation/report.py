@@ -182,13 +182,11 @@ def _ranked(result: Evaluation) -> NDArray[np.int64]:
 
 def _frames_to_show(result: Evaluation, most: int) -> list[int]:
     """Choose the frames with pictures: the worst, the best, and others spread evenly over the ranks."""
-    if len(result.frames) <= most:
-        return list(range(len(result.frames)))
-    order = _ranked(result)
-    if len(order) <= most:
-        return sorted(order.tolist())
-    worst = max(round(WORST * most), 1)
-    best = min(round(BEST * most), most - worst)
-    between = order[best : len(order) - worst]
-    places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
-    return np.sort(np.concatenate([order[:best], between[places], order[len(order) - worst :]])).tolist()
+    order = _ranked(result) if len(result.frames) > most else np.arange(len(result.frames))
+    if len(order) > most:
+        worst = max(round(WORST * most), 1)
+        best = min(round(BEST * most), most - worst)
+        between = order[best : len(order) - worst]
+        places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
+        order = np.concatenate([order[:best], between[places], order[len(order) - worst :]])
+    return np.sort(order).tolist()

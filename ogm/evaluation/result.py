@@ -2,17 +2,15 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.evaluation.cache import ResultCache
 from ogm.evaluation.statistics import MIN_SAMPLES, Comparison, Interval, bootstrap_mean, compare_paired
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
-
-if TYPE_CHECKING:
-    from ogm.evaluation.cache import ResultCache
 
 __all__ = ["Evaluation", "FrameInfo"]
 
@@ -62,14 +60,13 @@ class Evaluation:
     data: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     numbers: tuple[int, ...] = ()
-    cache: "ResultCache | None" = None
+    cache: ResultCache | None = None
     reused: int = 0
 
     def __str__(self) -> str:
         """Tabulate the means over frames: a row per metric, a column per method."""
         width = max(12, *(len(name) + 2 for name in self.methods))
-        head = f"{'mean of ' + str(len(self.frames)) + ' frames':22}"
-        lines = [head + "".join(f"{name:>{width}}" for name in self.methods)]
+        lines = [f"{f'mean of {len(self.frames)} frames':22}" + "".join(f"{name:>{width}}" for name in self.methods)]
         means = [self.macro(name) for name in self.methods]
         lines += [f"{m:22}" + "".join(f"{one[m]:>{width}.4f}" for one in means) for m in self.values]
         return "\n".join(lines)
@@ -112,7 +109,7 @@ class Evaluation:
             raise KeyError(f"there is no metric {metric!r}, only {', '.join(self.values)}")
         return self.values[metric][self.methods.index(method)]
 
-    def select(self, methods: Sequence[str]) -> "Evaluation":
+    def select(self, methods: Sequence[str]) -> Self:
         """Return the evaluation of some of the methods."""
         at = [self.methods.index(name) for name in methods]
         values = {metric: rows[at] for metric, rows in self.values.items()}

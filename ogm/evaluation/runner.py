@@ -101,7 +101,7 @@ def evaluate(
         rows = map(cache.load, numbers)
     result = Evaluation.from_sums(tuple(used), spec, ((one.sums, one.truth) for one in rows), infos)
     if cache is not None:
-        cache.finish()
+        cache.note(finished=True)
     return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
 
 
@@ -130,15 +130,17 @@ def _results(
         masses = [grid.mass for grid in runner.grids(frame).values()]
         sums = tuple(accumulate(mass, state, away) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
-        pictures = {} if draw is None else draw(_points(frame), state, masses, spec, frame.mount.ground_point[2])
-        yield number, FrameResult(sums, shares, pictures)
+        points, ground_z = _points(frame) if draw else (None, 0.0)
+        yield number, FrameResult(sums, shares, draw(points, state, masses, spec, ground_z) if draw else {})
 
 
-def _points(frame: Frame) -> NDArray | None:
+def _points(frame: Frame) -> tuple[NDArray | None, float]:
+    """Return points in the levelled vehicle frame, and the ground's z there."""
     try:
-        return transform_points(frame.mount.T_vehicle_points, frame.scan.points)
+        scan, mount = frame.scan, frame.mount
     except ValueError:  # a folder of truth grids has no scans
-        return None
+        return None, 0.0
+    return transform_points(mount.T_vehicle_points, scan.points), mount.ground_point[2]
 
 
 def _frames_to_read(dataset: Sequence[Frame], numbers: Sequence[int], fused: bool) -> list[int]:

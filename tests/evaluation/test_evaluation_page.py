@@ -126,7 +126,7 @@ def page(tmp_path: Path) -> Callable[..., Page]:
     """Write a page and read it."""
 
     def write(record: dict[str, Any], views: dict[int, dict[str, bytes]] | None = None) -> Page:
-        write_page(tmp_path / "report.html", record, views)
+        write_page(tmp_path / "report.html", record, views or {})
         assert [file.name for file in tmp_path.iterdir()] == ["report.html"]
         return Page((tmp_path / "report.html").read_text("utf-8"))
 
