@@ -127,9 +127,7 @@ def draw_frame(
     if truth.shape != spec.shape:
         raise ValueError(f"the truth has {truth.shape} cells, but the spec has {spec.shape}")
     block = max(1, -(-max(spec.shape) // LONGEST))
-    pictures = {}
-    if points is not None:
-        pictures["points"] = _encode(_dots(points, spec, block, ground_z))
+    pictures = {} if points is None else {"points": _encode(_dots(points, spec, block, ground_z))}
     pictures["truth"] = _painted(STATES, _RANK[truth], block, spec)
     for k, mass in enumerate(masses):
         errors = error_classes(truth, mass)
@@ -178,7 +176,7 @@ def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
     rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
     if len(rough) < SMALL * mass.size:
         return rough
-    smooth = _encode(_mixed(mass, spec), quality=QUALITY)
+    smooth = _encode(_mixed(mass, spec), lossless=False, quality=QUALITY)
     return smooth if len(smooth) < SHARPEST * len(rough) else rough
 
 
@@ -187,11 +185,10 @@ def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
     return plot.cells_panel(colours, spec, "", {}).image
 
 
-def _encode(image: NDArray[np.uint8], quality: int | None = None) -> bytes:
-    """Write a picture as WebP: without loss, or with the loss that `quality` allows."""
+def _encode(image: NDArray[np.uint8], lossless: bool = True, quality: int = 50) -> bytes:
+    """Write a picture as WebP: without loss (`quality` is the effort), or with the loss that `quality` allows."""
     from PIL import Image
 
-    how = {"lossless": True, "quality": 50} if quality is None else {"quality": quality}
     buffer = BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "WEBP", method=2, **how)
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "WEBP", method=2, lossless=lossless, quality=quality)
     return buffer.getvalue()

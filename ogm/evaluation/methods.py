@@ -24,8 +24,6 @@ __all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleS
 Model = InverseSensorModel | PerMount
 Measure = Callable[[Model], EvidentialGrid]  # a model's grid of the current frame
 
-_log = logging.getLogger(__name__)
-
 
 @dataclass(eq=False)
 class SingleScanMethod:
@@ -117,7 +115,7 @@ class FusedMethod:
         """Fuse a frame into the map; after a jump of the pose a new map begins."""
         self.check("a map", [frame])
         if update_map(self._mapper, measure(self.model), frame) is not None:
-            _log.warning("%s: the pose jumps; a new map begins", frame.name)
+            logging.getLogger(__name__).warning("%s: the pose jumps; a new map begins", frame.name)
 
     def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
         """Return the map around the frame that was fused last."""

@@ -116,8 +116,7 @@ def short_names(names: Sequence[str]) -> dict[str, str]:
     for name in names:
         path = Path(name)
         short = path.name.removesuffix(".safetensors")
-        if short == "best" and path.parent.name:
-            short = path.parent.name
+        short = path.parent.name or short if short == "best" else short
         if name in MODELS or short in result:
             short = name
         if short in result:

@@ -137,8 +137,7 @@ def write_csv(path: str | Path, result: Evaluation) -> None:
         writer.writerow(["frame", "method", *METRICS])
         for k, frame in enumerate(result.frames):
             for name in result.methods:
-                values = (result.of(name, metric)[k] for metric in METRICS)
-                cells = ("" if math.isnan(value) else f"{value:.7g}" for value in values)
+                cells = ("" if math.isnan(v := result.of(name, metric)[k]) else f"{v:.7g}" for metric in METRICS)
                 writer.writerow([clean(frame.name), clean(name), *cells])
 
 
