@@ -22,7 +22,7 @@ PARTS = {  # sections that are shown
     "frames": ("frames",),
 }
 SECTIONS = ("summary", "scores", "paired", "per-frame", "curves", "frames", "run")
-WIDTH, HEIGHT = 1180, 1180
+WIDTH, HEIGHT = 1300, 1180
 
 
 def shot(browser: str, page: str, shown: tuple[str, ...], theme: str, folder: Path) -> Image.Image:
