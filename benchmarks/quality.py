@@ -42,7 +42,7 @@ from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, write_report
 from ogm.evaluation.figures import draw_frames, frame_panels
 from ogm.evaluation.frame_pictures import draw_frame
-from ogm.evaluation.report import as_json
+from ogm.evaluation.text import as_json
 from ogm.metrics import METRICS
 
 PAPER = GridSpec.centered()

@@ -22,13 +22,13 @@ PARTS = {  # sections that are shown
     "frames": ("frames",),
 }
 SECTIONS = ("summary", "scores", "paired", "per-frame", "curves", "frames", "run")
-WIDTH, HEIGHT = 1180, 1180
+WIDTH, HEIGHT = 1300, 1180
 
 
 def shot(browser: str, page: str, shown: tuple[str, ...], theme: str, folder: Path) -> Image.Image:
     """Return what a browser shows of some sections."""
     hidden = ", ".join(f"section#{name}" for name in SECTIONS if name not in shown)
-    first = "" if "summary" in shown else ", h1, .lead, main > p"
+    first = "" if "summary" in shown else ", h1, main > p"
     style = f"<style>{hidden}{first} {{ display: none !important }} :root {{ color-scheme: {theme} }}</style>"
     path, picture = folder / "part.html", folder / "part.png"
     path.write_text(page.replace("</head>", f"{style}</head>", 1))

@@ -242,10 +242,9 @@ def _heading(record: Mapping[str, Any], metric: str) -> str:
 
 def _column(record: Mapping[str, Any], metric: str) -> list[Text]:
     """Return a metric of all methods, the best one in bold."""
-    better = record["metrics"][metric]["better"]
-    row = [one["macro"][metric] for one in record["methods"].values()]
-    means = [one["value"] for one in row if one["value"] is not None]
-    best = None if not means or not better else min(means) if better == "lower" else max(means)
+    from ogm.evaluation.summary import best_value
+
+    row, best = [one["macro"][metric] for one in record["methods"].values()], best_value(record, metric)
     return [Text(_interval(one), "bold" if one["value"] == best else "") for one in row]
 
 

@@ -62,7 +62,7 @@ def map_(
     scans: Annotated[
         list[Path],
         typer.Argument(
-            help="Scans (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder of them, or a data set."
+            help="Scan files (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder or a data set."
         ),
     ],
     ism: Annotated[

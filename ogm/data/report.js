@@ -218,7 +218,7 @@ function frameFigures() {
   onFrames = [];
   $("figure-metric-description").textContent = `${title(figureMetric)}${sign(figureMetric)}: ${D.metrics[figureMetric].description}`;
   one($("chart-metric"), figureMetric, title(figureMetric), null, 300);
-  const known = axis.length ? D.frames.map((_, f) => 1 - (D.truth.ignored?.[f] ?? 0)) : [];
+  const known = D.frames.map((_, f) => D.truth.unknown[f] + D.truth.free[f] + D.truth.occupied[f]);  // 1 - ignored, which is rounded, would be too rough
   for (const state of ["unknown", "free", "occupied"]) if (D.perFrame[`mean_${state}`]) {
     const truth = D.truth[state]?.map((v, f) => v === null || !(known[f] > 0) ? null : v / known[f]);
     one($(`chart-${state}`), `mean_${state}`, `mean ${state}`, truth, 190);

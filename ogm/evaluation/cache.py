@@ -4,8 +4,9 @@ import hashlib
 import json
 import os
 import zipfile
+import zlib
 from collections.abc import Iterable, Mapping
-from importlib import resources
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,7 @@ from ogm.metrics import ConfusionSums
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
 
 _FORMAT = "ogm.frames/1"
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 class FrameResult(NamedTuple):
@@ -58,16 +59,10 @@ class ResultCache:
     def __init__(self, folder: Path, settings: Mapping[str, Any]) -> None:
         self.folder, self.settings = folder, settings
         self.key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()
-        if folder.exists() and not folder.is_dir():
-            raise ValueError(f"{folder} is a file, but frames are kept in a folder of that name; rename it")
-        self._note = folder / "run.json"
-        self._complete: set[int] = set()  # frames that were read or written since, so that none is read twice
         note = self._read_note()
-        if note is not None and note.get("key") != self.key:
-            if note.get("format") != _FORMAT:
-                raise ValueError(f"{self._note} is damaged or not from `ogm evaluate`: give another folder")
+        if note["key"] != self.key:
             frames = [path for path in folder.glob("*.npz") if path.stem.isdecimal()]
-            if frames and not note.get("finished"):
+            if frames and not note["finished"]:
                 raise ValueError(
                     f"{folder} holds {len(frames)} frames of an unfinished run with other data, methods or settings, "
                     "with files that have changed since, or by another ogm: repeat that command to resume it, give "
@@ -76,57 +71,55 @@ class ResultCache:
             for path in frames:
                 path.unlink()
         folder.mkdir(parents=True, exist_ok=True)
-        self._write_note(finished=False)
-
-    def finish(self) -> None:
-        """Note that all frames are there."""
-        self._write_note(finished=True)
+        self.note(finished=False)
 
     def missing(self, numbers: Iterable[int]) -> list[int]:
         """Return those of some frames that are not finished, or whose files are damaged."""
-        return [k for k in numbers if k not in self._complete and self.load(k) is None]
+        found = []
+        for number in numbers:
+            try:
+                self.load(number)
+            except _UNREADABLE:
+                found.append(number)
+        return found
 
-    def load(self, frame: int) -> FrameResult | None:
-        """Return a frame; None if it is not finished, or its file is damaged."""
-        try:
-            with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
-                if str(data["key"]) != self.key:
-                    return None
-                columns = [data[f"sums {name}"] for name in ConfusionSums._fields]
-                pictures = {name[8:]: data[name].tobytes() for name in data.files if name[:8] == "picture "}
-                sums = tuple(ConfusionSums(*row) for row in zip(*columns, strict=True))
-                self._complete.add(frame)
-                return FrameResult(sums, data["truth"], pictures)
-        except _UNREADABLE:
-            return None
+    def load(self, frame: int) -> FrameResult:
+        """Return a finished frame."""
+        with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
+            if str(data["key"]) != self.key:
+                raise ValueError(f"{self._path(frame)} is a frame of another run")
+            columns = [data[f"sums {name}"] for name in ConfusionSums._fields]
+            pictures = {name[8:]: data[name].tobytes() for name in data.files if name[:8] == "picture "}
+            sums = tuple(ConfusionSums(*row) for row in zip(*columns, strict=True))
+            return FrameResult(sums, data["truth"], pictures)
 
     def save(self, frame: int, result: FrameResult) -> None:
         """Keep a frame, whole or not at all."""
+        columns = zip(ConfusionSums._fields, zip(*result.sums, strict=True), strict=True)
         arrays: dict[str, Any] = {"key": np.array(self.key), "truth": result.truth}
-        for name in ConfusionSums._fields:
-            arrays[f"sums {name}"] = np.stack([getattr(one, name) for one in result.sums])
-        for name, data in result.pictures.items():
-            arrays[f"picture {name}"] = np.frombuffer(data, np.uint8)
+        arrays |= {f"sums {name}": np.stack(column) for name, column in columns}
+        arrays |= {f"picture {name}": np.frombuffer(data, np.uint8) for name, data in result.pictures.items()}
         with atomic_write(self._path(frame)) as file:
             np.savez_compressed(file, **arrays)
-        self._complete.add(frame)
 
     def _path(self, frame: int) -> Path:
         return self.folder / f"{frame:06d}.npz"
 
-    def _read_note(self) -> dict[str, Any] | None:
-        try:
-            found = json.loads(self._note.read_text())
-        except FileNotFoundError:
-            return None
-        except ValueError:
-            return {}  # damaged
-        return found if isinstance(found, dict) else {}
+    def _read_note(self) -> dict[str, Any]:
+        note = self.folder / "run.json"
+        if not note.exists():
+            return {"key": self.key}
+        with suppress(ValueError):  # no JSON
+            found = json.loads(note.read_text())
+            if isinstance(found, dict) and found.get("format") == _FORMAT:
+                return found
+        raise ValueError(f"{note} is damaged or not from `ogm evaluate`: give another folder")
 
-    def _write_note(self, *, finished: bool) -> None:
-        note = {"format": _FORMAT, "key": self.key, "finished": finished, "settings": self.settings}
-        with atomic_write(self._note, "w") as file:
-            json.dump(note, file, indent=1)
+    def note(self, *, finished: bool) -> None:
+        """Write the settings down, and whether all frames are there."""
+        facts = {"format": _FORMAT, "key": self.key, "finished": finished, "settings": self.settings}
+        with atomic_write(self.folder / "run.json", "w") as file:
+            json.dump(facts, file, indent=1)
 
 
 def files_state(paths: Iterable[Path], besides: Path | None = None) -> str:
@@ -140,26 +133,16 @@ def files_state(paths: Iterable[Path], besides: Path | None = None) -> str:
         A folder that is left out.
     """
     left_out = None if besides is None else besides.resolve()
-    found = []
-    for path in paths:
-        for folder, below, names in os.walk(path):
-            below[:] = sorted(name for name in below if Path(folder, name).resolve() != left_out)
-            if Path(folder).resolve() != left_out:
-                found += [Path(folder, name) for name in sorted(names)]
-        found += [path] if path.is_file() else []
-    rows = [(os.fsencode(one), stat.st_size, stat.st_mtime_ns) for one in found if (stat := _stat(one))]
+    rows = []
+    for root in (path.resolve() for path in paths):
+        for path in (root, *sorted(root.rglob("*"))):
+            if path.is_file() and left_out not in path.parents:
+                stat = path.stat()
+                rows.append((os.fsencode(path), stat.st_size, stat.st_mtime_ns))
     return hashlib.sha256(repr(rows).encode()).hexdigest()
-
-
-def _stat(path: Path) -> os.stat_result | None:
-    try:
-        return path.stat()
-    except OSError:  # a link to nothing
-        return None
 
 
 def code_state() -> str:
     """Return a hash that changes with every line of ogm: its version stays during development."""
-    root = Path(str(resources.files("ogm")))
-    sums = [hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(root.rglob("*.py"))]
-    return hashlib.sha256("".join(sums).encode()).hexdigest()
+    code = [path.read_bytes() for path in sorted(Path(__file__).parents[1].rglob("*.py"))]
+    return hashlib.sha256(b"".join(code)).hexdigest()

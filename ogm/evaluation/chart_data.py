@@ -1,12 +1,13 @@
 """What the page's script draws, in few bytes: names become numbers, numbers get four digits."""
 
-import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-__all__ = ["chart_data", "frame_keys", "group_metrics", "headline", "rounded"]
+from ogm.evaluation.text import as_json
+
+__all__ = ["HEADLINE", "chart_data", "frame_keys", "group_metrics"]
 
 HEADLINE = (
     "kl_e10", "iou_free", "iou_occupied", "brier", "ece_relative", "auroc_unknown", "ause",
@@ -21,25 +22,13 @@ GROUPS = {  # title: beginnings of metrics' names, in the order of the page
     "What the grid holds: neither is better": ("mean_", "entropy", "dissonance"),
     "The released code's metrics: to reproduce its figures, not to rank by": ("evilog", "legacy"),
 }
-REST = "Further"
 MOST = 400_000  # per-frame values that the page carries; beyond this, those of the headline metrics only
-DIGITS = 4
 GAP = 2.0  # [s] after the frame before: lines of charts join them
 
 
-def headline(metrics: Iterable[str]) -> list[str]:
-    """Return the metrics of the first table, of those that there are."""
-    there = list(metrics)
-    return [name for name in HEADLINE if name in there] or there[:8]
-
-
-def group_metrics(metrics: Iterable[str]) -> dict[str, list[str]]:
+def group_metrics(metrics: Collection[str]) -> dict[str, list[str]]:
     """Return metrics by topic; each is in one group."""
-    found: dict[str, list[str]] = {title: [] for title in [*GROUPS, REST]}
-    for name in metrics:
-        title = next((title for title, starts in GROUPS.items() if name.startswith(starts)), REST)
-        found[title].append(name)
-    return {title: names for title, names in found.items() if names}
+    return {title: [name for name in metrics if name.startswith(starts)] for title, starts in GROUPS.items()}
 
 
 def frame_keys(frames: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -50,20 +39,6 @@ def frame_keys(frames: Sequence[Mapping[str, Any]]) -> list[str]:
         count = Counter(keys)
         keys = [other if count[key] > 1 else key for key, other in zip(keys, longer, strict=True)]
     return keys
-
-
-def rounded(value: Any) -> Any:
-    """Return numbers, in lists and dicts as deep as they come, with four digits; NaN and infinity as None."""
-    if isinstance(value, Mapping):
-        return {key: rounded(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [rounded(one) for one in value]
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            return None
-        short = float(f"{value:.{DIGITS}g}")
-        return int(short) if short.is_integer() and abs(short) < 1e9 else short
-    return value
 
 
 def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any]:
@@ -85,17 +60,16 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
         and ratio each with its interval), ``grid``.
     """
     methods, metrics, frames = record["methods"], record["metrics"], record["frames"]
-    names, first, carried = list(methods), headline(metrics), list(metrics)
+    names, carried = list(methods), list(metrics)
     if len(names) * len(frames) * len(carried) > MOST:
-        kept = {*first, *(m for m in metrics if m.startswith(("kl_", "evilog", "legacy", "mean_")))}
-        carried = [name for name in metrics if name in kept]
-    keys = zip(frame_keys(frames), frames, _follows(frames), strict=True)
+        carried = [m for m in metrics if m in HEADLINE or m.startswith(("kl_", "evilog", "legacy", "mean_"))]
+    follows = [False, *(_follows(*pair) for pair in pairwise(frames))]
     data = {
         "methods": names,
-        "frames": [[key, frame["sequence"], follows] for key, frame, follows in keys],
+        "frames": list(zip(frame_keys(frames), (frame["sequence"] for frame in frames), follows, strict=True)),
         "pictures": sorted(shown),
         "metrics": metrics,
-        "headline": first,
+        "headline": HEADLINE,
         "perFrame": {m: [methods[name]["per frame"][m] for name in names] for m in carried},
         "truth": record["truth per frame"],
         "curves": [methods[name].get("curves") or {} for name in names],
@@ -108,17 +82,14 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
             if (pair := record["paired"].get(f"{first_name} against {second}"))
         },
     }
-    return rounded(data) | {"grid": record["grid"]}
+    return as_json(data, digits=4) | {"grid": record["grid"]}
 
 
-def _follows(frames: Sequence[Mapping[str, Any]]) -> list[bool]:
-    """Return for every frame whether it was taken soon after the one before, in the same sequence."""
-    joined = [False] * len(frames)
-    for k, (before, here) in enumerate(pairwise(frames), start=1):
-        times = before["stamp"], here["stamp"]
-        if before["sequence"] == here["sequence"] and None not in times:
-            joined[k] = 0 < times[1] - times[0] <= GAP
-    return joined
+def _follows(before: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+    """Return whether a frame was taken soon after the one before, in the same sequence."""
+    if before["sequence"] != here["sequence"] or None in (before["stamp"], here["stamp"]):
+        return False
+    return 0 < here["stamp"] - before["stamp"] <= GAP
 
 
 def _row(one: Mapping[str, Any]) -> list[float | None]:

@@ -4,7 +4,7 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +12,7 @@ from ogm.evaluation.result import Evaluation
 from ogm.evaluation.text import clean
 from ogm.files import atomic_write
 from ogm.metrics import METRICS
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from ogm.plot import Panel
+from ogm.plot import LEGEND, Panel
 
 __all__ = ["draw_frames", "draw_metrics", "frame_panels"]
 
@@ -26,12 +22,11 @@ SHOWN = (
     "ece", "ece_relative", "false_free", "missed_occupied",
 )  # fmt: skip
 MOST = 6  # methods side by side
+DOTS = 110  # per inch
 COLOURS = ("#2c5f9e", "#e08214", "#1b7837", "#7b3294", "#b2182b", "#8c8c8c", "#35978f", "#543005")
 
 
-def draw_metrics(
-    path: str | Path, result: Evaluation, title: str, shown: Sequence[str] = SHOWN, note: str = ""
-) -> None:
+def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "") -> None:
     """Draw a box per method for each metric: quartiles over frames, whiskers from 5 % to 95 %, the mean as a dot.
 
     Parameters
@@ -41,17 +36,14 @@ def draw_metrics(
     result : Evaluation
     title, note : str
         Above and below the picture.
-    shown : sequence of str
-        Names of metrics.
     """
-    columns, rows = 4, -(-len(shown) // 4)
-    width, height = max(13.0, 3.4 * len(result.methods)), 3.1 * rows + 1.1
-    figure = _figure(width, height)
-    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    from matplotlib.figure import Figure
+
+    width, height = max(13.0, 3.4 * len(result.methods)), 3.1 * 3 + 1.1
+    figure = Figure(figsize=(width, height))
+    axes = figure.subplots(3, 4).ravel()
     figure.subplots_adjust(0.6 / width, 0.9 / height, 1 - 0.2 / width, 1 - 0.75 / height, 0.2, 0.45)
-    for axis in axes[len(shown) :]:
-        axis.set_axis_off()
-    for axis, metric in zip(axes, shown, strict=False):
+    for axis, metric in zip(axes, SHOWN, strict=True):
         labels = [fill(clean(name), 9) for name in result.methods]
         for place, name in enumerate(result.methods):
             colour, values = COLOURS[place % len(COLOURS)], result.of(name, metric)
@@ -59,35 +51,27 @@ def draw_metrics(
             if not len(values):
                 axis.text(place, 0.5, "no value", ha="center", transform=axis.get_xaxis_transform())
                 continue
-            axis.boxplot(
-                values,
-                positions=[place],
-                widths=0.6,
-                whis=(5, 95),
-                showfliers=False,
-                patch_artist=True,
-                boxprops={"facecolor": colour, "alpha": 0.55, "edgecolor": colour},
-                medianprops={"color": "black"},
-                whiskerprops={"color": colour},
-                capprops={"color": colour},
-            )
-            mean = values.mean()
-            axis.plot(place, mean, "o", color="black", markersize=4)
-            labels[place] = f"{mean:.3f}\n{labels[place]}"
+            parts = axis.boxplot(values, positions=[place], widths=0.6, whis=(5, 95), sym="", patch_artist=True)
+            parts["boxes"][0].set(facecolor=colour, alpha=0.55, edgecolor=colour)
+            parts["medians"][0].set(color="black")
+            for line in (*parts["whiskers"], *parts["caps"]):
+                line.set(color=colour)
+            axis.plot(place, values.mean(), "o", color="black", markersize=4)
+            labels[place] = f"{values.mean():.3f}\n{labels[place]}"
         heading, better, _ = METRICS[metric]
         axis.set_title(f"{heading}  ({better} is better)" if better else heading, fontsize=10)
-        axis.set_xlim(-0.6, len(result.methods) - 0.4)
-        axis.set_ylim(bottom=0)
+        axis.set(xlim=(-0.6, len(result.methods) - 0.4), ylim=(0, None))
         axis.set_xticks(range(len(labels)), labels, fontsize=8)
         axis.grid(axis="y", color="0.9")
         axis.set_axisbelow(True)
         axis.spines[["top", "right"]].set_visible(False)
     figure.suptitle(clean(title), fontsize=12, y=1 - 0.15 / height, va="top")
     figure.text(0.5, 0.05 / height, note, fontsize=7, color="0.35", ha="center")
-    _save(figure, path)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=DOTS)
 
 
-def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) -> list["Panel"]:
+def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) -> list[Panel]:
     """Return the pictures of a frame to draw side by side: points, truth, and the grids of the first methods.
 
     Parameters
@@ -99,8 +83,6 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
         Its place in the evaluation.
     """
     from PIL import Image
-
-    from ogm.plot import LEGEND, Panel
 
     titles = {"points": "points", "truth": "truth"}
     for place, name in enumerate(result.methods[:MOST]):
@@ -115,7 +97,7 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
     return panels
 
 
-def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]], title: str) -> None:
+def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence[Panel]]], title: str) -> None:
     """Draw frames below each other, each a row of panels of the same kinds.
 
     Parameters
@@ -126,13 +108,14 @@ def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]],
         A frame's name and its pictures.
     title : str
     """
+    from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
     columns = len(rows[0][1])
     first = rows[0][1][0].spec
     width, height = 2.6, 2.6 * first.length / first.width
     across, down = width * columns + 0.4, (height + 0.3) * len(rows) + 1.0
-    figure = _figure(across, down)
+    figure = Figure(figsize=(across, down))
     axes = figure.subplots(len(rows), columns, squeeze=False)
     figure.subplots_adjust(0.35 / across, 0.5 / down, 1 - 0.05 / across, 1 - 0.7 / down, 0.02, 0.3 / height)
     legends: dict[str, Any] = {}
@@ -141,25 +124,11 @@ def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence["Panel"]]],
             x0, x1, y0, y1 = panel.spec.extent
             axis.imshow(panel.image, extent=(y1, y0, x0, x1), interpolation="antialiased")
             axis.set_title(clean(panel.title), fontsize=8, parse_math=False)
-            axis.set_xticks([])
-            axis.set_yticks([])
+            axis.set(xticks=[], yticks=[])
             legends |= panel.legend
         row[0].set_ylabel(clean(name), fontsize=9, parse_math=False)
     handles = [Patch(facecolor=c, edgecolor="0.6", label=label) for label, c in legends.items()]
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=9)
     figure.suptitle(clean(title), fontsize=11, y=1 - 0.1 / down, va="top")
-    _save(figure, path)
-
-
-def _figure(width: float, height: float) -> "Figure":
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height))
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _save(figure: "Figure", path: str | Path) -> None:
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=110)
+        figure.savefig(file, format="png", dpi=DOTS)

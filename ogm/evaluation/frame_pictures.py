@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from ogm import plot
 from ogm.grid import GridSpec
-from ogm.state import CellState, predict_state
+from ogm.state import predict_state
 
-__all__ = ["ERRORS", "HEIGHTS", "STATES", "Shade", "draw_frame", "error_classes", "height_colours"]
+__all__ = ["ERRORS", "STATES", "Shade", "draw_frame", "error_classes", "height_legend"]
 
 STEPS = 8  # of a mass, so that pictures without loss stay small
 SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
@@ -19,7 +19,6 @@ SMALL = 0.02  # bytes per mass: a smaller picture is not encoded a second time
 QUALITY = 35  # of a picture with loss
 LONGEST = 768  # [cells] along a side; grids that are longer are shown in blocks
 LAYER = 0.2  # [m] heights that have the same colour
-HEIGHTS = (0, 1, 2, 3)  # [m] over the ground, in the legend of the points
 
 
 class Shade(NamedTuple):
@@ -58,14 +57,13 @@ ERRORS = {
 }
 
 _RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `STATES`
-_CLASS = np.zeros((4, 3), np.uint8)  # [true state, predicted state] -> number in `ERRORS`
-for _truth, _names in {
-    CellState.UNKNOWN: ("right unknown", "false known", "false known"),
-    CellState.FREE: ("missed free", "right free", "false occupied"),
-    CellState.OCCUPIED: ("missed occupied", "false free", "right occupied"),
-    CellState.IGNORE: ("ignored", "ignored", "ignored"),
-}.items():
-    _CLASS[_truth] = [list(ERRORS).index(name) for name in _names]
+_NAMES = (  # [true state][predicted state], both in the order of `CellState`
+    ("right unknown", "false known", "false known"),
+    ("missed free", "right free", "false occupied"),
+    ("missed occupied", "false free", "right occupied"),
+    ("ignored", "ignored", "ignored"),
+)
+_CLASS = np.array([[list(ERRORS).index(name) for name in row] for row in _NAMES], np.uint8)
 
 
 def error_classes(truth: NDArray[np.uint8], mass: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -129,9 +127,7 @@ def draw_frame(
     if truth.shape != spec.shape:
         raise ValueError(f"the truth has {truth.shape} cells, but the spec has {spec.shape}")
     block = max(1, -(-max(spec.shape) // LONGEST))
-    pictures = {}
-    if points is not None:
-        pictures["points"] = _encode(_dots(points, spec, block, ground_z))
+    pictures = {} if points is None else {"points": _encode(_dots(points, spec, block, ground_z))}
     pictures["truth"] = _painted(STATES, _RANK[truth], block, spec)
     for k, mass in enumerate(masses):
         errors = error_classes(truth, mass)
@@ -140,10 +136,10 @@ def draw_frame(
     return pictures
 
 
-def height_colours() -> list[tuple[int, int, int]]:
-    """Return the colours of points at `HEIGHTS` over the ground."""
+def height_legend() -> dict[str, tuple[int, int, int]]:
+    """Return the colours of points by their height over the ground."""
     legend = plot.points_panel(np.zeros((0, 3), np.float32), GridSpec.centered(1.0, 1.0, 1.0), ground_z=0.0).legend
-    return [_shade(legend[f"{height:g} m"]) for height in HEIGHTS]
+    return {height: _shade(colour) for height, colour in legend.items()}
 
 
 def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float) -> NDArray[np.uint8]:
@@ -180,7 +176,7 @@ def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
     rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
     if len(rough) < SMALL * mass.size:
         return rough
-    smooth = _encode(_mixed(mass, spec), quality=QUALITY)
+    smooth = _encode(_mixed(mass, spec), lossless=False, quality=QUALITY)
     return smooth if len(smooth) < SHARPEST * len(rough) else rough
 
 
@@ -189,11 +185,10 @@ def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
     return plot.cells_panel(colours, spec, "", {}).image
 
 
-def _encode(image: NDArray[np.uint8], quality: int | None = None) -> bytes:
-    """Write a picture as WebP: without loss, or with the loss that `quality` allows."""
+def _encode(image: NDArray[np.uint8], lossless: bool = True, quality: int = 50) -> bytes:
+    """Write a picture as WebP: without loss (`quality` is the effort), or with the loss that `quality` allows."""
     from PIL import Image
 
-    how = {"lossless": True, "quality": 50} if quality is None else {"quality": quality}
     buffer = BytesIO()
-    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "WEBP", method=2, **how)
+    Image.fromarray(np.ascontiguousarray(image)).save(buffer, "WEBP", method=2, lossless=lossless, quality=quality)
     return buffer.getvalue()

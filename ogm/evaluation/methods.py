@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ogm.datasets.truth_grids import grid_files
-from ogm.evaluation.models import describe_model, model_factory, weights_facts
+from ogm.evaluation.models import describe_model, model_factory
 from ogm.fusion import BAYES, Mapper, make_mapper, resample_to, rolling_window, update_map
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
@@ -23,8 +23,6 @@ __all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleS
 
 Model = InverseSensorModel | PerMount
 Measure = Callable[[Model], EvidentialGrid]  # a model's grid of the current frame
-
-_log = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -48,7 +46,7 @@ class SingleScanMethod:
     def named(cls, name: str, spec: GridSpec) -> "SingleScanMethod":
         """Return the method of a model of `ogm.evaluation.models`, made for the mount of each frame."""
         model = PerMount(model_factory(name, spec, drop_ego_returns=True))
-        return cls(model, describe_model(name), weights_facts(name))
+        return cls(model, *describe_model(name))
 
     def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
         """Return the measurement grid of a frame on the evaluated cells."""
@@ -56,7 +54,7 @@ class SingleScanMethod:
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
-        return _model_state(self.model)
+        return _object_state(self.model)
 
 
 @dataclass(eq=False)
@@ -76,12 +74,10 @@ class FusedMethod:
     model: Model
     new_mapper: Callable[[], Mapper]
     description: str = ""
-    _mapper: Mapper | None = field(default=None, init=False, repr=False)
+    _mapper: Mapper = field(init=False, repr=False)
 
     @classmethod
-    def by_rule(
-        cls, name: str, model: Model, rule: str, spec: GridSpec, half_life: float | None = None
-    ) -> "FusedMethod":
+    def by_rule(cls, name: str, model: Model, rule: str, spec: GridSpec) -> "FusedMethod":
         """Return a rolling map that fuses by a rule.
 
         Parameters
@@ -93,16 +89,23 @@ class FusedMethod:
             A name in `ogm.fusion.RULES`, or ``"bayes"``.
         spec : GridSpec
             The cells of the model's grids.
-        half_life : float, optional
-            [s]; by default that of the mapper.
         """
         window = rolling_window(spec)
-        mapper = make_mapper(rule, window, half_life)  # refuses unknown rules before any work
-        memory = mapper.half_life if isinstance(mapper.half_life, float) else mapper.half_life[0]
+        memory = np.min(make_mapper(rule, window).half_life)  # refuses unknown rules before any work
         kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
         decay = "no decay" if np.isinf(memory) else f"half-life {memory:g} s"
         description = f"The scans of {name} fused over time by {kind}, {decay}."
-        return cls(model, lambda: make_mapper(rule, window, half_life), description)
+        return cls(model, lambda: make_mapper(rule, window), description)
+
+    def check(self, name: str, frames: Sequence[Frame]) -> None:
+        """Refuse frames that a map cannot fuse; `name` is that of the method."""
+        for frame in frames:
+            if not frame.sequence or frame.T_map_sensor is None or frame.stamp is None:
+                raise ValueError(
+                    f"{name} fuses frames that follow each other, with poses and stamps, but {frame.name} "
+                    f"{'has none' if frame.sequence else 'stands alone'}: give a drive with poses, or the split "
+                    "`sequences` of a simulated data set"
+                )
 
     def reset(self) -> None:
         """Begin a new map."""
@@ -110,21 +113,17 @@ class FusedMethod:
 
     def update(self, frame: Frame, measure: Measure) -> None:
         """Fuse a frame into the map; after a jump of the pose a new map begins."""
-        if frame.T_map_sensor is None or frame.stamp is None:
-            raise ValueError(f"{frame.name} has no pose or no stamp, so that it cannot be fused")
-        if self._mapper is None:
-            self._mapper = self.new_mapper()
+        self.check("a map", [frame])
         if update_map(self._mapper, measure(self.model), frame) is not None:
-            _log.warning("%s: the pose jumps; a new map begins", frame.name)
+            logging.getLogger(__name__).warning("%s: the pose jumps; a new map begins", frame.name)
 
     def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
         """Return the map around the frame that was fused last."""
-        assert self._mapper is not None  # `update` comes first
         return self._mapper.view(spec)
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
-        return _model_state(self.model) + _object_state(self.new_mapper())
+        return _object_state(self.model) + _object_state(self.new_mapper())
 
 
 @dataclass(eq=False)
@@ -162,14 +161,14 @@ class PrecomputedGrids:
         files = grid_files(folder)
         if not files:
             raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
-        name = folder.name or folder.resolve().name
-        return cls(files, f"Grids of the folder {name}, {len(files)} files.", resampling)
+        return cls(files, f"Grids of the folder {folder.resolve().name}, {len(files)} files.", resampling)
 
-    def check(self, name: str, frames: Sequence[str]) -> None:
-        """Refuse frames without a grid, by the method's name and the frames' names."""
-        missing = [frame for frame in frames if frame not in self.files]
+    def check(self, name: str, frames: Sequence[Frame]) -> None:
+        """Refuse frames without a grid of their name; `name` is that of the method."""
+        names = [frame.name for frame in frames]
+        missing = [one for one in names if one not in self.files]
         if missing:
-            more = sorted(set(self.files) - set(frames))
+            more = sorted(set(self.files) - set(names))
             others = f"; it has {len(more)} with other names, first {more[0]}" if more else ""
             raise ValueError(
                 f"{name}: there is no grid for {missing[0]} and {len(missing) - 1} more of {len(frames)} "
@@ -205,7 +204,7 @@ def as_methods(given: Mapping[str, Any], spec: GridSpec) -> dict[str, Method]:
         raise ValueError("no methods to evaluate: give at least one by its name")
     result: dict[str, Method] = {}
     for name, one in given.items():
-        if isinstance(one, SingleScanMethod | FusedMethod | PrecomputedGrids):
+        if isinstance(one, Method):
             result[name] = one
         elif isinstance(one, str):
             result[name] = SingleScanMethod.named(one, spec)
@@ -256,12 +255,9 @@ class MethodRunner:
         return {name: one.grid(frame, self.spec, measure) for name, one in self.methods.items()}
 
 
-def _model_state(model: Model) -> str:
-    return _object_state(model.model.__wrapped__ if isinstance(model, PerMount) else model)
-
-
 def _object_state(one: Any) -> str:
     """Return an object's repr without addresses, and a hash of the source file of its class or function."""
+    one = one.model.__wrapped__ if isinstance(one, PerMount) else one
     home = one if inspect.isroutine(one) else type(one)
     try:
         source = Path(inspect.getfile(home)).read_bytes()

@@ -7,20 +7,11 @@ from pathlib import Path
 from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount
 
-__all__ = [
-    "HEIGHT_BAND",
-    "LITE",
-    "MODELS",
-    "RAY",
-    "RELEASED",
-    "describe_model",
-    "load_model",
-    "model_factory",
-    "short_names",
-    "weights_facts",
-]
+__all__ = ["LITE", "MODELS", "RELEASED", "describe_model", "load_model", "model_factory", "short_names"]
 
-RAY, HEIGHT_BAND, RELEASED, LITE = "ray", "height-band", "height-band-released", "lite"
+Factory = Callable[[Mount], InverseSensorModel]
+GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
+LITE = "lite"
 MODELS = {  # name: description
     RAY: "Rays and local ground (RayISM).",
     HEIGHT_BAND: "The paper's geometric model as its text describes it (HeightBandISM).",
@@ -54,23 +45,19 @@ def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: boo
     return model_factory(name, spec, drop_ego_returns=drop_ego_returns)(mount)
 
 
-def model_factory(
-    name: str, spec: GridSpec, *, drop_ego_returns: bool = False
-) -> Callable[[Mount], InverseSensorModel]:
+def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) -> Factory:
     """Return a function ``mount -> model`` for `ogm.scan.PerMount`; weights are read once.
 
     Parameters and errors as of `load_model`; what depends on the mount is checked when the function is called.
     """
-    if name == RAY:
-        from ogm.geometric import RayISM
+    if name in GEOMETRIC:
+        from ogm.geometric import HeightBandISM, RayISM
 
-        return lambda mount: RayISM(spec, mount)
-    if name == HEIGHT_BAND:
-        from ogm.geometric import HeightBandISM
-
+        if name == RELEASED:
+            return _released(spec)
+        if name == RAY:
+            return lambda mount: RayISM(spec, mount)
         return lambda mount: HeightBandISM(spec, mount, drop_ego_returns=drop_ego_returns)
-    if name == RELEASED:
-        return _released(spec)
     if name != LITE and not Path(name).exists() and Path(name).suffix != ".safetensors":
         raise ValueError(
             f"there is no sensor model {name!r}: give {', '.join(MODELS)}, or weights that `ogm train` wrote (a file "
@@ -84,7 +71,7 @@ def model_factory(
     return lambda mount: DeepISM(network, spec, mount, description=description)
 
 
-def _released(spec: GridSpec) -> Callable[[Mount], InverseSensorModel]:
+def _released(spec: GridSpec) -> Factory:
     """Return the factory of the released model: one model for all mounts."""
     from ogm.geometric import HeightBandISM
 
@@ -101,19 +88,15 @@ def _released(spec: GridSpec) -> Callable[[Mount], InverseSensorModel]:
     return for_mount
 
 
-def describe_model(name: str) -> str:
-    """Return one sentence about a model, by its name."""
-    return MODELS.get(name, "A network (DeepISM) by its weights.")
-
-
-def weights_facts(name: str) -> dict[str, str] | None:
-    """Return file name and SHA-256 of a model's weights; None for a geometric model."""
-    if name in (RAY, HEIGHT_BAND, RELEASED):
-        return None
+def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
+    """Return one sentence about a model by its name, and file name and SHA-256 of its weights, if it has some."""
+    if name in GEOMETRIC:
+        return MODELS[name], None
     from ogm.deep.ism import weights_of
 
     with weights_of(name) as path:
-        return {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+    return MODELS.get(name, "A network (DeepISM) by its weights."), facts
 
 
 def short_names(names: Sequence[str]) -> dict[str, str]:
@@ -133,8 +116,7 @@ def short_names(names: Sequence[str]) -> dict[str, str]:
     for name in names:
         path = Path(name)
         short = path.name.removesuffix(".safetensors")
-        if short == "best" and path.parent.name:
-            short = path.parent.name
+        short = path.parent.name or short if short == "best" else short
         if name in MODELS or short in result:
             short = name
         if short in result:

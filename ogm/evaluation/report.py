@@ -4,7 +4,7 @@ import csv
 import json
 import math
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -13,27 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm import metrics
 from ogm.evaluation import figures
 from ogm.evaluation.page import write_page
 from ogm.evaluation.result import Evaluation
 from ogm.evaluation.runner import package_versions
-from ogm.evaluation.statistics import MIN_SAMPLES, Comparison
-from ogm.evaluation.text import clean
+from ogm.evaluation.statistics import MIN_SAMPLES
+from ogm.evaluation.text import as_json, clean
 from ogm.files import atomic_write
-from ogm.metrics import (
-    METRICS,
-    RANGES,
-    ConfusionSums,
-    by_range,
-    free_space,
-    intervals,
-    precision_recall,
-    reasons,
-    reliability,
-    risk_coverage,
-)
+from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, reasons
 
-__all__ = ["as_json", "evaluation_record", "write_csv", "write_report"]
+__all__ = ["evaluation_record", "write_csv", "write_report"]
 
 RANKED_BY = "kl_e10"
 WORST, BEST = 0.5, 0.25  # shares of the frames in the page; the rest is spread evenly over the ranks
@@ -118,44 +108,26 @@ def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str,
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "grid": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
         "intervals": _describe_intervals(result),
-        "metrics": {name: metric._asdict() for name, metric in METRICS.items()},
-        "ranges": list(RANGES),
+        "metrics": METRICS,
+        "ranges": RANGES,
         "methods": {
             name: {
                 "description": result.facts.get(name, {}).get("description", ""),
                 "weights": result.facts.get(name, {}).get("weights"),
-                "macro": {m: result.interval(name, m, rng)._asdict() for m in METRICS},
+                "macro": {m: result.interval(name, m, rng) for m in METRICS},
                 "micro": result.micro(name),
                 "missing": reasons(sums),
-                "confusion": sums.confusion.astype(int).tolist(),  # [truth][predicted], unknown free occupied
-                "by range": {key: column.tolist() for key, column in by_range(sums).items()},
+                "confusion": sums.confusion.astype(int),  # [truth][predicted], unknown free occupied
+                "by range": by_range(sums),
                 "curves": _curves(sums),
-                "per frame": {m: result.of(name, m).tolist() for m in METRICS},
+                "per frame": {m: result.of(name, m) for m in METRICS},
             }
             for name, sums in zip(result.methods, result.pooled, strict=True)
         },
-        "truth per frame": {
-            state: result.truth[:, k].tolist() for k, state in enumerate(("unknown", "free", "occupied", "ignored"))
-        },
-        "paired": {
-            f"{b} against {a}": {m: _comparison(p) for m, p in result.compare(b, a, rng).items()}
-            for a, b in _pairs(result.methods)
-        },
+        "truth per frame": dict(zip(("unknown", "free", "occupied", "ignored"), result.truth.T, strict=True)),
+        "paired": {f"{b} against {a}": result.compare(b, a, rng) for a, b in _pairs(result.methods)},
     }
     return {"data": result.data, "frames": [frame._asdict() for frame in result.frames], **as_json(record)}
-
-
-def as_json(value: Any) -> Any:
-    """Return a record as JSON can hold it: numbers with seven digits, NaN and infinity as None, lists."""
-    if isinstance(value, Mapping):
-        return {str(key): as_json(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [as_json(one) for one in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float):
-        return float(f"{value:.7g}") if math.isfinite(value) else None
-    return value
 
 
 def write_csv(path: str | Path, result: Evaluation) -> None:
@@ -165,8 +137,7 @@ def write_csv(path: str | Path, result: Evaluation) -> None:
         writer.writerow(["frame", "method", *METRICS])
         for k, frame in enumerate(result.frames):
             for name in result.methods:
-                values = (result.of(name, metric)[k] for metric in METRICS)
-                cells = ("" if math.isnan(value) else f"{value:.7g}" for value in values)
+                cells = ("" if math.isnan(v := result.of(name, metric)[k]) else f"{v:.7g}" for metric in METRICS)
                 writer.writerow([clean(frame.name), clean(name), *cells])
 
 
@@ -182,17 +153,13 @@ def _describe_intervals(result: Evaluation) -> str:
 
 
 def _curves(sums: ConfusionSums) -> dict[str, Any]:
-    """Return the curves of pooled sums, as columns."""
-
-    def columns(curve: Any) -> dict[str, list[float]]:
-        return {name: column.tolist() for name, column in curve._asdict().items()}
-
+    """Return the curves of pooled sums."""
     return {
-        "reliability": {which: columns(reliability(sums, which)) for which in ("all", "relative")},
-        "intervals": columns(intervals(sums)),
-        "risk_coverage": columns(risk_coverage(sums)),
-        "free_space": columns(free_space(sums)),
-        "precision_recall": {str(cells): columns(precision_recall(sums, cells)) for cells in (0, 1)},
+        "reliability": {which: metrics.reliability(sums, which) for which in ("all", "relative")},
+        "intervals": metrics.intervals(sums),
+        "risk_coverage": metrics.risk_coverage(sums),
+        "free_space": metrics.free_space(sums),
+        "precision_recall": {cells: metrics.precision_recall(sums, cells) for cells in (0, 1)},
     }
 
 
@@ -205,10 +172,6 @@ def _pairs(names: Sequence[str]) -> list[tuple[str, str]]:
     return pairs + [(a, b) for a, b in models if a in names[1:]]
 
 
-def _comparison(one: Comparison) -> dict[str, Any]:
-    return one._asdict() | {"difference": one.difference._asdict(), "ratio": one.ratio._asdict()}
-
-
 def _ranked(result: Evaluation) -> NDArray[np.int64]:
     """Return the frames from the best to the worst of the last method; those without a value only if none has one."""
     values = result.of(result.methods[-1], RANKED_BY)
@@ -218,13 +181,11 @@ def _ranked(result: Evaluation) -> NDArray[np.int64]:
 
 def _frames_to_show(result: Evaluation, most: int) -> list[int]:
     """Choose the frames with pictures: the worst, the best, and others spread evenly over the ranks."""
-    if len(result.frames) <= most:
-        return list(range(len(result.frames)))
-    order = _ranked(result)
-    if len(order) <= most:
-        return sorted(order.tolist())
-    worst = max(round(WORST * most), 1)
-    best = min(round(BEST * most), most - worst)
-    between = order[best : len(order) - worst]
-    places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
-    return sorted({*order[len(order) - worst :].tolist(), *order[:best].tolist(), *between[places].tolist()})
+    order = _ranked(result) if len(result.frames) > most else np.arange(len(result.frames))
+    if len(order) > most:
+        worst = max(round(WORST * most), 1)
+        best = min(round(BEST * most), most - worst)
+        between = order[best : len(order) - worst]
+        places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
+        order = np.concatenate([order[:best], between[places], order[len(order) - worst :]])
+    return np.sort(order).tolist()

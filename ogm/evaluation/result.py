@@ -2,17 +2,15 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.evaluation.cache import ResultCache
 from ogm.evaluation.statistics import MIN_SAMPLES, Comparison, Interval, bootstrap_mean, compare_paired
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
-
-if TYPE_CHECKING:
-    from ogm.evaluation.cache import ResultCache
 
 __all__ = ["Evaluation", "FrameInfo"]
 
@@ -62,14 +60,13 @@ class Evaluation:
     data: Mapping[str, Any] = field(default_factory=dict)
     facts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     numbers: tuple[int, ...] = ()
-    cache: "ResultCache | None" = None
+    cache: ResultCache | None = None
     reused: int = 0
 
     def __str__(self) -> str:
         """Tabulate the means over frames: a row per metric, a column per method."""
         width = max(12, *(len(name) + 2 for name in self.methods))
-        head = f"{'mean of ' + str(len(self.frames)) + ' frames':22}"
-        lines = [head + "".join(f"{name:>{width}}" for name in self.methods)]
+        lines = [f"{f'mean of {len(self.frames)} frames':22}" + "".join(f"{name:>{width}}" for name in self.methods)]
         means = [self.macro(name) for name in self.methods]
         lines += [f"{m:22}" + "".join(f"{one[m]:>{width}.4f}" for one in means) for m in self.values]
         return "\n".join(lines)
@@ -77,51 +74,32 @@ class Evaluation:
     @classmethod
     def from_sums(
         cls,
-        methods: Sequence[str],
+        methods: Iterable[str],
         spec: GridSpec,
         frames: Iterable[tuple[Sequence[ConfusionSums], NDArray[np.floating]]],
-        infos: Sequence[FrameInfo] = (),
+        infos: Iterable[FrameInfo],
     ) -> Self:
-        """Build an evaluation from sums: `evaluate` ends here, and so can an own loop.
+        """Build an evaluation from the sums of every method, and the shares of the true states, of each frame.
 
         Parameters
         ----------
-        methods : sequence of str
+        methods : iterable of str
             Names, each once.
         spec : GridSpec
             The evaluated cells.
         frames : iterable of (sums, truth)
             Of each frame, the sums of every method in their order, and the shares of its cells whose truth is
             unknown, free, occupied, ignored, (4,). Read once, none is kept.
-        infos : sequence of FrameInfo, optional
-            By default the frames are named by their numbers.
-
-        Raises
-        ------
-        ValueError
-            If there is no method or no frame, a name comes twice, or the numbers of methods or frames differ.
+        infos : iterable of FrameInfo
         """
-        names = tuple(methods)
-        if not names or len(set(names)) < len(names):
-            raise ValueError(f"methods need names, each once, got {names}")
         pooled: list[ConfusionSums] = []
         rows, shares = [], []
-        for k, (sums, truth) in enumerate(frames):
-            if len(sums) != len(names) or np.shape(truth) != (4,):
-                raise ValueError(
-                    f"frame {k} has sums of {len(sums)} methods and {np.shape(truth)} shares of truth, wanted "
-                    f"{len(names)} ({', '.join(names)}) and (4,)"
-                )
+        for sums, truth in frames:
             pooled = [a.plus(b) for a, b in zip(pooled, sums, strict=True)] if pooled else list(sums)
             rows.append([list(score(one).values()) for one in sums])
             shares.append(truth)
-        if not rows:
-            raise ValueError("no frames to build an evaluation from")
-        infos = tuple(infos) or tuple(FrameInfo(str(k)) for k in range(len(rows)))
-        if len(infos) != len(rows):
-            raise ValueError(f"there must be one FrameInfo per frame, got {len(infos)} for {len(rows)} frames")
         values = dict(zip(METRICS, np.array(rows).transpose(2, 1, 0), strict=True))
-        return cls(names, spec, values, tuple(pooled), np.array(shares, np.float64), infos)
+        return cls(tuple(methods), spec, values, tuple(pooled), np.array(shares, np.float64), tuple(infos))
 
     def of(self, method: str, metric: str) -> NDArray[np.float64]:
         """Return a metric of a method in every frame, (frames,)."""
@@ -131,7 +109,7 @@ class Evaluation:
             raise KeyError(f"there is no metric {metric!r}, only {', '.join(self.values)}")
         return self.values[metric][self.methods.index(method)]
 
-    def select(self, methods: Sequence[str]) -> "Evaluation":
+    def select(self, methods: Sequence[str]) -> Self:
         """Return the evaluation of some of the methods."""
         at = [self.methods.index(name) for name in methods]
         values = {metric: rows[at] for metric, rows in self.values.items()}
@@ -139,8 +117,7 @@ class Evaluation:
 
     def pictures(self, frame: int) -> dict[str, bytes]:
         """Return the pictures of a frame by its place; none if the evaluation was run without a folder."""
-        one = None if self.cache is None else self.cache.load(self.numbers[frame])
-        return {} if one is None else one.pictures
+        return {} if self.cache is None else self.cache.load(self.numbers[frame]).pictures
 
     def macro(self, method: str) -> dict[str, float]:
         """Return the means over frames of every metric; frames without a value are left out."""

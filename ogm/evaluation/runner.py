@@ -1,6 +1,7 @@
 """`evaluate`: methods on the frames of a data set, frame by frame, with resume."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.evaluation.cache import FrameResult, ResultCache, code_state, files_state
 from ogm.evaluation.frame_pictures import draw_frame
-from ogm.evaluation.methods import FusedMethod, Method, MethodRunner, PrecomputedGrids, as_methods
+from ogm.evaluation.methods import Method, MethodRunner, PrecomputedGrids, SingleScanMethod, as_methods
 from ogm.evaluation.result import Evaluation, FrameInfo
 from ogm.grid import GridSpec
 from ogm.metrics import accumulate, distances
@@ -23,6 +24,7 @@ __all__ = ["REPORT_FILES", "evaluate", "package_versions"]
 REPORT_FILES = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
 PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
 Draw = Callable[..., dict[str, bytes]]
+Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 def evaluate(
@@ -32,7 +34,7 @@ def evaluate(
     *,
     frames: Iterable[int] | None = None,
     out: str | Path | None = None,
-    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: Progress = iter,
     draw: Draw = draw_frame,
 ) -> Evaluation:
     """Evaluate methods on the same frames of a data set.
@@ -72,33 +74,34 @@ def evaluate(
     used = as_methods(methods, spec)
     numbers = list(range(len(dataset))) if frames is None else sorted(set(frames))
     infos = _checked(used, dataset, numbers)
-    data = _dataset_facts(dataset)
+    about = {"kind": ("format", "frames in Python"), "name": ("name", "frames"), "truth": ("description", "")}
+    data = {key: getattr(dataset, *default) for key, default in about.items()} | getattr(dataset, "facts", {})
     facts = {
         name: {"description": one.description, "weights": getattr(one, "weights", None)} for name, one in used.items()
     }
+    runner, cache, reused = MethodRunner(used, spec), None, 0
     rows: Iterable[FrameResult]
     if out is None:
-        rows = (one for _, one in _results(used, dataset, spec, numbers, progress, None))
-        cache, reused = None, 0
+        rows = (one for _, one in _results(runner, dataset, numbers, progress, None))
     else:
-        cache = _open_cache(Path(out), used, dataset, {"data": data, "methods": facts}, spec, infos, numbers)
+        parts = {"data": data, "methods": facts, "frames": infos, "numbers": numbers}
+        cache = _open_cache(Path(out), runner, dataset, parts)
         missing = cache.missing(numbers)
-        reused = len(numbers) - len(missing)
+        done = reused = len(numbers) - len(missing)
         if not reused:
             for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
                 (Path(out) / name).unlink(missing_ok=True)
         try:
-            for number, one in _results(used, dataset, spec, missing, progress, draw):
+            for number, one in _results(runner, dataset, missing, progress, draw):
                 cache.save(number, one)
+                done += 1
         except KeyboardInterrupt:
-            done = len(numbers) - len(cache.missing(numbers))
-            raise KeyboardInterrupt(
-                f"{done} of {len(numbers)} frames are finished and kept: repeat the command to resume"
-            ) from None
-        rows = (_kept(cache, number, info) for number, info in zip(numbers, infos, strict=True))
+            kept = f"{done} of {len(numbers)} frames are finished and kept"
+            raise KeyboardInterrupt(f"{kept}: repeat the command to resume") from None
+        rows = map(cache.load, numbers)
     result = Evaluation.from_sums(tuple(used), spec, ((one.sums, one.truth) for one in rows), infos)
     if cache is not None:
-        cache.finish()
+        cache.note(finished=True)
     return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
 
 
@@ -106,24 +109,16 @@ def package_versions() -> dict[str, str]:
     """Return the versions of the packages that figures may depend on, as far as they are installed."""
     found = {}
     for name in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             found[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return found
 
 
 def _results(
-    methods: Mapping[str, Method],
-    dataset: Sequence[Frame],
-    spec: GridSpec,
-    numbers: Sequence[int],
-    progress: Callable[[Iterable[int]], Iterable[int]],
-    draw: Draw | None,
+    runner: MethodRunner, dataset: Sequence[Frame], numbers: Sequence[int], progress: Progress, draw: Draw | None
 ) -> Iterator[tuple[int, FrameResult]]:
     """Yield the results of some frames, in order."""
-    runner = MethodRunner(methods, spec)
-    wanted, away = set(numbers), distances(spec)
+    spec, wanted, away = runner.spec, set(numbers), distances(runner.spec)
     for number in progress(_frames_to_read(dataset, numbers, bool(runner.fused))):
         frame = dataset[number]
         if number not in wanted:
@@ -135,18 +130,17 @@ def _results(
         masses = [grid.mass for grid in runner.grids(frame).values()]
         sums = tuple(accumulate(mass, state, away) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
-        yield (number, FrameResult(sums, shares, {} if draw is None else _pictures(draw, frame, state, masses, spec)))
+        points, ground_z = _points(frame) if draw else (None, 0.0)
+        yield number, FrameResult(sums, shares, draw(points, state, masses, spec, ground_z) if draw else {})
 
 
-def _pictures(
-    draw: Draw, frame: Frame, state: NDArray[np.uint8], masses: Sequence[NDArray], spec: GridSpec
-) -> dict[str, bytes]:
+def _points(frame: Frame) -> tuple[NDArray | None, float]:
+    """Return points in the levelled vehicle frame, and the ground's z there."""
     try:
-        scan = frame.scan
+        scan, mount = frame.scan, frame.mount
     except ValueError:  # a folder of truth grids has no scans
-        return draw(None, state, masses, spec)
-    points = transform_points(frame.mount.T_vehicle_points, scan.points)
-    return draw(points, state, masses, spec, frame.mount.ground_point[2])
+        return None, 0.0
+    return transform_points(mount.T_vehicle_points, scan.points), mount.ground_point[2]
 
 
 def _frames_to_read(dataset: Sequence[Frame], numbers: Sequence[int], fused: bool) -> list[int]:
@@ -164,64 +158,26 @@ def _checked(methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: S
     if not getattr(dataset, "description", True) and dataset[numbers[0]].truth is None:  # may also raise
         raise ValueError(f"{dataset!r} has no truth to compare with; evaluate labelled data")
     frames = [dataset[k] for k in numbers]
-    infos = tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in frames)
     for name, method in methods.items():
-        if isinstance(method, PrecomputedGrids):
-            method.check(name, [info.name for info in infos])
-        if isinstance(method, FusedMethod):
-            _check_drive(name, frames)
-    return infos
+        if not isinstance(method, SingleScanMethod):
+            method.check(name, frames)
+    return tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in frames)
 
 
-def _check_drive(name: str, frames: Sequence[Frame]) -> None:
-    """Refuse frames that a map cannot fuse."""
-    for frame in frames:
-        if not frame.sequence or frame.T_map_sensor is None or frame.stamp is None:
-            raise ValueError(
-                f"{name} fuses frames that follow each other, with poses and stamps, but {frame.name} "
-                f"{'has none' if frame.sequence else 'stands alone'}: give a drive with poses, or the split "
-                "`sequences` of a simulated data set"
-            )
-
-
-def _dataset_facts(dataset: Any) -> dict[str, Any]:
-    """Return what a data set is; plain sequences of frames have no facts."""
-    kind, name = getattr(dataset, "format", "frames in Python"), getattr(dataset, "name", "frames")
-    truth, facts = getattr(dataset, "description", ""), getattr(dataset, "facts", {})
-    return {"kind": kind, "name": name, "truth": truth, **facts}
-
-
-def _open_cache(
-    out: Path,
-    methods: Mapping[str, Method],
-    dataset: Any,
-    facts: Mapping[str, Any],
-    spec: GridSpec,
-    infos: Sequence[FrameInfo],
-    numbers: Sequence[int],
-) -> ResultCache:
+def _open_cache(out: Path, runner: MethodRunner, dataset: Any, settings: Mapping[str, Any]) -> ResultCache:
     """Open the folder of finished frames, with all that decides what they hold."""
+    methods, spec = runner.methods, runner.spec
     grids = [path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()]
     files = [*map(Path, getattr(dataset, "files", ())), *grids]
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file, but the report is a folder")
     if out.resolve() in {(path if path.is_dir() else path.parent).resolve() for path in files}:
         raise ValueError(f"{out} holds what is evaluated: pictures of the report would mix with it")
-    settings = {
-        **facts,
+    states = {
         "states": {name: one.state() for name, one in methods.items()},
         "versions": package_versions(),
-        "frames": infos,
-        "numbers": numbers,
         "grid": [spec.resolution, spec.shape, spec.origin],
         "files": files_state(files, out),
         "code": code_state(),
     }
-    return ResultCache(out / "frames", settings)
-
-
-def _kept(cache: ResultCache, number: int, info: FrameInfo) -> FrameResult:
-    one = cache.load(number)
-    if one is None:
-        raise ValueError(f"{cache.folder} lost the finished frame {info.name}: repeat the command")
-    return one
+    return ResultCache(out / "frames", {**settings, **states})

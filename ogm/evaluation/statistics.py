@@ -4,10 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["MIN_SAMPLES", "Comparison", "Interval", "bootstrap_mean", "bootstrap_ratio", "compare_paired"]
 
+Groups = Sequence[str] | NDArray | None
 RESAMPLES = 2000
 LEVEL = 0.95
 MIN_SAMPLES = 5  # frames or drives that a bootstrap interval needs
@@ -50,12 +52,7 @@ class Comparison(NamedTuple):
 
 
 def compare_paired(
-    first: ArrayLike,
-    second: ArrayLike,
-    better: str,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
-    groups: Sequence[str] | NDArray | None = None,
+    first: ArrayLike, second: ArrayLike, better: str, rng: Generator, resamples: int = RESAMPLES, groups: Groups = None
 ) -> Comparison:
     """Compare two methods frame by frame.
 
@@ -76,6 +73,8 @@ def compare_paired(
     Comparison
         With NaN intervals if no frame has both values.
     """
+    from scipy.stats import wilcoxon  # doubles the time of the import
+
     if better not in ("lower", "higher"):
         raise ValueError(f'better must be "lower" or "higher", got {better!r}')
     a, b, kept = _both(first, second, groups)
@@ -88,16 +87,11 @@ def compare_paired(
         losses=int((~ties & (gain < 0)).sum()),
         difference=bootstrap_mean(a - b, rng, resamples, kept),
         ratio=bootstrap_ratio(a, b, rng, resamples, kept),
-        p=_signed_rank(gain[~ties]),
+        p=float(wilcoxon(gain[~ties]).pvalue) if not ties.all() else float("nan"),
     )
 
 
-def bootstrap_mean(
-    values: ArrayLike,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
-    groups: Sequence[str] | NDArray | None = None,
-) -> Interval:
+def bootstrap_mean(values: ArrayLike, rng: Generator, resamples: int = RESAMPLES, groups: Groups = None) -> Interval:
     """Return the mean over frames with its 95 % interval: percentiles over frames drawn with replacement.
 
     Without groups, frames count as independent of each other. Those of one drive are not quite, so that the
@@ -117,11 +111,7 @@ def bootstrap_mean(
 
 
 def bootstrap_ratio(
-    first: ArrayLike,
-    second: ArrayLike,
-    rng: np.random.Generator,
-    resamples: int = RESAMPLES,
-    groups: Sequence[str] | NDArray | None = None,
+    first: ArrayLike, second: ArrayLike, rng: Generator, resamples: int = RESAMPLES, groups: Groups = None
 ) -> Interval:
     """Return the ratio of two means over the same frames, with its 95 % interval, see `bootstrap_mean`.
 
@@ -144,30 +134,19 @@ def bootstrap_ratio(
         raise ValueError(f"resamples must be at least 1, got {resamples}")
     a, b, kept = _both(first, second, groups)
     if not len(a):
-        return Interval(*[float("nan")] * 3)
+        return Interval(np.nan, np.nan, np.nan)
     value = float(_ratio(a.mean(), b.mean()))
     if kept is not None:  # sums over drives: the ratio of means over their frames is that of their sums
         _, drive = np.unique(kept, return_inverse=True)
         a, b = (np.bincount(drive, one).astype(np.float64) for one in (a, b))
     drawn = rng.integers(len(a), size=(resamples, len(a)))
     ratios = _ratio(a[drawn].mean(axis=1), b[drawn].mean(axis=1))
-    edge = (1 - LEVEL) / 2
     if len(a) < MIN_SAMPLES or np.isnan(ratios).any():
-        return Interval(value, float("nan"), float("nan"))
-    low, high = np.quantile(ratios, [edge, 1 - edge])
-    return Interval(value, float(low), float(high))
+        return Interval(value, np.nan, np.nan)
+    return Interval(value, *np.quantile(ratios, [(1 - LEVEL) / 2, 1 - (1 - LEVEL) / 2]).tolist())
 
 
-def _signed_rank(differences: NDArray[np.float64]) -> float:
-    """Return the p value of Wilcoxon's signed rank test of differences without ties."""
-    from scipy import stats  # doubles the time of the import
-
-    return float(stats.wilcoxon(differences).pvalue) if len(differences) else float("nan")
-
-
-def _both(
-    first: ArrayLike, second: ArrayLike, groups: Sequence[str] | NDArray | None
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray | None]:
+def _both(first: ArrayLike, second: ArrayLike, groups: Groups) -> tuple[NDArray, NDArray, NDArray | None]:
     """Return the values and groups of the frames that have both values."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.ndim != 1 or a.shape != b.shape:

@@ -3,14 +3,25 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from ogm.evaluation.chart_data import headline
+from ogm.evaluation.chart_data import HEADLINE
 from ogm.evaluation.statistics import MIN_SAMPLES
 
-__all__ = ["Leader", "leaders", "summarize"]
+__all__ = ["Leader", "best_value", "leaders", "summarize"]
 
 Record = Mapping[str, Any]
 LEVEL = 0.05  # of p
 SMALL_IOU = 0.05  # a method with a lower IoU hardly ever predicts the state
+
+
+def best_value(record: Record, metric: str, kind: str = "macro") -> float | None:
+    """Return the best mean (or micro average) of a metric over methods; None where there is nothing to compare."""
+    better = record["metrics"][metric]["better"]
+    found = [one[kind][metric] for one in record["methods"].values()]
+    values = [one["value"] if isinstance(one, Mapping) else one for one in found]
+    kept = [value for value in values if value is not None]
+    if not better or not kept or len(values) == 1:
+        return None
+    return min(kept) if better == "lower" else max(kept)
 
 
 class Leader(NamedTuple):
@@ -28,18 +39,16 @@ class Leader(NamedTuple):
 def leaders(record: Record) -> list[Leader]:
     """Return the best methods in the headline metrics, where methods have a value."""
     found = []
-    for metric in headline(record["metrics"]):
-        better = record["metrics"][metric]["better"]
+    for metric in HEADLINE:
         means = {name: one["macro"][metric]["value"] for name, one in record["methods"].items()}
-        ranking = [(name, value) for name, value in means.items() if value is not None]
-        if not better or not ranking:
+        valued = [name for name, value in means.items() if value is not None]
+        if not valued:
             continue
-        ranking.sort(key=lambda item: item[1], reverse=better == "higher")
-        best = [name for name, value in ranking if value == ranking[0][1]]
-        second, next_value = ranking[1] if len(ranking) > 1 else ("", None)
-        alone = second and len(best) == 1
-        won, significant = _compared(record, best[0], second, metric) if alone else ("", False)
-        found.append(Leader(metric, best, ranking[0][1], second, next_value, won, significant))
+        ranking = sorted(valued, key=means.__getitem__, reverse=record["metrics"][metric]["better"] == "higher")
+        best = [name for name in ranking if means[name] == means[ranking[0]]]
+        second = ranking[1] if len(ranking) > 1 else ""
+        won, significant = _compared(record, best[0], second, metric) if second and len(best) == 1 else ("", False)
+        found.append(Leader(metric, best, means[best[0]], second, means.get(second), won, significant))
     return found
 
 
@@ -88,7 +97,7 @@ def summarize(record: Record) -> dict[str, Any]:
         "leaders": best,
         "winners": sorted(winners, key=lambda item: (-len(item[1]), -item[2])),
         "ties": [metrics[one.metric]["title"] for one in best if len(one.best) > 1],
-        "empty": [metrics[m]["title"] for m in headline(metrics) if metrics[m]["better"] and m not in valued],
+        "empty": [metrics[m]["title"] for m in HEADLINE if m not in valued],
         "cautious": _cautious(record, best),
         "drives": drives if drives < MIN_SAMPLES else 0,
     }

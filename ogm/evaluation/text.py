@@ -1,20 +1,32 @@
-"""Numbers, counts and lists as text."""
+"""Numbers, counts and lists as text and as JSON."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["clean", "format_number", "join_words", "pluralize"]
+import numpy as np
+
+__all__ = ["as_json", "clean", "format_number", "join_words", "pluralize"]
 
 
-def clean(value: Any) -> Any:
-    """Return a text, or texts in dicts and lists, that can be encoded: file names may hold bytes that are no text."""
-    if isinstance(value, str):
-        return value.encode("utf-8", "replace").decode("utf-8")
+def as_json(value: Any, digits: int = 7) -> Any:
+    """Return a record as JSON can hold it: lists, dicts, numbers with some digits, NaN and infinity as None."""
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, Mapping):
-        return {clean(key): clean(one) for key, one in value.items()}
+        return {str(key): as_json(one, digits) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [clean(one) for one in value]
-    return value
+        return [as_json(one, digits) for one in value]
+    if not isinstance(value, float):
+        return value
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+
+
+def clean(text: str) -> str:
+    """Return a text that can be encoded: file names may hold bytes that are no text."""
+    return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def format_number(value: float | None) -> str:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ogm import plot
-from ogm.evaluation.frame_pictures import ERRORS, HEIGHTS, STATES, draw_frame, error_classes, height_colours
+from ogm.evaluation.frame_pictures import ERRORS, STATES, draw_frame, error_classes, height_legend
 from ogm.grid import GridSpec
 from ogm.state import CellState, predict_state
 
@@ -118,8 +118,8 @@ def test_points_are_coloured_by_their_height_over_the_ground() -> None:
     points = np.concatenate([wall, ground, [[np.nan, 0, 0]]]).astype(np.float32)
     state, _ = blank()
     given = seen(draw_frame(points, state, [], SPEC, ground_z=-1.9)["points"])
-    assert np.abs(given[-1, 0].astype(int) - height_colours()[0]).max() <= 1
-    assert len(height_colours()) == len(HEIGHTS)
+    assert np.abs(given[-1, 0].astype(int) - height_legend()["0 m"]).max() <= 1
+    assert len(set(height_legend().values())) == 4
 
 
 def test_a_point_is_two_dots_wide() -> None:

