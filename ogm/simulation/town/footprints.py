@@ -33,13 +33,7 @@ def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> l
     list of Polygon
         Counter-clockwise; **the first edge faces the street**, which `building` relies on. They do not overlap.
         Empty if nothing fits.
-
-    Raises
-    ------
-    ValueError
-        If the style is unknown.
     """
-    check_style(style)
     ends = np.asarray(front, np.float64)
     if lot.is_empty or lot.area < 6.0:
         return []
@@ -202,12 +196,6 @@ _PLACERS: dict[str, Callable[[Polygon, Generator], Placed]] = {
     "arterial": _large,
     "park": _pavilions,
 }
-
-
-def check_style(style: str) -> None:
-    """Refuse an unknown style."""
-    if style not in STYLES:
-        raise ValueError(f"style must be one of {', '.join(STYLES)}, got {style!r}")
 
 
 def front_first(footprint: Polygon, towards: Floats) -> Polygon:

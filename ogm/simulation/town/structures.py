@@ -20,7 +20,7 @@ def shelter(rng: Generator) -> Mesh:
     half = length / 2
     roof = box([-half - 0.1, -0.35, height], [half + 0.1, depth + 0.05, height + 0.12], M.METAL_SHEET)
     spots = [(-half, depth), (half, depth), (0.0, depth), (-half, 0.0), (half, 0.0)]
-    posts = [pole(height, 0.04, x=x, y=y, sides=4) for x, y in spots]
+    posts = [pole(height, 0.04, at=spot, sides=4) for spot in spots]
     glass = M.CAR_GLASS if rng.random() < 0.8 else M.WOOD
     back = [[-half, depth, 0.15], [half, depth, 0.15], [half, depth, 2.2], [-half, depth, 2.2]]
     side = [[-half, 0.1, 0.15], [-half, depth, 0.15], [-half, depth, 2.2], [-half, 0.1, 2.2]]
@@ -78,7 +78,7 @@ def gantry(width: float, rng: Generator) -> Mesh:
     The posts stand at ``y = ±width / 2``.
     """
     half, z = width / 2, rng.uniform(6.0, 6.6)
-    posts = [pole(z + 0.4, 0.14, y=y, sides=8) for y in (-half, half)]
+    posts = [pole(z + 0.4, 0.14, at=(0, y), sides=8) for y in (-half, half)]
     beams = [cylinder([0, -half, h], [0, half, h], 0.07, M.METAL_POLE, sides=5, caps=False) for h in (z - 0.3, z + 0.3)]
     ends = np.linspace(-half, half, int(width / 1.2) + 2)
     zigzag = z + 0.3 * (-1.0) ** np.arange(len(ends))
