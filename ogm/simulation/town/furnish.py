@@ -27,18 +27,12 @@ CLOSED = {"suburb": 0.68, "industrial": 0.55, "arterial": 0.3}
 # Pieces on lots by their style or use.
 PIECES: dict[str, Wanted] = {
     "suburb": [(f.bin_, 250, 0.6), (f.bench, 700, 1.0)],
-    "industrial": [
-        *((structures.container, 170, 3.6), (structures.skip, 320, 2.6)),
-        *((f.lamp, 600, 0.5), (f.bin_, 500, 0.8)),
-    ],
-    "arterial": [
-        *((f.lamp, 700, 0.5), (structures.advert_column, 1200, 0.8)),
-        *((f.bike_rack, 900, 1.6), (f.sign, 600, 0.3)),
-    ],
-    "square": [
-        *((f.bench, 90, 1.1), (f.planter, 120, 0.8), (f.cafe, 70, 1.1)),
-        *((f.bollard, 90, 0.3), (f.lamp, 250, 0.4), (f.bike_rack, 300, 1.6)),
-    ],
+    "industrial": [(structures.container, 170, 3.6), (structures.skip, 320, 2.6), (f.lamp, 600, 0.5),
+                   (f.bin_, 500, 0.8)],
+    "arterial": [(f.lamp, 700, 0.5), (structures.advert_column, 1200, 0.8), (f.bike_rack, 900, 1.6),
+                 (f.sign, 600, 0.3)],
+    "square": [(f.bench, 90, 1.1), (f.planter, 120, 0.8), (f.cafe, 70, 1.1), (f.bollard, 90, 0.3), (f.lamp, 250, 0.4),
+               (f.bike_rack, 300, 1.6)],
     "works": [(structures.container, 150, 3.6), (structures.skip, 200, 2.6), (f.barrier, 90, 1.4), (f.cone, 60, 0.4)],
     "park": [(f.bench, 60, 1.0), (f.bin_, 150, 0.6), (f.lamp, 150, 0.4)],
     "island": [(f.lamp, 30, 0.2), (f.sign, 60, 0.2)],

@@ -45,6 +45,12 @@ class Profile(NamedTuple):
         back = self.back * self.lane + self.cycle * (self.back > 0)
         return self.median / 2 + back + self.parking[1] + GUTTER
 
+    @property
+    def walks(self) -> tuple[float, float]:
+        """Offsets of the middles of the sidewalks to the left of the dividing line [m], right one first."""
+        right, left = self.sidewalk
+        return -self.right - self.verge - right / 2, self.left + self.verge + left / 2
+
 
 GUTTER = 0.3  # [m] between the outermost lane and the kerb
 _FIELDS = (
@@ -125,6 +131,10 @@ class StreetNetwork(NamedTuple):
     heads: tuple[int, ...]  # nodes at which a dead end has space to turn
     faces: Floats  # (F, 2) middle of each mesh of the grid
     styles: tuple[str, ...]  # its district
+
+    def district(self, point: Floats) -> str:
+        """Return the district of the mesh nearest to a point (2,)."""
+        return self.styles[int(np.argmin(np.linalg.norm(self.faces - point, axis=1)))]
 
 
 def make_network(size: float, rng: Generator) -> StreetNetwork:

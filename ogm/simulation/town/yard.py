@@ -14,7 +14,7 @@ from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import plants
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import FIELD, Raster, mask
+from ogm.simulation.town.terrain import FIELD, Raster, mask, raster
 
 HEADROOM = 4.6  # [m] nothing over a road is lower
 _SPOTS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]], float)
@@ -41,9 +41,8 @@ class Yard:
         self.height, self.rng = height, rng
         self.meshes: list[Mesh] = []
         size = plan.size
-        corner = (-size / 2, -size / 2)
-        self._road = Raster(mask(plan.road, size, FIELD / 2).astype(np.float32), FIELD / 2, corner)
-        self._near_road = Raster(mask(plan.road.buffer(0.6), size, FIELD).astype(np.float32), FIELD, corner)
+        self._road = raster(mask(plan.road, size, FIELD / 2), FIELD / 2, size)
+        self._near_road = raster(mask(plan.road.buffer(0.6), size, FIELD), FIELD, size)
         # Cars that park off the road, and people, need space as well.
         parked = [bay.outline.buffer(0.25) for bay in plan.bays]
         self.blocked = shapely.union_all([shapely.buffer(h, 0.3) for h in houses] + plan.driveways + parked)
@@ -111,20 +110,19 @@ class Yard:
 
     def scatter(self, shape: BaseGeometry, pool: list[Mesh], every: float, radius: float) -> None:
         """Plant at random, one for `every` square metres."""
-        for x, y in self._points(shape, every):
-            self.put(self.pick(pool), x, y, self.rng.uniform(0, 2 * np.pi), radius)
+        self._strew(shape, lambda _: self.pick(pool), every, radius)
 
     def pieces(self, shape: BaseGeometry, wanted: Wanted) -> None:
         """Stand pieces at random."""
         for maker, every, radius in wanted:
-            for x, y in self._points(shape.buffer(-radius), every):
-                self.put(maker(self.rng), x, y, self.rng.uniform(0, 2 * np.pi), radius)
+            self._strew(shape.buffer(-radius), maker, every, radius)
 
-    def _points(self, shape: BaseGeometry, every: float) -> list[tuple[float, float]]:
+    def _strew(self, shape: BaseGeometry, maker: Maker, every: float, radius: float) -> None:
         if shape.is_empty:
-            return []
+            return
         x0, y0, x1, y1 = shape.bounds
         count = self.rng.poisson((x1 - x0) * (y1 - y0) * (1 / every))
         x, y = self.rng.uniform(x0, x1, count), self.rng.uniform(y0, y1, count)
         within = shapely.contains_xy(shape, x, y)
-        return [(float(px), float(py)) for px, py in zip(x[within], y[within], strict=True)]
+        for px, py in zip(x[within].tolist(), y[within].tolist(), strict=True):
+            self.put(maker(self.rng), px, py, self.rng.uniform(0, 2 * np.pi), radius)
