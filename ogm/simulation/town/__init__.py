@@ -161,5 +161,5 @@ def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
         shown = network.streets[street]
         return f"{shown.profile.kind} {shown.district}"
     here = draft.lanes[lane]
-    away = np.linalg.norm(here.points[0, :2] - network.nodes[network.roundabout])
+    away = np.linalg.norm(here.points[0, :2] - network.grid.nodes[network.grid.roundabout])
     return "roundabout" if here.phase < 0 and away < RING else ""

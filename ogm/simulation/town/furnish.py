@@ -65,7 +65,7 @@ def _street(plan: TownLayout, k: int, street: Street, yard: Yard) -> None:
         forward = side < 0 or street.profile.back == 0
         node, stop = (street.end, end + 0.6) if forward else (street.start, begin - 0.6)
         if plan.draft.lanes and node not in plan.network.heads:
-            if node != plan.network.roundabout and busy:
+            if node != plan.network.grid.roundabout and busy:
                 stand(f.traffic_light, stop, 0.45, 0.15)
             else:
                 stand(f.sign, stop, 0.6, 0.15)

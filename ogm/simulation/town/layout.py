@@ -125,10 +125,10 @@ def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator)
 
 def _style(network: StreetNetwork, block: Polygon) -> str:
     """Return the district of a block: park where one of its meshes is, else that of the nearest mesh."""
-    within = shapely.contains_xy(block, network.faces)
-    if len(block.interiors) == 0 and any(network.styles[k] == "park" for k in np.flatnonzero(within)):
+    within = shapely.contains_xy(block, network.grid.faces)
+    if len(block.interiors) == 0 and any(network.grid.styles[k] == "park" for k in np.flatnonzero(within)):
         return "park"
-    return network.district(np.array(block.representative_point().coords[0]))
+    return network.grid.district(np.array(block.representative_point().coords[0]))
 
 
 def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, list[Polygon]]:
@@ -143,11 +143,11 @@ def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, li
             start, end = draft.cuts[k, 0] + 1.0, street.length - draft.cuts[k, 1] - 1.0
             strip = LineString(street.at(np.linspace(start + 1, end - 1, 64)))
             islands.append(shapely.buffer(strip, profile.median / 2 - 0.35))
-    for node, at in enumerate(network.nodes):
+    for node, at in enumerate(network.grid.nodes):
         sides = [min(s.profile.right, s.profile.left) for s in network.streets if node in (s.start, s.end)]
         if node in network.heads:
             parts.append(Point(at).buffer(HEAD))
-        elif node == network.roundabout:
+        elif node == network.grid.roundabout:
             parts.append(Point(at).buffer(RING))
             islands.append(Point(at).buffer(ISLAND))
         elif sides:
@@ -167,9 +167,9 @@ def _corridor(network: StreetNetwork, road: BaseGeometry, frame: Polygon) -> Bas
         right = profile.right + profile.verge + profile.sidewalk[0]
         left = profile.left + profile.verge + profile.sidewalk[1]
         parts.append(shapely.buffer(street.middle(right, left), (right + left) / 2, cap_style="flat"))
-    for node in (network.roundabout, *network.heads):
+    for node in (network.grid.roundabout, *network.heads):
         if node >= 0:
-            parts.append(Point(network.nodes[node]).buffer((HEAD if node in network.heads else RING) + 2.0))
+            parts.append(Point(network.grid.nodes[node]).buffer((HEAD if node in network.heads else RING) + 2.0))
     whole = shapely.union_all(parts).buffer(4.0).buffer(-4.0)
     return area(shapely.intersection(whole, frame)).simplify(0.02)
 

@@ -98,7 +98,7 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
     for a, b, inward in _sides(plan, block):
         middle = (a + b) / 2
         near = int(np.argmin(shapely.distance(streets, shapely.points(middle))))
-        style = network.district(middle)
+        style = network.grid.district(middle)
         street = network.streets[near]
         if style == "park":
             style = "suburb"

@@ -133,9 +133,9 @@ def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
     rough = rough / rough.std()
     edge = size / 2
     rim = [p for t in np.linspace(-edge, edge, 9) for p in ((t, -edge), (t, edge), (-edge, t), (edge, t))]
-    uneven = np.array([UNEVEN[style] for style in plan.network.styles] + [1.3] * len(rim))
+    uneven = np.array([UNEVEN[style] for style in plan.network.grid.styles] + [1.3] * len(rim))
     gx, gy = np.meshgrid(*(np.arange(s) * 8 * FIELD - edge for s in rough.shape), indexing="ij")
-    far = np.stack([np.hypot(gx - x, gy - y) for x, y in [*plan.network.faces, *rim]])
+    far = np.stack([np.hypot(gx - x, gy - y) for x, y in [*plan.network.grid.faces, *rim]])
     field = raster(rough * gaussian_filter(uneven[far.argmin(axis=0)], 2.0), 8 * FIELD, size)
     px, py = np.meshgrid(*(np.arange(s) * FIELD - edge for s in shape), indexing="ij")
     bank = ramp * np.clip(field(px, py), -2.5, 2.5)
