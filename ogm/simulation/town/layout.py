@@ -52,7 +52,7 @@ class Drop(NamedTuple):
 
     x: float
     y: float
-    along: tuple[float, float]
+    along: Floats
     half: float
 
     def share(self, x: Floats, y: Floats) -> Floats:
@@ -239,7 +239,7 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
                 continue
             normal = street.normal(at)
             yaw = np.arctan2(-normal[0], normal[1]) + (np.pi if side > 0 and profile.back else 0.0)
-            plan.bays.append(Bay(*street.at(at, offset), wrapped(yaw), long, width))
+            plan.bays.append(Bay(*street.at(at, offset), yaw=wrapped(yaw), length=long, width=width))
             end_of_bay = at + long / 2
             if profile.kind in ("main", "avenue"):
                 inner, outer = side * edge - side * width, side * (edge - 0.3)
@@ -274,7 +274,7 @@ def _crossings(plan: TownLayout, rng: Generator) -> None:
             edges = (-profile.right, profile.left)
             for edge in edges:
                 point, normal = street.at(at, edge), street.normal(at)
-                plan.drops.append(Drop(*point, (normal[1], -normal[0]), 1.5))
+                plan.drops.append(Drop(*point, along=np.array([normal[1], -normal[0]]), half=1.5))
             right, left = profile.walks
             plan.walkways.append(street.at(at, np.linspace(right, left, int(left - right) + 2)))
             if profile.kind in ("main", "avenue", "arterial") and rng.random() < 0.7:  # a zebra

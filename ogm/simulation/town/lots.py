@@ -161,7 +161,7 @@ def _driveway(plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, w
     plan.pave(shapely.difference(way, plan.road), material)
     lot.gaps.append(way)
     plan.driveways.append(way)
-    plan.drops.append(Drop(*kerb, tuple(along), width / 2))
+    plan.drops.append(Drop(*kerb, along=along, half=width / 2))
     if max(plan.network.streets[near].profile.parking) > 0:  # driveways stay free of parked cars
         spots = shapely.points(np.array(plan.bays).reshape(-1, 5)[:, :2])
         far = shapely.distance(way.buffer(0.5), spots)
@@ -189,7 +189,7 @@ def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
             if setback > 6.5 and rng.random() < 0.8:
                 spot = at + lot.inward * (setback / 2 + 0.4)
                 yaw = float(np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0))
-                plan.bays.append(Bay(*spot, wrapped(yaw), 5.2, 2.4))
+                plan.bays.append(Bay(*spot, yaw=wrapped(yaw), length=5.2, width=2.4))
         elif setback > 1.0:
             at = at + lot.along * rng.uniform(-0.25, 0.25) * width
             line = LineString([at - 0.1 * lot.inward, at + (setback + 0.5) * lot.inward])
@@ -207,7 +207,7 @@ def _yard_bays(plan: TownLayout, lot: Lot, rng: Generator) -> None:
         spot = lot.at(u, 3.6)
         place = rectangle(spot, lot.along * 1.2, lot.inward * 2.4)
         if rng.random() < 0.75 and shapely.contains(ground, place) and not shapely.intersects(built, place):
-            plan.bays.append(Bay(*spot, yaw, 5.0, 2.5))
+            plan.bays.append(Bay(*spot, yaw=yaw, length=5.0, width=2.5))
 
 
 def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
@@ -225,7 +225,7 @@ def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
             way_in = facing > 0 and row < 6 and abs(u - width / 2) < 5
             spot = lot.at(u, row)
             if not way_in and shapely.contains(ground, rectangle(spot, x, t)):
-                plan.bays.append(Bay(*spot, yaw, 5.0, 2.5))
+                plan.bays.append(Bay(*spot, yaw=yaw, length=5.0, width=2.5))
                 line = LineString([spot + x - t, spot + x + t])
                 plan.pave(line.buffer(0.06, cap_style="flat"), M.MARKING)
         row, facing = row + (11.2 if facing > 0 else 5.2), -facing

@@ -107,7 +107,7 @@ class Street:
 
     def normal(self, along: ArrayLike) -> Floats:
         """Return unit vectors (..., 2) to the left at a way from the start."""
-        normal = interpolated(along, self.along, self.normals)
+        normal = interpolated(np.asarray(along, float), self.along, self.normals)
         return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
     def band(self, start: float, end: float, right: float, left: float) -> Polygon:
@@ -134,8 +134,8 @@ def make_network(size: float, rng: Generator) -> StreetNetwork:
     nodes = bent_grid(n, size, rng)
     edges = grid_edges(n)
     # The middle of each mesh, and the district it belongs to.
-    grid = nodes.reshape(n, n, 2)
-    faces = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]).reshape(-1, 2) / 4
+    at = nodes.reshape(n, n, 2)
+    faces = (at[:-1, :-1] + at[1:, :-1] + at[:-1, 1:] + at[1:, 1:]).reshape(-1, 2) / 4
     styles = _districts(n - 1, faces, rng)
     # A broad road, a roundabout, a dead end.
     broad = broad_line(n, int(rng.integers(4)))
@@ -251,7 +251,7 @@ def way_along(line: Floats) -> Floats:
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
-def interpolated(at: ArrayLike, way: Floats, values: Floats) -> Floats:
+def interpolated(at: Floats, way: Floats, values: Floats) -> Floats:
     """Return values (..., K) at some ways along a line, from those (M, K) at its points."""
     return np.stack([np.interp(at, way, column) for column in values.T], axis=-1)
 

@@ -69,7 +69,7 @@ class Yard:
 
     def put(self, piece: Mesh, x: float, y: float, yaw: float, radius: float) -> bool:
         """Stand a piece (origin at its base) upright at x, y, if there is space for it."""
-        z = float(self.height(np.array([x]), np.array([y]))[0])
+        z = float(self.height(x, y))
         if not self.free(x, y, radius) or not self.add(piece.moved(upright(x, y, z, yaw))):
             return False
         self._places = np.vstack([self._places, [x, y, radius]])
