@@ -106,7 +106,7 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     ground, kerbs = cover(plan, terrain)
     raster = height_raster(surface(ground), extent, HEIGHT_STEP)
     things = furnish(plan, lots, raster, draws[5])
-    bays = np.array(plan.bays).reshape(-1, 5)
+    bays = np.array([(*b.at, b.yaw, b.length, b.width) for b in plan.bays]).reshape(-1, 5)
     return Town(
         seed=int(seed),
         size=size,

@@ -1,5 +1,7 @@
 """Houses on their footprints: storeys with windows, doors, shops, balconies, passages, roofs."""
 
+from itertools import pairwise
+
 import numpy as np
 import shapely
 from numpy.random import Generator
@@ -56,15 +58,13 @@ def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator
 
 def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: HeightAt, rng: Generator) -> Mesh:
     """Put walls, storeys and the roof of a house together."""
-    rings = [np.array(outline.exterior.coords), *(np.array(hole.coords) for hole in outline.interiors)]
-    corners = np.concatenate(rings)
+    corners = shapely.get_coordinates(outline)
     ground = np.asarray(height_at(corners[:, 0], corners[:, 1]), np.float64)
     u = np.linspace(0, street.length, 5)
     at_front = np.asarray(height_at(*street.xy(u, 0.3).T), np.float64)
     low = float(min(ground.min(), at_front.min())) - SUNK
     floor = float(at_front.max()) + design.plinth
     upper = floor + design.ground_storey
-    top = upper + (design.storeys - 1) * design.storey
     design = design._replace(bay=_spared(design, outline))
     parts = []
 
@@ -72,9 +72,9 @@ def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: Heigh
     lower, passage = _passage(outline, street, design, rng)
     if not passage.is_empty:
         through = np.array(passage.exterior.coords)
-        upper = max(upper, float(np.max(height_at(through[:, 0], through[:, 1]))) + HEADROOM + 0.1)
-        top = upper + (design.storeys - 1) * design.storey
+        upper = max(upper, float(np.max(height_at(*through.T))) + HEADROOM + 0.1)
         parts.append(roofs.flat(passage, upper, design.wall))
+    top = upper + (design.storeys - 1) * design.storey
     house = House(design, height_at, low, floor, upper, top)
     inner = outline.buffer(-0.05, join_style="mitre")
     door_done = False
@@ -101,8 +101,7 @@ def _spared(design: HouseDesign, outline: Polygon) -> float:
 def _sides(polygon: Polygon) -> list[Side]:
     """Return the sides of a polygon with its holes."""
     polygon = shapely.geometry.polygon.orient(polygon, 1.0)
-    rings = [np.array(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
-    pairs = [(a, b) for ring in rings for a, b in zip(ring[:-1], ring[1:], strict=True)]
+    pairs = [pair for ring in (polygon.exterior, *polygon.interiors) for pair in pairwise(np.array(ring.coords))]
     return [side_of(a, b) for a, b in pairs if np.linalg.norm(b - a) > 0.01]
 
 
@@ -123,8 +122,7 @@ def _passage(outline: Polygon, street: Side, design: HouseDesign, rng: Generator
         return none
     width = rng.uniform(3.0, 4.0)
     at = rng.uniform(1.5, street.length - width - 1.5)
-    far = 200.0
-    strip = Polygon([street.xy(at, 1.0), street.xy(at, -far), street.xy(at + width, -far), street.xy(at + width, 1.0)])
+    strip = Polygon([street.xy(u, d) for u, d in ((at, 1), (at, -200), (at + width, -200), (at + width, 1))])
     way, rest = outline.intersection(strip), outline.difference(strip.buffer(1e-6, join_style="mitre"))
     parts = shapely.get_parts(rest)
     if not isinstance(way, Polygon) or len(parts) != 2 or min(part.area for part in parts) < 8:

@@ -1,6 +1,6 @@
 """Where houses stand: footprints side by side along a street."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
@@ -10,8 +10,6 @@ from shapely import Polygon
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.town.overlay import area, polygons
-
-STYLES = ("centre", "suburb", "industrial", "arterial", "park")
 
 
 def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> list[Polygon]:
@@ -47,15 +45,11 @@ def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> l
     kept: list[Polygon] = []
     taken = Polygon()
     for shape, smallest in _PLACERS[style](local, rng):
-        pieces = polygons(area(shape.intersection(local)).difference(taken))
-        if not pieces:
-            continue
-        piece = pieces[0].simplify(0.05)
-        piece = Polygon(piece.exterior)
-        if piece.area < smallest or piece.buffer(-1.0).is_empty:
-            continue
-        kept.append(front_first(shapely.transform(piece, lambda p: p @ axes + ends[0]), -inward))
-        taken = taken.union(piece)
+        for part in polygons(area(shape.intersection(local)).difference(taken))[:1]:
+            piece = Polygon(part.simplify(0.05).exterior)
+            if piece.area >= smallest and not piece.buffer(-1.0).is_empty:
+                kept.append(front_first(shapely.transform(piece, lambda p: p @ axes + ends[0]), -inward))
+                taken = taken.union(piece)
     return kept
 
 
@@ -188,13 +182,8 @@ def _pavilions(lot: Polygon, rng: Generator) -> Placed:
         x += width + rng.uniform(25.0, 60.0)
 
 
-_PLACERS: dict[str, Callable[[Polygon, Generator], Placed]] = {
-    "centre": _row,
-    "suburb": _detached,
-    "industrial": _halls,
-    "arterial": _large,
-    "park": _pavilions,
-}
+_PLACERS = {"centre": _row, "suburb": _detached, "industrial": _halls, "arterial": _large, "park": _pavilions}
+STYLES = tuple(_PLACERS)
 
 
 def front_first(footprint: Polygon, towards: Floats) -> Polygon:

@@ -109,8 +109,7 @@ def bin_(rng: Generator) -> Mesh:
         half, deep, tall = (0.29, 0.36, 1.05) if rng.random() < 0.75 else (0.62, 0.5, 1.3)
         x += half
         profile = np.array([[-0.8, 0.0], [0.8, 0.0], [1.0, 0.92 * tall], [0.9, tall], [-1.0, tall]])
-        turned = rng.normal(0, 0.05)
-        profile = profile * [deep, 1.0] + [turned, 0.0]
+        profile = profile * [deep, 1.0] + [rng.normal(0, 0.05), 0.0]
         parts.append(extruded(profile, (x - half, x + half), M.PLASTIC_DARK))
         x += half + rng.uniform(0.03, 0.12)
     return merge(parts).moved(upright(-x / 2, 0.0, 0.0))

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
+from scipy.sparse.csgraph import connected_components
 
 from ogm.simulation.arrays import Floats
 
@@ -73,11 +74,9 @@ def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
 def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
     """Return whether the graph stays in one piece when any one of its edges is closed."""
     for closed in range(len(edges)):
-        group = np.arange(count)
-        for k, (a, b) in enumerate(edges):
-            if k != closed and group[a] != group[b]:
-                group[group == group[a]] = group[b]
-        if (group != group[0]).any():
+        joined = np.zeros((count, count), bool)
+        joined[tuple(np.delete(edges, closed, axis=0).T)] = True
+        if connected_components(joined, directed=False)[0] > 1:
             return False
     return True
 

@@ -21,8 +21,7 @@ BAY = 5.8  # [m] length of a place to park along the kerb
 class Bay(NamedTuple):
     """A place to park: middle, direction of its length [rad], length and width [m]."""
 
-    x: float
-    y: float
+    at: Floats  # (2,)
     yaw: float
     length: float
     width: float
@@ -32,7 +31,7 @@ class Bay(NamedTuple):
         """The rectangle."""
         ahead = np.array([np.cos(self.yaw), np.sin(self.yaw)]) * self.length / 2
         side = np.array([-np.sin(self.yaw), np.cos(self.yaw)]) * self.width / 2
-        return rectangle(np.array([self.x, self.y]), ahead, side)
+        return rectangle(self.at, ahead, side)
 
 
 def rectangle(middle: Floats, ahead: Floats, side: Floats) -> Polygon:
@@ -50,14 +49,13 @@ class Zone(NamedTuple):
 class Drop(NamedTuple):
     """A stretch of kerb let down for wheels: its middle, direction along the kerb, half its length [m]."""
 
-    x: float
-    y: float
+    at: Floats  # (2,)
     along: Floats
     half: float
 
     def share(self, x: Floats, y: Floats) -> Floats:
         """How far the kerb is let down at x, y: 0 not at all, 1 wholly; the sidewalk behind follows as a ramp."""
-        dx, dy = x - self.x, y - self.y
+        dx, dy = x - self.at[0], y - self.at[1]
         along = abs(dx * self.along[0] + dy * self.along[1])
         across = abs(dx * self.along[1] - dy * self.along[0])
         return np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1)
@@ -177,8 +175,7 @@ def _corridor(network: StreetNetwork, road: BaseGeometry, frame: Polygon) -> Bas
 def _spans(plan: TownLayout, rng: Generator) -> None:
     """Choose where the broad road passes below a bridge and a gantry, and keep houses away from the bridge."""
     broad = [k for k, street in enumerate(plan.network.streets) if street.profile.kind == "arterial"]
-    order = [int(k) for k in rng.permutation(broad)]
-    for k, kind in zip(order * 2, ("bridge", "gantry"), strict=False):
+    for k, kind in zip(rng.permutation(broad).tolist() * 2, ("bridge", "gantry"), strict=False):
         street = plan.network.streets[k]
         free = street.length - plan.draft.cuts[k].sum()
         if free < 30:
@@ -239,7 +236,7 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
                 continue
             normal = street.normal(at)
             yaw = np.arctan2(-normal[0], normal[1]) + (np.pi if side > 0 and profile.back else 0.0)
-            plan.bays.append(Bay(*street.at(at, offset), yaw=wrapped(yaw), length=long, width=width))
+            plan.bays.append(Bay(street.at(at, offset), wrapped(yaw), long, width))
             end_of_bay = at + long / 2
             if profile.kind in ("main", "avenue"):
                 inner, outer = side * edge - side * width, side * (edge - 0.3)
@@ -274,7 +271,7 @@ def _crossings(plan: TownLayout, rng: Generator) -> None:
             edges = (-profile.right, profile.left)
             for edge in edges:
                 point, normal = street.at(at, edge), street.normal(at)
-                plan.drops.append(Drop(*point, along=np.array([normal[1], -normal[0]]), half=1.5))
+                plan.drops.append(Drop(point, np.array([normal[1], -normal[0]]), 1.5))
             right, left = profile.walks
             plan.walkways.append(street.at(at, np.linspace(right, left, int(left - right) + 2)))
             if profile.kind in ("main", "avenue", "arterial") and rng.random() < 0.7:  # a zebra

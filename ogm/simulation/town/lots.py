@@ -71,12 +71,11 @@ def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
     blocks = [k for k, block in enumerate(plan.blocks) if block.style == "centre" and _inside(plan, block)]
     square = min(blocks, key=lambda k: abs(plan.blocks[k].shape.area - 2600.0)) if blocks else -1
     for k, block in enumerate(plan.blocks):
-        inner = _inside(plan, block)
-        if block.style == "park" and inner:
+        if block.style == "park" and _inside(plan, block):
             lots.append(_park(plan, block, rng))
             continue
-        ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT, "park": M.GRASS}
-        if inner:
+        ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT}
+        if _inside(plan, block):
             plan.pave(block.shape, ground[block.style])
             if block.style == "centre":  # courts behind the houses
                 plan.pave(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS)
@@ -110,15 +109,14 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
         if shape.area < 60:
             continue
         taken = taken.union(shape)
-        lot = Lot("houses", style, shape, np.array([a, b]), inward, [], [])
-        use = "houses"
-        if square and lot.width > 25:
+        width, use = float(np.linalg.norm(b - a)), "houses"
+        if square and width > 25:
             use, square = "square", False
-        elif lot.width > 26 and rng.random() < OPEN_SPACE[style]:
+        elif width > 26 and rng.random() < OPEN_SPACE[style]:
             use = "car park"
         elif rng.random() < 0.03:
             use = "works"
-        lot = lot._replace(use=use)
+        lot = Lot(use, style, shape, np.array([a, b]), inward, [], [])
         if use == "houses":
             site = polygons(shapely.intersection(shape, block.shape.buffer(-SETBACK[style])).buffer(-0.05))
             lot.houses.extend(split_front(site[0], lot.front, style, rng) if site else [])
@@ -161,9 +159,9 @@ def _driveway(plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, w
     plan.pave(shapely.difference(way, plan.road), material)
     lot.gaps.append(way)
     plan.driveways.append(way)
-    plan.drops.append(Drop(*kerb, along=along, half=width / 2))
+    plan.drops.append(Drop(kerb, along, width / 2))
     if max(plan.network.streets[near].profile.parking) > 0:  # driveways stay free of parked cars
-        spots = shapely.points(np.array(plan.bays).reshape(-1, 5)[:, :2])
+        spots = shapely.points(np.array([bay.at for bay in plan.bays]).reshape(-1, 2))
         far = shapely.distance(way.buffer(0.5), spots)
         plan.bays[:] = [bay for bay, d in zip(plan.bays, far, strict=True) if d > bay.length / 2]
 
@@ -189,7 +187,7 @@ def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
             if setback > 6.5 and rng.random() < 0.8:
                 spot = at + lot.inward * (setback / 2 + 0.4)
                 yaw = float(np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0))
-                plan.bays.append(Bay(*spot, yaw=wrapped(yaw), length=5.2, width=2.4))
+                plan.bays.append(Bay(spot, wrapped(yaw), 5.2, 2.4))
         elif setback > 1.0:
             at = at + lot.along * rng.uniform(-0.25, 0.25) * width
             line = LineString([at - 0.1 * lot.inward, at + (setback + 0.5) * lot.inward])
@@ -207,7 +205,7 @@ def _yard_bays(plan: TownLayout, lot: Lot, rng: Generator) -> None:
         spot = lot.at(u, 3.6)
         place = rectangle(spot, lot.along * 1.2, lot.inward * 2.4)
         if rng.random() < 0.75 and shapely.contains(ground, place) and not shapely.intersects(built, place):
-            plan.bays.append(Bay(*spot, yaw=yaw, length=5.0, width=2.5))
+            plan.bays.append(Bay(spot, yaw, 5.0, 2.5))
 
 
 def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
@@ -225,7 +223,7 @@ def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
             way_in = facing > 0 and row < 6 and abs(u - width / 2) < 5
             spot = lot.at(u, row)
             if not way_in and shapely.contains(ground, rectangle(spot, x, t)):
-                plan.bays.append(Bay(*spot, yaw=yaw, length=5.0, width=2.5))
+                plan.bays.append(Bay(spot, yaw, 5.0, 2.5))
                 line = LineString([spot + x - t, spot + x + t])
                 plan.pave(line.buffer(0.06, cap_style="flat"), M.MARKING)
         row, facing = row + (11.2 if facing > 0 else 5.2), -facing

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 from shapely import LineString, Polygon
 
 from ogm.simulation.arrays import Floats
@@ -220,10 +221,7 @@ def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> b
     arcs = [(k, chain[0], chain[-1]) for k, chain in enumerate(chains)]
     arcs += [(k, chain[-1], chain[0]) for k, chain in enumerate(chains) if PROFILES[kinds[k]].back]
     step = np.array([[b == c and (k != m or b in heads) for m, c, _ in arcs] for k, _, b in arcs])
-    reach = step | np.eye(len(arcs), dtype=bool)
-    for _ in range(int(np.ceil(np.log2(len(arcs)))) + 1):
-        reach = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
-    return bool(reach.all() and step.any(axis=1).all())
+    return bool(connected_components(step, connection="strong")[0] == 1 and step.any(axis=1).all())
 
 
 def _bend(points: Floats, rng: Generator) -> Floats:

@@ -132,7 +132,7 @@ def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[M
     columns, width, middle = _columns(side, design.bay, width)
     rows = design.storeys - 1
     floors = upper + np.arange(rows) * design.storey
-    ground = float(np.max(height_at(*side.xy(np.append(middle, [0.0, side.length]), 0.8).T)))
+    ground = float(np.max(height_at(*side.xy([*middle, 0.0, side.length], 0.8).T)))
     shape = (columns, rows)
     sills = np.broadcast_to(floors + sill, shape).copy()
     heads = np.broadcast_to(np.minimum(floors + head, floors + design.storey - 0.2), shape).copy()

@@ -79,7 +79,7 @@ class Terrain(NamedTuple):
             tree = cKDTree(np.stack([x, y], axis=1))
             low = np.zeros(len(x))
             for drop in drops:
-                near = np.array(tree.query_ball_point((drop.x, drop.y), drop.half + 3.0), np.int64)
+                near = np.array(tree.query_ball_point(drop.at, drop.half + 3.0), np.int64)
                 low[near] = np.maximum(low[near], drop.share(x[near], y[near]))
             kerb = kerb * (1 - low) + DROPPED * low
         return self.road(x, y) + kerb + self.bank(x, y)

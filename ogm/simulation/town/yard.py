@@ -57,15 +57,13 @@ class Yard:
 
     def free(self, x: float, y: float, radius: float) -> bool:
         """Return whether a round thing may stand at x, y."""
+        near, spot = self._places, shapely.Point(x, y)
         if max(abs(x), abs(y)) > self._half - 1.0:
             return False
-        near = self._places
-        if len(near) and (np.hypot(near[:, 0] - x, near[:, 1] - y) < near[:, 2] + radius).any():
+        if (np.hypot(near[:, 0] - x, near[:, 1] - y) < near[:, 2] + radius).any():
             return False
-        spot = shapely.Point(x, y)
-        if shapely.dwithin(self._walked, spot, 0.2 + min(radius, 0.3)):
-            return False
-        return not shapely.dwithin(self.blocked, spot, radius)
+        on_the_way = shapely.dwithin(self._walked, spot, 0.2 + min(radius, 0.3))
+        return not (on_the_way or shapely.dwithin(self.blocked, spot, radius))
 
     def put(self, piece: Mesh, x: float, y: float, yaw: float, radius: float) -> bool:
         """Stand a piece (origin at its base) upright at x, y, if there is space for it."""
