@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import Polygon
 
-from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
@@ -14,7 +14,7 @@ from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
 from ogm.simulation.town.layout import make_plan
 from ogm.simulation.town.lots import fill_blocks
 from ogm.simulation.town.network import StreetNetwork, make_network
-from ogm.simulation.town.terrain import Raster, make_terrain
+from ogm.simulation.town.terrain import Raster, make_terrain, raised
 from ogm.simulation.town.trips import SHORTEST, round_trip
 
 __all__ = ["Lane", "Town", "build_town"]
@@ -112,9 +112,9 @@ def build_town(seed: int, size: float = 480.0) -> Town:
         size=size,
         mesh=merge([ground, kerbs, *things]),
         ground=surface(ground),
-        lanes=tuple(replace(lane, points=_raised(lane.points, terrain.road)) for lane in draft.lanes),
-        bays=np.column_stack([_raised(bays[:, :2], raster), bays[:, 2:]]),
-        walkways=tuple(_raised(line, raster) for line in plan.walkways),
+        lanes=tuple(replace(lane, points=raised(lane.points, terrain.road)) for lane in draft.lanes),
+        bays=np.column_stack([raised(bays[:, :2], raster), bays[:, 2:]]),
+        walkways=tuple(raised(line, raster) for line in plan.walkways),
         loop=loops[0],
         counter_loop=loops[1],
         height=raster.values,
@@ -139,11 +139,6 @@ def _streets(seed: int, size: float) -> tuple[StreetNetwork, Draft, list[tuple[i
         f"found no streets with round trips of {SHORTEST:g} m for seed {seed} and size {size:g} m "
         f"in {ATTEMPTS} draws; try another seed or a larger size"
     )
-
-
-def _raised(points: Floats, height_at: HeightAt) -> Floats:
-    """Lift points (M, 2) to a height: (M, 3)."""
-    return np.column_stack([points, height_at(*points.T)])
 
 
 def _worth(show: str) -> float:

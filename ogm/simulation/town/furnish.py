@@ -19,7 +19,7 @@ from ogm.simulation.town.lots import Lot
 from ogm.simulation.town.network import Street
 from ogm.simulation.town.overlay import area, inside, polygons
 from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import Raster
+from ogm.simulation.town.terrain import Raster, raised
 from ogm.simulation.town.yard import Maker, Wanted, Yard
 
 # Share of the fronts that hide what is behind them.
@@ -136,7 +136,7 @@ def _rows(yard: Yard, street: Street, side: int, begin: float, end: float) -> No
         start = rng.uniform(begin + 4, end - 30)
         way = np.arange(start, min(start + rng.uniform(16, 60), end - 2), 2.0)
         edge = profile.right if side < 0 else profile.left
-        yard.add(fences.guard_rail(yard.on_ground(street.at(way, side * (edge + 0.5)))))
+        yard.add(fences.guard_rail(raised(street.at(way, side * (edge + 0.5)), yard.height)))
 
 
 def _spans(plan: TownLayout, yard: Yard) -> None:

@@ -194,11 +194,11 @@ def cone(rng: Generator) -> Mesh:
     """Make a traffic cone of 0.5 or 0.75 m with its reflecting sleeve."""
     height = float(rng.choice([0.5, 0.75]))
     r = 0.2 * height
-    foot = block([0, 0, 0.02], [0.55 * height, 0.55 * height, 0.06], M.PLASTIC_DARK)
+    base = block([0, 0, 0.02], [0.55 * height, 0.55 * height, 0.06], M.PLASTIC_DARK)
     rings = [(0.03, r), (0.4 * height, 0.72 * r), (0.75 * height, 0.42 * r), (height, 0.2 * r)]
     materials = (M.PAINT_MEDIUM, M.HIGH_VIS, M.PAINT_MEDIUM)
     sleeves = zip(rings[:-1], rings[1:], materials, strict=True)
-    return merge([foot, *(rod(a, b, ra, m, rb, 7, caps=False) for (a, ra), (b, rb), m in sleeves)])
+    return merge([base, *(rod(a, b, ra, m, rb, 7, caps=False) for (a, ra), (b, rb), m in sleeves)])
 
 
 def barrier(rng: Generator) -> Mesh:
@@ -227,11 +227,8 @@ def cafe(rng: Generator) -> Mesh:
         rear = [p - w + 0.2 * out, p + w + 0.2 * out]
         seat = [p - w - 0.2 * out, p + w - 0.2 * out, rear[1], rear[0]]
         back = [*rear, p + w + 0.26 * out + 0.45 * up, p - w + 0.26 * out + 0.45 * up]
-        legs = [
-            strip(p + s * w + t * out - 0.05 * up, p + s * w + t * out + 0.45 * up, 0.015 * (side + out))
-            for s in (-1, 1)
-            for t in (-0.2, 0.2)
-        ]
+        ends = [p + s * w + t * out for s in (-1, 1) for t in (-0.2, 0.2)]
+        legs = [strip(end - 0.05 * up, end + 0.45 * up, 0.015 * (side + out)) for end in ends]
         parts.append(quads([np.array(seat) + 0.45 * up, np.array(back) + 0.45 * up, *legs], M.PLASTIC_DARK))
     if rng.random() < 0.5:
         parts.append(rod(0.7, 2.5, 0.025, M.METAL_POLE, sides=4, caps=False))

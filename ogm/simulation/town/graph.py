@@ -1,4 +1,4 @@
-"""Crossings on a bent grid and the edges between them, before they become streets."""
+"""Crossings on a curved grid and the edges between them, before they become streets."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -28,7 +28,7 @@ class Grid(NamedTuple):
 
 
 def bent_grid(n: int, size: float, rng: Generator) -> Floats:
-    """Crossings of n x n bent and irregular lines, those of line i at i * n + j."""
+    """Crossings of n x n curved and irregular lines, those of line i at i * n + j."""
     half = size / 2 - MARGIN
     spacing = 2 * half / (n - 1)
     ticks = []

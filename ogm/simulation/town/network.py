@@ -1,4 +1,4 @@
-"""The street network in the plane: crossings on a bent grid, streets between them, what each street is like."""
+"""The street network in the plane: crossings on a curved grid, streets between them, what each street is like."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -169,7 +169,7 @@ def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
 
 
 def _streets(grid: Grid, chains: list[list[int]], heads: list[int], rng: Generator) -> tuple[Street, ...]:
-    """Give each chain a bent line and a cross-section."""
+    """Give each chain a curved line and a cross-section."""
     kinds: list[str] = []
     districts = [grid.district(grid.nodes[chain].mean(axis=0)) for chain in chains]
     for chain, district in zip(chains, districts, strict=True):
@@ -234,8 +234,8 @@ def _bend(points: Floats, rng: Generator) -> Floats:
         sway = rng.uniform(-1, 1) * min(4.0, 0.035 * length) if length > 60 else 0.0
         other = sway * rng.choice([-1.0, 0.0, 1.0])
         bends = [(0.32, 0.0), (0.44, sway), (0.56, other), (0.68, 0.0)]
-        for t, offset in bends[(1 if k > 0 else 0) : (3 if k < last else 4)]:
-            control.append(a + t * (b - a) + offset * across)
+        between = bends[(1 if k > 0 else 0) : (3 if k < last else 4)]
+        control += [a + t * (b - a) + offset * across for t, offset in between]
         control.extend(_corner(a, b, points[k + 2]) if k < last else [b])
     line = np.array(control)
     for _ in range(5):  # cutting corners again and again tends to a quadratic B-spline

@@ -28,7 +28,7 @@ class House(NamedTuple):
     height_at : callable
         Height of the ground [m] at x, y [m].
     low, floor, upper, top : float
-        Heights of the walls' foot, of the floor, of the next storey's floor, and of the walls' top [m].
+        Heights of the walls' base, of the floor, of the next storey's floor, and of the walls' top [m].
     """
 
     design: HouseDesign

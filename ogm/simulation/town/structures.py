@@ -36,8 +36,8 @@ def advert_column(rng: Generator) -> Mesh:
         radius, height = rng.uniform(0.55, 0.7), rng.uniform(2.7, 3.6)
         shaft = rod(-SUNK, height, radius, M.PLASTER_LIGHT, sides=14)
         return merge([shaft, rod(height, height + 0.35, radius + 0.12, M.ROOF, 0.1, 14)])
-    foot = box([-0.08, -0.2, -SUNK], [0.08, 0.2, 0.6], M.METAL_SHEET)
-    return merge([foot, box([-0.11, -0.66, 0.6], [0.11, 0.66, 2.6], M.WINDOW)])
+    base = box([-0.08, -0.2, -SUNK], [0.08, 0.2, 0.6], M.METAL_SHEET)
+    return merge([base, box([-0.11, -0.66, 0.6], [0.11, 0.66, 2.6], M.WINDOW)])
 
 
 def container(rng: Generator) -> Mesh:
@@ -56,8 +56,8 @@ def skip(rng: Generator) -> Mesh:
     long, high = rng.uniform(1.5, 2.0), rng.uniform(1.0, 1.5)
     low, top = [[-0.65, 0.1], [0.65, 0.1]], [[1.0, 0.6 * high], [1.0, high], [-1.0, high], [-1.0, 0.6 * high]]
     body = extruded(np.array(low + top) * [long, 1.0], (-0.9, 0.9), M.METAL_SHEET, 1)
-    foot = box([-0.6 * long, -0.7, -0.1], [0.6 * long, 0.7, 0.1], M.METAL_SHEET)
-    return merge([body, foot, rod(high, high + rng.uniform(0.1, 0.5), 0.8, M.CONCRETE, 0.2, 7)])
+    base = box([-0.6 * long, -0.7, -0.1], [0.6 * long, 0.7, 0.1], M.METAL_SHEET)
+    return merge([body, base, rod(high, high + rng.uniform(0.1, 0.5), 0.8, M.CONCRETE, 0.2, 7)])
 
 
 def monument(rng: Generator) -> Mesh:

@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.town.layout import Drop, TownLayout
 
 CROWN = 0.025  # slope across a road, from its middle to the kerbs
@@ -46,6 +46,11 @@ class Raster:
 def raster(values: NDArray, step: float, size: float) -> Raster:
     """Return a raster of a square of `size` metres around (0, 0)."""
     return Raster(values.astype(np.float32), step, (-size / 2, -size / 2))
+
+
+def raised(points: Floats, height_at: HeightAt) -> Floats:
+    """Lift points (M, 2) to a height: (M, 3)."""
+    return np.column_stack([points, height_at(*points.T)])
 
 
 class Terrain(NamedTuple):

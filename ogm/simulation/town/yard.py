@@ -14,7 +14,7 @@ from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import plants
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import FIELD, Raster, mask, raster
+from ogm.simulation.town.terrain import FIELD, Raster, mask, raised, raster
 
 HEADROOM = 4.6  # [m] nothing over a road is lower
 _SPOTS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]], float)
@@ -94,11 +94,7 @@ class Yard:
 
     def line(self, line: LineString, step: float) -> Floats:
         """Return points (M, 3) on the ground along a line, at most `step` apart [m]."""
-        return self.on_ground(np.array(line.segmentize(step).coords))
-
-    def on_ground(self, points: Floats) -> Floats:
-        """Return points (M, 2) lifted to the ground (M, 3)."""
-        return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
+        return raised(np.array(line.segmentize(step).coords), self.height)
 
     def pick(self, pool: list[Mesh]) -> Mesh:
         """Return one of a pool of plants, larger or smaller."""
