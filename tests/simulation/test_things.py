@@ -222,21 +222,6 @@ def test_courtyards_slopes_and_odd_outlines_are_built(style):
     assert np.isinf(distance).all()  # the courtyard is open to the sky
 
 
-def test_impossible_footprints_are_refused():
-    rng = np.random.default_rng(0)
-    for wrong in (
-        Polygon(),
-        shapely.box(0, 0, 1, 1),
-        shapely.box(0, 0, 100, 0.5),
-        Polygon([(0, 0), (9, 9), (9, 0), (0, 9)]),
-        shapely.LineString([(0, 0), (1, 1)]),
-    ):
-        with pytest.raises(ValueError, match="footprint must"):
-            building(wrong, "centre", level, rng)
-    with pytest.raises(ValueError, match="style must be one of"):
-        building(shapely.box(0, 0, 9, 9), "castle", level, rng)
-
-
 @pytest.mark.parametrize("style", STYLES)
 @pytest.mark.parametrize("angle", [0.0, 130.0])
 def test_footprints_lie_in_the_lot_apart_and_face_the_street(style, angle):
@@ -266,8 +251,6 @@ def test_a_lot_too_small_stays_empty():
     for style in STYLES:
         assert split_front(shapely.box(0, 0, 3, 2), [[0, 0], [3, 0]], style, rng) == []
         assert split_front(Polygon(), [[0, 0], [3, 0]], style, rng) == []
-    with pytest.raises(ValueError, match="style must be"):
-        split_front(shapely.box(0, 0, 30, 20), [[0, 0], [9, 0]], "village", rng)
 
 
 def test_any_rectangle_of_a_lot_can_be_split():
@@ -462,16 +445,6 @@ def test_fences_follow_the_ground():
         ground = np.interp(mesh.vertices[:, 0], steep[:, 0], steep[:, 2])
         assert (mesh.vertices[:, 2] - ground).min() < -0.1
         assert 0.3 < (mesh.vertices[:, 2] - ground).max() < 2.6
-
-
-def test_a_line_without_length_is_refused():
-    rng = np.random.default_rng(0)
-    bad = [np.zeros((2, 3)), [[0, 0, 0]], [[0, 0], [1, 1]], [[0, 0, 0], [0, 0, 5]], [[0, 0, 0], [np.nan, 1, 0]]]
-    for make in (fences.fence, fences.low_wall, fences.screen, plants.hedge, lambda line, rng: fences.guard_rail(line)):
-        for line in bad:
-            with pytest.raises(ValueError, match="line must be"):
-                make(line, rng)
-        sound(make([[0, 0, 0], [0, 0, 0], [0.3, 0, 0]], rng))
 
 
 def test_pieces_can_be_merged_and_moved():

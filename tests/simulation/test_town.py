@@ -102,7 +102,7 @@ def test_another_seed_draws_other_streets() -> None:
     one, other = (np.concatenate([street.line for street in network.streets]) for network in networks)
     gap = np.linalg.norm(one[:, None] - other[None], axis=2).min(axis=1)
     assert np.median(gap) > 1.0
-    assert len({network.styles for network in networks}) == 2
+    assert len({network.grid.styles for network in networks}) == 2
 
 
 def test_roads_climb_but_never_too_steeply(town: Town) -> None:

@@ -3,8 +3,6 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
-from numpy.random import Generator
 from numpy.typing import NDArray
 from shapely import Polygon
 
@@ -13,10 +11,10 @@ from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
 from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
-from ogm.simulation.town.layout import TownLayout, make_plan
+from ogm.simulation.town.layout import make_plan
 from ogm.simulation.town.lots import fill_blocks
 from ogm.simulation.town.network import StreetNetwork, make_network
-from ogm.simulation.town.terrain import Raster, Terrain, make_terrain
+from ogm.simulation.town.terrain import Raster, make_terrain, raised
 from ogm.simulation.town.trips import SHORTEST, round_trip
 
 __all__ = ["Lane", "Town", "build_town"]
@@ -104,22 +102,19 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     extent = size + 2 * APRON
     plan = make_plan(extent, network, draft, draws[1])
     lots = fill_blocks(plan, draws[4])
-    terrain = _terrain(plan, draws[2])
-    ground, kerbs = cover(extent, plan.road, plan.zones, plan.lines, terrain, plan.drops)
+    terrain = make_terrain(plan, draws[2])
+    ground, kerbs = cover(plan, terrain)
     raster = height_raster(surface(ground), extent, HEIGHT_STEP)
     things = furnish(plan, lots, raster, draws[5])
-    lanes = [replace(lane, points=_raise(lane.points, terrain)) for lane in draft.lanes]
-    bays = np.array([(b.x, b.y, 0.0, b.yaw, b.length, b.width) for b in plan.bays]).reshape(-1, 6)
-    bays[:, 2] = raster(bays[:, 0], bays[:, 1])
-    walkways = tuple(np.column_stack([line, raster(line[:, 0], line[:, 1])]) for line in plan.walkways)
+    bays = np.array([(*b.at, b.yaw, b.length, b.width) for b in plan.bays]).reshape(-1, 5)
     return Town(
         seed=int(seed),
         size=size,
         mesh=merge([ground, kerbs, *things]),
         ground=surface(ground),
-        lanes=tuple(lanes),
-        bays=bays,
-        walkways=walkways,
+        lanes=tuple(replace(lane, points=raised(lane.points, terrain.road)) for lane in draft.lanes),
+        bays=np.column_stack([raised(bays[:, :2], raster), bays[:, 2:]]),
+        walkways=tuple(raised(line, raster) for line in plan.walkways),
         loop=loops[0],
         counter_loop=loops[1],
         height=raster.values,
@@ -154,27 +149,6 @@ def _worth(show: str) -> float:
     return 1.4 if district == "centre" else 1.0
 
 
-def _terrain(plan: TownLayout, rng: Generator) -> Terrain:
-    """Hills under the plan: banks as the districts have them, a dip on a long street."""
-    network = plan.network
-    kerbs = [
-        (shapely.buffer(shapely.linestrings(street.line), 14.0, cap_style="flat"), street.profile.kerb)
-        for street in network.streets
-    ]
-    uneven = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4}
-    banks = [(face, uneven[style]) for face, style in zip(network.faces, network.styles, strict=True)]
-    edge = plan.size / 2
-    ticks = np.linspace(-edge, edge, 9)
-    banks += [(np.array(point), 1.3) for t in ticks for point in ((t, -edge), (t, edge), (-edge, t), (edge, t))]
-    longest = max(network.streets, key=lambda street: street.length)
-    dip = longest.at(longest.length * 0.5)
-    return make_terrain(plan.size, plan.road, plan.corridor, kerbs, banks, (float(dip[0]), float(dip[1])), rng)
-
-
-def _raise(points: NDArray, terrain: Terrain) -> Floats:
-    return np.column_stack([points[:, :2], terrain.road(points[:, 0], points[:, 1])])
-
-
 def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
     """Return what a trip over a lane shows."""
     street = draft.streets[lane]
@@ -182,5 +156,5 @@ def _sight(network: StreetNetwork, draft: Draft, lane: int) -> str:
         shown = network.streets[street]
         return f"{shown.profile.kind} {shown.district}"
     here = draft.lanes[lane]
-    away = np.linalg.norm(here.points[0, :2] - network.nodes[network.roundabout])
+    away = np.linalg.norm(here.points[0, :2] - network.grid.nodes[network.grid.roundabout])
     return "roundabout" if here.phase < 0 and away < RING else ""

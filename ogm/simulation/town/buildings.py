@@ -1,5 +1,7 @@
 """Houses on their footprints: storeys with windows, doors, shops, balconies, passages, roofs."""
 
+from itertools import pairwise
+
 import numpy as np
 import shapely
 from numpy.random import Generator
@@ -11,7 +13,7 @@ from ogm.simulation.mesh import Mesh, cylinder, merge
 from ogm.simulation.town import roofs
 from ogm.simulation.town.design import HouseDesign, draw_design
 from ogm.simulation.town.facades import Side, side_of, upright
-from ogm.simulation.town.footprints import check_style, front_first
+from ogm.simulation.town.footprints import front_first
 from ogm.simulation.town.storeys import SUNK, House, ground_floor, upper_storeys
 
 HEADROOM = 3.2  # [m] a passage is at least this high
@@ -23,7 +25,7 @@ def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator
     Parameters
     ----------
     footprint : Polygon
-        Any simple outline of at least 4 m² that is somewhere wider than 1 m [m]. Its first edge faces the street,
+        Any valid outline of at least 4 m² that is somewhere wider than 1 m [m]. Its first edge faces the street,
         as `split_front` returns it.
     style : str
         One of `STYLES`.
@@ -37,14 +39,12 @@ def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator
     Mesh
         In the footprint's frame; walls follow its outline and reach below the lowest ground. Windows and doors
         are set back, what stands out further than 0.3 m is more than 2.5 m above the ground (except steps).
-
-    Raises
-    ------
-    ValueError
-        If the style is unknown or nothing can be built on the footprint.
     """
-    check_style(style)
-    outline = _checked(footprint)
+    outline = footprint.simplify(0.03)
+    if not isinstance(outline, Polygon) or not outline.is_valid or outline.area < 0.9 * footprint.area:
+        outline = footprint
+    a, b = footprint.exterior.coords[:2] if footprint.exterior.is_ccw else footprint.exterior.coords[1::-1]
+    outline = front_first(outline, side_of(a, b).out)
     ring = np.array(outline.exterior.coords)
     street = side_of(ring[0], ring[1])
     if style == "park" and outline.area < 60 and rng.random() < 0.5:
@@ -53,39 +53,18 @@ def building(footprint: Polygon, style: str, height_at: HeightAt, rng: Generator
         return _canopy(ring, height_at, rng)
     if style == "suburb" and outline.area < 40 and rng.random() < 0.25:
         return _pavilion(ring, height_at, rng)  # a carport
-    design = draw_design(style, outline, rng)
-    return _house(outline, street, design, height_at, rng)
-
-
-def _checked(footprint: Polygon) -> Polygon:
-    """Return a footprint that can be built on, counter-clockwise, or refuse it."""
-    if not isinstance(footprint, Polygon) or footprint.is_empty or not footprint.is_valid:
-        raise ValueError(f"footprint must be a valid, non-empty Polygon, got {str(footprint)[:80]}")
-    if footprint.area < 4 or footprint.buffer(-0.5).is_empty:
-        raise ValueError(
-            f"footprint must have 4 m² or more and be wider than 1 m, got {footprint.area:.2f} m²; leave the lot empty"
-        )
-    ring = np.array(footprint.exterior.coords)
-    if not np.isfinite(ring).all():
-        raise ValueError("footprint must have finite corners")
-    outline = footprint.simplify(0.03)
-    if not isinstance(outline, Polygon) or not outline.is_valid or outline.area < 0.9 * footprint.area:
-        outline = footprint
-    towards = side_of(ring[0], ring[1]).out if footprint.exterior.is_ccw else side_of(ring[1], ring[0]).out
-    return front_first(outline, towards)
+    return _house(outline, street, draw_design(style, outline, rng), height_at, rng)
 
 
 def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: HeightAt, rng: Generator) -> Mesh:
     """Put walls, storeys and the roof of a house together."""
-    rings = [np.array(outline.exterior.coords), *(np.array(hole.coords) for hole in outline.interiors)]
-    corners = np.concatenate(rings)
+    corners = shapely.get_coordinates(outline)
     ground = np.asarray(height_at(corners[:, 0], corners[:, 1]), np.float64)
     u = np.linspace(0, street.length, 5)
     at_front = np.asarray(height_at(*street.xy(u, 0.3).T), np.float64)
     low = float(min(ground.min(), at_front.min())) - SUNK
     floor = float(at_front.max()) + design.plinth
     upper = floor + design.ground_storey
-    top = upper + (design.storeys - 1) * design.storey
     design = design._replace(bay=_spared(design, outline))
     parts = []
 
@@ -93,9 +72,9 @@ def _house(outline: Polygon, street: Side, design: HouseDesign, height_at: Heigh
     lower, passage = _passage(outline, street, design, rng)
     if not passage.is_empty:
         through = np.array(passage.exterior.coords)
-        upper = max(upper, float(np.max(height_at(through[:, 0], through[:, 1]))) + HEADROOM + 0.1)
-        top = upper + (design.storeys - 1) * design.storey
+        upper = max(upper, float(np.max(height_at(*through.T))) + HEADROOM + 0.1)
         parts.append(roofs.flat(passage, upper, design.wall))
+    top = upper + (design.storeys - 1) * design.storey
     house = House(design, height_at, low, floor, upper, top)
     inner = outline.buffer(-0.05, join_style="mitre")
     door_done = False
@@ -122,8 +101,7 @@ def _spared(design: HouseDesign, outline: Polygon) -> float:
 def _sides(polygon: Polygon) -> list[Side]:
     """Return the sides of a polygon with its holes."""
     polygon = shapely.geometry.polygon.orient(polygon, 1.0)
-    rings = [np.array(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
-    pairs = [(a, b) for ring in rings for a, b in zip(ring[:-1], ring[1:], strict=True)]
+    pairs = [pair for ring in (polygon.exterior, *polygon.interiors) for pair in pairwise(np.array(ring.coords))]
     return [side_of(a, b) for a, b in pairs if np.linalg.norm(b - a) > 0.01]
 
 
@@ -144,8 +122,7 @@ def _passage(outline: Polygon, street: Side, design: HouseDesign, rng: Generator
         return none
     width = rng.uniform(3.0, 4.0)
     at = rng.uniform(1.5, street.length - width - 1.5)
-    far = 200.0
-    strip = Polygon([street.xy(at, 1.0), street.xy(at, -far), street.xy(at + width, -far), street.xy(at + width, 1.0)])
+    strip = Polygon([street.xy(u, d) for u, d in ((at, 1), (at, -200), (at + width, -200), (at + width, 1))])
     way, rest = outline.intersection(strip), outline.difference(strip.buffer(1e-6, join_style="mitre"))
     parts = shapely.get_parts(rest)
     if not isinstance(way, Polygon) or len(parts) != 2 or min(part.area for part in parts) < 8:
@@ -162,31 +139,15 @@ def _roof(outline: Polygon, street: Side, top: float, design: HouseDesign, rng: 
     filled = outline.area / max(Polygon(corners).area, 1e-9)
     narrow = float(min(np.linalg.norm(corners[1] - corners[0]), np.linalg.norm(corners[2] - corners[1])))
     beyond = float(shapely.distance(outline, shapely.points(corners)).max())
-    if (
-        design.roof == "flat"
-        or filled < 0.75
-        or beyond > 3.2
-        or outline.interiors
-        or narrow > 18
-        and design.pitch > 0.3
-    ):
+    odd = filled < 0.75 or beyond > 3.2 or outline.interiors
+    if design.roof == "flat" or odd or (narrow > 18 and design.pitch > 0.3):
         return _flat_roof(outline, top, design, rng)
-    turned = not design.blind_sides and rng.random() < 0.4  # the gable faces the street
-    if turned:
+    if not design.blind_sides and rng.random() < 0.4:  # the gable faces the street
         corners = np.roll(corners, -1, axis=0)
     ridge = np.linalg.norm(corners[1] - corners[0])
-    parts = [
-        roofs.pitched(
-            corners,
-            top,
-            design.pitch,
-            design.wall,
-            eaves=design.eaves,
-            verge=0.0 if design.blind_sides else 0.25,
-            hip=0.9 if design.roof == "hip" else 0.0,
-            dormers=int(ridge / 4.5) if design.roof == "gable" and rng.random() < 0.35 else 0,
-        )
-    ]
+    over, hip = (design.eaves, 0.0 if design.blind_sides else 0.25), 0.9 if design.roof == "hip" else 0.0
+    dormers = int(ridge / 4.5) if design.roof == "gable" and rng.random() < 0.35 else 0
+    parts = [roofs.pitched(corners, top, design.pitch, design.wall, over, hip, dormers)]
     if design.ground_floor in ("home", "shop"):
         x, y = corners.mean(axis=0) + rng.normal(0, 0.8, 2)
         parts.append(roofs.chimney(float(x), float(y), top, top + design.pitch * narrow / 2 + 0.9))
@@ -198,27 +159,23 @@ def _flat_roof(outline: Polygon, top: float, design: HouseDesign, rng: Generator
     if design.storeys == 1 and rng.random() < 0.5:
         over = outline.buffer(design.eaves, join_style="mitre")
         parts = [roofs.flat(over, z, M.ROOF) for z in (top, top + 0.25)]
-        parts += [s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + 0.25), M.METAL_SHEET)]) for s in _sides(over)]
-        return merge(parts)
-    high = rng.uniform(0.3, 0.9)
-    parts = [roofs.flat(outline, top, M.ROOF)]
-    parts += [s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + high), design.wall)]) for s in _sides(outline)]
+        return merge([*parts, *_rim(over, top, top + 0.25, M.METAL_SHEET)])
+    parts = [roofs.flat(outline, top, M.ROOF), *_rim(outline, top, top + rng.uniform(0.3, 0.9), design.wall)]
     if outline.area > 120:
         x, y = outline.representative_point().coords[0]
         parts.append(roofs.chimney(x, y, top, top + 2.4))
     return merge(parts)
 
 
-def _floor_under(ring: Floats, height_at: HeightAt) -> tuple[Floats, float]:
-    """Return the ground's height at each corner, and the highest of them."""
-    ground = np.asarray(height_at(ring[:-1, 0], ring[:-1, 1]), np.float64)
-    return ground, float(ground.max())
+def _rim(outline: Polygon, low: float, high: float, material: int) -> list[Mesh]:
+    """Raise upright faces along an outline between two heights [m]."""
+    return [s.built([(upright(0.0, s.length, 0.0, 0.0, low, high), material)]) for s in _sides(outline)]
 
 
 def _pavilion(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build an open pavilion: a roof on posts."""
-    ground, high = _floor_under(ring, height_at)
-    top = high + rng.uniform(2.6, 3.2)
+    ground = np.asarray(height_at(*ring[:-1].T), np.float64)
+    top = float(ground.max()) + rng.uniform(2.6, 3.2)
     middle = ring[:-1].mean(axis=0)
     feet = middle + 0.93 * (ring[:-1] - middle)
     posts = [
@@ -227,17 +184,17 @@ def _pavilion(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     ]
     outline = Polygon(ring)
     if len(ring) == 5 and rng.random() < 0.6:
-        return merge([*posts, roofs.pitched(ring[:-1], top, rng.uniform(0.4, 0.7), M.WOOD, hip=0.9)])
+        return merge([*posts, roofs.pitched(ring[:-1], top, rng.uniform(0.4, 0.7), M.WOOD, (0.4, 0.2), 0.9)])
     over = outline.buffer(0.2, join_style="mitre")
-    rim = [s.built([(upright(0.0, s.length, 0.0, 0.0, top, top + 0.2), M.WOOD)]) for s in _sides(over)]
-    return merge([*posts, *rim, roofs.flat(over, top, M.ROOF), roofs.flat(over, top + 0.2, M.ROOF)])
+    lids = [roofs.flat(over, z, M.ROOF) for z in (top, top + 0.2)]
+    return merge([*posts, *_rim(over, top, top + 0.2, M.WOOD), *lids])
 
 
 def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     """Build a filling station: a roof above 4.7 m on a few columns, pumps, and a shop at the back."""
-    ground, high = _floor_under(ring, height_at)
     p = ring[:-1]
-    low = float(ground.min()) - SUNK
+    ground = np.asarray(height_at(*p.T), np.float64)
+    low, high = float(ground.min()) - SUNK, float(ground.max())
     z = high + rng.uniform(4.7, 5.4)
 
     def spot(s: float, t: float) -> Floats:
@@ -245,7 +202,7 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])
     parts = [roofs.flat(deck_outline, h, M.METAL_SHEET) for h in (z, z + 0.9)]
-    parts += [s.built([(upright(0.0, s.length, 0.0, 0.0, z, z + 0.9), M.METAL_SHEET)]) for s in _sides(deck_outline)]
+    parts += _rim(deck_outline, z, z + 0.9, M.METAL_SHEET)
     for s in (0.2, 0.8):
         for t in (0.18, 0.48):
             xy = spot(s, t)

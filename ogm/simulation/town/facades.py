@@ -36,8 +36,6 @@ class Side(NamedTuple):
 
     def built(self, pieces: list[tuple[Corners, ArrayLike]]) -> Mesh:
         """Take quadrilaterals with their materials to the world; drop those without area."""
-        if not pieces:
-            return quads(np.zeros((0, 4, 3)), 0)
         corners = np.concatenate([piece for piece, _ in pieces])
         material = np.concatenate([np.broadcast_to(m, len(piece)) for piece, m in pieces])
         area = np.abs(np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])).max(axis=1)
@@ -89,12 +87,8 @@ def deck(u0: ArrayLike, u1: ArrayLike, d0: ArrayLike, d1: ArrayLike, z0: ArrayLi
 
 def _corners(u: tuple[ArrayLike, ...], d: tuple[ArrayLike, ...], z: tuple[ArrayLike, ...]) -> Corners:
     """Return (N, 4, 3) corners from the coordinates of the four, which broadcast against each other."""
-    shape = np.broadcast_shapes(*(np.shape(v) for v in (*u, *d, *z)))
-    corners = np.empty((*shape, 4, 3))
-    for axis, values in enumerate((u, d, z)):
-        for k, value in enumerate(values):
-            corners[..., k, axis] = value
-    return corners.reshape(-1, 4, 3)
+    corners = np.stack(np.broadcast_arrays(*u, *d, *z), axis=-1).astype(np.float64)
+    return corners.reshape(-1, 3, 4).swapaxes(1, 2)
 
 
 def punched(
@@ -104,8 +98,6 @@ def punched(
     left, right, sill, head, recess, pane = openings
     columns = len(left)
     strips = upright(np.append(0.0, right), np.append(left, length), 0.0, 0.0, low, top)
-    if not columns:
-        return [(strips, material)]
     under = np.column_stack([np.full(columns, low), head])
     over = np.column_stack([sill, np.full(columns, top)])
     a, b = left[:, None], right[:, None]
@@ -122,19 +114,14 @@ def punched(
 
 def ledge(u0: float, u1: float, depth: float, z0: float, z1: float) -> Corners:
     """Return what is seen of a box on a wall: a cornice, a sign above a shop, a pilaster, a downpipe."""
-    return np.concatenate(
-        [
-            upright([u0, u0, u1], [u1, u0, u1], [depth, 0, 0], [depth, depth, depth], z0, z1),
-            deck(u0, u1, 0, depth, [z0, z1], [z0, z1]),
-        ]
-    )
+    faces = upright([u0, u0, u1], [u1, u0, u1], [depth, 0, 0], depth, z0, z1)
+    return np.concatenate([faces, deck(u0, u1, 0, depth, [z0, z1], [z0, z1])])
 
 
 def awning(u0: float, u1: float, depth: float, z: float, drop: float) -> Corners:
     """Return a shop's awning: cloth that falls by `drop`, with a short fringe."""
-    return np.concatenate(
-        [deck(u0, u1, 0.0, depth, z, z - drop), upright(u0, u1, depth, depth, z - drop - 0.2, z - drop)]
-    )
+    fringe = upright(u0, u1, depth, depth, z - drop - 0.2, z - drop)
+    return np.concatenate([deck(u0, u1, 0.0, depth, z, z - drop), fringe])
 
 
 def balcony(u0: float, u1: float, depth: float, z: float, bars: int, panel: int) -> list[tuple[Corners, ArrayLike]]:
@@ -158,9 +145,8 @@ def balcony(u0: float, u1: float, depth: float, z: float, bars: int, panel: int)
     u = np.linspace(u0, u1, bars)
     side = np.linspace(0.2, d, 3)
     front = upright(u - 0.012, u + 0.012, d - 0.012, d + 0.012, z, z + 1.0)
-    ends = upright(
-        np.repeat([u0, u1], 3), np.repeat([u0, u1], 3), np.tile(side, 2) - 0.012, np.tile(side, 2) + 0.012, z, z + 1
-    )
+    at, out = np.repeat([u0, u1], 3), np.tile(side, 2)
+    ends = upright(at, at, out - 0.012, out + 0.012, z, z + 1)
     return [*pieces, (np.concatenate([rail, front, ends]), M.METAL_POLE)]
 
 
@@ -172,11 +158,5 @@ def steps(u0: float, u1: float, ground: float, top: float) -> Corners:
     z1, d1 = top - k * rise, 0.45 + 0.28 * k
     d0 = np.append(0.0, d1[:-1])
     z0 = np.append(z1[1:], ground - 0.4)
-    return np.concatenate(
-        [
-            upright(u0, u1, d1, d1, z0, z1),
-            deck(u0, u1, d0, d1, z1, z1),
-            upright(u0, u0, d0, d1, ground - 0.4, z1),
-            upright(u1, u1, d0, d1, ground - 0.4, z1),
-        ]
-    )
+    ends = [upright(u, u, d0, d1, ground - 0.4, z1) for u in (u0, u1)]
+    return np.concatenate([upright(u0, u1, d1, d1, z0, z1), deck(u0, u1, d0, d1, z1, z1), *ends])

@@ -1,6 +1,6 @@
 """Where houses stand: footprints side by side along a street."""
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import shapely
@@ -10,8 +10,6 @@ from shapely import Polygon
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.town.overlay import area, polygons
-
-STYLES = ("centre", "suburb", "industrial", "arterial", "park")
 
 
 def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> list[Polygon]:
@@ -33,13 +31,7 @@ def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> l
     list of Polygon
         Counter-clockwise; **the first edge faces the street**, which `building` relies on. They do not overlap.
         Empty if nothing fits.
-
-    Raises
-    ------
-    ValueError
-        If the style is unknown.
     """
-    check_style(style)
     ends = np.asarray(front, np.float64)
     if lot.is_empty or lot.area < 6.0:
         return []
@@ -53,19 +45,15 @@ def split_front(lot: Polygon, front: ArrayLike, style: str, rng: Generator) -> l
     kept: list[Polygon] = []
     taken = Polygon()
     for shape, smallest in _PLACERS[style](local, rng):
-        pieces = polygons(area(shape.intersection(local)).difference(taken))
-        if not pieces:
-            continue
-        piece = pieces[0].simplify(0.05)
-        piece = Polygon(piece.exterior)
-        if piece.area < smallest or piece.buffer(-1.0).is_empty:
-            continue
-        kept.append(front_first(shapely.transform(piece, lambda p: p @ axes + ends[0]), -inward))
-        taken = taken.union(piece)
+        for part in polygons(area(shape.intersection(local)).difference(taken))[:1]:
+            piece = Polygon(part.simplify(0.05).exterior)
+            if piece.area >= smallest and not piece.buffer(-1.0).is_empty:
+                kept.append(front_first(shapely.transform(piece, lambda p: p @ axes + ends[0]), -inward))
+                taken = taken.union(piece)
     return kept
 
 
-Placed = list[tuple[Polygon, float]]
+Placed = Iterator[tuple[Polygon, float]]
 
 
 def _rectangle(x: float, y: float, width: float, depth: float) -> Polygon:
@@ -75,7 +63,6 @@ def _rectangle(x: float, y: float, width: float, depth: float) -> Polygon:
 def _row(lot: Polygon, rng: Generator) -> Placed:
     """Set house to house: small set-backs, recesses in the front, wings behind, now and then a gap."""
     x0, y0, x1, y1 = lot.bounds
-    placed: Placed = []
     x, setback = x0, rng.choice([0.0, 0.0, 1.5])
     while x1 - x > 4:
         width = rng.uniform(8.0, 20.0)
@@ -92,17 +79,16 @@ def _row(lot: Polygon, rng: Generator) -> Placed:
             wing = rng.uniform(5.0, min(8.0, 0.6 * width))
             side = x if rng.random() < 0.5 else x + width - wing
             shape = shape.union(_rectangle(side, y + depth - 1, wing, rng.uniform(4, min(14, y1 - y - depth))))
-        placed.append((shape, 30.0))
+        yield shape, 30.0
         x += width + (rng.uniform(2.5, 6.0) if rng.random() < 0.07 else 0.0)
-    return placed
 
 
 def _detached(lot: Polygon, rng: Generator) -> Placed:
     """Set houses apart in gardens, with garages beside them."""
     if rng.random() < 0.35:
-        return _terraces(lot, rng)
+        yield from _terraces(lot, rng)
+        return
     x0, y0, x1, y1 = lot.bounds
-    placed: Placed = []
     setback = rng.uniform(1.0, 4.5)
     x = x0 + rng.uniform(1.0, 3.0)
     while x1 - x > 8:
@@ -117,97 +103,87 @@ def _detached(lot: Polygon, rng: Generator) -> Placed:
         kind = rng.random()
         if kind < 0.3 and width > 9.5:  # an L: a part stands back
             shape = shape.difference(_rectangle(x + 0.6 * width, y - 1, width, 1 + rng.uniform(1.2, 3.0)))
-        placed.append((shape, 35.0))
+        yield shape, 35.0
         x += width
         if rng.random() < 0.75:
             gap, wide = rng.choice([0.0, 0.0, rng.uniform(0.8, 1.6)]), rng.uniform(3.0, 6.0)
-            placed.append((_rectangle(x + gap, y + rng.uniform(0.0, 4.0), wide, 6.0), 15.0))
+            yield _rectangle(x + gap, y + rng.uniform(0.0, 4.0), wide, 6.0), 15.0
             x += gap + wide
         x += rng.uniform(1.0, 3.5)
-    return placed
 
 
 def _terraces(lot: Polygon, rng: Generator) -> Placed:
     """Set rows of narrow houses behind small front gardens."""
     x0, y0, x1, y1 = lot.bounds
-    placed: Placed = []
     x, y = x0 + rng.uniform(0.3, 1.5), y0 + rng.uniform(0.8, 4.0)
     width, depth = rng.uniform(6.6, 8.5), min(rng.uniform(9.0, 11.5), y1 - y - 1.0)
     left = int(rng.integers(4, 9))  # houses to come in this row
     while x1 - x > width + 0.3 and depth > 5:
-        placed.append((_rectangle(x, y + rng.choice([0.0, 0.0, 0.8]), width, depth), 35.0))
+        yield _rectangle(x, y + rng.choice([0.0, 0.0, 0.8]), width, depth), 35.0
         x, left = x + width, left - 1
         if left == 0:
             x, left = x + rng.uniform(2.0, 4.0), int(rng.integers(4, 9))
-    return placed
 
 
 def _halls(lot: Polygon, rng: Generator) -> Placed:
     """Set halls behind yards, with an office at the front of some."""
-    x0, y0, x1, y1 = lot.bounds
-    placed: Placed = []
-    x = x0 + rng.uniform(1.0, 4.0)
-    while x1 - x > 12:
-        width = min(rng.uniform(20.0, 55.0), x1 - x - 2)
-        y = y0 + rng.choice([rng.uniform(1.5, 5.0), rng.uniform(5.0, 10.0)])
-        depth = min(rng.uniform(18.0, 40.0), y1 - y - 2)
-        if depth < 8:
-            break
+    for x, y, width, depth in _yards(
+        lot, rng, (1.0, 4.0, 12, 20.0, 55.0, 2), (1.5, 5.0, 10.0, 18.0, 40.0, 8), (4.0, 10.0)
+    ):
         shape = _rectangle(x, y, width, depth)
         if rng.random() < 0.4 and width > 24:
             shape = shape.difference(_rectangle(x + 0.65 * width, y - 1, width, 1 + 0.4 * depth))
         if rng.random() < 0.4:
-            placed.append((_rectangle(x + 1, y - 4.5, 9.0, 4.5), 30.0))
-        placed.append((shape, 80.0))
-        x += width + rng.uniform(4.0, 10.0)
-    return placed
+            yield _rectangle(x + 1, y - 4.5, 9.0, 4.5), 30.0
+        yield shape, 80.0
 
 
 def _large(lot: Polygon, rng: Generator) -> Placed:
     """Set offices, markets and filling stations along an arterial road."""
-    x0, y0, x1, y1 = lot.bounds
-    placed: Placed = []
-    x = x0 + rng.uniform(1.0, 5.0)
-    while x1 - x > 10:
-        width = min(rng.uniform(16.0, 42.0), x1 - x - 1)
-        y = y0 + rng.choice([rng.uniform(0.5, 4.0), rng.uniform(4.0, 9.0)])
-        depth = min(rng.uniform(12.0, 24.0), y1 - y - 1)
-        if depth < 7:
-            break
+    for x, y, width, depth in _yards(
+        lot, rng, (1.0, 5.0, 10, 16.0, 42.0, 1), (0.5, 4.0, 9.0, 12.0, 24.0, 7), (3.0, 9.0)
+    ):
         shape = _rectangle(x, y, width, depth)
         if rng.random() < 0.35:
             at = rng.uniform(0.2, 0.6)
             shape = shape.difference(_rectangle(x + at * width, y - 1, 0.25 * width, 1 + rng.uniform(1.5, 4.0)))
-        placed.append((shape, 60.0))
-        x += width + rng.uniform(3.0, 9.0)
-    return placed
+        yield shape, 60.0
+
+
+def _yards(
+    lot: Polygon, rng: Generator, across: Sequence[float], deep: Sequence[float], gap: tuple[float, float]
+) -> Iterator[tuple[float, float, float, float]]:
+    """Choose x, y, width and depth of large houses behind yards.
+
+    `across` are the range of the first x, the least space left, the range of widths and the space beside;
+    `deep` the bounds of two ranges of set-backs, the range of depths and the least depth; `gap` is the range of gaps.
+    """
+    first, second, least, narrow, wide, beside = across
+    near, middle, far, shallow, deepest, smallest = deep
+    x0, y0, x1, y1 = lot.bounds
+    x = x0 + rng.uniform(first, second)
+    while x1 - x > least:
+        width = min(rng.uniform(narrow, wide), x1 - x - beside)
+        y = y0 + rng.choice([rng.uniform(near, middle), rng.uniform(middle, far)])
+        depth = min(rng.uniform(shallow, deepest), y1 - y - beside)
+        if depth < smallest:
+            return
+        yield x, y, width, depth
+        x += width + rng.uniform(*gap)
 
 
 def _pavilions(lot: Polygon, rng: Generator) -> Placed:
     """Set a kiosk or pavilion now and then."""
     x0, y0, x1, y1 = lot.bounds
-    placed: Placed = []
     x = x0 + rng.uniform(0.0, 30.0)
     while x1 - x > 6 and y1 - y0 > 6:
         width, depth = rng.uniform(3.0, 9.0), rng.uniform(3.0, 6.0)
-        placed.append((_rectangle(x, y0 + rng.uniform(1.0, 4.0), width, depth), 8.0))
+        yield _rectangle(x, y0 + rng.uniform(1.0, 4.0), width, depth), 8.0
         x += width + rng.uniform(25.0, 60.0)
-    return placed
 
 
-_PLACERS: dict[str, Callable[[Polygon, Generator], Placed]] = {
-    "centre": _row,
-    "suburb": _detached,
-    "industrial": _halls,
-    "arterial": _large,
-    "park": _pavilions,
-}
-
-
-def check_style(style: str) -> None:
-    """Refuse an unknown style."""
-    if style not in STYLES:
-        raise ValueError(f"style must be one of {', '.join(STYLES)}, got {style!r}")
+_PLACERS = {"centre": _row, "suburb": _detached, "industrial": _halls, "arterial": _large, "park": _pavilions}
+STYLES = tuple(_PLACERS)
 
 
 def front_first(footprint: Polygon, towards: Floats) -> Polygon:

@@ -19,7 +19,7 @@ from ogm.simulation.town.lots import Lot
 from ogm.simulation.town.network import Street
 from ogm.simulation.town.overlay import area, inside, polygons
 from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import Raster
+from ogm.simulation.town.terrain import Raster, raised
 from ogm.simulation.town.yard import Maker, Wanted, Yard
 
 # Share of the fronts that hide what is behind them.
@@ -27,18 +27,12 @@ CLOSED = {"suburb": 0.68, "industrial": 0.55, "arterial": 0.3}
 # Pieces on lots by their style or use.
 PIECES: dict[str, Wanted] = {
     "suburb": [(f.bin_, 250, 0.6), (f.bench, 700, 1.0)],
-    "industrial": [
-        *((structures.container, 170, 3.6), (structures.skip, 320, 2.6)),
-        *((f.lamp, 600, 0.5), (f.bin_, 500, 0.8)),
-    ],
-    "arterial": [
-        *((f.lamp, 700, 0.5), (structures.advert_column, 1200, 0.8)),
-        *((f.bike_rack, 900, 1.6), (f.sign, 600, 0.3)),
-    ],
-    "square": [
-        *((f.bench, 90, 1.1), (f.planter, 120, 0.8), (f.cafe, 70, 1.1)),
-        *((f.bollard, 90, 0.3), (f.lamp, 250, 0.4), (f.bike_rack, 300, 1.6)),
-    ],
+    "industrial": [(structures.container, 170, 3.6), (structures.skip, 320, 2.6), (f.lamp, 600, 0.5),
+                   (f.bin_, 500, 0.8)],
+    "arterial": [(f.lamp, 700, 0.5), (structures.advert_column, 1200, 0.8), (f.bike_rack, 900, 1.6),
+                 (f.sign, 600, 0.3)],
+    "square": [(f.bench, 90, 1.1), (f.planter, 120, 0.8), (f.cafe, 70, 1.1), (f.bollard, 90, 0.3), (f.lamp, 250, 0.4),
+               (f.bike_rack, 300, 1.6)],
     "works": [(structures.container, 150, 3.6), (structures.skip, 200, 2.6), (f.barrier, 90, 1.4), (f.cone, 60, 0.4)],
     "park": [(f.bench, 60, 1.0), (f.bin_, 150, 0.6), (f.lamp, 150, 0.4)],
     "island": [(f.lamp, 30, 0.2), (f.sign, 60, 0.2)],
@@ -70,11 +64,9 @@ def _street(plan: TownLayout, k: int, street: Street, yard: Yard) -> None:
         # At the junction where this side's traffic stops.
         forward = side < 0 or street.profile.back == 0
         node, stop = (street.end, end + 0.6) if forward else (street.start, begin - 0.6)
-        if plan.draft.lanes and node not in plan.network.heads:
-            if node != plan.network.roundabout and busy:
-                stand(f.traffic_light, stop, 0.45, 0.15)
-            else:
-                stand(f.sign, stop, 0.6, 0.15)
+        if node not in plan.network.heads:
+            signal = node != plan.network.grid.roundabout and busy
+            stand(f.traffic_light if signal else f.sign, stop, 0.45 if signal else 0.6, 0.15)
         _trees_and_lamps(yard, street, side, begin, end)
         walk = street.profile.sidewalk[0 if side < 0 else 1]
         for maker, rate, back, radius in _pieces_beside(street, walk, busy, yard):
@@ -144,7 +136,7 @@ def _rows(yard: Yard, street: Street, side: int, begin: float, end: float) -> No
         start = rng.uniform(begin + 4, end - 30)
         way = np.arange(start, min(start + rng.uniform(16, 60), end - 2), 2.0)
         edge = profile.right if side < 0 else profile.left
-        yard.add(fences.guard_rail(yard.on_ground(street.at(way, side * (edge + 0.5)))))
+        yard.add(fences.guard_rail(raised(street.at(way, side * (edge + 0.5)), yard.height)))
 
 
 def _spans(plan: TownLayout, yard: Yard) -> None:
@@ -152,14 +144,14 @@ def _spans(plan: TownLayout, yard: Yard) -> None:
     for k, at, kind in plan.spans:
         street = plan.network.streets[k]
         profile, normal = street.profile, street.normal(at)
-        width, middle = profile.right + profile.left, (profile.left - profile.right) / 2
-        x, y = (float(value) for value in street.at(at) + normal * middle)
+        width = profile.right + profile.left
+        x, y = street.at(at) + normal * (profile.left - profile.right) / 2
         if kind == "bridge":
             reach = width + 2 * profile.verge + sum(profile.sidewalk) + 3.0
             piece = structures.bridge(reach, yard.rng.uniform(3, 9), yard.rng)
         else:
             piece = structures.gantry(width + 1.6, yard.rng)
-        z = float(yard.height(np.array([x]), np.array([y]))[0]) + 0.15
+        z = float(yard.height(x, y)) + 0.15
         yard.add(piece.moved(upright(x, y, z, float(np.arctan2(normal[0], -normal[1])))))
 
 
@@ -221,10 +213,7 @@ def _fences(lot: Lot, yard: Yard) -> None:
     """Build hedges, walls and fences along the front, between neighbours and between houses; open at ways."""
     if lot.style not in CLOSED:
         return
-    rng, front, inward = yard.rng, lot.front[0], lot.inward
-    along = lot.front[1] - lot.front[0]
-    width = float(np.linalg.norm(along))
-    along = along / width
+    rng, front, inward, along, width = yard.rng, lot.front[0], lot.inward, lot.along, lot.width
     ways = shapely.union_all(lot.gaps).buffer(0.35)
     solid = shapely.union_all([ways, area(shapely.intersection(yard.blocked, lot.shape))])
     space = shapely.difference(lot.shape.buffer(-0.55), solid)
@@ -259,10 +248,9 @@ def _enclose(points: Floats, style: str, kind: float, hides: bool, yard: Yard) -
         yard.add(fences.low_wall(points, rng, lowest=1.5))
     elif hides:
         yard.add(fences.screen(points, rng, M.METAL_SHEET if style == "industrial" else M.WOOD))
-    elif style != "suburb":
-        if kind < 0.75:
-            yard.add(fences.fence(points, rng))
-    elif kind < 0.85:
+    elif style != "suburb" and kind < 0.75:
+        yard.add(fences.fence(points, rng))
+    elif style == "suburb" and kind < 0.85:
         build = plants.hedge if kind < 0.25 else fences.fence if kind < 0.6 else fences.low_wall
         yard.add(build(points, rng))
 

@@ -7,30 +7,18 @@ right-hand traffic the road then lies on its -y side, where lamps reach out to a
 import numpy as np
 from numpy.random import Generator
 
+from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.mesh import Mesh, box, cylinder, merge, quads, sheet
+from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads, sheet
 from ogm.simulation.town.plants import bush
-from ogm.simulation.town.shapes import (
-    SUNK,
-    block,
-    extruded,
-    panel,
-    plate,
-    pole,
-    regular,
-    rod,
-    signal_head,
-    strip,
-    tube,
-    upright,
-)
+from ogm.simulation.town.shapes import SUNK, block, extruded, panel, plate, pole, rod, strip, upright
 
 
 def lamp(rng: Generator) -> Mesh:
     """Make a street lamp of 4 to 10 m: a tall one reaches over the road, a low one carries a head on its top."""
     height = rng.uniform(3.6, 10.0)
     radius = rng.uniform(0.045, 0.06) + 0.003 * height
-    parts = [pole(height, radius, end_radius=0.6 * radius), pole(rng.uniform(0.4, 1.0), 1.5 * radius)]
+    parts = [pole(height, radius, end=0.6 * radius), pole(rng.uniform(0.4, 1.0), 1.5 * radius)]
     if height < 5.6:
         heads = (
             rod(height, height + 0.45, 0.14, M.CAR_GLASS, 0.2, 6),
@@ -49,7 +37,7 @@ def traffic_light(rng: Generator) -> Mesh:
     over = rng.random() < 0.4
     height = rng.uniform(5.6, 6.2) if over else rng.uniform(3.0, 3.6)
     radius = 0.09 if over else rng.uniform(0.05, 0.07)
-    parts = [pole(height, radius), *signal_head(np.array([0.16, 0.0, rng.uniform(2.15, 2.35)]))]
+    parts = [pole(height, radius), *_signal_head(np.array([0.16, 0.0, rng.uniform(2.15, 2.35)]))]
     if rng.random() < 0.6:  # for pedestrians
         parts.append(block([0.0, 0.2, 2.4], [0.2, 0.2, 0.5], M.PLASTIC_DARK))
     if rng.random() < 0.5:  # push button
@@ -57,7 +45,7 @@ def traffic_light(rng: Generator) -> Mesh:
     if over:
         reach = rng.uniform(2.5, 5.0)
         parts.append(cylinder([0, 0, height - 0.1], [0, -reach, height], 0.06, M.METAL_POLE, sides=5))
-        parts += signal_head(np.array([0.12, -reach + 0.2, height - 0.75]))
+        parts += _signal_head(np.array([0.12, -reach + 0.2, height - 0.75]))
     return merge(parts)
 
 
@@ -71,7 +59,7 @@ def sign(rng: Generator) -> Mesh:
     if kind < 0.12:  # a large board between two posts
         width, tall, low = rng.uniform(1.4, 2.8), rng.uniform(0.8, 1.8), rng.uniform(1.2, 2.0)
         middle = width / 2 - 0.45  # away from the road
-        posts = [pole(low + tall, radius, y=middle + y) for y in (-0.35 * width, 0.35 * width)]
+        posts = [pole(low + tall, radius, at=(0, middle + y)) for y in (-0.35 * width, 0.35 * width)]
         return merge([*posts, *plate(panel(width, tall) + [middle, 0.0], low + tall / 2, radius)])
     if kind < 0.24:  # arms that point to places, on one post
         count, length = int(rng.integers(1, 4)), rng.uniform(0.9, 1.5)
@@ -80,8 +68,8 @@ def sign(rng: Generator) -> Mesh:
         return merge([pole(2.3 + 0.32 * count, 0.045), *arms])
     quarter = np.pi / 2
     shapes = (
-        *(regular(0.3, 10), regular(0.52, 3, quarter), regular(0.52, 3, -quarter), regular(0.45, 8, np.pi / 8)),
-        *(panel(0.6, 0.6), panel(0.42, 0.63), regular(0.42, 4), panel(0.25, 0.5)),
+        *(_regular(0.3, 10), _regular(0.52, 3, quarter), _regular(0.52, 3, -quarter), _regular(0.45, 8, np.pi / 8)),
+        *(panel(0.6, 0.6), panel(0.42, 0.63), _regular(0.42, 4), panel(0.25, 0.5)),
     )
     low = rng.uniform(2.0, 2.3) if rng.random() < 0.8 else rng.uniform(0.6, 1.0)
     parts, top = [], low
@@ -99,7 +87,7 @@ def bollard(rng: Generator) -> Mesh:
     """Make a bollard, 0.6 to 1.1 m high: a steel post, a stone stump, or a plastic one with a reflector."""
     height, kind = rng.uniform(0.6, 1.1), rng.random()
     if kind < 0.25:
-        return pole(0.7 * height, rng.uniform(0.12, 0.2), M.STONE, end_radius=0.11)
+        return pole(0.7 * height, rng.uniform(0.12, 0.2), M.STONE, end=0.11)
     if kind < 0.45:
         band = rod(height - 0.2, height - 0.08, 0.062, M.HIGH_VIS, sides=6, caps=False)
         return merge([pole(height, 0.06, M.PLASTIC_DARK), band])
@@ -121,8 +109,7 @@ def bin_(rng: Generator) -> Mesh:
         half, deep, tall = (0.29, 0.36, 1.05) if rng.random() < 0.75 else (0.62, 0.5, 1.3)
         x += half
         profile = np.array([[-0.8, 0.0], [0.8, 0.0], [1.0, 0.92 * tall], [0.9, tall], [-1.0, tall]])
-        turned = rng.normal(0, 0.05)
-        profile = profile * [deep, 1.0] + [turned, 0.0]
+        profile = profile * [deep, 1.0] + [rng.normal(0, 0.05), 0.0]
         parts.append(extruded(profile, (x - half, x + half), M.PLASTIC_DARK))
         x += half + rng.uniform(0.03, 0.12)
     return merge(parts).moved(upright(-x / 2, 0.0, 0.0))
@@ -146,7 +133,7 @@ def bike_rack(rng: Generator) -> Mesh:
     hoop = np.array([[-0.38, -0.2], [-0.33, 0.8], [0.33, 0.8], [0.38, -0.2]])
     for k in range(count):
         x = (k - (count - 1) / 2) * 0.9
-        parts.append(tube(np.insert(hoop, 0, x, axis=1), 0.025, M.METAL_POLE))
+        parts.append(_tube(np.insert(hoop, 0, x, axis=1), 0.025, M.METAL_POLE))
         if k < 2 and rng.random() < 0.6:
             parts.append(_parked_bike(x + 0.1, rng.uniform(-0.2, 0.2)))
     return merge(parts)
@@ -207,11 +194,11 @@ def cone(rng: Generator) -> Mesh:
     """Make a traffic cone of 0.5 or 0.75 m with its reflecting sleeve."""
     height = float(rng.choice([0.5, 0.75]))
     r = 0.2 * height
-    foot = block([0, 0, 0.02], [0.55 * height, 0.55 * height, 0.06], M.PLASTIC_DARK)
+    base = block([0, 0, 0.02], [0.55 * height, 0.55 * height, 0.06], M.PLASTIC_DARK)
     rings = [(0.03, r), (0.4 * height, 0.72 * r), (0.75 * height, 0.42 * r), (height, 0.2 * r)]
     materials = (M.PAINT_MEDIUM, M.HIGH_VIS, M.PAINT_MEDIUM)
     sleeves = zip(rings[:-1], rings[1:], materials, strict=True)
-    return merge([foot, *(rod(a, b, ra, m, rb, 7, caps=False) for (a, ra), (b, rb), m in sleeves)])
+    return merge([base, *(rod(a, b, ra, m, rb, 7, caps=False) for (a, ra), (b, rb), m in sleeves)])
 
 
 def barrier(rng: Generator) -> Mesh:
@@ -220,7 +207,7 @@ def barrier(rng: Generator) -> Mesh:
     if rng.random() < 0.3:
         right = [[-0.3, -0.05], [0.3, -0.05], [0.3, 0.1], [0.1, 0.35], [0.08, 0.81], [-0.08, 0.81]]
         return extruded([*right, [-0.1, 0.35], [-0.3, 0.1]], (-half, half), M.CONCRETE, 1)
-    parts = [pole(1.05, 0.025, y=y, sides=4) for y in (-half, half)]
+    parts = [pole(1.05, 0.025, at=(0, y), sides=4) for y in (-half, half)]
     for z in (0.95, 0.35):
         face = np.array([[0.04, -half, z], [0.04, half, z], [0.04, half, z - 0.2], [0.04, -half, z - 0.2]])
         parts.append(quads([face, face - [0.03, 0, 0]], [M.SIGN, M.METAL_SHEET]))
@@ -240,13 +227,34 @@ def cafe(rng: Generator) -> Mesh:
         rear = [p - w + 0.2 * out, p + w + 0.2 * out]
         seat = [p - w - 0.2 * out, p + w - 0.2 * out, rear[1], rear[0]]
         back = [*rear, p + w + 0.26 * out + 0.45 * up, p - w + 0.26 * out + 0.45 * up]
-        legs = [
-            strip(p + s * w + t * out - 0.05 * up, p + s * w + t * out + 0.45 * up, 0.015 * (side + out))
-            for s in (-1, 1)
-            for t in (-0.2, 0.2)
-        ]
+        ends = [p + s * w + t * out for s in (-1, 1) for t in (-0.2, 0.2)]
+        legs = [strip(end - 0.05 * up, end + 0.45 * up, 0.015 * (side + out)) for end in ends]
         parts.append(quads([np.array(seat) + 0.45 * up, np.array(back) + 0.45 * up, *legs], M.PLASTIC_DARK))
     if rng.random() < 0.5:
         parts.append(rod(0.7, 2.5, 0.025, M.METAL_POLE, sides=4, caps=False))
         parts.append(rod(2.2, 2.6, 1.4, M.TARPAULIN, 0.05, caps=False))
     return merge(parts)
+
+
+def _signal_head(at: Floats) -> list[Mesh]:
+    """Make the three lamps of a signal with their backing board; `at` is the lower edge's middle."""
+    square = np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1.0]])
+    body = block(at + [0, 0, 0.45], [0.2, 0.28, 0.9], M.PLASTIC_DARK)
+    board = quads(at + [-0.06, 0, 0.45] + square * [1, 0.28, 0.6], M.PLASTIC_DARK)
+    return [body, board, *(quads(at + [0.105, 0, z] + 0.1 * square, M.LAMP) for z in (0.16, 0.45, 0.74))]
+
+
+def _regular(radius: float, sides: int, turn: float = 0.0) -> Floats:
+    """Return a regular outline (sides, 2) in y, z around the middle."""
+    angles = turn + 2 * np.pi * np.arange(sides) / sides
+    return radius * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+
+def _tube(line: Floats, radius: float, material: M) -> Mesh:
+    """Make a three-sided tube along a line that lies in an upright plane across x."""
+    ahead = np.gradient(line, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    out = np.cross([1.0, 0.0, 0.0], ahead)
+    across = np.array([[1.0, 0.0, 0.0]])
+    ring = [out, 0.87 * across - 0.5 * out, -0.87 * across - 0.5 * out]
+    return loft(np.stack([line + radius * r for r in ring], axis=1), material)

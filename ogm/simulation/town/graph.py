@@ -1,9 +1,11 @@
-"""Crossings on a bent grid and the edges between them, before they become streets."""
+"""Crossings on a curved grid and the edges between them, before they become streets."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator
+from scipy.sparse.csgraph import connected_components
 
 from ogm.simulation.arrays import Floats
 
@@ -11,8 +13,22 @@ MARGIN = 35.0  # [m] from the outermost street to the edge of the square
 Edges = list[tuple[int, int]]
 
 
+class Grid(NamedTuple):
+    """Crossings, the meshes between them, and what is special."""
+
+    nodes: Floats  # (N, 2)
+    faces: Floats  # (F, 2) middle of each mesh
+    styles: tuple[str, ...]  # its district
+    broad: set[tuple[int, int]]  # edges of the broad road
+    roundabout: int  # a node, -1 if there is none
+
+    def district(self, point: Floats) -> str:
+        """Return the district of the mesh nearest to a point (2,)."""
+        return self.styles[int(np.argmin(np.linalg.norm(self.faces - point, axis=1)))]
+
+
 def bent_grid(n: int, size: float, rng: Generator) -> Floats:
-    """Crossings of n x n bent and irregular lines, those of line i at i * n + j."""
+    """Crossings of n x n curved and irregular lines, those of line i at i * n + j."""
     half = size / 2 - MARGIN
     spacing = 2 * half / (n - 1)
     ticks = []
@@ -48,12 +64,9 @@ def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
     """Leave out edges only while every crossing keeps two streets and no street becomes a bridge."""
     result = list(edges)
     for edge in edges:
-        if edge in kept:
-            continue
         rest = [other for other in result if other != edge]
         degree = np.bincount(np.ravel(rest), minlength=count)
-        touched = {edge[0], edge[1]}
-        if all(degree[k] >= 2 for k in touched) and _ring(rest, count):
+        if edge not in kept and min(degree[list(edge)]) >= 2 and _ring(rest, count):
             result = rest
     return result
 
@@ -61,33 +74,25 @@ def thinned(edges: Edges, kept: Edges, count: int) -> Edges:
 def _ring(edges: Sequence[tuple[int, int]], count: int) -> bool:
     """Return whether the graph stays in one piece when any one of its edges is closed."""
     for closed in range(len(edges)):
-        group = np.arange(count)
-        for k, (a, b) in enumerate(edges):
-            if k != closed and group[a] != group[b]:
-                group[group == group[a]] = group[b]
-        if (group != group[0]).any():
+        joined = np.zeros((count, count), bool)
+        joined[tuple(np.delete(edges, closed, axis=0).T)] = True
+        if connected_components(joined, directed=False)[0] > 1:
             return False
     return True
 
 
-def dead_ends(
-    nodes: Floats,
-    edges: Edges,
-    broad: set[tuple[int, int]],
-    faces: Floats,
-    styles: tuple[str, ...],
-    roundabout: int,
-    count: int,
-) -> tuple[Floats, Edges, list[int]]:
+def dead_ends(grid: Grid, edges: Edges, count: int) -> tuple[Grid, Edges, list[int]]:
     """Lead a short street into some of the suburban blocks."""
     heads: list[int] = []
-    for face in [k for k, style in enumerate(styles) if style in ("suburb", "industrial")][: count + 2]:
+    nodes, faces = grid.nodes, grid.faces
+    for face in [k for k, style in enumerate(grid.styles) if style in ("suburb", "industrial")][: count + 2]:
         if len(heads) == count:
             break
         middle = np.array([(nodes[a] + nodes[b]) / 2 for a, b in edges])
         length = np.array([np.linalg.norm(nodes[a] - nodes[b]) for a, b in edges])
         far = np.linalg.norm(middle - faces[face], axis=1) + 1000 * (length < 76)
-        far += 1000 * np.array([edge in broad or max(edge) >= len(nodes) or roundabout in edge for edge in edges])
+        taken = [edge in grid.broad or max(edge) >= len(nodes) or grid.roundabout in edge for edge in edges]
+        far += 1000 * np.array(taken)
         k = int(np.argmin(far))
         inward = faces[face] - middle[k]
         reach = min(40.0, float(np.linalg.norm(inward)))
@@ -100,7 +105,7 @@ def dead_ends(
         nodes = np.vstack([nodes, middle[k], middle[k] + across * reach])
         edges = [edge for edge in edges if edge != (a, b)] + [(a, m), (b, m), (m, e)]
         heads.append(e)
-    return nodes, edges, heads
+    return grid._replace(nodes=nodes), edges, heads
 
 
 def chains_of(edges: Edges, count: int, stops: set[int]) -> list[list[int]]:

@@ -6,59 +6,34 @@ into faces; every face is triangulated with all its corners, so neighbours share
 no ray falls between them; where road and land meet, an upright kerb closes the step.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import open3d
 import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
-from shapely.geometry.base import BaseGeometry
 
 from ogm.simulation.materials import GROUND, Material
-from ogm.simulation.mesh import Mesh, empty
-from ogm.simulation.town.terrain import Drop, Raster, Terrain
+from ogm.simulation.mesh import Mesh, quads
+from ogm.simulation.town.layout import TownLayout
+from ogm.simulation.town.terrain import Raster, Terrain, raster
 
 TILE = 4.0  # [m] of the grid that cuts the ground
 
 
-class Zone(NamedTuple):
-    """A polygon with one surface."""
-
-    shape: BaseGeometry
-    material: Material
-
-
-def cover(
-    size: float,
-    road: BaseGeometry,
-    zones: Sequence[Zone],
-    lines: Sequence[BaseGeometry],
-    terrain: Terrain,
-    drops: Sequence[Drop],
-) -> tuple[Mesh, Mesh]:
+def cover(plan: TownLayout, terrain: Terrain) -> tuple[Mesh, Mesh]:
     """Cover the town with ground: surfaces and kerbs as two meshes.
 
-    Parameters
-    ----------
-    size : float
-        Edge of the town [m].
-    road : shapely geometry
-        Where the road's height holds; elsewhere the land's.
-    zones : list of Zone
-        Surfaces; a later one covers an earlier one. Together they must cover the town.
-    lines : list of shapely geometry
-        More lines to cut along, such as the ridge of a road.
-    terrain, drops
-        The heights.
+    The road's height holds on the plan's `road`, elsewhere the land's. Of its `zones`, which together cover the
+    town, a later one covers an earlier one; its `lines` are more lines to cut along, such as the ridge of a road.
     """
-    half = size / 2
-    ticks = np.arange(int(np.ceil(size / TILE)) + 1) * TILE - half
+    half, road, zones = plan.size / 2, plan.road, plan.zones
+    ticks = np.arange(int(np.ceil(plan.size / TILE)) + 1) * TILE - half
     ticks[-1] = half
     cuts = np.array([[(t, -half), (t, half)] for t in ticks] + [[(-half, t), (half, t)] for t in ticks])
-    edges = [*shapely.linestrings(cuts), *shapely.boundary([zone.shape for zone in zones]), *lines]
-    edges.append(shapely.boundary(road))
+    shapes = np.array([zone.shape for zone in zones], dtype=object)
+    edges = [*shapely.linestrings(cuts), *shapely.boundary(shapes), *plan.lines, shapely.boundary(road)]
     parts = shapely.get_parts(np.array([edge for edge in edges if not edge.is_empty], dtype=object))
     noded = shapely.union_all(parts, grid_size=1e-3)
     frame = shapely.box(-half, -half, half, half)
@@ -67,7 +42,6 @@ def cover(
     probe = shapely.point_on_surface(faces)
     tree = shapely.STRtree(probe)
     material = np.full(len(faces), int(Material.GRASS), np.uint8)
-    shapes = np.array([zone.shape for zone in zones], dtype=object)
     shapely.prepare(shapes)
     zone_of, face_of = tree.query(shapes, predicate="intersects")
     order = np.argsort(zone_of, kind="stable")
@@ -82,16 +56,14 @@ def cover(
     code = (keys[..., 0] * step + keys[..., 1]) * 2 + low[owner][:, None]
     unique, index = np.unique(code, return_inverse=True)
     triangles = index.reshape(-1, 3)
-    kept = (triangles[:, 0] != triangles[:, 1]) & (triangles[:, 1] != triangles[:, 2])
-    kept &= triangles[:, 2] != triangles[:, 0]
+    kept = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     triangles, owner = triangles[kept], owner[kept]
     lowered = (unique & 1).astype(bool)
     x = (unique // 2 // step) / 1000 - half
     y = (unique // 2 % step) / 1000 - half
-    z = np.where(lowered, terrain.road(x, y), terrain.land(x, y, drops))
+    z = np.where(lowered, terrain.road(x, y), terrain.land(x, y, plan.drops))
     vertices = np.stack([x, y, z], axis=1).astype(np.float32)
-    ground = Mesh(vertices, triangles.astype(np.uint32), material[owner])
-    return ground, _kerbs(vertices, triangles, unique, lowered)
+    return Mesh(vertices, triangles.astype(np.uint32), material[owner]), _kerbs(vertices, triangles, unique, lowered)
 
 
 def _kerbs(vertices: NDArray, triangles: NDArray, code: NDArray, lowered: NDArray) -> Mesh:
@@ -102,20 +74,13 @@ def _kerbs(vertices: NDArray, triangles: NDArray, code: NDArray, lowered: NDArra
     sides = np.where(swap[:, None], sides[:, ::-1], sides)
     below = np.unique(sides[lowered[sides[:, 0]]], axis=0)
     above = np.unique(sides[~lowered[sides[:, 0]]], axis=0)
-    key_below, key_above = place[below], place[above]
-    both = np.concatenate([key_below, key_above])
-    _, number = np.unique(both, axis=0, return_inverse=True)
+    _, number = np.unique(np.concatenate([place[below], place[above]]), axis=0, return_inverse=True)
     _, at_below, at_above = np.intersect1d(number[: len(below)], number[len(below) :], return_indices=True)
-    if len(at_below) == 0:
-        return empty()
     lower, upper = below[at_below], above[at_above]
     used = np.stack([lower[:, 0], lower[:, 1], upper[:, 1], upper[:, 0]], axis=1)
     height = np.max(vertices[upper, 2] - vertices[lower, 2], axis=1)
     material = np.where(height < 0.05, int(Material.PAVING), int(Material.KERB)).astype(np.uint8)
-    corners = vertices[used].reshape(-1, 3)
-    first = 4 * np.arange(len(used))[:, None]
-    faces = np.stack([first + [0, 1, 2], first + [0, 2, 3]], axis=1).reshape(-1, 3)
-    return Mesh(corners, faces.astype(np.uint32), np.repeat(material, 2))
+    return quads(vertices[used], material)
 
 
 def height_raster(ground: Mesh, size: float, step: float) -> Raster:
@@ -134,7 +99,7 @@ def height_raster(ground: Mesh, size: float, step: float) -> Raster:
     if missed.any():  # a ray that slipped between two triangles: take its neighbour
         nearest = distance_transform_edt(missed, return_distances=False, return_indices=True)
         height = height[tuple(nearest)]
-    return Raster(height.astype(np.float32), step, (-size / 2, -size / 2))
+    return raster(height, step, size)
 
 
 def surface(ground: Mesh) -> Mesh:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ogm.simulation.arrays import Floats
-from ogm.simulation.town.network import Street, StreetNetwork
+from ogm.simulation.town.network import Street, StreetNetwork, evenly, turn
 
 KERB_RADIUS = 7.0  # [m] of kerbs at corners
 CROSSWALK = 5.0  # [m] from the corner's arc to the stop line
@@ -58,39 +58,59 @@ class Draft(NamedTuple):
 
 
 class _Arm(NamedTuple):
-    street: int
     outward: Floats  # unit vector away from the crossing
     incoming: list[int]  # lanes, rightmost first
     outgoing: list[int]
 
 
+class _Lanes:
+    """Lanes while they are laid: those so far, the street of each, and where each leads."""
+
+    def __init__(self) -> None:
+        self.lanes: list[Lane] = []
+        self.streets: list[int] = []
+        self.links: dict[int, list[int]] = {}
+
+    def add(self, lane: Lane, street: int = -1) -> int:
+        """Add a lane; returns its number."""
+        self.lanes.append(lane)
+        self.streets.append(street)
+        return len(self.lanes) - 1
+
+    def join(self, start: int, lane: Lane, end: int) -> None:
+        """Add a lane that leads from one to another."""
+        number = self.add(lane)
+        self.links.setdefault(start, []).append(number)
+        self.links[number] = [end]
+
+
 def cuts(network: StreetNetwork) -> Floats:
     """How far from its two crossings each street's lanes begin and stop (S, 2) [m]."""
-    result = np.full((len(network.streets), 2), 0.0)
-    for node in range(len(network.nodes)):
+    result = np.zeros((len(network.streets), 2))
+    for node in range(len(network.grid.nodes)):
         arms = _arms(network, node)
         for street, end, outward in arms:
-            if node in network.heads:
-                reach = HEAD + 1.0
-            elif node == network.roundabout:
-                reach = RING + 8.0
-            else:
-                reach = 6.0
+            reach = HEAD + 1.0 if node in network.heads else RING + 8.0 if node == network.grid.roundabout else 0.0
+            if not reach:
+                others = [arm for arm in arms if arm[:2] != (street, end)]
                 right, left = _sides(network.streets[street], end)
-                for other, other_end, direction in arms:
-                    if (other, other_end) == (street, end):
-                        continue
-                    angle = np.arctan2(outward[0] * direction[1] - outward[1] * direction[0], outward @ direction)
-                    # A corner lies between the left side of one arm and the right side of the next one.
-                    other_right, other_left = _sides(network.streets[other], other_end)
-                    mine, theirs = (left, other_right) if angle > 0 else (right, other_left)
-                    turn = abs(angle)
-                    if turn < np.deg2rad(150):
-                        corner = (theirs + mine * np.cos(turn)) / np.sin(turn)
-                        reach = max(reach, corner + (KERB_RADIUS - 0.5) / np.tan(turn / 2))
-                reach += CROSSWALK
+                reach = max([6.0, *(_corner(network, other, outward, right, left) for other in others)]) + CROSSWALK
             result[street, end] = min(reach, 0.45 * network.streets[street].length)
     return result
+
+
+def _corner(
+    network: StreetNetwork, other: tuple[int, int, Floats], outward: Floats, right: float, left: float
+) -> float:
+    """How far from a crossing the kerb's arc towards another arm begins [m]."""
+    # A corner lies between the left side of one arm and the right side of the next one.
+    angle = turn(outward, other[2])
+    other_right, other_left = _sides(network.streets[other[0]], other[1])
+    mine, theirs = (left, other_right) if angle > 0 else (right, other_left)
+    angle = abs(angle)
+    if angle >= np.deg2rad(150):
+        return 0.0
+    return (theirs + mine * np.cos(angle)) / np.sin(angle) + (KERB_RADIUS - 0.5) / np.tan(angle / 2)
 
 
 def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
@@ -113,87 +133,54 @@ def _sides(street: Street, end: int) -> tuple[float, float]:
 
 
 def make_lanes(network: StreetNetwork) -> Draft:
-    """Lay lanes (z = 0 yet) along all streets and through all crossings."""
+    """Lay lanes (without z yet) along all streets and through all crossings."""
     cut = cuts(network)
-    lanes: list[Lane] = []
-    owners: list[int] = []
-    ahead: list[list[int]] = []
-    back: list[list[int]] = []
+    laid = _Lanes()
+    ways: dict[tuple[int, int], list[int]] = {}  # lanes of a street forward (1) and back (-1), rightmost first
     for k, street in enumerate(network.streets):
         profile = street.profile
-        ahead.append([])
-        back.append([])
-        for forward, count, bucket in ((1, profile.forward, ahead[-1]), (-1, profile.back, back[-1])):
-            for n in range(count):  # rightmost first
-                offset = -forward * (profile.median / 2 + profile.lane * (count - 1 - n + 0.5))
-                stretch = np.linspace(cut[k, 0], street.length - cut[k, 1], 256)
-                line = street.at(stretch, offset)[::forward]
-                bucket.append(len(lanes))
-                lanes.append(Lane(_even(line), profile.lane, profile.speed))
-                owners.append(k)
+        stretch = np.linspace(cut[k, 0], street.length - cut[k, 1], 256)
+        for forward, count in ((1, profile.forward), (-1, profile.back)):
+            offsets = [-forward * (profile.median / 2 + profile.lane * (count - 1 - n + 0.5)) for n in range(count)]
+            lines = [evenly(street.at(stretch, offset)[::forward]) for offset in offsets]
+            ways[k, forward] = [laid.add(Lane(line, profile.lane, profile.speed), k) for line in lines]
     # Through the crossings.
     number = 0
-    links: dict[int, list[int]] = {}
-    for node in range(len(network.nodes)):
-        arms = [
-            _Arm(k, outward, (back if end == 0 else ahead)[k], (ahead if end == 0 else back)[k])
-            for k, end, outward in _arms(network, node)
-        ]
-        if not arms:
-            continue
+    for node, at in enumerate(network.grid.nodes):
+        arms = [_Arm(out, ways[k, 2 * end - 1], ways[k, 1 - 2 * end]) for k, end, out in _arms(network, node)]
         if node in network.heads:
-            new = [(arms[0].incoming[0], _turn_round(lanes, arms[0], network.nodes[node]), arms[0].outgoing[0])]
-        elif node == network.roundabout:
-            _ring(lanes, links, arms, network.nodes[node], number)
-            owners += [-1] * (len(lanes) - len(owners))
-            number += 1
-            continue
+            _turn_round(laid, arms[0], at)
+        elif node == network.grid.roundabout:
+            _ring(laid, arms, at, number)
         else:
-            new = _across(lanes, arms, number)
-            number += 1
-        for start, lane, end in new:
-            links.setdefault(start, []).append(len(lanes))
-            links[len(lanes)] = [end]
-            lanes.append(lane)
-            owners.append(-1)
-    linked = [replace(lane, successors=tuple(links.get(k, ()))) for k, lane in enumerate(lanes)]
-    return Draft(linked, owners, cut)
+            _across(laid, arms, number)
+        number += len(arms) > 0 and node not in network.heads
+    lanes = [replace(lane, successors=tuple(laid.links.get(k, ()))) for k, lane in enumerate(laid.lanes)]
+    return Draft(lanes, laid.streets, cut)
 
 
-def _across(lanes: list[Lane], arms: list[_Arm], number: int) -> list[tuple[int, Lane, int]]:
-    """Lanes from every way into a crossing to every way out of it, but not back where they came from."""
-    new = []
+def _across(laid: _Lanes, arms: list[_Arm], number: int) -> None:
+    """Lay lanes from every way into a crossing to every way out of it, but not back where they came from."""
     for phase, arm in enumerate(arms):
-        exits = []
-        for other in arms:
-            if other is not arm and other.outgoing:
-                turn = np.arctan2(
-                    -arm.outward[0] * other.outward[1] + arm.outward[1] * other.outward[0], -arm.outward @ other.outward
-                )
-                exits.append((float(turn), other))
+        exits = [(turn(-arm.outward, other.outward), other) for other in arms if other is not arm and other.outgoing]
         exits.sort(key=lambda pair: pair[0])  # rightmost (negative) first
         count = len(arm.incoming)
         for k, start in enumerate(arm.incoming):
-            share = []
-            for n, (turn, other) in enumerate(exits):
-                straight = abs(turn) < STRAIGHT
-                mine = straight or len(exits) == 1 or (k == 0 and n == 0) or (k == count - 1 and n == len(exits) - 1)
-                if mine or (0 < n < len(exits) - 1):
-                    share.append((turn, other))
-            for turn, other in share:
-                last = len(other.outgoing) - 1
-                to = min(k, last) if abs(turn) < STRAIGHT else (0 if turn < 0 else last)
-                end = other.outgoing[to]
-                line = _join(lanes[start].points, lanes[end].points, CROSSWALK - 0.5)
-                speed = min(lanes[start].speed, _comfortable(line))
-                new.append((start, Lane(line, lanes[start].width, speed, (), number, phase), end))
-    return new
+            for n, (angle, other) in enumerate(exits):
+                straight, last = abs(angle) < STRAIGHT, len(other.outgoing) - 1
+                outermost = (k == 0 and n == 0) or (k == count - 1 and n == len(exits) - 1)
+                if not (straight or len(exits) == 1 or outermost or 0 < n < len(exits) - 1):
+                    continue
+                end = other.outgoing[min(k, last) if straight else 0 if angle < 0 else last]
+                before = laid.lanes[start]
+                line = _join(before.points, laid.lanes[end].points, CROSSWALK - 0.5)
+                speed = min(before.speed, _comfortable(line))
+                laid.join(start, Lane(line, before.width, speed, (), number, phase), end)
 
 
-def _ring(lanes: list[Lane], links: dict[int, list[int]], arms: list[_Arm], center: Floats, number: int) -> None:
-    """Lanes into, round (counter-clockwise) and out of a roundabout; the phase of an entry is its arm."""
+def _ring(laid: _Lanes, arms: list[_Arm], center: Floats, number: int) -> None:
+    """Lay lanes into, round (counter-clockwise) and out of a roundabout; the phase of an entry is its arm."""
     radius = (ISLAND + RING) / 2 + 0.4
-    width = 4.0
     angles = np.unwrap([float(np.arctan2(arm.outward[1], arm.outward[0])) for arm in arms])
     spread = np.diff(np.concatenate([angles, [angles[0] + 2 * np.pi]]))
     half = min(np.deg2rad(34), float(spread.min()) / 2 - np.deg2rad(6))
@@ -204,52 +191,41 @@ def _ring(lanes: list[Lane], links: dict[int, list[int]], arms: list[_Arm], cent
         for bucket, start, end in ((past, angle - half, angle + half), (along, angle + half, following - half)):
             sweep = np.linspace(start, end, max(3, int((end - start) * radius) + 1))
             line = center + radius * np.stack([np.cos(sweep), np.sin(sweep)], axis=1)
-            bucket.append(len(lanes))
-            lanes.append(Lane(line, width, 6.0, (), number, -1))
+            bucket.append(laid.add(Lane(line, 4.0, 6.0, (), number, -1)))
+    lanes = laid.lanes
     for k, arm in enumerate(arms):
-        onward = (k + 1) % len(arms)
-        links[past[k]] = [along[k]]
-        links[along[k]] = [past[onward]]
+        laid.links[past[k]] = [along[k]]
+        laid.links[along[k]] = [past[(k + 1) % len(arms)]]
         for start in arm.incoming:
             line = _blend(lanes[start].points, lanes[along[k]].points)
-            links[start] = [len(lanes)]
-            links[len(lanes)] = [along[k]]
-            lanes.append(Lane(line, lanes[start].width, 6.0, (), number, k))
+            laid.join(start, Lane(line, lanes[start].width, 6.0, (), number, k), along[k])
         for end in arm.outgoing:
-            before = along[k - 1]
-            line = _blend(lanes[before].points, lanes[end].points)
-            links[before] = [*links.get(before, []), len(lanes)]
-            links[len(lanes)] = [end]
-            lanes.append(Lane(line, lanes[end].width, 6.0, (), number, -1))
-    for k in range(len(arms)):  # the arc before arm k leads on round the ring and out at the arm
-        out = [n for n in links[along[k]] if n != past[(k + 1) % len(arms)]]
-        links[along[k]] = [past[(k + 1) % len(arms)], *out]
+            line = _blend(lanes[along[k - 1]].points, lanes[end].points)
+            laid.join(along[k - 1], Lane(line, lanes[end].width, 6.0, (), number, -1), end)
 
 
-def _turn_round(lanes: list[Lane], arm: _Arm, center: Floats) -> Lane:
-    """Round a dead end: swing right, go round counter-clockwise, come back."""
-    start, end = lanes[arm.incoming[0]].points, lanes[arm.outgoing[0]].points
+def _turn_round(laid: _Lanes, arm: _Arm, center: Floats) -> None:
+    """Lay a lane round a dead end: swing right, go round counter-clockwise, come back."""
+    start, end = (laid.lanes[k].points for k in (arm.incoming[0], arm.outgoing[0]))
     inward = -arm.outward
     right = np.array([inward[1], -inward[0]])
-    radius = HEAD - 3.2
     sweep = np.linspace(-0.35 * np.pi, 1.35 * np.pi, 16)
     # Angle 0 is to the right of the way in; going round counter-clockwise first leads further inward.
-    ring = center + radius * (np.cos(sweep)[:, None] * right + np.sin(sweep)[:, None] * inward)
-    first = _blend(start, ring)
-    last = _blend(ring, end)
-    return Lane(_even(np.concatenate([first, ring[1:-1], last])), 2.8, 3.0)
+    ring = center + (HEAD - 3.2) * (np.cos(sweep)[:, None] * right + np.sin(sweep)[:, None] * inward)
+    line = evenly(np.concatenate([_blend(start, ring), ring[1:-1], _blend(ring, end)]))
+    laid.join(arm.incoming[0], Lane(line, 2.8, 3.0), arm.outgoing[0])
 
 
 def _join(start: Floats, end: Floats, straight: float) -> Floats:
     """From the end of one line to the start of another: straight over the crosswalks, a bend between."""
     a, b = _ahead(start), -_ahead(end[::-1])
     p, q = start[-1] + straight * a, end[0] - straight * b
-    return _even(np.concatenate([start[-1:], _cubic(p, a, q, b), end[:1]]))
+    return evenly(np.concatenate([start[-1:], _cubic(p, a, q, b), end[:1]]))
 
 
 def _blend(start: Floats, end: Floats) -> Floats:
     """From the end of one line to the start of another in one bend."""
-    return _even(_cubic(start[-1], _ahead(start), end[0], -_ahead(end[::-1])))
+    return evenly(_cubic(start[-1], _ahead(start), end[0], -_ahead(end[::-1])))
 
 
 def _ahead(line: Floats) -> Floats:
@@ -259,19 +235,11 @@ def _ahead(line: Floats) -> Floats:
 
 def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
     """Draw a cubic Bezier curve from p towards a to q, arriving in direction b; close to an arc where one fits."""
-    turn = np.arccos(np.clip(a @ b, -1, 1))
-    chord = np.linalg.norm(q - p)
-    handle = chord * (2 / 3) / (1 + np.cos(turn / 2))
+    angle = np.arccos(np.clip(a @ b, -1, 1))
+    handle = np.linalg.norm(q - p) * (2 / 3) / (1 + np.cos(angle / 2))
     t = np.linspace(0, 1, 33)[:, None]
     c, d = p + handle * a, q - handle * b
     return (1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * c + 3 * (1 - t) * t**2 * d + t**3 * q
-
-
-def _even(line: Floats) -> Floats:
-    """Return the same line with about 1 m between points; its ends stay where they are."""
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    even = np.linspace(0, way[-1], max(2, int(round(way[-1])) + 1))
-    return np.stack([np.interp(even, way, line[:, k]) for k in range(line.shape[1])], axis=1)
 
 
 def _comfortable(line: Floats) -> float:

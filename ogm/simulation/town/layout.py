@@ -1,6 +1,7 @@
 """The plan of a town: carriageways, sidewalks, verges, crossings, markings, parking bays, blocks between them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -10,21 +11,17 @@ from shapely.geometry.base import BaseGeometry
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.town.ground import Zone
 from ogm.simulation.town.lanes import HEAD, ISLAND, KERB_RADIUS, RING, Draft
 from ogm.simulation.town.network import Street, StreetNetwork
 from ogm.simulation.town.overlay import area, polygons
-from ogm.simulation.town.terrain import Drop
 
 BAY = 5.8  # [m] length of a place to park along the kerb
 
 
-@dataclass(frozen=True, eq=False)
-class Bay:
+class Bay(NamedTuple):
     """A place to park: middle, direction of its length [rad], length and width [m]."""
 
-    x: float
-    y: float
+    at: Floats  # (2,)
     yaw: float
     length: float
     width: float
@@ -34,13 +31,37 @@ class Bay:
         """The rectangle."""
         ahead = np.array([np.cos(self.yaw), np.sin(self.yaw)]) * self.length / 2
         side = np.array([-np.sin(self.yaw), np.cos(self.yaw)]) * self.width / 2
-        middle = np.array([self.x, self.y])
-        corners = [middle + ahead + side, middle - ahead + side, middle - ahead - side, middle + ahead - side]
-        return Polygon(corners)
+        return rectangle(self.at, ahead, side)
 
 
-@dataclass(frozen=True, eq=False)
-class Block:
+def rectangle(middle: Floats, ahead: Floats, side: Floats) -> Polygon:
+    """Return the rectangle around a point with two vectors from there to its edges."""
+    return Polygon([middle + ahead + side, middle - ahead + side, middle - ahead - side, middle + ahead - side])
+
+
+class Zone(NamedTuple):
+    """A polygon with one surface."""
+
+    shape: BaseGeometry
+    material: M
+
+
+class Drop(NamedTuple):
+    """A stretch of kerb let down for wheels: its middle, direction along the kerb, half its length [m]."""
+
+    at: Floats  # (2,)
+    along: Floats
+    half: float
+
+    def share(self, x: Floats, y: Floats) -> Floats:
+        """How far the kerb is let down at x, y: 0 not at all, 1 wholly; the sidewalk behind follows as a ramp."""
+        dx, dy = x - self.at[0], y - self.at[1]
+        along = abs(dx * self.along[0] + dy * self.along[1])
+        across = abs(dx * self.along[1] - dy * self.along[0])
+        return np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1)
+
+
+class Block(NamedTuple):
     """What lies between streets: its outline and the district it belongs to."""
 
     shape: Polygon
@@ -56,40 +77,43 @@ class TownLayout:
     draft: Draft
     road: BaseGeometry  # carriageways
     corridor: BaseGeometry  # with sidewalks and verges
-    zones: list[Zone]
-    lines: list[BaseGeometry]
-    drops: list[Drop]
-    bays: list[Bay]
-    walkways: list[Floats]  # (M, 2)
-    blocks: list[Block]
-    driveways: list[Polygon]
     islands: list[Polygon]
-    spans: list[tuple[int, float, str]]  # street, way along it, "bridge" or "gantry"
-    reserved: BaseGeometry  # where nothing is built
+    zones: list[Zone] = field(default_factory=list)
+    lines: list[BaseGeometry] = field(default_factory=list)
+    drops: list[Drop] = field(default_factory=list)
+    bays: list[Bay] = field(default_factory=list)
+    walkways: list[Floats] = field(default_factory=list)  # (M, 2)
+    blocks: list[Block] = field(default_factory=list)
+    driveways: list[Polygon] = field(default_factory=list)
+    spans: list[tuple[int, float, str]] = field(default_factory=list)  # street, way along it, "bridge" or "gantry"
+    reserved: BaseGeometry = field(default_factory=Polygon)  # where nothing is built
+
+    def pave(self, shape: BaseGeometry, material: M) -> None:
+        """Cover a shape with a surface."""
+        self.zones.append(Zone(shape, material))
 
     def mark(self, shape: Polygon) -> None:
         """Paint a marking."""
-        self.zones.append(Zone(shape if shape.is_valid else shape.buffer(0), M.MARKING))
+        self.pave(shape if shape.is_valid else shape.buffer(0), M.MARKING)
 
 
 def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator) -> TownLayout:
     """Draw a town around its streets and lanes."""
     road, islands = _carriageway(network, draft)
-    corridor = _corridor(network, road, size)
     frame = shapely.box(-size / 2, -size / 2, size / 2, size / 2)
-    plan = TownLayout(size, network, draft, road, corridor, [], [], [], [], [], [], [], islands, [], Polygon())
-    plan.zones.append(Zone(frame, M.GRASS))
-    plan.zones.append(Zone(corridor, M.PAVING))
-    _surfaces(plan, islands, rng)
+    corridor = _corridor(network, road, frame)
+    plan = TownLayout(size, network, draft, road, corridor, islands)
+    plan.pave(frame, M.GRASS)
+    plan.pave(corridor, M.PAVING)
+    _surfaces(plan, rng)
     for k, street in enumerate(network.streets):
         _verges(plan, k, street)
         _parking(plan, k, street, rng)
         _sidewalks(plan, k, street)
     _crossings(plan, rng)
     _markings(plan)
-    for block in polygons(shapely.difference(frame, corridor)):
-        if block.area > 40:
-            plan.blocks.append(Block(block, _style(network, block)))
+    land = polygons(shapely.difference(frame, corridor))
+    plan.blocks += [Block(block, _style(network, block)) for block in land if block.area > 40]
     _spans(plan, rng)
     # Lines along which a crowned road bends.
     for depth in (1.5, 3.9):
@@ -99,11 +123,10 @@ def make_plan(size: float, network: StreetNetwork, draft: Draft, rng: Generator)
 
 def _style(network: StreetNetwork, block: Polygon) -> str:
     """Return the district of a block: park where one of its meshes is, else that of the nearest mesh."""
-    within = shapely.contains_xy(block, network.faces)
-    if len(block.interiors) == 0 and any(network.styles[k] == "park" for k in np.flatnonzero(within)):
+    within = shapely.contains_xy(block, network.grid.faces)
+    if len(block.interiors) == 0 and any(network.grid.styles[k] == "park" for k in np.flatnonzero(within)):
         return "park"
-    middle = np.array(block.representative_point().coords[0])
-    return network.styles[int(np.argmin(np.linalg.norm(network.faces - middle, axis=1)))]
+    return network.grid.district(np.array(block.representative_point().coords[0]))
 
 
 def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, list[Polygon]]:
@@ -118,15 +141,11 @@ def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, li
             start, end = draft.cuts[k, 0] + 1.0, street.length - draft.cuts[k, 1] - 1.0
             strip = LineString(street.at(np.linspace(start + 1, end - 1, 64)))
             islands.append(shapely.buffer(strip, profile.median / 2 - 0.35))
-    for node, at in enumerate(network.nodes):
-        sides = [
-            min(street.profile.right, street.profile.left)
-            for street in network.streets
-            if node in (street.start, street.end)
-        ]
+    for node, at in enumerate(network.grid.nodes):
+        sides = [min(s.profile.right, s.profile.left) for s in network.streets if node in (s.start, s.end)]
         if node in network.heads:
             parts.append(Point(at).buffer(HEAD))
-        elif node == network.roundabout:
+        elif node == network.grid.roundabout:
             parts.append(Point(at).buffer(RING))
             islands.append(Point(at).buffer(ISLAND))
         elif sides:
@@ -134,33 +153,29 @@ def _carriageway(network: StreetNetwork, draft: Draft) -> tuple[BaseGeometry, li
     # Wherever a lane bends through a crossing there is road below it.
     crossing = [lane for lane, owner in zip(draft.lanes, draft.streets, strict=True) if owner < 0]
     parts += [LineString(lane.points).buffer(lane.width / 2 + 0.3) for lane in crossing]
-    whole = shapely.union_all(parts).buffer(KERB_RADIUS).buffer(-KERB_RADIUS)
     # Straight edges need few points, arcs keep theirs.
-    whole = whole.simplify(0.02)
+    whole = shapely.union_all(parts).buffer(KERB_RADIUS).buffer(-KERB_RADIUS).simplify(0.02)
     return shapely.difference(whole, shapely.union_all(islands)), islands
 
 
-def _corridor(network: StreetNetwork, road: BaseGeometry, size: float) -> BaseGeometry:
+def _corridor(network: StreetNetwork, road: BaseGeometry, frame: Polygon) -> BaseGeometry:
     parts: list[BaseGeometry] = [road.buffer(1.5)]
     for street in network.streets:
         profile = street.profile
         right = profile.right + profile.verge + profile.sidewalk[0]
         left = profile.left + profile.verge + profile.sidewalk[1]
         parts.append(shapely.buffer(street.middle(right, left), (right + left) / 2, cap_style="flat"))
-    for node in (network.roundabout, *network.heads):
+    for node in (network.grid.roundabout, *network.heads):
         if node >= 0:
-            parts.append(Point(network.nodes[node]).buffer((HEAD if node in network.heads else RING) + 2.0))
+            parts.append(Point(network.grid.nodes[node]).buffer((HEAD if node in network.heads else RING) + 2.0))
     whole = shapely.union_all(parts).buffer(4.0).buffer(-4.0)
-    filled = shapely.union_all([Polygon(part.exterior) for part in polygons(road) if part.area < 0] + [whole])
-    frame = shapely.box(-size / 2, -size / 2, size / 2, size / 2)
-    return area(shapely.intersection(filled, frame)).simplify(0.02)
+    return area(shapely.intersection(whole, frame)).simplify(0.02)
 
 
 def _spans(plan: TownLayout, rng: Generator) -> None:
     """Choose where the broad road passes below a bridge and a gantry, and keep houses away from the bridge."""
     broad = [k for k, street in enumerate(plan.network.streets) if street.profile.kind == "arterial"]
-    order = [int(k) for k in rng.permutation(broad)]
-    for k, kind in zip(order * 2, ("bridge", "gantry"), strict=False):
+    for k, kind in zip(rng.permutation(broad).tolist() * 2, ("bridge", "gantry"), strict=False):
         street = plan.network.streets[k]
         free = street.length - plan.draft.cuts[k].sum()
         if free < 30:
@@ -172,14 +187,14 @@ def _spans(plan: TownLayout, rng: Generator) -> None:
             plan.reserved = street.band(at - 7, at + 7, -40.0, 40.0).buffer(0)
 
 
-def _surfaces(plan: TownLayout, islands: list[Polygon], rng: Generator) -> None:
+def _surfaces(plan: TownLayout, rng: Generator) -> None:
     """Road surfaces street by street, repairs in them, islands."""
-    plan.zones.append(Zone(plan.road, M.ASPHALT))
+    plan.pave(plan.road, M.ASPHALT)
     for street in plan.network.streets:
         profile = street.profile
         if profile.surface != M.ASPHALT:
             band = street.band(6.0, street.length - 6.0, -profile.right - 0.5, profile.left + 0.5)
-            plan.zones.append(Zone(shapely.intersection(band.buffer(0), plan.road), profile.surface))
+            plan.pave(shapely.intersection(band.buffer(0), plan.road), profile.surface)
         # Repairs: patches and trenches of another age.
         other = M.WORN_ASPHALT if profile.surface == M.ASPHALT else M.ASPHALT
         for _ in range(rng.poisson(street.length / 45)):
@@ -187,10 +202,10 @@ def _surfaces(plan: TownLayout, islands: list[Polygon], rng: Generator) -> None:
             side = rng.uniform(-profile.right + 0.5, profile.left - 2.5)
             length, width = (rng.uniform(2, 6), rng.uniform(1, 2.4)) if rng.random() < 0.7 else (12.0, 0.8)
             patch = street.band(start, min(start + length, street.length), side, side + width)
-            plan.zones.append(Zone(shapely.intersection(patch.buffer(0), plan.road), other))
-    for island in islands:
-        plan.zones.append(Zone(island, M.PAVING))
-        plan.zones.append(Zone(island.buffer(-0.3 if island.area < 60 else -1.5), M.GRASS))
+            plan.pave(shapely.intersection(patch.buffer(0), plan.road), other)
+    for island in plan.islands:
+        plan.pave(island, M.PAVING)
+        plan.pave(island.buffer(-0.3 if island.area < 60 else -1.5), M.GRASS)
 
 
 def _verges(plan: TownLayout, k: int, street: Street) -> None:
@@ -200,7 +215,7 @@ def _verges(plan: TownLayout, k: int, street: Street) -> None:
         return
     for right, left in ((-profile.right - profile.verge, -profile.right), (profile.left, profile.left + profile.verge)):
         band = shapely.difference(street.band(start, end, right, left).buffer(0), plan.road)
-        plan.zones.append(Zone(band, M.GRASS if profile.kind != "industrial" else M.SOIL))
+        plan.pave(band, M.GRASS if profile.kind != "industrial" else M.SOIL)
 
 
 def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
@@ -219,32 +234,28 @@ def _parking(plan: TownLayout, k: int, street: Street, rng: Generator) -> None:
             if rng.random() < 0.08 or ends[0] @ ends[1] < np.cos(0.12):  # a gap; no straight bay in a bend
                 at += 4.0
                 continue
-            x, y = street.at(at, offset)
             normal = street.normal(at)
-            yaw = float(np.arctan2(-normal[0], normal[1]))
-            if side > 0 and profile.back:
-                yaw += np.pi
-            plan.bays.append(Bay(float(x), float(y), float((yaw + np.pi) % (2 * np.pi) - np.pi), long, width))
+            yaw = np.arctan2(-normal[0], normal[1]) + (np.pi if side > 0 and profile.back else 0.0)
+            plan.bays.append(Bay(street.at(at, offset), wrapped(yaw), long, width))
+            end_of_bay = at + long / 2
             if profile.kind in ("main", "avenue"):
-                tick = street.band(
-                    at + long / 2 - 0.05, at + long / 2 + 0.05, side * edge - side * width, side * (edge - 0.3)
-                )
-                plan.mark(tick)
+                inner, outer = side * edge - side * width, side * (edge - 0.3)
+                plan.mark(street.band(end_of_bay - 0.05, end_of_bay + 0.05, inner, outer))
             at += long
+
+
+def wrapped(yaw: float) -> float:
+    """Return an angle within -pi and pi [rad]."""
+    return float((yaw + np.pi) % (2 * np.pi) - np.pi)
 
 
 def _sidewalks(plan: TownLayout, k: int, street: Street) -> None:
     """Lay a line for pedestrians along either sidewalk."""
-    profile = street.profile
     start, end = plan.draft.cuts[k, 0] - 3.0, street.length - plan.draft.cuts[k, 1] + 3.0
     if end - start < 10:
         return
     way = np.linspace(start, end, int(end - start) + 1)
-    for offset in (
-        -profile.right - profile.verge - profile.sidewalk[0] / 2,
-        profile.left + profile.verge + profile.sidewalk[1] / 2,
-    ):
-        plan.walkways.append(street.at(way, offset))
+    plan.walkways += [street.at(way, offset) for offset in street.profile.walks]
 
 
 def _crossings(plan: TownLayout, rng: Generator) -> None:
@@ -257,20 +268,15 @@ def _crossings(plan: TownLayout, rng: Generator) -> None:
                 continue
             cut = plan.draft.cuts[k, end]
             at = cut - 2.6 if end == 0 else street.length - cut + 2.6
-            zebra = profile.kind in ("main", "avenue", "arterial") and rng.random() < 0.7
             edges = (-profile.right, profile.left)
             for edge in edges:
                 point, normal = street.at(at, edge), street.normal(at)
-                plan.drops.append(Drop(float(point[0]), float(point[1]), (float(normal[1]), float(-normal[0])), 1.5))
-            reach = (
-                edges[0] - profile.verge - profile.sidewalk[0] / 2,
-                edges[1] + profile.verge + profile.sidewalk[1] / 2,
-            )
-            plan.walkways.append(street.at(at, np.linspace(*reach, int(reach[1] - reach[0]) + 2)))
-            if zebra:
-                for left in np.arange(edges[0] + 0.4, edges[1] - 0.6, 1.0):
-                    stripe = street.band(at - 1.4, at + 1.4, left, left + 0.5)
-                    plan.mark(stripe)
+                plan.drops.append(Drop(point, np.array([normal[1], -normal[0]]), 1.5))
+            right, left = profile.walks
+            plan.walkways.append(street.at(at, np.linspace(right, left, int(left - right) + 2)))
+            if profile.kind in ("main", "avenue", "arterial") and rng.random() < 0.7:  # a zebra
+                for stripe in np.arange(edges[0] + 0.4, edges[1] - 0.6, 1.0):
+                    plan.mark(street.band(at - 1.4, at + 1.4, stripe, stripe + 0.5))
 
 
 def _markings(plan: TownLayout) -> None:
@@ -280,25 +286,18 @@ def _markings(plan: TownLayout) -> None:
         if profile.kind in ("lane", "oneway"):
             continue
         start, end = plan.draft.cuts[k, 0], street.length - plan.draft.cuts[k, 1]
-        dashed, solid = [], []
-        if profile.median == 0 and profile.back and profile.kind not in ("residential",):
-            dashed.append(0.0)
-        for n in range(1, profile.forward):
-            dashed.append(-profile.median / 2 - n * profile.lane)
-        for n in range(1, profile.back):
-            dashed.append(profile.median / 2 + n * profile.lane)
-        outer = (-profile.median / 2 - profile.forward * profile.lane, profile.median / 2 + profile.back * profile.lane)
-        if profile.cycle > 0 or profile.kind == "arterial":
-            solid += [outer[0], outer[1]]
+        middle, lane = profile.median / 2, profile.lane
+        dashed = [0.0] if middle == 0 and profile.back and profile.kind != "residential" else []
+        dashed += [-middle - n * lane for n in range(1, profile.forward)]
+        dashed += [middle + n * lane for n in range(1, profile.back)]
+        outer = (-middle - profile.forward * lane, middle + profile.back * lane)
         for offset in dashed:
             for at in np.arange(start + 1, end - 4, 8.0):
                 plan.mark(street.band(at, at + 3.5, offset - 0.06, offset + 0.06))
-        for offset in solid:
+        for offset in outer if profile.cycle > 0 or profile.kind == "arterial" else ():
             plan.mark(street.band(start, end, offset - 0.06, offset + 0.06))
-        for at, right, left, node in (
-            (start - 0.5, profile.median / 2, outer[1], street.start),
-            (end, outer[0], -profile.median / 2, street.end),
-        ):
+        stops = (start - 0.5, middle, outer[1], street.start), (end, outer[0], -middle, street.end)
+        for at, right, left, node in stops:
             if left - right > 1 and node not in plan.network.heads:
                 plan.mark(street.band(at, at + 0.5, right + 0.1, left - 0.1))
     plan.lines += [LineString(street.line[::3]) for street in plan.network.streets if street.profile.median == 0]

@@ -11,14 +11,14 @@ from shapely.geometry.base import BaseGeometry
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
 from ogm.simulation.town.footprints import split_front
-from ogm.simulation.town.ground import Zone
-from ogm.simulation.town.layout import Bay, Block, TownLayout
+from ogm.simulation.town.layout import Bay, Block, Drop, TownLayout, rectangle, wrapped
 from ogm.simulation.town.overlay import area, polygons
-from ogm.simulation.town.terrain import Drop
 
 DEPTH = {"centre": 19.0, "suburb": 30.0, "industrial": 48.0, "arterial": 34.0, "park": 14.0}  # [m]
 SETBACK = {"centre": 0.0, "suburb": 1.2, "industrial": 2.0, "arterial": 1.0, "park": 2.0}  # [m] at least
 OPEN_SPACE = {"centre": 0.05, "suburb": 0.03, "industrial": 0.12, "arterial": 0.15, "park": 0.2}  # car parks
+
+YARDS = {"industrial": (0.3, M.GRAVEL, M.WORN_ASPHALT), "arterial": (0.4, M.ASPHALT, M.PAVING)}  # surfaces
 
 
 class Lot(NamedTuple):
@@ -50,6 +50,20 @@ class Lot(NamedTuple):
     houses: list[Polygon]
     gaps: list[Polygon]
 
+    @property
+    def width(self) -> float:
+        """Length of the front [m]."""
+        return float(np.linalg.norm(self.front[1] - self.front[0]))
+
+    @property
+    def along(self) -> Floats:
+        """Unit vector along the front."""
+        return (self.front[1] - self.front[0]) / self.width
+
+    def at(self, u: float, depth: float = 0.0) -> Floats:
+        """Return x, y of a place so far along the front and behind it [m]."""
+        return self.front[0] + self.along * u + depth * self.inward
+
 
 def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
     """Divide all blocks into lots; adds surfaces, driveways, bays and paths to the plan."""
@@ -57,15 +71,14 @@ def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
     blocks = [k for k, block in enumerate(plan.blocks) if block.style == "centre" and _inside(plan, block)]
     square = min(blocks, key=lambda k: abs(plan.blocks[k].shape.area - 2600.0)) if blocks else -1
     for k, block in enumerate(plan.blocks):
-        inner = _inside(plan, block)
-        if block.style == "park" and inner:
+        if block.style == "park" and _inside(plan, block):
             lots.append(_park(plan, block, rng))
             continue
-        ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT, "park": M.GRASS}
-        if inner:
-            plan.zones.append(Zone(block.shape, ground[block.style]))
+        ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT}
+        if _inside(plan, block):
+            plan.pave(block.shape, ground[block.style])
             if block.style == "centre":  # courts behind the houses
-                plan.zones.append(Zone(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS))
+                plan.pave(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS)
         lots += _along(plan, block, k == square, rng)
     return lots
 
@@ -84,7 +97,7 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
     for a, b, inward in _sides(plan, block):
         middle = (a + b) / 2
         near = int(np.argmin(shapely.distance(streets, shapely.points(middle))))
-        style = network.styles[int(np.argmin(np.linalg.norm(network.faces - middle, axis=1)))]
+        style = network.grid.district(middle)
         street = network.streets[near]
         if style == "park":
             style = "suburb"
@@ -92,23 +105,21 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
             style = "arterial"
         depth = DEPTH[style]
         strip = Polygon([a, b, b + depth * inward, a + depth * inward])
-        free = polygons(area(shapely.intersection(block.shape, strip)).difference(taken))
-        if not free or free[0].area < 60:
+        shape = next(iter(polygons(area(shapely.intersection(block.shape, strip)).difference(taken))), Polygon())
+        if shape.area < 60:
             continue
-        taken = taken.union(free[0])
-        front = np.array([a, b])
-        width = float(np.linalg.norm(b - a))
-        use = "houses"
+        taken = taken.union(shape)
+        width, use = float(np.linalg.norm(b - a)), "houses"
         if square and width > 25:
             use, square = "square", False
         elif width > 26 and rng.random() < OPEN_SPACE[style]:
             use = "car park"
         elif rng.random() < 0.03:
             use = "works"
-        lot = Lot(use, style, free[0], front, inward, [], [])
+        lot = Lot(use, style, shape, np.array([a, b]), inward, [], [])
         if use == "houses":
-            site = polygons(shapely.intersection(free[0], block.shape.buffer(-SETBACK[style])).buffer(-0.05))
-            lot.houses.extend(split_front(site[0], front, style, rng) if site else [])
+            site = polygons(shapely.intersection(shape, block.shape.buffer(-SETBACK[style])).buffer(-0.05))
+            lot.houses.extend(split_front(site[0], lot.front, style, rng) if site else [])
             if not lot.houses:
                 continue
             _access(plan, lot, near, rng)
@@ -117,7 +128,7 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
         elif use == "square":
             _square(plan, lot, rng)
         else:
-            plan.zones.append(Zone(free[0], M.SOIL))
+            plan.pave(shape, M.SOIL)
         lots.append(lot)
     return lots
 
@@ -139,114 +150,88 @@ def _sides(plan: TownLayout, block: Block) -> list[tuple[Floats, Floats, Floats]
 def _driveway(plan: TownLayout, lot: Lot, near: int, at: Floats, reach: float, width: float, material: M) -> None:
     """Pave a way from the kerb to `reach` metres behind the front, and let the kerb down."""
     along = np.array([lot.inward[1], -lot.inward[0]])
-    street = plan.network.streets[near]
-    ray = LineString([at, at - 16.0 * lot.inward])
-    hit = shapely.intersection(ray, plan.road)
+    hit = shapely.intersection(LineString([at, at - 16.0 * lot.inward]), plan.road)
     if hit.is_empty:
         return
     kerb = at - lot.inward * float(shapely.distance(shapely.points(at), hit))
-    way = Polygon(
-        [
-            kerb - along * width / 2 - 0.3 * lot.inward,
-            kerb + along * width / 2 - 0.3 * lot.inward,
-            at + along * width / 2 + reach * lot.inward,
-            at - along * width / 2 + reach * lot.inward,
-        ]
-    )
-    on_land = shapely.difference(way, plan.road)
-    plan.zones.append(Zone(on_land, material))
+    corners = (kerb, -1, -0.3), (kerb, 1, -0.3), (at, 1, reach), (at, -1, reach)
+    way = Polygon([start + side * (along * width / 2) + depth * lot.inward for start, side, depth in corners])
+    plan.pave(shapely.difference(way, plan.road), material)
     lot.gaps.append(way)
     plan.driveways.append(way)
-    plan.drops.append(Drop(float(kerb[0]), float(kerb[1]), (float(along[0]), float(along[1])), width / 2))
-    # Driveways stay free of parked cars.
-    clear = way.buffer(0.5)
-    along_street = max(street.profile.parking)
-    if along_street > 0:
-        spots = shapely.points([(bay.x, bay.y) for bay in plan.bays]) if plan.bays else np.array([])
-        far = shapely.distance(clear, spots) if len(spots) else []
+    plan.drops.append(Drop(kerb, along, width / 2))
+    if max(plan.network.streets[near].profile.parking) > 0:  # driveways stay free of parked cars
+        spots = shapely.points(np.array([bay.at for bay in plan.bays]).reshape(-1, 2))
+        far = shapely.distance(way.buffer(0.5), spots)
         plan.bays[:] = [bay for bay, d in zip(plan.bays, far, strict=True) if d > bay.length / 2]
 
 
 def _access(plan: TownLayout, lot: Lot, near: int, rng: Generator) -> None:
     """Lay driveways to garages and yards, and paths to entrances."""
-    along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
-    for house in lot.houses:
+    if lot.style in YARDS:
+        for house in lot.houses:
+            plan.pave(house.buffer(0.9, join_style="mitre"), M.PAVING)
+        share, one, other = YARDS[lot.style]
+        plan.pave(lot.shape, one if rng.random() < share else other)
+        for u in np.arange(rng.uniform(6, 14), lot.width - 6, rng.uniform(30, 45)):
+            _driveway(plan, lot, near, lot.at(u), 1.0, 6.5, M.ASPHALT)
+        _yard_bays(plan, lot, rng)
+    for house in lot.houses if lot.style == "suburb" else ():
         corners = np.array(house.exterior.coords)[:-1] - lot.front[0]
-        u, d = corners @ along, corners @ lot.inward
+        u, d = corners @ lot.along, corners @ lot.inward
         width, setback = float(np.ptp(u)), float(d.min())
-        if lot.style == "suburb":
-            garage = width < 6.3
-            at = lot.front[0] + along * float((u.min() + u.max()) / 2)
-            if garage:
-                surface = rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL])
-                _driveway(plan, lot, near, at, setback + 0.5, min(width, 3.4), surface)
-                if setback > 6.5 and rng.random() < 0.8:
-                    spot = at + lot.inward * (setback / 2 + 0.4)
-                    yaw = float(np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0))
-                    plan.bays.append(Bay(float(spot[0]), float(spot[1]), (yaw + np.pi) % (2 * np.pi) - np.pi, 5.2, 2.4))
-            elif setback > 1.0:
-                at = at + along * rng.uniform(-0.25, 0.25) * width
-                path = LineString([at - 0.1 * lot.inward, at + (setback + 0.5) * lot.inward]).buffer(
-                    0.65, cap_style="flat"
-                )
-                plan.zones.append(Zone(path, M.PAVING))
-                lot.gaps.append(path)
-        elif lot.style in ("industrial", "arterial"):
-            plan.zones.append(Zone(house.buffer(0.9, join_style="mitre"), M.PAVING))
-    if lot.style == "industrial":
-        plan.zones.append(Zone(lot.shape, M.GRAVEL if rng.random() < 0.3 else M.WORN_ASPHALT))
-    elif lot.style == "arterial":
-        plan.zones.append(Zone(lot.shape, M.ASPHALT if rng.random() < 0.4 else M.PAVING))
-    if lot.style in ("industrial", "arterial"):
-        width = float(np.linalg.norm(lot.front[1] - lot.front[0]))
-        for u in np.arange(rng.uniform(6, 14), width - 6, rng.uniform(30, 45)):
-            _driveway(plan, lot, near, lot.front[0] + along * u, 1.0, 6.5, M.ASPHALT)
-        _yard_bays(plan, lot, along, width, rng)
+        at = lot.at(float((u.min() + u.max()) / 2))
+        if width < 6.3:  # a garage
+            surface = rng.choice([M.PAVING, M.COBBLES, M.ASPHALT, M.GRAVEL])
+            _driveway(plan, lot, near, at, setback + 0.5, min(width, 3.4), surface)
+            if setback > 6.5 and rng.random() < 0.8:
+                spot = at + lot.inward * (setback / 2 + 0.4)
+                yaw = float(np.arctan2(lot.inward[1], lot.inward[0]) + (np.pi if rng.random() < 0.5 else 0))
+                plan.bays.append(Bay(spot, wrapped(yaw), 5.2, 2.4))
+        elif setback > 1.0:
+            at = at + lot.along * rng.uniform(-0.25, 0.25) * width
+            line = LineString([at - 0.1 * lot.inward, at + (setback + 0.5) * lot.inward])
+            path = line.buffer(0.65, cap_style="flat")
+            plan.pave(path, M.PAVING)
+            lot.gaps.append(path)
 
 
-def _yard_bays(plan: TownLayout, lot: Lot, along: Floats, width: float, rng: Generator) -> None:
+def _yard_bays(plan: TownLayout, lot: Lot, rng: Generator) -> None:
     """Places to park across the front of a yard, where no house stands."""
     yaw = float(np.arctan2(lot.inward[1], lot.inward[0]))
     built = shapely.union_all(lot.houses + lot.gaps).buffer(0.6)
     ground = lot.shape.buffer(-0.8)
-    for u in np.arange(3.0, width - 3, 2.6):
-        spot = lot.front[0] + along * u + 3.6 * lot.inward
-        x, t = along * 1.2, lot.inward * 2.4
-        place = Polygon([spot - x - t, spot + x - t, spot + x + t, spot - x + t])
+    for u in np.arange(3.0, lot.width - 3, 2.6):
+        spot = lot.at(u, 3.6)
+        place = rectangle(spot, lot.along * 1.2, lot.inward * 2.4)
         if rng.random() < 0.75 and shapely.contains(ground, place) and not shapely.intersects(built, place):
-            plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
+            plan.bays.append(Bay(spot, yaw, 5.0, 2.5))
 
 
 def _car_park(plan: TownLayout, lot: Lot, near: int) -> None:
     """Asphalt with rows of bays parallel to the street, and a way in."""
-    along = (lot.front[1] - lot.front[0]) / np.linalg.norm(lot.front[1] - lot.front[0])
-    width = float(np.linalg.norm(lot.front[1] - lot.front[0]))
+    width, x, t = lot.width, lot.along * 1.25, lot.inward * 2.45
     ground = lot.shape.buffer(-1.6, join_style="mitre")
-    plan.zones.append(Zone(lot.shape, M.GRASS))
-    plan.zones.append(Zone(ground, M.ASPHALT))
-    _driveway(plan, lot, near, lot.front[0] + along * width * 0.5, 2.0, 6.0, M.ASPHALT)
-    depth = DEPTH[lot.style]
+    plan.pave(lot.shape, M.GRASS)
+    plan.pave(ground, M.ASPHALT)
+    _driveway(plan, lot, near, lot.front[0] + lot.along * width * 0.5, 2.0, 6.0, M.ASPHALT)
     shapely.prepare(ground)
     row, facing = 1.9 + 2.5, 1.0
-    while row + 2.5 < depth:
+    while row + 2.5 < DEPTH[lot.style]:
         yaw = float(np.arctan2(facing * lot.inward[1], facing * lot.inward[0]))
         for u in np.arange(3.5, width - 3.5, 2.55):
-            if facing > 0 and row < 6 and abs(u - width / 2) < 5:
-                continue  # the way in
-            spot = lot.front[0] + along * u + row * lot.inward
-            x, t = along * 1.25, lot.inward * 2.45
-            if not shapely.contains(ground, Polygon([spot - x - t, spot + x - t, spot + x + t, spot - x + t])):
-                continue
-            plan.bays.append(Bay(float(spot[0]), float(spot[1]), yaw, 5.0, 2.5))
-            side = spot + x
-            line = LineString([side - t, side + t]).buffer(0.06, cap_style="flat")
-            plan.zones.append(Zone(line, M.MARKING))
+            way_in = facing > 0 and row < 6 and abs(u - width / 2) < 5
+            spot = lot.at(u, row)
+            if not way_in and shapely.contains(ground, rectangle(spot, x, t)):
+                plan.bays.append(Bay(spot, yaw, 5.0, 2.5))
+                line = LineString([spot + x - t, spot + x + t])
+                plan.pave(line.buffer(0.06, cap_style="flat"), M.MARKING)
         row, facing = row + (11.2 if facing > 0 else 5.2), -facing
 
 
 def _square(plan: TownLayout, lot: Lot, rng: Generator) -> None:
-    plan.zones.append(Zone(lot.shape, M.PAVING))
-    plan.zones.append(Zone(lot.shape.buffer(-3.0), M.COBBLES if rng.random() < 0.6 else M.PAVING))
+    plan.pave(lot.shape, M.PAVING)
+    plan.pave(lot.shape.buffer(-3.0), M.COBBLES if rng.random() < 0.6 else M.PAVING)
     for _ in range(3):
         a, b = _point_in(lot.shape, rng), _point_in(lot.shape, rng)
         if np.linalg.norm(a - b) > 8:
@@ -255,7 +240,7 @@ def _square(plan: TownLayout, lot: Lot, rng: Generator) -> None:
 
 def _park(plan: TownLayout, block: Block, rng: Generator) -> Lot:
     """Grass with winding gravel paths from side to side."""
-    plan.zones.append(Zone(block.shape, M.GRASS))
+    plan.pave(block.shape, M.GRASS)
     middle = np.array(block.shape.centroid.coords[0])
     ring = np.array(block.shape.exterior.coords)
     lot = Lot("park", "park", block.shape, ring[:2], np.array([0.0, 1.0]), [], [])
@@ -266,12 +251,12 @@ def _park(plan: TownLayout, block: Block, rng: Generator) -> Lot:
         for _ in range(2):
             points[1:-1] = (points[:-2] + 2 * points[1:-1] + points[2:]) / 4
         path = shapely.intersection(LineString(points).buffer(rng.uniform(0.9, 1.6)), block.shape)
-        plan.zones.append(Zone(path, M.GRAVEL if rng.random() < 0.7 else M.PAVING))
+        plan.pave(path, M.GRAVEL if rng.random() < 0.7 else M.PAVING)
         lot.gaps.extend(polygons(path))
         plan.walkways.append(points)
     for _ in range(3):  # flower beds and bare soil
         spot = shapely.Point(_point_in(block.shape, rng)).buffer(rng.uniform(1, 3))
-        plan.zones.append(Zone(shapely.intersection(spot, block.shape), M.SOIL))
+        plan.pave(shapely.intersection(spot, block.shape), M.SOIL)
     return lot
 
 

@@ -1,4 +1,4 @@
-"""The street network in the plane: crossings on a bent grid, streets between them, what each street is like."""
+"""The street network in the plane: crossings on a curved grid, streets between them, what each street is like."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike
+from scipy.sparse.csgraph import connected_components
 from shapely import LineString, Polygon
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
-from ogm.simulation.town.graph import MARGIN, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
+from ogm.simulation.town.graph import MARGIN, Grid, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
 SPACING = 96.0  # [m] between parallel streets, about
 
@@ -44,6 +45,12 @@ class Profile(NamedTuple):
         """From the dividing line to the left kerb [m]."""
         back = self.back * self.lane + self.cycle * (self.back > 0)
         return self.median / 2 + back + self.parking[1] + GUTTER
+
+    @property
+    def walks(self) -> tuple[float, float]:
+        """Offsets of the middles of the sidewalks to the left of the dividing line [m], right one first."""
+        right, left = self.sidewalk
+        return -self.right - self.verge - right / 2, self.left + self.verge + left / 2
 
 
 GUTTER = 0.3  # [m] between the outermost lane and the kerb
@@ -97,13 +104,11 @@ class Street:
     def at(self, along: ArrayLike, left: ArrayLike = 0.0) -> Floats:
         """Points (..., 2) at a way from the start and an offset to the left [m]."""
         along, left = np.broadcast_arrays(np.asarray(along, float), np.asarray(left, float))
-        point = np.stack([np.interp(along, self.along, self.line[:, k]) for k in (0, 1)], axis=-1)
-        return point + self.normal(along) * left[..., None]
+        return interpolated(along, self.along, self.line) + self.normal(along) * left[..., None]
 
     def normal(self, along: ArrayLike) -> Floats:
         """Return unit vectors (..., 2) to the left at a way from the start."""
-        way = np.asarray(along, float)
-        normal = np.stack([np.interp(way, self.along, self.normals[:, k]) for k in (0, 1)], axis=-1)
+        normal = interpolated(np.asarray(along, float), self.along, self.normals)
         return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
     def band(self, start: float, end: float, right: float, left: float) -> Polygon:
@@ -119,12 +124,9 @@ class Street:
 class StreetNetwork(NamedTuple):
     """Crossings and streets."""
 
-    nodes: Floats  # (N, 2)
+    grid: Grid
     streets: tuple[Street, ...]
-    roundabout: int  # a node, -1 if there is none
-    heads: tuple[int, ...]  # nodes at which a dead end has space to turn
-    faces: Floats  # (F, 2) middle of each mesh of the grid
-    styles: tuple[str, ...]  # its district
+    heads: list[int]  # nodes at which a dead end has space to turn
 
 
 def make_network(size: float, rng: Generator) -> StreetNetwork:
@@ -133,30 +135,19 @@ def make_network(size: float, rng: Generator) -> StreetNetwork:
     nodes = bent_grid(n, size, rng)
     edges = grid_edges(n)
     # The middle of each mesh, and the district it belongs to.
-    grid = nodes.reshape(n, n, 2)
-    faces = (grid[:-1, :-1] + grid[1:, :-1] + grid[:-1, 1:] + grid[1:, 1:]).reshape(-1, 2) / 4
+    at = nodes.reshape(n, n, 2)
+    faces = (at[:-1, :-1] + at[1:, :-1] + at[:-1, 1:] + at[1:, 1:]).reshape(-1, 2) / 4
     styles = _districts(n - 1, faces, rng)
     # A broad road, a roundabout, a dead end.
-    ring = int(rng.integers(4))
-    broad = broad_line(n, ring)
-    if n == 3:
-        roundabout = n * n // 2
-    else:
-        inner = [i * n + j for i in range(1, n - 1) for j in range(1, n - 1)]
-        free = [k for k in inner if not any(k in edge and edge in broad for edge in edges)]
-        roundabout = int(rng.choice(free))
+    broad = broad_line(n, int(rng.integers(4)))
+    inner = [i * n + j for i in range(1, n - 1) for j in range(1, n - 1)]
+    free = [k for k in inner if not any(k in edge and edge in broad for edge in edges)]
+    roundabout = n * n // 2 if n == 3 else int(rng.choice(free))
     kept = [edge for edge in edges if edge in broad or roundabout in edge or rng.random() > 0.16]
-    edges = thinned(edges, kept, n * n)
-    nodes, edges, heads = dead_ends(nodes, edges, broad, faces, styles, roundabout, n // 3 + 1)
-    chains = chains_of(edges, len(nodes), {roundabout, *heads})
-    return StreetNetwork(
-        nodes,
-        _streets(nodes, chains, broad, faces, styles, roundabout, heads, rng),
-        roundabout,
-        tuple(heads),
-        faces,
-        styles,
-    )
+    grid = Grid(nodes, faces, styles, broad, roundabout)
+    grid, edges, heads = dead_ends(grid, thinned(edges, kept, n * n), n // 3 + 1)
+    chains = chains_of(edges, len(grid.nodes), {roundabout, *heads})
+    return StreetNetwork(grid, _streets(grid, chains, heads, rng), heads)
 
 
 def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
@@ -177,42 +168,28 @@ def _districts(m: int, faces: Floats, rng: Generator) -> tuple[str, ...]:
     return tuple(str(s) for s in styles)
 
 
-def _streets(
-    nodes: Floats,
-    chains: list[list[int]],
-    broad: set[tuple[int, int]],
-    faces: Floats,
-    styles: tuple[str, ...],
-    roundabout: int,
-    heads: list[int],
-    rng: Generator,
-) -> tuple[Street, ...]:
-    """Give each chain a bent line and a cross-section."""
+def _streets(grid: Grid, chains: list[list[int]], heads: list[int], rng: Generator) -> tuple[Street, ...]:
+    """Give each chain a curved line and a cross-section."""
     kinds: list[str] = []
-    districts: list[str] = []
-    for chain in chains:
-        middle = nodes[chain].mean(axis=0)
-        district = styles[int(np.argmin(np.linalg.norm(faces - middle, axis=1)))]
-        districts.append(district)
-        round_it = roundabout in (chain[0], chain[-1])
-        if not round_it and any((a, b) in broad or (b, a) in broad for a, b in zip(chain[:-1], chain[1:], strict=True)):
+    districts = [grid.district(grid.nodes[chain].mean(axis=0)) for chain in chains]
+    for chain, district in zip(chains, districts, strict=True):
+        ends, pairs = {chain[0], chain[-1]}, zip(chain[:-1], chain[1:], strict=True)
+        round_it, dead_end = grid.roundabout in ends, not ends.isdisjoint(heads)
+        if not round_it and any({(a, b), (b, a)} & grid.broad for a, b in pairs):
             kinds.append("arterial")
-        elif chain[0] in heads or chain[-1] in heads:
-            kinds.append("industrial" if district == "industrial" else "lane")
-        elif round_it:
-            kinds.append("industrial" if district == "industrial" else "avenue")
+        elif dead_end or round_it:
+            kinds.append("industrial" if district == "industrial" else "lane" if dead_end else "avenue")
         else:
             kinds.append(str(rng.choice(_CHOICES[district])))
-    _one_way(chains, kinds, roundabout, heads, rng)
+    _one_way(chains, kinds, grid.roundabout, heads, rng)
     streets = []
     for chain, kind, district in zip(chains, kinds, districts, strict=True):
-        line = _bend(nodes[chain], rng)
-        way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+        line = _bend(grid.nodes[chain], rng)
         tangent = np.gradient(line, axis=0)
         tangent[[0, -1]] = line[1] - line[0], line[-1] - line[-2]
         tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
         normals = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        streets.append(Street(chain[0], chain[-1], line, way, normals, PROFILES[kind], district))
+        streets.append(Street(chain[0], chain[-1], line, way_along(line), normals, PROFILES[kind], district))
     return tuple(streets)
 
 
@@ -244,10 +221,7 @@ def _reachable(chains: list[list[int]], kinds: list[str], heads: list[int]) -> b
     arcs = [(k, chain[0], chain[-1]) for k, chain in enumerate(chains)]
     arcs += [(k, chain[-1], chain[0]) for k, chain in enumerate(chains) if PROFILES[kinds[k]].back]
     step = np.array([[b == c and (k != m or b in heads) for m, c, _ in arcs] for k, _, b in arcs])
-    reach = step | np.eye(len(arcs), dtype=bool)
-    for _ in range(int(np.ceil(np.log2(len(arcs)))) + 1):
-        reach = (reach.astype(np.float32) @ reach.astype(np.float32)) > 0
-    return bool(reach.all() and step.any(axis=1).all())
+    return bool(connected_components(step, connection="strong")[0] == 1 and step.any(axis=1).all())
 
 
 def _bend(points: Floats, rng: Generator) -> Floats:
@@ -260,26 +234,44 @@ def _bend(points: Floats, rng: Generator) -> Floats:
         sway = rng.uniform(-1, 1) * min(4.0, 0.035 * length) if length > 60 else 0.0
         other = sway * rng.choice([-1.0, 0.0, 1.0])
         bends = [(0.32, 0.0), (0.44, sway), (0.56, other), (0.68, 0.0)]
-        for t, offset in bends[(1 if k > 0 else 0) : (3 if k < last else 4)]:
-            control.append(a + t * (b - a) + offset * across)
+        between = bends[(1 if k > 0 else 0) : (3 if k < last else 4)]
+        control += [a + t * (b - a) + offset * across for t, offset in between]
         control.extend(_corner(a, b, points[k + 2]) if k < last else [b])
     line = np.array(control)
     for _ in range(5):  # cutting corners again and again tends to a quadratic B-spline
         cut = np.stack([0.75 * line[:-1] + 0.25 * line[1:], 0.25 * line[:-1] + 0.75 * line[1:]], axis=1)
         line = np.concatenate([line[:1], cut.reshape(-1, 2), line[-1:]])
-    way = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-    even = np.linspace(0, way[-1], int(round(way[-1])) + 1)
-    return np.stack([np.interp(even, way, line[:, k]) for k in (0, 1)], axis=1)
+    return evenly(line)
+
+
+def way_along(line: Floats) -> Floats:
+    """Return the way from a line's start to each of its points."""
+    return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
+
+
+def interpolated(at: Floats, way: Floats, values: Floats) -> Floats:
+    """Return values (..., K) at some ways along a line, from those (M, K) at its points."""
+    return np.stack([np.interp(at, way, column) for column in values.T], axis=-1)
+
+
+def evenly(line: Floats) -> Floats:
+    """Return the same line with about 1 m between points; its ends stay where they are."""
+    way = way_along(line)
+    return interpolated(np.linspace(0, way[-1], max(2, int(round(way[-1])) + 1)), way, line)
+
+
+def turn(before: Floats, after: Floats) -> float:
+    """Return the angle from one direction to another, > 0 to the left [rad]."""
+    return float(np.arctan2(before[0] * after[1] - before[1] * after[0], before @ after))
 
 
 def _corner(a: Floats, b: Floats, c: Floats) -> list[Floats]:
     """Round a corner at b, on the way from a to c, by an arc as wide as there is space for."""
     u, w = (b - a) / np.linalg.norm(b - a), (c - b) / np.linalg.norm(c - b)
-    turn = float(np.arctan2(u[0] * w[1] - u[1] * w[0], u @ w))
-    if abs(turn) < 0.1:
+    angle = turn(u, w)
+    if abs(angle) < 0.1:
         return [b]
     reach = min(23.0, 0.36 * float(np.linalg.norm(b - a)), 0.36 * float(np.linalg.norm(c - b)))
-    radius = reach / np.tan(abs(turn) / 2)
-    start, side = b - reach * u, np.sign(turn) * np.array([-u[1], u[0]])
-    angles = np.linspace(0, abs(turn), 9)
-    return [start + radius * (np.sin(angle) * u + (1 - np.cos(angle)) * side) for angle in angles]
+    radius = reach / np.tan(abs(angle) / 2)
+    start, side = b - reach * u, np.sign(angle) * np.array([-u[1], u[0]])
+    return [start + radius * (np.sin(t) * u + (1 - np.cos(t)) * side) for t in np.linspace(0, abs(angle), 9)]

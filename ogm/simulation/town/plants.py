@@ -11,8 +11,8 @@ from shapely import Polygon
 from ogm.simulation.arrays import Floats, HeightAt
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, empty, loft, merge, quads
+from ogm.simulation.town.shapes import SUNK, triangles
 
-SUNK = 0.3  # [m] a trunk reaches this far into the ground, so that it stands on a slope as well
 TUFTS = 4000  # a lawn gets no more tufts than this
 
 
@@ -191,9 +191,8 @@ def _within_crown(rng: Generator, count: int, taper: float, *, shell: float) -> 
     z = 1 - 2 * np.sqrt(rng.random(count))  # a cone's area grows towards its base
     ring = (1 - z) / 2 * np.sqrt(rng.random(count)) ** (1 - shell)
     around = rng.uniform(0, 2 * np.pi, count)
-    cone = np.stack([ring * np.cos(around), ring * np.sin(around), -z * 0 + z], axis=1)
     if taper == 1.0:
-        return cone
+        return np.stack([ring * np.cos(around), ring * np.sin(around), z], axis=1)
     ball[:, :2] *= (1 - taper * (ball[:, 2:] + 1) / 2) * (1 + 0.5 * taper)
     return ball
 
@@ -209,37 +208,32 @@ def _cards(rng: Generator, centers: Floats, size: Floats, lowest: float = -np.in
     stretch = rng.uniform(0.75, 1.33, (count, 1))
     u, v = u * side * stretch, v * side / stretch
     corners = centers[:, None] + np.stack([-0.5 * u - 0.289 * v, 0.5 * u - 0.289 * v, 0.577 * v], axis=1)
-    lift = np.maximum(lowest - corners[..., 2].min(axis=1), 0)
-    corners[..., 2] += lift[:, None]
-    triangles = np.arange(3 * count, dtype=np.uint32).reshape(-1, 3)
-    return Mesh(corners.reshape(-1, 3).astype(np.float32), triangles, np.full(count, M.FOLIAGE, np.uint8))
+    corners[..., 2] += np.maximum(lowest - corners[..., 2].min(axis=1), 0)[:, None]
+    return triangles(corners, M.FOLIAGE)
 
 
 def _stem(line: Floats, radii: Floats, sides: int) -> Mesh:
     """Make an upright tube along a line."""
+    return loft(line[:, None] + radii[:, None, None] * _ring(sides), M.BARK)
+
+
+def _ring(sides: int) -> Floats:
+    """Return a level regular outline (sides, 3) of radius 1."""
     angles = 2 * np.pi * np.arange(sides) / sides
-    ring = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    return loft(line[:, None] + radii[:, None, None] * ring, M.BARK)
+    return np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
 
 
 def _sticks(start: Floats, end: Floats, radius: float) -> Mesh:
     """Make thin three-sided branches between pairs of points."""
-    n = len(start)
-    angles = 2 * np.pi * np.arange(3) / 3
-    ring = radius * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    ring = radius * _ring(3)
     wide, narrow = start[:, None] + ring, end[:, None] + 0.3 * ring
-    wide_next, narrow_next = np.roll(wide, -1, axis=1), np.roll(narrow, -1, axis=1)
-    return quads(np.stack([wide, wide_next, narrow_next, narrow], axis=2).reshape(3 * n, 4, 3), M.BARK)
+    return quads(np.stack([wide, np.roll(wide, -1, axis=1), np.roll(narrow, -1, axis=1), narrow], axis=2), M.BARK)
 
 
 def resampled(line: ArrayLike, step: float) -> tuple[Floats, Floats]:
     """Return points about `step` apart along a line, and the level direction to the left of it at each."""
     points = np.asarray(line, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 2 or not np.isfinite(points).all():
-        raise ValueError(f"line must be 2 or more finite points (M, 3), got shape {points.shape}")
     run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points[:, :2], axis=0), axis=1))])
-    if run[-1] < 0.05:
-        raise ValueError(f"line must be at least 0.05 m long seen from above, got {run[-1]:.3g} m")
     keep = np.concatenate([[True], np.diff(run) > 1e-6])
     at = np.linspace(0, run[-1], max(int(np.ceil(run[-1] / step)), 1) + 1)
     new = np.stack([np.interp(at, run[keep], points[keep, k]) for k in range(3)], axis=1)

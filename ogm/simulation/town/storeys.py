@@ -28,7 +28,7 @@ class House(NamedTuple):
     height_at : callable
         Height of the ground [m] at x, y [m].
     low, floor, upper, top : float
-        Heights of the walls' foot, of the floor, of the next storey's floor, and of the walls' top [m].
+        Heights of the walls' base, of the floor, of the next storey's floor, and of the walls' top [m].
     """
 
     design: HouseDesign
@@ -64,19 +64,14 @@ def ground_floor(side: Side, role: str, door: bool, house: House, rng: Generator
     front = role == "front"
     bay, (width, sill, head) = design.bay, design.window
     if kind == "shop":
-        bay, width, sill, head = (
-            (design.bay, 0.85 * design.bay, rng.uniform(0.1, 0.5), 2.8) if front else (5.0, 1.2, 1.6, 2.6)
-        )
+        bay, width, sill, head = (bay, 0.85 * bay, rng.uniform(0.1, 0.5), 2.8) if front else (5.0, 1.2, 1.6, 2.6)
     elif kind == "garage":
         bay, width, sill, head = (3.2, 2.5, 0.0, 2.1) if front else (4.0, 0.8, 1.3, 2.0)
     elif kind == "hall" and not front:
         sill, head = 0.62 * (upper - floor), 0.8 * (upper - floor)
-    columns = int((side.length - 0.7) / bay)
-    if role == "blind" or upper - floor < head or (columns < 1 and side.length < 1.7):
+    if role == "blind" or upper - floor < head or side.length < 1.7:
         return punched(side.length, low, upper, _openings(np.zeros(0), 0.0), design.base)
-    columns = max(columns, 1)
-    width = min(width, side.length / columns - 0.5)
-    middle = (np.arange(columns) + 0.5) * side.length / columns
+    columns, width, middle = _columns(side, bay, width)
     openings = _openings(middle, width)
     ground = np.asarray(height_at(*side.xy(middle, 0.3).T), np.float64)
     recess, pane = rng.uniform(0.8, 1.2, columns) * design.recess, _panes(rng, columns)
@@ -97,9 +92,7 @@ def ground_floor(side: Side, role: str, door: bool, house: House, rng: Generator
     if front:
         extra += _clutter(openings, float(ground.max()), upper, side.length, rng)
     heads = np.maximum(heads, sills)
-    rows = openings._replace(
-        sill=sills[:, None], head=heads[:, None], recess=recess[:, None], pane=np.asarray(pane)[:, None]
-    )
+    rows = Openings(*openings[:2], *(np.asarray(column)[:, None] for column in (sills, heads, recess, pane)))
     if front and design.storeys > 1 and rng.random() < 0.7:
         extra.append((ledge(0.0, side.length, rng.uniform(0.05, 0.15), upper - 0.12, upper + 0.1), design.base))
     if front and side.length > 4 and rng.random() < 0.7:
@@ -134,14 +127,12 @@ def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[M
     """Make the upper storeys of one side, with bays and balconies; parameters as for `ground_floor`."""
     design, height_at, _, _, upper, top = house
     width, sill, head = design.window
-    columns = int((side.length - 0.7) / design.bay)
-    if role == "blind" or (columns < 1 and side.length < 1.7):
+    if role == "blind" or side.length < 1.7:
         return [side.built(punched(side.length, upper, top, _openings(np.zeros(0), 0.0), design.wall))]
-    columns, rows = max(columns, 1), design.storeys - 1
-    width = min(width, side.length / columns - 0.5)
-    middle = (np.arange(columns) + 0.5) * side.length / columns
+    columns, width, middle = _columns(side, design.bay, width)
+    rows = design.storeys - 1
     floors = upper + np.arange(rows) * design.storey
-    ground = float(np.max(height_at(*side.xy(np.append(middle, [0.0, side.length]), 0.8).T)))
+    ground = float(np.max(height_at(*side.xy([*middle, 0.0, side.length], 0.8).T)))
     shape = (columns, rows)
     sills = np.broadcast_to(floors + sill, shape).copy()
     heads = np.broadcast_to(np.minimum(floors + head, floors + design.storey - 0.2), shape).copy()
@@ -171,7 +162,7 @@ def upper_storeys(side: Side, role: str, house: House, rng: Generator) -> list[M
         extra.append((lids, design.wall))
     if role == "front" and rng.random() < 0.5:
         extra.append((ledge(0.0, side.length, rng.uniform(0.1, 0.3), top - 0.3, top), design.wall))
-    openings = _openings(middle, width)._replace(sill=sills, head=heads, recess=recess, pane=pane)
+    openings = Openings(*_openings(middle, width)[:2], sills, heads, recess, pane)
     return [side.built([*punched(side.length, upper, top, openings, design.wall), *extra]), *parts]
 
 
@@ -226,11 +217,10 @@ def _gates(
     design, floor, upper = house.design, house.floor, house.upper
     columns = len(middle)
     kind = rng.choice(3, columns, p=[0.35, 0.25, 0.4])
-    sills = np.choose(kind, [ground, ground + 1.15, np.full(columns, floor + 1.0)])
-    heads = np.choose(kind, [ground + rng.uniform(3.6, 4.5), ground + 4.0, np.full(columns, floor + 2.6)])
-    heads = np.minimum(heads, upper - 0.4)
-    recess = np.choose(kind, [np.full(columns, rng.uniform(0.2, 0.5)), np.full(columns, 0.3), np.full(columns, 0.1)])
-    pane = np.choose(kind, [np.full(columns, M.METAL_SHEET), np.full(columns, M.METAL_SHEET), _panes(rng, columns)])
+    sills = np.choose(kind, [ground, ground + 1.15, floor + 1.0])
+    heads = np.minimum(np.choose(kind, [ground + rng.uniform(3.6, 4.5), ground + 4.0, floor + 2.6]), upper - 0.4)
+    recess = np.choose(kind, [rng.uniform(0.2, 0.5), 0.3, 0.1])
+    pane = np.where(kind < 2, M.METAL_SHEET, _panes(rng, columns))
     extra: Pieces = []
     if rng.random() < 0.5:
         joints = np.linspace(0, side.length, columns + 1)
@@ -239,9 +229,8 @@ def _gates(
         extra.append((np.concatenate(posts), design.base))
     docks = middle[kind == 1]
     if len(docks):
-        pads = [ledge(u + s * width / 2 - 0.15, u + s * width / 2 + 0.15, 0.25, float(ground.min()) + 0.5,
-                      float(ground.max()) + 1.1) for u in docks for s in (-1, 1)]  # fmt: skip
-        extra.append((np.concatenate(pads), M.TYRE))
+        edges, low, top = [u + s * width / 2 for u in docks for s in (-1, 1)], ground.min() + 0.5, ground.max() + 1.1
+        extra.append((np.concatenate([ledge(u - 0.15, u + 0.15, 0.25, low, top) for u in edges]), M.TYRE))
     canopy = float(ground.max()) + 4.8
     if canopy + 0.3 < upper and rng.random() < 0.4:
         extra.append((ledge(0.1 * side.length, 0.8 * side.length, 2.5, canopy, canopy + 0.2), M.METAL_SHEET))
@@ -251,16 +240,21 @@ def _gates(
 def _clutter(openings: Openings, ground: float, upper: float, length: float, rng: Generator) -> Pieces:
     """Hang small things between windows: letter boxes, lamps, meters, name plates, air conditioners."""
     edges = np.append(np.append(0.0, openings.right), length)
-    gaps = [(a, b) for a, b in zip(edges[:-1], np.append(openings.left, length), strict=True) if b - a > 0.35]
     extra: Pieces = []
-    for a, b in gaps:
-        if rng.random() < 0.35:
+    for a, b in zip(edges[:-1], np.append(openings.left, length), strict=True):
+        if b - a > 0.35 and rng.random() < 0.35:
             width, tall = rng.uniform(0.12, min(0.8, b - a - 0.1)), rng.uniform(0.15, 0.7)
             u, z = rng.uniform(a + 0.05, b - width - 0.05), ground + rng.uniform(0.7, 2.3)
             if z + tall < upper - 0.2:
                 out = ledge(u, u + width, rng.uniform(0.05, 0.28), z, z + tall)
                 extra.append((out, int(rng.choice([M.METAL_SHEET, M.PLASTIC_DARK, M.PLASTER_LIGHT]))))
     return extra
+
+
+def _columns(side: Side, bay: float, width: float) -> tuple[int, float, Floats]:
+    """Return how many columns of windows a side has, how wide they are at most, and their middles."""
+    count = max(int((side.length - 0.7) / bay), 1)
+    return count, min(width, side.length / count - 0.5), (np.arange(count) + 0.5) * side.length / count
 
 
 def _openings(middle: Floats, width: float) -> Openings:

@@ -20,7 +20,7 @@ def shelter(rng: Generator) -> Mesh:
     half = length / 2
     roof = box([-half - 0.1, -0.35, height], [half + 0.1, depth + 0.05, height + 0.12], M.METAL_SHEET)
     spots = [(-half, depth), (half, depth), (0.0, depth), (-half, 0.0), (half, 0.0)]
-    posts = [pole(height, 0.04, x=x, y=y, sides=4) for x, y in spots]
+    posts = [pole(height, 0.04, at=spot, sides=4) for spot in spots]
     glass = M.CAR_GLASS if rng.random() < 0.8 else M.WOOD
     back = [[-half, depth, 0.15], [half, depth, 0.15], [half, depth, 2.2], [-half, depth, 2.2]]
     side = [[-half, 0.1, 0.15], [-half, depth, 0.15], [-half, depth, 2.2], [-half, 0.1, 2.2]]
@@ -36,8 +36,8 @@ def advert_column(rng: Generator) -> Mesh:
         radius, height = rng.uniform(0.55, 0.7), rng.uniform(2.7, 3.6)
         shaft = rod(-SUNK, height, radius, M.PLASTER_LIGHT, sides=14)
         return merge([shaft, rod(height, height + 0.35, radius + 0.12, M.ROOF, 0.1, 14)])
-    foot = box([-0.08, -0.2, -SUNK], [0.08, 0.2, 0.6], M.METAL_SHEET)
-    return merge([foot, box([-0.11, -0.66, 0.6], [0.11, 0.66, 2.6], M.WINDOW)])
+    base = box([-0.08, -0.2, -SUNK], [0.08, 0.2, 0.6], M.METAL_SHEET)
+    return merge([base, box([-0.11, -0.66, 0.6], [0.11, 0.66, 2.6], M.WINDOW)])
 
 
 def container(rng: Generator) -> Mesh:
@@ -56,8 +56,8 @@ def skip(rng: Generator) -> Mesh:
     long, high = rng.uniform(1.5, 2.0), rng.uniform(1.0, 1.5)
     low, top = [[-0.65, 0.1], [0.65, 0.1]], [[1.0, 0.6 * high], [1.0, high], [-1.0, high], [-1.0, 0.6 * high]]
     body = extruded(np.array(low + top) * [long, 1.0], (-0.9, 0.9), M.METAL_SHEET, 1)
-    foot = box([-0.6 * long, -0.7, -0.1], [0.6 * long, 0.7, 0.1], M.METAL_SHEET)
-    return merge([body, foot, rod(high, high + rng.uniform(0.1, 0.5), 0.8, M.CONCRETE, 0.2, 7)])
+    base = box([-0.6 * long, -0.7, -0.1], [0.6 * long, 0.7, 0.1], M.METAL_SHEET)
+    return merge([body, base, rod(high, high + rng.uniform(0.1, 0.5), 0.8, M.CONCRETE, 0.2, 7)])
 
 
 def monument(rng: Generator) -> Mesh:
@@ -78,7 +78,7 @@ def gantry(width: float, rng: Generator) -> Mesh:
     The posts stand at ``y = ±width / 2``.
     """
     half, z = width / 2, rng.uniform(6.0, 6.6)
-    posts = [pole(z + 0.4, 0.14, y=y, sides=8) for y in (-half, half)]
+    posts = [pole(z + 0.4, 0.14, at=(0, y), sides=8) for y in (-half, half)]
     beams = [cylinder([0, -half, h], [0, half, h], 0.07, M.METAL_POLE, sides=5, caps=False) for h in (z - 0.3, z + 0.3)]
     ends = np.linspace(-half, half, int(width / 1.2) + 2)
     zigzag = z + 0.3 * (-1.0) ** np.arange(len(ends))

@@ -12,12 +12,14 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from ogm.simulation.arrays import Floats
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.town.layout import Drop, TownLayout
 
 CROWN = 0.025  # slope across a road, from its middle to the kerbs
 CROWN_REACH = 4.0  # [m] farther from the kerb the road is level
 FIELD = 0.5  # [m] step of the rasters that heights are made of
 DROPPED = 0.02  # [m] height of a kerb that is let down
+UNEVEN = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4}  # [m] of the land in a district
 STEEPEST = 0.068  # steepest grade of the hills; crown and bumps come on top
 
 
@@ -41,20 +43,14 @@ class Raster:
         return np.asarray(near * (1 - u) + far * u)
 
 
-class Drop(NamedTuple):
-    """A stretch of kerb let down for wheels: its middle, direction along the kerb, half its length [m]."""
+def raster(values: NDArray, step: float, size: float) -> Raster:
+    """Return a raster of a square of `size` metres around (0, 0)."""
+    return Raster(values.astype(np.float32), step, (-size / 2, -size / 2))
 
-    x: float
-    y: float
-    along: tuple[float, float]
-    half: float
 
-    def share(self, x: Floats, y: Floats) -> Floats:
-        """How far the kerb is let down at x, y: 0 not at all, 1 wholly; the sidewalk behind follows as a ramp."""
-        dx, dy = x - self.x, y - self.y
-        along = abs(dx * self.along[0] + dy * self.along[1])
-        across = abs(dx * self.along[1] - dy * self.along[0])
-        return np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1)
+def raised(points: Floats, height_at: HeightAt) -> Floats:
+    """Lift points (M, 2) to a height: (M, 3)."""
+    return np.column_stack([points, height_at(*points.T)])
 
 
 class Terrain(NamedTuple):
@@ -88,9 +84,7 @@ class Terrain(NamedTuple):
             tree = cKDTree(np.stack([x, y], axis=1))
             low = np.zeros(len(x))
             for drop in drops:
-                near = np.array(tree.query_ball_point((drop.x, drop.y), drop.half + 3.0), np.int64)
-                if len(near) == 0:
-                    continue
+                near = np.array(tree.query_ball_point(drop.at, drop.half + 3.0), np.int64)
                 low[near] = np.maximum(low[near], drop.share(x[near], y[near]))
             kerb = kerb * (1 - low) + DROPPED * low
         return self.road(x, y) + kerb + self.bank(x, y)
@@ -110,81 +104,56 @@ def mask(shape: BaseGeometry, size: float, step: float) -> NDArray[np.bool_]:
     return result
 
 
-def make_terrain(
-    size: float,
-    road: BaseGeometry,
-    corridor: BaseGeometry,
-    kerbs: Sequence[tuple[BaseGeometry, float]],
-    banks: Sequence[tuple[Floats, float]],
-    dip: tuple[float, float],
-    rng: Generator,
-) -> Terrain:
-    """Draw hills, and fit banks, crowns and kerbs to the streets.
-
-    Parameters
-    ----------
-    size : float
-        Edge of the town [m].
-    road, corridor : shapely geometry
-        The carriageways, and the streets with their sidewalks.
-    kerbs : list of (geometry, height [m])
-        How high the kerb is near each street.
-    banks : list of (point (2,), height [m])
-        How uneven the land is around some points.
-    dip : (x, y)
-        A place on a road where it dips.
-    rng : np.random.Generator
-        Draws the hills.
-    """
+def make_terrain(plan: TownLayout, rng: Generator) -> Terrain:
+    """Draw hills, and fit banks, crowns and kerbs to the streets of a plan."""
+    size, streets = plan.size, plan.network.streets
     # Hills: a few long waves, and bumps that a car feels; together no steeper than STEEPEST.
     length = np.concatenate([rng.uniform(170, 420, 5), rng.uniform(70, 130, 3)])
     angle = rng.uniform(0, 2 * np.pi, 8)
     amplitude = length / 100 * np.where(np.arange(8) < 5, 1.0, 0.35) * rng.uniform(0.5, 1.2, 8)
-    k = 2 * np.pi / length
-    waves = np.stack([k * np.cos(angle), k * np.sin(angle), rng.uniform(0, 2 * np.pi, 8), amplitude], axis=1)
+    waves = _waves(length, angle, amplitude, rng)
     around = rng.uniform(-0.3, 0.3, (2, 2)) * size
+    longest = max(streets, key=lambda street: street.length)
+    dip = longest.at(longest.length * 0.5)
     bowls = np.array([[*dip, 16.0, -0.9], [*around[0], 30.0, 1.5], [*around[1], 25.0, -1.2]])
-    flat = Raster(np.zeros((2, 2), np.float32), size, (-size / 2, -size / 2))
-    terrain = Terrain(waves, bowls, flat, flat, flat)
+    level = raster(np.zeros((2, 2)), size, size)
     ticks = np.arange(-size / 2, size / 2 + 2, 2.0)
-    x, y = np.meshgrid(ticks, ticks, indexing="ij")
-    slope = np.hypot(*np.gradient(terrain.base(x, y), 2.0))
-    waves[:, 3] *= STEEPEST / slope.max()
-    bowls[:, 3] *= STEEPEST / slope.max()
+    hills = Terrain(waves, bowls, level, level, level).base(*np.meshgrid(ticks, ticks, indexing="ij"))
+    share = STEEPEST / np.hypot(*np.gradient(hills, 2.0)).max()
+    waves[:, 3] *= share
+    bowls[:, 3] *= share
     fine = np.concatenate([rng.uniform(18, 40, 4), rng.uniform(6, 12, 4)])
-    angle = rng.uniform(0, 2 * np.pi, 8)
-    height = np.where(np.arange(8) < 4, 0.012, 0.003)
-    k = 2 * np.pi / fine
-    bumps = np.stack([k * np.cos(angle), k * np.sin(angle), rng.uniform(0, 2 * np.pi, 8), height], axis=1)
+    bumps = _waves(fine, rng.uniform(0, 2 * np.pi, 8), np.where(np.arange(8) < 4, 0.012, 0.003), rng)
     # Crown: rises from the kerbs to the middle of the road.
-    on_road = mask(road, size, FIELD)
+    on_road = mask(plan.road, size, FIELD)
     inside = distance_transform_edt(on_road) * FIELD
     crown = CROWN * np.minimum(gaussian_filter(np.minimum(inside, CROWN_REACH + 1), 1.0), CROWN_REACH)
     crown = np.where(on_road, crown, 0.0)
-    # Banks: the land leaves the street's level a few metres behind the sidewalk.
-    beyond = distance_transform_edt(~mask(corridor, size, FIELD)) * FIELD
+    # Banks: the land leaves the street's level a few metres behind the sidewalk, as the districts have it.
+    beyond = distance_transform_edt(~mask(plan.corridor, size, FIELD)) * FIELD
     ramp = np.clip(beyond - 0.5, 0, 9) / 9
     ramp = ramp**2 * (3 - 2 * ramp)
     shape = on_road.shape
     rough = gaussian_filter(rng.standard_normal((shape[0] // 8 + 2, shape[1] // 8 + 2)), 3.0)
     rough = rough / rough.std()
-    weight = np.zeros(rough.shape)
-    gx, gy = np.meshgrid(*(np.arange(s) * 8 * FIELD - size / 2 for s in rough.shape), indexing="ij")
-    far = np.stack([np.hypot(gx - point[0], gy - point[1]) for point, _ in banks])
-    weight = gaussian_filter(np.array([height for _, height in banks])[far.argmin(axis=0)], 2.0)
-    field = Raster((rough * weight).astype(np.float32), 8 * FIELD, (-size / 2, -size / 2))
-    px, py = np.meshgrid(*(np.arange(s) * FIELD - size / 2 for s in shape), indexing="ij")
+    edge = size / 2
+    rim = [p for t in np.linspace(-edge, edge, 9) for p in ((t, -edge), (t, edge), (-edge, t), (edge, t))]
+    uneven = np.array([UNEVEN[style] for style in plan.network.grid.styles] + [1.3] * len(rim))
+    gx, gy = np.meshgrid(*(np.arange(s) * 8 * FIELD - edge for s in rough.shape), indexing="ij")
+    far = np.stack([np.hypot(gx - x, gy - y) for x, y in [*plan.network.grid.faces, *rim]])
+    field = raster(rough * gaussian_filter(uneven[far.argmin(axis=0)], 2.0), 8 * FIELD, size)
+    px, py = np.meshgrid(*(np.arange(s) * FIELD - edge for s in shape), indexing="ij")
     bank = ramp * np.clip(field(px, py), -2.5, 2.5)
     # Kerbs: as high as in the profile of the nearest street.
     kerb = np.full(shape, 0.11)
-    for area, upright in kerbs:
-        kerb[mask(area, size, FIELD)] = upright
-    kerb = gaussian_filter(kerb, 4.0)
-    corner = (-size / 2, -size / 2)
-    return Terrain(
-        np.concatenate([waves, bumps]),
-        bowls,
-        Raster(crown.astype(np.float32), FIELD, corner),
-        Raster(bank.astype(np.float32), FIELD, corner),
-        Raster(kerb.astype(np.float32), FIELD, corner),
-    )
+    for street in streets:
+        near = shapely.buffer(shapely.linestrings(street.line), 14.0, cap_style="flat")
+        kerb[mask(near, size, FIELD)] = street.profile.kerb
+    rasters = (raster(values, FIELD, size) for values in (crown, bank, gaussian_filter(kerb, 4.0)))
+    return Terrain(np.concatenate([waves, bumps]), bowls, *rasters)
+
+
+def _waves(length: Floats, angle: Floats, amplitude: Floats, rng: Generator) -> Floats:
+    """Return waves (W, 4) as in `Terrain` with lengths, directions and amplitudes, their phases drawn."""
+    k = 2 * np.pi / length
+    return np.stack([k * np.cos(angle), k * np.sin(angle), rng.uniform(0, 2 * np.pi, 8), amplitude], axis=1)

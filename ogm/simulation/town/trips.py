@@ -57,22 +57,16 @@ def round_trip(
 
 def _wander(lanes: list[Lane], start: int, rng: Generator) -> tuple[int, ...]:
     """Drive at random and cross no junction twice; the lanes of the trip if it comes back, else none."""
-    trip, crossed, choice = [start], set(), rng.random(200)
-    for draw in choice:
+    trip, crossed = [start], set[int]()
+    for draw in rng.random(200):
         here = lanes[trip[-1]]
-        ways = [
-            k
-            for k in here.successors
-            if k == start
-            or (k not in trip and (lanes[k].junction == here.junction or lanes[k].junction not in crossed))
-        ]
+        past = crossed - {here.junction}
+        ways = [k for k in here.successors if k == start or not (k in trip or lanes[k].junction in past)]
         if not ways:
             return ()
         following = ways[int(draw * len(ways))]
         if following == start:
             return tuple(trip)
-        lane = lanes[following]
-        if lane.junction >= 0:
-            crossed.add(lane.junction)
+        crossed |= {lanes[following].junction} - {-1}
         trip.append(following)
     return ()

@@ -14,7 +14,7 @@ from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import plants
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.shapes import upright
-from ogm.simulation.town.terrain import FIELD, Raster, mask
+from ogm.simulation.town.terrain import FIELD, Raster, mask, raised, raster
 
 HEADROOM = 4.6  # [m] nothing over a road is lower
 _SPOTS = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [0, 1, 1], [1, 0, 1]], float)
@@ -41,9 +41,8 @@ class Yard:
         self.height, self.rng = height, rng
         self.meshes: list[Mesh] = []
         size = plan.size
-        corner = (-size / 2, -size / 2)
-        self._road = Raster(mask(plan.road, size, FIELD / 2).astype(np.float32), FIELD / 2, corner)
-        self._near_road = Raster(mask(plan.road.buffer(0.6), size, FIELD).astype(np.float32), FIELD, corner)
+        self._road = raster(mask(plan.road, size, FIELD / 2), FIELD / 2, size)
+        self._near_road = raster(mask(plan.road.buffer(0.6), size, FIELD), FIELD, size)
         # Cars that park off the road, and people, need space as well.
         parked = [bay.outline.buffer(0.25) for bay in plan.bays]
         self.blocked = shapely.union_all([shapely.buffer(h, 0.3) for h in houses] + plan.driveways + parked)
@@ -58,19 +57,17 @@ class Yard:
 
     def free(self, x: float, y: float, radius: float) -> bool:
         """Return whether a round thing may stand at x, y."""
+        near, spot = self._places, shapely.Point(x, y)
         if max(abs(x), abs(y)) > self._half - 1.0:
             return False
-        near = self._places
-        if len(near) and (np.hypot(near[:, 0] - x, near[:, 1] - y) < near[:, 2] + radius).any():
+        if (np.hypot(near[:, 0] - x, near[:, 1] - y) < near[:, 2] + radius).any():
             return False
-        spot = shapely.Point(x, y)
-        if shapely.dwithin(self._walked, spot, 0.2 + min(radius, 0.3)):
-            return False
-        return not shapely.dwithin(self.blocked, spot, radius)
+        on_the_way = shapely.dwithin(self._walked, spot, 0.2 + min(radius, 0.3))
+        return not (on_the_way or shapely.dwithin(self.blocked, spot, radius))
 
     def put(self, piece: Mesh, x: float, y: float, yaw: float, radius: float) -> bool:
         """Stand a piece (origin at its base) upright at x, y, if there is space for it."""
-        z = float(self.height(np.array([x]), np.array([y]))[0])
+        z = float(self.height(x, y))
         if not self.free(x, y, radius) or not self.add(piece.moved(upright(x, y, z, yaw))):
             return False
         self._places = np.vstack([self._places, [x, y, radius]])
@@ -97,11 +94,7 @@ class Yard:
 
     def line(self, line: LineString, step: float) -> Floats:
         """Return points (M, 3) on the ground along a line, at most `step` apart [m]."""
-        return self.on_ground(np.array(line.segmentize(step).coords))
-
-    def on_ground(self, points: Floats) -> Floats:
-        """Return points (M, 2) lifted to the ground (M, 3)."""
-        return np.column_stack([points, self.height(points[:, 0], points[:, 1])])
+        return raised(np.array(line.segmentize(step).coords), self.height)
 
     def pick(self, pool: list[Mesh]) -> Mesh:
         """Return one of a pool of plants, larger or smaller."""
@@ -111,20 +104,19 @@ class Yard:
 
     def scatter(self, shape: BaseGeometry, pool: list[Mesh], every: float, radius: float) -> None:
         """Plant at random, one for `every` square metres."""
-        for x, y in self._points(shape, every):
-            self.put(self.pick(pool), x, y, self.rng.uniform(0, 2 * np.pi), radius)
+        self._strew(shape, lambda _: self.pick(pool), every, radius)
 
     def pieces(self, shape: BaseGeometry, wanted: Wanted) -> None:
         """Stand pieces at random."""
         for maker, every, radius in wanted:
-            for x, y in self._points(shape.buffer(-radius), every):
-                self.put(maker(self.rng), x, y, self.rng.uniform(0, 2 * np.pi), radius)
+            self._strew(shape.buffer(-radius), maker, every, radius)
 
-    def _points(self, shape: BaseGeometry, every: float) -> list[tuple[float, float]]:
+    def _strew(self, shape: BaseGeometry, maker: Maker, every: float, radius: float) -> None:
         if shape.is_empty:
-            return []
+            return
         x0, y0, x1, y1 = shape.bounds
         count = self.rng.poisson((x1 - x0) * (y1 - y0) * (1 / every))
         x, y = self.rng.uniform(x0, x1, count), self.rng.uniform(y0, y1, count)
         within = shapely.contains_xy(shape, x, y)
-        return [(float(px), float(py)) for px, py in zip(x[within], y[within], strict=True)]
+        for px, py in zip(x[within].tolist(), y[within].tolist(), strict=True):
+            self.put(maker(self.rng), px, py, self.rng.uniform(0, 2 * np.pi), radius)
