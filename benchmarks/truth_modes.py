@@ -27,7 +27,7 @@ from ogm.simulation.survey import aimed_truth, hd_truth
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Traffic, ego_vehicle
 from ogm.state import CellState, Truth
-from ogm.truth import TRUTH_SPEC, boxes_seen_from
+from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 SENSOR = LIDARS["vlp-32c"]
@@ -69,7 +69,7 @@ def place_traffic(town: Town, scene: Scene, ground: Scene, traffic: Traffic, tim
             inverse(T), [thing.pose for thing in frame.objects], [thing.size for thing in frame.objects]
         ),
         "returns": returns,
-        "ego": boxes_seen_from(inverse(T), [middle], [high - low])[0],
+        "ego": cells_in_boxes(boxes_seen_from(inverse(T), [middle], [high - low]), TRUTH_SPEC),
     }
     return Moment(scene, measure_ground(ground, T), T, known)
 

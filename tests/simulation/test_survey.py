@@ -1,4 +1,4 @@
-"""How the simulator view at the truth: laws of sight on small scenes, and both ways of looking compared."""
+"""How the simulator observes the truth: laws of sight on small scenes, and both ways of observing compared."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from ogm.simulation.mesh import Mesh, box, cylinder, empty, merge, quads
 from ogm.simulation.scene import Scene
 from ogm.simulation.survey import KINDS, aimed_truth, hd_truth
 from ogm.state import CellState, Truth
-from ogm.truth import Kind, boxes_seen_from
+from ogm.truth import Kind, boxes_seen_from, cells_in_footprint
 
 SPEC = GridSpec.centered(20.48, 20.48, 0.16)  # 128 x 128 cells: 10 m around the sensor
 VIEW = (np.deg2rad(-25.0), np.deg2rad(15.0))
@@ -141,7 +141,7 @@ def test_a_kerb_on_a_slope_is_found_and_the_slope_is_not() -> None:
 
 
 def test_a_step_seen_from_above_only_is_free() -> None:
-    ground, face = kerb(-0.12, 0.0)  # the road lies lower beyond: its face view away
+    ground, face = kerb(-0.12, 0.0)  # the road lies lower beyond: its face points away
     for truth in View(face, ground=ground).both():
         assert np.count_nonzero(truth.state == CellState.OCCUPIED) == 0
 
@@ -219,13 +219,13 @@ def test_both_ways_agree_where_both_know() -> None:
 def test_participants_are_filled_by_their_returns_in_the_input() -> None:
     van = box((-2.2, -0.9, 0.0), (2.2, 0.9, 2.6), Material.PAINT_DARK)
     place = pose(6, 3, 0, yaw=0.5)
-    view = View(ego=[0, 0, 0, 4.5, 1.8, -1.9, -0.4])
+    view = View(ego=cells_in_footprint((-2.25, 2.25, -0.9, 0.9), SPEC))
     view.scene.place([van.moved(place)], box((-2.2, -0.9, 0.2), (2.2, 0.9, 1.45), Material.EGO_VEHICLE))
     boxes = boxes_seen_from(np.linalg.inv(SENSOR), [place], [[4.4, 1.8, 2.6]])
     inside = np.abs(np.cos(0.5) * (x - 6) + np.sin(0.5) * (y - 3)) < 2.0
     inside &= np.abs(np.cos(0.5) * (y - 3) - np.sin(0.5) * (x - 6)) < 0.7
-    for look in (view.hd, view.aimed):
-        full, partial = (look(boxes=boxes, returns=np.array([n])).state for n in (50, 49))
+    for observe in (view.hd, view.aimed):
+        full, partial = (observe(boxes=boxes, returns=np.array([n])).state for n in (50, 49))
         assert (full[inside] == CellState.OCCUPIED).all()
         assert (partial[inside] == CellState.UNKNOWN).any()
         assert (partial == CellState.OCCUPIED).sum() > 15
