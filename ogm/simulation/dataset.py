@@ -6,11 +6,11 @@ same versions of the libraries, whatever else is made at the same time.
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -153,7 +153,7 @@ def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> Scene
     at = moment(plan, split, index)
     world = _world(at.town, plan.town_size, threads)
     state = _drive(at.town, plan.town_size, at.traffic, at.clockwise).at(at.time)
-    near = tuple(one for one in state.objects if _distance(one.pose, state.ego) < REACH)
+    near = tuple(one for one in state.objects if np.hypot(*(one.pose - state.ego)[:2, 3]) < REACH)
     world.scene.place([one.mesh.moved(one.pose) for one in near], _ego_body().mesh.moved(state.ego))
     mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
@@ -218,31 +218,27 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *,
     salt : int
         Decides which rays pass through glass.
     """
-    T = inverse(here.T_world_sensor)
-    boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
     low, high = (bound(_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-    ego = cells_in_boxes(_boxes(T, [(middle, high - low)]), TRUTH_SPEC)
+    ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)
     below = measure_ground(here.world.ground, here.T_world_sensor)
     seen_from = (here.world.scene, below, here.T_world_sensor)
+    known: Any = {"boxes": _boxes(here), "returns": returns, "ego": ego, "salt": salt}
     if plan.truth == "hd":
-        rays = hd_directions(here.spec, plan.hd_layers)
-        return hd_truth(*seen_from, rays, boxes=boxes, returns=returns, ego=ego, salt=salt)
-    ends = (min(here.spec.elevations), max(here.spec.elevations))
-    return aimed_truth(*seen_from, ends, boxes=boxes, returns=returns, ego=ego, salt=salt)
+        return hd_truth(*seen_from, hd_directions(here.spec, plan.hd_layers), **known)
+    return aimed_truth(*seen_from, (here.spec.elevations[0], here.spec.elevations[-1]), **known)
 
 
-def _boxes(T: Floats, things: Sequence[tuple[NDArray, NDArray]]) -> Boxes:
-    poses = np.array([one for one, _ in things], np.float64).reshape(-1, 4, 4)
-    sizes = np.array([one for _, one in things], np.float64).reshape(-1, 3)
-    return boxes_seen_from(T, poses, sizes)
+def _boxes(here: SceneSetup) -> Boxes:
+    """Return the boxes of the objects in the sensor's frame."""
+    poses, sizes = [one.pose for one in here.objects], [one.size for one in here.objects]
+    return boxes_seen_from(inverse(here.T_world_sensor), poses, sizes)
 
 
 def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     """Return the rows of the objects nearby, the nearest first."""
     rows = np.zeros(len(here.objects), OBJECT)
-    T = inverse(here.T_world_sensor)
-    boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
+    T, boxes = inverse(here.T_world_sensor), _boxes(here)
     rows["x"], rows["y"], rows["z"] = boxes.center.T
     rows["length"], rows["width"], rows["yaw"] = boxes.size[:, 0], boxes.size[:, 1], boxes.yaw
     for row, one in zip(rows, here.objects, strict=True):
@@ -253,10 +249,6 @@ def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
     return rows[order[distance[order] < LISTED]]
-
-
-def _distance(a: Floats, b: Floats) -> float:
-    return float(np.hypot(*(a[:2, 3] - b[:2, 3])))
 
 
 def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
@@ -301,10 +293,7 @@ def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
 
 def versions() -> dict[str, str]:
     """Return the versions of the libraries that the bytes of a sample depend on."""
-    found = {}
-    for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    found = {
+        name: [*distributions(name=name)] for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")
+    }
+    return {name: installed[0].version if installed else "unknown" for name, installed in found.items()}

@@ -34,7 +34,7 @@ class Hits(NamedTuple):
 
     @classmethod
     def allocate(cls, count: int) -> "Hits":
-        """Return arrays with arbitrary content, for `Scene.cast` to fill."""
+        """Return arrays with arbitrary content."""
         columns: Any = (np.empty(count, dtype) for dtype in ("f4", "u1", "i4", "f4"))
         return cls(*columns)
 

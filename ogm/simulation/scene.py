@@ -60,15 +60,7 @@ class Scene:
         things = np.repeat(numbers, [len(part.triangles) for part in parts])
         self._moving = _Shape(merge(parts), things, self.threads)
 
-    def cast(
-        self,
-        origin: ArrayLike,
-        directions: NDArray[np.float32],
-        *,
-        salt: int = 0,
-        number: int = 0,
-        out: Hits | None = None,
-    ) -> Hits:
+    def cast(self, origin: ArrayLike, directions: NDArray[np.float32], *, salt: int = 0, number: int = 0) -> Hits:
         """Find what rays hit first.
 
         Glass lets a share of the rays through, three panes at most: which ones, depends on `salt`, the ray's
@@ -85,23 +77,17 @@ class Scene:
             Changes which rays pass through glass, for instance from frame to frame; 0 or more.
         number : int
             Of the first ray, where one set of rays is cast in several calls.
-        out : Hits, optional
-            Filled and returned instead of new arrays: (N,) each, as from `Hits.allocate`.
 
         Raises
         ------
         TypeError
-            If `directions` are not float32, or `out` has other types than `Hits.allocate` gives.
+            If `directions` are not float32.
         ValueError
             If shapes do not fit.
         """
         origins, rotation = _aim(origin, directions)
         count = len(directions)
-        hits = Hits.allocate(count) if out is None else out
-        if any(column.shape != (count,) for column in hits):
-            raise ValueError(f"out must hold {count} rays, got {[column.shape for column in hits]}")
-        if [column.dtype for column in hits] != [column.dtype for column in Hits.allocate(0)]:
-            raise TypeError(f"out must be of the types of Hits.allocate, got {[str(c.dtype) for c in hits]}")
+        hits = Hits.allocate(count)
         for start in range(0, count, BATCH):
             stop = min(start + BATCH, count)
             places = origins if len(origins) == 1 else origins[start:stop]

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 __all__ = ["LIDARS", "LidarSpec", "hd_directions"]
 
+_BOUNDS: dict[str, tuple[float, float]] = {  # lowest and highest value of a `LidarSpec`
+    "azimuth_step": (1e-4, 0.2), "rate": (0.1, 200), "range_min": (0, 50), "reach": (1, 5000), "range_noise": (0, 1),
+    "range_bias": (0, 1), "gain_spread": (0, 2), "range_step": (1e-5, 1), "divergence": (0, 0.1), "height": (0.05, 20),
+}  # fmt: skip
+
 
 @dataclass(frozen=True)
 class LidarSpec:
@@ -77,57 +82,38 @@ class LidarSpec:
     unit: int = 0
 
     def __post_init__(self) -> None:
+        layers = len(self.elevations)
         for name in ("elevations", "azimuth_offsets", "origins"):
-            if not isinstance(getattr(self, name), tuple):
-                got = type(getattr(self, name)).__name__
-                raise TypeError(f"{self.name}: {name} must be a tuple, one entry per layer, got {got}")
-        if isinstance(self.unit, bool) or not isinstance(self.unit, (int, np.integer)) or self.unit < 0:
-            raise ValueError(f"{self.name}: unit must be a whole number >= 0, got {self.unit!r}")
-        if not self.elevations:
+            values = getattr(self, name)
+            if not isinstance(values, tuple):
+                raise TypeError(
+                    f"{self.name}: {name} must be a tuple, one entry per layer, got {type(values).__name__}"
+                )
+            if len(values) != layers and (values or name != "origins"):
+                raise ValueError(f"{self.name}: {len(values)} {name} for {layers} layers")
+            if not np.isfinite(np.hstack((0.0, *values))).all():
+                raise ValueError(f"{self.name}: {name} hold NaN or inf: {values}")
+        if not layers:
             raise ValueError(f"{self.name}: elevations are empty; a lidar has at least one layer")
-        _check_finite(self.name, "elevations", self.elevations)
-        _check_finite(self.name, "azimuth_offsets", self.azimuth_offsets)
+        if any(len(one) != 3 for one in self.origins):
+            raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer")
         if max(map(abs, self.elevations)) > math.pi / 2:
             raise ValueError(
-                f"{self.name}: elevations must lie in -pi/2 ... pi/2 rad, got {min(self.elevations):g} ... "
-                f"{max(self.elevations):g} (degrees?)"
+                f"{self.name}: elevations must lie in -pi/2 ... pi/2 rad, got {self.elevations} (degrees?)"
             )
-        for k, (low, high) in enumerate(zip(self.elevations, self.elevations[1:], strict=False)):
-            if high < low:
-                raise ValueError(
-                    f"{self.name}: elevations must ascend from the lowest layer, but layer {k + 1} "
-                    f"({high:g} rad) is below layer {k} ({low:g} rad); sort them and their offsets"
-                )
-        if len(self.azimuth_offsets) != len(self.elevations):
-            raise ValueError(
-                f"{self.name}: {len(self.azimuth_offsets)} azimuth_offsets for {len(self.elevations)} layers"
-            )
-        numbers = {
-            "azimuth_step": (self.azimuth_step, 1e-4, 0.2),
-            "rate": (self.rate, 0.1, 200),
-            "range_min": (self.range_min, 0, 50),
-            "range_max": (self.range_max, self.range_min, 2000),
-            "reach": (self.reach, 1, 5000),
-            "range_noise": (self.range_noise, 0, 1),
-            "range_bias": (self.range_bias, 0, 1),
-            "gain_spread": (self.gain_spread, 0, 2),
-            "range_step": (self.range_step, 1e-5, 1),
-            "divergence": (self.divergence, 0, 0.1),
-            "height": (self.height, 0.05, 20),
-        }
-        for name, (value, low, high) in numbers.items():
-            if not low <= value <= high:  # NaN fails too
-                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {value}")
+        if sorted(self.elevations) != list(self.elevations):
+            raise ValueError(f"{self.name}: elevations must ascend from the lowest layer; sort them and their offsets")
+        if isinstance(self.unit, bool) or not isinstance(self.unit, (int, np.integer)) or self.unit < 0:
+            raise ValueError(f"{self.name}: unit must be a whole number >= 0, got {self.unit!r}")
+        for name, (low, high) in (_BOUNDS | {"range_max": (self.range_min, 2000)}).items():
+            if not low <= getattr(self, name) <= high:  # NaN fails too
+                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
         columns = 2 * math.pi / self.azimuth_step
         if abs(columns - round(columns)) > 1e-6 * columns:
             raise ValueError(
                 f"{self.name}: azimuth_step must divide a full turn, got {self.azimuth_step} rad = a turn / "
                 f"{columns:.6g}; take 2 * pi / {round(columns)}"
             )
-        if self.origins:
-            if len(self.origins) != len(self.elevations) or any(len(one) != 3 for one in self.origins):
-                raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer")
-            _check_finite(self.name, "origins", [value for one in self.origins for value in one])
 
     @property
     def layers(self) -> int:
@@ -206,11 +192,6 @@ def _rays(
 _shared_rays = lru_cache(maxsize=16)(_rays)
 
 
-def _check_finite(lidar: str, name: str, values: Sequence[float]) -> None:
-    if not np.isfinite(values).all():
-        raise ValueError(f"{lidar}: {name} hold NaN or inf: {values}")
-
-
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
     return tuple(map(math.radians, degrees))
 
@@ -247,56 +228,25 @@ LIDARS: dict[str, LidarSpec] = {
     for spec in (
         LidarSpec("vlp-32c", _radians(_VLP_32C), _radians(_VLP_32C_OFFSETS), math.radians(0.2)),
         LidarSpec(
-            "dual-vlp-32c",
-            _radians([elevation for elevation, _, _ in _PAIR]),
-            _radians([offset for _, _, offset in _PAIR]),
-            math.radians(0.2),
-            origins=tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR),
-            height=2.0,
+            "dual-vlp-32c", _radians([one[0] for one in _PAIR]), _radians([one[2] for one in _PAIR]),
+            math.radians(0.2), height=2.0, origins=tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR),
         ),
         LidarSpec(
-            "hdl-32e",
-            _radians(_evenly(-30.67, 10.67, 32)),
-            (0.0,) * 32,
-            2 * math.pi / 1085,
-            rate=20.0,
-            range_max=100.0,
-            reach=165.0,
-            range_noise=0.004,
-            range_step=0.002,
+            "hdl-32e", _radians(_evenly(-30.67, 10.67, 32)), (0.0,) * 32, 2 * math.pi / 1085,
+            rate=20.0, range_max=100.0, reach=165.0, range_noise=0.004, range_step=0.002,
         ),
         LidarSpec(
-            "hdl-64e",
-            _radians([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)]),
-            _radians([(-3.5, 3.5)[k % 2] for k in range(64)]),
-            2 * math.pi / 2083,
-            range_min=0.9,
-            range_max=120.0,
-            reach=180.0,
-            range_noise=0.008,
-            range_step=0.002,
-            divergence=0.002,
-            height=1.73,
+            "hdl-64e", _radians([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)]),
+            _radians([-3.5, 3.5] * 32), 2 * math.pi / 2083, range_min=0.9, range_max=120.0, reach=180.0,
+            range_noise=0.008, range_step=0.002, divergence=0.002, height=1.73,
         ),
         LidarSpec(
-            "vls-128",
-            _radians(_VLS_128),
-            (0.0,) * 128,
-            math.radians(0.2),
-            range_max=245.0,
-            reach=305.0,
-            range_noise=0.008,
+            "vls-128", _radians(_VLS_128), (0.0,) * 128, math.radians(0.2),
+            range_max=245.0, reach=305.0, range_noise=0.008,
         ),
         LidarSpec(
-            "os1-64",
-            _radians(_evenly(-22.5, 22.5, 64)),
-            _radians([(3.16, 1.05, -1.05, -3.16)[k % 4] for k in range(64)]),
-            2 * math.pi / 1024,
-            range_max=120.0,
-            reach=165.0,
-            range_noise=0.012,
-            range_step=0.003,
-            divergence=0.0023,
+            "os1-64", _radians(_evenly(-22.5, 22.5, 64)), _radians([3.16, 1.05, -1.05, -3.16] * 16),
+            2 * math.pi / 1024, range_max=120.0, reach=165.0, range_noise=0.012, range_step=0.003, divergence=0.0023,
         ),
     )
-}
+}  # fmt: skip

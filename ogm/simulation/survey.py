@@ -14,9 +14,9 @@ from scipy.ndimage import binary_dilation
 from ogm.grid import GridSpec
 from ogm.pose import check_pose
 from ogm.scan import Boxes
-from ogm.simulation.cells import AIMS, Aim, Aims, Below, aimed_directions
+from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions
 from ogm.simulation.materials import GROUND, Material
-from ogm.simulation.scene import Hits, Scene
+from ogm.simulation.scene import Scene
 from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, TRUTH_SPEC, Kind, finalize_truth
 from ogm.truth.rays import observe_rays
@@ -78,7 +78,6 @@ def aimed_truth(
     elevations: tuple[float, float],
     spec: GridSpec = TRUTH_SPEC,
     *,
-    aims: Aims = AIMS,
     boxes: Boxes | None = None,
     returns: ArrayLike | None = None,
     ego: NDArray[np.bool_] | None = None,
@@ -94,8 +93,6 @@ def aimed_truth(
     ----------
     elevations : (float, float)
         Lowest and highest of the sensor's field of view [rad].
-    aims : Aims
-        Points of each cell to aim at.
 
     Others as in `hd_truth`.
     """
@@ -107,19 +104,19 @@ def aimed_truth(
     def cast(aim: Aim, chosen: NDArray[np.bool_], z: NDArray[np.float32] = below.z) -> None:
         observer.cast(aimed_directions(z, spec, aim, elevations, chosen))
 
-    for aim in aims.every:
+    for aim in AIMS.every:
         cast(aim, np.ones(spec.shape, np.bool_))
     colour = np.add.outer(np.arange(spec.shape[0]), np.arange(spec.shape[1])) % 2
-    for n, aim in enumerate(aims.alternate):
+    for n, aim in enumerate(AIMS.alternate):
         cast(aim, colour == n % 2)
     steps = (below.rise >= HEIGHT_LIMITS.obstacle) & (seen < OBSTACLE_SEEN)
-    for aim in aims.step:
+    for aim in AIMS.step:
         cast(aim, steps, (below.ground + below.rise / 2).astype(np.float32))
     beside = _with_neighbours(seen >= OBSTACLE_SEEN) & (seen < OBSTACLE_SEEN)
-    for aim in aims.beside:
+    for aim in AIMS.beside:
         cast(aim, beside)
     edge = _with_neighbours(seen != 0) & (seen == 0)
-    for aim in aims.edge:
+    for aim in AIMS.edge:
         cast(aim, edge)
     return observer.truth(boxes, returns, ego)
 
@@ -139,17 +136,14 @@ class _Observer:
         self.T = check_pose(T, "T_world_sensor")
         self.seen = np.zeros(spec.shape, np.uint8)
         self._number = 0  # rays so far
-        self._hits = Hits.allocate(BATCH)
 
     def cast(self, directions: NDArray[np.float32]) -> None:
         """Cast rays (N, 3), batch by batch."""
         for start in range(0, len(directions), BATCH):
             part = directions[start : start + BATCH]
-            out = self._hits.part(0, len(part))
-            hits = self.scene.cast(self.T, part, salt=self.salt, number=self._number + start, out=out)
-            ground, rise = self.below.ground, self.below.rise
-            kind = KINDS[hits.material]
-            observe_rays(self.seen, hits.distance, part, kind, ground, rise, self.spec, HEIGHT_LIMITS)
+            hits = self.scene.cast(self.T, part, salt=self.salt, number=self._number + start)
+            _, ground, rise = self.below
+            observe_rays(self.seen, hits.distance, part, KINDS[hits.material], ground, rise, self.spec, HEIGHT_LIMITS)
         self._number += len(directions)
 
     def truth(self, boxes: Boxes | None, returns: ArrayLike | None, ego: NDArray[np.bool_] | None) -> Truth:

@@ -70,7 +70,7 @@ class Shape:
     wheelbase, overhang : float
         Between the axles; from the front end to the front axle.
     nose, cowl, deck : float
-        Height of the bonnet's front edge, of the windscreen's foot, of the boot (or of the rear window's foot).
+        Height of the bonnet's front edge, of the windscreen's base, of the boot (or of the rear window's base).
     cowl_at, roof_at, roof_end, deck_at : float
         Where the windscreen starts and ends, where the roof ends, where the rear window meets the deck.
     floor, tyre : float
@@ -145,23 +145,10 @@ def _shell(shape: Shape, paint: int) -> Mesh:
     width = half * np.interp(
         s, [0, 0.1, 0.35, 0.8, end - 0.8, end - 0.25, end - 0.1, end], [0.7, 0.88, 0.965, 1, 1, 0.97, 0.92, 0.8]
     )
-    belt = np.interp(
-        s,
-        [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end],
-        [
-            shape.nose - 0.14,
-            shape.nose - 0.05,
-            shape.cowl - 0.05,
-            shape.deck - 0.02,
-            shape.deck - 0.05,
-            shape.deck - 0.12,
-        ],
-    )
-    top = np.interp(
-        s,
-        [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end],
-        [shape.nose - 0.1, shape.nose, shape.cowl, shape.deck + 0.01, shape.deck - 0.01, shape.deck - 0.1],
-    )
+    knots = [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end]
+    heights = np.array([shape.nose] * 2 + [shape.cowl] + [shape.deck] * 3)
+    belt = np.interp(s, knots, heights + [-0.14, -0.05, -0.05, -0.02, -0.05, -0.12])
+    top = np.interp(s, knots, heights + [-0.1, 0, 0, 0.01, -0.01, -0.1])
     floor = np.interp(s, [0, 0.3, end - 0.5, end], [shape.floor + 0.07, shape.floor, shape.floor, shape.floor + 0.14])
     sill = floor.copy()
     reach = shape.tyre + 0.07
@@ -197,18 +184,17 @@ def _ends(sections: Floats, paint: int) -> Mesh:
     materials = [M.PLASTIC_DARK, paint, M.PLASTIC_DARK, paint]
     faces = quads([front[list(band)] for band in bands], materials)
     back = quads([rear[list(band)] for band in bands], [M.PLASTIC_DARK, paint, paint, paint])
-    y, z = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.055, -0.055, 0.055, 0.055])
     plates = [
-        np.stack([np.full(4, end[0, 0] + side * 0.01), y, level + z], axis=1)
-        for end, side, level in ((front, 1, end_height(front, 0.35)), (rear, -1, end_height(rear, 0.55)))
+        plate(end[0, 0] + side * 0.01, end[:, 2].min() + share * np.ptp(end[:, 2]), 0.055)
+        for end, side, share in ((front, 1, 0.35), (rear, -1, 0.55))
     ]
     return merge([faces, back, quads(plates, M.PLATE)])
 
 
-def end_height(section: Floats, share: float) -> float:
-    """Return the height at a share of a cross section [m]."""
-    low, high = float(section[:, 2].min()), float(section[:, 2].max())
-    return low + share * (high - low)
+def plate(x: float, z: float, half: float = 0.06) -> Floats:
+    """Return the corners (4, 3) of a number plate, half of whose height is given [m]."""
+    y, up = np.array([-0.26, 0.26, 0.26, -0.26]), half * np.array([-1, -1, 1, 1])
+    return np.stack([np.full(4, x), y, z + up], axis=1)
 
 
 def _greenhouse(shape: Shape, paint: int) -> Mesh:
@@ -256,10 +242,10 @@ def _seats(shape: Shape) -> Mesh:
     """Make the backs of the front seats and a driver's outline: what rays through the windows meet."""
     x = shape.length / 2 - (shape.cowl_at + 0.42 * (shape.deck_at - shape.cowl_at)) - 0.1
     low, high = shape.cowl - 0.35, min(shape.cowl + 0.34, shape.height - 0.2)
-    backs = []
-    for y in (-0.19 * shape.width, 0.19 * shape.width):
-        p = [(x, y - 0.23, low), (x, y + 0.23, low), (x - 0.16, y + 0.12, high), (x - 0.16, y - 0.12, high)]
-        backs.append(p)
+    backs = [
+        [(x, y - 0.23, low), (x, y + 0.23, low), (x - 0.16, y + 0.12, high), (x - 0.16, y - 0.12, high)]
+        for y in (-0.19 * shape.width, 0.19 * shape.width)
+    ]
     return quads(backs, M.PLASTIC_DARK)
 
 
