@@ -10,9 +10,9 @@ Files are numbered from 1 and belong together by name.
 """
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,8 @@ class Pair(NamedTuple):
     truth: Truth
 
 
-class PairFolder(Sequence[Pair]):
-    """One part of a data set in the paper's layout.
+class PairFolder:
+    """One part of a data set in the paper's layout: a sequence of `Pair`, read one by one.
 
     Parameters
     ----------
@@ -56,14 +56,13 @@ class PairFolder(Sequence[Pair]):
 
     def __init__(self, path: str | os.PathLike[str], part: str) -> None:
         self.path, self.part = Path(path), part
-        clouds = self._stems("input", ".pcd")
-        odd = sorted(set(clouds) ^ set(self._stems("label", ".png")))
+        self.names = self._stems("input", ".pcd")
+        odd = sorted(set(self.names) ^ set(self._stems("label", ".png")))
         if odd:
             raise ValueError(
                 f"{self.path}: input_{part} and label_{part} must have the same names, but {odd[0]} "
                 f"(and {len(odd) - 1} more) is in one of them only"
             )
-        self.names = clouds
 
     def _stems(self, kind: str, suffix: str) -> list[str]:
         folder = self.path / f"{kind}_{self.part}"
@@ -74,14 +73,8 @@ class PairFolder(Sequence[Pair]):
     def __len__(self) -> int:
         return len(self.names)
 
-    @overload
-    def __getitem__(self, index: int) -> Pair: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Pair]: ...
-    def __getitem__(self, index: int | slice) -> Pair | list[Pair]:
-        """Read pairs."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def __getitem__(self, index: int) -> Pair:
+        """Read one pair."""
         name = self.names[index]
         points = read_points(self.path / f"input_{self.part}" / f"{name}.pcd", intensity_max=255.0)
         return Pair(points, read_label(self.path / f"label_{self.part}" / f"{name}.png"))
@@ -111,21 +104,16 @@ def export(
         Samples written.
     """
     count = 0
-    for split, part in FOLDERS.items():
-        if split not in store.counts:
-            continue
-        samples = store[split]
-        finished = samples.finished
-        if not len(finished):
-            continue
-        inputs, labels = Path(path) / f"input_{part}", Path(path) / f"label_{part}"
-        inputs.mkdir(parents=True, exist_ok=True)
-        labels.mkdir(parents=True, exist_ok=True)
-        for i in tick(finished.tolist(), split):
-            sample, name = samples[i], f"{i + 1:010d}"
-            write_pcd(inputs / f"{name}.pcd", sample.points)
-            write_label(labels / f"{name}.png", sample.truth.crop(PAPER_GRID))
-            count += 1
+    for split in [name for name in FOLDERS if name in store.counts]:
+        samples, finished = store[split], store[split].finished.tolist()
+        folders = [Path(path) / f"{kind}_{FOLDERS[split]}" for kind in ("input", "label")]
+        for folder in folders if finished else ():
+            folder.mkdir(parents=True, exist_ok=True)
+        for i in tick(finished, split) if finished else ():
+            sample = samples[i]
+            write_pcd(folders[0] / f"{i + 1:010d}.pcd", sample.points)
+            write_label(folders[1] / f"{i + 1:010d}.png", sample.truth.crop(PAPER_GRID))
+        count += len(finished)
     return count
 
 

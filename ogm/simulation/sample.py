@@ -4,7 +4,7 @@ Needs numpy only, so that data sets are read where the simulator is not installe
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -117,13 +117,9 @@ class Beams:
         """When each column is measured [s], (columns,) float32; 0 is the middle of the turn."""
         return (((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate).astype(np.float32)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON can hold them."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "Beams":
-        """Make from what `as_dict` returned, or from what JSON made of it."""
+        """Make from what `dataclasses.asdict` returned, or from what JSON made of it."""
         angles = {name: tuple(map(float, numbers[name])) for name in ("elevation", "azimuth")}
         origin = tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"])
         return cls(**{**numbers, **angles, "origin": origin})
@@ -181,16 +177,6 @@ class SimulatedSample:
     def lidar(self) -> str:
         """The lidar's name."""
         return self.beams.name
-
-    @property
-    def range(self) -> NDArray[np.float32]:
-        """The range image [m], (layers, columns) float32; 0 where there was no return."""
-        return self.steps * np.float32(RANGE_STEP)
-
-    @property
-    def intensity(self) -> NDArray[np.float32]:
-        """Intensities of the range image [0, 1], (layers, columns) float32."""
-        return self.intensities * np.float32(1 / 255)
 
     @cached_property
     def points(self) -> NDArray[np.float32]:

@@ -28,6 +28,7 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +118,7 @@ class Store:
         except FileNotFoundError:
             return False
         except ValueError:
-            return True
+            pass
         return True
 
     @classmethod
@@ -182,7 +183,7 @@ class Store:
                 "format": FORMAT,
                 "plan": dict(plan),
                 "splits": dict(counts),
-                "lidars": [one.as_dict() for one in beams],
+                "lidars": [asdict(one) for one in beams],
                 "range_step": RANGE_STEP,
                 "labels": list(LABELS),
                 "versions": dict(versions),

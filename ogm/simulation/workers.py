@@ -10,8 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
@@ -67,28 +70,21 @@ def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams
     if Store.exists(path):
         before = Store.open(path)
         plan = plan.grown(DatasetPlan.from_dict(before.plan))
-        versions = {name: _added(before.versions.get(name), one) for name, one in versions.items()}
-    store = Store.create(path, plan.as_dict(), plan.counts, beams, versions)
+        made_by = {name: [*before.versions.get(name, one).split(", "), one] for name, one in versions.items()}
+        versions = {name: ", ".join(dict.fromkeys(several)) for name, several in made_by.items()}
+    store = Store.create(path, asdict(plan), plan.counts, beams, versions)
     store.sweep()
     return store
-
-
-def _added(before: str | None, version: str) -> str:
-    """Return the versions that made a data set so far, and this one."""
-    return ", ".join(dict.fromkeys([*(before or version).split(", "), version]))
 
 
 def missing_shards(store: Store) -> list[Job]:
     """Return the shards that are still to be made, those of one town after each other."""
     plan = DatasetPlan.from_dict(store.plan)
-    todo = []
+    todo: list[Job] = []
     for name in ("training", "validation", "sequences", "test"):
-        split = store[name]
-        made = split.facts[:, 0] > 0
-        for shard in range(-(-len(split) // SHARD)):
-            part = made[shard * SHARD : (shard + 1) * SHARD]
-            if not part.all():
-                todo.append(Job(name, shard, len(part)))
+        made = store[name].facts[:, 0] > 0
+        parts = np.split(made, range(SHARD, len(made), SHARD))
+        todo += [Job(name, shard, len(part)) for shard, part in enumerate(parts) if not part.all()]
     towns = [moment(plan, job.split, job.shard * SHARD).town for job in todo]
     order = {town: k for k, town in enumerate(dict.fromkeys(towns))}
     return [job for _, job in sorted(zip(towns, todo, strict=True), key=lambda pair: order[pair[0]])]

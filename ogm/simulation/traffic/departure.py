@@ -152,8 +152,9 @@ def _drivers(
     dice = rng.integers(1, 2**63, count).astype(np.uint64)
     front, rear, granted = np.zeros(count, np.int64), np.zeros(count, np.int64), np.full(count, -1)
     speed, since = np.full(count, 2.0), np.full(count, -1.0)
-    *habits, top = manners.T.copy()
-    return Drivers(route, start, fronts, speed, front, rear, granted, since, dice, lengths, *habits, pace, top)
+    acceleration, braking, hardest, headway, top = manners.T.copy()
+    moving = (route, start, fronts, speed, front, rear, granted, since, dice)
+    return Drivers(*moving, lengths, acceleration, braking, hardest, headway, pace, top)
 
 
 def make_signals(table: LaneTable, rng: Generator) -> Signals:
