@@ -33,7 +33,7 @@ try:
     from ogm.simulation.cells import measure_ground
     from ogm.simulation.lidar import CLEAR, Weather, scan
     from ogm.simulation.scene import Scene
-    from ogm.simulation.survey import aimed_truth, hd_truth
+    from ogm.simulation.survey import Known, aimed_truth, hd_truth
     from ogm.simulation.town import Town, build_town
     from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
 except ImportError as error:
@@ -176,17 +176,12 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     at, here = moment(plan, split, index), set_up(plan, split, index, threads)
     rng = sample_rng(plan, split, index, 1)
     weather = _weather(plan, rng)
-    moves = rng.random() < plan.in_motion
-    image = scan(
-        here.world.scene,
-        here.spec,
-        here.T_world_sensor,
-        rng,
-        velocity=here.state.ego_velocity if moves else np.zeros(3),
-        yaw_rate=here.state.ego_yaw_rate if moves else 0.0,
-        weather=weather,
-        coats=[(at.traffic << 20) + one.track for one in here.objects],
-    )
+    speed, turn = here.state.ego_velocity, here.state.ego_yaw_rate
+    if rng.random() >= plan.in_motion:
+        speed, turn = np.zeros(3), 0.0
+    coats = [(at.traffic << 20) + one.track for one in here.objects]
+    place = (here.world.scene, here.spec, here.T_world_sensor)
+    image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats)
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
     return SimulatedSample(
         beams=beams_of(here.spec),
@@ -221,12 +216,11 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *,
     low, high = (bound(_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)
-    below = measure_ground(here.world.ground, here.T_world_sensor)
-    seen_from = (here.world.scene, below, here.T_world_sensor)
-    known: Any = {"boxes": _boxes(here), "returns": returns, "ego": ego, "salt": salt}
+    scene, below = here.world.scene, measure_ground(here.world.ground, here.T_world_sensor)
+    known = Known(_boxes(here), returns, ego)
     if plan.truth == "hd":
-        return hd_truth(*seen_from, hd_directions(here.spec, plan.hd_layers), **known)
-    return aimed_truth(*seen_from, (here.spec.elevations[0], here.spec.elevations[-1]), **known)
+        return hd_truth(scene, below, hd_directions(here.spec, plan.hd_layers), known, salt=salt)
+    return aimed_truth(scene, below, (here.spec.elevations[0], here.spec.elevations[-1]), known, salt=salt)
 
 
 def _boxes(here: SceneSetup) -> Boxes:
@@ -266,15 +260,9 @@ def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
 @lru_cache(maxsize=64)
 def beams_of(spec: LidarSpec) -> Beams:
     """Return what turns a lidar's range images into points, without the simulator."""
-    return Beams(
-        spec.name,
-        spec.elevations,
-        tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets),
-        -spec.azimuth_step,
-        spec.azimuths,
-        spec.rate,
-        spec.origins or ((0.0, 0.0, 0.0),) * spec.layers,
-    )
+    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
+    origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
+    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:

@@ -158,17 +158,15 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
     ValueError
         If it is no such picture, has another size than `spec`, or a cell is both free and occupied.
     """
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
         with Image.open(path) as picture:
             mode, image = picture.mode, np.asarray(picture)
-    except (UnidentifiedImageError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path} is not a picture that can be read: {error}") from error
-    except OSError as error:
-        if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
-            raise
-        raise ValueError(f"{path} is not a whole picture: {error}") from error
+    except (FileNotFoundError, PermissionError, IsADirectoryError):
+        raise
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path} is not a whole picture that can be read: {error}") from error
     if mode not in ("RGB", "RGBA") or image.shape[:2] != spec.shape:
         raise ValueError(
             f"{path} is {mode} of {image.shape[0]} x {image.shape[1]}, wanted RGB of {spec.shape[0]} rows x "

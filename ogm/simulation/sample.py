@@ -17,21 +17,13 @@ __all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weathe
 
 RANGE_STEP = 0.004  # [m] in which ranges are kept, as Velodyne's packets do
 LABELS = ("car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle", "pedestrian")
+# One traffic participant. label: number in LABELS; x, y, z: middle of the upright box in the sensor's frame [m];
+# length, width, height [m]; yaw: of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over ground
+# along the sensor's x and y axes [m/s]; track: the same for one participant in all samples of a scenario;
+# returns: points of this sample on it.
+_BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
 OBJECT = np.dtype(
-    [
-        ("label", np.uint8),  # number in LABELS
-        ("x", np.float32),  # middle of the upright box in the sensor's frame [m]
-        ("y", np.float32),
-        ("z", np.float32),
-        ("length", np.float32),  # [m]
-        ("width", np.float32),
-        ("height", np.float32),
-        ("yaw", np.float32),  # of the forward axis about the sensor's z axis [rad]
-        ("vx", np.float32),  # velocity over ground along the sensor's x and y axes [m/s]
-        ("vy", np.float32),
-        ("track", np.int32),  # the same for one participant in all samples of a scenario
-        ("returns", np.int32),  # points of this sample on it
-    ]
+    [("label", np.uint8), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)]
 )
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -223,30 +224,22 @@ _VLS_128 = (
     *(4.98, 5.18, 5.43, 5.73, 6.08, 6.48, 6.98, 7.58, 8.43, 9.7, 11.75, 15.0),
 )
 
-LIDARS: dict[str, LidarSpec] = {
-    spec.name: spec
-    for spec in (
-        LidarSpec("vlp-32c", _radians(_VLP_32C), _radians(_VLP_32C_OFFSETS), math.radians(0.2)),
-        LidarSpec(
-            "dual-vlp-32c", _radians([one[0] for one in _PAIR]), _radians([one[2] for one in _PAIR]),
-            math.radians(0.2), height=2.0, origins=tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR),
-        ),
-        LidarSpec(
-            "hdl-32e", _radians(_evenly(-30.67, 10.67, 32)), (0.0,) * 32, 2 * math.pi / 1085,
-            rate=20.0, range_max=100.0, reach=165.0, range_noise=0.004, range_step=0.002,
-        ),
-        LidarSpec(
-            "hdl-64e", _radians([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)]),
-            _radians([-3.5, 3.5] * 32), 2 * math.pi / 2083, range_min=0.9, range_max=120.0, reach=180.0,
-            range_noise=0.008, range_step=0.002, divergence=0.002, height=1.73,
-        ),
-        LidarSpec(
-            "vls-128", _radians(_VLS_128), (0.0,) * 128, math.radians(0.2),
-            range_max=245.0, reach=305.0, range_noise=0.008,
-        ),
-        LidarSpec(
-            "os1-64", _radians(_evenly(-22.5, 22.5, 64)), _radians([3.16, 1.05, -1.05, -3.16] * 16),
-            2 * math.pi / 1024, range_max=120.0, reach=165.0, range_noise=0.012, range_step=0.003, divergence=0.0023,
-        ),
-    )
+# Elevations and azimuth offsets [deg], the step between columns [rad], and what differs from the defaults.
+_MODELS: dict[str, tuple[Sequence[float], Sequence[float], float, dict[str, Any]]] = {
+    "vlp-32c": (_VLP_32C, _VLP_32C_OFFSETS, math.radians(0.2), {}),
+    "dual-vlp-32c": ([e for e, _, _ in _PAIR], [a for _, _, a in _PAIR], math.radians(0.2),
+        {"origins": tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR), "height": 2.0}),
+    "hdl-32e": (_evenly(-30.67, 10.67, 32), [0.0] * 32, 2 * math.pi / 1085,
+        {"rate": 20.0, "range_max": 100.0, "reach": 165.0, "range_noise": 0.004, "range_step": 0.002}),
+    "hdl-64e": ([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)], [-3.5, 3.5] * 32, 2 * math.pi / 2083,
+        {"range_min": 0.9, "range_max": 120.0, "reach": 180.0, "range_noise": 0.008, "range_step": 0.002,
+         "divergence": 0.002, "height": 1.73}),
+    "vls-128": (_VLS_128, [0.0] * 128, math.radians(0.2), {"range_max": 245.0, "reach": 305.0, "range_noise": 0.008}),
+    "os1-64": (_evenly(-22.5, 22.5, 64), [3.16, 1.05, -1.05, -3.16] * 16, 2 * math.pi / 1024,
+        {"range_max": 120.0, "reach": 165.0, "range_noise": 0.012, "range_step": 0.003, "divergence": 0.0023}),
 }  # fmt: skip
+
+LIDARS = {
+    name: LidarSpec(name, _radians(elevations), _radians(offsets), step, **others)
+    for name, (elevations, offsets, step, others) in _MODELS.items()
+}

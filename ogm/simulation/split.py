@@ -130,7 +130,7 @@ class Split(Sequence[SimulatedSample]):
         """Open an array, once, and check that it is as `_grow` makes it."""
         if name not in self._arrays:
             path = self.path / self.name / name
-            array, (shape, kind) = open_array(path), array_layout(count_rays(self.beams))[name]
+            array, (shape, kind) = open_array(path), array_layout(self.beams)[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
                 raise Damaged(
                     f"{path} holds {array.dtype} of {array.shape}, wanted {kind} of {(len(self), *shape)}: "
@@ -158,13 +158,9 @@ class Split(Sequence[SimulatedSample]):
         )
 
 
-def count_rays(beams: Sequence[Beams]) -> int:
-    """Return the rays of the lidar that has most."""
-    return max(one.shape[0] * one.shape[1] for one in beams)
-
-
-def array_layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return the shape and the type of a sample in each array."""
+def array_layout(beams: Sequence[Beams]) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return the shape and the type of a sample in each array, with space for the lidar that has most rays."""
+    rays = max((one.shape[0] * one.shape[1] for one in beams), default=0)
     return {
         "steps": ((rays,), "uint16"),
         "intensities": ((rays,), "uint8"),
@@ -176,7 +172,7 @@ def array_layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
 
 def shard_file(split: Path, name: str, shard: int) -> Path:
     """Return the file that holds a shard of an array."""
-    dimensions = 1 + len(array_layout(0)[name][0])
+    dimensions = 1 + len(array_layout(())[name][0])
     return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
 
 

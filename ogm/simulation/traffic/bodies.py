@@ -78,9 +78,7 @@ class Shape:
     roof_width : float
         Width of the roof's rails as a share of the width.
     side_glass : float
-        Share of the cabin's length that has side windows (a panel van has few), from its front.
-    rear_glass : bool
-        Whether there is a rear window.
+        Share of the cabin's length that has side windows, from its front; below 1, a van without a rear window.
     """
 
     length: float
@@ -99,7 +97,6 @@ class Shape:
     tyre: float = 0.32
     roof_width: float = 0.68
     side_glass: float = 1.0
-    rear_glass: bool = True
 
 
 # Measures of common European cars, rounded.
@@ -114,15 +111,14 @@ CARS: dict[str, Shape] = {
 }
 VANS: dict[str, Shape] = {
     "small van": Shape(
-        4.45, 1.82, 1.82, 2.72, 0.88, 0.82, 1.10, 1.10, 0.98, 1.78, 4.32, 4.42, roof_width=0.82, side_glass=0.36,
-        rear_glass=False,
+        4.45, 1.82, 1.82, 2.72, 0.88, 0.82, 1.10, 1.10, 0.98, 1.78, 4.32, 4.42, roof_width=0.82, side_glass=0.36
     ),
     "bus van": Shape(
         4.92, 1.93, 1.97, 3.02, 0.92, 0.92, 1.18, 1.12, 0.88, 1.66, 4.72, 4.86, floor=0.2, tyre=0.33, roof_width=0.84
     ),
     "panel van": Shape(
         5.55, 2.00, 2.52, 3.42, 0.98, 1.00, 1.30, 1.25, 0.86, 1.92, 5.44, 5.52, floor=0.22, tyre=0.35,
-        roof_width=0.86, side_glass=0.22, rear_glass=False,
+        roof_width=0.86, side_glass=0.22,
     ),
 }  # fmt: skip
 
@@ -226,10 +222,9 @@ def _greenhouse(shape: Shape, paint: int) -> Mesh:
     crown_s = roof + 0.12 + share * (tail - roof - 0.22)
     top = np.full(6, shape.height) - np.array([0.015, 0, 0, 0, 0, 0.02])
     crown = ring(crown_s, 0.8 * rail * taper, roof, tail - 0.06, top, top[[0, -1]])
-    sides = [paint, M.CAR_GLASS, paint, M.CAR_GLASS, paint]
-    if shape.side_glass < 1:
-        sides = [paint, paint, M.CAR_GLASS, paint, paint]
-    rear = M.CAR_GLASS if shape.rear_glass else paint
+    whole = shape.side_glass == 1
+    rear = M.CAR_GLASS if whole else paint
+    sides = [paint, M.CAR_GLASS, paint, M.CAR_GLASS, paint] if whole else [paint, paint, M.CAR_GLASS, paint, paint]
     around = np.array([int(m) for m in (M.CAR_GLASS, *sides, rear, rear, *sides[::-1], M.CAR_GLASS)], np.uint8)
     skin = loft([base, rails, crown], np.stack([around, np.full(14, paint, np.uint8)]))
     left, right = crown[1:7], crown[:7:-1]
