@@ -12,8 +12,6 @@ from ogm.pose import check_pose
 from ogm.simulation.scene import Scene
 from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC
 
-__all__ = ["AIMS", "Aim", "Below", "aimed_directions", "measure_ground"]
-
 ABOVE = 60.0  # [m] over the sensor: where rays down to the ground start
 BELOW = 120.0  # [m] how far they go: ground of any slope lies between
 

@@ -183,22 +183,13 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     place = (here.world.scene, here.spec, here.T_world_sensor)
     image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats)
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
-    return SimulatedSample(
-        beams=beams_of(here.spec),
-        steps=np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16),
-        intensities=np.round(image.intensity * 255).astype(np.uint8),
-        truth=truth_of(plan, here, returns, salt=int(rng.integers(2**31))),
-        objects=_listed(here, returns),
-        T_world_sensor=here.T_world_sensor,
-        T_vehicle_sensor=here.T_vehicle_sensor,
-        velocity=np.asarray(here.state.ego_velocity, np.float64),
-        yaw_rate=float(here.state.ego_yaw_rate),
-        stamp=at.time,
-        split=split,
-        index=index,
-        scenario=at.scenario,
-        weather=weather,
-    )
+    steps = np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16)
+    intensities = np.round(image.intensity * 255).astype(np.uint8)
+    truth = truth_of(plan, here, returns, salt=int(rng.integers(2**31)))
+    arrays: Any = (steps, intensities, truth, _listed(here, returns), here.T_world_sensor, here.T_vehicle_sensor)
+    motion: Any = (np.asarray(here.state.ego_velocity, np.float64), float(here.state.ego_yaw_rate))
+    facts: Any = {"stamp": at.time, "split": split, "index": index, "scenario": at.scenario, "weather": weather}
+    return SimulatedSample(beams_of(here.spec), *arrays, *motion, **facts)
 
 
 def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *, salt: int = 0) -> Truth:

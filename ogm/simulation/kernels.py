@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.jit import inline, kernel
 
-__all__ = ["Answer", "Hits", "aim", "keep_nearer", "restart", "transmitted", "uniform"]
-
 
 class Hits(NamedTuple):
     """What each ray hits first.

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.simulation.materials import Material
 
-__all__ = ["Mesh", "box", "cylinder", "ellipsoid", "empty", "loft", "merge", "quads", "sheet", "wall"]
-
 
 class Mesh(NamedTuple):
     """Triangles.

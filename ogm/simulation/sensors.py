@@ -134,7 +134,7 @@ class LidarSpec:
     @property
     def first_azimuth(self) -> float:
         """Azimuth of column 0 for a layer without offset [rad]; column k is k * azimuth_step further right."""
-        return math.pi - self.azimuth_step / 2
+        return _first_azimuth(self.azimuth_step)
 
     @cached_property
     def times(self) -> NDArray[np.float64]:
@@ -149,7 +149,7 @@ class LidarSpec:
 
     def directions(self) -> NDArray[np.float32]:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
-        return _shared_rays(self.elevations, self.azimuth_offsets, self.first_azimuth, self.azimuth_step, self.azimuths)
+        return _shared_rays(self.elevations, self.azimuth_offsets, self.azimuth_step)
 
 
 @lru_cache(maxsize=2)
@@ -170,24 +170,25 @@ def hd_directions(spec: LidarSpec, layers: int = 3000) -> NDArray[np.float32]:
     if layers < 2:
         raise ValueError(f"layers must be 2 or more, got {layers}")
     elevations = np.linspace(spec.elevations[0], spec.elevations[-1], layers)
-    return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.first_azimuth, spec.azimuth_step, spec.azimuths)
+    return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.azimuth_step)
 
 
-def _rays(
-    elevations: tuple[float, ...], offsets: tuple[float, ...], first: float, step: float, columns: int
-) -> NDArray[np.float32]:
-    elevation = np.array(elevations)[:, None]
-    offset = np.array(offsets)[:, None]
-    azimuth = first - step * np.arange(columns)
+def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float) -> NDArray[np.float32]:
+    elevation, offset = np.array(elevations)[:, None], np.array(offsets)[:, None]
+    azimuth = _first_azimuth(step) - step * np.arange(round(2 * math.pi / step))
     # the sum of two angles, so that 5 million rays need few sines
     cosine = np.cos(azimuth) * np.cos(offset) - np.sin(azimuth) * np.sin(offset)
     sine = np.sin(azimuth) * np.cos(offset) + np.cos(azimuth) * np.sin(offset)
-    rays = np.empty((len(elevations), columns, 3), np.float32)
+    rays = np.empty((*cosine.shape, 3), np.float32)
     rays[..., 0] = np.cos(elevation) * cosine
     rays[..., 1] = np.cos(elevation) * sine
     rays[..., 2] = np.sin(elevation)
     rays.flags.writeable = False
     return rays
+
+
+def _first_azimuth(step: float) -> float:
+    return math.pi - step / 2
 
 
 _shared_rays = lru_cache(maxsize=16)(_rays)

@@ -14,8 +14,6 @@ from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
-__all__ = ["FACTS", "OBJECTS", "SHARD", "Damaged", "Split"]
-
 SHARD = 10  # samples per shard: they become complete together
 OBJECTS = 160  # rows for objects per sample; of more, the first are kept
 _POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]
@@ -88,22 +86,13 @@ class Split(Sequence[SimulatedSample]):
         poses = np.tile(np.eye(4), (2, 1, 1))
         poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
         rows = self._shard("objects", i // SHARD)[i % SHARD, : int(count)]
-        return SimulatedSample(
-            beams=beams,
-            steps=self._read("steps", i)[:rays].reshape(beams.shape),
-            intensities=self._read("intensities", i)[:rays].reshape(beams.shape),
-            truth=Truth(TRUTH_SPEC, self._read("truth", i)),
-            objects=unstructured_to_structured(rows, OBJECT),
-            T_world_sensor=poses[0],
-            T_vehicle_sensor=poses[1],
-            velocity=np.array([value[f"velocity_{axis}"] for axis in "xyz"]),
-            yaw_rate=value["yaw_rate"],
-            stamp=value["stamp"],
-            split=self.name,
-            index=i,
-            scenario=int(value["scenario"]),
-            weather=Weather(value["rain"], value["fog"], value["wet"]),
-        )
+        image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
+        truth, objects = Truth(TRUTH_SPEC, self._read("truth", i)), unstructured_to_structured(rows, OBJECT)
+        velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
+        arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
+        weather = Weather(value["rain"], value["fog"], value["wet"])
+        facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
+        return SimulatedSample(beams, *arrays, **facts)
 
     @property
     def facts(self) -> NDArray[np.float64]:
@@ -132,10 +121,7 @@ class Split(Sequence[SimulatedSample]):
             path = self.path / self.name / name
             array, (shape, kind) = open_array(path), array_layout(self.beams)[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
-                raise Damaged(
-                    f"{path} holds {array.dtype} of {array.shape}, wanted {kind} of {(len(self), *shape)}: "
-                    "the data set is not whole; make it anew in a new folder"
-                )
+                raise not_whole(f"{path} holds {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
             self._arrays[name] = array
         return self._arrays[name]
 
@@ -176,7 +162,8 @@ def shard_file(split: Path, name: str, shard: int) -> Path:
     return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
 
 
-def import_zarr() -> Any:
+def load_zarr() -> Any:
+    """Return the module, or raise ImportError with the way to install it."""
     try:
         import zarr
     except ImportError as error:
@@ -187,12 +174,16 @@ def import_zarr() -> Any:
 
 
 def open_array(path: Path, mode: str = "r") -> Any:
-    zarr = import_zarr()
+    """Return a Zarr array, or raise `Damaged` where there is none that can be read."""
+    zarr = load_zarr()
     try:
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
-        raise Damaged(f"{path} is missing: the data set is not whole; make it anew in a new folder") from error
+        raise not_whole(f"{path} is missing") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:  # what zarr raises of odd metadata
-        raise Damaged(
-            f"{path} is no array that can be read ({error}): the data set is not whole; make it anew in a new folder"
-        ) from error
+        raise not_whole(f"{path} is no array that can be read ({error})") from error
+
+
+def not_whole(what: str) -> Damaged:
+    """Return the error for arrays that are missing or others than they should be."""
+    return Damaged(f"{what}: the data set is not whole; make it anew in a new folder")

@@ -36,17 +36,7 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.split import (
-    FACTS,
-    OBJECTS,
-    SHARD,
-    Damaged,
-    Split,
-    array_layout,
-    import_zarr,
-    open_array,
-    shard_file,
-)
+from ogm.simulation.split import FACTS, OBJECTS, SHARD, Damaged, Split, array_layout, load_zarr, open_array, shard_file
 from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
@@ -82,14 +72,12 @@ class Store:
         """
         path = Path(path)
         try:
-            text = (path / "zarr.json").read_bytes()
+            attributes = json.loads((path / "zarr.json").read_bytes())["attributes"]
+            found = attributes["format"]
         except FileNotFoundError:
             raise FileNotFoundError(f"{path} holds no data set; `ogm simulate {path}` makes one") from None
         except NotADirectoryError:
             raise ValueError(f"{path} is a file; a data set is a folder that `ogm simulate` made") from None
-        try:
-            attributes = json.loads(text)["attributes"]
-            found = attributes["format"]
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"{path} is no data set that `ogm simulate` made ({error!r})") from error
         if found == BEGUN:
@@ -148,7 +136,7 @@ class Store:
             If the folder holds something else, or a split would shrink.
         """
         path, counts = Path(path), _counts(counts)
-        zarr = import_zarr()
+        zarr = load_zarr()
         if path.is_file():
             raise ValueError(f"{path} is a file; give a new or empty folder")
         if cls.exists(path):
@@ -220,7 +208,7 @@ class Store:
         for file in reversed(files):  # the facts first: until they are written again, the shard is not made
             file.unlink(missing_ok=True)
         for name, values in columns.items():
-            with import_zarr().config.set({"array.write_empty_chunks": True}):
+            with load_zarr().config.set({"array.write_empty_chunks": True}):
                 open_array(self.path / split / name, "r+")[first : first + wanted] = values
         return sum(file.stat().st_size for file in files)
 

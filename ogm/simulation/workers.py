@@ -20,8 +20,6 @@ from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Store
 
-__all__ = ["Estimate", "Job", "Made", "begin", "make_shards", "missing_shards", "workers_that_fit"]
-
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 SCHEDULER_TIMEOUT = 20.0  # [s]
 _SILENT = logging.CRITICAL + 1
@@ -173,20 +171,16 @@ class _Work(NamedTuple):
             with tempfile.TemporaryDirectory() as folder:
                 trial = Store.create(Path(folder) / "trial", {}, {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
-            return seconds, size * _mean_rays(self.plan, beams) / sample.steps.size
+            rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
+            shares = [mount.share for mount in self.plan.mounts]
+            mean = np.average([rays[mount.lidar] for mount in self.plan.mounts], weights=shares)
+            return seconds, size * float(mean) / sample.steps.size
 
     def _sample(self, job: Job, index: int) -> SimulatedSample:
         return self.function(self.plan, job.split, index, self.threads)
 
 
 _one_at_a_time = threading.Lock()  # a worker with several threads still has one town
-
-
-def _mean_rays(plan: DatasetPlan, beams: Sequence[Beams]) -> float:
-    """Return the rays of a mean sample of the plan."""
-    rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
-    total = sum(mount.share for mount in plan.mounts)
-    return sum(mount.share * rays[mount.lidar] for mount in plan.mounts) / total
 
 
 def _estimate(measured: tuple[float, float], todo: list[Job], workers: int, store: Store) -> Estimate:
