@@ -59,10 +59,7 @@ class PairFolder:
         self.names = self._stems("input", ".pcd")
         odd = sorted(set(self.names) ^ set(self._stems("label", ".png")))
         if odd:
-            raise ValueError(
-                f"{self.path}: input_{part} and label_{part} must have the same names, but {odd[0]} "
-                f"(and {len(odd) - 1} more) is in one of them only"
-            )
+            raise ValueError(f"{self.path}: {odd[0]} (and {len(odd) - 1} more) is in input_{part} or label_{part} only")
 
     def _stems(self, kind: str, suffix: str) -> list[str]:
         folder = self.path / f"{kind}_{self.part}"
@@ -173,9 +170,6 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
             f"{spec.shape[1]} columns: green free, blue occupied"
         )
     free, occupied = image[::-1, ::-1, 1] > 0, image[::-1, ::-1, 2] > 0
-    if (free & occupied).any():
-        raise ValueError(
-            f"{path} has {np.count_nonzero(free & occupied)} cells both free and occupied; "
-            "in a label of the paper's layout a cell is one or neither"
-        )
+    if both := np.count_nonzero(free & occupied):
+        raise ValueError(f"{path} has {both} cells both free and occupied; in a label a cell is one or neither")
     return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))

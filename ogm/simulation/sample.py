@@ -77,10 +77,8 @@ class Beams:
     def __post_init__(self) -> None:
         layers = len(self.elevation)
         if not layers == len(self.azimuth) == len(self.origin) or layers == 0:
-            raise ValueError(
-                f"elevation, azimuth and origin of {self.name} must be as many and at least one, "
-                f"got {layers}, {len(self.azimuth)} and {len(self.origin)}"
-            )
+            counts = f"{layers}, {len(self.azimuth)} and {len(self.origin)}"
+            raise ValueError(f"{self.name} must have one elevation, azimuth and origin per layer, got {counts}")
         if self.columns < 1 or not self.rate > 0:
             raise ValueError(f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}")
 

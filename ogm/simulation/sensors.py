@@ -111,10 +111,8 @@ class LidarSpec:
                 raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
         columns = 2 * math.pi / self.azimuth_step
         if abs(columns - round(columns)) > 1e-6 * columns:
-            raise ValueError(
-                f"{self.name}: azimuth_step must divide a full turn, got {self.azimuth_step} rad = a turn / "
-                f"{columns:.6g}; take 2 * pi / {round(columns)}"
-            )
+            way = f"take 2 * pi / {round(columns)}"
+            raise ValueError(f"{self.name}: azimuth_step must divide a full turn, got it / {columns:.6g}; {way}")
 
     @property
     def layers(self) -> int:
@@ -214,10 +212,8 @@ _VLP_32C_OFFSETS = (
 )
 # A second one 0.119 m below the first and upside down, as on the cars of Argoverse 2: its elevations and
 # offsets change their signs. In order of elevation, the upper sensor first where both have the same.
-_PAIR = sorted(
-    [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
-    + [(-e, 1, -a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
-)
+_UPPER = [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
+_PAIR = sorted(_UPPER + [(-e, 1, -a) for e, _, a in _UPPER])
 # Velodyne VLS-128 (Alpha Prime): 0.11 degrees apart between -6.5 and +4.83.
 _VLS_128 = (
     *(-25.0, -19.582, -16.042, -13.565, -11.742, -10.346, -9.244, -8.352, -7.65, -7.15, -6.85, -6.65, -6.5),

@@ -142,17 +142,11 @@ class Store:
         if cls.exists(path):
             before = cls.open(path)
             for name, count in before.counts.items():
-                if counts.get(name, 0) < count:
-                    raise ValueError(
-                        f"{path} has {count} samples of {name} planned, got {counts.get(name, 0)}; "
-                        "a data set only grows"
-                    )
+                if (got := counts.get(name, 0)) < count:
+                    raise ValueError(f"{path} has {count} samples of {name} planned, got {got}; a data set only grows")
             if before.beams != tuple(beams):
-                raise ValueError(
-                    f"{path} was begun with other lidars ({', '.join(one.name for one in before.beams)}) than "
-                    f"those given ({', '.join(one.name for one in beams)}), or their numbers have changed; "
-                    "give a new folder"
-                )
+                names = ", ".join(one.name for one in before.beams)
+                raise ValueError(f"{path} was begun with other lidars ({names}) or numbers of them; give a new folder")
             root = zarr.open_group(path, mode="r+")
         else:
             if (path / "zarr.json").exists():  # made by a `create` that was killed

@@ -236,9 +236,8 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         stack.enter_context(_silenced("distributed"))
         stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": environment}))
         with _interrupt_delayed():
-            cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=_SILENT, memory_limit=0
-            )
+            quiet = {"dashboard_address": ":0", "silence_logs": _SILENT}
+            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, memory_limit=0, **quiet)
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
         yield client
@@ -283,17 +282,12 @@ def _explained(store: Store) -> Iterator[None]:
     """Add to errors what to do about them."""
     try:
         yield
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise OSError(
-                f"the disk that holds {store.path} is full; finished shards are complete: make room, then "
-                f"`ogm simulate {store.path} --resume`"
-            ) from error
-        raise
     except Exception as error:
-        if type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
-            raise OSError(
-                f"workers died ({type(error).__name__}), as when memory runs out; finished shards are complete: "
-                f"use fewer --workers, then `ogm simulate {store.path} --resume`"
-            ) from error
-        raise
+        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+            what, way = f"the disk that holds {store.path} is full", "make room"
+        elif type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
+            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
+        else:
+            raise
+        way += f", then `ogm simulate {store.path} --resume`"
+        raise OSError(f"{what}; finished shards are complete: {way}") from error

@@ -12,9 +12,7 @@ from ogm.simulation.traffic.bodies import Body, centered, plate, wheel
 
 def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0.12) -> Floats:
     """Return an upright cross section with eight corners, bevelled at the top."""
-    y = np.array([half, half, half, half - bevel])
-    z = np.array([low, (low + high) / 2, high - bevel, high])
-    return _mirrored(x, y, z)
+    return _mirrored(x, (half, half, half, half - bevel), (low, (low + high) / 2, high - bevel, high))
 
 
 def _mirrored(x: float | Floats, y: ArrayLike, z: ArrayLike) -> Floats:

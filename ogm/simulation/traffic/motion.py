@@ -114,14 +114,6 @@ class Traffic:
             advance(*state, self._done, Record(x[rows], v[rows], w[rows]))
             self._done = rows.stop
 
-    def _fronts(self, step: float) -> Floats:
-        """Return the way that each driver has covered [m], smooth between the steps (cubic Hermite)."""
-        k, t = int(step), step - int(step)
-        a, b = self._record.x[k], self._record.x[k + 1]
-        v, u = self._record.v[k] * STEP, self._record.v[k + 1] * STEP
-        # the polynomial with these values and slopes at both ends
-        return a + t * v + t * t * (3 * (b - a) - 2 * v - u) + t * t * t * (2 * (a - b) + v + u)
-
     def _vehicles(self, step: float) -> tuple[Floats, Floats, float]:
         """Return poses (U, 4, 4) and velocities (U, 3) of all units, and the yaw rate of the ego vehicle."""
         before, now, after = (self._place(step + half) for half in (-0.5, 0.0, 0.5))
@@ -130,8 +122,13 @@ class Traffic:
 
     def _place(self, step: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return middle (U, 3), yaw, slope ahead and slope to the left of each unit."""
-        fronts = self._fronts(step)
         units, d = self._units, self._drivers
+        # The way that each driver has covered [m], smooth between the steps (cubic Hermite): the polynomial with
+        # these values and slopes at both ends.
+        k, t = int(step), step - int(step)
+        a, b = self._record.x[k], self._record.x[k + 1]
+        v, u = self._record.v[k] * STEP, self._record.v[k + 1] * STEP
+        fronts = a + t * v + t * t * (3 * (b - a) - 2 * v - u) + t * t * t * (2 * (a - b) + v + u)
         driver = np.array([unit.driver for unit in units])
         half = np.array([unit.body.size[0] / 2 for unit in units])
         center = fronts[driver] - [unit.behind for unit in units] - half
@@ -139,9 +136,9 @@ class Traffic:
         # Nothing beyond the front bumper counts: the route there may still change.
         reach = np.clip(half - axles[:, 0], 0.1, 0.9)
         points = np.empty((2, len(units), 3))
-        t = Lines(self._table.points, self._table.along, self._table.first)
+        centers = Lines(self._table.points, self._table.along, self._table.first)
         for k in range(2):
-            along_routes(t, d.route, d.start, driver, center + axles[:, k], reach, points[k])
+            along_routes(centers, d.route, d.start, driver, center + axles[:, k], reach, points[k])
         ahead = points[0] - points[1]
         base = np.hypot(ahead[:, 0], ahead[:, 1])
         yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
