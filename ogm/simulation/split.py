@@ -25,7 +25,7 @@ FACTS = (
 
 
 class Damaged(OgmError):
-    """Stored bytes are not what was written."""
+    """Bytes on disk are not what was written."""
 
 
 class Split(Sequence[SimulatedSample]):
@@ -64,7 +64,7 @@ class Split(Sequence[SimulatedSample]):
         ValueError
             If the sample has not been made yet.
         Damaged
-            If its bytes are not those that were written; the message says how to make them anew.
+            If its bytes are not those that were written; the message has the command that makes them anew.
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]

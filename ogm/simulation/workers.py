@@ -284,7 +284,7 @@ def _explained(store: Store) -> Iterator[None]:
         yield
     except Exception as error:
         if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-            what, way = f"the disk that holds {store.path} is full", "make room"
+            what, way = f"the disk that holds {store.path} is full", "free some of it"
         elif type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
             what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
         else:
