@@ -30,7 +30,7 @@ from ogm.simulation.cells import measure_ground
 from ogm.simulation.lidar import scan, to_points
 from ogm.simulation.scene import EGO, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec
-from ogm.simulation.survey import aimed_truth
+from ogm.simulation.survey import Known, aimed_truth
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Traffic, TrafficState, ego_vehicle
 from ogm.state import CellState
@@ -195,7 +195,7 @@ def true_states(
     returns = np.bincount(hit[hit >= 0], minlength=len(state.objects))
     span = (min(spec.elevations), max(spec.elevations))
     below = measure_ground(ground, T, SPEC)
-    return aimed_truth(scene, below, T, span, SPEC, boxes=boxes, returns=returns).state
+    return aimed_truth(scene, below, span, Known(boxes, returns)).state
 
 
 def sweep_of(image: Any, spec: LidarSpec, height: float, name: str) -> Sweep:

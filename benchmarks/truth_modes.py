@@ -23,11 +23,11 @@ from ogm.pose import inverse, pose
 from ogm.simulation.cells import Below, measure_ground
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, hd_directions
-from ogm.simulation.survey import aimed_truth, hd_truth
+from ogm.simulation.survey import Known, aimed_truth, hd_truth
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Traffic, ego_vehicle
 from ogm.state import CellState, Truth
-from ogm.truth import TRUTH_SPEC, boxes_seen_from
+from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 SENSOR = LIDARS["vlp-32c"]
@@ -50,8 +50,7 @@ class Moment(NamedTuple):
 
     scene: Scene
     below: Below
-    T_world_sensor: NDArray[np.float64]
-    known: dict[str, Any]  # boxes, their returns and the ego vehicle, for truth as it is stored
+    known: Known  # boxes, their returns and the ego vehicle, for truth as it is stored
 
 
 def place_traffic(town: Town, scene: Scene, ground: Scene, traffic: Traffic, time: float) -> Moment:
@@ -60,25 +59,21 @@ def place_traffic(town: Town, scene: Scene, ground: Scene, traffic: Traffic, tim
     T = frame.ego @ pose(0, 0, 1.9)
     ego = ego_vehicle()
     scene.place([thing.mesh.moved(thing.pose) for thing in frame.objects], ego.moved(frame.ego))
-    things = scene.cast(T, SENSOR.directions().reshape(-1, 3)).object
-    returns = np.bincount(things[things >= 0], minlength=len(frame.objects))
+    hit = scene.cast(T, SENSOR.directions().reshape(-1, 3)).object
+    returns = np.bincount(hit[hit >= 0], minlength=len(frame.objects))
     low, high = ego.vertices.min(axis=0), ego.vertices.max(axis=0)
     middle = frame.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-    known = {
-        "boxes": boxes_seen_from(
-            inverse(T), [thing.pose for thing in frame.objects], [thing.size for thing in frame.objects]
-        ),
-        "returns": returns,
-        "ego": boxes_seen_from(inverse(T), [middle], [high - low])[0],
-    }
-    return Moment(scene, measure_ground(ground, T), T, known)
+    things = frame.objects
+    boxes = boxes_seen_from(inverse(T), [one.pose for one in things], [one.size for one in things])
+    ego_cells = cells_in_boxes(boxes_seen_from(inverse(T), [middle], [high - low]), TRUTH_SPEC)
+    return Moment(scene, measure_ground(ground, T), Known(boxes, returns, ego_cells))
 
 
-def truth(mode: str, moment: Moment, **known: Any) -> Truth:
-    scene, below, T, _ = moment
+def truth(mode: str, moment: Moment, known: Known) -> Truth:
+    scene, below, _ = moment
     if mode == "hd":
-        return hd_truth(scene, below, T, hd_directions(SENSOR), **known)
-    return aimed_truth(scene, below, T, VIEW, **known)
+        return hd_truth(scene, below, hd_directions(SENSOR), known)
+    return aimed_truth(scene, below, VIEW, known)
 
 
 def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray[np.bool_]]:
@@ -91,7 +86,7 @@ def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray
     margin = np.rad2deg(0.12 / np.maximum(np.hypot(x, y), 1e-6))  # half a cell's diagonal
     angle = np.mod(np.rad2deg(np.arctan2(y, x)) - first, 360.0)
     inside = (angle > margin) & (angle < SECTOR - margin)
-    return hd_truth(moment.scene, moment.below, moment.T_world_sensor, directions), inside
+    return hd_truth(moment.scene, moment.below, directions), inside
 
 
 def table(counts: NDArray[np.int64]) -> dict[str, float]:
@@ -121,12 +116,12 @@ def compare(times: list[float], place: Callable[[int], Moment], layers: int, sec
     shares: dict[str, list] = {mode: [] for mode in MODES}
     for k in range(len(times)):
         moment = place(k)
-        bare = {mode: truth(mode, moment).state for mode in MODES}
+        bare = {mode: truth(mode, moment, Known()).state for mode in MODES}
         for first in SECTORS[:sectors]:
             dense, inside = reference(moment, first + 10 * k, layers)
             for mode in MODES:
                 np.add.at(counts[mode], (dense.state[inside], bare[mode][inside]), 1)
-        whole = {mode: truth(mode, moment, **moment.known) for mode in MODES}
+        whole = {mode: truth(mode, moment, moment.known) for mode in MODES}
         np.add.at(pairs, tuple(whole[mode].state for mode in MODES), 1)
         for mode in MODES:
             shares[mode].append(whole[mode].crop(PAPER).shares())
@@ -203,7 +198,7 @@ def main() -> None:
     for mode in MODES:
         print(f"{mode}: {record['against the reference'][mode]}")
     write_json(options.out, record)
-    shown = [{mode: truth(mode, m, **m.known) for mode in MODES} for m in map(place, range(min(frames, 2)))]
+    shown = [{mode: truth(mode, m, m.known) for mode in MODES} for m in map(place, range(min(frames, 2)))]
     picture(shown, record, options.picture)
     print(f"\nwrote {options.out} and {options.picture}")
 

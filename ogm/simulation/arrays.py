@@ -6,7 +6,5 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Floats", "HeightAt"]
-
 Floats = NDArray[np.float64]
 HeightAt = Callable[[Floats, Floats], NDArray[Any]]  # height of the ground [m] at x, y [m]

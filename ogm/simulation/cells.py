@@ -12,8 +12,6 @@ from ogm.pose import check_pose
 from ogm.simulation.scene import Scene
 from ogm.truth import HEIGHT_LIMITS, TRUTH_SPEC
 
-__all__ = ["AIMS", "Aim", "Aims", "Below", "aimed_directions", "measure_ground"]
-
 ABOVE = 60.0  # [m] over the sensor: where rays down to the ground start
 BELOW = 120.0  # [m] how far they go: ground of any slope lies between
 
@@ -29,11 +27,16 @@ class Below(NamedTuple):
         The same, but the lower level where there is a step.
     rise : (nx, ny) float32
         Height of the step that passes through each cell, slopes taken away [m]; 0 where there is none.
+    spec : GridSpec
+        The cells, in the sensor's frame.
+    T_world_sensor : (4, 4) float64
     """
 
     z: NDArray[np.float32]
     ground: NDArray[np.float32]
     rise: NDArray[np.float32]
+    spec: GridSpec
+    T_world_sensor: NDArray[np.float64]
 
 
 def measure_ground(
@@ -65,7 +68,7 @@ def measure_ground(
     # The lower level of a step is the lowest of the cells around.
     lowest = minimum_filter(np.where(np.isnan(z), np.inf, z), 3, mode="nearest")
     ground = np.where((rise >= step) & (lowest < z), lowest, z)
-    return Below(z, ground, rise.astype(np.float32))
+    return Below(z, ground, rise.astype(np.float32), spec, T)
 
 
 def _mend(z: NDArray[np.float32]) -> None:
@@ -105,45 +108,27 @@ class Aim(NamedTuple):
     dy: float = 0.0
 
 
-class Aims(NamedTuple):
-    """Which points of which cells rays are aimed at, in this order.
-
-    Attributes
-    ----------
-    every : tuple of Aim
-        In all cells.
-    alternate : tuple of Aim
-        In every other cell, as the fields of one colour on a chessboard; the colours take turns. Rays to far
-        cells pass near ones at nearly the same heights, so that little is missed.
-    step : tuple of Aim
-        In cells with a step in the ground that nothing was hit in; heights count from its middle.
-    beside : tuple of Aim
-        In cells that touch one in which an obstacle was hit, but hold none themselves so far.
-    edge : tuple of Aim
-        In cells not observed so far that touch one which was.
-    """
-
-    every: tuple[Aim, ...]
-    alternate: tuple[Aim, ...]
-    step: tuple[Aim, ...]
-    beside: tuple[Aim, ...]
-    edge: tuple[Aim, ...]
-
-
 def _spread(*heights: float) -> tuple[Aim, ...]:
     """Aim at heights [m], each at another quarter of the cell."""
     quarters = ((0.25, 0.25), (-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25))
     return tuple(Aim(height, *quarters[n % 4]) for n, height in enumerate(heights))
 
 
-# About 1.5 million rays on `TRUTH_SPEC`. benchmarks/truth_modes.py measures what they find and what they miss.
-AIMS = Aims(
-    every=(Aim(0.0),),
-    alternate=_spread(0.12, 0.45, 0.9, 1.4, 1.8),
-    step=_spread(0.02, 0.02, 0.02, 0.02),
-    beside=_spread(0.1, 0.3, 0.6, 1.0, 1.4, 1.9, 0.15, 0.45, 0.75, 1.15, 1.55, 1.75),
-    edge=tuple(Aim(0.0, dx, dy) for dx in (-0.35, 0.0, 0.35) for dy in (-0.35, 0.0, 0.35)),
-)
+# Which points of which cells rays are aimed at, in this order: about 1.5 million rays on `TRUTH_SPEC`.
+# benchmarks/truth_modes.py measures what they find and what they miss.
+# every: in all cells.
+# alternate: in every other cell, as the fields of one colour on a chessboard; the colours take turns. Rays to far
+# cells pass near ones at nearly the same heights, so that little is missed.
+# step: in cells with a step in the ground that nothing was hit in; heights count from its middle.
+# beside: in cells that touch one in which an obstacle was hit, but hold none themselves so far.
+# edge: in cells not observed so far that touch one which was.
+AIMS: dict[str, tuple[Aim, ...]] = {
+    "every": (Aim(0.0),),
+    "alternate": _spread(0.12, 0.45, 0.9, 1.4, 1.8),
+    "step": _spread(0.02, 0.02, 0.02, 0.02),
+    "beside": _spread(0.1, 0.3, 0.6, 1.0, 1.4, 1.9, 0.15, 0.45, 0.75, 1.15, 1.55, 1.75),
+    "edge": tuple(Aim(0.0, dx, dy) for dx in (-0.35, 0.0, 0.35) for dy in (-0.35, 0.0, 0.35)),
+}
 
 
 def aimed_directions(

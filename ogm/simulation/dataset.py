@@ -6,11 +6,11 @@ same versions of the libraries, whatever else is made at the same time.
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import distributions
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +33,7 @@ try:
     from ogm.simulation.cells import measure_ground
     from ogm.simulation.lidar import CLEAR, Weather, scan
     from ogm.simulation.scene import Scene
-    from ogm.simulation.survey import aimed_truth, hd_truth
+    from ogm.simulation.survey import Known, aimed_truth, hd_truth
     from ogm.simulation.town import Town, build_town
     from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
 except ImportError as error:
@@ -153,7 +153,7 @@ def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> Scene
     at = moment(plan, split, index)
     world = _world(at.town, plan.town_size, threads)
     state = _drive(at.town, plan.town_size, at.traffic, at.clockwise).at(at.time)
-    near = tuple(one for one in state.objects if _distance(one.pose, state.ego) < REACH)
+    near = tuple(one for one in state.objects if np.hypot(*(one.pose - state.ego)[:2, 3]) < REACH)
     world.scene.place([one.mesh.moved(one.pose) for one in near], _ego_body().mesh.moved(state.ego))
     mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
@@ -176,34 +176,20 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     at, here = moment(plan, split, index), set_up(plan, split, index, threads)
     rng = sample_rng(plan, split, index, 1)
     weather = _weather(plan, rng)
-    moves = rng.random() < plan.in_motion
-    image = scan(
-        here.world.scene,
-        here.spec,
-        here.T_world_sensor,
-        rng,
-        velocity=here.state.ego_velocity if moves else np.zeros(3),
-        yaw_rate=here.state.ego_yaw_rate if moves else 0.0,
-        weather=weather,
-        coats=[(at.traffic << 20) + one.track for one in here.objects],
-    )
+    speed, turn = here.state.ego_velocity, here.state.ego_yaw_rate
+    if rng.random() >= plan.in_motion:
+        speed, turn = np.zeros(3), 0.0
+    coats = [(at.traffic << 20) + one.track for one in here.objects]
+    place = (here.world.scene, here.spec, here.T_world_sensor)
+    image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats)
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
-    return SimulatedSample(
-        beams=beams_of(here.spec),
-        steps=np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16),
-        intensities=np.round(image.intensity * 255).astype(np.uint8),
-        truth=truth_of(plan, here, returns, salt=int(rng.integers(2**31))),
-        objects=_listed(here, returns),
-        T_world_sensor=here.T_world_sensor,
-        T_vehicle_sensor=here.T_vehicle_sensor,
-        velocity=np.asarray(here.state.ego_velocity, np.float64),
-        yaw_rate=float(here.state.ego_yaw_rate),
-        stamp=at.time,
-        split=split,
-        index=index,
-        scenario=at.scenario,
-        weather=weather,
-    )
+    steps = np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16)
+    intensities = np.round(image.intensity * 255).astype(np.uint8)
+    truth = truth_of(plan, here, returns, salt=int(rng.integers(2**31)))
+    arrays: Any = (steps, intensities, truth, _listed(here, returns), here.T_world_sensor, here.T_vehicle_sensor)
+    motion: Any = (np.asarray(here.state.ego_velocity, np.float64), float(here.state.ego_yaw_rate))
+    facts: Any = {"stamp": at.time, "split": split, "index": index, "scenario": at.scenario, "weather": weather}
+    return SimulatedSample(beams_of(here.spec), *arrays, *motion, **facts)
 
 
 def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *, salt: int = 0) -> Truth:
@@ -218,31 +204,26 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *,
     salt : int
         Decides which rays pass through glass.
     """
-    T = inverse(here.T_world_sensor)
-    boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
     low, high = (bound(_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-    ego = cells_in_boxes(_boxes(T, [(middle, high - low)]), TRUTH_SPEC)
-    below = measure_ground(here.world.ground, here.T_world_sensor)
-    seen_from = (here.world.scene, below, here.T_world_sensor)
+    ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)
+    scene, below = here.world.scene, measure_ground(here.world.ground, here.T_world_sensor)
+    known = Known(_boxes(here), returns, ego)
     if plan.truth == "hd":
-        rays = hd_directions(here.spec, plan.hd_layers)
-        return hd_truth(*seen_from, rays, boxes=boxes, returns=returns, ego=ego, salt=salt)
-    ends = (min(here.spec.elevations), max(here.spec.elevations))
-    return aimed_truth(*seen_from, ends, boxes=boxes, returns=returns, ego=ego, salt=salt)
+        return hd_truth(scene, below, hd_directions(here.spec, plan.hd_layers), known, salt=salt)
+    return aimed_truth(scene, below, (here.spec.elevations[0], here.spec.elevations[-1]), known, salt=salt)
 
 
-def _boxes(T: Floats, things: Sequence[tuple[NDArray, NDArray]]) -> Boxes:
-    poses = np.array([one for one, _ in things], np.float64).reshape(-1, 4, 4)
-    sizes = np.array([one for _, one in things], np.float64).reshape(-1, 3)
-    return boxes_seen_from(T, poses, sizes)
+def _boxes(here: SceneSetup) -> Boxes:
+    """Return the boxes of the objects in the sensor's frame."""
+    poses, sizes = [one.pose for one in here.objects], [one.size for one in here.objects]
+    return boxes_seen_from(inverse(here.T_world_sensor), poses, sizes)
 
 
 def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     """Return the rows of the objects nearby, the nearest first."""
     rows = np.zeros(len(here.objects), OBJECT)
-    T = inverse(here.T_world_sensor)
-    boxes = _boxes(T, [(one.pose, one.size) for one in here.objects])
+    T, boxes = inverse(here.T_world_sensor), _boxes(here)
     rows["x"], rows["y"], rows["z"] = boxes.center.T
     rows["length"], rows["width"], rows["yaw"] = boxes.size[:, 0], boxes.size[:, 1], boxes.yaw
     for row, one in zip(rows, here.objects, strict=True):
@@ -253,10 +234,6 @@ def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
     return rows[order[distance[order] < LISTED]]
-
-
-def _distance(a: Floats, b: Floats) -> float:
-    return float(np.hypot(*(a[:2, 3] - b[:2, 3])))
 
 
 def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
@@ -274,15 +251,9 @@ def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
 @lru_cache(maxsize=64)
 def beams_of(spec: LidarSpec) -> Beams:
     """Return what turns a lidar's range images into points, without the simulator."""
-    return Beams(
-        spec.name,
-        spec.elevations,
-        tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets),
-        -spec.azimuth_step,
-        spec.azimuths,
-        spec.rate,
-        spec.origins or ((0.0, 0.0, 0.0),) * spec.layers,
-    )
+    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
+    origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
+    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
@@ -301,10 +272,7 @@ def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:
 
 def versions() -> dict[str, str]:
     """Return the versions of the libraries that the bytes of a sample depend on."""
-    found = {}
-    for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+    found = {
+        name: [*distributions(name=name)] for name in ("ogm-toolkit", "numpy", "numba", "open3d", "shapely", "zarr")
+    }
+    return {name: installed[0].version if installed else "unknown" for name, installed in found.items()}

@@ -14,8 +14,6 @@ from ogm.jit import kernel
 from ogm.simulation.kernels import Hits, uniform
 from ogm.simulation.materials import Material
 
-__all__ = ["Air", "Device", "RangeImage", "receive", "reflect"]
-
 ROUGH = 0.3  # share that rough ground sends back the way it came at grazing incidence (Oren-Nayar)
 LOBE = 0.01  # width of a specular reflection: square of the tangent of incidence
 GLANCE = 2.0  # strength of a specular reflection seen head-on, of a white target's

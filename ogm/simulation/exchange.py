@@ -10,9 +10,9 @@ Files are numbered from 1 and belong together by name.
 """
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple, overload
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +36,8 @@ class Pair(NamedTuple):
     truth: Truth
 
 
-class PairFolder(Sequence[Pair]):
-    """One part of a data set in the paper's layout.
+class PairFolder:
+    """One part of a data set in the paper's layout: a sequence of `Pair`, read one by one.
 
     Parameters
     ----------
@@ -56,14 +56,10 @@ class PairFolder(Sequence[Pair]):
 
     def __init__(self, path: str | os.PathLike[str], part: str) -> None:
         self.path, self.part = Path(path), part
-        clouds = self._stems("input", ".pcd")
-        odd = sorted(set(clouds) ^ set(self._stems("label", ".png")))
+        self.names = self._stems("input", ".pcd")
+        odd = sorted(set(self.names) ^ set(self._stems("label", ".png")))
         if odd:
-            raise ValueError(
-                f"{self.path}: input_{part} and label_{part} must have the same names, but {odd[0]} "
-                f"(and {len(odd) - 1} more) is in one of them only"
-            )
-        self.names = clouds
+            raise ValueError(f"{self.path}: {odd[0]} (and {len(odd) - 1} more) is in input_{part} or label_{part} only")
 
     def _stems(self, kind: str, suffix: str) -> list[str]:
         folder = self.path / f"{kind}_{self.part}"
@@ -74,14 +70,8 @@ class PairFolder(Sequence[Pair]):
     def __len__(self) -> int:
         return len(self.names)
 
-    @overload
-    def __getitem__(self, index: int) -> Pair: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[Pair]: ...
-    def __getitem__(self, index: int | slice) -> Pair | list[Pair]:
-        """Read pairs."""
-        if isinstance(index, slice):
-            return [self[i] for i in range(*index.indices(len(self)))]
+    def __getitem__(self, index: int) -> Pair:
+        """Read one pair."""
         name = self.names[index]
         points = read_points(self.path / f"input_{self.part}" / f"{name}.pcd", intensity_max=255.0)
         return Pair(points, read_label(self.path / f"label_{self.part}" / f"{name}.png"))
@@ -111,21 +101,16 @@ def export(
         Samples written.
     """
     count = 0
-    for split, part in FOLDERS.items():
-        if split not in store.counts:
-            continue
-        samples = store[split]
-        finished = samples.finished
-        if not len(finished):
-            continue
-        inputs, labels = Path(path) / f"input_{part}", Path(path) / f"label_{part}"
-        inputs.mkdir(parents=True, exist_ok=True)
-        labels.mkdir(parents=True, exist_ok=True)
-        for i in tick(finished.tolist(), split):
-            sample, name = samples[i], f"{i + 1:010d}"
-            write_pcd(inputs / f"{name}.pcd", sample.points)
-            write_label(labels / f"{name}.png", sample.truth.crop(PAPER_GRID))
-            count += 1
+    for split in [name for name in FOLDERS if name in store.counts]:
+        samples, finished = store[split], store[split].finished.tolist()
+        folders = [Path(path) / f"{kind}_{FOLDERS[split]}" for kind in ("input", "label")]
+        for folder in folders if finished else ():
+            folder.mkdir(parents=True, exist_ok=True)
+        for i in tick(finished, split) if finished else ():
+            sample = samples[i]
+            write_pcd(folders[0] / f"{i + 1:010d}.pcd", sample.points)
+            write_label(folders[1] / f"{i + 1:010d}.png", sample.truth.crop(PAPER_GRID))
+        count += len(finished)
     return count
 
 
@@ -170,26 +155,21 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
     ValueError
         If it is no such picture, has another size than `spec`, or a cell is both free and occupied.
     """
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
         with Image.open(path) as picture:
             mode, image = picture.mode, np.asarray(picture)
-    except (UnidentifiedImageError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path} is not a picture that can be read: {error}") from error
-    except OSError as error:
-        if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
-            raise
-        raise ValueError(f"{path} is not a whole picture: {error}") from error
+    except (FileNotFoundError, PermissionError, IsADirectoryError):
+        raise
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(f"{path} is not a whole picture that can be read: {error}") from error
     if mode not in ("RGB", "RGBA") or image.shape[:2] != spec.shape:
         raise ValueError(
             f"{path} is {mode} of {image.shape[0]} x {image.shape[1]}, wanted RGB of {spec.shape[0]} rows x "
             f"{spec.shape[1]} columns: green free, blue occupied"
         )
     free, occupied = image[::-1, ::-1, 1] > 0, image[::-1, ::-1, 2] > 0
-    if (free & occupied).any():
-        raise ValueError(
-            f"{path} has {np.count_nonzero(free & occupied)} cells both free and occupied; "
-            "in a label of the paper's layout a cell is one or neither"
-        )
+    if both := np.count_nonzero(free & occupied):
+        raise ValueError(f"{path} has {both} cells both free and occupied; in a label a cell is one or neither")
     return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))

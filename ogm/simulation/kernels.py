@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 
 from ogm.jit import inline, kernel
 
-__all__ = ["Answer", "Hits", "aim", "keep_nearer", "restart", "transmitted", "uniform"]
-
 
 class Hits(NamedTuple):
     """What each ray hits first.
@@ -34,7 +32,7 @@ class Hits(NamedTuple):
 
     @classmethod
     def allocate(cls, count: int) -> "Hits":
-        """Return arrays with arbitrary content, for `Scene.cast` to fill."""
+        """Return arrays with arbitrary content."""
         columns: Any = (np.empty(count, dtype) for dtype in ("f4", "u1", "i4", "f4"))
         return cls(*columns)
 

@@ -12,7 +12,7 @@ from ogm.simulation.arrays import Floats
 from ogm.simulation.echo import Air, Device, RangeImage, receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
 from ogm.simulation.sample import Weather
-from ogm.simulation.scene import NOTHING, Hits, Scene
+from ogm.simulation.scene import NOTHING, Scene
 from ogm.simulation.sensors import LidarSpec
 
 __all__ = ["CLEAR", "RangeImage", "Weather", "scan", "to_points"]
@@ -75,7 +75,13 @@ def scan(
     paint = np.arange(scene.things) if coats is None else np.asarray(coats)
     if paint.shape != (scene.things,) or (paint.size and paint.dtype.kind not in "iu"):
         raise ValueError(f"coats must be one integer for each of the {scene.things} things in the scene, got {coats!r}")
-    return _report(spec, T, hits, weather, paint.astype(np.int64), seed)
+    strength = np.empty(len(rays), np.float32)
+    reflect(rays, T, hits, _optics(weather.wet), paint.astype(np.int64), strength)
+    columns: Any = (np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
+    image = RangeImage(*columns)
+    receive(hits, strength, _device(spec), _air(weather), _STEADY, seed, image)
+    columns = (column.reshape(spec.shape) for column in image)
+    return RangeImage(*columns)
 
 
 def _moving_rays(
@@ -94,20 +100,6 @@ def _moving_rays(
     origins = np.einsum("aij,lj->lai", rotation, starts) + place
     directions = np.einsum("aij,laj->lai", rotation.astype(np.float32), spec.directions())
     return origins.reshape(-1, 3).astype(np.float32), directions.reshape(-1, 3).astype(np.float32)
-
-
-def _report(
-    spec: LidarSpec, T: Floats, hits: Hits, weather: Weather, coats: NDArray[np.int64], seed: int
-) -> RangeImage:
-    """Turn what the rays hit into what the lidar reports."""
-    count = spec.layers * spec.azimuths
-    strength = np.empty(count, np.float32)
-    reflect(spec.directions().reshape(-1, 3), T, hits, _optics(weather.wet), coats, strength)
-    columns: Any = (np.empty(count, dtype) for dtype in ("f4", "f4", "i4", "u1"))
-    image = RangeImage(*columns)
-    receive(hits, strength, _device(spec), _air(weather), _STEADY, seed, image)
-    columns = (column.reshape(spec.shape) for column in image)
-    return RangeImage(*columns)
 
 
 def _device(spec: LidarSpec) -> Device:

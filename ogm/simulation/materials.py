@@ -5,8 +5,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-__all__ = ["GROUND", "Material", "Optics", "table"]
-
 
 class Optics(NamedTuple):
     """How a material answers a beam at 905 nm.

@@ -8,8 +8,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.simulation.materials import Material
 
-__all__ = ["Mesh", "box", "cylinder", "ellipsoid", "empty", "loft", "merge", "quads", "sheet", "wall"]
-
 
 class Mesh(NamedTuple):
     """Triangles.
@@ -161,12 +159,6 @@ def ellipsoid(center: ArrayLike, radii: ArrayLike, material: int, *, sides: int 
     """Make an ellipsoid along the axes."""
     polar = np.linspace(0, np.pi, sides // 2 + 1)
     around = 2 * np.pi * np.arange(sides) / sides
-    unit = np.stack(
-        [
-            np.sin(polar)[:, None] * np.cos(around),
-            np.sin(polar)[:, None] * np.sin(around),
-            np.repeat(np.cos(polar)[:, None], sides, axis=1),
-        ],
-        axis=-1,
-    )
+    sine, cosine = np.sin(polar)[:, None], np.cos(polar)[:, None]
+    unit = np.stack(np.broadcast_arrays(sine * np.cos(around), sine * np.sin(around), cosine), axis=-1)
     return loft(np.asarray(center, np.float64) + unit * np.asarray(radii, np.float64), material)

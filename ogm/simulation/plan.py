@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,10 @@ DRIVES = 10  # scenarios that the samples of a split are taken from in turn (Sec
 RUN = 10  # [s] of one drive before the next one's turn: one shard of samples at 1 Hz
 LAP = 1000  # samples that one drive gives at most, one per second
 WARM_UP = 20.0  # [s] that traffic has run before the first sample
-TOWN_SIZES = (240.0, 1000.0)  # [m] that leave space for streets
+BOUNDS = {  # of numbers of a `DatasetPlan`, and their unit
+    "towns": (1, DRIVES, ", the number of drives"), "hd_layers": (2, math.inf, ""), "town_size": (240.0, 1000.0, " m"),
+    "bad_weather": (0, 1, ", a share of the samples"), "in_motion": (0, 1, ", a share of the samples"),
+}  # fmt: skip
 SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
 
 
@@ -52,9 +55,7 @@ class LidarMount:
         if not (self.share > 0 and math.isfinite(self.share)):
             raise ValueError(f"the share of {self.lidar} must be positive, got {self.share}")
         for name, pair, low, high in (("height", self.height, 0.3, 5.0), ("forward", self.forward, -3.0, 3.0)):
-            if pair is None:
-                continue
-            if len(pair) != 2 or not low <= pair[0] <= pair[1] <= high:
+            if pair is not None and (len(pair) != 2 or not low <= pair[0] <= pair[1] <= high):
                 raise ValueError(
                     f"{name} of {self.lidar} must be two numbers, rising, in {low} ... {high} m, got {pair}"
                 )
@@ -132,20 +133,13 @@ class DatasetPlan:
         object.__setattr__(self, "town_size", float(self.town_size))
         if not sum(self.counts.values()):
             raise ValueError("the data set would be empty: ask for at least one sample")
-        if not 1 <= self.towns <= DRIVES:
-            raise ValueError(f"towns must be in 1 ... {DRIVES}, the number of drives, got {self.towns}")
         if self.truth not in ("aimed", "hd"):
             raise ValueError(f'truth must be "aimed" or "hd", got {self.truth!r}')
-        if self.hd_layers < 1:
-            raise ValueError(f"hd_layers must be at least 1, got {self.hd_layers}")
-        low, high = TOWN_SIZES
-        if not low <= self.town_size <= high:
-            raise ValueError(f"town_size must be in {low:g} ... {high:g} m, got {self.town_size}")
         if not self.mounts:
             raise ValueError("mounts are empty: give at least one lidar")
-        for name in ("bad_weather", "in_motion"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} is a share and must be in 0 ... 1, got {getattr(self, name)}")
+        for name, (low, high, unit) in BOUNDS.items():
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{name} must be in {low:g} ... {high:g}{unit}, got {getattr(self, name)}")
 
     @property
     def counts(self) -> dict[str, int]:
@@ -153,13 +147,9 @@ class DatasetPlan:
         counts = (self.samples, self.validation, self.test, SEQUENCE * self.sequences)
         return dict(zip(SPLITS, counts, strict=True))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the plan as JSON can hold it."""
-        return asdict(self) | {"mounts": [asdict(one) for one in self.mounts]}
-
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
-        """Make from what `as_dict` returned, or from what JSON made of it."""
+        """Make from what `dataclasses.asdict` returned, or from what JSON made of it."""
         known = {field.name for field in fields(cls)}
         if set(numbers) != known:
             odd = sorted(set(numbers) ^ known)

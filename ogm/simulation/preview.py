@@ -18,6 +18,7 @@ from ogm.state import CellState, Truth
 
 __all__ = ["Camera", "contact_sheet", "materials_panel", "sample_panels", "save_views", "truth_panel"]
 
+MOST, COLUMNS = 24, 6  # samples of a contact sheet, and those side by side
 GREY = (0.45, 0.45, 0.45)  # cells to be ignored
 # The kinds that the picture of HD points distinguishes, each by one colour.
 KINDS: dict[str, tuple[tuple[float, float, float], set[M]]] = {
@@ -69,38 +70,19 @@ def materials_panel(points: NDArray[np.float32], material: NDArray[np.uint8], sp
     return plot.dots_panel(points, colours[material], spec, title, legend)
 
 
-def contact_sheet(path: str | os.PathLike[str], store: Store, *, most: int = 24, columns: int = 6) -> int:
-    """Draw samples of a data set, points beside truth, spread evenly over what is finished.
-
-    Parameters
-    ----------
-    path : path
-        Ends in ``.png``.
-    store : Store
-    most : int
-        Samples shown at most.
-    columns : int
-        Samples side by side.
-
-    Returns
-    -------
-    int
-        Samples shown.
-    """
-    chosen: list[SimulatedSample] = []
+def contact_sheet(path: str | os.PathLike[str], store: Store) -> None:
+    """Draw samples of a data set to a .png, points beside truth, spread evenly over what is finished."""
+    tiles: list[tuple[str, NDArray[np.uint8]]] = []
     finished = {name: store[name].finished for name in store.counts}
     total = sum(map(len, finished.values()))
     for name, numbers in finished.items():
-        share = min(len(numbers), round(most * len(numbers) / max(total, 1)) or (1 if len(numbers) else 0))
-        places = np.linspace(0, len(numbers) - 1, share).round().astype(int)
-        chosen += [store[name][int(numbers[k])] for k in places]
-    tiles = [_tile(sample) for sample in chosen]
-    titles = [f"{one.split} {one.index}: {one.lidar}" for one in chosen]
-    columns = max(1, min(columns, len(tiles)))
+        share = min(len(numbers), round(MOST * len(numbers) / max(total, 1)) or 1)
+        for k in np.linspace(0, len(numbers) - 1, share).round().astype(int):
+            sample = store[name][int(numbers[k])]
+            tiles.append((f"{sample.split} {sample.index}: {sample.lidar}", _tile(sample)))
+    columns = max(1, min(COLUMNS, len(tiles)))
     rows = max(1, -(-len(tiles) // columns))
-    figure, axes = _figure(rows, columns, (3.56 * columns, 2.75 * rows))
-    _save(path, figure, axes, list(zip(titles, tiles, strict=True)), 9, 100)
-    return len(chosen)
+    _save(path, tiles, (rows, columns), (3.56 * columns, 2.75 * rows), 9, 100)
 
 
 def _tile(sample: SimulatedSample) -> NDArray[np.uint8]:
@@ -152,22 +134,25 @@ def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[
     """Write pictures below each other to one PNG file, each with a title."""
     shares = [image.shape[0] / image.shape[1] for _, image in views]
     size = (14.0, 14.0 * sum(shares) + 0.4 * len(views))
-    figure, axes = _figure(len(views), 1, size, height_ratios=shares)
-    _save(path, figure, axes, views, 12, 110)
+    _save(path, views, (len(views), 1), size, 12, 110, height_ratios=shares)
 
 
-def _figure(rows: int, columns: int, size: tuple[float, float], **layout: Any) -> tuple[Any, Any]:
+def _save(
+    path: str | os.PathLike[str],
+    images: Sequence[tuple[str, NDArray]],
+    shape: tuple[int, int],
+    size: tuple[float, float],
+    font: int,
+    dpi: int,
+    **layout: Any,
+) -> None:
+    """Write pictures with titles in rows and columns, `size` inches in all."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, figure.subplots(rows, columns, squeeze=False, **layout).ravel()
-
-
-def _save(
-    path: str | os.PathLike[str], figure: Any, axes: Any, images: Sequence[tuple[str, NDArray]], font: int, dpi: int
-) -> None:
+    axes = figure.subplots(*shape, squeeze=False, **layout).ravel()
     for axis, (title, image) in zip(axes, images, strict=False):
         axis.imshow(image, interpolation="nearest")
         axis.set_title(title, fontsize=font, parse_math=False)

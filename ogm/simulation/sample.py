@@ -4,7 +4,7 @@ Needs numpy only, so that data sets are read where the simulator is not installe
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,21 +17,13 @@ __all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weathe
 
 RANGE_STEP = 0.004  # [m] in which ranges are kept, as Velodyne's packets do
 LABELS = ("car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle", "pedestrian")
+# One traffic participant. label: number in LABELS; x, y, z: middle of the upright box in the sensor's frame [m];
+# length, width, height [m]; yaw: of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over ground
+# along the sensor's x and y axes [m/s]; track: the same for one participant in all samples of a scenario;
+# returns: points of this sample on it.
+_BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
 OBJECT = np.dtype(
-    [
-        ("label", np.uint8),  # number in LABELS
-        ("x", np.float32),  # middle of the upright box in the sensor's frame [m]
-        ("y", np.float32),
-        ("z", np.float32),
-        ("length", np.float32),  # [m]
-        ("width", np.float32),
-        ("height", np.float32),
-        ("yaw", np.float32),  # of the forward axis about the sensor's z axis [rad]
-        ("vx", np.float32),  # velocity over ground along the sensor's x and y axes [m/s]
-        ("vy", np.float32),
-        ("track", np.int32),  # the same for one participant in all samples of a scenario
-        ("returns", np.int32),  # points of this sample on it
-    ]
+    [("label", np.uint8), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)]
 )
 
 
@@ -85,10 +77,8 @@ class Beams:
     def __post_init__(self) -> None:
         layers = len(self.elevation)
         if not layers == len(self.azimuth) == len(self.origin) or layers == 0:
-            raise ValueError(
-                f"elevation, azimuth and origin of {self.name} must be as many and at least one, "
-                f"got {layers}, {len(self.azimuth)} and {len(self.origin)}"
-            )
+            counts = f"{layers}, {len(self.azimuth)} and {len(self.origin)}"
+            raise ValueError(f"{self.name} must have one elevation, azimuth and origin per layer, got {counts}")
         if self.columns < 1 or not self.rate > 0:
             raise ValueError(f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}")
 
@@ -117,13 +107,9 @@ class Beams:
         """When each column is measured [s], (columns,) float32; 0 is the middle of the turn."""
         return (((np.arange(self.columns) + 0.5) / self.columns - 0.5) / self.rate).astype(np.float32)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the numbers as JSON can hold them."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "Beams":
-        """Make from what `as_dict` returned, or from what JSON made of it."""
+        """Make from what `dataclasses.asdict` returned, or from what JSON made of it."""
         angles = {name: tuple(map(float, numbers[name])) for name in ("elevation", "azimuth")}
         origin = tuple((float(x), float(y), float(z)) for x, y, z in numbers["origin"])
         return cls(**{**numbers, **angles, "origin": origin})
@@ -181,16 +167,6 @@ class SimulatedSample:
     def lidar(self) -> str:
         """The lidar's name."""
         return self.beams.name
-
-    @property
-    def range(self) -> NDArray[np.float32]:
-        """The range image [m], (layers, columns) float32; 0 where there was no return."""
-        return self.steps * np.float32(RANGE_STEP)
-
-    @property
-    def intensity(self) -> NDArray[np.float32]:
-        """Intensities of the range image [0, 1], (layers, columns) float32."""
-        return self.intensities * np.float32(1 / 255)
 
     @cached_property
     def points(self) -> NDArray[np.float32]:

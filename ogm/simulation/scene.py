@@ -60,15 +60,7 @@ class Scene:
         things = np.repeat(numbers, [len(part.triangles) for part in parts])
         self._moving = _Shape(merge(parts), things, self.threads)
 
-    def cast(
-        self,
-        origin: ArrayLike,
-        directions: NDArray[np.float32],
-        *,
-        salt: int = 0,
-        number: int = 0,
-        out: Hits | None = None,
-    ) -> Hits:
+    def cast(self, origin: ArrayLike, directions: NDArray[np.float32], *, salt: int = 0, number: int = 0) -> Hits:
         """Find what rays hit first.
 
         Glass lets a share of the rays through, three panes at most: which ones, depends on `salt`, the ray's
@@ -85,23 +77,17 @@ class Scene:
             Changes which rays pass through glass, for instance from frame to frame; 0 or more.
         number : int
             Of the first ray, where one set of rays is cast in several calls.
-        out : Hits, optional
-            Filled and returned instead of new arrays: (N,) each, as from `Hits.allocate`.
 
         Raises
         ------
         TypeError
-            If `directions` are not float32, or `out` has other types than `Hits.allocate` gives.
+            If `directions` are not float32.
         ValueError
             If shapes do not fit.
         """
         origins, rotation = _aim(origin, directions)
         count = len(directions)
-        hits = Hits.allocate(count) if out is None else out
-        if any(column.shape != (count,) for column in hits):
-            raise ValueError(f"out must hold {count} rays, got {[column.shape for column in hits]}")
-        if [column.dtype for column in hits] != [column.dtype for column in Hits.allocate(0)]:
-            raise TypeError(f"out must be of the types of Hits.allocate, got {[str(c.dtype) for c in hits]}")
+        hits = Hits.allocate(count)
         for start in range(0, count, BATCH):
             stop = min(start + BATCH, count)
             places = origins if len(origins) == 1 else origins[start:stop]
@@ -151,13 +137,10 @@ def _tensor(array: NDArray) -> "open3d.core.Tensor":
 
 def _check(mesh: Mesh) -> None:
     """Refuse a mesh that Open3D would crash on."""
-    for name, columns, dtype in (("vertices", 3, "float32"), ("triangles", 3, "uint32"), ("material", 0, "uint8")):
-        array = getattr(mesh, name)
-        if array.dtype != dtype or array.shape[1:] != (columns,) * (columns > 0):
-            shape = f"(N, {columns})" if columns else "(N,)"
-            raise TypeError(
-                f"the mesh's {name} must be {dtype} of shape {shape}, got {array.dtype} of shape {array.shape}"
-            )
+    for name, row, dtype in (("vertices", (3,), "float32"), ("triangles", (3,), "uint32"), ("material", (), "uint8")):
+        array, shape = getattr(mesh, name), "(N, 3)" if row else "(N,)"
+        if array.dtype != dtype or array.shape[1:] != row:
+            raise TypeError(f"the mesh's {name} must be {dtype} {shape}, got {array.dtype} {array.shape}")
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("the mesh has vertices that are NaN or inf")
     if len(mesh.triangles) and mesh.triangles.max() >= len(mesh.vertices):
@@ -168,20 +151,16 @@ def _check(mesh: Mesh) -> None:
 
 def _aim(origin: ArrayLike, directions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return origins (1 or N, 3) and the rotation that takes directions to the world."""
-    if not isinstance(directions, np.ndarray) or directions.dtype != np.float32:
-        got = getattr(directions, "dtype", type(directions).__name__)
-        raise TypeError(f"directions must be a float32 array of shape (N, 3), got {got}")
+    if getattr(directions, "dtype", None) != np.float32:
+        raise TypeError(f"directions must be a float32 array of shape (N, 3), got {np.asarray(directions).dtype}")
     if directions.ndim != 2 or directions.shape[1] != 3:
         raise ValueError(f"directions must have shape (N, 3), got {directions.shape}")
-    place = np.asarray(origin, np.float64)
-    rotation = np.eye(3, dtype=np.float32)
+    place, rotation = np.asarray(origin, np.float64), np.eye(3, dtype=np.float32)
     if place.shape == (4, 4):
         T = check_pose(place, "origin")
         place, rotation = T[:3, 3], T[:3, :3].astype(np.float32)
     if place.shape not in ((3,), directions.shape):
-        raise ValueError(
-            f"origin must be (3,), one per direction {directions.shape} or a (4, 4) pose, got {place.shape}"
-        )
+        raise ValueError(f"origin must be (3,), (4, 4), or {directions.shape} as directions, got {place.shape}")
     if not np.isfinite(place).all():
         raise ValueError("origin holds NaN or inf")
     return np.ascontiguousarray(place.reshape(-1, 3), np.float32), rotation

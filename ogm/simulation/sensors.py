@@ -4,11 +4,17 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = ["LIDARS", "LidarSpec", "hd_directions"]
+
+_BOUNDS: dict[str, tuple[float, float]] = {  # lowest and highest value of a `LidarSpec`
+    "azimuth_step": (1e-4, 0.2), "rate": (0.1, 200), "range_min": (0, 50), "reach": (1, 5000), "range_noise": (0, 1),
+    "range_bias": (0, 1), "gain_spread": (0, 2), "range_step": (1e-5, 1), "divergence": (0, 0.1), "height": (0.05, 20),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -77,57 +83,36 @@ class LidarSpec:
     unit: int = 0
 
     def __post_init__(self) -> None:
+        layers = len(self.elevations)
         for name in ("elevations", "azimuth_offsets", "origins"):
-            if not isinstance(getattr(self, name), tuple):
-                got = type(getattr(self, name)).__name__
-                raise TypeError(f"{self.name}: {name} must be a tuple, one entry per layer, got {got}")
-        if isinstance(self.unit, bool) or not isinstance(self.unit, (int, np.integer)) or self.unit < 0:
-            raise ValueError(f"{self.name}: unit must be a whole number >= 0, got {self.unit!r}")
-        if not self.elevations:
+            values = getattr(self, name)
+            if not isinstance(values, tuple):
+                raise TypeError(
+                    f"{self.name}: {name} must be a tuple, one entry per layer, got {type(values).__name__}"
+                )
+            if len(values) != layers and (values or name != "origins"):
+                raise ValueError(f"{self.name}: {len(values)} {name} for {layers} layers")
+            if not np.isfinite(np.hstack((0.0, *values))).all():
+                raise ValueError(f"{self.name}: {name} hold NaN or inf: {values}")
+        if not layers:
             raise ValueError(f"{self.name}: elevations are empty; a lidar has at least one layer")
-        _check_finite(self.name, "elevations", self.elevations)
-        _check_finite(self.name, "azimuth_offsets", self.azimuth_offsets)
+        if any(len(one) != 3 for one in self.origins):
+            raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer")
         if max(map(abs, self.elevations)) > math.pi / 2:
             raise ValueError(
-                f"{self.name}: elevations must lie in -pi/2 ... pi/2 rad, got {min(self.elevations):g} ... "
-                f"{max(self.elevations):g} (degrees?)"
+                f"{self.name}: elevations must lie in -pi/2 ... pi/2 rad, got {self.elevations} (degrees?)"
             )
-        for k, (low, high) in enumerate(zip(self.elevations, self.elevations[1:], strict=False)):
-            if high < low:
-                raise ValueError(
-                    f"{self.name}: elevations must ascend from the lowest layer, but layer {k + 1} "
-                    f"({high:g} rad) is below layer {k} ({low:g} rad); sort them and their offsets"
-                )
-        if len(self.azimuth_offsets) != len(self.elevations):
-            raise ValueError(
-                f"{self.name}: {len(self.azimuth_offsets)} azimuth_offsets for {len(self.elevations)} layers"
-            )
-        numbers = {
-            "azimuth_step": (self.azimuth_step, 1e-4, 0.2),
-            "rate": (self.rate, 0.1, 200),
-            "range_min": (self.range_min, 0, 50),
-            "range_max": (self.range_max, self.range_min, 2000),
-            "reach": (self.reach, 1, 5000),
-            "range_noise": (self.range_noise, 0, 1),
-            "range_bias": (self.range_bias, 0, 1),
-            "gain_spread": (self.gain_spread, 0, 2),
-            "range_step": (self.range_step, 1e-5, 1),
-            "divergence": (self.divergence, 0, 0.1),
-            "height": (self.height, 0.05, 20),
-        }
-        for name, (value, low, high) in numbers.items():
-            if not low <= value <= high:  # NaN fails too
-                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {value}")
+        if sorted(self.elevations) != list(self.elevations):
+            raise ValueError(f"{self.name}: elevations must ascend from the lowest layer; sort them and their offsets")
+        if isinstance(self.unit, bool) or not isinstance(self.unit, (int, np.integer)) or self.unit < 0:
+            raise ValueError(f"{self.name}: unit must be a whole number >= 0, got {self.unit!r}")
+        for name, (low, high) in (_BOUNDS | {"range_max": (self.range_min, 2000)}).items():
+            if not low <= getattr(self, name) <= high:  # NaN fails too
+                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
         columns = 2 * math.pi / self.azimuth_step
         if abs(columns - round(columns)) > 1e-6 * columns:
-            raise ValueError(
-                f"{self.name}: azimuth_step must divide a full turn, got {self.azimuth_step} rad = a turn / "
-                f"{columns:.6g}; take 2 * pi / {round(columns)}"
-            )
-        if self.origins:
-            if len(self.origins) != len(self.elevations) or any(len(one) != 3 for one in self.origins):
-                raise ValueError(f"{self.name}: origins must be empty or one (x, y, z) per layer")
-            _check_finite(self.name, "origins", [value for one in self.origins for value in one])
+            way = f"take 2 * pi / {round(columns)}"
+            raise ValueError(f"{self.name}: azimuth_step must divide a full turn, got it / {columns:.6g}; {way}")
 
     @property
     def layers(self) -> int:
@@ -147,7 +132,7 @@ class LidarSpec:
     @property
     def first_azimuth(self) -> float:
         """Azimuth of column 0 for a layer without offset [rad]; column k is k * azimuth_step further right."""
-        return math.pi - self.azimuth_step / 2
+        return _first_azimuth(self.azimuth_step)
 
     @cached_property
     def times(self) -> NDArray[np.float64]:
@@ -162,7 +147,7 @@ class LidarSpec:
 
     def directions(self) -> NDArray[np.float32]:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
-        return _shared_rays(self.elevations, self.azimuth_offsets, self.first_azimuth, self.azimuth_step, self.azimuths)
+        return _shared_rays(self.elevations, self.azimuth_offsets, self.azimuth_step)
 
 
 @lru_cache(maxsize=2)
@@ -183,19 +168,16 @@ def hd_directions(spec: LidarSpec, layers: int = 3000) -> NDArray[np.float32]:
     if layers < 2:
         raise ValueError(f"layers must be 2 or more, got {layers}")
     elevations = np.linspace(spec.elevations[0], spec.elevations[-1], layers)
-    return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.first_azimuth, spec.azimuth_step, spec.azimuths)
+    return _rays(tuple(elevations.tolist()), (0.0,) * layers, spec.azimuth_step)
 
 
-def _rays(
-    elevations: tuple[float, ...], offsets: tuple[float, ...], first: float, step: float, columns: int
-) -> NDArray[np.float32]:
-    elevation = np.array(elevations)[:, None]
-    offset = np.array(offsets)[:, None]
-    azimuth = first - step * np.arange(columns)
+def _rays(elevations: tuple[float, ...], offsets: tuple[float, ...], step: float) -> NDArray[np.float32]:
+    elevation, offset = np.array(elevations)[:, None], np.array(offsets)[:, None]
+    azimuth = _first_azimuth(step) - step * np.arange(round(2 * math.pi / step))
     # the sum of two angles, so that 5 million rays need few sines
     cosine = np.cos(azimuth) * np.cos(offset) - np.sin(azimuth) * np.sin(offset)
     sine = np.sin(azimuth) * np.cos(offset) + np.cos(azimuth) * np.sin(offset)
-    rays = np.empty((len(elevations), columns, 3), np.float32)
+    rays = np.empty((*cosine.shape, 3), np.float32)
     rays[..., 0] = np.cos(elevation) * cosine
     rays[..., 1] = np.cos(elevation) * sine
     rays[..., 2] = np.sin(elevation)
@@ -203,12 +185,11 @@ def _rays(
     return rays
 
 
+def _first_azimuth(step: float) -> float:
+    return math.pi - step / 2
+
+
 _shared_rays = lru_cache(maxsize=16)(_rays)
-
-
-def _check_finite(lidar: str, name: str, values: Sequence[float]) -> None:
-    if not np.isfinite(values).all():
-        raise ValueError(f"{lidar}: {name} hold NaN or inf: {values}")
 
 
 def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
@@ -231,10 +212,8 @@ _VLP_32C_OFFSETS = (
 )
 # A second one 0.119 m below the first and upside down, as on the cars of Argoverse 2: its elevations and
 # offsets change their signs. In order of elevation, the upper sensor first where both have the same.
-_PAIR = sorted(
-    [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
-    + [(-e, 1, -a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
-)
+_UPPER = [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
+_PAIR = sorted(_UPPER + [(-e, 1, -a) for e, _, a in _UPPER])
 # Velodyne VLS-128 (Alpha Prime): 0.11 degrees apart between -6.5 and +4.83.
 _VLS_128 = (
     *(-25.0, -19.582, -16.042, -13.565, -11.742, -10.346, -9.244, -8.352, -7.65, -7.15, -6.85, -6.65, -6.5),
@@ -242,61 +221,22 @@ _VLS_128 = (
     *(4.98, 5.18, 5.43, 5.73, 6.08, 6.48, 6.98, 7.58, 8.43, 9.7, 11.75, 15.0),
 )
 
-LIDARS: dict[str, LidarSpec] = {
-    spec.name: spec
-    for spec in (
-        LidarSpec("vlp-32c", _radians(_VLP_32C), _radians(_VLP_32C_OFFSETS), math.radians(0.2)),
-        LidarSpec(
-            "dual-vlp-32c",
-            _radians([elevation for elevation, _, _ in _PAIR]),
-            _radians([offset for _, _, offset in _PAIR]),
-            math.radians(0.2),
-            origins=tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR),
-            height=2.0,
-        ),
-        LidarSpec(
-            "hdl-32e",
-            _radians(_evenly(-30.67, 10.67, 32)),
-            (0.0,) * 32,
-            2 * math.pi / 1085,
-            rate=20.0,
-            range_max=100.0,
-            reach=165.0,
-            range_noise=0.004,
-            range_step=0.002,
-        ),
-        LidarSpec(
-            "hdl-64e",
-            _radians([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)]),
-            _radians([(-3.5, 3.5)[k % 2] for k in range(64)]),
-            2 * math.pi / 2083,
-            range_min=0.9,
-            range_max=120.0,
-            reach=180.0,
-            range_noise=0.008,
-            range_step=0.002,
-            divergence=0.002,
-            height=1.73,
-        ),
-        LidarSpec(
-            "vls-128",
-            _radians(_VLS_128),
-            (0.0,) * 128,
-            math.radians(0.2),
-            range_max=245.0,
-            reach=305.0,
-            range_noise=0.008,
-        ),
-        LidarSpec(
-            "os1-64",
-            _radians(_evenly(-22.5, 22.5, 64)),
-            _radians([(3.16, 1.05, -1.05, -3.16)[k % 4] for k in range(64)]),
-            2 * math.pi / 1024,
-            range_max=120.0,
-            reach=165.0,
-            range_noise=0.012,
-            range_step=0.003,
-            divergence=0.0023,
-        ),
-    )
+# Elevations and azimuth offsets [deg], the step between columns [rad], and what differs from the defaults.
+_MODELS: dict[str, tuple[Sequence[float], Sequence[float], float, dict[str, Any]]] = {
+    "vlp-32c": (_VLP_32C, _VLP_32C_OFFSETS, math.radians(0.2), {}),
+    "dual-vlp-32c": ([e for e, _, _ in _PAIR], [a for _, _, a in _PAIR], math.radians(0.2),
+        {"origins": tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR), "height": 2.0}),
+    "hdl-32e": (_evenly(-30.67, 10.67, 32), [0.0] * 32, 2 * math.pi / 1085,
+        {"rate": 20.0, "range_max": 100.0, "reach": 165.0, "range_noise": 0.004, "range_step": 0.002}),
+    "hdl-64e": ([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)], [-3.5, 3.5] * 32, 2 * math.pi / 2083,
+        {"range_min": 0.9, "range_max": 120.0, "reach": 180.0, "range_noise": 0.008, "range_step": 0.002,
+         "divergence": 0.002, "height": 1.73}),
+    "vls-128": (_VLS_128, [0.0] * 128, math.radians(0.2), {"range_max": 245.0, "reach": 305.0, "range_noise": 0.008}),
+    "os1-64": (_evenly(-22.5, 22.5, 64), [3.16, 1.05, -1.05, -3.16] * 16, 2 * math.pi / 1024,
+        {"range_max": 120.0, "reach": 165.0, "range_noise": 0.012, "range_step": 0.003, "divergence": 0.0023}),
+}  # fmt: skip
+
+LIDARS = {
+    name: LidarSpec(name, _radians(elevations), _radians(offsets), step, **others)
+    for name, (elevations, offsets, step, others) in _MODELS.items()
 }

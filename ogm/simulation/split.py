@@ -14,8 +14,6 @@ from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
-__all__ = ["FACTS", "OBJECTS", "SHARD", "Damaged", "Split"]
-
 SHARD = 10  # samples per shard: they become complete together
 OBJECTS = 160  # rows for objects per sample; of more, the first are kept
 _POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]
@@ -27,7 +25,7 @@ FACTS = (
 
 
 class Damaged(OgmError):
-    """Stored bytes are not what was written."""
+    """Bytes on disk are not what was written."""
 
 
 class Split(Sequence[SimulatedSample]):
@@ -66,7 +64,7 @@ class Split(Sequence[SimulatedSample]):
         ValueError
             If the sample has not been made yet.
         Damaged
-            If its bytes are not those that were written; the message says how to make them anew.
+            If its bytes are not those that were written; the message has the command that makes them anew.
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
@@ -88,22 +86,13 @@ class Split(Sequence[SimulatedSample]):
         poses = np.tile(np.eye(4), (2, 1, 1))
         poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
         rows = self._shard("objects", i // SHARD)[i % SHARD, : int(count)]
-        return SimulatedSample(
-            beams=beams,
-            steps=self._read("steps", i)[:rays].reshape(beams.shape),
-            intensities=self._read("intensities", i)[:rays].reshape(beams.shape),
-            truth=Truth(TRUTH_SPEC, self._read("truth", i)),
-            objects=unstructured_to_structured(rows, OBJECT),
-            T_world_sensor=poses[0],
-            T_vehicle_sensor=poses[1],
-            velocity=np.array([value[f"velocity_{axis}"] for axis in "xyz"]),
-            yaw_rate=value["yaw_rate"],
-            stamp=value["stamp"],
-            split=self.name,
-            index=i,
-            scenario=int(value["scenario"]),
-            weather=Weather(value["rain"], value["fog"], value["wet"]),
-        )
+        image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
+        truth, objects = Truth(TRUTH_SPEC, self._read("truth", i)), unstructured_to_structured(rows, OBJECT)
+        velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
+        arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
+        weather = Weather(value["rain"], value["fog"], value["wet"])
+        facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
+        return SimulatedSample(beams, *arrays, **facts)
 
     @property
     def facts(self) -> NDArray[np.float64]:
@@ -130,12 +119,9 @@ class Split(Sequence[SimulatedSample]):
         """Open an array, once, and check that it is as `_grow` makes it."""
         if name not in self._arrays:
             path = self.path / self.name / name
-            array, (shape, kind) = open_array(path), array_layout(count_rays(self.beams))[name]
+            array, (shape, kind) = open_array(path), array_layout(self.beams)[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
-                raise Damaged(
-                    f"{path} holds {array.dtype} of {array.shape}, wanted {kind} of {(len(self), *shape)}: "
-                    "the data set is not whole; make it anew in a new folder"
-                )
+                raise not_whole(f"{path} holds {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
             self._arrays[name] = array
         return self._arrays[name]
 
@@ -158,13 +144,9 @@ class Split(Sequence[SimulatedSample]):
         )
 
 
-def count_rays(beams: Sequence[Beams]) -> int:
-    """Return the rays of the lidar that has most."""
-    return max(one.shape[0] * one.shape[1] for one in beams)
-
-
-def array_layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return the shape and the type of a sample in each array."""
+def array_layout(beams: Sequence[Beams]) -> dict[str, tuple[tuple[int, ...], str]]:
+    """Return the shape and the type of a sample in each array, with space for the lidar that has most rays."""
+    rays = max((one.shape[0] * one.shape[1] for one in beams), default=0)
     return {
         "steps": ((rays,), "uint16"),
         "intensities": ((rays,), "uint8"),
@@ -176,11 +158,12 @@ def array_layout(rays: int) -> dict[str, tuple[tuple[int, ...], str]]:
 
 def shard_file(split: Path, name: str, shard: int) -> Path:
     """Return the file that holds a shard of an array."""
-    dimensions = 1 + len(array_layout(0)[name][0])
+    dimensions = 1 + len(array_layout(())[name][0])
     return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
 
 
-def import_zarr() -> Any:
+def load_zarr() -> Any:
+    """Return the module, or raise ImportError with the way to install it."""
     try:
         import zarr
     except ImportError as error:
@@ -191,12 +174,16 @@ def import_zarr() -> Any:
 
 
 def open_array(path: Path, mode: str = "r") -> Any:
-    zarr = import_zarr()
+    """Return a Zarr array, or raise `Damaged` where there is none that can be read."""
+    zarr = load_zarr()
     try:
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
-        raise Damaged(f"{path} is missing: the data set is not whole; make it anew in a new folder") from error
+        raise not_whole(f"{path} is missing") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:  # what zarr raises of odd metadata
-        raise Damaged(
-            f"{path} is no array that can be read ({error}): the data set is not whole; make it anew in a new folder"
-        ) from error
+        raise not_whole(f"{path} is no array that can be read ({error})") from error
+
+
+def not_whole(what: str) -> Damaged:
+    """Return the error for arrays that are missing or others than they should be."""
+    return Damaged(f"{what}: the data set is not whole; make it anew in a new folder")

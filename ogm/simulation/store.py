@@ -27,7 +27,8 @@ versions of the libraries that made them; no date and no machine, so that the sa
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -35,18 +36,7 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.split import (
-    FACTS,
-    OBJECTS,
-    SHARD,
-    Damaged,
-    Split,
-    array_layout,
-    count_rays,
-    import_zarr,
-    open_array,
-    shard_file,
-)
+from ogm.simulation.split import FACTS, OBJECTS, SHARD, Damaged, Split, array_layout, load_zarr, open_array, shard_file
 from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
@@ -82,14 +72,12 @@ class Store:
         """
         path = Path(path)
         try:
-            text = (path / "zarr.json").read_bytes()
+            attributes = json.loads((path / "zarr.json").read_bytes())["attributes"]
+            found = attributes["format"]
         except FileNotFoundError:
             raise FileNotFoundError(f"{path} holds no data set; `ogm simulate {path}` makes one") from None
         except NotADirectoryError:
             raise ValueError(f"{path} is a file; a data set is a folder that `ogm simulate` made") from None
-        try:
-            attributes = json.loads(text)["attributes"]
-            found = attributes["format"]
         except (ValueError, KeyError, TypeError, RecursionError) as error:
             raise ValueError(f"{path} is no data set that `ogm simulate` made ({error!r})") from error
         if found == BEGUN:
@@ -117,7 +105,7 @@ class Store:
         except FileNotFoundError:
             return False
         except ValueError:
-            return True
+            pass
         return True
 
     @classmethod
@@ -148,23 +136,17 @@ class Store:
             If the folder holds something else, or a split would shrink.
         """
         path, counts = Path(path), _counts(counts)
-        zarr = import_zarr()
+        zarr = load_zarr()
         if path.is_file():
             raise ValueError(f"{path} is a file; give a new or empty folder")
         if cls.exists(path):
             before = cls.open(path)
             for name, count in before.counts.items():
-                if counts.get(name, 0) < count:
-                    raise ValueError(
-                        f"{path} has {count} samples of {name} planned, got {counts.get(name, 0)}; "
-                        "a data set only grows"
-                    )
+                if (got := counts.get(name, 0)) < count:
+                    raise ValueError(f"{path} has {count} samples of {name} planned, got {got}; a data set only grows")
             if before.beams != tuple(beams):
-                raise ValueError(
-                    f"{path} was begun with other lidars ({', '.join(one.name for one in before.beams)}) than "
-                    f"those given ({', '.join(one.name for one in beams)}), or their numbers have changed; "
-                    "give a new folder"
-                )
+                names = ", ".join(one.name for one in before.beams)
+                raise ValueError(f"{path} was begun with other lidars ({names}) or numbers of them; give a new folder")
             root = zarr.open_group(path, mode="r+")
         else:
             if (path / "zarr.json").exists():  # made by a `create` that was killed
@@ -175,28 +157,16 @@ class Store:
             path.mkdir(parents=True, exist_ok=True)
             root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
         for name, count in counts.items():
-            _grow(root, name, count, count_rays(beams))
+            _grow(root, name, count, beams)
         # Last: until then it is no data set, and is begun again.
-        root.attrs.put(
-            {
-                "format": FORMAT,
-                "plan": dict(plan),
-                "splits": dict(counts),
-                "lidars": [one.as_dict() for one in beams],
-                "range_step": RANGE_STEP,
-                "labels": list(LABELS),
-                "versions": dict(versions),
-            }
-        )
+        made = {"format": FORMAT, "plan": dict(plan), "splits": counts, "lidars": [asdict(one) for one in beams]}
+        root.attrs.put(made | {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)})
         return cls.open(path)
 
     def __getitem__(self, split: str) -> Split:
         if split not in self.counts:
             raise KeyError(f"{self.path} has no split {split!r}; it has {', '.join(self.counts)}")
         return Split(self.path, split, self.counts[split], self.beams)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.counts)
 
     def write(self, split: str, shard: int, samples: Sequence[SimulatedSample]) -> int:
         """Write one shard: samples ``shard * SHARD`` and those that follow, all that the split has of it.
@@ -219,10 +189,8 @@ class Store:
         if [one.index for one in samples] != list(range(first, first + wanted)):
             raise ValueError(f"shard {shard} of {split} wants samples {first} to {first + wanted - 1}")
         numbers = {one: k for k, one in enumerate(self.beams)}
-        columns = {
-            array: np.zeros((wanted, *shape), kind)
-            for array, (shape, kind) in array_layout(count_rays(self.beams)).items()
-        }
+        layout = array_layout(self.beams)
+        columns = {array: np.zeros((wanted, *shape), kind) for array, (shape, kind) in layout.items()}
         for k, one in enumerate(samples):
             rows = one.objects[:OBJECTS]
             columns["steps"][k, : one.steps.size] = one.steps.ravel()
@@ -234,17 +202,14 @@ class Store:
         for file in reversed(files):  # the facts first: until they are written again, the shard is not made
             file.unlink(missing_ok=True)
         for name, values in columns.items():
-            with import_zarr().config.set({"array.write_empty_chunks": True}):
+            with load_zarr().config.set({"array.write_empty_chunks": True}):
                 open_array(self.path / split / name, "r+")[first : first + wanted] = values
         return sum(file.stat().st_size for file in files)
 
-    def sweep(self) -> int:
-        """Remove what a killed writer left behind; return how many files. No process may be writing."""
-        left = [path for name in self.counts for path in (self.path / name).rglob("*.partial")]
-        left += self.path.glob("*.partial")
-        for path in left:
+    def sweep(self) -> None:
+        """Remove what a killed writer left behind. No process may be writing."""
+        for path in [*self.path.rglob("*.partial")]:
             path.unlink()
-        return len(left)
 
     def describe(self) -> dict[str, str]:
         """Return what the data set holds, as names and values to print."""
@@ -277,12 +242,12 @@ def _counts(splits: Mapping[str, int]) -> dict[str, int]:
     return dict(splits)
 
 
-def _grow(root: Any, name: str, count: int, rays: int) -> None:
+def _grow(root: Any, name: str, count: int, beams: Sequence[Beams]) -> None:
     """Make the arrays of a split, or lengthen them."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
     group = root.require_group(name)
-    for array, (shape, kind) in array_layout(rays).items():
+    for array, (shape, kind) in array_layout(beams).items():
         if array in group:
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))
@@ -303,11 +268,6 @@ def _grow(root: Any, name: str, count: int, rays: int) -> None:
 
 
 def _facts(sample: SimulatedSample, lidar: int, objects: int) -> list[float]:
-    return [
-        *(1.0, lidar, objects, sample.scenario, sample.stamp),
-        *sample.T_world_sensor[:3].ravel(),
-        *sample.T_vehicle_sensor[:3].ravel(),
-        *sample.velocity,
-        sample.yaw_rate,
-        *sample.weather,
-    ]
+    poses = [*sample.T_world_sensor[:3].ravel(), *sample.T_vehicle_sensor[:3].ravel()]
+    motion = [*sample.velocity, sample.yaw_rate]
+    return [1.0, lidar, objects, sample.scenario, sample.stamp, *poses, *motion, *sample.weather]

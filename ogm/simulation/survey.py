@@ -7,21 +7,21 @@ ground and to points above it. Both meet the same occlusions, stay within the se
 the same rules, those of `ogm.truth`.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
 
-from ogm.grid import GridSpec
-from ogm.pose import check_pose
 from ogm.scan import Boxes
-from ogm.simulation.cells import AIMS, Aim, Aims, Below, aimed_directions
+from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions
 from ogm.simulation.materials import GROUND, Material
-from ogm.simulation.scene import Hits, Scene
+from ogm.simulation.scene import Scene
 from ogm.state import Truth
-from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, TRUTH_SPEC, Kind, finalize_truth
+from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, finalize_truth
 from ogm.truth.rays import observe_rays
 
-__all__ = ["KINDS", "aimed_truth", "hd_truth"]
+__all__ = ["KINDS", "Known", "aimed_truth", "hd_truth"]
 
 BATCH = 2**19  # rays per call: their hits stay small, however many rays there are
 
@@ -31,17 +31,27 @@ KINDS[[*GROUND]] = Kind.GROUND
 KINDS[[Material.KERB, Material.FOLIAGE, Material.EGO_VEHICLE]] = Kind.STEP, Kind.PLANT, Kind.OTHER
 
 
+class Known(NamedTuple):
+    """What is known of a frame without observing it, in the sensor's frame.
+
+    Attributes
+    ----------
+    boxes, returns
+        Traffic participants, and the points that the scan has on each, as in `ogm.truth.truth_grid`.
+    ego : (nx, ny) bool
+        Cells under the ego vehicle, which become `IGNORE`.
+    """
+
+    boxes: Boxes | None = None
+    returns: ArrayLike | None = None
+    ego: NDArray[np.bool_] | None = None
+
+
+_NOTHING = Known()
+
+
 def hd_truth(
-    scene: Scene,
-    below: Below,
-    T_world_sensor: ArrayLike,
-    directions: NDArray[np.float32],
-    spec: GridSpec = TRUTH_SPEC,
-    *,
-    boxes: Boxes | None = None,
-    returns: ArrayLike | None = None,
-    ego: NDArray[np.bool_] | None = None,
-    salt: int = 0,
+    scene: Scene, below: Below, directions: NDArray[np.float32], known: Known = _NOTHING, *, salt: int = 0
 ) -> Truth:
     """Observe the truth with an HD lidar.
 
@@ -53,36 +63,20 @@ def hd_truth(
     scene : Scene
         All there is, with the frame's moving things in place.
     below : Below
-        What `measure_ground` found from the same pose on the same cells.
-    T_world_sensor : (4, 4) float
+        From `measure_ground`: it has the cells and the sensor's pose.
     directions : (..., 3) float32
         Of all rays, in the sensor's frame: `ogm.simulation.sensors.hd_directions`.
-    spec : GridSpec
-        Cells in the sensor's frame.
-    boxes, returns
-        Traffic participants, and the points that the scan has on each, as in `ogm.truth.finalize_truth`.
-    ego : (nx, ny) bool
-        Cells under the ego vehicle, which become `IGNORE`.
+    known : Known
     salt : int
         Decides which rays pass through glass, as in `Scene.cast`.
     """
-    observer = _Observer(scene, below, T_world_sensor, spec, salt)
+    observer = _Observer(scene, below, salt)
     observer.cast(directions.reshape(-1, 3))
-    return observer.truth(boxes, returns, ego)
+    return observer.truth(known)
 
 
 def aimed_truth(
-    scene: Scene,
-    below: Below,
-    T_world_sensor: ArrayLike,
-    elevations: tuple[float, float],
-    spec: GridSpec = TRUTH_SPEC,
-    *,
-    aims: Aims = AIMS,
-    boxes: Boxes | None = None,
-    returns: ArrayLike | None = None,
-    ego: NDArray[np.bool_] | None = None,
-    salt: int = 0,
+    scene: Scene, below: Below, elevations: tuple[float, float], known: Known = _NOTHING, *, salt: int = 0
 ) -> Truth:
     """Observe the truth with rays aimed at every cell.
 
@@ -94,34 +88,32 @@ def aimed_truth(
     ----------
     elevations : (float, float)
         Lowest and highest of the sensor's field of view [rad].
-    aims : Aims
-        Points of each cell to aim at.
 
     Others as in `hd_truth`.
     """
     if not -np.pi / 2 <= elevations[0] < elevations[1] <= np.pi / 2:
         raise ValueError(f"elevations must be the lowest and the highest [rad], got {elevations}")
-    observer = _Observer(scene, below, T_world_sensor, spec, salt)
-    seen = observer.seen
+    observer = _Observer(scene, below, salt)
+    seen, spec = observer.seen, below.spec
 
     def cast(aim: Aim, chosen: NDArray[np.bool_], z: NDArray[np.float32] = below.z) -> None:
         observer.cast(aimed_directions(z, spec, aim, elevations, chosen))
 
-    for aim in aims.every:
+    for aim in AIMS["every"]:
         cast(aim, np.ones(spec.shape, np.bool_))
     colour = np.add.outer(np.arange(spec.shape[0]), np.arange(spec.shape[1])) % 2
-    for n, aim in enumerate(aims.alternate):
+    for n, aim in enumerate(AIMS["alternate"]):
         cast(aim, colour == n % 2)
     steps = (below.rise >= HEIGHT_LIMITS.obstacle) & (seen < OBSTACLE_SEEN)
-    for aim in aims.step:
+    for aim in AIMS["step"]:
         cast(aim, steps, (below.ground + below.rise / 2).astype(np.float32))
     beside = _with_neighbours(seen >= OBSTACLE_SEEN) & (seen < OBSTACLE_SEEN)
-    for aim in aims.beside:
+    for aim in AIMS["beside"]:
         cast(aim, beside)
     edge = _with_neighbours(seen != 0) & (seen == 0)
-    for aim in aims.edge:
+    for aim in AIMS["edge"]:
         cast(aim, edge)
-    return observer.truth(boxes, returns, ego)
+    return observer.truth(known)
 
 
 def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -132,27 +124,22 @@ def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 class _Observer:
     """Casts rays from one pose and notes the cells that they find ground or obstacles in."""
 
-    def __init__(self, scene: Scene, below: Below, T: ArrayLike, spec: GridSpec, salt: int) -> None:
-        if below.z.shape != spec.shape:
-            raise ValueError(f"below has {below.z.shape} cells, but spec has {spec.shape}")
-        self.scene, self.below, self.spec, self.salt = scene, below, spec, salt
-        self.T = check_pose(T, "T_world_sensor")
-        self.seen = np.zeros(spec.shape, np.uint8)
+    def __init__(self, scene: Scene, below: Below, salt: int) -> None:
+        self.scene, self.below, self.salt = scene, below, salt
+        self.seen = np.zeros(below.spec.shape, np.uint8)
         self._number = 0  # rays so far
-        self._hits = Hits.allocate(BATCH)
 
     def cast(self, directions: NDArray[np.float32]) -> None:
         """Cast rays (N, 3), batch by batch."""
+        _, ground, rise, spec, T = self.below
         for start in range(0, len(directions), BATCH):
             part = directions[start : start + BATCH]
-            out = self._hits.part(0, len(part))
-            hits = self.scene.cast(self.T, part, salt=self.salt, number=self._number + start, out=out)
-            ground, rise = self.below.ground, self.below.rise
-            kind = KINDS[hits.material]
-            observe_rays(self.seen, hits.distance, part, kind, ground, rise, self.spec)
+            hits = self.scene.cast(T, part, salt=self.salt, number=self._number + start)
+            observe_rays(self.seen, hits.distance, part, KINDS[hits.material], ground, rise, spec)
         self._number += len(directions)
 
-    def truth(self, boxes: Boxes | None, returns: ArrayLike | None, ego: NDArray[np.bool_] | None) -> Truth:
+    def truth(self, known: Known) -> Truth:
         """Return the truth of the cells."""
+        boxes, returns, ego = known
         beyond = np.isnan(self.below.z)
-        return finalize_truth(self.seen, self.spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond)
+        return finalize_truth(self.seen, self.below.spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond)

@@ -10,14 +10,15 @@ import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Store
-
-__all__ = ["Estimate", "Job", "Made", "begin", "make_shards", "missing_shards", "workers_that_fit"]
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 SCHEDULER_TIMEOUT = 20.0  # [s]
@@ -67,28 +68,21 @@ def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams
     if Store.exists(path):
         before = Store.open(path)
         plan = plan.grown(DatasetPlan.from_dict(before.plan))
-        versions = {name: _added(before.versions.get(name), one) for name, one in versions.items()}
-    store = Store.create(path, plan.as_dict(), plan.counts, beams, versions)
+        made_by = {name: [*before.versions.get(name, one).split(", "), one] for name, one in versions.items()}
+        versions = {name: ", ".join(dict.fromkeys(several)) for name, several in made_by.items()}
+    store = Store.create(path, asdict(plan), plan.counts, beams, versions)
     store.sweep()
     return store
-
-
-def _added(before: str | None, version: str) -> str:
-    """Return the versions that made a data set so far, and this one."""
-    return ", ".join(dict.fromkeys([*(before or version).split(", "), version]))
 
 
 def missing_shards(store: Store) -> list[Job]:
     """Return the shards that are still to be made, those of one town after each other."""
     plan = DatasetPlan.from_dict(store.plan)
-    todo = []
+    todo: list[Job] = []
     for name in ("training", "validation", "sequences", "test"):
-        split = store[name]
-        made = split.facts[:, 0] > 0
-        for shard in range(-(-len(split) // SHARD)):
-            part = made[shard * SHARD : (shard + 1) * SHARD]
-            if not part.all():
-                todo.append(Job(name, shard, len(part)))
+        made = store[name].facts[:, 0] > 0
+        parts = np.split(made, range(SHARD, len(made), SHARD))
+        todo += [Job(name, shard, len(part)) for shard, part in enumerate(parts) if not part.all()]
     towns = [moment(plan, job.split, job.shard * SHARD).town for job in todo]
     order = {town: k for k, town in enumerate(dict.fromkeys(towns))}
     return [job for _, job in sorted(zip(towns, todo, strict=True), key=lambda pair: order[pair[0]])]
@@ -177,20 +171,16 @@ class _Work(NamedTuple):
             with tempfile.TemporaryDirectory() as folder:
                 trial = Store.create(Path(folder) / "trial", {}, {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
-            return seconds, size * _mean_rays(self.plan, beams) / sample.steps.size
+            rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
+            shares = [mount.share for mount in self.plan.mounts]
+            mean = np.average([rays[mount.lidar] for mount in self.plan.mounts], weights=shares)
+            return seconds, size * float(mean) / sample.steps.size
 
     def _sample(self, job: Job, index: int) -> SimulatedSample:
         return self.function(self.plan, job.split, index, self.threads)
 
 
 _one_at_a_time = threading.Lock()  # a worker with several threads still has one town
-
-
-def _mean_rays(plan: DatasetPlan, beams: Sequence[Beams]) -> float:
-    """Return the rays of a mean sample of the plan."""
-    rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
-    total = sum(mount.share for mount in plan.mounts)
-    return sum(mount.share * rays[mount.lidar] for mount in plan.mounts) / total
 
 
 def _estimate(measured: tuple[float, float], todo: list[Job], workers: int, store: Store) -> Estimate:
@@ -246,9 +236,8 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
         stack.enter_context(_silenced("distributed"))
         stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": environment}))
         with _interrupt_delayed():
-            cluster = LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=_SILENT, memory_limit=0
-            )
+            quiet = {"dashboard_address": ":0", "silence_logs": _SILENT}
+            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, memory_limit=0, **quiet)
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
         yield client
@@ -293,17 +282,12 @@ def _explained(store: Store) -> Iterator[None]:
     """Add to errors what to do about them."""
     try:
         yield
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise OSError(
-                f"the disk that holds {store.path} is full; finished shards are complete: make room, then "
-                f"`ogm simulate {store.path} --resume`"
-            ) from error
-        raise
     except Exception as error:
-        if type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
-            raise OSError(
-                f"workers died ({type(error).__name__}), as when memory runs out; finished shards are complete: "
-                f"use fewer --workers, then `ogm simulate {store.path} --resume`"
-            ) from error
-        raise
+        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
+            what, way = f"the disk that holds {store.path} is full", "free some of it"
+        elif type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
+            what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
+        else:
+            raise
+        way += f", then `ogm simulate {store.path} --resume`"
+        raise OSError(f"{what}; finished shards are complete: {way}") from error

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ogm.pose import inverse, transform_points
+from ogm.scan import Boxes
 from ogm.simulation import dataset
 from ogm.simulation.lidar import RangeImage, to_points
 from ogm.simulation.plan import DatasetPlan, LidarMount, only
@@ -88,9 +89,8 @@ def test_objects_are_where_their_points_are(pair: tuple[SimulatedSample, Simulat
     assert (objects["returns"] >= 0).all()
     seen = objects[objects["returns"] >= 50]
     assert len(seen)
-    bottom, top = seen["z"] - seen["height"] / 2, seen["z"] + seen["height"] / 2
-    boxes = [seen[name] for name in ("x", "y", "yaw", "length", "width")]
-    inside = count_returns(sample.points, np.column_stack([*boxes, bottom - 0.2, top + 0.2]))
+    center, size = (np.column_stack([seen[name] for name in names]) for names in ("xyz", ("length", "width", "height")))
+    inside = count_returns(sample.points, Boxes(center, size + [0, 0, 0.4], seen["yaw"]))
     np.testing.assert_array_less(0.6 * seen["returns"], inside)
 
 

@@ -76,7 +76,7 @@ def test_a_data_set_is_exported_and_imported(tmp_path: Path, store: Store) -> No
         np.testing.assert_allclose(pair.points, sample.points, rtol=1e-5)
         wanted = sample.truth.crop(PAPER_GRID).state
         np.testing.assert_array_equal(pair.truth.state, np.where(wanted == CellState.IGNORE, CellState.UNKNOWN, wanted))
-    assert len(pairs[1:]) == 2
+    assert len(pairs) == 3
 
 
 def test_the_papers_weak_colours_count(tmp_path: Path) -> None:

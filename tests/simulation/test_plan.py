@@ -1,7 +1,7 @@
 """Which drive a sample is from, and with which lidar."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -72,9 +72,9 @@ def test_random_numbers_belong_to_one_sample_and_purpose() -> None:
 
 def test_plans_go_through_json() -> None:
     plan = DatasetPlan(seed=9, truth="hd", mounts=(LidarMount("os1-64", 2.0, (1.5, 1.6)), *only("vlp-32c")))
-    assert DatasetPlan.from_dict(json.loads(json.dumps(plan.as_dict()))) == plan
+    assert DatasetPlan.from_dict(json.loads(json.dumps(asdict(plan)))) == plan
     with pytest.raises(ValueError, match="other settings.*colour"):
-        DatasetPlan.from_dict(plan.as_dict() | {"colour": "red"})
+        DatasetPlan.from_dict(asdict(plan) | {"colour": "red"})
 
 
 def test_only_the_counts_of_a_plan_may_grow() -> None:
@@ -94,8 +94,8 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         ({"truth": "drawn"}, '"aimed" or "hd"'),
         ({"mounts": ()}, "mounts are empty"),
         ({"town_size": 3.0}, "town_size must be in 240 ... 1000 m"),
-        ({"bad_weather": 1.2}, "bad_weather is a share"),
-        ({"in_motion": float("nan")}, "in_motion is a share"),
+        ({"bad_weather": 1.2}, "bad_weather must be in 0 ... 1, a share"),
+        ({"in_motion": float("nan")}, "in_motion must be in 0 ... 1, a share"),
     ],
 )
 def test_impossible_plans_are_reported(wrong: dict, message: str) -> None:

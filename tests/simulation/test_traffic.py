@@ -181,8 +181,8 @@ def test_ego_vehicle_is_an_estate_of_one_material():
 def test_a_fleet_is_a_function_of_its_seed():
     one, same, other = (make_fleet(np.random.default_rng(seed)) for seed in (5, 5, 6))
     assert isinstance(one, Fleet)
-    np.testing.assert_array_equal(one.cars[0].mesh.vertices, same.cars[0].mesh.vertices)
-    assert not np.array_equal(one.cars[0].size, other.cars[0].size)
+    np.testing.assert_array_equal(one.vehicles["car"][0].mesh.vertices, same.vehicles["car"][0].mesh.vertices)
+    assert not np.array_equal(one.vehicles["car"][0].size, other.vehicles["car"][0].size)
 
 
 def same(a, b):

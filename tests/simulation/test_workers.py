@@ -141,7 +141,7 @@ def test_a_full_disk_is_reported(
         return write(self, split, shard, samples)
 
     monkeypatch.setattr(Store, "write", full)
-    with pytest.raises(OSError, match="is full; finished shards are complete: make room.*--resume"):
+    with pytest.raises(OSError, match="is full; finished shards are complete: free some of it.*--resume"):
         run(tmp_path / "data", beams, make_sample)
     assert Store.open(tmp_path / "data")["training"].finished.tolist() == list(range(10))
 

@@ -70,7 +70,7 @@ class Shape:
     wheelbase, overhang : float
         Between the axles; from the front end to the front axle.
     nose, cowl, deck : float
-        Height of the bonnet's front edge, of the windscreen's foot, of the boot (or of the rear window's foot).
+        Height of the bonnet's front edge, of the windscreen's base, of the boot (or of the rear window's base).
     cowl_at, roof_at, roof_end, deck_at : float
         Where the windscreen starts and ends, where the roof ends, where the rear window meets the deck.
     floor, tyre : float
@@ -78,9 +78,7 @@ class Shape:
     roof_width : float
         Width of the roof's rails as a share of the width.
     side_glass : float
-        Share of the cabin's length that has side windows (a panel van has few), from its front.
-    rear_glass : bool
-        Whether there is a rear window.
+        Share of the cabin's length that has side windows, from its front; below 1, a van without a rear window.
     """
 
     length: float
@@ -99,7 +97,6 @@ class Shape:
     tyre: float = 0.32
     roof_width: float = 0.68
     side_glass: float = 1.0
-    rear_glass: bool = True
 
 
 # Measures of common European cars, rounded.
@@ -114,15 +111,14 @@ CARS: dict[str, Shape] = {
 }
 VANS: dict[str, Shape] = {
     "small van": Shape(
-        4.45, 1.82, 1.82, 2.72, 0.88, 0.82, 1.10, 1.10, 0.98, 1.78, 4.32, 4.42, roof_width=0.82, side_glass=0.36,
-        rear_glass=False,
+        4.45, 1.82, 1.82, 2.72, 0.88, 0.82, 1.10, 1.10, 0.98, 1.78, 4.32, 4.42, roof_width=0.82, side_glass=0.36
     ),
     "bus van": Shape(
         4.92, 1.93, 1.97, 3.02, 0.92, 0.92, 1.18, 1.12, 0.88, 1.66, 4.72, 4.86, floor=0.2, tyre=0.33, roof_width=0.84
     ),
     "panel van": Shape(
         5.55, 2.00, 2.52, 3.42, 0.98, 1.00, 1.30, 1.25, 0.86, 1.92, 5.44, 5.52, floor=0.22, tyre=0.35,
-        roof_width=0.86, side_glass=0.22, rear_glass=False,
+        roof_width=0.86, side_glass=0.22,
     ),
 }  # fmt: skip
 
@@ -145,23 +141,10 @@ def _shell(shape: Shape, paint: int) -> Mesh:
     width = half * np.interp(
         s, [0, 0.1, 0.35, 0.8, end - 0.8, end - 0.25, end - 0.1, end], [0.7, 0.88, 0.965, 1, 1, 0.97, 0.92, 0.8]
     )
-    belt = np.interp(
-        s,
-        [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end],
-        [
-            shape.nose - 0.14,
-            shape.nose - 0.05,
-            shape.cowl - 0.05,
-            shape.deck - 0.02,
-            shape.deck - 0.05,
-            shape.deck - 0.12,
-        ],
-    )
-    top = np.interp(
-        s,
-        [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end],
-        [shape.nose - 0.1, shape.nose, shape.cowl, shape.deck + 0.01, shape.deck - 0.01, shape.deck - 0.1],
-    )
+    knots = [0, 0.1, shape.cowl_at, shape.deck_at, end - 0.1, end]
+    heights = np.array([shape.nose] * 2 + [shape.cowl] + [shape.deck] * 3)
+    belt = np.interp(s, knots, heights + [-0.14, -0.05, -0.05, -0.02, -0.05, -0.12])
+    top = np.interp(s, knots, heights + [-0.1, 0, 0, 0.01, -0.01, -0.1])
     floor = np.interp(s, [0, 0.3, end - 0.5, end], [shape.floor + 0.07, shape.floor, shape.floor, shape.floor + 0.14])
     sill = floor.copy()
     reach = shape.tyre + 0.07
@@ -197,18 +180,17 @@ def _ends(sections: Floats, paint: int) -> Mesh:
     materials = [M.PLASTIC_DARK, paint, M.PLASTIC_DARK, paint]
     faces = quads([front[list(band)] for band in bands], materials)
     back = quads([rear[list(band)] for band in bands], [M.PLASTIC_DARK, paint, paint, paint])
-    y, z = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.055, -0.055, 0.055, 0.055])
     plates = [
-        np.stack([np.full(4, end[0, 0] + side * 0.01), y, level + z], axis=1)
-        for end, side, level in ((front, 1, end_height(front, 0.35)), (rear, -1, end_height(rear, 0.55)))
+        plate(end[0, 0] + side * 0.01, end[:, 2].min() + share * np.ptp(end[:, 2]), 0.055)
+        for end, side, share in ((front, 1, 0.35), (rear, -1, 0.55))
     ]
     return merge([faces, back, quads(plates, M.PLATE)])
 
 
-def end_height(section: Floats, share: float) -> float:
-    """Return the height at a share of a cross section [m]."""
-    low, high = float(section[:, 2].min()), float(section[:, 2].max())
-    return low + share * (high - low)
+def plate(x: float, z: float, half: float = 0.06) -> Floats:
+    """Return the corners (4, 3) of a number plate, half of whose height is given [m]."""
+    y, up = np.array([-0.26, 0.26, 0.26, -0.26]), half * np.array([-1, -1, 1, 1])
+    return np.stack([np.full(4, x), y, z + up], axis=1)
 
 
 def _greenhouse(shape: Shape, paint: int) -> Mesh:
@@ -240,10 +222,9 @@ def _greenhouse(shape: Shape, paint: int) -> Mesh:
     crown_s = roof + 0.12 + share * (tail - roof - 0.22)
     top = np.full(6, shape.height) - np.array([0.015, 0, 0, 0, 0, 0.02])
     crown = ring(crown_s, 0.8 * rail * taper, roof, tail - 0.06, top, top[[0, -1]])
-    sides = [paint, M.CAR_GLASS, paint, M.CAR_GLASS, paint]
-    if shape.side_glass < 1:
-        sides = [paint, paint, M.CAR_GLASS, paint, paint]
-    rear = M.CAR_GLASS if shape.rear_glass else paint
+    whole = shape.side_glass == 1
+    rear = M.CAR_GLASS if whole else paint
+    sides = [paint, M.CAR_GLASS, paint, M.CAR_GLASS, paint] if whole else [paint, paint, M.CAR_GLASS, paint, paint]
     around = np.array([int(m) for m in (M.CAR_GLASS, *sides, rear, rear, *sides[::-1], M.CAR_GLASS)], np.uint8)
     skin = loft([base, rails, crown], np.stack([around, np.full(14, paint, np.uint8)]))
     left, right = crown[1:7], crown[:7:-1]
@@ -256,10 +237,10 @@ def _seats(shape: Shape) -> Mesh:
     """Make the backs of the front seats and a driver's outline: what rays through the windows meet."""
     x = shape.length / 2 - (shape.cowl_at + 0.42 * (shape.deck_at - shape.cowl_at)) - 0.1
     low, high = shape.cowl - 0.35, min(shape.cowl + 0.34, shape.height - 0.2)
-    backs = []
-    for y in (-0.19 * shape.width, 0.19 * shape.width):
-        p = [(x, y - 0.23, low), (x, y + 0.23, low), (x - 0.16, y + 0.12, high), (x - 0.16, y - 0.12, high)]
-        backs.append(p)
+    backs = [
+        [(x, y - 0.23, low), (x, y + 0.23, low), (x - 0.16, y + 0.12, high), (x - 0.16, y - 0.12, high)]
+        for y in (-0.19 * shape.width, 0.19 * shape.width)
+    ]
     return quads(backs, M.PLASTIC_DARK)
 
 

@@ -1,6 +1,7 @@
 """How a scenario begins: who parks where, who drives which route, who walks, which signals there are."""
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -10,7 +11,7 @@ from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import Town
 from ogm.simulation.traffic.bodies import Body, ego_body
-from ogm.simulation.traffic.fleet import EGO_MANNERS, MANNERS, Fleet, Manners
+from ogm.simulation.traffic.fleet import MANNERS, Fleet
 from ogm.simulation.traffic.graph import Crossings, LaneTable, drivable
 from ogm.simulation.traffic.parked import park
 from ogm.simulation.traffic.paths import Lines
@@ -61,9 +62,14 @@ class Unit(NamedTuple):
     left: float  # [m] from the lane's centre line
 
 
+def _pick(choice: Sequence[Any], rng: Generator) -> Any:
+    return choice[int(rng.integers(len(choice)))]
+
+
 def fill_bays(town: Town, table: LaneTable, walkways: Lines, fleet: Fleet, rng: Generator) -> list[Object]:
     """Return the parked vehicles."""
-    bodies = fleet.cars + fleet.vans[:2] + fleet.trucks + fleet.trailers
+    kinds = fleet.vehicles
+    bodies = kinds["car"] + kinds["van"][:2] + kinds["truck"] + kinds["trailer"]
     placed = park(town.bays, table.points, walkways.points, bodies, town.ground_height, rng)
     first = 1000  # tracks of what moves are smaller
     still = np.zeros(3)
@@ -79,16 +85,14 @@ def set_out(
     count = min(MOST, 1 + int(table.length[open_road].sum() / SPACING))
     kinds = ["car"] * 70 + ["van"] * 9 + ["truck"] * 5 + ["bus"] * 4 + ["motorcycle"] * 5 + ["bicycle"] * 5
     units: list[Unit] = []
-    lengths: list[float] = []
-    manners: list[Manners] = []
-    starts: list[tuple[int, float]] = []
+    drivers: list[tuple[int, float, float, tuple[float, ...]]] = []  # lane, front and length [m], manners
     taken: dict[int, list[tuple[float, float]]] = {}
     for n in range(count):
-        kind = "ego" if n == 0 else kinds[int(rng.integers(len(kinds)))]
+        kind = "ego" if n == 0 else _pick(kinds, rng)
         bodies, left = _bodies(kind, fleet, rng)
         parts, behind = [], 0.0
         for body in bodies:
-            parts.append(Unit(body, len(lengths), behind, left))
+            parts.append(Unit(body, len(drivers), behind, left))
             behind += body.size[0] + HITCH
         length = behind - HITCH
         for _ in range(40):
@@ -100,39 +104,25 @@ def set_out(
             if all(front + 6 < low or front - length - 6 > high for low, high in near):
                 near.append((front - length, front))
                 units += parts
-                lengths.append(length)
-                manners.append(EGO_MANNERS if n == 0 else MANNERS[kind])
-                starts.append((lane, front))
+                drivers.append((lane, front, length, MANNERS[kind]))
                 break
         else:
             if n == 0:
                 raise ValueError("no lane of the round trip is long enough for the ego vehicle to start on")
-    routes = [_around(loop, starts[0][0])] + [_wander(town, table, alive, lane, rng) for lane, _ in starts[1:]]
-    return units, _drivers(table, routes, lengths, manners, [front for _, front in starts], rng)
+    k = loop.index(drivers[0][0])
+    routes = [[*loop[k:], *loop[:k]]] + [_wander(town, table, alive, lane, rng) for lane, *_ in drivers[1:]]
+    _, fronts, lengths, manners = (np.array(column, np.float64) for column in zip(*drivers, strict=True))
+    return units, _drivers(table, routes, fronts, lengths, manners, rng)
 
 
 def _bodies(kind: str, fleet: Fleet, rng: Generator) -> tuple[list[Body], float]:
     """Draw the bodies that one driver moves, and how far left of the lane's middle."""
     if kind == "ego":
         return [ego_body()], 0.0
-    choice = {
-        "car": fleet.cars,
-        "van": fleet.vans,
-        "truck": fleet.trucks,
-        "bus": fleet.buses,
-        "motorcycle": fleet.motorcycles,
-        "bicycle": fleet.bicycles,
-    }[kind]
-    bodies = [choice[int(rng.integers(len(choice)))]]
+    bodies = [_pick(fleet.vehicles[kind], rng)]
     if kind == "truck" and rng.random() < 0.5:
-        bodies.append(fleet.trailers[int(rng.integers(len(fleet.trailers)))])
+        bodies.append(_pick(fleet.vehicles["trailer"], rng))
     return bodies, -0.6 if kind == "bicycle" else float(np.clip(rng.normal(0, 0.08), -0.15, 0.15))
-
-
-def _around(loop: tuple[int, ...], start: int) -> list[int]:
-    """Return the round trip from one of its lanes on."""
-    k = loop.index(start)
-    return list(loop[k:] + loop[:k])
 
 
 def _wander(town: Town, table: LaneTable, alive: NDArray[np.bool_], start: int, rng: Generator) -> list[int]:
@@ -146,12 +136,7 @@ def _wander(town: Town, table: LaneTable, alive: NDArray[np.bool_], start: int, 
 
 
 def _drivers(
-    table: LaneTable,
-    routes: list[list[int]],
-    lengths: list[float],
-    manners: list[Manners],
-    fronts: list[float],
-    rng: Generator,
+    table: LaneTable, routes: list[list[int]], fronts: Floats, lengths: Floats, manners: Floats, rng: Generator
 ) -> Drivers:
     """Arrange vehicles for the kernels."""
     # As many lanes as the fastest driver can come to; a shorter route is begun again.
@@ -162,28 +147,14 @@ def _drivers(
     start = np.zeros((len(routes), places + 1))
     start[:, 1:] = np.cumsum(table.length[route], axis=1)
     count = len(routes)
-    zero = np.zeros(count, np.int64)
     pace = np.clip(rng.normal(0.93, 0.06, count), 0.75, 1.0)
     pace[0] = 0.97
-    columns = np.array(manners, np.float64).T
-    return Drivers(
-        route,
-        start,
-        np.array(fronts),
-        np.full(count, 2.0),
-        zero.copy(),
-        zero.copy(),
-        zero - 1,
-        np.full(count, -1.0),
-        rng.integers(1, 2**63, count).astype(np.uint64),
-        np.array(lengths),
-        columns[0].copy(),
-        columns[1].copy(),
-        columns[2].copy(),
-        columns[3].copy(),
-        pace,
-        columns[4].copy(),
-    )
+    dice = rng.integers(1, 2**63, count).astype(np.uint64)
+    front, rear, granted = np.zeros(count, np.int64), np.zeros(count, np.int64), np.full(count, -1)
+    speed, since = np.full(count, 2.0), np.full(count, -1.0)
+    acceleration, braking, hardest, headway, top = manners.T.copy()
+    moving = (route, start, fronts, speed, front, rear, granted, since, dice)
+    return Drivers(*moving, lengths, acceleration, braking, hardest, headway, pace, top)
 
 
 def make_signals(table: LaneTable, rng: Generator) -> Signals:
@@ -229,22 +200,9 @@ def choose_people(
                 break
         if n >= still and rng.random() < 0.5 and w[n] > 0:
             w[n] = 2 * way[n] - w[n]
-        if n < still:
-            people.append([fleet.standers[int(rng.integers(len(fleet.standers)))]])
-        else:
-            people.append(fleet.walkers[int(rng.integers(len(fleet.walkers)))])
+        people.append([_pick(fleet.standers, rng)] if n < still else _pick(fleet.walkers, rng))
     rest = rng.uniform(1, 15, number) + np.where(way < 25, 12.0, 0.0)
     side = rng.uniform(0.36, 0.44, number)
-    walkers = Walkers(
-        line,
-        way,
-        short,
-        w,
-        pace,
-        rest,
-        rest * (w % np.maximum(way, 1e-9) == 0),
-        np.full(number, -1, np.int64),
-        np.zeros(count, np.int64),
-        np.full(count, -100.0),
-    )
-    return walkers, people, side
+    resting = rest * (w % np.maximum(way, 1e-9) == 0)
+    zone, busy, left = np.full(number, -1, np.int64), np.zeros(count, np.int64), np.full(count, -100.0)
+    return Walkers(line, way, short, w, pace, rest, resting, zone, busy, left), people, side

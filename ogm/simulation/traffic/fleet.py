@@ -17,27 +17,16 @@ SHAPE_SHARES = {
     "small": 0.16, "hatchback": 0.27, "saloon": 0.13, "estate": 0.16, "suv": 0.17, "coupe": 0.04,
     "people carrier": 0.07,
 }  # fmt: skip
-
-
-class Manners(NamedTuple):
-    """How a kind of driver drives: accelerations [m/s^2], time gap [s], highest speed [m/s]."""
-
-    acceleration: float
-    braking: float
-    hardest: float
-    headway: float
-    top: float
-
-
+# How each kind of driver drives: acceleration, braking, hardest braking [m/s^2], time gap [s], highest speed [m/s].
 MANNERS = {
-    "car": Manners(1.7, 2.0, 6.0, 1.2, 50.0),
-    "van": Manners(1.4, 2.0, 6.0, 1.3, 40.0),
-    "truck": Manners(0.9, 1.6, 5.0, 1.6, 22.0),
-    "bus": Manners(1.0, 1.5, 5.0, 1.6, 22.0),
-    "motorcycle": Manners(2.4, 2.2, 6.0, 1.1, 50.0),
-    "bicycle": Manners(0.8, 1.6, 4.0, 1.0, 6.2),
+    "ego": (1.8, 1.9, 4.0, 1.2, 50.0),
+    "car": (1.7, 2.0, 6.0, 1.2, 50.0),
+    "van": (1.4, 2.0, 6.0, 1.3, 40.0),
+    "truck": (0.9, 1.6, 5.0, 1.6, 22.0),
+    "bus": (1.0, 1.5, 5.0, 1.6, 22.0),
+    "motorcycle": (2.4, 2.2, 6.0, 1.1, 50.0),
+    "bicycle": (0.8, 1.6, 4.0, 1.0, 6.2),
 }
-EGO_MANNERS = Manners(1.8, 1.9, 4.0, 1.2, 50.0)
 
 
 class Fleet(NamedTuple):
@@ -45,19 +34,14 @@ class Fleet(NamedTuple):
 
     Attributes
     ----------
-    cars, vans, trucks, trailers, buses, motorcycles, bicycles : list of Body
+    vehicles : dict of list of Body
+        By kind: the keys of `MANNERS` but "ego", and "trailer".
     walkers : list of list of Body
         Pedestrians, each in the poses of a walking cycle.
     standers : list of Body
     """
 
-    cars: list[Body]
-    vans: list[Body]
-    trucks: list[Body]
-    trailers: list[Body]
-    buses: list[Body]
-    motorcycles: list[Body]
-    bicycles: list[Body]
+    vehicles: dict[str, list[Body]]
     walkers: list[list[Body]]
     standers: list[Body]
 
@@ -70,17 +54,17 @@ def make_fleet(rng: Generator) -> Fleet:
 
     names = rng.choice(list(SHAPE_SHARES), 28, p=np.array(list(SHAPE_SHARES.values())))
     vans = rng.choice(list(VANS), 6)
-    return Fleet(
-        [car(_vary(CARS[str(name)], rng), paint()) for name in names],
-        [car(_vary(VANS[str(name)], rng), paint(), label="van", mirrors=0.16) for name in vans],
-        [truck(rng, paint()) for _ in range(3)],
-        [trailer(rng) for _ in range(2)],
-        [bus(rng, paint()) for _ in range(2)],
-        [motorcycle(rng, paint()) for _ in range(2)],
-        [bicycle(rng) for _ in range(4)],
-        [walking(rng, grown=rng.random() > 0.12) for _ in range(20)],
-        [standing(rng) for _ in range(6)],
-    )
+    vehicles = {
+        "car": [car(_vary(CARS[str(name)], rng), paint()) for name in names],
+        "van": [car(_vary(VANS[str(name)], rng), paint(), label="van", mirrors=0.16) for name in vans],
+        "truck": [truck(rng, paint()) for _ in range(3)],
+        "trailer": [trailer(rng) for _ in range(2)],
+        "bus": [bus(rng, paint()) for _ in range(2)],
+        "motorcycle": [motorcycle(rng, paint()) for _ in range(2)],
+        "bicycle": [bicycle(rng) for _ in range(4)],
+    }
+    walkers = [walking(rng, grown=rng.random() > 0.12) for _ in range(20)]
+    return Fleet(vehicles, walkers, [standing(rng) for _ in range(6)])
 
 
 _ALONG = ("length", "wheelbase", "overhang", "cowl_at", "roof_at", "roof_end", "deck_at")

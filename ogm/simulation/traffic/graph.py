@@ -108,27 +108,16 @@ def _limit(lane: Lane, along: Floats) -> Floats:
 def lane_table(lanes: Sequence[Lane]) -> LaneTable:
     """Arrange lanes for the kernels, and find out which of them cannot be driven at once."""
     centers = lines([lane.points for lane in lanes])
-    first = centers.first
-    along = np.split(centers.along, first[1:-1])
+    along = np.split(centers.along, centers.first[1:-1])
     blocked, together = _conflicts(lanes, along)
     junction = np.array([lane.junction for lane in lanes], np.int64)
     phase = np.array([lane.phase for lane in lanes], np.int64)
     fork = (junction >= 0) & (np.array([len(lane.successors) for lane in lanes]) > 1)
-    return LaneTable(
-        centers.points,
-        centers.along,
-        np.concatenate([_limit(lane, s) for lane, s in zip(lanes, along, strict=True)]),
-        first,
-        np.array([s[-1] for s in along]),
-        (junction >= 0) | (blocked >= 0).any(axis=1),
-        junction,
-        phase,
-        blocked,
-        together,
-        _onward(lanes),
-        fork,
-        np.array([max(1, fork[junction == j].sum() - 1) for j in range(junction.max() + 1)], np.int64),
-    )
+    limit = np.concatenate([_limit(lane, s) for lane, s in zip(lanes, along, strict=True)])
+    guarded = (junction >= 0) | (blocked >= 0).any(axis=1)
+    most = np.array([max(1, fork[junction == j].sum() - 1) for j in range(junction.max() + 1)], np.int64)
+    roads = (centers.points, centers.along, limit, centers.first, centers.length)
+    return LaneTable(*roads, guarded, junction, phase, blocked, together, _onward(lanes), fork, most)
 
 
 def _onward(lanes: Sequence[Lane]) -> NDArray[np.int64]:
@@ -214,12 +203,10 @@ def crossings(table: LaneTable, walkways: Lines) -> Crossings:
                 for part in np.split(s, np.flatnonzero(np.diff(s) > 6.0) + 1):
                     on_lane.append((lane, part[0] - 0.7, part[-1] + 0.7, zone))
             zone += 1
-    lane_rows = np.array(sorted(on_lane), np.float64).reshape(-1, 4)
-    walk_rows = np.array(sorted(on_walkway), np.float64).reshape(-1, 4)
-    return Crossings(
-        lane_rows,
-        np.searchsorted(lane_rows[:, 0], np.arange(len(table.length) + 1)).astype(np.int64),
-        walk_rows,
-        np.searchsorted(walk_rows[:, 0], np.arange(len(walkways.first))).astype(np.int64),
-        zone,
-    )
+    return Crossings(*_by_line(on_lane, len(table.length)), *_by_line(on_walkway, len(walkways.length)), zone)
+
+
+def _by_line(found: list[tuple], count: int) -> tuple[Floats, NDArray[np.int64]]:
+    """Return rows sorted by their first column, and the first row of each of `count` lines."""
+    rows = np.array(sorted(found), np.float64).reshape(-1, 4)
+    return rows, np.searchsorted(rows[:, 0], np.arange(count + 1)).astype(np.int64)

@@ -2,19 +2,32 @@
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, cylinder, loft, merge, quads
-from ogm.simulation.traffic.bodies import Body, centered, wheel
+from ogm.simulation.traffic.bodies import Body, centered, plate, wheel
 
 
 def _outline(x: float, half: float, low: float, high: float, *, bevel: float = 0.12) -> Floats:
     """Return an upright cross section with eight corners, bevelled at the top."""
-    y = np.array([half, half, half, half - bevel])
-    z = np.array([low, (low + high) / 2, high - bevel, high])
-    left = np.stack([np.full(4, x), y, z], axis=1)
-    return np.concatenate([left, (left * [1, -1, 1])[::-1]])
+    return _mirrored(x, (half, half, half, half - bevel), (low, (low + high) / 2, high - bevel, high))
+
+
+def _mirrored(x: float | Floats, y: ArrayLike, z: ArrayLike) -> Floats:
+    """Return a closed outline (8, 3) from the four corners on its left, the lowest first."""
+    outline = np.empty((8, 3))
+    outline[:, 0] = x
+    outline[:4, 1], outline[:4, 2] = y, z
+    outline[4:, 1:] = outline[3::-1, 1:] * [-1, 1]
+    return outline
+
+
+def _closed(first: Floats, last: Floats, materials: list[int]) -> Mesh:
+    """Close two outlines (8, 3) of a body, each by three bands from below."""
+    bands = [end[[k, k + 1, 6 - k, 7 - k]] for end in (first, last) for k in range(3)]
+    return quads(bands, materials)
 
 
 def _axles(places: list[float], half: float, radius: float) -> list[Mesh]:
@@ -22,18 +35,10 @@ def _axles(places: list[float], half: float, radius: float) -> list[Mesh]:
     return [wheel(x, side * half, radius, 0.32) for x in places for side in (-1.0, 1.0)]
 
 
-def _plate(x: float, z: float) -> Floats:
-    y, up = np.array([-0.26, 0.26, 0.26, -0.26]), np.array([-0.06, -0.06, 0.06, 0.06])
-    return np.stack([np.full(4, x), y, z + up], axis=1)
-
-
 def _lamps(x: float, half: float, z: float) -> Mesh:
     """Make two lamps at one end."""
-    pairs = []
-    for side in (-1.0, 1.0):
-        y = side * (half + np.array([-0.38, -0.08, -0.08, -0.38]))
-        pairs.append(np.stack([np.full(4, x), y, z + np.array([-0.09, -0.09, 0.09, 0.09])], axis=1))
-    return quads(pairs, M.LAMP)
+    y, up = half + np.array([-0.38, -0.08, -0.08, -0.38]), z + np.array([-0.09, -0.09, 0.09, 0.09])
+    return quads([np.stack([np.full(4, x), side * y, up], axis=1) for side in (-1.0, 1.0)], M.LAMP)
 
 
 def _cab(front: float, length: float, half: float, height: float, paint: int) -> Mesh:
@@ -45,25 +50,20 @@ def _cab(front: float, length: float, half: float, height: float, paint: int) ->
     sections = []
     for s, shrink, drop in zip(places, inset, lean[::-1], strict=True):
         y = half - shrink
-        left = np.array([(y, low), (y, sill), (y - 0.06, height - 0.22), (y - 0.2, height - drop)])
-        outline = np.concatenate([left, (left * [-1, 1])[::-1]])
         x = front - s - np.array([0.0, 0.0, 0.16, 0.34, 0.34, 0.16, 0.0, 0.0]) * (s < 0.2 * length)
-        sections.append(np.column_stack([x, outline]))
+        sections.append(_mirrored(x, (y, y, y - 0.06, y - 0.2), (low, sill, height - 0.22, height - drop)))
     material = np.full((4, 8), paint, np.uint8)
     material[:, 7] = M.PLASTIC_DARK
     material[2, [1, 5]] = M.CAR_GLASS
     skin = loft(np.array(sections), material)
-    nose, back = sections[0], sections[-1]
-    faces = [nose[[0, 1, 6, 7]], nose[[1, 2, 5, 6]], nose[[2, 3, 4, 5]]]
-    rear = [back[[0, 1, 6, 7]], back[[1, 2, 5, 6]], back[[2, 3, 4, 5]]]
-    ends = quads(faces + rear, [M.PLASTIC_DARK, M.CAR_GLASS, paint, paint, paint, paint])
+    ends = _closed(sections[0], sections[-1], [M.PLASTIC_DARK, M.CAR_GLASS, paint, paint, paint, paint])
     mirrors = [
         box((front - 0.35, y - 0.11, sill + 0.1), (front - 0.22, y + 0.11, sill + 0.75), M.PLASTIC_DARK)
         for y in (half + 0.12, -half - 0.12)
     ]
     bumper = box((front - 0.3, -half + 0.04, 0.3), (front + 0.04, half - 0.04, 0.62), paint)
-    plate = quads(_plate(front + 0.05, 0.42)[None], M.PLATE)
-    return merge([skin, ends, *mirrors, bumper, plate, _lamps(front + 0.05, half, 0.52)])
+    number = quads(plate(front + 0.05, 0.42), M.PLATE)
+    return merge([skin, ends, *mirrors, bumper, number, _lamps(front + 0.05, half, 0.52)])
 
 
 def _load(front: float, rear: float, half: float, height: float, cover: int) -> Mesh:
@@ -78,7 +78,7 @@ def _load(front: float, rear: float, half: float, height: float, cover: int) -> 
         if front - rear > 4.5
     ]
     bumper = box((rear - 0.02, -half + 0.1, 0.42), (rear + 0.08, half - 0.1, 0.56), M.METAL_SHEET)
-    tail = quads(_plate(rear - 0.03, 0.68)[None], M.PLATE)
+    tail = quads(plate(rear - 0.03, 0.68), M.PLATE)
     return merge([body, frame, *guards, bumper, tail, _lamps(rear - 0.03, half, 0.72)])
 
 
@@ -120,26 +120,19 @@ def bus(rng: Generator, paint: M) -> Body:
     axles = [front - 2.6, -front + 3.1]
     count = int(length / 1.3)
     windows = np.linspace(front - 0.7, -front + 0.5, count + 1)
-    places = [front, front - 0.12]
-    for a, b in zip(windows[:-1], windows[1:], strict=True):
-        places += [a - 0.04, b + 0.04]
-    places += [-front + 0.1, -front]
-    x = np.array(places)
+    panes = np.stack([windows[:-1] - 0.04, windows[1:] + 0.04], axis=1).ravel()
+    x = np.array([front, front - 0.12, *panes, -front + 0.1, -front])
     width = half - np.interp(x, [-front, -front + 0.1, front - 0.12, front], [0.12, 0.0, 0.0, 0.14])
     sections = []
     for place, y in zip(x, width, strict=True):
         arch = min(abs(place - axle) for axle in axles) < 0.62
         bottom = 0.98 if arch else low
-        left = np.array([(y, bottom), (y, max(sill, bottom + 0.01)), (y - 0.03, height - 0.45), (y - 0.2, height)])
-        sections.append(np.column_stack([np.full(8, place), np.concatenate([left, (left * [-1, 1])[::-1]])]))
+        heights = (bottom, max(sill, bottom + 0.01), height - 0.45, height)
+        sections.append(_mirrored(place, (y, y, y - 0.03, y - 0.2), heights))
     material = np.full((len(x) - 1, 8), paint, np.uint8)
     material[:, 7] = M.PLASTIC_DARK
     material[2:-1:2, [1, 5]] = M.CAR_GLASS
-    nose, tail = sections[0], sections[-1]
-    ends = quads(
-        [end[list(k)] for end in (nose, tail) for k in ((0, 1, 6, 7), (1, 2, 5, 6), (2, 3, 4, 5))],
-        [paint, M.CAR_GLASS, paint, paint, M.CAR_GLASS, paint],
-    )
+    ends = _closed(sections[0], sections[-1], [paint, M.CAR_GLASS, paint, paint, M.CAR_GLASS, paint])
     floor = box((-front + 0.3, -half + 0.15, 0.36), (front - 0.3, half - 0.15, 0.42), M.PLASTIC_DARK)
     seats = [
         [(s, y, 0.5), (s, y + 0.8, 0.5), (s - 0.12, y + 0.8, 1.35), (s - 0.12, y, 1.35)]
@@ -149,7 +142,7 @@ def bus(rng: Generator, paint: M) -> Body:
     mirrors = [
         box((front - 0.05, y - 0.08, 1.9), (front + 0.12, y + 0.08, 2.35), M.PLASTIC_DARK) for y in (half, -half)
     ]
-    plates = quads([_plate(front + 0.01, 0.5), _plate(-front - 0.01, 0.6)], M.PLATE)
+    plates = quads([plate(front + 0.01, 0.5), plate(-front - 0.01, 0.6)], M.PLATE)
     lamps = [_lamps(front + 0.01, half - 0.12, 0.7), _lamps(-front - 0.01, half - 0.1, 0.8)]
     parts = [loft(np.array(sections), material), ends, floor, quads(seats, M.PLASTIC_DARK), *mirrors, plates, *lamps]
     return centered("bus", merge(parts + _axles(axles, half - 0.02, 0.48)), axles)

@@ -114,29 +114,21 @@ class Traffic:
             advance(*state, self._done, Record(x[rows], v[rows], w[rows]))
             self._done = rows.stop
 
-    def _fronts(self, step: float) -> Floats:
-        """Return the way that each driver has covered [m], smooth between the steps (cubic Hermite)."""
-        k = int(step)
-        t = step - k
-        a, b = self._record.x[k], self._record.x[k + 1]
-        v, u = self._record.v[k] * STEP, self._record.v[k + 1] * STEP
-        return (
-            a + t * v + t * t * (3 * (b - a) - 2 * v - u) + t * t * t * (2 * (a - b) + v + u)
-        )  # the polynomial with these values and slopes at both ends
-
     def _vehicles(self, step: float) -> tuple[Floats, Floats, float]:
         """Return poses (U, 4, 4) and velocities (U, 3) of all units, and the yaw rate of the ego vehicle."""
-        h = 0.5  # steps
-        now = self._place(step)
-        before, after = self._place(step - h), self._place(step + h)
-        velocity = (after[0] - before[0]) / (2 * h * STEP)
+        before, now, after = (self._place(step + half) for half in (-0.5, 0.0, 0.5))
         turn = (after[1][0] - before[1][0] + np.pi) % (2 * np.pi) - np.pi
-        return frames(now[0], now[1], now[2], now[3]), velocity, float(turn / (2 * h * STEP))
+        return frames(*now), (after[0] - before[0]) / STEP, float(turn / STEP)
 
     def _place(self, step: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return middle (U, 3), yaw, slope ahead and slope to the left of each unit."""
-        fronts = self._fronts(step)
         units, d = self._units, self._drivers
+        # The way that each driver has covered [m], smooth between the steps (cubic Hermite): the polynomial with
+        # these values and slopes at both ends.
+        k, t = int(step), step - int(step)
+        a, b = self._record.x[k], self._record.x[k + 1]
+        v, u = self._record.v[k] * STEP, self._record.v[k + 1] * STEP
+        fronts = a + t * v + t * t * (3 * (b - a) - 2 * v - u) + t * t * t * (2 * (a - b) + v + u)
         driver = np.array([unit.driver for unit in units])
         half = np.array([unit.body.size[0] / 2 for unit in units])
         center = fronts[driver] - [unit.behind for unit in units] - half
@@ -144,9 +136,9 @@ class Traffic:
         # Nothing beyond the front bumper counts: the route there may still change.
         reach = np.clip(half - axles[:, 0], 0.1, 0.9)
         points = np.empty((2, len(units), 3))
-        t = Lines(self._table.points, self._table.along, self._table.first)
+        centers = Lines(self._table.points, self._table.along, self._table.first)
         for k in range(2):
-            along_routes(t, d.route, d.start, driver, center + axles[:, k], reach, points[k])
+            along_routes(centers, d.route, d.start, driver, center + axles[:, k], reach, points[k])
         ahead = points[0] - points[1]
         base = np.hypot(ahead[:, 0], ahead[:, 1])
         yaw = np.arctan2(ahead[:, 1], ahead[:, 0])
@@ -170,21 +162,18 @@ class Traffic:
         places, walked, yaw = self._walk(step)
         before, after = self._walk(step - 0.5)[0], self._walk(step + 0.5)[0]
         velocity = (after - before) / STEP
-        first = len(self._units)
         flat = np.zeros(len(places))
         poses = frames(places, yaw, flat, flat)
         result = []
-        for k, poses_of in enumerate(self._people):
-            height = poses_of[0].size[2]
-            stride = STRIDE * height / 1.75
-            body = poses_of[int(walked[k] / stride * PHASES) % len(poses_of)]
-            result.append(Object(body.label, poses[k], body.size, velocity[k], first + k, body.mesh))
+        for k, phases in enumerate(self._people):
+            stride = STRIDE * phases[0].size[2] / 1.75
+            body = phases[int(walked[k] / stride * PHASES) % len(phases)]
+            result.append(Object(body.label, poses[k], body.size, velocity[k], len(self._units) + k, body.mesh))
         return result
 
     def _walk(self, step: float) -> tuple[Floats, Floats, Floats]:
         """Return place (N, 3), way walked (N,) and direction (N,) of the pedestrians."""
-        k = int(step)
-        t = step - k
+        k, t = int(step), step - int(step)
         w = (1 - t) * self._record.w[k].astype(np.float64) + t * self._record.w[k + 1]
         way = self._walkers.way
         turns = np.floor(w / way)

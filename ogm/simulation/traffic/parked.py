@@ -13,23 +13,12 @@ SHIFT = 0.4  # [m] by which a vehicle is moved at most to keep clear of a lane
 HALF_TRAFFIC = 1.05  # [m] half the width of a car with mirrors
 
 
-def stand(x: Floats, y: Floats, yaw: Floats, reach: Floats, side: Floats, height_at: HeightAt) -> Floats:
-    """Stand N bodies on four wheels each.
+def _stand(places: Floats, reach: Floats, side: Floats, height_at: HeightAt) -> Floats:
+    """Return ``T_world_object`` (N, 4, 4) of bodies at x, y, yaw, on the plane that fits their four wheels best.
 
-    Parameters
-    ----------
-    x, y, yaw : (N,) float64
-        Middle of the body [m] and its direction [rad].
-    reach, side : (N,) float64
-        Distance of the wheels before and behind, and to either side of the middle [m].
-    height_at : callable
-        Height of the ground at x, y [m].
-
-    Returns
-    -------
-    (N, 4, 4) float64
-        ``T_world_object``: on the plane that fits the ground under the wheels best.
+    `reach` and `side` (N,) are the distances of the wheels before and behind, and to either side of the middle [m].
     """
+    x, y, yaw = places.T
     c, s = np.cos(yaw), np.sin(yaw)
     along = np.stack([reach, reach, -reach, -reach], axis=1)
     across = np.stack([side, -side, side, -side], axis=1)
@@ -43,15 +32,14 @@ def stand(x: Floats, y: Floats, yaw: Floats, reach: Floats, side: Floats, height
 
 def frames(middle: Floats, yaw: Floats, slope: Floats, bank: Floats) -> Floats:
     """Return transforms (N, 4, 4) of bodies with a direction, a slope ahead and one to the left (rise per metre)."""
-    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    c, s = np.cos(yaw), np.sin(yaw)
     forward = np.stack([c, s, slope], axis=1)
     up = np.cross(forward, np.stack([-s, c, bank], axis=1))
     forward /= np.linalg.norm(forward, axis=1, keepdims=True)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    T = np.zeros((len(yaw), 4, 4))
+    T = np.tile(np.eye(4), (len(yaw), 1, 1))
     T[:, :3, 0], T[:, :3, 1], T[:, :3, 2] = forward, np.cross(up, forward), up
     T[:, :3, 3] = middle
-    T[:, 3, 3] = 1 + zero
     return T
 
 
@@ -114,7 +102,7 @@ def park(
         near = [n for n in kept if np.hypot(*(boxes[n, :2] - boxes[k, :2])) < 12]
         if not any(overlap(boxes[k], boxes[n]) for n in near):
             kept.append(int(k))
-    poses = stand(x[kept], y[kept], yaw[kept], reach[kept], side[kept], height_at)
+    poses = _stand(np.stack([x, y, yaw], axis=1)[kept], reach[kept], side[kept], height_at)
     return [(chosen[k], pose) for k, pose in zip(kept, poses, strict=True)]
 
 

@@ -35,9 +35,7 @@ def lines(parts: Sequence[Floats]) -> Lines:
         kept.append(points[np.concatenate([[True], step > 1e-9])])
     along = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))]) for p in kept]
     first = np.concatenate([[0], np.cumsum([len(p) for p in kept])]).astype(np.int64)
-    if not kept:
-        return Lines(np.zeros((0, 3)), np.zeros(0), first)
-    return Lines(np.concatenate(kept), np.concatenate(along), first)
+    return Lines(np.concatenate([np.zeros((0, 3)), *kept]), np.concatenate([np.zeros(0), *along]), first)
 
 
 @kernel

@@ -44,23 +44,23 @@ def _limb(points: ArrayLike, radii: tuple[float, ...], material: int, *, sides: 
     ]
 
 
-def _person(
-    height: float,
-    build: float,
-    wear: Clothes,
-    *,
-    thighs: tuple[float, float],
-    knees: tuple[float, float],
-    arms: tuple[float, float],
-    elbows: tuple[float, float],
-    lean: float = 0.03,
-    spread: float = 0.0,
-) -> Mesh:
-    """Make a person with the middle of the hips at the origin.
+class Posture(NamedTuple):
+    """Angles [rad] that turn limbs forward from hanging down, (left, right); knees bend backward, elbows forward.
 
-    Angles [rad] turn a limb forward from hanging down, (left, right); knees bend backward, elbows forward.
-    `build` scales the girth, `spread` puts the feet apart [m].
+    `lean` is that of the back [rad], `spread` the distance that the feet are put apart [m].
     """
+
+    thighs: tuple[float, float]
+    knees: tuple[float, float]
+    arms: tuple[float, float]
+    elbows: tuple[float, float]
+    lean: float = 0.03
+    spread: float = 0.0
+
+
+def _person(height: float, build: float, wear: Clothes, posture: Posture) -> Mesh:
+    """Make a person with the middle of the hips at the origin; `build` scales the girth."""
+    thighs, knees, arms, elbows, lean, spread = posture
     k = height / 1.75
     parts: list[Mesh] = []
     for side, thigh, knee in zip((1.0, -1.0), thighs, knees, strict=True):
@@ -69,8 +69,8 @@ def _person(
         ankle = joint + _swing(0.41 * k, thigh - knee) + [0, side * spread / 2, 0]
         girth = (0.085 * k * build, 0.06 * k * build, 0.045 * k)
         parts += _limb([hip, joint, ankle], girth, wear.legs)
-        foot = ankle + [0.02, 0, -0.075 * k]
-        parts.append(box(foot - [0.07 * k, 0.045, 0], foot + [0.18 * k, 0.045, 0.08 * k], wear.shoes))
+        heel = ankle + [0.02, 0, -0.075 * k]
+        parts.append(box(heel - [0.07 * k, 0.045, 0], heel + [0.18 * k, 0.045, 0.08 * k], wear.shoes))
     ax = np.array([np.sin(lean), 0.0, np.cos(lean)])
     angles = 2 * np.pi * np.arange(8) / 8
     sections = []
@@ -107,12 +107,9 @@ def walking(rng: Generator, *, grown: bool = True) -> list[Body]:
             arms, elbows = (0.35, 0.35), (0.7, 0.7)
         elif extra == 1:  # one hand holds the umbrella
             arms, elbows = (arms[0], 0.3), (0.3, 1.7)
-        mesh = _person(height, build, wear, thighs=(left, right), knees=knees, arms=arms, elbows=elbows)
-        bodies.append(
-            centered(
-                "pedestrian", merge([mesh, *_carried(extra, height, float(mesh.vertices[:, 2].min()))]), (0.1, -0.1)
-            )
-        )
+        mesh = _person(height, build, wear, Posture((left, right), knees, arms, elbows))
+        carried = _carried(extra, height, float(mesh.vertices[:, 2].min()))
+        bodies.append(centered("pedestrian", merge([mesh, *carried]), (0.1, -0.1)))
     return bodies
 
 
@@ -145,9 +142,8 @@ def standing(rng: Generator) -> Body:
     height, build = float(np.clip(rng.normal(1.72, 0.08), 1.5, 2.0)), float(rng.uniform(0.88, 1.25))
     arms, elbows = [((0.05, 0.0), (0.1, 0.15)), ((-0.3, -0.3), (1.2, 1.2)), ((0.2, 0.4), (1.6, 1.9))][rng.integers(3)]
     stance = float(rng.uniform(0.0, 0.12))
-    mesh = _person(
-        height, build, clothes(rng), thighs=(0.05, -0.05), knees=(0.05, 0.05), arms=arms, elbows=elbows, spread=stance
-    )
+    posture = Posture((0.05, -0.05), (0.05, 0.05), arms, elbows, spread=stance)
+    mesh = _person(height, build, clothes(rng), posture)
     return centered("pedestrian", mesh, (0.1, -0.1))
 
 
@@ -171,7 +167,7 @@ def bicycle(rng: Generator) -> Body:
     turn = float(rng.uniform(0, 2 * np.pi))
     thighs = (0.85 + 0.42 * np.sin(turn), 0.85 - 0.42 * np.sin(turn))
     knees = (0.95 + 0.35 * np.sin(turn + 0.6), 0.95 - 0.35 * np.sin(turn + 0.6))
-    rider = _person(height, build, wear, thighs=thighs, knees=knees, arms=(1.05, 1.05), elbows=(0.15, 0.15), lean=0.45)
+    rider = _person(height, build, wear, Posture(thighs, knees, (1.05, 1.05), (0.15, 0.15), lean=0.45))
     rider = rider._replace(vertices=(rider.vertices + hips).astype(np.float32))
     axle, head, crank, saddle = (0.54, 0, r), (0.36, 0, 0.9), (-0.05, 0, 0.3), (-0.24, 0, 0.88 * k)
     rear = (-0.52, 0, r)
@@ -190,10 +186,8 @@ def motorcycle(rng: Generator, paint: M) -> Body:
     wear = Clothes(M.CLOTH_DARK, M.CLOTH_DARK, M.CLOTH_DARK)
     r = 0.31
     hips = np.array([-0.3, 0.0, 0.86])
-    rider = _person(
-        height, 1.12, wear, thighs=(1.15, 1.15), knees=(1.35, 1.35), arms=(0.95, 0.95), elbows=(0.3, 0.3), lean=0.3,
-        spread=0.28,
-    )  # fmt: skip
+    posture = Posture((1.15, 1.15), (1.35, 1.35), (0.95, 0.95), (0.3, 0.3), lean=0.3, spread=0.28)
+    rider = _person(height, 1.12, wear, posture)
     rider = rider._replace(vertices=(rider.vertices + hips).astype(np.float32))
     wheels = [cylinder((x, -0.07, r), (x, 0.07, r), r, M.TYRE, sides=12) for x in (0.72, -0.7)]
     parts = [

@@ -175,17 +175,13 @@ def _free(t: LaneTable, d: Drivers, i, first, last, queue: Queue):
 @kernel
 def _detour(t: LaneTable, d: Drivers, i, place):
     """Change the route of vehicle i from a place on that it has not come to."""
-    before = d.route[i, place - 1]
-    count = 0
-    for lane in t.onward[before]:
-        count += lane >= 0 and lane != d.route[i, place]
-    if count == 0:
-        return
-    barred = d.route[i, place]
+    before, barred = d.route[i, place - 1], d.route[i, place]
     for k in range(place, d.route.shape[1]):
         count = 0
         for lane in t.onward[before]:
             count += lane >= 0 and lane != barred
+        if count == 0:  # no other way; only at `place`, as all others lead on
+            return
         d.dice[i] = d.dice[i] * np.uint64(6364136223846793005) + np.uint64(1442695040888963407)
         pick = int((d.dice[i] >> np.uint64(33)) % np.uint64(count))
         for lane in t.onward[before]:
