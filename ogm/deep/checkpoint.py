@@ -80,9 +80,7 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
     beside = path.with_suffix(".json")
     for file in (path, beside):
         if not file.is_file():
-            raise FileNotFoundError(
-                f"{file} is not there; a network is two files, {path.name} and {beside.name}; `ogm train` writes them"
-            )
+            raise FileNotFoundError(f"{file} is not there: `ogm train` writes two files, {path.name} and {beside.name}")
     description = _read_description(beside)
     try:
         config = NetworkConfig.from_dict(description["network"])
@@ -117,13 +115,9 @@ def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]
     """Read the weights of these names, shapes and types."""
     try:
         with safe_open(path, "pt") as file:
-            names = set(file.keys())
-            if names != set(wanted):
-                odd = sorted(names ^ set(wanted))
-                raise OgmError(
-                    f"{path} does not hold the weights that its description asks for: {len(odd)} names differ, "
-                    f"such as {odd[0]}"
-                )
+            if odd := sorted(set(file.keys()) ^ set(wanted)):
+                text = f"does not hold the weights of its description: {len(odd)} names differ, such as {odd[0]}"
+                raise OgmError(f"{path} {text}")
             for name, value in wanted.items():
                 shape = file.get_slice(name).get_shape()
                 if list(shape) != list(value.shape):
@@ -134,10 +128,8 @@ def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]
     for name, value in weights.items():
         if value.dtype != wanted[name].dtype:
             raise OgmError(f"{path} has {name} as {value.dtype}, wanted {wanted[name].dtype}")
-        if not torch.isfinite(value).all():
-            raise OgmError(f"{path} has weights that are NaN or infinite, in {name}")
-        if name.endswith("running_var") and (value < 0).any():
-            raise OgmError(f"{path} has a variance below 0, in {name}")
+        if not torch.isfinite(value).all() or (name.endswith("running_var") and (value < 0).any()):
+            raise OgmError(f"{path} has variances below 0, or weights that are NaN or infinite, in {name}")
     return weights
 
 
@@ -154,19 +146,20 @@ def _check_ranges(ranges: object, path: Path) -> None:
 def _check_config(config: NetworkConfig) -> None:
     """Refuse sizes that would fill the memory before the weights are read."""
     sizes = [config.pillar, config.up, *(n for block in config.blocks for n in block)]
-    if not all(type(n) is int and 0 < n <= 4096 for n in sizes) or not 0 < len(config.blocks) <= 8:
-        raise ValueError(f"sizes of blocks must be whole numbers from 1 to 4096, got {config.blocks}")
-    if any(count > 64 for _, count in config.blocks):
-        raise ValueError(f"a block has at most 64 convolutions, got {config.blocks}")
-    if config.join not in ("add", "concatenate") or config.evidence not in ("softplus", "relu"):
-        raise ValueError(f"got join {config.join!r} and evidence {config.evidence!r}")
-    if len(config.scale) != 9 or len(config.z_range) != 2:
-        raise ValueError("scale has 9 numbers and z_range 2")
     low, high = config.z_range
-    if not (-math.inf < low < high < math.inf and all(0 < s < math.inf for s in config.scale)):
-        raise ValueError(f"z_range must rise and scale be above 0, got {config.z_range} and {config.scale}")
-    if not 0 <= config.dropout < 1:
-        raise ValueError(f"dropout must be in [0, 1), got {config.dropout}")
+    good = (
+        all(type(n) is int and 0 < n <= 4096 for n in sizes)
+        and 0 < len(config.blocks) <= 8
+        and all(count <= 64 for _, count in config.blocks)
+        and config.join in ("add", "concatenate")
+        and config.evidence in ("softplus", "relu")
+        and len(config.scale) == 9
+        and all(0 < s < math.inf for s in config.scale)
+        and -math.inf < low < high < math.inf
+        and 0 <= config.dropout < 1
+    )
+    if not good:
+        raise ValueError(f"a size, a range or a choice is out of its limits in {config}")
 
 
 def _checked_path(path: str | os.PathLike[str]) -> Path:

@@ -18,17 +18,7 @@ from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Frame
 
-__all__ = [
-    "PLAIN",
-    "ROTATION",
-    "Augmentation",
-    "Batch",
-    "EpochSampler",
-    "PillarDataset",
-    "augment",
-    "join_batches",
-    "training_ranges",
-]
+__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "EpochSampler", "PillarDataset", "augment", "training_ranges"]
 
 
 @dataclass(frozen=True)
@@ -89,7 +79,15 @@ class Batch(NamedTuple):
     state: torch.Tensor
     numbers: list[int]
 
+    @classmethod
+    def joined(cls, batches: "Sequence[Batch]") -> "Batch":
+        """Make one batch of some batches of one."""
+        nx, ny = batches[0].state.shape[1:]
+        pillars, states, numbers = zip(*batches, strict=True)
+        return cls(collate(pillars, nx * ny), torch.cat(states), [number for some in numbers for number in some])
 
+
+@dataclass(eq=False)
 class PillarDataset(Dataset[Batch]):
     """Frames as batches of one.
 
@@ -107,18 +105,13 @@ class PillarDataset(Dataset[Batch]):
         If above 0, the paper's limits; see `ogm.deep.pillars.cap_pillars`.
     """
 
-    def __init__(
-        self,
-        frames: Sequence[Frame],
-        spec: GridSpec,
-        augmentation: Augmentation = PLAIN,
-        z_range: tuple[float, float] = (-3.0, 8.0),
-        seed: int = 0,
-        most_pillars: int = 0,
-        most_points: int = 0,
-    ) -> None:
-        self.frames, self.spec, self.augmentation, self.z_range = frames, spec, augmentation, z_range
-        self.seed, self.most = seed, (most_pillars, most_points)
+    frames: Sequence[Frame]
+    spec: GridSpec
+    augmentation: Augmentation = PLAIN
+    z_range: tuple[float, float] = (-3.0, 8.0)
+    seed: int = 0
+    most_pillars: int = 0
+    most_points: int = 0
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -131,10 +124,9 @@ class PillarDataset(Dataset[Batch]):
         points, state = augment(frame, self.spec, self.augmentation, rng)
         _, ego_footprint = to_ground_frame(frame.mount)
         pillars = pillarize(points, self.spec, self.z_range, ego_footprint)
-        if any(self.most):
-            pillars = cap_pillars(
-                pillars, rng, self.most[0] or len(pillars.lengths), self.most[1] or len(pillars.features)
-            )
+        if self.most_pillars or self.most_points:
+            size = len(pillars.features)
+            pillars = cap_pillars(pillars, rng, self.most_pillars or size, self.most_points or size)
         return Batch(pillars, torch.from_numpy(state)[None], [i])
 
 
@@ -160,7 +152,7 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
         intensity = batch.pillars.features[:, 3]
         mean = float(intensity.mean()) if len(intensity) else 0.0
         rows.append((frame.mount.sensor_height, len(frame.scan), mean))
-    low, high = np.min(rows, axis=0).tolist(), np.max(rows, axis=0).tolist()
+    low, high = np.quantile(rows, (0, 1), axis=0).tolist()
     low[2], high[2] = np.quantile(np.array(rows)[:, 2], (0.01, 0.99)).tolist()
     factor = float(np.exp(2 * dataset.augmentation.gain))
     return {"height": (low[0], high[0]), "points": (low[1], high[1]), "intensity": (low[2] / factor, high[2] * factor)}
@@ -180,16 +172,6 @@ class EpochSampler(Sampler[tuple[int, int]]):
         order = np.random.default_rng((self.seed, self.epoch)).permutation(self.count)
         order = order[: self.count // self.processes * self.processes][self.rank :: self.processes]
         return iter([(self.epoch, int(i)) for i in order[self.skip :]])
-
-
-def join_batches(batches: Sequence[Batch]) -> Batch:
-    """Make one batch of some batches of one."""
-    nx, ny = batches[0].state.shape[1:]
-    return Batch(
-        collate([one.pillars for one in batches], nx * ny),
-        torch.cat([one.state for one in batches]),
-        [number for one in batches for number in one.numbers],
-    )
 
 
 def augment(
@@ -241,11 +223,8 @@ def augment(
     if lost_points:
         keep &= rng.random(len(scan), np.float32) >= lost_points
     points = scan.points[keep] if lost_layers or lost_points else scan.points.copy()
-    errors = np.zeros(len(points), np.float32)
-    if noise:
-        errors = noise * rng.standard_normal(len(points), np.float32)
-    c, s = np.cos(yaw), np.sin(yaw)
-    flip = -1.0 if mirrored else 1.0
+    errors = noise * rng.standard_normal(len(points), np.float32) if noise else np.zeros(len(points), np.float32)
+    c, s, flip = np.cos(yaw), np.sin(yaw), -1.0 if mirrored else 1.0
     # Small angles: z changes by -pitch x + roll y, x and y hardly; so too with the tilt that the mount has.
     matrix = np.zeros((3, 4))
     matrix[:2, :2] = [[c, -s * flip], [s, c * flip]]

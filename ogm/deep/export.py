@@ -33,10 +33,6 @@ __all__ = ["FORMAT", "export_onnx", "onnx_inputs", "run_onnx"]
 FORMAT = "ogm.network.onnx/1"
 _OPSET = 18  # the first whose scatter knows a maximum
 _PIP = 'pip install "ogm-toolkit[onnx]"'
-_EXPECTED = (  # torch's warnings about its own code
-    (FutureWarning, r"`isinstance\(treespec, LeafSpec\)` is deprecated"),
-    (UserWarning, r"# The axis name: points will not be used"),
-)
 
 
 def export_onnx(network: PillarNetwork, path: str | os.PathLike[str]) -> dict[str, str]:
@@ -76,15 +72,14 @@ def export_onnx(network: PillarNetwork, path: str | os.PathLike[str]) -> dict[st
     with atomic_write(path) as file:
         model = _model(network)
         onnx.checker.check_model(model, full_check=True)
-        data = model.SerializeToString()
-        file.write(data)
+        size = file.write(model.SerializeToString())
     spec = network.spec
     return {
         "features": f"(points, {FEATURES}) float32",
         "cells": "(points,) int64",
         "mass": f"({spec.shape[0]}, {spec.shape[1]}, 2) float32: free, occupied",
         "grid": f"{spec.length:g} x {spec.width:g} m, cells of {spec.resolution:g} m",
-        "size": f"{len(data) / 1e6:.1f} MB, opset {_OPSET}",
+        "size": f"{size / 1e6:.1f} MB, opset {_OPSET}",
     }
 
 
@@ -137,17 +132,15 @@ def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float
     """
     path = Path(path)
     runtime = _package("onnxruntime")
-    inputs = onnx_inputs(pillars)
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not there; `ogm export` writes such files")
     try:
         session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     except Exception as error:  # its errors have no other parent
         raise OgmError(f"{path} is no whole ONNX file: {error}") from error
-    found = session.get_modelmeta().custom_metadata_map.get("format")
-    if found != FORMAT:
+    if (found := session.get_modelmeta().custom_metadata_map.get("format")) != FORMAT:
         raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}")
-    (mass,) = session.run(["mass"], inputs)
+    (mass,) = session.run(["mass"], onnx_inputs(pillars))
     return mass
 
 
@@ -173,8 +166,10 @@ def _model(network: PillarNetwork) -> Any:
     """Return the ONNX model, with its documentation and without what torch notes of the machine."""
     points = torch.export.Dim("points")
     with warnings.catch_warnings():
-        for category, message in _EXPECTED:
-            warnings.filterwarnings("ignore", message, category)
+        warnings.filterwarnings(
+            "ignore", r"`isinstance\(treespec, LeafSpec\)` is deprecated", FutureWarning
+        )  # torch's own
+        warnings.filterwarnings("ignore", "# The axis name: points will not be used", UserWarning)
         program = torch.onnx.export(
             _Masses(network).eval(),
             (torch.zeros(7, FEATURES), torch.arange(7)),  # any number but 0 and 1, which torch takes as fixed
@@ -186,31 +181,23 @@ def _model(network: PillarNetwork) -> Any:
             dynamic_shapes={"features": {0: points}, "cells": {0: points}},
         )
     model = program.model_proto
-    del model.metadata_props[:], model.graph.metadata_props[:]
-    for part in (*model.graph.node, *model.graph.value_info, *model.graph.initializer):
+    graph, metadata = model.graph, _metadata(network)
+    del model.metadata_props[:], graph.metadata_props[:]
+    for part in (*graph.node, *graph.value_info, *graph.initializer, *graph.input, *graph.output):
         del part.metadata_props[:]  # paths of the machine, among others
-        part.doc_string = ""
-    metadata = _metadata(network)
-    for value in (*model.graph.input, *model.graph.output):
-        del value.metadata_props[:]
-        value.doc_string = metadata[value.name]
-    model.graph.name = "ogm"
-    model.doc_string = "One lidar scan to an evidential grid map."
-    for name, text in metadata.items():
-        entry = model.metadata_props.add()
-        entry.key, entry.value = name, text
+        part.doc_string = metadata.get(part.name, "")
+    graph.name, model.doc_string = "ogm", "One lidar scan to an evidential grid map."
+    _package("onnx.helper").set_model_props(model, metadata)
     return model
 
 
 def _metadata(network: PillarNetwork) -> dict[str, str]:
     """Return the metadata of a file: what the network is, and what its inputs and outputs mean."""
-    spec, (low, high) = network.spec, network.config.z_range
-    nx, ny = spec.shape
+    spec, (nx, ny), (low, high) = network.spec, network.spec.shape, network.config.z_range
+    numbers = {"spec": asdict(spec), "z_range": [low, high], "network": asdict(network.config)}
     return {
         "format": FORMAT,
-        "spec": json.dumps(asdict(spec)),
-        "z_range": json.dumps([low, high]),
-        "network": json.dumps(asdict(network.config)),
+        **{name: json.dumps(value) for name, value in numbers.items()},
         "features": (
             "Of each point: x, y, z [m], intensity [0, 1]; x, y, z less the mean of all points in the point's cell "
             "[m]; x, y less the center of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "

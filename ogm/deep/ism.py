@@ -50,6 +50,11 @@ class DeepISM:
     description : mapping, optional
         The JSON of the weights; its entry ``seen`` holds the ranges of the training data.
 
+    Attributes
+    ----------
+    spec : GridSpec
+        The grid that the model fills, in the vehicle frame.
+
     Raises
     ------
     TypeError, ValueError
@@ -85,19 +90,18 @@ class DeepISM:
         self._T, self._ego_footprint = to_ground_frame(mount)
         x, y = (float(value) for value in mount.origin[:2])
         default = _moved(network.spec, x, y)
-        self._spec = default if spec is None else spec
+        self.spec = default if spec is None else spec
         # The same cells around the sensor
-        self._sensor_spec = network.spec if self._spec == default else _moved(self._spec, -x, -y)
+        self._sensor_spec = network.spec if self.spec == default else _moved(self.spec, -x, -y)
         if self._sensor_spec != network.spec:
             network = network.on(self._sensor_spec)
         self.network = fused(network).to(self.device)
         self._evidence = torch.compile(self.network.evidence) if compile else self.network.evidence
-        self._ego_cells = _cells_of(self._spec, mount.ego_footprint)
-        ranges = {name: tuple(value) for name, value in self.description.get("seen", {}).items()}
-        self._point_range = ranges.get("points", (0.0, np.inf))
-        self._intensity_range = ranges.get("intensity", (0.0, 1.0))
+        self._ego_cells = _cells_of(self.spec, mount.ego_footprint)
+        ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf)}
+        ranges |= self.description.get("seen", {})
+        self._point_range, self._intensity_range, (low, high) = ranges.values()
         self._warned: set[str] = set()
-        low, high = ranges.get("height", (0.0, np.inf))
         if not low - 0.1 <= mount.sensor_height <= high + 0.1:
             self._warn("height", f"sensor_height {mount.sensor_height:g} m, but in training {low:.2f} to {high:.2f} m")
 
@@ -131,11 +135,6 @@ class DeepISM:
             network, description = load_network(path)
         return cls(network, spec, mount, device=device, compile=compile, description=description)
 
-    @property
-    def spec(self) -> GridSpec:
-        """The grid that the model fills, in the vehicle frame."""
-        return self._spec
-
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan to its evidential grid.
 
@@ -157,10 +156,8 @@ class DeepISM:
         mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
         # The network was not trained on cells under the ego vehicle, nor on scans without points: unknown
         mass[:, *self._ego_cells] = 0
-        for number, one in enumerate(pillars):
-            if self._has_too_few(one):
-                mass[number] = 0
-        return [EvidentialGrid.trusted(self._spec, one) for one in mass.cpu().numpy()]
+        mass[[self._has_too_few(one) for one in pillars]] = 0
+        return [EvidentialGrid.trusted(self.spec, one) for one in mass.cpu().numpy()]
 
     def _pillars(self, points: NDArray[np.float32]) -> Pillars:
         """Normalise a scan as the training data was."""
@@ -168,10 +165,8 @@ class DeepISM:
         if len(points) > 1.2 * most:
             points = points[np.isfinite(points).all(axis=1)]
         if len(points) > 1.2 * most:
-            self._warn(
-                "points",
-                f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that",
-            )
+            text = f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that"
+            self._warn("points", text)
             points = points[np.random.default_rng(0).random(len(points)) < most / len(points)]
         options = self._sensor_spec, self.network.config.z_range, self._ego_footprint
         if self.device.type == "cpu":
@@ -195,25 +190,22 @@ class DeepISM:
         intensity = features[:, 3]
         least, most, mean = float(intensity.min()), float(intensity.max()), float(intensity.mean())
         if most > 1 or least < 0:
-            raise ValueError(
-                f"intensities must lie in [0, 1], got {least:g} ... {most:g}; divide them by their greatest value"
-            )
+            given = f"got {least:g} ... {most:g}; divide them by their greatest value"
+            raise ValueError(f"intensities must lie in [0, 1], {given}")
         low, high = self._intensity_range
         if most > 0 and not low <= mean <= high:
-            self._warn(
-                "intensity",
-                f"intensities of {mean:.3f} on average, but in training {low:.3f} to {high:.3f}: they are left out",
-            )
+            text = f"intensities of {mean:.3f} on average, but in training {low:.3f} to {high:.3f}: they are left out"
+            self._warn("intensity", text)
             features[:, 3] = 0
         near = features[:: max(1, len(features) // 2000), :3]
         near = near[(near[:, :2] ** 2).sum(1) < 15**2]
         if len(near) > 100:
             lowest = float(near[:, 2].kthvalue(len(near) // 10 + 1)[0])
             if abs(lowest) > 0.5:
-                self._warn(
-                    "ground",
-                    f"the ground near the sensor seems to lie at {lowest:+.1f} m instead of 0: is sensor_height right?",
+                text = (
+                    f"the ground near the sensor seems to lie at {lowest:+.1f} m instead of 0: is sensor_height right?"
                 )
+                self._warn("ground", text)
 
     def _warn(self, reason: str, text: str) -> None:
         """Log a warning, once for each reason."""
@@ -237,12 +229,10 @@ def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
         return
     path = Path(source)
     if path.is_dir():
-        path = path / "best.safetensors"
+        path /= "best.safetensors"
     elif path.suffix != ".safetensors":
-        raise FileNotFoundError(
-            f"there are no weights {str(source)!r}: give {' or '.join(map(repr, SHIPPED))}, which come with the "
-            "package, or the .safetensors file or the folder that `ogm train` wrote"
-        )
+        known = f"{' or '.join(map(repr, SHIPPED))}, or the .safetensors file or the folder that `ogm train` wrote"
+        raise FileNotFoundError(f"there are no weights {str(source)!r}: give {known}")
     yield path
 
 
@@ -259,8 +249,7 @@ def _cells_of(spec: GridSpec, box: tuple[float, float, float, float]) -> tuple[s
 
 def _device(name: str | torch.device) -> torch.device:
     try:
-        device = torch.device(name)
-        torch.empty(0, device=device)
+        device = torch.empty(0, device=name).device
     except (RuntimeError, AssertionError, NotImplementedError) as error:
         raise ValueError(f"there is no device {str(name)!r} here ({error}); use cpu") from error
     if device.type not in ("cpu", "cuda"):

@@ -12,7 +12,6 @@ The default is `reverse_kl`; the others are those of the literature, for compari
 """
 
 import math
-from collections.abc import Callable
 from typing import Any, Literal
 
 import torch
@@ -23,8 +22,6 @@ from ogm.evidence.dirichlet import dirichlet_kl_gradient
 from ogm.state import CellState
 
 __all__ = [
-    "Loss",
-    "annealing",
     "class_weights",
     "digamma_loss",
     "log_loss",
@@ -35,8 +32,6 @@ __all__ = [
     "undo_class_weights",
     "uniform_kl",
 ]
-
-Loss = Callable[[Tensor, Tensor], Tensor]
 
 _CHUNK = 32768  # cells at a time on a CPU, so that intermediate results stay near its cores
 
@@ -71,9 +66,8 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
     Malinin and Gales 2019. Value and gradient are those of `ogm.evidence.dirichlet`; there is no second derivative.
     A cell whose loss is not used has the gradient 0 even where its evidence is NaN.
     """
-    _check(evidence, target)
-    _check_strength(strength)
-    loss: Tensor = _ReverseKL.apply(evidence, target.detach(), float(strength))
+    _check_positive("strength", strength)
+    loss: Tensor = _ReverseKL.apply(*_checked(evidence, target.detach()), float(strength))
     return loss
 
 
@@ -96,10 +90,9 @@ def sum_of_squares(evidence: Tensor, target: Tensor, variant: Literal["paper", "
     -----
     Sensoy et al. 2018, eq. 5. With "paper" it is the mean of ||y - p||^2 over p ~ Dir(1 + e).
     """
-    _check(evidence, target)
+    e, y = _checked(evidence, target)
     if variant not in ("paper", "released"):
         raise ValueError(f'variant must be "paper" or "released", got {variant!r}')
-    e, y = _precise(evidence, target)
     total = e.sum(-1, keepdim=True) + 2
     p = (e + 1 if variant == "paper" else e) / total
     return ((y - p) ** 2 + p * (1 - p) / (total + 1)).sum(-1)
@@ -111,8 +104,7 @@ def log_loss(evidence: Tensor, target: Tensor) -> Tensor:
     It is 0 for unknown cells, and its optimum in a known cell is infinite evidence: add `uniform_kl`. Sensoy et al.
     2018, eq. 3.
     """
-    _check(evidence, target)
-    e, y = _precise(evidence, target)
+    e, y = _checked(evidence, target)
     return (y * (torch.log(e.sum(-1, keepdim=True) + 2) - torch.log1p(e))).sum(-1)
 
 
@@ -121,27 +113,18 @@ def digamma_loss(evidence: Tensor, target: Tensor) -> Tensor:
 
     It is the mean of -sum y ln p over p ~ Dir(1 + e), and has the optima of `log_loss`. Sensoy et al. 2018, eq. 4.
     """
-    _check(evidence, target)
-    e, y = _precise(evidence, target)
+    e, y = _checked(evidence, target)
     return (y * (torch.digamma(e.sum(-1, keepdim=True) + 2) - torch.digamma(e + 1))).sum(-1)
 
 
 def uniform_kl(evidence: Tensor, target: Tensor) -> Tensor:
     """Return KL[Dir(1 + e (1 - y)) || Dir(1, 1)], per cell: the evidence that the target does not support.
 
-    The losses of Sensoy et al. need it as a second term, weighted by `annealing`; alone it makes an unknown
-    cell vacuous.
+    The losses of Sensoy et al. need it as a second term, weighted from 0 to 1 over the first epochs; alone it makes
+    an unknown cell vacuous.
     """
-    _check(evidence, target)
-    e, y = _precise(evidence, target)
+    e, y = _checked(evidence, target)
     return reverse_kl(e * (1 - y), torch.zeros_like(y), strength=1.0)
-
-
-def annealing(epoch: float, epochs: float = 10.0) -> float:
-    """Return the weight min(1, epoch / epochs) of `uniform_kl` in a sum of losses; `epoch` counts from 0."""
-    if not (epoch >= 0 and epochs > 0):
-        raise ValueError(f"epoch must be at least 0 and epochs greater than 0, got {epoch} and {epochs}")
-    return min(1.0, epoch / epochs)
 
 
 def targets(state: Tensor) -> tuple[Tensor, Tensor]:
@@ -194,30 +177,28 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
     return kept.sum() / valid.sum().clamp(min=1)
 
 
-def class_weights(target: Tensor, free: float = 1.0, occupied: float = 1.0, unknown: float = 1.0) -> Tensor:
-    """Return a weight per cell by its class; for soft targets the expected one. The paper has occupied=100.
+def class_weights(target: Tensor, occupied: float) -> Tensor:
+    """Return a weight per cell, 1 but for occupied cells; for soft targets the expected one. The paper has 100.
 
-    Weights are greater than 0, and `undo_class_weights` undoes them. Returns (...), with the target's dtype.
+    The weight is greater than 0, and `undo_class_weights` undoes it. Returns (...), with the target's dtype.
     """
-    _check_weights(free, occupied, unknown)
+    _check_positive("class weight", occupied)
     _check_states(target, "target")
-    return unknown + (free - unknown) * target[..., 0] + (occupied - unknown) * target[..., 1]
+    return 1 + (occupied - 1) * target[..., 1]
 
 
-def undo_class_weights(
-    evidence: Tensor, free: float = 1.0, occupied: float = 1.0, unknown: float = 1.0, strength: float = 10.0
-) -> Tensor:
-    """Return the evidence that minimises `reverse_kl` without these class weights.
+def undo_class_weights(evidence: Tensor, occupied: float, strength: float = 10.0) -> Tensor:
+    """Return the evidence that minimises `reverse_kl` without the weight of occupied cells.
 
     With weights w the loss is least at e = E w P / sum(w P); so P is proportional to e / w for free and
-    occupied, and to (E - sum e) / w for unknown. For the other losses there is no such closed form.
+    occupied, and to E - sum e for unknown. For the other losses there is no such closed form.
 
     Parameters
     ----------
     evidence : (..., 2) floating point
         At least 0. Where the sum exceeds E, P(unknown) is 0 and the sum is kept.
-    free, occupied, unknown : float
-        The weights given to `class_weights`.
+    occupied : float
+        The weight given to `class_weights`.
     strength : float
         E of `reverse_kl`.
 
@@ -229,15 +210,15 @@ def undo_class_weights(
     Raises
     ------
     ValueError
-        If a weight or `strength` is not finite and greater than 0.
+        If the weight or `strength` is not finite and greater than 0.
     """
-    _check_weights(free, occupied, unknown)
-    _check_strength(strength)
+    _check_positive("class weight", occupied)
+    _check_positive("strength", strength)
     _check_states(evidence, "evidence")
-    total = evidence.sum(-1, keepdim=True).clamp(min=strength)
-    share = evidence / evidence.new_tensor([free, occupied])
-    rest = (total - evidence.sum(-1, keepdim=True)) / unknown
-    return total * share / (share.sum(-1, keepdim=True) + rest)
+    known = evidence.sum(-1, keepdim=True)
+    total = known.clamp(min=strength)
+    share = evidence / evidence.new_tensor([1.0, occupied])
+    return total * share / (share.sum(-1, keepdim=True) + total - known)
 
 
 class _ReverseKL(torch.autograd.Function):
@@ -245,59 +226,45 @@ class _ReverseKL(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, evidence: Tensor, target: Tensor, strength: float) -> Tensor:
-        e, t = _precise(evidence.detach(), target)
-        gradient = torch.empty_like(e)  # laid out in memory as the evidence is, which may be states first
-        free, occupied = e[..., 0].reshape(-1), e[..., 1].reshape(-1)
-        t_free, t_occupied = t[..., 0].reshape(-1), t[..., 1].reshape(-1)
-        loss, slope = torch.empty_like(free), e.new_empty((2, free.numel()))
-        size = _CHUNK if e.device.type == "cpu" else max(free.numel(), 1)
-        for start in range(0, free.numel(), size):
+        e, t = (one.movedim(-1, 0).reshape(2, -1) for one in (evidence, target))
+        loss, slope = torch.empty_like(e[0]), torch.empty_like(e)
+        size = _CHUNK if e.device.type == "cpu" else max(len(loss), 1)
+        for start in range(0, len(loss), size):
             chunk = slice(start, start + size)
-            alpha = torch.stack([free[chunk], occupied[chunk]]).add_(1)
-            other = torch.stack([t_free[chunk], t_occupied[chunk]]).mul_(strength).add_(1)
-            value, force = dirichlet_kl_gradient(alpha.T, other.T)
+            value, force = dirichlet_kl_gradient(e[:, chunk].T + 1, t[:, chunk].T * strength + 1)
             loss[chunk], slope[:, chunk] = value / strength, force.T / strength
-        gradient[..., 0], gradient[..., 1] = slope.view(2, *e.shape[:-1])
+        gradient = torch.empty_like(evidence)  # laid out in memory as the evidence is, which may be states first
+        gradient.copy_(slope.view(2, *evidence.shape[:-1]).movedim(0, -1))
         ctx.save_for_backward(gradient)
-        ctx.dtype = evidence.dtype
-        return loss.view(e.shape[:-1])
+        return loss.view(evidence.shape[:-1])
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, outer: Tensor) -> tuple[Tensor, None, None]:
         (gradient,) = ctx.saved_tensors
         outer = outer[..., None]
-        return torch.where(outer == 0, 0, gradient * outer).to(ctx.dtype), None, None
+        return torch.where(outer == 0, 0, gradient * outer), None, None
 
 
-def _check(evidence: Tensor, target: Tensor) -> None:
+def _checked(evidence: Tensor, target: Tensor) -> list[Tensor]:
+    """Return both in float32, or float64 where the evidence is, if their shapes and types fit."""
     if not evidence.is_floating_point():
         raise TypeError(f"evidence must be floating point, got {evidence.dtype}")
     _check_states(evidence, "evidence")
     if target.shape != evidence.shape:
-        raise ValueError(
-            f"target must have the evidence's shape {tuple(evidence.shape)}, got {tuple(target.shape)}; "
-            "`targets` makes it from states"
-        )
+        shapes = f"shape {tuple(evidence.shape)}, got {tuple(target.shape)}"
+        raise ValueError(f"target must have the evidence's {shapes}; `targets` makes it from states")
+    return _precise(evidence, target)
 
 
 def _check_states(tensor: Tensor, name: str) -> None:
     if tensor.ndim == 0 or tensor.shape[-1] != 2:
-        raise ValueError(
-            f"{name} must have 2 states (free, occupied) on its last axis, got shape {tuple(tensor.shape)}"
-        )
+        raise ValueError(f"{name} must have 2 states (free, occupied) last, got shape {tuple(tensor.shape)}")
 
 
-def _check_weights(free: float, occupied: float, unknown: float) -> None:
-    if not all(0 < weight < math.inf for weight in (free, occupied, unknown)):
-        raise ValueError(
-            f"class weights must be finite and greater than 0, got free={free}, occupied={occupied}, unknown={unknown}"
-        )
-
-
-def _check_strength(strength: float) -> None:
-    if not 0 < strength < math.inf:
-        raise ValueError(f"strength must be finite and greater than 0, got {strength}")
+def _check_positive(name: str, value: float) -> None:
+    if not 0 < value < math.inf:
+        raise ValueError(f"{name} must be finite and greater than 0, got {value}")
 
 
 def _precise(*tensors: Tensor) -> list[Tensor]:

@@ -7,6 +7,7 @@ added. In both, the last convolution gives the four cells of each 2 x 2 square a
 full resolution of the grid.
 """
 
+import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -61,8 +62,7 @@ class NetworkConfig:
     @classmethod
     def from_dict(cls, numbers: dict[str, object]) -> "NetworkConfig":
         """Make a configuration from JSON, where tuples are lists."""
-        tuples = {name: _tuple(value) for name, value in numbers.items()}
-        return cls(**tuples)  # type: ignore[arg-type]
+        return cls(**{name: _tuple(value) for name, value in numbers.items()})  # type: ignore[arg-type]
 
     @property
     def stride(self) -> int:
@@ -70,16 +70,9 @@ class NetworkConfig:
         return 2 ** len(self.blocks)
 
 
-PAPER = NetworkConfig(
-    pillar=64, blocks=((64, 4), (128, 6), (256, 6)), join="concatenate", dropout=0.1, z_range=(-1.2, 2.8)
-)
-LITE = NetworkConfig(
-    pillar=16,
-    blocks=((32, 2), (48, 3), (80, 3), (112, 4)),
-    join="add",
-    bearings=True,
-    scale=(40.0, 28.0, 2.0, 0.5, 0.05, 0.05, 0.3, 0.08, 0.08),
-)
+PAPER = NetworkConfig(64, ((64, 4), (128, 6), (256, 6)), join="concatenate", dropout=0.1, z_range=(-1.2, 2.8))
+_SCALE = (40.0, 28.0, 2.0, 0.5, 0.05, 0.05, 0.3, 0.08, 0.08)
+LITE = NetworkConfig(16, ((32, 2), (48, 3), (80, 3), (112, 4)), join="add", bearings=True, scale=_SCALE)
 
 
 class PillarNetwork(nn.Module):
@@ -102,10 +95,10 @@ class PillarNetwork(nn.Module):
         super().__init__()
         if any(n % config.stride for n in spec.shape):
             nx, ny = (-(-n // config.stride) * config.stride for n in spec.shape)
+            length, width = nx * spec.resolution, ny * spec.resolution
             raise ValueError(
-                f"the network halves the grid {len(config.blocks)} times, so both sides must be multiples of "
-                f"{config.stride} cells, got {spec.shape}; use ({nx}, {ny}) cells, length {nx * spec.resolution:g} m "
-                f"and width {ny * spec.resolution:g} m"
+                f"both sides of the network's grid must be multiples of {config.stride} cells, got {spec.shape}; "
+                f"use ({nx}, {ny}) cells, length {length:g} m and width {width:g} m"
             )
         if config.bearings and len(config.blocks) < 2:
             raise ValueError(f"bearings join at the second block, got {len(config.blocks)} block")
@@ -113,20 +106,14 @@ class PillarNetwork(nn.Module):
         channels = [size for size, _ in config.blocks]
         self.pillar = PillarFeatures(config.pillar, config.scale)
         self.bearings = nn.Conv2d(4, channels[1], 1) if config.bearings else None
-        self.blocks = nn.ModuleList(
-            _block(before, size, count, config.dropout)
-            for before, (size, count) in zip([config.pillar, *channels], config.blocks, strict=False)
-        )
-        if config.join == "concatenate":
-            self.join: nn.Module = ConcatenateNeck(channels, config.up)
-            last = config.up * len(channels)
-        else:
-            self.join = AddNeck(channels)
-            last = channels[0]
+        pairs = zip([config.pillar, *channels], config.blocks, strict=False)
+        self.blocks = nn.ModuleList(_block(before, *block, config.dropout) for before, block in pairs)
+        added = config.join == "add"
+        self.join = AddNeck(channels) if added else ConcatenateNeck(channels, config.up)
+        last = channels[0] if added else config.up * len(channels)
         self.head = nn.Conv2d(last, 2 * 4, 3, padding=1)
         if config.evidence == "softplus":  # begin near the usual: much free, little occupied
-            with torch.no_grad():
-                self.head.bias.copy_(torch.tensor([2.0] * 4 + [-1.0] * 4))
+            self.head.bias.data[:] = torch.tensor([2.0] * 4 + [-1.0] * 4)
         if config.bearings:
             self.register_buffer("sensor_coords", _sensor_coords(spec), persistent=False)
 
@@ -139,10 +126,8 @@ class PillarNetwork(nn.Module):
             If the resolution differs, or the cells cannot be halved as often as the network does.
         """
         if spec.resolution != self.spec.resolution:
-            raise ValueError(
-                f"the network was trained on cells of {self.spec.resolution} m, got {spec.resolution} m; "
-                "train another, or use that resolution"
-            )
+            cells = f"cells of {self.spec.resolution} m, got {spec.resolution} m"
+            raise ValueError(f"the network was trained on {cells}; train another, or use that resolution")
         network = PillarNetwork(self.config, spec)
         network.load_state_dict(self.state_dict())
         return network.train(self.training)
@@ -175,9 +160,9 @@ class PillarNetwork(nn.Module):
 
     def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
         """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
-        sizes = [part.shape[1] for part in parts]
-        x = conv2d(parts[0], self.head.weight[:, : sizes[0]], self.head.bias, padding=1)
-        for part, weight in zip(parts[1:], self.head.weight[:, sizes[0] :].split(sizes[1:], dim=1), strict=True):
+        weights = self.head.weight.split([part.shape[1] for part in parts], dim=1)
+        x = conv2d(parts[0], weights[0], self.head.bias, padding=1)
+        for part, weight in zip(parts[1:], weights[1:], strict=True):
             x += conv2d(part, weight, padding=1)
         return x
 
@@ -267,9 +252,8 @@ def _layer(before: int, after: int, stride: int = 1, dropout: float = 0.0) -> nn
 
 
 def _block(before: int, after: int, count: int, dropout: float) -> nn.Sequential:
-    return nn.Sequential(
-        _layer(before, after, 2, dropout), *(_layer(after, after, 1, dropout) for _ in range(count - 1))
-    )
+    layers = (_layer(after if k else before, after, 1 if k else 2, dropout) for k in range(count))
+    return nn.Sequential(*layers)
 
 
 def _sensor_coords(spec: GridSpec) -> torch.Tensor:
@@ -283,8 +267,6 @@ def _sensor_coords(spec: GridSpec) -> torch.Tensor:
 
 def fused(network: PillarNetwork) -> PillarNetwork:
     """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
-    import copy
-
     result = copy.deepcopy(network).eval()
     for module in result.modules():
         if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):

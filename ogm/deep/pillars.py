@@ -18,16 +18,7 @@ from ogm.jit import kernel
 from ogm.pose import check_pose
 from ogm.scan import Mount, as_scan
 
-__all__ = [
-    "FEATURES",
-    "Pillars",
-    "Rectangle",
-    "cap_pillars",
-    "collate",
-    "pillarize",
-    "pillarize_torch",
-    "to_ground_frame",
-]
+__all__ = ["FEATURES", "Pillars", "cap_pillars", "collate", "pillarize", "pillarize_torch", "to_ground_frame"]
 
 _log = logging.getLogger(__name__)
 
@@ -116,13 +107,13 @@ def pillarize(
     with np.errstate(over="ignore"):  # what is too far away for float32 becomes infinite, and is left out
         rows = np.ascontiguousarray(as_scan(points).points)
     matrix = np.eye(4) if T is None else check_pose(T, "T")
-    grid = _Cells(spec.resolution, *spec.shape, *spec.origin)
-    limits = _Limits(*map(float, z_range), *map(float, ego_footprint))
-    xyz, cell, invalid = _find_cells(rows, matrix[:3].astype(np.float32), grid, limits)
+    grid = spec.resolution, spec.shape, spec.origin
+    limits = tuple(map(float, z_range)), tuple(map(float, ego_footprint))
+    xyz, cell, invalid = _find_cells(rows, matrix[:3].astype(np.float32), *grid, *limits)
     if invalid:
         _log.warning("dropped %d of %d points that are NaN or infinite", invalid, len(rows))
-    features, lengths, cells = _sort_by_cell(xyz, rows[:, 3], cell, grid)
-    _add_offsets(features, lengths, cells, grid)
+    features, lengths, cells = _sort_by_cell(xyz, rows[:, 3], cell, spec.shape)
+    _add_offsets(features, lengths, cells, *grid)
     return Pillars(torch.from_numpy(features), torch.from_numpy(lengths), torch.from_numpy(cells))
 
 
@@ -138,9 +129,9 @@ def pillarize_torch(
     xyz, intensity = points[:, :3], points[:, 3:]
     if T is not None:
         xyz = xyz @ T[:3, :3].T + T[:3, 3]
-    (nx, ny), (x0, y0) = spec.shape, spec.origin
+    (nx, ny), (x0, y0), size = spec.shape, spec.origin, spec.resolution
     x, y, z = xyz.double().unbind(1)  # the limits are compared as the kernel does
-    ix, iy = (torch.floor((a - a0) / spec.resolution).long() for a, a0 in ((x, x0), (y, y0)))
+    ix, iy = (torch.floor((a - a0) / size).long() for a, a0 in ((x, x0), (y, y0)))
     keep = (ix >= 0) & (ix < nx) & (iy >= 0) & (iy < ny) & (z >= z_range[0]) & (z < z_range[1])
     x_min, x_max, y_min, y_max = ego_footprint
     keep &= ~((x > x_min) & (x < x_max) & (y > y_min) & (y < y_max))
@@ -149,7 +140,6 @@ def pillarize_torch(
     cells, pillar, lengths = torch.unique_consecutive(cell, return_inverse=True, return_counts=True)
     sums = torch.zeros(len(cells), 3, device=xyz.device).index_add_(0, pillar, xyz)
     mean = (sums / lengths[:, None])[pillar]
-    size = spec.resolution
     center = torch.stack([(cell // ny + 0.5) * size + x0, (cell % ny + 0.5) * size + y0], dim=1)
     return Pillars(torch.cat([xyz, intensity, xyz - mean, xyz[:, :2] - center], dim=1), lengths, cells)
 
@@ -172,9 +162,7 @@ def collate(scans: Sequence[Pillars], cells: int) -> Pillars:
     )
 
 
-def cap_pillars(
-    pillars: Pillars, rng: np.random.Generator, most_pillars: int = 10_000, most_points: int = 100
-) -> Pillars:
+def cap_pillars(pillars: Pillars, rng: np.random.Generator, most_pillars: int, most_points: int) -> Pillars:
     """Keep at most so many pillars, and points of each, chosen at random: the limits of van Kempen et al. 2021.
 
     The offsets from the pillar's mean stay those from the mean of all its points, as in the paper's code.
@@ -196,33 +184,13 @@ def cap_pillars(
     )
 
 
-class _Cells(NamedTuple):
-    """A `GridSpec` for kernels."""
-
-    resolution: float
-    nx: int
-    ny: int
-    x0: float
-    y0: float
-
-
-class _Limits(NamedTuple):
-    """Heights that are kept, and the rectangle of the ego vehicle [m]."""
-
-    z_min: float
-    z_max: float
-    x_min: float
-    x_max: float
-    y_min: float
-    y_max: float
-
-
 @kernel
-def _find_cells(points: Any, T: Any, grid: _Cells, limits: _Limits) -> Any:
+def _find_cells(points: Any, T: Any, size: float, shape: Any, origin: Any, z_range: Any, ego_footprint: Any) -> Any:
     """Return the transformed points (N, 3), the cell of each (N,) or -1, and how many are not finite."""
     cell = np.full(len(points), -1, np.int32)
     xyz = np.empty((len(points), 3), np.float32)
     invalid = 0
+    x_min, x_max, y_min, y_max = ego_footprint
     for i in range(len(points)):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz) and np.isfinite(points[i, 3])):
@@ -231,24 +199,22 @@ def _find_cells(points: Any, T: Any, grid: _Cells, limits: _Limits) -> Any:
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
         y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
         z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if not (z >= limits.z_min and z < limits.z_max):
+        if not z_range[0] <= z < z_range[1] or (x_min < x < x_max and y_min < y < y_max):
             continue
-        if x > limits.x_min and x < limits.x_max and y > limits.y_min and y < limits.y_max:
-            continue
-        u, v = np.floor((x - grid.x0) / grid.resolution), np.floor((y - grid.y0) / grid.resolution)
-        if u >= 0 and v >= 0 and u < grid.nx and v < grid.ny:
-            cell[i] = int(u) * grid.ny + int(v)
+        u, v = np.floor((x - origin[0]) / size), np.floor((y - origin[1]) / size)
+        if u >= 0 and v >= 0 and u < shape[0] and v < shape[1]:
+            cell[i] = int(u) * shape[1] + int(v)
             xyz[i, 0], xyz[i, 1], xyz[i, 2] = x, y, z
     return xyz, cell, invalid
 
 
 @kernel
-def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, grid: _Cells) -> Any:
+def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, shape: Any) -> Any:
     """Return features with their first four columns filled, the pillars' lengths and their cells.
 
     A counting sort: the order of points within a cell is kept.
     """
-    count = np.zeros(grid.nx * grid.ny, np.int32)
+    count = np.zeros(shape[0] * shape[1], np.int32)
     for i in range(len(cell)):
         if cell[i] >= 0:
             count[cell[i]] += 1
@@ -271,23 +237,19 @@ def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, grid: _Cells) -> Any:
 
 
 @kernel
-def _add_offsets(features: Any, lengths: Any, cells: Any, grid: _Cells) -> None:
+def _add_offsets(features: Any, lengths: Any, cells: Any, size: float, shape: Any, origin: Any) -> None:
     """Fill the other five columns: offsets from the pillar's mean, and from the cell's center."""
     first = 0
     for p in range(len(lengths)):
         last = first + lengths[p]
-        mx, my, mz = 0.0, 0.0, 0.0
+        x = origin[0] + (cells[p] // shape[1] + 0.5) * size
+        y = origin[1] + (cells[p] % shape[1] + 0.5) * size
+        for k in range(3):
+            total = 0.0
+            for row in range(first, last):
+                total += features[row, k]
+            for row in range(first, last):
+                features[row, 4 + k] = features[row, k] - total / lengths[p]
         for row in range(first, last):
-            mx += features[row, 0]
-            my += features[row, 1]
-            mz += features[row, 2]
-        mx, my, mz = mx / lengths[p], my / lengths[p], mz / lengths[p]
-        center_x = grid.x0 + (cells[p] // grid.ny + 0.5) * grid.resolution
-        center_y = grid.y0 + (cells[p] % grid.ny + 0.5) * grid.resolution
-        for row in range(first, last):
-            features[row, 4] = features[row, 0] - mx
-            features[row, 5] = features[row, 1] - my
-            features[row, 6] = features[row, 2] - mz
-            features[row, 7] = features[row, 0] - center_x
-            features[row, 8] = features[row, 1] - center_y
+            features[row, 7], features[row, 8] = features[row, 0] - x, features[row, 1] - y
         first = last

@@ -101,10 +101,8 @@ def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> 
     target, valid = losses.targets(state)
     loss = LOSSES[recipe.loss](evidence, target, recipe.strength)
     if recipe.uniform_kl:
-        loss = loss + recipe.uniform_kl * losses.annealing(epoch) * losses.uniform_kl(evidence, target)
-    weight = None
-    if recipe.occupied_weight != 1:
-        weight = losses.class_weights(target, occupied=recipe.occupied_weight)
+        loss = loss + recipe.uniform_kl * min(1.0, epoch / 10) * losses.uniform_kl(evidence, target)
+    weight = None if recipe.occupied_weight == 1 else losses.class_weights(target, recipe.occupied_weight)
     return losses.masked_mean(loss, valid, weight)
 
 

@@ -20,7 +20,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
-from ogm.deep.data import PLAIN, Batch, EpochSampler, PillarDataset, join_batches, training_ranges
+from ogm.deep.data import PLAIN, Batch, EpochSampler, PillarDataset, training_ranges
 from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LOSSES, Recipe, mean_loss
 from ogm.evidence import evidence_to_mass
@@ -36,6 +36,8 @@ except ImportError as error:
     raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
 
 __all__ = ["ValidationScores", "train", "validate"]
+
+_SAVE_EVERY = 120.0  # [s]
 
 
 class ValidationScores(NamedTuple):
@@ -73,7 +75,6 @@ def train(
     nodes: int = 1,
     precision: str | None = None,
     workers: int | None = None,
-    save_every: float = 120.0,
     picture_every: int = 1,
     facts: Mapping[str, Any] | None = None,
     progress: bool = True,
@@ -97,8 +98,6 @@ def train(
         As Lightning Fabric takes them. The default precision is bfloat16 where the accelerator has it, else float32.
     workers : int, optional
         Processes that prepare frames, beside each training process; by default half the cores, 12 at most.
-    save_every : float
-        Time between saved states [s].
     picture_every : int
         Epochs between pictures of validation frames; 0 draws none.
     facts : mapping, optional
@@ -137,7 +136,7 @@ def train(
                 for batch in loader:
                     run.do_step(batch)
                     show(completed=run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
-                    if time.monotonic() - saved > save_every:
+                    if time.monotonic() - saved > _SAVE_EVERY:
                         saved = run.save()
                 if fabric.is_global_zero:
                     speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
@@ -145,8 +144,7 @@ def train(
                     run.record(scores._asdict(), speed, facts)
                     show(scores=scores)
                     if picture_every and (run.epoch + 1) % picture_every == 0:
-                        picture = out / f"epoch-{run.epoch + 1:03d}.png"
-                        draw_predictions(picture, run.average, fixed, fabric.device)
+                        draw_predictions(out / f"epoch-{run.epoch + 1:03d}.png", run.average, fixed, fabric.device)
                 run.epoch += 1
                 saved = run.save()
                 fabric.barrier()
@@ -158,13 +156,10 @@ def train(
 
 
 @torch.no_grad()
-def validate(
-    network: PillarNetwork, dataset: PillarDataset, recipe: Recipe, device: torch.device | str = "cpu"
-) -> ValidationScores:
+def validate(network: PillarNetwork, dataset: PillarDataset, recipe: Recipe, device: torch.device) -> ValidationScores:
     """Score a network on frames, by the loss as it is after all annealing, so that epochs can be compared."""
     network.eval()
-    loss = kl = 0.0
-    cells = 0
+    loss = kl = cells = 0.0
     counts = np.zeros((3, 3))  # true state, predicted state
     for i in range(len(dataset)):
         batch = dataset[i]
@@ -199,8 +194,9 @@ def _loader(frames: PillarDataset, order: EpochSampler, batch: int, workers: int
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
-    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": 4 if workers else None}
-    return DataLoader(frames, batch, sampler=order, collate_fn=join_batches, drop_last=True, **options)
+    ahead: Any = 4 if workers else None
+    options = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": Batch.joined, "drop_last": True}
+    return DataLoader(frames, batch, sampler=order, **options)
 
 
 @contextmanager
@@ -212,9 +208,8 @@ def _memory_advice(recipe: Recipe) -> Iterator[None]:
         killed = "alloc" in str(error) or "DataLoader worker" in str(error)  # by the operating system
         if not (isinstance(error, torch.OutOfMemoryError) or killed):
             raise
-        raise MemoryError(
-            f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
-        ) from error
+        text = f"out of memory with batches of {recipe.batch}: use a smaller --batch, or fewer --workers"
+        raise MemoryError(text) from error
 
 
 @contextmanager

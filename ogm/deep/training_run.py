@@ -24,6 +24,8 @@ from ogm.state import Truth
 
 __all__ = ["TrainingRun", "draw_predictions", "nonfinite_loss_error"]
 
+_MODULES = ("network", "average", "optimizer")
+
 
 class TrainingRun:
     """A training: all that a step or the end of an epoch changes, and that a resumed run needs.
@@ -55,10 +57,8 @@ class TrainingRun:
         self.steps_per_epoch = training // fabric.world_size // recipe.batch
         self.steps = self.steps_per_epoch * recipe.epochs
         if self.steps == 0:
-            raise ValueError(
-                f"{training} training frames are fewer than one batch of {recipe.batch} for each of "
-                f"{fabric.world_size} processes; use a smaller --batch"
-            )
+            need = f"one batch of {recipe.batch} for each of {fabric.world_size} processes"
+            raise ValueError(f"{training} training frames are fewer than {need}; use a smaller --batch")
         self._setup = {
             "recipe": repr(replace(recipe, learning_rate=0.0, clip=0.0)),  # a resumed run may change these two
             "spec": repr(spec),
@@ -91,7 +91,8 @@ class TrainingRun:
         pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
         loss = mean_loss(self._model(pillars), state, recipe, self.step / self.steps_per_epoch)
         value = float(loss.detach())
-        if not _is_finite_everywhere(fabric, value):
+        finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
+        if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop where one must
             raise nonfinite_loss_error(self.out, batch, value, self.step)
         self.optimizer.zero_grad()
         fabric.backward(loss)
@@ -117,21 +118,20 @@ class TrainingRun:
             For the description of the weights.
         """
         counts = {"epoch": self.epoch + 1, "step": self.step}
-        samples_per_s = speed * self.recipe.batch * self.fabric.world_size
-        row = {**counts, "training_loss": self.recent_loss, **scores, "samples_per_s": samples_per_s}
+        row = {**counts, "training_loss": self.recent_loss, **scores}
+        row["samples_per_s"] = speed * self.recipe.batch * self.fabric.world_size
         _append_row(self.out / "log.csv", row)
         if scores["loss"] < self.best:
             self.best = scores["loss"]
             versions = {name: importlib.metadata.version(name) for name in ("torch", "lightning", "numpy")}
             result = {**counts, "validation": dict(scores)}
-            description = {"recipe": asdict(self.recipe), "result": result, "versions": versions, **facts}
-            save_network(self.out / "best.safetensors", self.average, description)
+            about = {"recipe": asdict(self.recipe), "result": result, "versions": versions, **facts}
+            save_network(self.out / "best.safetensors", self.average, about)
 
     def save(self) -> float:
         """Write ``state.pt``, and return the time of it."""
         if self.fabric.is_global_zero:
-            modules = {"network": self.network, "average": self.average, "optimizer": self.optimizer}
-            state = {name: module.state_dict() for name, module in modules.items()}
+            state = {name: getattr(self, name).state_dict() for name in _MODULES}
             numbers = {"step": self.step, "epoch": self.epoch, "best": self.best}
             with atomic_write(self.out / "state.pt") as file:
                 torch.save({"setup": self._setup, **state, **numbers}, file)
@@ -144,13 +144,10 @@ class TrainingRun:
             state = torch.load(path, map_location="cpu", weights_only=True)
             for name, wanted in self._setup.items():
                 if state["setup"][name] != wanted:
-                    raise ValueError(
-                        f"it was begun with another {name}: {state['setup'][name]}, now {wanted}; give the same "
-                        "options and data, or another --out"
-                    )
-            self.network.load_state_dict(state["network"])
-            self.average.load_state_dict(state["average"])
-            self.optimizer.load_state_dict(state["optimizer"])
+                    change = f"{state['setup'][name]}, now {wanted}; give the same options and data, or another --out"
+                    raise ValueError(f"it was begun with another {name}: {change}")
+            for name in _MODULES:
+                getattr(self, name).load_state_dict(state[name])
             self.step, self.epoch, self.best = int(state["step"]), int(state["epoch"]), float(state["best"])
         except Exception as error:  # whatever torch makes of a damaged file
             raise OgmError(f"cannot resume from {path}: {error}") from error
@@ -181,10 +178,8 @@ def nonfinite_loss_error(folder: Path, batch: Batch, loss: float, step: int) -> 
     arrays = {name: getattr(batch.pillars, name).numpy() for name in ("features", "lengths", "cells")}
     with atomic_write(path) as file:
         np.savez_compressed(file, **arrays, state=batch.state.numpy(), numbers=np.array(batch.numbers))
-    return FloatingPointError(
-        f"the loss became {loss} at step {step}; the batch is in {path}; --resume with a smaller "
-        "--learning-rate goes on from the last saved state"
-    )
+    way_out = "--resume with a smaller --learning-rate goes on from the last saved state"
+    return FloatingPointError(f"the loss became {loss} at step {step}; the batch is in {path}; {way_out}")
 
 
 @torch.no_grad()
@@ -196,17 +191,10 @@ def _update_ema(average: PillarNetwork, network: PillarNetwork, decay: float) ->
             mean.copy_(value)
 
 
-def _is_finite_everywhere(fabric: Fabric, value: float) -> bool:
-    """Return whether the loss is finite on every process, so that all stop where one must."""
-    finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
-    return bool(fabric.all_reduce(finite, reduce_op="mean") == 1)
-
-
 def _append_row(path: Path, row: Mapping[str, float]) -> None:
     """Append a row to a CSV file; a new file gets a header."""
-    new = not path.exists()
     with open(path, "a", newline="") as file:
         writer = csv.DictWriter(file, list(row))
-        if new:
+        if file.tell() == 0:
             writer.writeheader()
         writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})

@@ -1,16 +1,7 @@
 import numpy as np
 import pytest
 
-from ogm.deep.data import (
-    PLAIN,
-    ROTATION,
-    Augmentation,
-    EpochSampler,
-    PillarDataset,
-    augment,
-    join_batches,
-    training_ranges,
-)
+from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, EpochSampler, PillarDataset, augment, training_ranges
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
 
@@ -144,7 +135,7 @@ def test_one_limit_alone_is_kept(frames, small):
 
 def test_joined_batches_keep_their_order(frames, small):
     data = PillarDataset(frames, small)
-    batch = join_batches([data[3], data[1]])
+    batch = Batch.joined([data[3], data[1]])
     assert batch.numbers == [3, 1]
     assert batch.state.shape == (2, *small.shape)
     second = batch.pillars.cells >= small.shape[0] * small.shape[1]

@@ -11,7 +11,6 @@ from scipy import optimize, special
 from torch import Tensor
 
 from ogm.deep.losses import (
-    annealing,
     class_weights,
     digamma_loss,
     log_loss,
@@ -358,32 +357,33 @@ def test_reverse_kl_of_a_batch_is_least_at_the_evidence_of_its_frequencies(stren
             assert masked_mean(reverse_kl(moved.expand(5000, 2), target, strength), valid) > mean
 
 
-@pytest.mark.parametrize("weights", [(1, 1, 1), (1, 100, 1), (2, 10, 0.5)])
+@pytest.mark.parametrize("weight", [1, 100, 0.5])
 @pytest.mark.parametrize("chances", [(0.6, 0.1, 0.3), (0.05, 0.9, 0.05), (0.2, 0.01, 0.79), (0.5, 0.5, 0)])
-def test_undoing_class_weights_gives_the_optimum_without_them(weights: tuple, chances: tuple) -> None:
+def test_undoing_class_weights_gives_the_optimum_without_them(weight: float, chances: tuple) -> None:
+    weights = (1, weight, 1)
     weighted = torch.from_numpy(optimum(reverse_kl, chances, weights))
     shares = np.multiply(weights, chances)
     assert weighted.numpy() == pytest.approx(10 * shares[:2] / shares.sum(), abs=1e-5)
-    plain = undo_class_weights(weighted, *weights)
+    plain = undo_class_weights(weighted, weight)
     assert plain.numpy() == pytest.approx(10 * np.array(chances[:2]), abs=1e-4)
 
 
 def test_class_weights_move_the_optimum_of_a_batch_as_the_undo_expects() -> None:
     state = torch.from_numpy(np.random.default_rng(1).choice(3, 4000, p=[0.5, 0.4, 0.1]).astype(np.uint8))
     target, valid = targets(state)
-    weight = class_weights(target, free=2, occupied=30, unknown=0.5)
+    weight = class_weights(target, 30)
     evidence = torch.zeros(2, dtype=torch.float64)
     evidence[:] = 10 * (weight[:, None] * target).sum(0) / weight.sum()
     evidence.requires_grad_()
     masked_mean(reverse_kl(evidence.expand(4000, 2), target), valid, weight).backward()
     torch.testing.assert_close(evidence.grad, torch.zeros(2, dtype=torch.float64), rtol=0, atol=1e-6)
-    plain = undo_class_weights(evidence.detach(), free=2, occupied=30, unknown=0.5)
+    plain = undo_class_weights(evidence.detach(), 30)
     torch.testing.assert_close(plain, 10 * target.double().mean(0), rtol=1e-5, atol=1e-5)
 
 
-def test_undoing_equal_weights_changes_nothing_however_much_the_evidence() -> None:
+def test_undoing_a_weight_of_one_changes_nothing_however_much_the_evidence() -> None:
     evidence, _ = cells(1000, seed=7)
-    torch.testing.assert_close(undo_class_weights(evidence, 3, 3, 3), evidence)
+    torch.testing.assert_close(undo_class_weights(evidence, 1), evidence)
 
 
 def test_undoing_keeps_a_vacuous_cell_vacuous_and_the_shape_and_type() -> None:
@@ -394,7 +394,7 @@ def test_undoing_keeps_a_vacuous_cell_vacuous_and_the_shape_and_type() -> None:
     assert (plain == 0).all()
 
 
-# --- targets, mask, weights, annealing ---
+# --- targets, mask, weights ---
 
 
 def test_targets_of_states() -> None:
@@ -460,13 +460,7 @@ def test_a_batch_without_valid_cells_costs_nothing(loss: Callable[[Tensor, Tenso
 
 def test_class_weights_of_hard_and_soft_targets() -> None:
     target = torch.tensor([[1, 0], [0, 1], [0, 0], [0.5, 0.25]])
-    assert class_weights(target, free=2, occupied=100, unknown=4).tolist() == [2, 100, 4, 27]
-    assert class_weights(target).tolist() == [1, 1, 1, 1]
-
-
-def test_annealing_grows_to_one_in_ten_epochs() -> None:
-    assert [annealing(t) for t in (0, 2.5, 10, 40)] == [0, 0.25, 1, 1]
-    assert annealing(3, epochs=4) == 0.75
+    assert class_weights(target, 100).tolist() == [1, 100, 1, 25.75]
 
 
 # --- bad input ---
@@ -490,7 +484,7 @@ def test_strength_must_be_a_positive_number(strength: float) -> None:
     with pytest.raises(ValueError, match="strength must be finite and greater than 0"):
         reverse_kl(torch.zeros(2), torch.zeros(2), strength)
     with pytest.raises(ValueError, match="strength must be finite and greater than 0"):
-        undo_class_weights(torch.zeros(2), strength=strength)
+        undo_class_weights(torch.zeros(2), 1, strength)
 
 
 def test_other_bad_input_is_refused() -> None:
@@ -502,12 +496,10 @@ def test_other_bad_input_is_refused() -> None:
         masked_mean(torch.zeros(3), torch.ones(3))
     with pytest.raises(ValueError, match=r"weight must have the loss's shape \(3,\), got \(3, 1\)"):
         masked_mean(torch.zeros(3), torch.ones(3, dtype=torch.bool), torch.ones(3, 1))
-    for weights in ({"occupied": 0}, {"unknown": -1}, {"occupied": math.nan}, {"free": math.inf}):
-        with pytest.raises(ValueError, match="class weights must be finite and greater than 0"):
-            class_weights(torch.zeros(2), **weights)
-        with pytest.raises(ValueError, match="class weights must be finite and greater than 0"):
-            undo_class_weights(torch.zeros(2), **weights)
+    for weight in (0, -1, math.nan, math.inf):
+        with pytest.raises(ValueError, match="class weight must be finite and greater than 0"):
+            class_weights(torch.zeros(2), weight)
+        with pytest.raises(ValueError, match="class weight must be finite and greater than 0"):
+            undo_class_weights(torch.zeros(2), weight)
     with pytest.raises(ValueError, match=r"2 states .* got shape \(3,\)"):
-        class_weights(torch.zeros(3))
-    with pytest.raises(ValueError, match="epoch must be at least 0"):
-        annealing(-1)
+        class_weights(torch.zeros(3), 2)

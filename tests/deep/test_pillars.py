@@ -235,7 +235,7 @@ def test_the_limits_keep_points_of_the_right_pillars_unchanged() -> None:
 def test_limits_that_are_not_reached_change_nothing() -> None:
     for n in (0, 1, 500):
         whole = pillarize(scan(n), SPEC)
-        same(cap_pillars(whole, np.random.default_rng(0)), whole, atol=0)
+        same(cap_pillars(whole, np.random.default_rng(0), 10_000, 100), whole, atol=0)
 
 
 def test_the_limits_choose_every_point_alike() -> None:
@@ -244,7 +244,7 @@ def test_the_limits_choose_every_point_alike() -> None:
     rng = np.random.default_rng(0)
     count = np.zeros(10)
     for _ in range(500):
-        chosen = cap_pillars(whole, rng, most_points=3).features[:, 3]
+        chosen = cap_pillars(whole, rng, 10_000, most_points=3).features[:, 3]
         count[(chosen * 10).round().long().numpy()] += 1
     assert count.sum() == 1500
     assert np.abs(count - 150).max() < 5 * np.sqrt(500 * 0.3 * 0.7)
