@@ -104,7 +104,7 @@ def test_public_classes_have_names_of_their_own() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_examples_of_the_documentation_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a page's Python blocks, one after the other, on the shipped scan; then its interactive examples."""
-    import matplotlib
+    import matplotlib.pyplot
 
     matplotlib.use("Agg")
     packed = (ROOT / "ogm/data/vls128_road.pcd.xz").read_bytes()
