@@ -102,7 +102,7 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("{new}", "--samples", 1, "--lidar", "vlp-99"), "there is no lidar 'vlp-99'"),
         (("{new}", "--samples", 1, "--town-size", 3), "town_size must be in 240 ... 1000 m"),
         (("{new}", "--samples", 1, "--workers", 0), "workers must be in 1 ..."),
-        (("{new}", "--samples", 1, "--bad-weather", 2), "bad_weather is a share"),
+        (("{new}", "--samples", 1, "--bad-weather", 2), "bad_weather must be in 0 ... 1, a share"),
         (("--preview", "{new}.jpg"), "saved as .png"),
         (("{file}", "--samples", 1), "is a file"),
         (("{new}", "--samples", 0, "--sequences", 1, "--workers", 0), "workers must be in 1 ..."),

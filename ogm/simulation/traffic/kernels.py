@@ -8,12 +8,12 @@ import numpy as np
 from ogm.jit import kernel
 from ogm.simulation.traffic.graph import Crossings, LaneTable
 from ogm.simulation.traffic.permission import grant
-from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, Limits, Record, Signals, Walkers
+from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Record, Signals, Walkers
 
 
 @kernel
 def _leaders(t: LaneTable, d: Drivers, gap, pace):
-    """Fill `Limits.gap` and `Limits.pace`."""
+    """Fill `DrivingLimits.gap` and `DrivingLimits.pace`."""
     count = len(d.x)
     mark = np.full(len(t.length), -1, np.int64)
     offset = np.zeros(len(t.length))
@@ -97,7 +97,7 @@ def _speed_limit(t: LaneTable, d: Drivers, i):
 
 
 @kernel
-def _drive(t: LaneTable, d: Drivers, limits: Limits):
+def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits):
     """Accelerate by the intelligent driver model (Treiber, Hennecke, Helbing 2000) and move on by one step."""
     gap, pace, stop = limits
     for i in range(len(d.x)):
@@ -182,7 +182,7 @@ def _walk(c: Crossings, w: Walkers, barred, now):
 def advance(t: LaneTable, c: Crossings, d: Drivers, s: Signals, w: Walkers, first, record: Record):
     """Simulate as many steps as `record` has rows, from step number `first` on."""
     count = len(d.x)
-    limits = Limits(np.zeros(count), np.zeros(count), np.zeros(count))
+    limits = DrivingLimits(np.zeros(count), np.zeros(count), np.zeros(count))
     barred = np.zeros(max(c.zones, 1), np.bool_)
     for n in range(len(record.x)):
         record.x[n], record.v[n], record.w[n] = d.x, d.v, w.w

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.jit import kernel
 from ogm.simulation.traffic.graph import LaneTable
-from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, Limits, Signals
+from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Signals
 
 MIN_GREEN, MAX_GREEN, ALL_RED = 4.0, 10.0, 2.0  # [s]
 PATIENCE = 8.0  # [s] who has waited longer is let through before those who come
@@ -75,7 +75,7 @@ def _sorted(rank):
 
 
 @kernel
-def grant(t: LaneTable, d: Drivers, s: Signals, now, limits: Limits):
+def grant(t: LaneTable, d: Drivers, s: Signals, now, limits: DrivingLimits):
     """Grant lanes that need permission; `limits.stop` becomes the way to where a vehicle without it halts [m]."""
     count = len(d.x)
     queue = Queue(np.full(count, -1, np.int64), np.full(count, -1, np.int64), np.zeros(len(t.most), np.int64))
@@ -112,7 +112,7 @@ def grant(t: LaneTable, d: Drivers, s: Signals, now, limits: Limits):
 
 
 @kernel
-def _request(t: LaneTable, d: Drivers, s: Signals, i, now, limits: Limits, demand):
+def _request(t: LaneTable, d: Drivers, s: Signals, i, now, limits: DrivingLimits, demand):
     """Return the place in its route that vehicle i waits for, -1 for none; note its `demand` at signals."""
     limits.stop[i] = 1e9
     k = max(d.front[i], d.granted[i]) + 1
@@ -138,7 +138,7 @@ def _request(t: LaneTable, d: Drivers, s: Signals, i, now, limits: Limits, deman
 
 
 @kernel
-def _may_enter(t: LaneTable, d: Drivers, s: Signals, i, last, now, limits: Limits, queue: Queue):
+def _may_enter(t: LaneTable, d: Drivers, s: Signals, i, last, now, limits: DrivingLimits, queue: Queue):
     """Return whether signal and space allow vehicle i to drive to place `last`; it may turn another way instead."""
     first = queue.want[i]
     lane = d.route[i, first]

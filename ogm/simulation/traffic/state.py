@@ -104,7 +104,7 @@ class Record(NamedTuple):
     w: NDArray[np.float32]
 
 
-class Limits(NamedTuple):
+class DrivingLimits(NamedTuple):
     """What limits each vehicle in one step.
 
     Attributes
