@@ -111,7 +111,8 @@ def test_examples_of_the_documentation_run(page: Path, tmp_path: Path, monkeypat
     (tmp_path / "drive").mkdir()
     for name in ("scan.pcd.xz", "drive/000000.pcd.xz", "drive/000001.pcd.xz"):
         (tmp_path / name).write_bytes(packed)
-    (tmp_path / "drive/poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0.5 0 1 0 0 0 0 1 0\n")
+    for name in ("poses.txt", "drive/poses.txt"):
+        (tmp_path / name).write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 0.5 0 1 0 0 0 0 1 0\n")
     monkeypatch.chdir(tmp_path)
     text = page.read_text()
     namespace: dict = {}
