@@ -3,6 +3,7 @@
 import _run as run  # first: it sets the number of threads
 
 # isort: split
+import importlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,7 @@ from ogm.io import estimate_sensor_height
 HEIGHT_BAND, RAY, COPY = "HeightBandISM", "RayISM", "copy of the bytes it must read and write"
 PYTHON, NUMPY = "HeightBandISM in plain Python", "HeightBandISM in numpy"
 OCTOMAP = "OctoMap"  # all of its contenders' names begin so
+OCTOMAP_OPTIONS = {"": (False, False), ", lazy": (True, False), ", lazy, discretised": (True, True)}
 KISS, LOCAL, PATCHWORK = "KISS-SLAM mapper", "local_ground", "Patchwork++"
 STREET_HEIGHT = 1.9  # [m] of the sensor in the synthetic scan
 CARS = ((8, 4), (16, 4), (31, -5), (-9, -5), (-22, 4), (-35, -5), (48, 3))  # [m] 4.4 x 1.8 x 1.5 m each
@@ -146,26 +148,14 @@ def peers(
     max_range = math.hypot(spec.length, spec.width) / 2
     wide, narrow = points[:, :3].astype(np.float64), np.ascontiguousarray(points[:, :3])
 
-    def octomap(tree_type: Any, *options: bool) -> run.Contender:
-        insert = lambda tree: tree.insertPointCloud(wide, np.zeros(3), max_range, *options)  # noqa: E731
-        return run.Contender(insert, lambda: tree_type(spec.resolution), slow=True)
+    def octomap(package: str, variants: dict[str, tuple[bool, ...]]) -> dict[str, run.Contender]:
+        tree_type = importlib.import_module("octomap" if package == "octomap-python" else package).OcTree
 
-    def pyoctomap() -> dict[str, run.Contender]:
-        from pyoctomap import OcTree
+        def one(options: tuple[bool, ...]) -> run.Contender:
+            insert = lambda tree: tree.insertPointCloud(wide, np.zeros(3), max_range, *options)  # noqa: E731
+            return run.Contender(insert, lambda: tree_type(spec.resolution), slow=True)
 
-        return {
-            f"{OCTOMAP} (pyoctomap)": octomap(OcTree, False, False),
-            f"{OCTOMAP} (pyoctomap), lazy": octomap(OcTree, True, False),
-            f"{OCTOMAP} (pyoctomap), lazy, discretised": octomap(OcTree, True, True),
-        }
-
-    def octomap_python() -> dict[str, run.Contender]:
-        from octomap import OcTree
-
-        return {
-            f"{OCTOMAP} (octomap-python)": octomap(OcTree, False),
-            f"{OCTOMAP} (octomap-python), lazy": octomap(OcTree, True),
-        }
+        return {f"{OCTOMAP} ({package}){kind}": one(options) for kind, options in variants.items()}
 
     def kiss_slam() -> dict[str, run.Contender]:
         from kiss_slam.kiss_slam_pybind import kiss_slam_pybind as kiss
@@ -181,8 +171,8 @@ def peers(
     found: dict[str, run.Contender] = {}
     reasons: dict[str, str] = {}
     makers: dict[str, Callable[[], dict[str, run.Contender]]] = {
-        "pyoctomap": pyoctomap,
-        "octomap-python": octomap_python,
+        "pyoctomap": lambda: octomap("pyoctomap", OCTOMAP_OPTIONS),
+        "octomap-python": lambda: octomap("octomap-python", {"": (False,), ", lazy": (True,)}),
         "kiss-slam": kiss_slam,
         "pypatchworkpp": patchwork,
     }

@@ -18,8 +18,6 @@ from ogm import Boxes, CellState, Frame, GridSpec
 from ogm.pose import pose
 from ogm.truth import TRUTH_SPEC, cells_in_boxes, count_returns
 
-__all__ = ["PAPER", "WINDOW", "Drive", "Trail", "read_drive", "trails"]
-
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 WINDOW = GridSpec.centered(length=102.4, width=102.4, resolution=0.16)  # holds PAPER at any heading
 EGO = (-2.5, 2.5, -1.1, 1.1)  # [m] footprint of the ego vehicle around the sensor

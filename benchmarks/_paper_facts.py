@@ -21,21 +21,6 @@ from ogm.evaluation import Comparison, bootstrap_mean, bootstrap_ratio, compare_
 from ogm.evidence import dirichlet_kl
 from ogm.metrics import evilog_unmixed
 
-__all__ = [
-    "Curves",
-    "bound",
-    "demixed",
-    "described",
-    "observed",
-    "order",
-    "read_curves",
-    "scale_as_named",
-    "scale_as_released",
-    "shares",
-    "turned",
-    "versus",
-]
-
 MISSED = -math.log(1e-7)  # what the released code charges for a labelled cell without evidence: 16.118
 RESAMPLES = 5000
 SHUFFLES = 10_000
@@ -61,13 +46,7 @@ COLUMNS = (
 
 
 def read_curves(path: Path) -> Curves:
-    """Read the values: a CSV with the columns of `COLUMNS`, frames in the plotted order.
-
-    Raises
-    ------
-    ValueError
-        If columns are others, values are missing, or masses do not sum to one.
-    """
+    """Read the values: a CSV with the columns of `COLUMNS`, frames in the plotted order."""
     table = np.genfromtxt(path, delimiter=",", names=True)
     if table.dtype.names != COLUMNS:
         raise ValueError(f"{path} must have the columns {', '.join(COLUMNS)}, got {table.dtype.names}")
@@ -98,15 +77,7 @@ def described(curves: Curves) -> dict[str, dict[str, Any]]:
 
 
 def versus(first: NDArray[np.float64], second: NDArray[np.float64], rng: np.random.Generator) -> dict[str, Any]:
-    """Compare two curves, of which the lower one is better, frame by frame.
-
-    Returns
-    -------
-    dict
-        wins, ties, losses; difference and ratio of the means with 95 % intervals; p of Wilcoxon's signed rank test;
-        means and extremes of the frames' own ratios second / first; the frames in which the second is lower, with
-        the margins of these.
-    """
+    """Compare two curves, of which the lower one is better, frame by frame; intervals are of 95 %."""
     found: Comparison = compare_paired(first, second, "lower", rng, RESAMPLES)
     ratios, lost = second / first, np.flatnonzero(second < first)
     margins = (first - second)[lost]
@@ -250,20 +221,9 @@ def turned(spec: GridSpec, ahead: float, steps: int = 360) -> dict[str, float]:
     """Return which share of a label's cells has no label any more when it is turned by a random angle.
 
     That is how the paper augments its training data: label and points are turned alike, and what a finite label
-    does not hold is filled with zeros, which mean unknown.
-
-    Parameters
-    ----------
-    spec : GridSpec
-        The label, around the sensor.
-    ahead : float
-        [m] distance of a cell straight ahead of the sensor that is reported alone.
-    steps : int
-        Angles, evenly spread over the full turn.
+    does not hold is filled with zeros, which mean unknown. The cell so far `ahead` of the sensor [m] is reported alone.
     """
-    nx, ny = spec.shape
-    x = spec.origin[0] + (np.arange(nx) + 0.5) * spec.resolution
-    y = spec.origin[1] + (np.arange(ny) + 0.5) * spec.resolution
+    x, y = spec.cell_centers
     low, high, right, left = spec.extent
 
     def outside(x: NDArray[np.floating], y: NDArray[np.floating], angle: float) -> NDArray[np.bool_]:
@@ -271,11 +231,11 @@ def turned(spec: GridSpec, ahead: float, steps: int = 360) -> dict[str, float]:
         return ~((low <= u) & (u < high) & (right <= v) & (v < left))
 
     angles = (np.arange(steps) + 0.5) * 2 * math.pi / steps
-    everywhere = [outside(x[:, None], y[None, :], angle).mean() for angle in angles]
+    everywhere = [outside(x, y, angle).mean() for angle in angles]
     there = [outside(np.array(ahead), np.array(0.0), angle).mean() for angle in angles]
     return {
         "mean share of cells": float(np.mean(everywhere)),
-        "share of cells at 90 degrees": float(outside(x[:, None], y[None, :], math.pi / 2).mean()),
+        "share of cells at 90 degrees": float(outside(x, y, math.pi / 2).mean()),
         f"share of angles, {ahead:g} m straight ahead": float(np.mean(there)),
     }
 

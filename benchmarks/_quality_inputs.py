@@ -10,8 +10,6 @@ from ogm.evaluation import FusedMethod, SingleScanMethod
 from ogm.evidence import dempster
 from ogm.fusion import BAYES, RULES, EvidentialMapper, rolling_window
 
-__all__ = ["AGAINST", "BASELINE", "REAL", "Recording", "all_maps", "every", "model_of", "real", "single_scan"]
-
 BASELINE = "height-band"
 AGAINST = (BASELINE, "ray")  # what every method is compared with, frame by frame
 MODELS = (BASELINE, "height-band-released", "ray", "lite")

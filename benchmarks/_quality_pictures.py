@@ -6,14 +6,12 @@ from typing import Any
 
 import numpy as np
 from _quality_inputs import model_of
+from _run import save_picture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ogm.evaluation import Evaluation
-from ogm.files import atomic_write
 from ogm.metrics import METRICS, evilog_published
-
-__all__ = ["COLOURS", "by_distance", "chosen", "maps", "papers_figures", "recordings"]
 
 COLOURS = {
     "height-band": "#2c5f9e", "height-band-released": "#7fa8d6", "ray": "#b35806", "lite": "#1b7837",
@@ -100,15 +98,8 @@ def maps(path: Path, part: Mapping[str, Any], note: str) -> None:
             if rule:
                 axes.plot([start[x][0], px], [start[y][0], py], color=COLOURS.get(model, OTHER), lw=0.5, alpha=0.4)
             size = 220 if not rule else 60
-            axes.scatter(
-                px,
-                py,
-                size,
-                color=COLOURS.get(model, OTHER),
-                marker=MARKERS.get(rule, "."),
-                edgecolor="white",
-                zorder=3,
-            )
+            style = {"color": COLOURS.get(model, OTHER), "marker": MARKERS.get(rule, ".")}
+            axes.scatter(px, py, size, edgecolor="white", zorder=3, **style)
         for metric, set_label in ((x, axes.set_xlabel), (y, axes.set_ylabel)):
             set_label(f"{METRICS[metric].title} ({METRICS[metric].better} is better)")
         axes.grid(color="0.92")
@@ -146,10 +137,7 @@ def recordings(path: Path, real: Mapping[str, Any], note: str) -> None:
 
 def _finish(figure: Figure, path: Path, title: str, note: str) -> None:
     figure.suptitle(title, fontsize=13)
-    figure.supxlabel(note, fontsize=7, color="#777777")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path, "wb") as file:
-        figure.savefig(file, format="png", dpi=100)
+    save_picture(figure, path, note, dpi=100)
 
 
 def chosen(result: Evaluation, name: str, metric: str) -> Sequence[tuple[str, int]]:

@@ -15,8 +15,6 @@ from ogm.evaluation import Comparison, Evaluation, compare_paired
 from ogm.files import atomic_write
 from ogm.metrics import METRICS, RANGES, by_range, evilog_published, reasons
 
-__all__ = ["KEPT", "PAIRED", "brief", "published", "record_of", "write"]
-
 KEPT = (
     "kl_e10", "kl_e1", "kl_e1_scaled", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known",
     "iou_occupied_known", "false_free", "missed_occupied", "false_occupied", "missed_obstacles",

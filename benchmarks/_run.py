@@ -158,6 +158,14 @@ def caption(record: Mapping[str, Any]) -> str:
     )
 
 
+def save_picture(figure: Any, path: Path, note: str, dpi: int = 110) -> None:
+    """Write a figure as PNG, whole or not at all, with a note below it."""
+    figure.supxlabel(note, fontsize=7, color="#555555")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as file:
+        figure.savefig(file, format="png", dpi=dpi)
+
+
 def write_json(path: Path, record: Mapping[str, Any]) -> None:
     """Write a result, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,7 @@ import os
 
 os.environ.setdefault("OGM_CORES", "2")
 
-from _run import OURS, PEER, PICTURES, RESULTS, caption, environment, write_json
+from _run import OURS, PEER, PICTURES, RESULTS, caption, environment, save_picture, write_json
 
 # isort: split
 import argparse
@@ -30,7 +30,6 @@ from ogm.deep import LITE
 from ogm.deep.recipe import Recipe
 from ogm.deep.training import train
 from ogm.evaluation import evaluate
-from ogm.files import atomic_write
 from ogm.metrics import METRICS
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.32)
@@ -116,9 +115,7 @@ def picture(path: Path, record: Mapping[str, Any]) -> None:
         ax.set_yticks(range(len(names)), names, fontsize=7)
         ax.tick_params(axis="x", labelsize=7)
     ax.invert_yaxis()  # of all: they share it
-    figure.suptitle(caption(record), fontsize=6)
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=130)
+    save_picture(figure, path, caption(record), dpi=130)
 
 
 if __name__ == "__main__":

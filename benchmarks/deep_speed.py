@@ -138,8 +138,7 @@ def picture(path: Path, median: Mapping[str, float], record: Mapping[str, Any]) 
         ax.set_yticks([0, 1], [f"{name}\n{1000 / whole:.1f} scans/s", "RayISM"])
         ax.set_xlabel("ms per scan of 57,600 points")
         ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), ncol=2, fontsize=8)
-    figure.suptitle(bench.caption(record), fontsize=6)
-    figure.savefig(path, dpi=130)
+    bench.save_picture(figure, path, bench.caption(record), dpi=130)
 
 
 def main() -> None:

@@ -45,14 +45,9 @@ def scans(sequence: int, frames: int) -> tuple[Trajectory, list[tuple[NDArray, N
         stamps.append(moment(plan, "sequences", i).time)
         poses.append(here.T_world_sensor)
         for moves in (1.0, 0.0):
-            cast = scan(
-                here.world.scene,
-                here.spec,
-                here.T_world_sensor,
-                np.random.default_rng(i),
-                velocity=moves * np.asarray(here.state.ego_velocity, float),
-                yaw_rate=moves * float(here.state.ego_yaw_rate),
-            )
+            rng, motion = np.random.default_rng(i), moves * np.asarray(here.state.ego_velocity, float)
+            turn = moves * float(here.state.ego_yaw_rate)
+            cast = scan(here.world.scene, here.spec, here.T_world_sensor, rng, velocity=motion, yaw_rate=turn)
             points, layer, column = to_points(cast, here.spec)
             static = cast.object[layer, column] == -1
             points = points[static, :3]
@@ -126,15 +121,8 @@ def filtered(drives: int) -> dict[str, Any]:
         deviation = np.array([0.5, 0.5, 0.05, 0.5, 0.05])
         start = states[0] + rng.normal(size=5) * deviation
         for name in ("filter", "dead reckoning"):
-            ego = EgoMotion(
-                0.0,
-                pose(start[0], start[1], yaw=start[2]),
-                speed=start[3],
-                yaw_rate=start[4],
-                deviation=tuple(deviation),
-                acceleration=1.0,
-                yaw_acceleration=0.2,
-            )
+            noise = {"deviation": tuple(deviation), "acceleration": 1.0, "yaw_acceleration": 0.2}
+            ego = EgoMotion(0.0, pose(*start[:2], yaw=start[2]), speed=start[3], yaw_rate=start[4], **noise)
             used = measured if name == "filter" else [one for one in measured if one[1] != "position"]
             taken = [getattr(ego, kind)(t, value, sigma) for t, kind, value, sigma in used]
             rows[name].append(rmse(ego.filtered(), states))

@@ -22,21 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn import metrics as peer
 
-from ogm import GridSpec
+from ogm import GridSpec, metrics
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import FusedMethod, MethodRunner, SingleScanMethod, evaluate, write_report
-from ogm.metrics import (
-    METRICS,
-    accumulate,
-    by_range,
-    distances,
-    free_space,
-    intervals,
-    precision_recall,
-    reliability,
-    risk_coverage,
-    score,
-)
 
 SPEC = GridSpec.centered()
 MODELS, RULE = ("height-band", "ray", "lite"), "cautious"
@@ -46,16 +34,16 @@ WANTED = {"all metrics of a frame [ms]": 60.0, "report, 100 frames x 5 methods [
 
 def everything(mass: NDArray[np.float32], state: NDArray[np.uint8], away: NDArray[np.float32]) -> None:
     """Compute all metrics of a grid, with curves and ranges."""
-    counts = accumulate(mass, state, away)
-    score(counts)
-    by_range(counts)
+    counts = metrics.accumulate(mass, state, away)
+    metrics.score(counts)
+    metrics.by_range(counts)
     for which in ("all", "predicted_known", "relative"):
-        reliability(counts, which)  # type: ignore[arg-type]
-    intervals(counts)
-    risk_coverage(counts)
-    free_space(counts)
-    precision_recall(counts, 0)
-    precision_recall(counts, 1)
+        metrics.reliability(counts, which)  # type: ignore[arg-type]
+    metrics.intervals(counts)
+    metrics.risk_coverage(counts)
+    metrics.free_space(counts)
+    metrics.precision_recall(counts, 0)
+    metrics.precision_recall(counts, 1)
 
 
 def few(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> None:
@@ -74,10 +62,10 @@ def few(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> None:
 
 def contenders(mass: NDArray[np.float32], state: NDArray[np.uint8]) -> dict[str, Contender]:
     """Return what is timed on one frame."""
-    away = distances(SPEC)
+    away = metrics.distances(SPEC)
     return {
         "copy": Contender(lambda _: (mass.copy(), state.copy(), away.copy())),
-        f"all {len(METRICS)} metrics, curves, ranges": Contender(lambda _: everything(mass, state, away)),
+        f"all {len(metrics.METRICS)} metrics, curves, ranges": Contender(lambda _: everything(mass, state, away)),
         "scikit-learn, five metrics": Contender(lambda _: few(mass, state)),
     }
 

@@ -21,7 +21,7 @@ Definitions, see `_fusion_drives`:
 * appears: share of cells under a moving participant that are occupied in the map (P > 1/2) at the first scan that is.
 """
 
-from _run import ROOT, caption, environment, write_json
+from _run import ROOT, caption, environment, save_picture, write_json
 
 # isort: split
 import argparse
@@ -39,7 +39,6 @@ from ogm import EvidentialGrid
 from ogm.datasets import open_dataset
 from ogm.evaluation import bootstrap_mean, bootstrap_ratio, model_factory
 from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
-from ogm.files import atomic_write
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, map_scans
 from ogm.metrics import accumulate, score
 from ogm.scan import PerMount
@@ -180,9 +179,7 @@ def draw(path: Path, ages: dict[str, NDArray[np.float64]], rows: dict[str, Any],
     first.set_ylabel("cells still occupied, P > 1/2 [%]")
     second.set(xlabel="ghost area behind a moving participant [m²]", ylabel="IoU of static occupied cells [%]")
     second.legend(fontsize=8)
-    figure.supxlabel(note, fontsize=7.5, color="#555555")
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=110)
+    save_picture(figure, path, note)
 
 
 def main() -> None:

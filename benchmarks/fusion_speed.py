@@ -6,7 +6,8 @@ One core, 512 x 352 cells, the pose turned and moved in every scan. Writes bench
 docs/pictures/fusion_speed.png.
 """
 
-from _run import FLOOR, OURS, PEER, PICTURES, RESULTS, TWIN, Contender, Times, caption, environment, measure, write_json
+import _run as run  # first: it sets the number of threads
+from _contenders import street
 
 # isort: split
 import argparse
@@ -22,11 +23,9 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy import ndimage
-from speed import street
 
 from ogm import EvidentialGrid, GridSpec, Mount
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious, yager
-from ogm.files import atomic_write
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, warp
 from ogm.geometric import RayISM
 from ogm.pose import inverse, pose
@@ -54,35 +53,33 @@ def drive() -> Callable[[], tuple[NDArray[np.float64], float]]:
     return next_pose
 
 
-def updating(mapper: Any, grid: EvidentialGrid) -> Contender:
-    def run(at: tuple[NDArray[np.float64], float]) -> None:
+def updating(mapper: Any, grid: EvidentialGrid) -> run.Contender:
+    def step(at: tuple[NDArray[np.float64], float]) -> None:
         mapper.update(grid, at[0], stamp=at[1])
 
-    return Contender(run, drive())
+    return run.Contender(step, drive())
 
 
-def by_scipy(grid: EvidentialGrid) -> Contender:
+def by_scipy(grid: EvidentialGrid) -> run.Contender:
     """Return the common way: a map in the vehicle's frame, interpolated from scan to scan."""
     ahead = drive()
     T_last, stamp_last = ahead()
     mass = grid.mass.copy()
     middle = np.array([SPEC.shape[0] / 2, SPEC.shape[1] / 2])
 
-    def run(at: tuple[NDArray[np.float64], float]) -> None:
+    def step(at: tuple[NDArray[np.float64], float]) -> None:
         nonlocal mass, T_last, stamp_last
         T, stamp = at
         back = inverse(T_last) @ T
         shift = middle + back[:2, 3] / SPEC.resolution - back[:2, :2] @ middle
-        warped = np.stack(
-            [ndimage.affine_transform(mass[..., k], back[:2, :2], shift, order=1) for k in (0, 1)], axis=-1
-        )
-        mass = dempster(discount(warped, 0.5 ** ((stamp - stamp_last) / 2.0)), grid.mass)
+        warped = [ndimage.affine_transform(mass[..., k], back[:2, :2], shift, order=1) for k in (0, 1)]
+        mass = dempster(discount(np.stack(warped, axis=-1), 0.5 ** ((stamp - stamp_last) / 2.0)), grid.mass)
         T_last, stamp_last = T, stamp
 
-    return Contender(run, ahead)
+    return run.Contender(step, ahead)
 
 
-def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
+def contenders(points: NDArray[np.float32]) -> dict[str, run.Contender]:
     ism = RayISM(SPEC, Mount(HEIGHT))
     grid = ism(points)
     arrays = [(np.zeros_like(grid.mass), np.empty_like(grid.mass)) for _ in range(3)]
@@ -91,8 +88,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
         for source, target in arrays:
             np.copyto(target, source)
 
-    mapper = EvidentialMapper(SPEC)
-    whole = EvidentialMapper(SPEC)
+    mapper, whole = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
 
     def stream(at: tuple[NDArray[np.float64], float]) -> None:
         whole.update(ism(points), at[0], stamp=at[1])
@@ -100,7 +96,7 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
     mapper.update(grid, pose(yaw=0.3), stamp=0.0)
     fixed = mapper.grid
     return {
-        "copy": Contender(copy),
+        "copy": run.Contender(copy),
         "update, default": updating(EvidentialMapper(SPEC), grid),
         "update, dempster": updating(EvidentialMapper(SPEC, dempster), grid),
         "update, yager": updating(EvidentialMapper(SPEC, yager), grid),
@@ -109,11 +105,11 @@ def contenders(points: NDArray[np.float32]) -> dict[str, Contender]:
         "update, BinaryBayesMapper": updating(BinaryBayesMapper(SPEC), grid),
         "update, numpy reference": updating(EvidentialMapper(SPEC, lambda a, b: normalized_cautious(a, b)), grid),
         "scipy": by_scipy(grid),
-        "view, nearest": Contender(lambda _: mapper.view(SPEC)),
-        "view, area": Contender(lambda _: mapper.view(SPEC, method="area")),
-        "warp of the map, nearest": Contender(lambda _: warp(fixed, SPEC, pose(1, 2, yaw=0.4), "nearest")),
-        "RayISM": Contender(lambda _: ism(points)),
-        "RayISM + update": Contender(stream, drive()),
+        "view, nearest": run.Contender(lambda _: mapper.view(SPEC)),
+        "view, area": run.Contender(lambda _: mapper.view(SPEC, method="area")),
+        "warp of the map, nearest": run.Contender(lambda _: warp(fixed, SPEC, pose(1, 2, yaw=0.4), "nearest")),
+        "RayISM": run.Contender(lambda _: ism(points)),
+        "RayISM + update": run.Contender(stream, drive()),
     }
 
 
@@ -153,15 +149,11 @@ def long_drive(points: NDArray[np.float32], scans: int) -> dict[str, Any]:
 
 
 def resident() -> float:
-    """Return the memory that the process holds now [MB]; at most it has held, where that is all the system tells."""
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return pages * resource.getpagesize() / 1e6
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    """Return the memory that the process holds now [MB] (Linux)."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() / 1e6
 
 
-def verdicts(times: Mapping[str, Times], drive: Mapping[str, Any]) -> list[dict[str, Any]]:
+def verdicts(times: Mapping[str, run.Times], drive: Mapping[str, Any]) -> list[dict[str, Any]]:
     update, copy = times["update, default"].median, times["copy"].median
     rate = 1e3 / times["RayISM + update"].median
     rows = [
@@ -177,7 +169,7 @@ def verdicts(times: Mapping[str, Times], drive: Mapping[str, Any]) -> list[dict[
     ]
 
 
-def report(record: Mapping[str, Any], times: Mapping[str, Times]) -> None:
+def report(record: Mapping[str, Any], times: Mapping[str, run.Times]) -> None:
     copy = times["copy"].median
     for name, one in times.items():
         print(f"{name:36} {one!s:>34}   {one.median / copy:7.2f} x copy   on core {one.on_core:.2f}")
@@ -191,13 +183,14 @@ def report(record: Mapping[str, Any], times: Mapping[str, Times]) -> None:
         print(f"{'ok    ' if row['met'] else 'MISSED'} {line}")
 
 
-def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -> None:
+def picture(record: Mapping[str, Any], times: Mapping[str, run.Times], path: Path) -> None:
     figure = Figure(figsize=(12.5, 5.4), layout="constrained")
     bars, line = figure.subplots(1, 2, width_ratios=(1.35, 1))
     names = list(times)[::-1]
-    colours = {"copy": FLOOR, "scipy": PEER, "update, numpy reference": TWIN, "update, BinaryBayesMapper": PEER}
+    others = {"copy": run.FLOOR, "update, numpy reference": run.TWIN}
+    colours = others | dict.fromkeys(("scipy", "update, BinaryBayesMapper"), run.PEER)
     values = [times[name].median for name in names]
-    bars.barh(names, values, color=[colours.get(name, OURS) for name in names])
+    bars.barh(names, values, color=[colours.get(name, run.OURS) for name in names])
     for y, value in enumerate(values):
         bars.text(value * 1.06, y, f"{value:.2f} ms" if value < 10 else f"{value:.0f} ms", va="center", fontsize=9)
     bars.set(xscale="log", xlabel="time per call [ms], median", title="one scan, 512 x 352 cells")
@@ -206,17 +199,15 @@ def picture(record: Mapping[str, Any], times: Mapping[str, Times], path: Path) -
     bars.text(2.0, len(names) - 0.35, "2 ms", ha="center", fontsize=8, color="0.4")
     drive = record["long drive"]
     medians = drive["medians of hundreds [ms]"]
-    line.plot((np.arange(len(medians)) + 0.5) * LAST, medians, color=OURS, lw=1.2)
+    line.plot((np.arange(len(medians)) + 0.5) * LAST, medians, color=run.OURS, lw=1.2)
     line.set(xlabel="scans", ylabel="median of a hundred updates [ms]", ylim=(0, None))
     line.set_title(f"a drive of {drive['scans']} scans, {drive['km']:.0f} km")
     memory = line.twinx()
-    memory.plot(np.linspace(0, drive["scans"], len(drive["memory [MB]"])), drive["memory [MB]"], color=PEER, lw=1.2)
+    memory.plot(np.linspace(0, drive["scans"], len(drive["memory [MB]"])), drive["memory [MB]"], color=run.PEER, lw=1.2)
     memory.set_ylim(0, None)
-    memory.set_ylabel("memory of the process [MB]", color=PEER)
-    memory.tick_params(axis="y", colors=PEER)
-    figure.text(0.005, -0.02, caption(record["environment"]), fontsize=7, color="0.4")
-    with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=110, bbox_inches="tight")
+    memory.set_ylabel("memory of the process [MB]", color=run.PEER)
+    memory.tick_params(axis="y", colors=run.PEER)
+    run.save_picture(figure, path, run.caption(record["environment"]))
 
 
 def main() -> None:
@@ -226,11 +217,11 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
     given = parser.parse_args()
     rounds, scans = (2, 400) if given.quick else (given.rounds, given.scans)
-    found = environment()
-    points = street(POINTS, sensor_height=HEIGHT)
+    found = run.environment()
+    points = street(POINTS)
     rivals = contenders(points)
-    alone = measure({name: rivals[name] for name in ("copy", "update, default")}, rounds)
-    times = measure(rivals, rounds)
+    alone = run.measure({name: rivals[name] for name in ("copy", "update, default")}, rounds)
+    times = run.measure(rivals, rounds)
     far = long_drive(points, scans)
     record = {
         "environment": found,
@@ -245,8 +236,8 @@ def main() -> None:
     print(f"alone, with warm caches: copy {alone['copy']}, update {alone['update, default']}")
     report(record, times)
     if not given.quick:
-        write_json(RESULTS / "fusion_speed.json", record)
-        picture(record, times, PICTURES / "fusion_speed.png")
+        run.write_json(run.RESULTS / "fusion_speed.json", record)
+        picture(record, times, run.PICTURES / "fusion_speed.png")
 
 
 if __name__ == "__main__":

@@ -40,9 +40,6 @@ NOTE = (
 )
 
 
-# --- Methods: points in, height above ground or obstacles out ----------------------------------------
-
-
 def heights(estimate: Callable[..., NDArray[np.float32]], scan: LabelledScan) -> NDArray[np.float32]:
     """Return the height of a scan's points above the estimated ground [m]."""
     xyz = scan.points[:, :3]
@@ -57,9 +54,6 @@ def patchwork_obstacles(scan: LabelledScan) -> NDArray[np.bool_]:
     obstacle = np.ones(len(scan.points), bool)
     obstacle[np.asarray(estimator.getGroundIndices(), np.int64)] = False
     return obstacle
-
-
-# --- Scores ------------------------------------------------------------------------------------------
 
 
 def count(obstacle: NDArray[np.bool_], ground: NDArray[np.bool_], predicted: NDArray[np.bool_]) -> NDArray:
@@ -132,9 +126,6 @@ def timing(scans: list[LabelledScan], rounds: int, with_patchwork: bool) -> dict
     return result
 
 
-# --- Report ------------------------------------------------------------------------------------------
-
-
 def report(record: dict[str, Any]) -> None:
     """Print the result."""
     kinds = [f"{kind} {what}" for kind in ("obstacle", "ground") for what in ("precision", "recall", "F1")]
@@ -174,9 +165,7 @@ def picture(record: dict[str, Any], path: Path) -> None:
         ax.set_ylim(bottom - 0.4 * (100 - bottom), 100.3)
     _boxes(axes[-1], record["boxes"])
     figure.suptitle("Obstacle or ground? Every labelled return within 81.92 x 56.32 m", fontsize=13)
-    figure.supxlabel(run.caption(record), fontsize=7.5, color="#555555")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    run.save_picture(figure, path, run.caption(record))
 
 
 def _place(s: dict[str, float]) -> tuple[float, float]:
@@ -211,9 +200,6 @@ def _boxes(ax: Any, boxes: dict[str, Any]) -> None:
     ax.set(ylim=(0, 118), yticks=range(0, 101, 20), ylabel="recall of obstacle returns [%]")
     ax.set_title("Returns on boxed objects (> 0.1 m up)", fontsize=11)
     ax.legend(fontsize=8, loc="upper right", ncols=3)
-
-
-# --- Command -----------------------------------------------------------------------------------------
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ Frames are taken for independent of each other. They are one drive's, one second
 intervals are rather too narrow than too wide, and nothing in the figures can tell how much.
 """
 
-from _run import DATA, PICTURES, RESULTS, caption, environment, write_json
+from _run import DATA, PICTURES, RESULTS, caption, environment, save_picture, write_json
 
 # isort: split
 import argparse
@@ -21,26 +21,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import _paper_facts as read
 import numpy as np
-from _paper_facts import (
-    Curves,
-    bound,
-    demixed,
-    described,
-    observed,
-    order,
-    read_curves,
-    scale_as_named,
-    scale_as_released,
-    shares,
-    turned,
-    versus,
-)
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ogm import GridSpec
-from ogm.files import atomic_write
 
 CITED = (
     "R. van Kempen, B. Lampe, T. Woopen, L. Eckstein: A Simulation-based End-to-End Learning Framework for "
@@ -66,32 +52,32 @@ CANNOT = (
 )
 
 
-def facts(curves: Curves, rng: np.random.Generator) -> dict[str, Any]:
+def facts(curves: read.Curves, rng: np.random.Generator) -> dict[str, Any]:
     """Return everything that is read off the curves."""
-    own, limit = demixed(curves), bound()
+    own, limit = read.demixed(curves), read.bound()
     return {
         "frames": len(curves.kl),
-        "curves": described(curves),
-        "masses": shares(curves, rng),
-        "the geometric model's masses, if an observed cell has 1/3": observed(curves),
-        "KL, deep against geometric as plotted": versus(curves.kl, curves.kl_geo, rng),
-        "KL, deep against geometric de-mixed (2 g - d)": versus(curves.kl, own, rng),
+        "curves": read.described(curves),
+        "masses": read.shares(curves, rng),
+        "the geometric model's masses, if an observed cell has 1/3": read.observed(curves),
+        "KL, deep against geometric as plotted": read.versus(curves.kl, curves.kl_geo, rng),
+        "KL, deep against geometric de-mixed (2 g - d)": read.versus(curves.kl, own, rng),
         "geometric de-mixed": {"mean": own.mean(), "least": own.min(), "most": own.max()},
-        "is it time?": order(curves, rng),
+        "is it time?": read.order(curves, rng),
         "is it a Dirichlet KL with labels of evidence 1?": {
             "largest possible value of a cell, geometric evidence in [0, 1]": limit,
             "frames whose plotted mean exceeds it": int((curves.kl_geo > limit + 1e-6).sum()),
             "largest plotted mean": curves.kl_geo.max(),
         },
-        "evidence of a label if it is a Dirichlet KL": scale_as_named(curves),
-        "evidence of a label if it is what the released code computes": scale_as_released(curves, rng),
-        "turning a label of 512 x 352 cells leaves without a label": turned(LABEL, 40.0),
+        "evidence of a label if it is a Dirichlet KL": read.scale_as_named(curves),
+        "evidence of a label if it is what the released code computes": read.scale_as_released(curves, rng),
+        "turning a label of 512 x 352 cells leaves without a label": read.turned(LABEL, 40.0),
         "what the figures show": SHOWS,
         "what they cannot show": CANNOT,
     }
 
 
-def draw(path: Path, curves: Curves, found: dict[str, Any], note: str) -> None:
+def draw(path: Path, curves: read.Curves, found: dict[str, Any], note: str) -> None:
     """Draw both figures as published, and beside each what we read in it."""
     figure = Figure(figsize=(16, 10.5), layout="constrained")
     (masses, coverage), (kl, pairs) = figure.subplots(2, 2, width_ratios=(1.45, 1))
@@ -100,13 +86,10 @@ def draw(path: Path, curves: Curves, found: dict[str, Any], note: str) -> None:
     _kl(kl, curves, found)
     _pairs(pairs, curves, found)
     figure.suptitle("The paper's two result figures (van Kempen et al. 2021), re-plotted and re-read", fontsize=14)
-    figure.supxlabel(note, fontsize=7, color="#777777")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path, "wb") as file:
-        figure.savefig(file, format="png", dpi=110)
+    save_picture(figure, path, note)
 
 
-def _masses(axes: Axes, curves: Curves) -> None:
+def _masses(axes: Axes, curves: read.Curves) -> None:
     """Plot the figure of the mean masses."""
     for name, colour in (("unknown", "black"), ("free", "#1a9641"), ("occupied", "#c0202b")):
         deep, geo = curves._asdict()[name], curves._asdict()[f"{name}_geo"]
@@ -119,7 +102,7 @@ def _masses(axes: Axes, curves: Curves) -> None:
     axes.legend(ncols=3, loc="center", bbox_to_anchor=(0.5, 0.45), frameon=False, fontsize=9)
 
 
-def _coverage(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
+def _coverage(axes: Axes, curves: read.Curves, found: dict[str, Any]) -> None:
     """Plot the known share of the grid, the baseline's cells counted with another mass each."""
     seen = 3 * (1 - curves.unknown_geo)
     rank = np.argsort(curves.unknown)
@@ -136,7 +119,7 @@ def _coverage(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
     axes.legend(loc="upper right", frameon=False, fontsize=9)
 
 
-def _kl(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
+def _kl(axes: Axes, curves: read.Curves, found: dict[str, Any]) -> None:
     """Plot the figure of the divergence."""
     pair = found["KL, deep against geometric as plotted"]
     lost = np.array(pair["frames in which the second is lower"], int)
@@ -144,33 +127,21 @@ def _kl(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
     axes.plot(curves.kl, color=DEEP, lw=1.6, label=f"deep: mean {curves.kl.mean():.3f}")
     axes.plot(curves.kl_geo, color=GEO, lw=1.6, ls=":", label=f"geometric, as plotted: mean {curves.kl_geo.mean():.3f}")
     axes.plot(lost, curves.kl[lost] + 0.06, "v", color="#c0202b", label=f"{len(lost)} frames: geometric is lower")
-    axes.axhline(
-        1,
-        color="#777777",
-        lw=0.8,
-        label=f"bound of a Dirichlet KL: {impossible['frames whose plotted mean exceeds it']} means above it",
-    )
+    above = f"{impossible['frames whose plotted mean exceeds it']} means above it"
+    axes.axhline(1, color="#777777", lw=0.8, label=f"bound of a Dirichlet KL: {above}")
     lags = [abs(one["lag-1 correlation"]) for one in found["is it time?"].values()]
     axes.set(xlim=(0, 99), ylim=(0, 2.3), ylabel='"KL"', title="As published: Kullback-Leibler divergence")
     axes.set_xlabel(f'"time in seconds": no correlation with the next value beyond {max(lags):.2f}')
     axes.legend(loc="upper right", ncols=2, frameon=False, fontsize=9)
 
 
-def _pairs(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
+def _pairs(axes: Axes, curves: read.Curves, found: dict[str, Any]) -> None:
     """Plot the divergence of one model against that of the other."""
-    own, lost = demixed(curves), curves.kl_geo < curves.kl
+    own, lost = read.demixed(curves), curves.kl_geo < curves.kl
     axes.plot([0, 3], [0, 3], color="#777777", lw=0.8)
-    axes.plot(
-        curves.kl[~lost], curves.kl_geo[~lost], "o", ms=4.5, color=GEO, label=f"as plotted: deep lower, {(~lost).sum()}"
-    )
-    axes.plot(
-        curves.kl[lost],
-        curves.kl_geo[lost],
-        "v",
-        ms=6,
-        color="#c0202b",
-        label=f"as plotted: geometric lower, {lost.sum()}",
-    )
+    for kept, sign, size, colour, which in ((~lost, "o", 4.5, GEO, "deep"), (lost, "v", 6, "#c0202b", "geometric")):
+        label = f"as plotted: {which} lower, {kept.sum()}"
+        axes.plot(curves.kl[kept], curves.kl_geo[kept], sign, ms=size, color=colour, label=label)
     axes.plot(curves.kl, own, "x", ms=4.5, color=OWN, label=f"geometric de-mixed, 2 g - d: mean {own.mean():.3f}")
     scale = found["evidence of a label if it is what the released code computes"]
     E = scale["E"]
@@ -180,10 +151,8 @@ def _pairs(axes: Axes, curves: Curves, found: dict[str, Any]) -> None:
     axes.set_xticks(ticks := (0.2, 0.5, 1, 2), [f"{tick:g}" for tick in ticks])
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
-    axes.set_title(
-        f"Re-read: evidence per observed cell {E['value']:.2f} ({E['low']:.2f} to {E['high']:.2f}), "
-        f"R² {scale['R2']:.2f}"
-    )
+    evidence = f"{E['value']:.2f} ({E['low']:.2f} to {E['high']:.2f})"
+    axes.set_title(f"Re-read: evidence per observed cell {evidence}, R² {scale['R2']:.2f}")
     axes.legend(loc="lower right", frameon=False, fontsize=9)
 
 
@@ -202,7 +171,7 @@ def main() -> None:
     record["source"] = CITED
     record["sha256 of the values"] = hashlib.sha256(options.curves.read_bytes()).hexdigest()
     record["seed"] = SEED
-    curves = read_curves(options.curves)
+    curves = read.read_curves(options.curves)
     found = facts(curves, np.random.default_rng(SEED))
     write_json(options.out, record | found)
     draw(options.picture, curves, found, caption(record))

@@ -5,15 +5,11 @@
 DATA and SEQ are data sets that `ogm simulate` made (see benchmarks/README.md): single frames, whose test split is
 another town than that of training, and drives of 10 s at 10 Hz. Compared are
 
-* in the test town, single frames, against the whole truth: height-band (the paper's baseline as its text describes it,
-  with evidence 10 and without the ego vehicle's returns), height-band-released (what its code does, see
-  `deep_quality`), ray, lite, and paper if weights are given;
+* in the test town, single frames, against the whole truth: the models of `deep_quality`, and paper if given;
 * on the drives, against what each frame itself can observe: each of these alone and fused over time by every rule of
   `ogm evaluate --fused`, with the mappers' defaults, and by plain Dempster (half-life 2 s for everything). All frames
-  are fused, every fifth is evaluated. The rules that run in numpy are left to ray and the networks. Rules at operating
-  points that were chosen for them, ghosts and clearing: see `fusion_quality`;
-* on real recordings, labelled cells only: each alone, and fused where there are poses, then against truth that is
-  made of later scans only.
+  are fused, every fifth is evaluated. The rules that run in numpy are left to ray and the networks;
+* on real recordings, labelled cells only: each alone, and fused where there are poses, against truth of later scans.
 
 All by `ogm.metrics`; means over frames, 95 % bootstrap intervals over drives where there are five or more, else over
 frames; every method is compared with height-band and ray frame by frame. Finished frames are kept in runs/quality: an

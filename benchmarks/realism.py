@@ -2,17 +2,16 @@
 
     python benchmarks/realism.py [--towns N] [--quick]
 
-Needs recordings that cannot be shipped; benchmarks/README.md says which and where they go. Writes
+Needs recordings that cannot be shipped; benchmarks/README.md names them and where they go. Writes
 benchmarks/results/realism.json, benchmarks/results/realism.md (the tables) and docs/pictures/realism.png. The same
 picture with a real scan and a published truth grid beside the simulated ones, which may not be passed on, goes to
 runs/realism/side_by_side.png.
 """
 
-from _run import DATA, PICTURES, RESULTS, ROOT, caption, environment, write_json
+from _run import DATA, PICTURES, RESULTS, ROOT, caption, environment, save_picture, write_json
 
 # isort: split
 import argparse
-import importlib.metadata
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import pairwise
@@ -20,10 +19,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _sweep_statistics import EDGES, SPEC, Sweep, histograms, statistics
 from numpy.typing import NDArray
 
-from ogm import GridSpec, read_scan
-from ogm.geometric import ground_height, local_ground
+from ogm import Scan, read_scan
 from ogm.io import estimate_sensor_height, read_argoverse2
 from ogm.pose import inverse, pose
 from ogm.simulation.cells import measure_ground
@@ -32,49 +31,13 @@ from ogm.simulation.scene import EGO, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec
 from ogm.simulation.survey import Known, aimed_truth
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.traffic import Traffic, TrafficState, ego_vehicle
+from ogm.simulation.traffic import Traffic, ego_vehicle
 from ogm.state import CellState
 from ogm.truth import boxes_seen_from
 
 SIDE_BY_SIDE = ROOT / "runs" / "realism" / "side_by_side.png"
-SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
-COARSE = GridSpec.centered(length=120.0, width=120.0, resolution=1.0)
-REACH = 60.0  # [m] as far as the ground is estimated, and ground is separated from obstacles
-RAISED = 0.15  # [m] what lies higher above the estimated ground counts as obstacle
-BESIDE, OVERHEAD = 0.3, 2.0  # [m] obstacles that bound the free space lie between these heights
-JUMP, EDGE = 0.5, 1.0  # [m] between neighbours in a ring: another surface; an edge for mixed pixels
-STEP_OFF = 0.3  # [m] how far from both surfaces a mixed pixel lies
-SMOOTH = 0.15  # [m] neighbours in a ring on one smooth surface
-NEAR = 25.0  # [m] range noise is measured up to here
 FIRING = 55.296e-6  # [s] VLP-32C: from one firing of a laser to its next
-BANDS = (0, 5, 10, 20, 40, 80)  # [m] of range
-HEIGHTS = (0.15, 0.5, 1.0, 2.0, 4.0, 8.0, 60.0)  # [m] above ground
-ELEVATIONS = (-40, -12, -5, -1, 1, 6, 26)  # [deg]
-EDGES = {
-    "range [m]": np.arange(0.0, 82.5, 2.5),
-    "height above ground [m]": np.arange(-1.0, 8.2, 0.2),
-    "intensity, ground": np.arange(0.0, 132.0, 2.0),
-    "intensity, obstacle": np.arange(0.0, 132.0, 2.0),
-}
 COLOURS = ("#1b7837", "#2c5f9e")  # of simulated and real sweeps
-
-
-class Sweep(NamedTuple):
-    """One turn of one lidar, real or simulated, without returns from the ego vehicle."""
-
-    name: str
-    points: NDArray[np.float32]  # (N, 4) x, y, z in the sensor's frame [m], intensity [0, 255]
-    layer: NDArray[np.int64]  # (N,) 0 is the lowest
-    column: NDArray[np.int64]  # (N,) number of the firing within the turn
-    elevations: NDArray[np.float64]  # (layers,) [deg] ascending
-    columns: int  # firings in a turn
-    height: float  # [m] of the sensor above ground
-    ego: int = 0  # returns from the ego vehicle that were taken out
-    calibrated: bool = True  # intensities on the maker's 0 ... 255 scale of reflectivity
-    timed: bool = True  # columns from firing times; from azimuths otherwise, which makes false gaps
-
-
-# --- Real sweeps ------------------------------------------------------------------------------------
 
 
 def in_layers(ring: NDArray[Any], xyz: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -86,69 +49,61 @@ def in_layers(ring: NDArray[Any], xyz: NDArray[np.float32]) -> tuple[NDArray[np.
     return rank[index], np.sort(medians)
 
 
+def sweep_of(name: str, scan: Scan, ring: Any, column: Any, columns: int, kept: Any = ..., **known: Any) -> Sweep:
+    """Return the kept points of a scan as a sweep; its height is estimated where it is not given."""
+    points = scan.points[kept] * np.float32([1, 1, 1, 255])
+    points[:, :3] -= known.pop("origin", np.zeros(3)).astype(np.float32)
+    layer, elevations = in_layers(ring[kept], points)
+    height = known.pop("height", None) or estimate_sensor_height(points)
+    return Sweep(name, points, layer, column[kept], elevations, columns, height, **known)
+
+
+def firings(scan: Scan, period: float, columns: int) -> NDArray[np.int64]:
+    """Return the columns of points from their times and the time from a firing to the next [s]."""
+    return np.rint((scan.time - scan.time.min()) / period).astype(int).clip(0, columns - 1)
+
+
 def argoverse2() -> Iterator[Sweep]:
     """Both VLP-32C of one sweep, each seen from where it stands; columns from the firing times."""
     folder = DATA / "argoverse2_adcf"
     log = read_argoverse2(folder) if folder.is_dir() else None
     for path in log.sweeps if log else ():
-        sweep = read_scan(path)
-        ground = estimate_sensor_height(sweep.points)
-        for name, first in (("up_lidar", 0), ("down_lidar", 32)):
-            origin = log.lidars[name].astype(np.float32)
-            mine = (sweep.ring >= first) & (sweep.ring < first + 32)
-            points = sweep.points[mine] * np.float32([1, 1, 1, 255])
-            points[:, :3] -= origin
-            layer, elevations = in_layers(sweep.ring[mine], points)
-            column = np.rint((sweep.time[mine] - sweep.time.min()) / FIRING).astype(int).clip(0, 1807)
-            title = f"Argoverse 2, {'upper' if first == 0 else 'lower'}"
-            yield Sweep(title, points, layer, column, elevations, 1808, float(origin[2]) + ground)
+        scan = read_scan(path)
+        ground, column = estimate_sensor_height(scan.points), firings(scan, FIRING, 1808)
+        for title, name, first in (("upper", "up_lidar", 0), ("lower", "down_lidar", 32)):
+            origin, kept = log.lidars[name], (scan.ring >= first) & (scan.ring < first + 32)
+            place = {"origin": origin, "height": float(np.float32(origin[2])) + ground}
+            yield sweep_of(f"Argoverse 2, {title}", scan, scan.ring, column, 1808, kept, **place)
 
 
 def nuscenes() -> Iterator[Sweep]:
     """HDL-32E: the file holds every beam, those without a return as points at the sensor."""
     for path in sorted((DATA / "nuscenes_n015").glob("*.pcd.bin")):
-        sweep = read_scan(path, axes="nuscenes")
-        distance = np.linalg.norm(sweep.points[:, :3], axis=1)
-        kept = distance > 2.5
-        points = sweep.points[kept] * np.float32([1, 1, 1, 255])
-        layer, elevations = in_layers(sweep.ring[kept], points)
-        column = np.arange(len(kept)) // 32
+        scan = read_scan(path, axes="nuscenes")
+        distance = np.linalg.norm(scan.points[:, :3], axis=1)
+        column, kept = np.arange(len(distance)) // 32, distance > 2.5
         ego = int(((distance > 0.55) & ~kept).sum())
-        height = estimate_sensor_height(points)
-        yield Sweep("nuScenes", points, layer, column[kept], elevations, int(column[-1]) + 1, height, ego)
+        yield sweep_of("nuScenes", scan, scan.ring, column, int(column[-1]) + 1, kept, ego=ego)
 
 
 def kitti() -> Iterator[Sweep]:
     """HDL-64E: points in the order of the layers, each from azimuth 0 counter-clockwise; intensities not calibrated."""
-    paths = [
-        *sorted((DATA / "kitti_odometry_00").glob("000000.bin")),
-        *sorted((DATA / "kitti_object").glob("velodyne/*.bin")),
-        *sorted((DATA / "kitti_raw_0005").glob("*70.pcd.xz")),
-    ]
-    for path in paths:
-        points = read_scan(path).points * np.float32([1, 1, 1, 255])
-        azimuth = np.degrees(np.arctan2(points[:, 1], points[:, 0]))
-        (turns,) = np.nonzero((np.abs(azimuth[:-1] + 45) < 45) & (np.abs(azimuth[1:] - 45) <= 45))
-        turns = turns[np.diff(turns, prepend=-1) > 400] + 1
-        ring = np.searchsorted(turns, np.arange(len(points)), side="right")
-        layer, elevations = in_layers(ring, points)
-        column = (azimuth % 360 / 0.1728).astype(int)
-        height = estimate_sensor_height(points)
-        yield Sweep("KITTI", points, layer, column, elevations, 2083, height, calibrated=False, timed=False)
+    for pattern in ("kitti_odometry_00/000000.bin", "kitti_object/velodyne/*.bin", "kitti_raw_0005/*70.pcd.xz"):
+        for path in sorted(DATA.glob(pattern)):
+            scan = read_scan(path)
+            azimuth = np.degrees(np.arctan2(scan.points[:, 1], scan.points[:, 0]))
+            (turns,) = np.nonzero((np.abs(azimuth[:-1] + 45) < 45) & (np.abs(azimuth[1:] - 45) <= 45))
+            turns = turns[np.diff(turns, prepend=-1) > 400] + 1
+            ring = np.searchsorted(turns, np.arange(len(azimuth)), side="right")
+            column = (azimuth % 360 / 0.1728).astype(int)
+            yield sweep_of("KITTI", scan, ring, column, 2083, calibrated=False, timed=False)
 
 
 def pandar40() -> Iterator[Sweep]:
     """Hesai with 40 layers (SUSTechPOINTS); columns from the firing times."""
     for path in sorted((DATA / "sustechpoints").glob("lidar/*.pcd.xz")):
-        sweep = read_scan(path, axes=("-y", "+x", "+z"))
-        points = sweep.points * np.float32([1, 1, 1, 255])
-        layer, elevations = in_layers(sweep.ring, points)
-        column = np.rint((sweep.time - sweep.time.min()) / 55.5e-6).astype(int).clip(0, 1799)
-        height = estimate_sensor_height(points)
-        yield Sweep("Pandar40 (SUSTech)", points, layer, column, elevations, 1800, height)
-
-
-# --- Simulated sweeps -------------------------------------------------------------------------------
+        scan = read_scan(path, axes=("-y", "+x", "+z"))
+        yield sweep_of("Pandar40 (SUSTech)", scan, scan.ring, firings(scan, 55.5e-6, 1800), 1800)
 
 
 class Place(NamedTuple):
@@ -157,11 +112,6 @@ class Place(NamedTuple):
     seed: int
     clockwise: bool
     time: float  # [s]
-
-
-def places(towns: int, each: int) -> list[Place]:
-    """Spread scans over towns, both directions, and the way around."""
-    return [Place(seed, bool(n % 2), 25.0 + 13.0 * n) for seed in range(1, towns + 1) for n in range(each)]
 
 
 def simulated(
@@ -182,229 +132,20 @@ def simulated(
         for k, (name, (spec, height)) in enumerate(sensors.items()):
             rng = np.random.default_rng([place.seed, int(place.time), int(place.clockwise)])
             T = state.ego @ pose(0.0, 0.0, height)
-            image = scan(scene, spec, T, rng)
-            cells = true_states(scene, ground, T, spec, state, image.object) if k == 0 else None
-            yield name, sweep_of(image, spec, height, f"town {place.seed}"), cells
+            image, cells = scan(scene, spec, T, rng), None
+            if k == 0:
+                boxes = boxes_seen_from(inverse(T), [o.pose for o in state.objects], [o.size for o in state.objects])
+                returns = np.bincount(image.object[image.object >= 0], minlength=len(boxes))
+                below, span = measure_ground(ground, T, SPEC), (min(spec.elevations), max(spec.elevations))
+                cells = aimed_truth(scene, below, span, Known(boxes, returns)).state
+            points, layer, column = to_points(image, spec)
+            points[:, 3] = np.rint(255 * points[:, 3])
+            other = image.object[layer, column] != EGO
+            kept = points[other], layer[other], column[other], np.degrees(spec.elevations)
+            ego = int(np.count_nonzero(~other))
+            yield name, Sweep(f"town {place.seed}", *kept, image.range.shape[1], height, ego), cells
 
 
-def true_states(
-    scene: Scene, ground: Scene, T: NDArray[np.float64], spec: LidarSpec, state: TrafficState, hit: NDArray[Any]
-) -> NDArray[np.uint8]:
-    """Return the true states of the cells of `SPEC` around the sensor."""
-    boxes = boxes_seen_from(inverse(T), [one.pose for one in state.objects], [one.size for one in state.objects])
-    returns = np.bincount(hit[hit >= 0], minlength=len(state.objects))
-    span = (min(spec.elevations), max(spec.elevations))
-    below = measure_ground(ground, T, SPEC)
-    return aimed_truth(scene, below, span, Known(boxes, returns)).state
-
-
-def sweep_of(image: Any, spec: LidarSpec, height: float, name: str) -> Sweep:
-    """Turn a range image into a sweep."""
-    points, layer, column = to_points(image, spec)
-    other = image.object[layer, column] != EGO
-    points[:, 3] = np.rint(255 * points[:, 3])
-    shape, ego = image.range.shape, int(np.count_nonzero(~other))
-    elevations = np.degrees(spec.elevations)
-    return Sweep(name, points[other], layer[other], column[other], elevations, shape[1], height, ego)
-
-
-# --- Statistics -------------------------------------------------------------------------------------
-
-
-class View(NamedTuple):
-    """What several statistics need of a sweep."""
-
-    distance: NDArray[np.float32]  # (N,) from the sensor [m]
-    height: NDArray[np.float32]  # (N,) above the estimated ground [m]
-    ground: NDArray[np.bool_]  # (N,)
-    obstacle: NDArray[np.bool_]  # (N,)
-
-
-def view(sweep: Sweep) -> View:
-    """Estimate the ground, the same way in real and simulated sweeps."""
-    xyz = np.ascontiguousarray(sweep.points[:, :3])
-    distance = np.linalg.norm(xyz, axis=1)
-    surface = local_ground(xyz, COARSE, (0.0, 0.0, -sweep.height))
-    height = xyz[:, 2] - ground_height(surface, COARSE, xyz)
-    near = np.hypot(xyz[:, 0], xyz[:, 1]) < REACH
-    return View(distance, height, near & (height < RAISED) & (height > -REACH / 100), near & (height >= RAISED))
-
-
-def statistics(sweep: Sweep) -> dict[str, float]:
-    """Return everything that is compared, by name and unit."""
-    seen = view(sweep)
-    return {
-        **_returns(sweep, seen),
-        **_places(sweep, seen),
-        **_intensities(sweep, seen),
-        **_rings(sweep, seen),
-        **_surroundings(sweep, seen),
-    }
-
-
-def _returns(sweep: Sweep, seen: View) -> dict[str, float]:
-    beams = len(sweep.elevations) * sweep.columns
-    result = {
-        "returns [1000]": len(sweep.points) / 1e3,
-        "beams with a return [%]": 100 * len(sweep.points) / beams,
-        "... from the ego vehicle [%]": 100 * sweep.ego / beams,
-        "... from the ground [%]": 100 * np.count_nonzero(seen.ground) / beams,
-        "... from obstacles [%]": 100 * np.count_nonzero(seen.obstacle) / beams,
-        "... from beyond 60 m [%]": 100 * np.count_nonzero(np.hypot(*sweep.points[:, :2].T) >= REACH) / beams,
-    }
-    share = layer_shares(sweep)
-    for low, high in pairwise(ELEVATIONS):
-        chosen = (sweep.elevations >= low) & (sweep.elevations < high)
-        if chosen.any():
-            result[f"layers at {low} to {high} deg with a return [%]"] = 100 * float(share[chosen].mean())
-    return result
-
-
-def layer_shares(sweep: Sweep) -> NDArray[np.float64]:
-    """Return the share of firings with a return, for each layer [0, 1]."""
-    filled = np.zeros((len(sweep.elevations), sweep.columns), bool)
-    filled[sweep.layer, np.minimum(sweep.column, sweep.columns - 1)] = True
-    return filled.mean(axis=1)
-
-
-def _places(sweep: Sweep, seen: View) -> dict[str, float]:
-    result = {f"range p{q} [m]": np.percentile(seen.distance, q) for q in (5, 25, 50, 75, 95)}
-    for name, mask in (("ground", seen.ground), ("obstacle", seen.obstacle)):
-        if not mask.any():
-            continue
-        result |= {f"{name} range p{q} [m]": np.percentile(seen.distance[mask], q) for q in (50, 95)}
-    height = seen.height[seen.obstacle]
-    for low, high in pairwise(HEIGHTS):
-        share = np.count_nonzero((height >= low) & (height < high)) / max(len(height), 1)
-        result[f"obstacle returns {low:g} to {high:g} m up [%]"] = 100 * share
-    return {name: float(value) for name, value in result.items()}
-
-
-def _intensities(sweep: Sweep, seen: View) -> dict[str, float]:
-    if not sweep.calibrated:
-        return {}
-    intensity, result = sweep.points[:, 3], {}
-    for name, mask in (("ground", seen.ground), ("obstacle", seen.obstacle)):
-        if not mask.any():
-            continue
-        for q in (5, 25, 50, 75, 95, 99):
-            result[f"{name} intensity p{q} [0, 255]"] = float(np.percentile(intensity[mask], q))
-        result[f"{name} intensity above 100 [%]"] = 100 * float((intensity[mask] > 100).mean())
-        for low, high in pairwise(BANDS):
-            inside = mask & (seen.distance >= low) & (seen.distance < high)
-            if np.count_nonzero(inside) > 100:
-                result[f"{name} intensity at {low} to {high} m, median [0, 255]"] = float(np.median(intensity[inside]))
-    return result
-
-
-def _rings(sweep: Sweep, seen: View) -> dict[str, float]:
-    """Follow the rings from beam to beam: jumps, runs between them, noise, mixed pixels, gaps."""
-    jumps = edges = mixed = lone = 0
-    runs: list[NDArray[Any]] = []
-    noise: dict[str, list[NDArray[Any]]] = {"ground": [], "obstacles": []}
-    gaps = {name: [0, 0] for name in ("ground", "obstacles")}
-    for k in range(len(sweep.elevations)):
-        (members,) = np.nonzero(sweep.layer == k)
-        if len(members) < 100:
-            continue
-        column, first = np.unique(sweep.column[members], return_index=True)
-        members = members[first]
-        distance, ground, obstacle = (seen.distance[members], seen.ground[members], seen.obstacle[members])
-        step, rise = np.diff(column), np.diff(distance)
-        breaks = (np.abs(rise) > JUMP) | (step > 2)
-        jumps += np.count_nonzero(breaks & (step <= 2))
-        runs.append(np.diff(np.flatnonzero(np.r_[True, breaks, True])))
-
-        # Noise: third differences cancel any smooth surface, and leave sqrt(20) of the noise of one return.
-        small = (np.abs(rise) < SMOOTH) & (step == 1)
-        calm = small[:-2] & small[1:-1] & small[2:] & (distance[1:-2] < NEAR)
-        third = np.diff(rise, 2)
-        noise["ground"].append(third[calm & ground[1:-2]])
-        noise["obstacles"].append(third[calm & obstacle[1:-2]])
-
-        # Of five neighbours, two on either side of an edge: does the middle one lie between both surfaces?
-        # An edge without such a return is met twice.
-        flat = (np.abs(rise) < STEP_OFF) & (step == 1)
-        low, high = np.minimum(distance[1:-3], distance[3:-1]), np.maximum(distance[1:-3], distance[3:-1])
-        edge = flat[:-3] & flat[3:] & (step[1:-2] == 1) & (step[2:-1] == 1) & (high - low > EDGE)
-        middle = distance[2:-2]
-        edges += np.count_nonzero(edge)
-        mixed += np.count_nonzero(edge & (middle > low + STEP_OFF) & (middle < high - STEP_OFF))
-
-        # Of three, is the middle one off the surface of both others?
-        beside = (step[:-1] == 1) & (step[1:] == 1) & (np.abs(distance[2:] - distance[:-2]) < STEP_OFF)
-        lone += np.count_nonzero(beside & (np.abs(rise[:-1]) > JUMP) & (np.abs(rise[1:]) > JUMP))
-
-        for name, mask in (("ground", ground), ("obstacles", obstacle)):
-            surface = mask[:-1] & mask[1:] & (np.abs(rise) < SMOOTH) & (step <= 6)
-            gaps[name][0] += int((step[surface] - 1).sum())
-            gaps[name][1] += int(step[surface].sum())
-    length = np.concatenate(runs)
-    total = len(sweep.points)
-    result = {
-        "jumps > 0.5 m per ring": jumps / len(runs),
-        "jumps > 0.5 m per 1000 returns": 1e3 * jumps / total,
-        "median return lies in a run of [beams]": float(np.median(np.repeat(length, length))),
-        "quarter of returns lie in runs up to [beams]": float(np.percentile(np.repeat(length, length), 25)),
-        "mixed pixels per 1000 clean edges > 1 m": 2e3 * mixed / max(edges + mixed, 1),
-        "lone returns per 1000": 1e3 * lone / total,
-    }
-    for name, parts in noise.items():
-        third = np.concatenate(parts)
-        if len(third) > 100:
-            result[f"range noise on {name} [mm]"] = 1e3 * 1.4826 * float(np.median(np.abs(third))) / 20**0.5
-    if sweep.timed:
-        for name, (missing, beams) in gaps.items():
-            result[f"beams missing on smooth {name} [%]"] = 100 * missing / max(beams, 1)
-    return result
-
-
-def _surroundings(sweep: Sweep, seen: View) -> dict[str, float]:
-    """How far the free space reaches, how the ground undulates, how many cells are hit."""
-    x, y, z = sweep.points[:, :3].T.astype(np.float64)
-    distance = np.hypot(x, y)
-    wall = (seen.height > BESIDE) & (seen.height < OVERHEAD)
-    nearest = np.full(360, np.inf)
-    sector = np.degrees(np.arctan2(y[wall], x[wall])).astype(int) % 360
-    np.minimum.at(nearest, sector, distance[wall])
-    result = {
-        f"nearest obstacle, sectors of 1 deg, p{q} [m]": float(np.percentile(np.minimum(nearest, 99.0), q))
-        for q in (5, 25, 50, 75)
-    }
-    result["sectors without obstacle within 40 m [%]"] = 100 * float((nearest > 40).mean())
-    for reach in (20, 40):
-        chosen = seen.ground & (distance < reach)
-        if np.count_nonzero(chosen) > 100:
-            A = np.column_stack([x[chosen], y[chosen], np.ones(np.count_nonzero(chosen))])
-            plane, *_ = np.linalg.lstsq(A, z[chosen], rcond=None)
-            result[f"ground within {reach} m, slope of its plane [%]"] = 100 * float(np.hypot(*plane[:2]))
-            rms = float(np.std(z[chosen] - A @ plane))
-            result[f"ground within {reach} m, rms off its plane [cm]"] = 100 * rms
-    inside = SPEC.contains(x, y)
-    low, high = np.zeros(SPEC.shape, bool), np.zeros(SPEC.shape, bool)
-    cell = SPEC.index(x[inside], y[inside])
-    for grid, mask in ((low, seen.height < RAISED), (high, (seen.height >= RAISED) & (seen.height < OVERHEAD))):
-        chosen = mask[inside]
-        grid[cell[0][chosen], cell[1][chosen]] = True
-    result["cells with an obstacle return [%]"] = 100 * float(high.mean())
-    result["cells with ground returns only [%]"] = 100 * float((low & ~high).mean())
-    return result
-
-
-def histograms(sweep: Sweep) -> dict[str, NDArray[np.float64]]:
-    """Return the shares of returns between `EDGES`."""
-    seen = view(sweep)
-    near = seen.ground | seen.obstacle
-    values = {"range [m]": seen.distance, "height above ground [m]": seen.height[near]}
-    if sweep.calibrated:
-        values["intensity, ground"] = sweep.points[seen.ground, 3]
-        values["intensity, obstacle"] = sweep.points[seen.obstacle, 3]
-    return {name: np.histogram(value, EDGES[name])[0] / max(len(value), 1) for name, value in values.items()}
-
-
-# --- Truth ------------------------------------------------------------------------------------------
-
-STATES = ("free", "occupied", "unknown")
 PUBLISHED = {"free": (25, 36), "occupied": (0.9, 2.5), "unknown": (63, 74)}  # [%] of labels that were published
 RADII = (0, 3, 6, 10, 15, 20, 30, 50)  # [m]
 
@@ -429,20 +170,16 @@ def truth_shares(state: NDArray[np.uint8]) -> dict[str, float]:
     # Along rays from the sensor: what lies behind the first occupied cell?
     along = np.arange(3.5, 50.0, length / 2)
     azimuth = np.radians(np.arange(360))[:, None]
-    cell = [
-        np.floor(along * d / length + n / 2)
-        for d, n in zip((np.cos(azimuth), np.sin(azimuth)), state.shape, strict=True)
-    ]
-    inside = (cell[0] >= 0) & (cell[0] < state.shape[0]) & (cell[1] >= 0) & (cell[1] < state.shape[1])
-    met = state[tuple(np.where(inside, c, 0).astype(int) for c in cell)]
-    behind = inside & (np.cumsum(inside & (met == CellState.OCCUPIED), axis=1) > 0)
-    result["free of what lies behind the first occupied cell"] = (
-        100 * float((met[behind] == CellState.FREE).mean()) if behind.any() else 0.0
+    ix, iy = (
+        np.floor(along * way(azimuth) / length + n / 2) for way, n in zip((np.cos, np.sin), state.shape, strict=True)
     )
+    inside = (ix >= 0) & (ix < state.shape[0]) & (iy >= 0) & (iy < state.shape[1])
+    met = state[tuple(np.where(inside, index, 0).astype(int) for index in (ix, iy))]
+    behind = inside & (np.cumsum(inside & (met == CellState.OCCUPIED), axis=1) > 0)
+    share = float((met[behind] == CellState.FREE).mean()) if behind.any() else 0.0
+    result["free of what lies behind the first occupied cell"] = 100 * share
     return {"unknown": 100 - result["free"] - result["occupied"], **result}
 
-
-# --- Comparison -------------------------------------------------------------------------------------
 
 # Sensor of the simulator, its height above ground [m], and the recordings to compare with
 PANDAR40 = np.radians([*range(-16, -6), *np.linspace(-6, 2, 25), *range(3, 8)])
@@ -457,6 +194,11 @@ MARGIN = 1.25  # a simulated median this far beyond the real values is a differe
 FLOOR = 0.5  # or this much, in the statistic's own unit, where that is more
 
 
+def spread(values: list[float]) -> dict[str, float]:
+    low, median, high = np.percentile(values, (10, 50, 90)).tolist()
+    return {"median": median, "p10": low, "p90": high}
+
+
 def compare(real: Mapping[str, list[dict[str, float]]], fake: list[dict[str, float]]) -> dict[str, Any]:
     """Hold the statistics of simulated scans beside the medians of real sets.
 
@@ -464,29 +206,34 @@ def compare(real: Mapping[str, list[dict[str, float]]], fake: list[dict[str, flo
     sets by more than a quarter.
     """
     rows = {}
-    names = dict.fromkeys(name for sets in real.values() for one in sets for name in one)
-    for name in names:
-        made = [one[name] for one in fake if name in one]
-        if not made:
+    for name in dict.fromkeys(name for sets in real.values() for one in sets for name in one):
+        if not (made := [one[name] for one in fake if name in one]):
             continue
-        sets = {
-            key: float(np.median([one[name] for one in sweeps if name in one]))
-            for key, sweeps in real.items()
-            if any(name in one for one in sweeps)
-        }
-        low, median, high = (float(v) for v in np.percentile(made, (10, 50, 90)))
-        least, most = min(sets.values()), max(sets.values())
-        verdict = ""
-        if median < min(least / MARGIN, least - FLOOR):
-            verdict = "low"
-        if median > max(most * MARGIN, most + FLOOR):
-            verdict = "high"
-        rows[name] = {"real": sets, "simulated": {"median": median, "p10": low, "p90": high}, "verdict": verdict}
+        found = {key: [one[name] for one in sweeps if name in one] for key, sweeps in real.items()}
+        sets = {key: float(np.median(values)) for key, values in found.items() if values}
+        least, most, span = min(sets.values()), max(sets.values()), spread(made)
+        low = span["median"] < min(least / MARGIN, least - FLOOR)
+        high = span["median"] > max(most * MARGIN, most + FLOOR)
+        rows[name] = {"real": sets, "simulated": span, "verdict": "high" if high else "low" if low else ""}
     return rows
 
 
-def digits(value: float) -> str:
+def digits(value: float | None) -> str:
+    if value is None:
+        return ""
     return f"{value:.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 9.95 else f"{value:.2g}"
+
+
+def table(heads: list[str], rows: Mapping[str, list[Any]]) -> list[str]:
+    """Return a table in Markdown; a spread is written as its median and its ends."""
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for name, row in rows.items():
+        spans = (
+            f"{digits(one['median'])} ({digits(one['p10'])} to {digits(one['p90'])})" if isinstance(one, dict) else one
+            for one in row
+        )
+        lines.append(f"| {name} | {' | '.join(map(str, spans))} |")
+    return lines
 
 
 def tables(record: Mapping[str, Any]) -> str:
@@ -494,28 +241,17 @@ def tables(record: Mapping[str, Any]) -> str:
     lines = []
     for sensor, group in record["sensors"].items():
         sets = list(group["scans"])
-        lines += [f"### {sensor}", "", f"| | {' | '.join(sets)} | simulated, median (10 % to 90 %) | |"]
-        lines += ["|---" * (len(sets) + 3) + "|"]
-        counts = [f"{n}" for n in group["scans"].values()]
-        lines += [f"| scans | {' | '.join(counts)} | {group['simulated scans']} | |"]
-        for name, row in group["statistics"].items():
-            real = [digits(row["real"][key]) if key in row["real"] else "" for key in sets]
-            made = row["simulated"]
-            made = f"{digits(made['median'])} ({digits(made['p10'])} to {digits(made['p90'])})"
-            lines += [f"| {name} | {' | '.join(real)} | {made} | {row['verdict']} |"]
-        lines += [""]
-    lines += ["### Truth", "", "| cells [%] | published labels | one published label | aimed, median (10 % to 90 %) |"]
-    lines += ["|---" * 4 + "|"]
-    for name, row in record["truth"].items():
-        made = row["simulated"]
-        made = f"{digits(made['median'])} ({digits(made['p10'])} to {digits(made['p90'])})"
-        span = "{} to {}".format(*PUBLISHED[name]) if name in PUBLISHED else ""
-        label = digits(row["label"]) if row["label"] is not None else ""
-        lines += [f"| {name} | {span} | {label} | {made} |"]
-    return "\n".join(lines) + "\n"
-
-
-# --- Picture ----------------------------------------------------------------------------------------
+        rows = {"scans": [*group["scans"].values(), group["simulated scans"], ""]}
+        for name, one in group["statistics"].items():
+            rows[name] = [*(digits(one["real"].get(key)) for key in sets), one["simulated"], one["verdict"]]
+        heads = ["", *sets, "simulated, median (10 % to 90 %)", ""]
+        lines += [f"### {sensor}", "", *table(heads, rows), ""]
+    rows = {
+        name: ["{} to {}".format(*PUBLISHED[name]) if name in PUBLISHED else "", digits(one["label"]), one["simulated"]]
+        for name, one in record["truth"].items()
+    }
+    heads = ["cells [%]", "published labels", "one published label", "aimed, median (10 % to 90 %)"]
+    return "\n".join([*lines, "### Truth", "", *table(heads, rows)]) + "\n"
 
 
 def picture(
@@ -551,9 +287,7 @@ def picture(
         ax.set(xlabel=name, ylabel="returns [%]", yscale="log")
         ax.legend(fontsize=7)
     figure.suptitle(f"{sensor}, real and simulated", fontsize=14)
-    figure.supxlabel(caption(record), fontsize=7.5, color="#555555")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
+    save_picture(figure, path, caption(record), dpi=90)
 
 
 def range_picture(sweep: Sweep, columns: int = 1800) -> NDArray[np.float32]:
@@ -563,9 +297,6 @@ def range_picture(sweep: Sweep, columns: int = 1800) -> NDArray[np.float32]:
     image = np.full((len(sweep.elevations), columns), np.nan, np.float32)
     image[sweep.layer, np.floor((0.5 - turn) * columns + 0.25).astype(int) % columns] = np.linalg.norm(xyz, axis=1)
     return image[::-1]
-
-
-# --- Command ----------------------------------------------------------------------------------------
 
 
 def main() -> None:
@@ -578,19 +309,17 @@ def main() -> None:
     options = parser.parse_args()
     if min(options.towns, options.each) < 1:
         parser.error("--towns and --each must be at least 1")
-    where = places(1, 2) if options.quick else places(options.towns, options.each)
+    towns, each = (1, 2) if options.quick else (options.towns, options.each)
+    where = [Place(seed, bool(n % 2), 25.0 + 13.0 * n) for seed in range(1, towns + 1) for n in range(each)]
 
     record = environment()
-    record["versions"]["open3d"] = importlib.metadata.version("open3d")
     record["places"] = [list(place) for place in where]
-    real: dict[str, list[Sweep]] = {}
-    for sensor, (_, _, reader) in GROUPS.items():
-        real[sensor] = list(reader())
-        if not real[sensor]:
-            print(f"left out: {sensor}: no recording of it under {DATA}")
+    real = {sensor: list(reader()) for sensor, (_, _, reader) in GROUPS.items()}
+    for sensor in (sensor for sensor, sweeps in real.items() if not sweeps):
+        print(f"left out: {sensor}: no recording of it under {DATA}")
     sensors = {s: (spec, height) for s, (spec, height, _) in GROUPS.items() if real[s]}
     if not sensors:
-        print("nothing to compare with: benchmarks/README.md says which recordings are needed, and where")
+        print("nothing to compare with: benchmarks/README.md names the recordings that are needed, and where")
         return
     fake: dict[str, list[Sweep]] = {sensor: [] for sensor in sensors}
     truths = []
@@ -599,31 +328,25 @@ def main() -> None:
         if state is not None:
             truths.append(state)
 
-    record["sensors"] = {}
-    for sensor in sensors:
+    record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep in sweeps] for sensor, sweeps in fake.items()}
+    for sensor, ours in made.items():
         sets: dict[str, list[dict[str, float]]] = {}
         for sweep in real[sensor]:
             sets.setdefault(sweep.name, []).append(statistics(sweep))
-        made = [statistics(sweep) for sweep in fake[sensor]]
-        record["sensors"][sensor] = {
-            "scans": {name: len(sweeps) for name, sweeps in sets.items()},
-            "simulated scans": len(made),
-            "statistics": compare(sets, made),
-        }
+        counts = {name: len(sweeps) for name, sweeps in sets.items()}
+        record["sensors"][sensor] = {"scans": counts, "simulated scans": len(ours), "statistics": compare(sets, ours)}
     label = published_label()
-    shares = [truth_shares(state) for state in truths]
-    known = truth_shares(label) if label is not None else {}
-    record["truth"] = {}
-    for name in shares[0]:
-        low, median, high = np.percentile([one[name] for one in shares], (10, 50, 90)).tolist()
-        record["truth"][name] = {"label": known.get(name), "simulated": {"median": median, "p10": low, "p90": high}}
+    shares, known = [truth_shares(state) for state in truths], {} if label is None else truth_shares(label)
+    record["truth"] = {
+        name: {"label": known.get(name), "simulated": spread([one[name] for one in shares])} for name in shares[0]
+    }
     text = tables(record)
     print(text)
     write_json(options.out, record)
     options.out.with_suffix(".md").write_text(text)
     first = next(iter(sensors))
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
-    reach = [statistics(sweep)["nearest obstacle, sectors of 1 deg, p50 [m]"] for sweep in fake[first]]
+    reach = [one["nearest obstacle, sectors of 1 deg, p50 [m]"] for one in made[first]]
     chosen = int(np.argsort(reach)[len(reach) // 2])
     shown = {"simulated": (fake[first][chosen], truths[chosen])}
     sweeps = {"simulated": fake[first], "real": real[first]}

@@ -112,11 +112,9 @@ def scaling(plan: DatasetPlan, samples: int, folder: Path) -> dict[str, Any]:
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             rates[workers], size = pool.submit(made, workers, workers, plan, str(target)).result()
         print(f"{workers} worker(s): {rates[workers]:.2f} samples/s", flush=True)
-    files = [sorted(p.relative_to(folder / f"by{w}") for p in (folder / f"by{w}").rglob("*")) for w in CORES]
-    same = files[0] == files[1] and all(
-        (folder / "by1" / name).read_bytes() == (folder / "by2" / name).read_bytes()
-        for name in files[0]
-        if (folder / "by1" / name).is_file()
+    one, two = (
+        {path.relative_to(top): path.read_bytes() for path in top.rglob("*") if path.is_file()}
+        for top in (folder / "by1", folder / "by2")
     )
     return {
         "samples": samples,
@@ -124,20 +122,18 @@ def scaling(plan: DatasetPlan, samples: int, folder: Path) -> dict[str, Any]:
         "samples per second by two workers on two": round(rates[2], 3),
         "gain": round(rates[2] / rates[1], 3),
         "bytes per sample": round(size),
-        "the same bytes": same,
+        "the same bytes": one == two,
     }
 
 
 def read(path: str, first: int, step: int) -> tuple[int, float]:
     """Decode every step-th training sample to points and truth; return their number and the seconds."""
     split = Store.open(path)["training"]
-    points, truth = split[first].points, split[first].truth  # compiles, opens
-    del points, truth
+    split[first].points, split[first].truth  # noqa: B018  compiles, opens
     start = time.perf_counter()
-    total = 0
     for index in range(first, len(split), step):
         one = split[index]
-        total += len(one.points) + one.truth.state.size
+        one.points, one.truth.state  # noqa: B018  decoded
     return len(range(first, len(split), step)), time.perf_counter() - start
 
 
@@ -148,9 +144,8 @@ def reading(path: Path) -> dict[str, float]:
         with ProcessPoolExecutor(count, mp_context=get_context("spawn")) as pool:
             list(pool.map(read, [str(path)] * count, [0] * count, [10**9] * count))  # processes stand
             results = list(pool.map(read, [str(path)] * count, range(count), [count] * count))
-        rates[f"samples per second, {count} process{'es' if count > 1 else ''}"] = round(
-            sum(number / seconds for number, seconds in results), 1
-        )
+        rate = round(sum(number / seconds for number, seconds in results), 1)
+        rates[f"samples per second, {count} process{'es' if count > 1 else ''}"] = rate
     return rates
 
 

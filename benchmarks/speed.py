@@ -7,24 +7,9 @@ states what is compared, and what is not comparable about it. Writes benchmarks/
 docs/pictures/speed.png.
 """
 
+import _contenders as make
 import _run as run  # first: it sets the number of threads
-from _contenders import (
-    COPY,
-    HEIGHT_BAND,
-    KISS,
-    LOCAL,
-    NUMPY,
-    OCTOMAP,
-    PYTHON,
-    RAY,
-    STREET_HEIGHT,
-    NamedScan,
-    contenders,
-    peers,
-    real_scans,
-    street,
-    thinned,
-)
+from _contenders import COPY, HEIGHT_BAND, KISS, LOCAL, NUMPY, OCTOMAP, PYTHON, RAY, STREET_HEIGHT, NamedScan
 
 # isort: split
 import argparse
@@ -55,8 +40,6 @@ NOTE = """Read with care: OctoMap and the KISS-SLAM mapper are 3D mappers and do
 every voxel that a ray passes, in a tree or sparse grid that keeps a whole map, where ogm fills the cells of
 one 2D grid. The ratios show what a 2D evidential grid saves where it is enough, not that those are worse."""
 
-
-# --- Measurements ----------------------------------------------------------------------------------------
 
 FIRST_CALLS = """
 import json, time
@@ -89,9 +72,9 @@ def first_calls() -> dict[str, dict[str, float]]:
 
 def compare(scan: NamedScan, size: str, rounds: int) -> dict[str, Any]:
     """Time all contenders on one scan."""
-    points, mount, slow = thinned(scan.points, SIZES[size][0]), Mount(scan.sensor_height), size == "57.6k"
-    ours = contenders(SPEC, points, mount, slow)
-    others, reasons = peers(SPEC, points, scan.sensor_height)
+    points, mount, slow = make.thinned(scan.points, SIZES[size][0]), Mount(scan.sensor_height), size == "57.6k"
+    ours = make.contenders(SPEC, points, mount, slow)
+    others, reasons = make.peers(SPEC, points, scan.sensor_height)
     times = run.measure(ours | others, rounds)
     result = {"size": size, "scan": scan.name, "points": len(points), "left out": reasons, "times": times}
     if slow:
@@ -150,9 +133,6 @@ def verdicts(comparisons: list[dict[str, Any]], points: dict[str, Any]) -> list[
     ]
 
 
-# --- Report and picture ----------------------------------------------------------------------------------
-
-
 def report(record: dict[str, Any]) -> None:
     """Print the result."""
     for comparison in record["comparisons"]:
@@ -188,9 +168,7 @@ def picture(record: dict[str, Any], path: Path) -> None:
         "OctoMap and KISS-SLAM build 3D maps and do more work: they answer a larger question",
         fontsize=13,
     )
-    figure.supxlabel(run.caption(record), fontsize=7.5, color="#555555")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    run.save_picture(figure, path, run.caption(record))
 
 
 def _bars(ax: Any, comparisons: list[dict[str, Any]]) -> None:
@@ -239,9 +217,6 @@ def _curves(ax: Any, one: dict[str, Any], sizes: list[int], labels: list[str]) -
     ax.legend(fontsize=9)
 
 
-# --- Command ---------------------------------------------------------------------------------------------
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--scan", type=Path, help="measure on this scan, beside the synthetic one")
@@ -254,9 +229,9 @@ def main() -> None:
         parser.error("--repeats must be at least 1")
     rounds = 1 if options.quick else options.repeats
     record = run.environment()
-    real = real_scans(options.scan) if options.scan or not options.quick else []
+    real = make.real_scans(options.scan) if options.scan or not options.quick else []
     synthetic = {
-        size: NamedScan("synthetic street", street(*of), STREET_HEIGHT, "made by this benchmark: street()")
+        size: NamedScan("synthetic street", make.street(*of), STREET_HEIGHT, "made by this benchmark: street()")
         for size, of in SIZES.items()
     }
     record["grid"] = {"shape": SPEC.shape, "resolution [m]": SPEC.resolution, "max range, 3D [m]": MAX_RANGE}
@@ -266,7 +241,7 @@ def main() -> None:
     scans = [dict.fromkeys(SIZES, scan) for scan in real] + [synthetic]
     scans = scans[:1] if options.quick else scans
     record["comparisons"] = [compare(scan[size], size, rounds) for scan in scans for size in SIZES]
-    streets = [street(count) for count in COUNTS if not options.quick or count <= 300_000]
+    streets = [make.street(count) for count in COUNTS if not options.quick or count <= 300_000]
     counts = [len(points) for points in streets]
     record["cost of points"] = {"points": counts, **cost(counts, [(SPEC, p) for p in streets], rounds)}
     specs = [GridSpec.centered(SPEC.length, SPEC.width, resolution) for resolution in RESOLUTIONS]

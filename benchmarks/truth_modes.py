@@ -7,7 +7,7 @@ narrow sectors against a lidar of 12000 layers every 0.02 degrees. Writes benchm
 docs/pictures/truth_modes.png.
 """
 
-from _run import PICTURES, RESULTS, caption, environment, write_json
+from _run import PICTURES, RESULTS, caption, environment, save_picture, write_json
 
 # isort: split
 import argparse
@@ -16,18 +16,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import GridSpec
-from ogm.pose import inverse, pose
+from ogm.pose import pose
 from ogm.simulation.cells import Below, measure_ground
+from ogm.simulation.dataset import SceneSetup, World, truth_of
+from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.scene import Scene
 from ogm.simulation.sensors import LIDARS, hd_directions
-from ogm.simulation.survey import Known, aimed_truth, hd_truth
-from ogm.simulation.town import Town, build_town
+from ogm.simulation.survey import aimed_truth, hd_truth
+from ogm.simulation.town import build_town
 from ogm.simulation.traffic import Traffic, ego_vehicle
 from ogm.state import CellState, Truth
-from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
+from ogm.truth import TRUTH_SPEC
 
 PAPER = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 SENSOR = LIDARS["vlp-32c"]
@@ -37,7 +41,7 @@ LAYERS, STEP, SECTOR = 12000, 0.02, 5.0  # of the reference: layers, [deg], [deg
 SECTORS = (25.0, 115.0, 205.0, 295.0)  # [deg] of the reference; they turn by 10 degrees per frame
 MODES = ("hd", "aimed")
 PUBLISHED = {"free": "25 to 36 %", "occupied": "0.9 to 2.5 %", "unknown": "63 to 74 %"}
-COLOURS = ("black", "#3a9a4a", "#e03030", "#707070")
+COLOURS = ListedColormap(("black", "#3a9a4a", "#e03030", "#707070", "white"))
 NOTE = (
     "Shares count cells of the reference's sectors by what the reference, which sees more than either mode, finds "
     "in them. A cell that an obstacle only touches counts as occupied there, so that no mode reaches 100 %. "
@@ -46,34 +50,39 @@ NOTE = (
 
 
 class Moment(NamedTuple):
-    """One moment in the town, with its moving things in place, and where the sensor is."""
+    """One moment in the town, with its moving things in place: the ground below, and the sensor's returns by object."""
 
-    scene: Scene
+    here: SceneSetup
     below: Below
-    known: Known  # boxes, their returns and the ego vehicle, for truth as it is stored
+    returns: NDArray[np.int64]
+
+    @property
+    def seen_from(self) -> tuple[Scene, Below]:
+        """Scene and cells, with the pose that truth is observed from."""
+        return self.here.world.scene, self.below
 
 
-def place_traffic(town: Town, scene: Scene, ground: Scene, traffic: Traffic, time: float) -> Moment:
+def place_traffic(world: World, traffic: Traffic, time: float) -> Moment:
     """Put the traffic of a moment in place, and scan it once to count returns."""
-    frame = traffic.at(time)
-    T = frame.ego @ pose(0, 0, 1.9)
-    ego = ego_vehicle()
-    scene.place([thing.mesh.moved(thing.pose) for thing in frame.objects], ego.moved(frame.ego))
-    hit = scene.cast(T, SENSOR.directions().reshape(-1, 3)).object
-    returns = np.bincount(hit[hit >= 0], minlength=len(frame.objects))
-    low, high = ego.vertices.min(axis=0), ego.vertices.max(axis=0)
-    middle = frame.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
-    things = frame.objects
-    boxes = boxes_seen_from(inverse(T), [one.pose for one in things], [one.size for one in things])
-    ego_cells = cells_in_boxes(boxes_seen_from(inverse(T), [middle], [high - low]), TRUTH_SPEC)
-    return Moment(scene, measure_ground(ground, T), Known(boxes, returns, ego_cells))
+    state, T_vehicle_sensor = traffic.at(time), pose(0, 0, 1.9)
+    T = state.ego @ T_vehicle_sensor
+    world.scene.place([thing.mesh.moved(thing.pose) for thing in state.objects], ego_vehicle().moved(state.ego))
+    things = world.scene.cast(T, SENSOR.directions().reshape(-1, 3)).object
+    returns = np.bincount(things[things >= 0], minlength=len(state.objects))
+    here = SceneSetup(world, state, tuple(state.objects), SENSOR, T_vehicle_sensor, T)
+    return Moment(here, measure_ground(world.ground, T), returns)
 
 
-def truth(mode: str, moment: Moment, known: Known) -> Truth:
-    scene, below, _ = moment
+def observed(mode: str, moment: Moment) -> Truth:
+    """Return what the rays of a mode find."""
     if mode == "hd":
-        return hd_truth(scene, below, hd_directions(SENSOR), known)
-    return aimed_truth(scene, below, VIEW, known)
+        return hd_truth(*moment.seen_from, hd_directions(SENSOR))
+    return aimed_truth(*moment.seen_from, VIEW)
+
+
+def whole(mode: str, moment: Moment) -> Truth:
+    """Return the truth as it is stored: with filled participants, without the ego vehicle."""
+    return truth_of(DatasetPlan(truth=mode), moment.here, moment.returns)
 
 
 def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray[np.bool_]]:
@@ -86,26 +95,25 @@ def reference(moment: Moment, first: float, layers: int) -> tuple[Truth, NDArray
     margin = np.rad2deg(0.12 / np.maximum(np.hypot(x, y), 1e-6))  # half a cell's diagonal
     angle = np.mod(np.rad2deg(np.arctan2(y, x)) - first, 360.0)
     inside = (angle > margin) & (angle < SECTOR - margin)
-    return hd_truth(moment.scene, moment.below, directions), inside
+    return hd_truth(*moment.seen_from, directions), inside
 
 
 def table(counts: NDArray[np.int64]) -> dict[str, float]:
     """Turn counts [state of the reference, state of the mode] into shares."""
-    free, occupied, unknown = counts[CellState.FREE], counts[CellState.OCCUPIED], counts[CellState.UNKNOWN]
-
-    def share(part: int, whole: NDArray[np.int64]) -> float:
-        return round(float(part) / max(int(whole.sum()), 1), 4)
-
+    total = counts.sum(axis=1)
+    share = np.round(counts / np.maximum(total, 1)[:, None], 4).tolist()
+    unknown, free, occupied = CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED
+    known = counts[unknown, free] + counts[unknown, occupied]
     return {
-        "free found": share(free[CellState.FREE], free),
-        "free called unknown": share(free[CellState.UNKNOWN], free),
-        "free called occupied": share(free[CellState.OCCUPIED], free),
-        "occupied found": share(occupied[CellState.OCCUPIED], occupied),
-        "occupied called unknown": share(occupied[CellState.UNKNOWN], occupied),
-        "occupied called free": share(occupied[CellState.FREE], occupied),
-        "unknown called known": share(unknown[CellState.FREE] + unknown[CellState.OCCUPIED], unknown),
-        "cells free in the reference": int(free.sum()),
-        "cells occupied in the reference": int(occupied.sum()),
+        "free found": share[free][free],
+        "free called unknown": share[free][unknown],
+        "free called occupied": share[free][occupied],
+        "occupied found": share[occupied][occupied],
+        "occupied called unknown": share[occupied][unknown],
+        "occupied called free": share[occupied][free],
+        "unknown called known": round(float(known) / max(int(total[unknown]), 1), 4),
+        "cells free in the reference": int(total[free]),
+        "cells occupied in the reference": int(total[occupied]),
     }
 
 
@@ -116,15 +124,15 @@ def compare(times: list[float], place: Callable[[int], Moment], layers: int, sec
     shares: dict[str, list] = {mode: [] for mode in MODES}
     for k in range(len(times)):
         moment = place(k)
-        bare = {mode: truth(mode, moment, Known()).state for mode in MODES}
+        bare = {mode: observed(mode, moment).state for mode in MODES}
         for first in SECTORS[:sectors]:
             dense, inside = reference(moment, first + 10 * k, layers)
             for mode in MODES:
                 np.add.at(counts[mode], (dense.state[inside], bare[mode][inside]), 1)
-        whole = {mode: truth(mode, moment, moment.known) for mode in MODES}
-        np.add.at(pairs, tuple(whole[mode].state for mode in MODES), 1)
-        for mode in MODES:
-            shares[mode].append(whole[mode].crop(PAPER).shares())
+        truths = {mode: whole(mode, moment) for mode in MODES}
+        np.add.at(pairs, tuple(one.state for one in truths.values()), 1)
+        for mode, one in truths.items():
+            shares[mode].append(one.crop(PAPER).shares())
     both = pairs[np.ix_((CellState.FREE, CellState.OCCUPIED), (CellState.FREE, CellState.OCCUPIED))]
     return {
         "against the reference": {mode: table(counts[mode]) for mode in MODES},
@@ -143,30 +151,19 @@ def compare(times: list[float], place: Callable[[int], Moment], layers: int, sec
 
 def picture(truths: list[dict[str, Truth]], record: Mapping[str, Any], path: Path) -> None:
     """Draw both truths side by side, and where they differ."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-    from matplotlib.colors import ListedColormap
-
-    figure, axes = plt.subplots(len(truths), 3, figsize=(13, 6.2 * len(truths)), squeeze=False)
+    figure = Figure(figsize=(13, 6.2 * len(truths)), layout="constrained")
+    axes = figure.subplots(len(truths), 3, squeeze=False)
     x0, x1, y0, y1 = PAPER.extent
     for row, pair in zip(axes, truths, strict=True):
         states = [pair[mode].crop(PAPER).state for mode in MODES]
         differ = np.where(states[0] == states[1], CellState.IGNORE + 1, states[1])
         titles = ("3000 layers (the paper's way)", "aimed at cells", "aimed where they differ")
         for axis, state, title in zip(row, (*states, differ), titles, strict=True):
-            colours = ListedColormap([*COLOURS, "white"])
-            extent = (y1, y0, x0, x1)
-            axis.imshow(state[::-1, ::-1], cmap=colours, vmin=0, vmax=4, interpolation="nearest", extent=extent)
-            axis.set_title(title, fontsize=10)
-            axis.set_xlabel("y, left [m]")
+            style = {"cmap": COLOURS, "vmin": 0, "vmax": 4, "interpolation": "nearest"}
+            axis.imshow(state[::-1, ::-1], extent=(y1, y0, x0, x1), **style)
+            axis.set(title=title, xlabel="y, left [m]")
         row[0].set_ylabel("x, forward [m]")
-    figure.text(0.01, 0.005, caption(record), fontsize=6, color="#555555")
-    figure.tight_layout(rect=(0, 0.015, 1, 1))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=90)
-    plt.close(figure)
+    save_picture(figure, path, caption(record), dpi=90)
 
 
 def main() -> None:
@@ -179,26 +176,22 @@ def main() -> None:
     frames = 1 if options.quick else options.frames
     if frames < 1:
         parser.error("--frames must be at least 1")
-
     record = environment()
     town = build_town(TOWN)
-    scene, ground = Scene(town.mesh, threads=1), Scene(town.ground, threads=1)
-    traffic = Traffic(town, TRAFFIC, clockwise=True)
-    times = [30.0 + 25.0 * k for k in range(frames)]
+    world = World(town, Scene(town.mesh, threads=1), Scene(town.ground, threads=1))
+    traffic, times = Traffic(town, TRAFFIC, clockwise=True), [30.0 + 25.0 * k for k in range(frames)]
 
     def place(k: int) -> Moment:
-        return place_traffic(town, scene, ground, traffic, times[k])
+        return place_traffic(world, traffic, times[k])
 
     layers, sectors = (4000, 1) if options.quick else (LAYERS, len(SECTORS))
-    record["town"], record["traffic"], record["moments [s]"] = TOWN, TRAFFIC, times
+    record |= {"town": TOWN, "traffic": TRAFFIC, "moments [s]": times, "published": {"ranges": PUBLISHED}, "note": NOTE}
     record["reference"] = {"layers": layers, "azimuth step [deg]": STEP, "sectors": sectors}
-    record["published"] = {"ranges": PUBLISHED}
-    record.update(compare(times, place, layers, sectors))
-    record["note"] = NOTE
+    record |= compare(times, place, layers, sectors)
     for mode in MODES:
         print(f"{mode}: {record['against the reference'][mode]}")
     write_json(options.out, record)
-    shown = [{mode: truth(mode, m, m.known) for mode in MODES} for m in map(place, range(min(frames, 2)))]
+    shown = [{mode: whole(mode, m) for mode in MODES} for m in map(place, range(min(frames, 2)))]
     picture(shown, record, options.picture)
     print(f"\nwrote {options.out} and {options.picture}")
 
