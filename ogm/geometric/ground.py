@@ -23,7 +23,6 @@ MAX_SLOPE = 0.25  # rise over run that still counts as ground; public roads reac
 MAX_DESCENT = 0.15  # average descent from the vehicle below which returns are taken for multipath
 LOW_TOLERANCE = 0.4  # [m] what a cell may lie below its surroundings beyond that descent
 BAND = 0.25  # [m] thickness of the layer of returns that is averaged into a cell's ground height
-MAX_POINTS = 65536  # of a larger cloud every second, third, ... return is used
 SENSOR_HEIGHT = 1.8  # [m] of the sensor in the frame that Patchwork++ is given
 
 
@@ -75,8 +74,7 @@ def local_ground(
         )
     if min(spec.shape) < 2:
         raise ValueError(f"a map of the ground needs 2 x 2 cells or more, got {spec.shape}")
-    step = 1 + len(xyz) // MAX_POINTS
-    points = Points(*(np.ascontiguousarray(xyz[::step, k]) for k in range(3)))
+    points = Points(*(np.ascontiguousarray(xyz[:, k]) for k in range(3)))
     limits = GroundLimits(float(max_slope), MAX_DESCENT, LOW_TOLERANCE, BAND)
     x, y, z = ground_point
     cells = Cells(*spec.origin, spec.resolution)

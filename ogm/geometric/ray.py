@@ -11,8 +11,8 @@ from ogm.geometric.ground import GroundEstimate, local_ground, surface_of
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayNumbers, WorkSpace
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
-from ogm.geometric.kernels.polar import ROW_BITS, level_ray_weight, polar_lookup
-from ogm.geometric.kernels.rays import aim_no_returns, mark_and_aim
+from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
+from ogm.geometric.kernels.rays import sort_rays
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
 from ogm.scan import Mount, Scan, as_scan
@@ -81,6 +81,8 @@ class RayISM:
     obstacle_height: float = 0.1
     clearance: float = 2.0
     below_ground: float = 0.3
+    hidden_height: float = 0.5
+    hidden_depth: float = 10.0
     range_noise: float = 0.03
     p_miss: float = 0.8
     p_false_alarm: float = 0.05
@@ -89,6 +91,7 @@ class RayISM:
     max_range: float = 100.0
     no_return_weight: float = 0.2
     azimuth_step: float = 2 * math.pi / 1024
+    ground_cell: float = 1.0
 
     def __post_init__(self) -> None:
         check_sensor_in_grid(self.spec, self.mount)
@@ -98,7 +101,7 @@ class RayISM:
             )
         for name in ("p_miss", "p_false_alarm", "max_mass"):
             check_within(name, getattr(self, name), 0, 1)
-        for name in ("below_ground", "max_range"):
+        for name in ("below_ground", "hidden_height", "hidden_depth", "max_range", "ground_cell"):
             check_within(name, getattr(self, name), 0, 1e6)
         check_within("range_noise", self.range_noise, -1e-9, 10)
         check_within("free_reliability_at_hits", self.free_reliability_at_hits, -1e-9, 1 + 1e-9)
@@ -119,27 +122,27 @@ class RayISM:
         EvidentialGrid
             Vacuous for an empty scan.
         """
-        log_compilation(mark_and_aim)
+        log_compilation(clear_sectors)
         scan, spec, mount = as_scan(scan), self.spec, self.mount
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
         origin = mount.origin.astype(np.float32)
-        polar = _polar_grid(spec, mount, self.azimuth_step)
+        polar, cells = _polar_grid(spec, mount, self.azimuth_step), Cells(*spec.origin, spec.resolution)
 
         # Points in the vehicle frame, without returns from the ego vehicle
         xyz = to_vehicle_frame(scan.points, mount, mount.ego_footprint)
+        points, directions = Points(*xyz.T), _no_return_directions(scan, mount)
 
-        # The ground, and the weight that a level ray has above it
-        coarse = _ground_spec(spec)
+        # The ground, and the rays that meet it and the clearance above it
+        coarse = _ground_spec(spec, self.ground_cell)
         ground = surface_of(_checked_height(self.ground(xyz, coarse, mount.ground_point), coarse), coarse)
-        level = level_ray_weight(ground, origin, numbers.clearance, polar.step, polar.rows, polar.bins)
+        limits = ray_limits(ground, origin, numbers.clearance, polar)
 
-        # Obstacles mark their cells, and every beam is a ray
-        cells, work = Cells(*spec.origin, spec.resolution), _work_space(len(xyz), polar)
-        rays = mark_and_aim(Points(*xyz.T), origin, ground, level, polar, cells, numbers, work)
-        no_return_rays = aim_no_returns(_no_return_directions(scan, mount), level, polar, numbers)
+        # Every beam is a ray
+        work = _work_space(len(xyz) + len(directions), polar)
+        rays = sort_rays(points, directions, origin, ground, polar, numbers, work)
 
-        # Rays clear what they pass
-        clear_sectors(rays, no_return_rays, level, polar, numbers, work.free)
+        # Rays clear what they pass, and mark what stops them
+        clear_sectors(rays, points, origin, limits, polar, cells, numbers, work)
 
         # Counts become belief
         mass = ray_mass(work.free, work.hits, polar, _powers(math.sqrt(self.p_false_alarm)), numbers)
@@ -171,10 +174,10 @@ def _polar_grid(spec: GridSpec, mount: Mount, azimuth_step: float) -> PolarGrid:
     x, y = float(origin[0]), float(origin[1])
     far = math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0))
     bins = math.ceil(far / spec.resolution) + 1
-    if max(bins, math.ceil(far)) > MAX_BINS:
+    if bins > MAX_BINS:
         raise ValueError(
-            f"a grid of one scan may reach at most {MAX_BINS} cells and {MAX_BINS} m from the sensor, "
-            f"this one reaches {far:g} m, {bins} cells; use coarser cells or a smaller grid"
+            f"a grid of one scan may reach at most {MAX_BINS} cells from the sensor, this one reaches {bins}; "
+            "use coarser cells or a smaller grid"
         )
     cells, footprint = Cells(*spec.origin, spec.resolution), np.array(mount.ego_footprint, np.float32)
     lookup = polar_lookup(cells, spec.shape, origin, footprint, sectors, bins)
@@ -187,18 +190,23 @@ def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
     The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
     fresh pages cost as much time as the rays.
     """
-    polar_shape = polar.sectors, polar.bins
-    shapes = (count,), (count,), (count,), (count, 3), polar.ring.shape, polar_shape
+    shapes = *((count,),) * 6, (count, 3), polar.ring.shape, (polar.sectors, polar.bins)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     pieces = np.split(np.empty(ends[-1], np.float32), ends[:-1])
-    sector, slope, run, table, hits, free = (p.reshape(s) for p, s in zip(pieces, shapes, strict=True))
-    return WorkSpace(sector.view(np.int32), slope, run, table, hits.view(np.int32), free)
+    integers = {"sector", "order", "index", "hits"}
+    return WorkSpace(
+        *(
+            p.reshape(shape).view(np.int32 if name in integers else np.float32)
+            for name, p, shape in zip(WorkSpace._fields, pieces, shapes, strict=True)
+        )
+    )
 
 
 @lru_cache(maxsize=16)
-def _ground_spec(spec: GridSpec) -> GridSpec:
-    """Return cells of 1 m over the area of a grid."""
-    return GridSpec(1.0, (max(math.ceil(spec.length), 2), max(math.ceil(spec.width), 2)), spec.origin)
+def _ground_spec(spec: GridSpec, cell: float) -> GridSpec:
+    """Return cells of the ground map over the area of a grid; not finer than those of the grid."""
+    size = max(cell, spec.resolution)
+    return GridSpec(size, tuple(max(math.ceil(side / size), 2) for side in (spec.length, spec.width)), spec.origin)
 
 
 @lru_cache(maxsize=64)

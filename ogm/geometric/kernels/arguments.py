@@ -5,7 +5,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Cells", "GroundLimits", "HeightBand", "Points", "PolarGrid", "RayNumbers", "Rays", "Surface", "WorkSpace"]
+__all__ = [
+    "Cells",
+    "GroundLimits",
+    "HeightBand",
+    "Points",
+    "PolarGrid",
+    "RayLimits",
+    "RayNumbers",
+    "Rays",
+    "SectorRays",
+    "Surface",
+    "WorkSpace",
+]
 
 
 class Cells(NamedTuple):
@@ -56,6 +68,8 @@ class RayNumbers(NamedTuple):
     obstacle_height: float
     clearance: float
     below_ground: float
+    hidden_height: float
+    hidden_depth: float
     range_noise: float
     p_miss: float
     free_reliability_at_hits: float
@@ -76,19 +90,41 @@ class PolarGrid(NamedTuple):
     ring: NDArray[np.int16]  # (nx, ny) radial bin; -1 for a cell under the ego vehicle
 
 
-class Rays(NamedTuple):
-    """Rays, sorted by sector."""
+class RayLimits(NamedTuple):
+    """Slopes (rise over run) of the rays that meet the ground, and the clearance above it, in each polar bin."""
 
-    table: NDArray[np.float32]  # (N, 3) rise over run, first bin that the ray clears, first after these
-    starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins in `table`
+    ground: NDArray[np.float32]  # (rows, bins)
+    clearance: NDArray[np.float32]  # (rows, bins)
+    highest: NDArray[np.float32]  # (rows,) of the clearance along a row, relative to the sensor [m]
+
+
+class Rays(NamedTuple):
+    """Rays, sorted by sector and in a sector by slope."""
+
+    table: NDArray[np.float32]  # (N, 3) slope (rise over run), run of the return [m], its height above ground [m]
+    index: NDArray[np.int32]  # (N,) of the return among the points; -1 for a beam without echo
+    starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins
+
+
+class SectorRays(NamedTuple):
+    """The rays of one sector: what they hit, and the bins in which they are below clearance."""
+
+    kind: NDArray[np.int8]  # (N,)
+    start: NDArray[np.int32]  # (N,) first bin
+    stop: NDArray[np.int32]  # (N,) first bin after these
+    support: NDArray[np.float32]  # (N, 2) run and height [m] of the ground returns
+    nearest: NDArray[np.float32]  # (N,) [m]
 
 
 class WorkSpace(NamedTuple):
     """Memory for the kernels of one scan, with arbitrary content."""
 
-    sector: NDArray[np.int32]  # (N,)
-    slope: NDArray[np.float32]  # (N,)
-    run: NDArray[np.float32]  # (N,)
+    sector: NDArray[np.int32]  # (N,) as all of one dimension
+    slope: NDArray[np.float32]
+    run: NDArray[np.float32]
+    above: NDArray[np.float32]
+    order: NDArray[np.int32]
+    index: NDArray[np.int32]
     table: NDArray[np.float32]  # (N, 3) of `Rays`
     hits: NDArray[np.int32]  # (nx, ny)
     free: NDArray[np.float32]  # (sectors, bins)

@@ -1,100 +1,216 @@
-"""From rays and marks to masses."""
+"""From classified rays to masses."""
 
 # mypy: allow-untyped-defs
 import math
 
 import numpy as np
 
+from ogm.geometric.kernels.arguments import SectorRays
+from ogm.geometric.kernels.polar import ROW_BITS
+from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, RAISED, classify_rays
 from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
 
+# Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
+PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
+NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
+DOUBT = 0.5  # [m] around a raised return, in which no cell is free
+RAISED_BIT = 1 << 28  # of `hits`
+
 
 @kernel
-def clear_sectors(rays, no_return_rays, level, polar, numbers, free):
-    """Fill in the belief in free of every polar bin, from the rays that passed it.
+def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
+    """Fill in the belief in free of every polar bin, and what marks the cells.
 
-    Let a cell be occupied by something of unknown height, equally likely anywhere up to `clearance`. Then
-    ``w(h) = 1 - h / clearance`` is the chance that it reaches a ray at height h above ground, and a ray that
-    it reaches passes unnoticed with probability p. All rays together give no more than the chance that it
-    reaches the lowest one, w_1, and a higher one counts w_i / w_1 of it:
+    Let a cell be occupied by something that stands on the ground and has an unknown height H, equally likely
+    anywhere up to `clearance`. A ray at a height below H passes it unnoticed with probability p, each for
+    itself. Then the chance that all rays pass it is E[p ** N(H)], with N(H) the number of rays below H, and
 
-        T = sum_i w_i / w_1,        free = w_1 * (1 - p**T),
+        free = 1 - E_H[p ** N(H)],       E_H = (sum_i (h_i+1 - h_i) * p ** i) / clearance,
 
-    which is the count-based ``1 - p**n`` for n rays at the ground, discounted (Shafer) by w_1: many rays over
-    a roof do not show what is below it. A ray counts only where it is below clearance. The sums need no
-    loop over rays and bins: the rays that pass a bin are those that stop further out, less those that start
-    further out.
+    for the heights h_1 <= h_2 <= ... of the rays, h_0 = 0 and the clearance as the last. It is exact.
+
+    Something may also hang at a height that no ray passes, because an obstacle before it stops them. Let such a
+    thing be as thick as some height, equally likely anywhere up to `hidden_height`. It fits between two
+    neighbouring rays that are d apart, if others between them were stopped, with probability
+    ``min(d / hidden_height, 1)``; belief is reduced by the largest of these.
+
+    Beams without echo are one source of evidence of reliability `no_return_weight`: belief is that without them,
+    plus this share of what they add.
 
     Parameters
     ----------
-    rays, no_return_rays : Rays
-        From `mark_and_aim` and `aim_no_returns`; the latter count `no_return_weight` each.
-    level : (rows, bins) float32
-        From `level_ray_weight`.
+    rays : Rays
+    points : Points
+    origin : (3,) float32
+    limits : RayLimits
     polar : PolarGrid
+    cells : Cells
     numbers : RayNumbers
         p is `p_miss`.
-    free : (sectors, bins) float32
-        Filled.
+    work : WorkSpace
+        `free` and `hits` are filled: belief in free, and half hits of obstacles and of returns from holes. `order`
+        is overwritten.
     """
-    sectors, bins = polar.sectors, polar.bins
-    per_row, cell_sectors = (sectors // polar.rows, sectors / math.pi)  # T is counted for cells, not for sectors
-    scale, zero, one = np.float32(polar.step / numbers.clearance), np.float32(0.0), np.float32(1.0)
-    weight = np.float32(numbers.no_return_weight)
-    # Of the rays that stop before a bin, later of those that pass the bin before: number, sum and least of slopes
-    count, rise = np.zeros(bins + 1, np.float32), np.zeros(bins + 1, np.float32)
-    lowest = np.empty(bins + 1, np.float32)
-    reach, share = np.empty(bins, np.float32), np.empty(bins, np.float32)
-    for k in range(bins):
-        reach[k] = (k + 0.5) * scale
-        share[k] = -math.log(numbers.p_miss) * cell_sectors / (2 * k + 1) / 64
+    sectors, bins, most, deep = polar.sectors, polar.bins, 0, 0
     for s in range(sectors):
-        count[:], rise[:], lowest[:] = zero, zero, np.inf
-        end = max(
-            _count_rays(rays, s, one, count, rise, lowest), _count_rays(no_return_rays, s, weight, count, rise, lowest)
-        )
-        through, climb, least = zero, zero, np.float32(np.inf)
-        for k in range(end, 0, -1):
-            through += count[k]
-            climb += rise[k]
-            least = min(least, lowest[k])
-            count[k], rise[k], lowest[k] = through, climb, least
-        free[s, end:] = zero
-        passing = count[1 : end + 1], rise[1 : end + 1], lowest[1 : end + 1]
-        _belief(passing, level[s // per_row, :end], reach[:end], share[:end], free[s, :end])
+        most = max(most, rays.starts[s + 1] - rays.starts[s])
+    found = SectorRays(
+        np.empty(most, np.int8), np.empty(most, np.int32), np.empty(most, np.int32),
+        np.empty((most, 2), np.float32), np.empty(most, np.float32),
+    )  # fmt: skip
+    part = np.empty(PARTS, np.float32)
+    for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
+        part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
+    holes = np.zeros((sectors, bins), np.uint8)
+    work.hits[:] = 0
+    for s in range(sectors):
+        first, last, row = rays.starts[s], rays.starts[s + 1], s >> ROW_BITS
+        end = classify_rays(rays, first, last, limits, row, polar, numbers, found)
+        work.free[s, end:] = 0
+        if end == 0:
+            continue
+        silent = _mark(rays, first, last, points, origin, cells, numbers, found, work.hits)
+        for n in range(last - first):
+            if found.kind[n] == DEEP:
+                work.order[deep] = first + n
+                deep += 1
+                holes[s, found.stop[n] : min(int(rays.table[first + n, 1] / polar.step) + 1, bins)] = 1
+        free = work.free[s, :end]
+        _free_belief(rays.table[first:last], found, limits, row, polar, numbers, False, part, free)
+        if silent:
+            weight, alone = np.float32(numbers.no_return_weight), free.copy()
+            _free_belief(rays.table[first:last], found, limits, row, polar, numbers, True, part, free)
+            for k in range(end):
+                free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
+    _open_holes(rays, points, work.order[:deep], polar, cells, holes, work)
 
 
 @kernel
-def _count_rays(rays, s, weight, count, rise, lowest):
-    """Add a sector's rays to the bins before which they stop, subtract them where they start; return the last bin."""
-    end = 0
-    for n in range(rays.starts[s], rays.starts[s + 1]):
-        slope, start, stop = rays.table[n, 0], int(rays.table[n, 1]) & 0x7FFF, int(rays.table[n, 2]) & 0x7FFF
-        count[stop] += weight
-        rise[stop] += weight * slope
-        lowest[stop] = min(lowest[stop], slope)
-        end = max(end, stop)
-        if start > 0:
-            count[start] -= weight
-            rise[start] -= weight * slope
-    return end
+def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
+    """Fill in the belief of one sector's bins, with the beams without echo or without them."""
+    end, first_block, near = free.shape[0], free.shape[0], 0
+    ground, clearance = limits.ground[row], limits.clearance[row]
+    for k in range(end):
+        part[PASS + k], part[SLOPE + k] = 1, ground[k]
+        part[SUM + k], part[HIDDEN + k], part[BLOCKED + k] = 0, 0, 0
+    fade = np.float32(polar.step / numbers.hidden_depth)
+    for n in range(table.shape[0]):
+        if found.kind[n] == OBSTACLE:
+            first_block = min(first_block, found.stop[n])
+    for n in range(table.shape[0]):
+        kind = found.kind[n]
+        if kind == NONE or (kind == NO_RETURN and not silent):
+            continue
+        start, stop = found.start[n] & 0x7FFF, found.stop[n] & 0x7FFF
+        open_end = min(stop, first_block)
+        _pass(part, table[n, 0], max(start, near), open_end)
+        _pass_obstacles(part, table[n, 0], max(start, open_end), stop)
+        if kind == OBSTACLE:
+            _block(part, stop, min(end, stop + int(1.0 / fade) + 1), fade)
+        while near < first_block and part[PASS + near] < NEGLIGIBLE:
+            near += 1
+    scale = np.float32(polar.step / numbers.hidden_height)
+    for k in range(end):
+        up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
+        missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
+        hidden = max(part[HIDDEN + k], part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
+        free[k] = (np.float32(1.0) - min(missed, np.float32(1.0))) * max(np.float32(1.0) - hidden, np.float32(0.0))
 
 
 @vector
-def _belief(passing, level, reach, share, free):
-    """``w_1 * (1 - p**T)`` for the bins of one sector, with ``exp(x)`` as a power: error below 1e-6."""
-    count, rise, lowest = passing
-    for k in range(free.shape[0]):
-        first = max(min(level[k] - lowest[k] * reach[k], np.float32(1.0)), np.float32(0.0))
-        total = (count[k] * level[k] - rise[k] * reach[k]) / max(first, np.float32(1e-6))
-        z = min(min(max(total, np.float32(0.0)), count[k]) * share[k], np.float32(0.5))
-        q = np.float32(1.0) + z * (
-            np.float32(1.0) + z * (np.float32(0.5) + z * (np.float32(1.0 / 6) + z * np.float32(1.0 / 24)))
-        )
-        for _ in range(6):  # ** 64
-            q *= q
-        free[k] = first * (np.float32(1.0) - np.float32(1.0) / q)
+def _pass(part, slope, start, stop):
+    """Let a ray pass some bins before any obstacle."""
+    for k in range(start, stop):
+        up = max(slope - part[SLOPE + k], np.float32(0.0))
+        part[SUM + k] += up * part[PASS + k]
+        part[PASS + k] *= part[POWER + k]
+        part[SLOPE + k] += up
+
+
+@vector
+def _pass_obstacles(part, slope, start, stop):
+    """Let a ray pass some bins behind an obstacle that stops other rays of the sector."""
+    zero = np.float32(0.0)
+    for k in range(start, stop):
+        up = max(slope - part[SLOPE + k], zero)
+        part[HIDDEN + k] += max(part[BLOCKED + k] * up - part[HIDDEN + k], zero)
+        part[BLOCKED + k] = zero
+        part[SUM + k] += up * part[PASS + k]
+        part[PASS + k] *= part[POWER + k]
+        part[SLOPE + k] += up
+
+
+@vector
+def _block(part, start, stop, fade):
+    """Let an obstacle stop a ray: the chance that it is still there falls behind it."""
+    for k in range(start, stop):
+        here = np.float32(1.0) - np.float32(k - start) * fade
+        part[BLOCKED + k] += max(here - part[BLOCKED + k], np.float32(0.0))
+
+
+@kernel
+def _mark(rays, first, last, points, origin, cells, numbers, found, hits):
+    """Let obstacles and steps of a sector mark their cells; tell whether it has beams without echo.
+
+    An obstacle return is spread over the two points one standard deviation before and behind it (two-point
+    Gauss-Hermite rule), each marking its cell with half a hit.
+    """
+    silent, noise = False, np.float32(numbers.range_noise)
+    for n in range(last - first):
+        kind = found.kind[n]
+        if kind == NO_RETURN:
+            silent = True
+        elif kind == OBSTACLE or kind == RAISED:
+            which, run = rays.index[first + n] & 0x7FFFFFFF, rays.table[first + n, 1]
+            x, y, share = points.x[which], points.y[which], noise / run
+            du, dv = (x - origin[0]) * share, (y - origin[1]) * share
+            if kind == OBSTACLE:
+                _hit(hits, cells, x - du, y - dv)
+                _hit(hits, cells, x + du, y + dv)
+            else:
+                _doubt(hits, cells, x, y)
+    return silent
+
+
+@kernel
+def _open_holes(rays, points, deep, polar, cells, holes, work):
+    """Keep free of belief what rays of two neighbouring sectors pass under the ground, and mark their returns."""
+    if deep.shape[0] == 0:
+        return
+    sectors, bins = holes.shape
+    for s in range(sectors):
+        left, right = holes[s - 1], holes[(s + 1) % sectors]
+        for k in range(bins):
+            if holes[s, k] and (left[k] or right[k]):
+                work.free[s, k] = 0
+    for n in deep:
+        which = rays.index[n]
+        s, k = work.sector[which], min(int(rays.table[n, 1] / polar.step), bins - 1)
+        if holes[s - 1, k] or holes[(s + 1) % sectors, k]:
+            _hit(work.hits, cells, points.x[which], points.y[which])
+            _hit(work.hits, cells, points.x[which], points.y[which])
+
+
+@kernel
+def _hit(hits, cells, x, y):
+    """Add half a hit to the cell at (x, y), if it lies in the grid."""
+    inverse = np.float32(1.0 / cells.resolution)
+    u, v = (x - np.float32(cells.x0)) * inverse, (y - np.float32(cells.y0)) * inverse
+    if u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]:
+        hits[int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF] += 1
+
+
+@kernel
+def _doubt(hits, cells, x, y):
+    """Let no cell within `DOUBT` of (x, y) be free."""
+    inverse = 1.0 / cells.resolution
+    reach = max(round(DOUBT * inverse), 1)
+    i, j = math.floor((x - cells.x0) * inverse), math.floor((y - cells.y0) * inverse)
+    for u in range(max(i - reach, 0), min(i + reach + 1, hits.shape[0])):
+        for v in range(max(j - reach, 0), min(j + reach + 1, hits.shape[1])):
+            hits[u, v] |= RAISED_BIT
 
 
 @kernel
@@ -109,9 +225,8 @@ def ray_mass(free, hits, polar, false_alarm, numbers):
     Parameters
     ----------
     free : (sectors, bins) float32
-        From `clear_sectors`.
+        From `clear_sectors`, as `hits`.
     hits : (nx, ny) int32
-        From `mark_and_aim`.
     polar : PolarGrid
     false_alarm : (entries,) float32
         ``p_false_alarm ** (n / 2)`` for n half hits; the last entry holds beyond.
@@ -129,21 +244,23 @@ def ray_mass(free, hits, polar, false_alarm, numbers):
     for i in range(nx):
         for j in range(ny):
             k = polar.ring[i, j]
+            mass[i, j, 0] = mass[i, j, 1] = 0
             if k < 0:
-                mass[i, j, 0] = mass[i, j, 1] = 0
                 continue
             k, s, count = k & 0x7FFF, polar.sector[i, j] & 0x7FFF, polar.span[i, j]
-            cleared = free[s, k]
+            cleared = np.float32(0.0)
+            for _ in range(count):
+                cleared += free[s & 0x7FFF, k]
+                s = s + 1 if s + 1 < polar.sectors else 0
             if count > 1:
-                for _ in range(count - 1):
-                    s = s + 1 if s + 1 < polar.sectors else 0
-                    cleared += free[s & 0x7FFF, k]
                 cleared /= np.float32(count)
-            if hits[i, j] > 0:
-                alarm = false_alarm[min(hits[i, j], false_alarm.shape[0] - 1)]
+            if hits[i, j] >= RAISED_BIT:
+                cleared = np.float32(0.0)
+            number = hits[i, j] & (RAISED_BIT - 1)
+            if number > 0:
+                alarm = false_alarm[min(number, false_alarm.shape[0] - 1)]
                 mass[i, j, 0] = min(reliability * cleared * alarm, limit)
                 mass[i, j, 1] = min((one - alarm) * (one - reliability * cleared), limit)
             else:
                 mass[i, j, 0] = min(cleared, limit)
-                mass[i, j, 1] = 0
     return mass

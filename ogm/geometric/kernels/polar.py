@@ -5,10 +5,11 @@ import math
 
 import numpy as np
 
+from ogm.geometric.kernels.arguments import RayLimits
 from ogm.geometric.kernels.surface import sample
 from ogm.jit import inline, kernel, vector
 
-__all__ = ["ROW_BITS", "azimuth", "level_ray_weight", "polar_coordinates", "polar_lookup"]
+__all__ = ["ROW_BITS", "azimuth", "polar_coordinates", "polar_lookup", "ray_limits"]
 
 TAU = np.float32(2 * math.pi)
 ROW_BITS = 3  # the ground is sampled once for 2**3 neighbouring sectors
@@ -89,8 +90,8 @@ def polar_coordinates(points, origin, sectors, work):
 
 
 @kernel
-def level_ray_weight(ground, origin, clearance, step, rows, bins):
-    """Return the weight that a level ray from the sensor has along each sector.
+def ray_limits(ground, origin, clearance, polar):
+    """Return the slopes of the rays that meet the ground and the clearance in the middle of each bin.
 
     Parameters
     ----------
@@ -99,32 +100,35 @@ def level_ray_weight(ground, origin, clearance, step, rows, bins):
         The sensor [m].
     clearance : float
         Height above ground from which a ray has no weight [m].
-    step : float
-        Depth of a bin [m].
-    rows, bins : int
-        Size of the result.
+    polar : PolarGrid
 
     Returns
     -------
-    (rows, bins) float32
-        ``1 - (height of the sensor above the ground there) / clearance``. The ground is sampled in every
-        fourth bin, linear between.
+    RayLimits
+        The ground is sampled in every fourth bin, linear between.
     """
-    weight = np.empty((rows, bins), np.float32)
-    z, per_metre = origin[2], np.float32(1.0 / clearance)
+    rows, bins, step = polar.rows, polar.bins, polar.step
+    low, high = np.empty((rows, bins), np.float32), np.empty((rows, bins), np.float32)
+    highest = np.empty(rows, np.float32)
+    above = np.float32(clearance)
     for s in range(rows):
         angle = (s + 0.5) * 2 * math.pi / rows
         cx, cy = np.float32(math.cos(angle) * step), np.float32(math.sin(angle) * step)
-        before = np.float32(0.0)
+        before, most = np.float32(0.0), np.float32(-np.inf)
         for k in range(0, bins + 3, 4):
             middle = np.float32(k) + np.float32(0.5)
-            height = sample(ground, origin[0] + cx * middle, origin[1] + cy * middle)
-            now = np.float32(1.0) - (z - height) * per_metre
+            now = sample(ground, origin[0] + cx * middle, origin[1] + cy * middle) - origin[2]
             if k > 0:
                 for part in range(4):
                     if k - 4 + part < bins:
-                        weight[s, k - 4 + part] = before + (now - before) * np.float32(part) * np.float32(0.25)
+                        low[s, k - 4 + part] = before + (now - before) * np.float32(part) * np.float32(0.25)
             if k < bins:
-                weight[s, k] = now
+                low[s, k] = now
+                most = max(most, now)
             before = now
-    return weight
+        highest[s] = most + above
+        for k in range(bins):
+            per_metre = np.float32(1.0) / ((np.float32(k) + np.float32(0.5)) * np.float32(step))
+            high[s, k] = (low[s, k] + above) * per_metre
+            low[s, k] *= per_metre
+    return RayLimits(low, high, highest)

@@ -1,0 +1,173 @@
+"""What the rays of a sector hit: ground, an obstacle, a step in the ground, a hole in it."""
+
+# mypy: allow-untyped-defs
+import numpy as np
+
+from ogm.jit import inline, kernel
+
+__all__ = ["DEEP", "NONE", "NO_RETURN", "OBSTACLE", "RAISED", "classify_rays"]
+
+NONE = 0  # no effect: multipath, or straight up or down
+GROUND = 1
+OVERHEAD = 2  # above the clearance
+OBSTACLE = 3
+RAISED = 4  # ground that rises suddenly, by less than an obstacle
+DEEP = 5  # in a hole, or beyond a drop
+NO_RETURN = 6
+
+SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that it is compared with
+BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
+SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
+STEEPEST = np.float32(0.25)
+RISE = np.float32(0.03)  # [m] of a return above the continued ground, that may be a step
+BEND = np.float32(0.012)  # rise over run by which ground may bend upwards
+SINK = np.float32(0.1)  # [m] of a return below the continued ground, that may be in a hole
+DIP = np.float32(0.1)  # [m] under the continued ground from which a ray shows a hole
+FALL = np.float32(0.1)  # rise over run by which ground may fall from `FALL_GAP` on
+FALL_GAP = np.float32(6.0)  # [m]
+SAME = np.float32(0.5)  # [m] in run, of returns from one surface
+
+
+@kernel
+def classify_rays(rays, first, last, limits, row, polar, numbers, found):
+    """Fill in what the rays of a sector hit, and the bins in which they are below clearance.
+
+    A ray clears from the sensor to its end: up to and with the bin of a ground return, to two standard deviations
+    before an obstacle, and no further than it stays below `clearance`. A return is compared with the ground map,
+    and with the *continued ground*: the line through the ground returns of the sector that lie nearer, by at least
+    `SUPPORT_GAP`. What rises above it is a step, also where the map follows the step. What lies under it is in a
+    hole, if no other ray of the sector met ground on its way there; else it is multipath.
+
+    Parameters
+    ----------
+    rays : Rays
+    first, last : int
+        Of the sector, in `rays`.
+    limits : RayLimits, row : int
+    polar : PolarGrid
+    numbers : RayNumbers
+    found : SectorRays
+        Filled for ``last - first`` rays.
+
+    Returns
+    -------
+    int
+        First bin that no ray reaches.
+    """
+    step, bins = np.float32(polar.step), np.float32(polar.bins)
+    per_metre, margin = np.float32(1.0 / polar.step), np.float32(2.0 * numbers.range_noise)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    below, zero, one = np.float32(numbers.below_ground), np.float32(0.0), np.float32(1.0)
+    table, support, count, at, base, end = rays.table[first:last], found.support, 0, -1, -1, 0
+    low_run, low_height, low_incline = np.float32(np.inf), zero, zero  # of a return that may be in a hole
+    beneath = limits.ground[row, 0] * np.float32(0.5) * step  # height of the ground under the sensor
+    _nearest_ground(rays, first, last, low, found.nearest)
+    for n in range(last - first):
+        slope, run, above = table[n, 0], table[n, 1], table[n, 2]
+        found.kind[n], found.start[n], found.stop[n] = NONE, 0, 0
+        if run < step:
+            continue
+        reach = min(run * per_metre, bins)
+        if rays.index[first + n] < 0:
+            found.kind[n] = NO_RETURN
+            found.start[n], stop = _below_clearance(limits, row, slope, int(reach), step)
+            found.stop[n] = _above_ground(limits, row, slope, found.start[n], stop)
+            end = max(end, found.stop[n])
+            continue
+
+        # A lower level is ground if the next return continues it
+        height = slope * run
+        if run > low_run + SUPPORT_GAP:
+            gap = run - low_run
+            if abs(height - low_height - low_incline * gap) < SINK + BEND * gap:
+                support[count, 0], support[count, 1] = low_run, low_height
+                count += 1
+            low_run = np.float32(np.inf)
+
+        # The ground continued from nearer returns of the sector
+        at = _last_before(support, count, at, run - SUPPORT_GAP)
+        gap, level, incline, rise = np.float32(np.inf), beneath, zero, zero
+        if at >= 0:
+            gap, level = run - support[at, 0], support[at, 1]
+            base = _last_before(support, at + 1, min(base, at), support[at, 0] - BASELINE)
+            from_run, from_level = (support[base, 0], support[base, 1]) if base >= 0 else (zero, beneath)
+            incline = (level - from_level) / max(support[at, 0] - from_run, one)
+            incline = min(max(incline, -STEEPEST), STEEPEST)
+            rise = height - level - incline * gap
+
+        # What was hit, and where the ray ends
+        fall = below + FALL * max(gap - FALL_GAP, zero)
+        if above < high and rise < -fall and found.nearest[n] > run - SAME:
+            found.kind[n] = DEEP
+            dip = run - (DIP + rise) / min(slope - incline, np.float32(-1e-6))
+            reach = min(max(dip, zero) * per_metre, reach)
+        elif above < -below:
+            continue
+        elif above >= high:
+            found.kind[n] = OVERHEAD
+        elif above > low or (gap < SUPPORT_REACH and rise > low + BEND * gap):
+            found.kind[n] = OBSTACLE
+            reach = max(reach - margin * per_metre, zero)
+        elif gap < SUPPORT_REACH and rise > RISE + BEND * gap:
+            found.kind[n] = RAISED
+        else:
+            found.kind[n] = GROUND
+            reach = min(reach + one, bins)
+        if rise < -SINK - BEND * gap:
+            if run < low_run and found.kind[n] != DEEP:
+                low_run, low_height, low_incline = run, height, (height - level) / gap
+        elif above <= low:
+            support[count, 0], support[count, 1] = run, height
+            count += 1
+        found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
+        end = max(end, found.stop[n])
+    return end
+
+
+@inline
+def _last_before(support, count, at, run):
+    """Return the last of the first `count` supports that is no further than `run`, searched from `at`; -1 for none."""
+    while at >= 0 and support[at, 0] > run:
+        at -= 1
+    while at + 1 < count and support[at + 1, 0] <= run:
+        at += 1
+    return at
+
+
+@kernel
+def _nearest_ground(rays, first, last, low, nearest):
+    """Fill in, for each ray, the least run of the ground returns that steeper rays of the sector have."""
+    least = np.float32(np.inf)
+    for n in range(last - first - 1, -1, -1):
+        nearest[n] = least
+        if rays.index[first + n] >= 0 and abs(rays.table[first + n, 2]) <= low:
+            least = min(least, rays.table[first + n, 1])
+
+
+@kernel
+def _below_clearance(limits, row, slope, stop, step):
+    """Return the bins, of the first `stop`, in which a ray is below clearance: the first, and the first after."""
+    clearance, start = limits.clearance, 0
+    if stop > 0 and clearance[row, 0] > slope and clearance[row, stop - 1] > slope:
+        return start, stop
+    if slope > 0 and slope * step * stop > limits.highest[row]:
+        stop = min(stop, int(max(limits.highest[row], np.float32(0.0)) / (slope * step)) + 1)
+    while stop > 0 and not clearance[row, stop - 1] > slope:
+        stop -= 1
+    if stop > 0 and not clearance[row, 0] > slope:  # it begins above clearance: a tall mount
+        if slope < 0:
+            start = min(int(clearance[row, 0] * np.float32(0.5) / slope), stop - 1)  # where it is, over flat ground
+        while start > 0 and clearance[row, start - 1] > slope:
+            start -= 1
+        while start < stop and not clearance[row, start] > slope:
+            start += 1
+    return start, stop
+
+
+@kernel
+def _above_ground(limits, row, slope, start, stop):
+    """Return the first bin, from `start` to `stop`, in whose middle a ray is below the ground."""
+    for k in range(start, stop):
+        if slope < limits.ground[row, k]:
+            return k
+    return stop
