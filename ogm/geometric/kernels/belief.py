@@ -15,6 +15,8 @@ __all__ = ["clear_sectors", "ray_mass"]
 # Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
+DOUBTFUL = np.float32(0.5)
+STRIP = 1
 DOUBT = 0.5  # [m] around a raised return, in which no cell is free
 RAISED_BIT = 1 << 28  # of `hits`
 
@@ -64,6 +66,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
     holes = np.zeros((sectors, bins), np.uint8)
+    strip = np.ones(4096, np.float32)
     work.hits[:] = 0
     for s in range(sectors):
         first, last, row = rays.starts[s], rays.starts[s + 1], s >> ROW_BITS
@@ -84,13 +87,21 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
             _free_belief(rays.table[first:last], found, limits, row, polar, numbers, True, part, free)
             for k in range(end):
                 free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
+        if STRIP:
+            for n in range(last - first):
+                if found.kind[n] == RAISED or (found.kind[n] == OBSTACLE and found.nearest[n] >= 0):
+                    a, b = int(found.nearest[n] / np.float32(polar.step)), int(rays.table[first + n, 1] / np.float32(polar.step)) + 1
+                    strip[a:b] = DOUBTFUL
+            for k in range(end):
+                free[k] *= strip[k]
+                strip[k] = 1
     _open_holes(rays, points, work.order[:deep], polar, cells, holes, work)
 
 
 @kernel
 def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
     """Fill in the belief of one sector's bins, with the beams without echo or without them."""
-    end, first_block, near = free.shape[0], free.shape[0], 0
+    end, first_block, near, one = free.shape[0], free.shape[0], 0, np.float32(1.0)
     ground, clearance = limits.ground[row], limits.clearance[row]
     for k in range(end):
         part[PASS + k], part[SLOPE + k] = 1, ground[k]
@@ -116,7 +127,7 @@ def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
         up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
         missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
         hidden = max(part[HIDDEN + k], part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
-        free[k] = (np.float32(1.0) - min(missed, np.float32(1.0))) * max(np.float32(1.0) - hidden, np.float32(0.0))
+        free[k] = (one - min(missed, one)) * max(one - hidden, np.float32(0.0))
 
 
 @vector
@@ -255,7 +266,7 @@ def ray_mass(free, hits, polar, false_alarm, numbers):
             if count > 1:
                 cleared /= np.float32(count)
             if hits[i, j] >= RAISED_BIT:
-                cleared = np.float32(0.0)
+                cleared *= DOUBTFUL
             number = hits[i, j] & (RAISED_BIT - 1)
             if number > 0:
                 alarm = false_alarm[min(number, false_alarm.shape[0] - 1)]

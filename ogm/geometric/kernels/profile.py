@@ -113,6 +113,8 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
+        stepped = found.kind[n] == RAISED or (found.kind[n] == OBSTACLE and gap < SUPPORT_REACH and rise > RISE + BEND * gap)
+        found.nearest[n] = run - gap if stepped else np.float32(-1.0)
         if rise < -SINK - BEND * gap:
             if run < low_run and found.kind[n] != DEEP:
                 low_run, low_height, low_incline = run, height, (height - level) / gap
