@@ -17,7 +17,7 @@ PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
 DOUBTFUL = np.float32(0.5)
 STRIP = 1
-DOUBT = 0.5  # [m] around a raised return, in which no cell is free
+DOUBT = 0.16  # [m] around a raised return, in which no cell is free
 RAISED_BIT = 1 << 28  # of `hits`
 
 
@@ -59,7 +59,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     for s in range(sectors):
         most = max(most, rays.starts[s + 1] - rays.starts[s])
     found = SectorRays(
-        np.empty(most, np.int8), np.empty(most, np.int32), np.empty(most, np.int32),
+        np.empty(most, np.int8), np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32),
         np.empty((most, 2), np.float32), np.empty(most, np.float32),
     )  # fmt: skip
     part = np.empty(PARTS, np.float32)
@@ -79,7 +79,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
             if found.kind[n] == DEEP:
                 work.order[deep] = first + n
                 deep += 1
-                holes[s, found.stop[n] : min(int(rays.table[first + n, 1] / polar.step) + 1, bins)] = 1
+                holes[s, found.begin[n] : min(int(rays.table[first + n, 1] / polar.step) + 1, bins)] = 1
         free = work.free[s, :end]
         _free_belief(rays.table[first:last], found, limits, row, polar, numbers, False, part, free)
         if silent:
@@ -89,9 +89,8 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
                 free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
         if STRIP:
             for n in range(last - first):
-                if found.kind[n] == RAISED or (found.kind[n] == OBSTACLE and found.nearest[n] >= 0):
-                    a, b = int(found.nearest[n] / np.float32(polar.step)), int(rays.table[first + n, 1] / np.float32(polar.step)) + 1
-                    strip[a:b] = DOUBTFUL
+                if found.begin[n] >= 0 and found.kind[n] != DEEP:
+                    strip[found.begin[n] : int(rays.table[first + n, 1] / np.float32(polar.step)) + 1] = DOUBTFUL
             for k in range(end):
                 free[k] *= strip[k]
                 strip[k] = 1
@@ -101,7 +100,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
 @kernel
 def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
     """Fill in the belief of one sector's bins, with the beams without echo or without them."""
-    end, first_block, near, one = free.shape[0], free.shape[0], 0, np.float32(1.0)
+    end, first_block, near, one, two = free.shape[0], free.shape[0], 0, np.float32(1.0), np.float32(2.0)
     ground, clearance = limits.ground[row], limits.clearance[row]
     for k in range(end):
         part[PASS + k], part[SLOPE + k] = 1, ground[k]
@@ -126,7 +125,7 @@ def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
     for k in range(end):
         up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
         missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
-        hidden = max(part[HIDDEN + k], part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
+        hidden = max(part[HIDDEN + k], two * part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
         free[k] = (one - min(missed, one)) * max(one - hidden, np.float32(0.0))
 
 

@@ -19,10 +19,11 @@ SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that
 BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
 SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
 STEEPEST = np.float32(0.25)
-RISE = np.float32(0.03)  # [m] of a return above the continued ground, that may be a step
-BEND = np.float32(0.012)  # rise over run by which ground may bend upwards
+RISE = np.float32(0.04)  # [m] of a return above the continued ground, that may be a step
+BEND = np.float32(0.015)  # rise over run by which ground may bend upwards
+LONGEST = np.float32(6.0)  # [m] run of a rise that may be a step
+HIGHEST = np.float32(0.5)  # [m] of a rise that the ground map may follow
 SINK = np.float32(0.1)  # [m] of a return below the continued ground, that may be in a hole
-DIP = np.float32(0.1)  # [m] under the continued ground from which a ray shows a hole
 FALL = np.float32(0.1)  # rise over run by which ground may fall from `FALL_GAP` on
 FALL_GAP = np.float32(6.0)  # [m]
 SAME = np.float32(0.5)  # [m] in run, of returns from one surface
@@ -57,14 +58,16 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     step, bins = np.float32(polar.step), np.float32(polar.bins)
     per_metre, margin = np.float32(1.0 / polar.step), np.float32(2.0 * numbers.range_noise)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
-    below, zero, one = np.float32(numbers.below_ground), np.float32(0.0), np.float32(1.0)
+    below, zero, half, one = np.float32(numbers.below_ground), np.float32(0.0), np.float32(0.5), np.float32(1.0)
     table, support, count, at, base, end = rays.table[first:last], found.support, 0, -1, -1, 0
     low_run, low_height, low_incline = np.float32(np.inf), zero, zero  # of a return that may be in a hole
+    rising, step_begin, step_run, step_height = False, 0, zero, zero  # the last returns of a rise,
+    from_run, from_height, from_incline = zero, zero, zero  # and the ground before it
     beneath = limits.ground[row, 0] * np.float32(0.5) * step  # height of the ground under the sensor
     _nearest_ground(rays, first, last, low, found.nearest)
     for n in range(last - first):
         slope, run, above = table[n, 0], table[n, 1], table[n, 2]
-        found.kind[n], found.start[n], found.stop[n] = NONE, 0, 0
+        found.kind[n], found.start[n], found.stop[n], found.begin[n] = NONE, 0, 0, -1
         if run < step:
             continue
         reach = min(run * per_metre, bins)
@@ -90,31 +93,51 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         if at >= 0:
             gap, level = run - support[at, 0], support[at, 1]
             base = _last_before(support, at + 1, min(base, at), support[at, 0] - BASELINE)
-            from_run, from_level = (support[base, 0], support[base, 1]) if base >= 0 else (zero, beneath)
-            incline = (level - from_level) / max(support[at, 0] - from_run, one)
+            base_run, base_level = (support[base, 0], support[base, 1]) if base >= 0 else (zero, beneath)
+            incline = (level - base_level) / max(support[at, 0] - base_run, one)
             incline = min(max(incline, -STEEPEST), STEEPEST)
             rise = height - level - incline * gap
 
+        # A rise is a slope if it goes on, a step if the ground behind it is level again
+        if above <= low and rising and run > step_run + SUPPORT_GAP:
+            gain, length = step_height - from_height, step_run - from_run
+            bend = half * (gain / length + from_incline)
+            if height > step_height + bend * (run - step_run):
+                step_run, step_height = run, height
+                if run - from_run > LONGEST or height - from_height - from_incline * (run - from_run) > HIGHEST:
+                    end = max(end, _level(rays, first, n, limits, row, polar, step_begin, found))
+                    rising = False
+            else:
+                rising = False
+
         # What was hit, and where the ray ends
         fall = below + FALL * max(gap - FALL_GAP, zero)
+        begin = min(int((run - gap) * per_metre), polar.bins) if at >= 0 else -1
+        stepped = gap < SUPPORT_REACH and rise > RISE + BEND * gap
         if above < high and rise < -fall and found.nearest[n] > run - SAME:
-            found.kind[n] = DEEP
-            dip = run - (DIP + rise) / min(slope - incline, np.float32(-1e-6))
-            reach = min(max(dip, zero) * per_metre, reach)
+            found.kind[n], found.begin[n] = DEEP, begin
+            reach = np.float32(begin)
         elif above < -below:
             continue
         elif above >= high:
             found.kind[n] = OVERHEAD
-        elif above > low or (gap < SUPPORT_REACH and rise > low + BEND * gap):
+        elif above > low:
             found.kind[n] = OBSTACLE
             reach = max(reach - margin * per_metre, zero)
-        elif gap < SUPPORT_REACH and rise > RISE + BEND * gap:
-            found.kind[n] = RAISED
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
-        stepped = found.kind[n] == RAISED or (found.kind[n] == OBSTACLE and gap < SUPPORT_REACH and rise > RISE + BEND * gap)
-        found.nearest[n] = run - gap if stepped else np.float32(-1.0)
+        if above <= low and found.kind[n] != DEEP:
+            if stepped and not rising:
+                rising, step_begin, step_run, step_height = True, begin, run, height
+                from_run, from_height, from_incline = run - gap, level, incline
+            if rising:
+                if found.kind[n] == GROUND:
+                    found.kind[n] = RAISED
+                    reach -= one
+                if height - from_height - from_incline * (run - from_run) > low + BEND * (run - from_run):
+                    found.kind[n] = OBSTACLE
+                found.begin[n] = step_begin
         if rise < -SINK - BEND * gap:
             if run < low_run and found.kind[n] != DEEP:
                 low_run, low_height, low_incline = run, height, (height - level) / gap
@@ -123,6 +146,20 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             count += 1
         found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
         end = max(end, found.stop[n])
+    return end
+
+
+@kernel
+def _level(rays, first, count, limits, row, polar, begin, found):
+    """Take a rise for a slope: its returns are ground; return the first bin that none of them reaches."""
+    end, per_metre = 0, np.float32(1.0 / polar.step)
+    for n in range(count):
+        if found.begin[n] == begin and found.kind[n] != DEEP:
+            slope, run = rays.table[first + n, 0], rays.table[first + n, 1]
+            reach = min(int(run * per_metre + np.float32(1.0)), polar.bins)
+            found.kind[n], found.begin[n] = GROUND, -1
+            found.start[n], found.stop[n] = _below_clearance(limits, row, slope, reach, np.float32(polar.step))
+            end = max(end, found.stop[n])
     return end
 
 
