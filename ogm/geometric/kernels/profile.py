@@ -60,10 +60,10 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     below, zero, half, one = np.float32(numbers.below_ground), np.float32(0.0), np.float32(0.5), np.float32(1.0)
     table, support, count, at, base, end = rays.table[first:last], found.support, 0, -1, -1, 0
-    low_run, low_height, low_incline = np.float32(np.inf), zero, zero  # of a return that may be in a hole
-    rising, step_begin, step_run, step_height = False, 0, zero, zero  # the last returns of a rise,
-    from_run, from_height, from_incline = zero, zero, zero  # and the ground before it
     beneath = limits.ground[row, 0] * np.float32(0.5) * step  # height of the ground under the sensor
+    # The rise (1) or fall (-1) that is followed: its last returns, and the ground before it
+    bent, begin, last_run, last_height = 0, 0, zero, zero
+    from_run, from_height, from_incline = zero, zero, zero
     _nearest_ground(rays, first, last, low, found.nearest)
     for n in range(last - first):
         slope, run, above = table[n, 0], table[n, 1], table[n, 2]
@@ -77,71 +77,62 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             found.stop[n] = _above_ground(limits, row, slope, found.start[n], stop)
             end = max(end, found.stop[n])
             continue
-
-        # A lower level is ground if the next return continues it
-        height = slope * run
-        if run > low_run + SUPPORT_GAP:
-            gap = run - low_run
-            if abs(height - low_height - low_incline * gap) < SINK + BEND * gap:
-                support[count, 0], support[count, 1] = low_run, low_height
-                count += 1
-            low_run = np.float32(np.inf)
+        if above >= high:
+            found.kind[n] = OVERHEAD
+            found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
+            end = max(end, found.stop[n])
+            continue
 
         # The ground continued from nearer returns of the sector
+        height = slope * run
         at = _last_before(support, count, at, run - SUPPORT_GAP)
-        gap, level, incline, rise = np.float32(np.inf), beneath, zero, zero
-        if at >= 0:
-            gap, level = run - support[at, 0], support[at, 1]
-            base = _last_before(support, at + 1, min(base, at), support[at, 0] - BASELINE)
-            base_run, base_level = (support[base, 0], support[base, 1]) if base >= 0 else (zero, beneath)
-            incline = (level - base_level) / max(support[at, 0] - base_run, one)
-            incline = min(max(incline, -STEEPEST), STEEPEST)
-            rise = height - level - incline * gap
+        base = _last_before(support, at + 1, min(base, at), support[max(at, 0), 0] - BASELINE)
+        gap, incline, rise = _continue(support, at, base, beneath, run, height)
 
-        # A rise is a slope if it goes on, a step if the ground behind it is level again
-        if above <= low and rising and run > step_run + SUPPORT_GAP:
-            gain, length = step_height - from_height, step_run - from_run
-            bend = half * (gain / length + from_incline)
-            if height > step_height + bend * (run - step_run):
-                step_run, step_height = run, height
-                if run - from_run > LONGEST or height - from_height - from_incline * (run - from_run) > HIGHEST:
-                    end = max(end, _level(rays, first, n, limits, row, polar, step_begin, found))
-                    rising = False
+        # A rise or fall is a slope if it goes on, a step or a hole if the ground behind it is level again
+        low_down = rise < -SINK - BEND * gap
+        if bent != 0 and (above <= low or low_down) and run > last_run + SUPPORT_GAP:
+            length = last_run - from_run
+            bend = half * ((last_height - from_height) / length + from_incline)
+            if bent * (height - last_height - bend * (run - last_run)) > 0:
+                last_run, last_height = run, height
+                rest = height - from_height - from_incline * (run - from_run)
+                if run - from_run > LONGEST or rest > HIGHEST:
+                    end = max(end, _level(rays, first, n, limits, row, polar, begin, found))
+                    if bent < 0:
+                        support[count, 0], support[count, 1] = run, height
+                        count += 1
+                    bent = 0
             else:
-                rising = False
+                bent = 0
+
+        # Does one begin here?
+        if bent == 0 and at >= 0:
+            if gap < SUPPORT_REACH and rise > RISE + BEND * gap and above <= low:
+                bent = 1
+            elif low_down and found.nearest[n] > run - SAME:
+                bent = -1
+            if bent != 0:
+                begin, last_run, last_height = int((run - gap) * per_metre), run, height
+                from_run, from_height, from_incline = run - gap, height - rise - incline * gap, incline
 
         # What was hit, and where the ray ends
-        fall = below + FALL * max(gap - FALL_GAP, zero)
-        begin = min(int((run - gap) * per_metre), polar.bins) if at >= 0 else -1
-        stepped = gap < SUPPORT_REACH and rise > RISE + BEND * gap
-        if above < high and rise < -fall and found.nearest[n] > run - SAME:
+        rest = height - from_height - from_incline * (run - from_run)
+        if bent < 0 and rest < -below - FALL * max(run - from_run - FALL_GAP, zero) and low_down:
             found.kind[n], found.begin[n] = DEEP, begin
             reach = np.float32(begin)
         elif above < -below:
             continue
-        elif above >= high:
-            found.kind[n] = OVERHEAD
         elif above > low:
             found.kind[n] = OBSTACLE
-            reach = max(reach - margin * per_metre, zero)
+        elif bent > 0:
+            found.kind[n], found.begin[n] = OBSTACLE if rest > low else RAISED, begin
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
-        if above <= low and found.kind[n] != DEEP:
-            if stepped and not rising:
-                rising, step_begin, step_run, step_height = True, begin, run, height
-                from_run, from_height, from_incline = run - gap, level, incline
-            if rising:
-                if found.kind[n] == GROUND:
-                    found.kind[n] = RAISED
-                    reach -= one
-                if height - from_height - from_incline * (run - from_run) > low + BEND * (run - from_run):
-                    found.kind[n] = OBSTACLE
-                found.begin[n] = step_begin
-        if rise < -SINK - BEND * gap:
-            if run < low_run and found.kind[n] != DEEP:
-                low_run, low_height, low_incline = run, height, (height - level) / gap
-        elif above <= low:
+        if found.kind[n] == OBSTACLE:
+            reach = max(reach - margin * per_metre, zero)
+        if above <= low and not low_down:
             support[count, 0], support[count, 1] = run, height
             count += 1
         found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
@@ -149,12 +140,25 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     return end
 
 
+@inline
+def _continue(support, at, base, beneath, run, height):
+    """Return how far a return is from support `at`, the slope of the ground there, and its rise above that line."""
+    zero = np.float32(0.0)
+    if at < 0:
+        return run, zero, zero
+    near, level = support[at, 0], support[at, 1]
+    base_run, base_level = (support[base, 0], support[base, 1]) if base >= 0 else (zero, beneath)
+    incline = (level - base_level) / max(near - base_run, np.float32(1.0))
+    incline = min(max(incline, -STEEPEST), STEEPEST)
+    return run - near, incline, height - level - incline * (run - near)
+
+
 @kernel
 def _level(rays, first, count, limits, row, polar, begin, found):
     """Take a rise for a slope: its returns are ground; return the first bin that none of them reaches."""
     end, per_metre = 0, np.float32(1.0 / polar.step)
     for n in range(count):
-        if found.begin[n] == begin and found.kind[n] != DEEP:
+        if found.begin[n] == begin:
             slope, run = rays.table[first + n, 0], rays.table[first + n, 1]
             reach = min(int(run * per_metre + np.float32(1.0)), polar.bins)
             found.kind[n], found.begin[n] = GROUND, -1
