@@ -7,7 +7,7 @@ import numpy as np
 
 from ogm.geometric.kernels.arguments import SectorRays
 from ogm.geometric.kernels.polar import ROW_BITS
-from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, RAISED, classify_rays
+from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, RAISED, SUNK, classify_rays
 from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
@@ -76,10 +76,15 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
             continue
         silent = _mark(rays, first, last, points, origin, cells, numbers, found, work.hits)
         for n in range(last - first):
-            if found.kind[n] == DEEP:
-                work.order[deep] = first + n
-                deep += 1
-                holes[s, found.begin[n] : min(int(rays.table[first + n, 1] / polar.step) + 1, bins)] = 1
+            if found.kind[n] == DEEP or found.kind[n] == SUNK:
+                to = min(int(rays.table[first + n, 1] / polar.step) + 1, bins)
+                if found.kind[n] == DEEP:
+                    holes[s, found.begin[n] : to] = 2
+                    work.order[deep] = first + n
+                    deep += 1
+                else:
+                    for k in range(found.begin[n], to):
+                        holes[s, k] = max(holes[s, k], 1)
         free = work.free[s, :end]
         _free_belief(rays.table[first:last], found, limits, row, polar, numbers, False, part, free)
         if silent:
@@ -89,7 +94,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
                 free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
         if STRIP:
             for n in range(last - first):
-                if found.begin[n] >= 0 and found.kind[n] != DEEP:
+                if found.begin[n] >= 0 and found.kind[n] != DEEP and found.kind[n] != SUNK:
                     strip[found.begin[n] : int(rays.table[first + n, 1] / np.float32(polar.step)) + 1] = DOUBTFUL
             for k in range(end):
                 free[k] *= strip[k]
@@ -193,8 +198,8 @@ def _open_holes(rays, points, deep, polar, cells, holes, work):
     for s in range(sectors):
         left, right = holes[s - 1], holes[(s + 1) % sectors]
         for k in range(bins):
-            if holes[s, k] and (left[k] or right[k]):
-                work.free[s, k] = 0
+            if holes[s, k] == 2 and (left[k] or right[k]):
+                work.free[s - 1, k] = work.free[s, k] = work.free[(s + 1) % sectors, k] = 0
     for n in deep:
         which = rays.index[n]
         s, k = work.sector[which], min(int(rays.table[n, 1] / polar.step), bins - 1)

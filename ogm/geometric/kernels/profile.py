@@ -5,7 +5,7 @@ import numpy as np
 
 from ogm.jit import inline, kernel
 
-__all__ = ["DEEP", "NONE", "NO_RETURN", "OBSTACLE", "RAISED", "classify_rays"]
+__all__ = ["DEEP", "NONE", "NO_RETURN", "OBSTACLE", "RAISED", "SUNK", "classify_rays"]
 
 NONE = 0  # no effect: multipath, or straight up or down
 GROUND = 1
@@ -14,17 +14,18 @@ OBSTACLE = 3
 RAISED = 4  # ground that rises suddenly, by less than an obstacle
 DEEP = 5  # in a hole, or beyond a drop
 NO_RETURN = 6
+SUNK = 7  # ground that falls suddenly, by less than a hole
 
 SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that it is compared with
 BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
 SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
 STEEPEST = np.float32(0.25)
-RISE = np.float32(0.04)  # [m] of a return above the continued ground, that may be a step
+RISE = np.float32(0.03)  # [m] of a return above the continued ground, that may be a step
 BEND = np.float32(0.015)  # rise over run by which ground may bend upwards
 LONGEST = np.float32(6.0)  # [m] run of a rise that may be a step
 HIGHEST = np.float32(0.5)  # [m] of a rise that the ground map may follow
 SINK = np.float32(0.1)  # [m] of a return below the continued ground, that may be in a hole
-FALL = np.float32(0.1)  # rise over run by which ground may fall from `FALL_GAP` on
+FALL = np.float32(0.05)  # rise over run by which ground may fall from `FALL_GAP` on
 FALL_GAP = np.float32(6.0)  # [m]
 SAME = np.float32(0.5)  # [m] in run, of returns from one surface
 
@@ -113,7 +114,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             elif low_down and found.nearest[n] > run - SAME:
                 bent = -1
             if bent != 0:
-                begin, last_run, last_height = int((run - gap) * per_metre), run, height
+                begin, last_run, last_height = max(int((run - gap) * per_metre) - 1, 0), run, height
                 from_run, from_height, from_incline = run - gap, height - rise - incline * gap, incline
 
         # What was hit, and where the ray ends
@@ -130,6 +131,8 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
+            if bent < 0 and low_down:
+                found.kind[n], found.begin[n] = SUNK, begin
         if found.kind[n] == OBSTACLE:
             reach = max(reach - margin * per_metre, zero)
         if above <= low and not low_down:
