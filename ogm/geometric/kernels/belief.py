@@ -60,7 +60,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
         most = max(most, rays.starts[s + 1] - rays.starts[s])
     found = SectorRays(
         np.empty(most, np.int8), np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32),
-        np.empty((most, 2), np.float32), np.empty(most, np.float32),
+        np.empty((most + 1, 6), np.float64), np.empty(most, np.float32),
     )  # fmt: skip
     part = np.empty(PARTS, np.float32)
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's

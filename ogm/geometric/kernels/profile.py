@@ -1,6 +1,8 @@
 """What the rays of a sector hit: ground, an obstacle, a step in the ground, a hole in it."""
 
 # mypy: allow-untyped-defs
+import math
+
 import numpy as np
 
 from ogm.jit import inline, kernel
@@ -19,14 +21,16 @@ SUNK = 7  # ground that falls suddenly, by less than a hole
 SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that it is compared with
 BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
 SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
-STEEPEST = np.float32(0.25)
+STEEPEST = 0.25
 RISE = np.float32(0.03)  # [m] of a return above the continued ground, that may be a step
 BEND = np.float32(0.015)  # rise over run by which ground may bend upwards
 LONGEST = np.float32(6.0)  # [m] run of a rise that may be a step
 HIGHEST = np.float32(0.5)  # [m] of a rise that the ground map may follow
+STEP = np.float32(0.1)  # [m] of a rise that is an obstacle
 SINK = np.float32(0.1)  # [m] of a return below the continued ground, that may be in a hole
 FALL = np.float32(0.05)  # rise over run by which ground may fall from `FALL_GAP` on
 FALL_GAP = np.float32(6.0)  # [m]
+ROUGH = np.float32(2.5)  # standard deviations of the ground about the line
 SAME = np.float32(0.5)  # [m] in run, of returns from one surface
 
 
@@ -60,8 +64,8 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     per_metre, margin = np.float32(1.0 / polar.step), np.float32(2.0 * numbers.range_noise)
     low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
     below, zero, half, one = np.float32(numbers.below_ground), np.float32(0.0), np.float32(0.5), np.float32(1.0)
-    table, support, count, at, base, end = rays.table[first:last], found.support, 0, -1, -1, 0
-    beneath = limits.ground[row, 0] * np.float32(0.5) * step  # height of the ground under the sensor
+    table, support, count, at, base, end = rays.table[first:last], found.support, 0, 0, 0, 0
+    count = _add_support(support, 0, zero, limits.ground[row, 0] * half * step)  # the ground under the sensor
     # The rise (1) or fall (-1) that is followed: its last returns, and the ground before it
     bent, begin, last_run, last_height = 0, 0, zero, zero
     from_run, from_height, from_incline = zero, zero, zero
@@ -87,39 +91,42 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         # The ground continued from nearer returns of the sector
         height = slope * run
         at = _last_before(support, count, at, run - SUPPORT_GAP)
-        base = _last_before(support, at + 1, min(base, at), support[max(at, 0), 0] - BASELINE)
-        gap, incline, rise = _continue(support, at, base, beneath, run, height)
+        base = _last_before(support, at + 1, min(base, at), np.float32(support[at, 0]) - BASELINE)
+        gap = run - np.float32(support[at, 0])
+        level, incline, rough = _continue(support, base, at, run)
+        rise = height - level
+        slack = BEND * gap + ROUGH * rough
+        low_down = rise < -SINK - slack
 
-        # A rise or fall is a slope if it goes on, a step or a hole if the ground behind it is level again
-        low_down = rise < -SINK - BEND * gap
+        # A rise or fall is a slope if it goes on, a step or a hole if not, and nothing if it ends at once
         if bent != 0 and (above <= low or low_down) and run > last_run + SUPPORT_GAP:
-            length = last_run - from_run
-            bend = half * ((last_height - from_height) / length + from_incline)
-            if bent * (height - last_height - bend * (run - last_run)) > 0:
+            rest = height - from_height - from_incline * (run - from_run)
+            before = last_height - from_height - from_incline * (last_run - from_run)
+            if bent * rest > bent * before * (one + half * (run - last_run) / (last_run - from_run)):
                 last_run, last_height = run, height
-                rest = height - from_height - from_incline * (run - from_run)
                 if run - from_run > LONGEST or rest > HIGHEST:
                     end = max(end, _level(rays, first, n, limits, row, polar, begin, found))
                     if bent < 0:
-                        support[count, 0], support[count, 1] = run, height
-                        count += 1
+                        count = _add_support(support, count, run, height)
                     bent = 0
             else:
+                if bent > 0 and rest < half * before:
+                    end = max(end, _level(rays, first, n, limits, row, polar, begin, found))
                 bent = 0
 
         # Does one begin here?
-        if bent == 0 and at >= 0:
-            if gap < SUPPORT_REACH and rise > RISE + BEND * gap and above <= low:
+        if bent == 0 and at > 0:
+            if gap < SUPPORT_REACH and rise > RISE + slack and above <= low:
                 bent = 1
             elif low_down and found.nearest[n] > run - SAME:
                 bent = -1
             if bent != 0:
                 begin, last_run, last_height = max(int((run - gap) * per_metre) - 1, 0), run, height
-                from_run, from_height, from_incline = run - gap, height - rise - incline * gap, incline
+                from_run, from_height, from_incline = run - gap, level - incline * gap, incline
 
         # What was hit, and where the ray ends
         rest = height - from_height - from_incline * (run - from_run)
-        if bent < 0 and rest < -below - FALL * max(run - from_run - FALL_GAP, zero) and low_down:
+        if bent < 0 and low_down and rest < -below - FALL * max(run - from_run - FALL_GAP, zero) - slack:
             found.kind[n], found.begin[n] = DEEP, begin
             reach = np.float32(begin)
         elif above < -below:
@@ -127,7 +134,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         elif above > low:
             found.kind[n] = OBSTACLE
         elif bent > 0:
-            found.kind[n], found.begin[n] = OBSTACLE if rest > low else RAISED, begin
+            found.kind[n], found.begin[n] = OBSTACLE if rest > STEP + ROUGH * rough else RAISED, begin
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
@@ -136,24 +143,39 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         if found.kind[n] == OBSTACLE:
             reach = max(reach - margin * per_metre, zero)
         if above <= low and not low_down:
-            support[count, 0], support[count, 1] = run, height
-            count += 1
+            count = _add_support(support, count, run, height)
         found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
         end = max(end, found.stop[n])
     return end
 
 
 @inline
-def _continue(support, at, base, beneath, run, height):
-    """Return how far a return is from support `at`, the slope of the ground there, and its rise above that line."""
-    zero = np.float32(0.0)
-    if at < 0:
-        return run, zero, zero
-    near, level = support[at, 0], support[at, 1]
-    base_run, base_level = (support[base, 0], support[base, 1]) if base >= 0 else (zero, beneath)
-    incline = (level - base_level) / max(near - base_run, np.float32(1.0))
-    incline = min(max(incline, -STEEPEST), STEEPEST)
-    return run - near, incline, height - level - incline * (run - near)
+def _add_support(support, count, run, height):
+    """Add a return, and the sums for a line through the last ones; return the new number of supports."""
+    r, z = float(run), float(height)
+    support[count, 0], support[count, 1] = r, r
+    support[count, 2], support[count, 3], support[count, 4], support[count, 5] = z, r * r, r * z, z * z
+    if count > 0:
+        for k in range(1, 6):
+            support[count, k] += support[count - 1, k]
+    return count + 1
+
+
+@inline
+def _continue(support, base, at, run):
+    """Fit a line to the supports after `base` up to `at`: height at `run`, rise over run, standard deviation."""
+    if at - base < 2:
+        base -= 1
+    count = float(at - base)
+    r, z, rr, rz, zz = support[at, 1], support[at, 2], support[at, 3], support[at, 4], support[at, 5]
+    if base >= 0:
+        r, z, rr = r - support[base, 1], z - support[base, 2], rr - support[base, 3]
+        rz, zz = rz - support[base, 4], zz - support[base, 5]
+    r, z = r / count, z / count
+    rr, rz, zz = rr - count * r * r, rz - count * r * z, zz - count * z * z
+    incline = min(max(rz / rr, -STEEPEST), STEEPEST) if rr > 0.5 else 0.0
+    rest = max(zz - incline * rz, 0.0) / max(count - 2.0, 1.0)
+    return np.float32(z + incline * (run - r)), np.float32(incline), np.float32(math.sqrt(rest))
 
 
 @kernel
@@ -172,8 +194,8 @@ def _level(rays, first, count, limits, row, polar, begin, found):
 
 @inline
 def _last_before(support, count, at, run):
-    """Return the last of the first `count` supports that is no further than `run`, searched from `at`; -1 for none."""
-    while at >= 0 and support[at, 0] > run:
+    """Return the last of the first `count` supports that is no further than `run`, searched from `at`."""
+    while at > 0 and support[at, 0] > run:
         at -= 1
     while at + 1 < count and support[at + 1, 0] <= run:
         at += 1

@@ -76,14 +76,11 @@ def ground_heights(points, ground_point, cells, shape, limits):
     if weight[i0, j0] == 0 and math.isfinite(lowest[i0, j0]):
         height[i0, j0], weight[i0, j0] = gz, np.float32(1.0)
 
-    # 4. a smooth surface through them, below the envelope where nothing was measured
-    known = weight > 0
+    # 4. a smooth surface through them, that climbs nowhere faster from them than the slope limit
+    limit = np.where(weight > 0, height, np.float32(np.inf))
+    lower_envelope(limit, np.float32(limits.max_slope * cells.resolution))
     fill(height, weight, gz)
-    for i in range(shape[0]):
-        for j in range(shape[1]):
-            if not known[i, j]:
-                height[i, j] = min(height[i, j], envelope[i, j])
-    return height
+    return np.minimum(height, np.maximum(limit, np.where(weight > 0, height, np.float32(-np.inf))))
 
 
 @kernel
