@@ -22,8 +22,8 @@ SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that
 BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
 SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
 STEEPEST = 0.25
-RISE = np.float32(0.03)  # [m] of a return above the continued ground, that may be a step
-BEND = np.float32(0.015)  # rise over run by which ground may bend upwards
+RISE = np.float32(0.055)  # [m] of a return above the continued ground, that may be a step
+BEND = np.float32(0.005)  # rise over run by which ground may bend upwards
 LONGEST = np.float32(6.0)  # [m] run of a rise that may be a step
 HIGHEST = np.float32(0.5)  # [m] of a rise that the ground map may follow
 STEP = np.float32(0.1)  # [m] of a rise that is an obstacle
@@ -31,6 +31,7 @@ SINK = np.float32(0.1)  # [m] of a return below the continued ground, that may b
 FALL = np.float32(0.05)  # rise over run by which ground may fall from `FALL_GAP` on
 FALL_GAP = np.float32(6.0)  # [m]
 ROUGH = np.float32(2.5)  # standard deviations of the ground about the line
+EDGE = np.float32(0.3)  # [m] in run, of the returns from a step's face
 SAME = np.float32(0.5)  # [m] in run, of returns from one surface
 
 
@@ -67,7 +68,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     table, support, count, at, base, end = rays.table[first:last], found.support, 0, 0, 0, 0
     count = _add_support(support, 0, zero, limits.ground[row, 0] * half * step)  # the ground under the sensor
     # The rise (1) or fall (-1) that is followed: its last returns, and the ground before it
-    bent, begin, last_run, last_height = 0, 0, zero, zero
+    bent, begin, first_run, last_run, last_height = 0, 0, zero, zero, zero
     from_run, from_height, from_incline = zero, zero, zero
     _nearest_ground(rays, first, last, low, found.nearest)
     for n in range(last - first):
@@ -121,7 +122,8 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             elif low_down and found.nearest[n] > run - SAME:
                 bent = -1
             if bent != 0:
-                begin, last_run, last_height = max(int((run - gap) * per_metre) - 1, 0), run, height
+                edge = np.float32(support[_last_before(support, count, at, run - EDGE), 0])
+                begin, first_run, last_run, last_height = max(int(edge * per_metre) - 1, 0), run, run, height
                 from_run, from_height, from_incline = run - gap, level - incline * gap, incline
 
         # What was hit, and where the ray ends
@@ -134,7 +136,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         elif above > low:
             found.kind[n] = OBSTACLE
         elif bent > 0:
-            found.kind[n], found.begin[n] = OBSTACLE if rest > STEP + ROUGH * rough else RAISED, begin
+            found.kind[n], found.begin[n] = OBSTACLE if rest > STEP + ROUGH * rough and run < first_run + EDGE else RAISED, begin
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
