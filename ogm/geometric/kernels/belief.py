@@ -7,8 +7,8 @@ import numpy as np
 
 from ogm.geometric.kernels.arguments import SectorRays
 from ogm.geometric.kernels.polar import ROW_BITS
-from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, RAISED, SUNK, classify_rays
-from ogm.jit import kernel, vector
+from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, STEP, SUNK, classify_rays
+from ogm.jit import inline, kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
 
@@ -16,9 +16,7 @@ __all__ = ["clear_sectors", "ray_mass"]
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
 DOUBTFUL = np.float32(0.5)
-STRIP = 1
-DOUBT = 0.16  # [m] around a raised return, in which no cell is free
-RAISED_BIT = 1 << 28  # of `hits`
+HOLE, DIP, RISE = 1, 2, 4  # bits of the breaks of the ground in a polar bin
 
 
 @kernel
@@ -55,7 +53,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
         `free` and `hits` are filled: belief in free, and half hits of obstacles and of returns from holes. `order`
         is overwritten.
     """
-    sectors, bins, most, deep = polar.sectors, polar.bins, 0, 0
+    sectors, bins, most = polar.sectors, polar.bins, 0
     for s in range(sectors):
         most = max(most, rays.starts[s + 1] - rays.starts[s])
     found = SectorRays(
@@ -65,8 +63,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     part = np.empty(PARTS, np.float32)
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
-    holes = np.zeros((sectors, bins), np.uint8)
-    strip = np.ones(4096, np.float32)
+    breaks, step, marks = np.zeros((sectors, bins), np.uint8), np.float32(polar.step), 0
     work.hits[:] = 0
     for s in range(sectors):
         first, last, row = rays.starts[s], rays.starts[s + 1], s >> ROW_BITS
@@ -76,15 +73,14 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
             continue
         silent = _mark(rays, first, last, points, origin, cells, numbers, found, work.hits)
         for n in range(last - first):
-            if found.kind[n] == DEEP or found.kind[n] == SUNK:
-                to = min(int(rays.table[first + n, 1] / polar.step) + 1, bins)
-                if found.kind[n] == DEEP:
-                    holes[s, found.begin[n] : to] = 2
-                    work.order[deep] = first + n
-                    deep += 1
-                else:
-                    for k in range(found.begin[n], to):
-                        holes[s, k] = max(holes[s, k], 1)
+            if found.begin[n] >= 0:
+                kind = found.kind[n]
+                bit = HOLE if kind == DEEP else DIP if kind == SUNK else RISE
+                for k in range(found.begin[n], min(int(rays.table[first + n, 1] / step) + 1, bins)):
+                    breaks[s, k] |= bit
+                if kind == DEEP or kind == STEP:
+                    work.order[marks] = first + n
+                    marks += 1
         free = work.free[s, :end]
         _free_belief(rays.table[first:last], found, limits, row, polar, numbers, False, part, free)
         if silent:
@@ -92,14 +88,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
             _free_belief(rays.table[first:last], found, limits, row, polar, numbers, True, part, free)
             for k in range(end):
                 free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
-        if STRIP:
-            for n in range(last - first):
-                if found.begin[n] >= 0 and found.kind[n] != DEEP and found.kind[n] != SUNK:
-                    strip[found.begin[n] : int(rays.table[first + n, 1] / np.float32(polar.step)) + 1] = DOUBTFUL
-            for k in range(end):
-                free[k] *= strip[k]
-                strip[k] = 1
-    _open_holes(rays, points, work.order[:deep], polar, cells, holes, work)
+    _apply_breaks(rays, points, work.order[:marks], polar, cells, breaks, work)
 
 
 @kernel
@@ -177,35 +166,42 @@ def _mark(rays, first, last, points, origin, cells, numbers, found, hits):
         kind = found.kind[n]
         if kind == NO_RETURN:
             silent = True
-        elif kind == OBSTACLE or kind == RAISED:
+        elif kind == OBSTACLE:
             which, run = rays.index[first + n] & 0x7FFFFFFF, rays.table[first + n, 1]
             x, y, share = points.x[which], points.y[which], noise / run
             du, dv = (x - origin[0]) * share, (y - origin[1]) * share
-            if kind == OBSTACLE:
-                _hit(hits, cells, x - du, y - dv)
-                _hit(hits, cells, x + du, y + dv)
-            else:
-                _doubt(hits, cells, x, y)
+            _hit(hits, cells, x - du, y - dv)
+            _hit(hits, cells, x + du, y + dv)
     return silent
 
 
 @kernel
-def _open_holes(rays, points, deep, polar, cells, holes, work):
-    """Keep free of belief what rays of two neighbouring sectors pass under the ground, and mark their returns."""
-    if deep.shape[0] == 0:
-        return
-    sectors, bins = holes.shape
+def _apply_breaks(rays, points, marks, polar, cells, breaks, work):
+    """Take belief from where the ground breaks in neighbouring sectors, too, and let the returns there mark their cells.
+
+    A lone sector does not count: a return may be noise or multipath.
+    """
+    sectors, bins = breaks.shape
     for s in range(sectors):
-        left, right = holes[s - 1], holes[(s + 1) % sectors]
+        a, b, d, e = breaks[s - 2], breaks[s - 1], breaks[(s + 1) % sectors], breaks[(s + 2) % sectors]
         for k in range(bins):
-            if holes[s, k] == 2 and (left[k] or right[k]):
+            if breaks[s, k] & RISE and _raised(a[k], b[k], d[k], e[k]):
+                work.free[s, k] *= DOUBTFUL
+            if breaks[s, k] & HOLE and (b[k] | d[k]) & (HOLE | DIP):
                 work.free[s - 1, k] = work.free[s, k] = work.free[(s + 1) % sectors, k] = 0
-    for n in deep:
+    for n in marks:
         which = rays.index[n]
         s, k = work.sector[which], min(int(rays.table[n, 1] / polar.step), bins - 1)
-        if holes[s - 1, k] or holes[(s + 1) % sectors, k]:
+        a, b, d, e = breaks[s - 2, k], breaks[s - 1, k], breaks[(s + 1) % sectors, k], breaks[(s + 2) % sectors, k]
+        if (breaks[s, k] & RISE and _raised(a, b, d, e)) or (breaks[s, k] & HOLE and (b | d) & (HOLE | DIP)):
             _hit(work.hits, cells, points.x[which], points.y[which])
             _hit(work.hits, cells, points.x[which], points.y[which])
+
+
+@inline
+def _raised(a, b, d, e):
+    """Tell whether the ground rises in two of four neighbouring sectors."""
+    return (a & RISE) + (b & RISE) + (d & RISE) + (e & RISE) >= 2 * RISE
 
 
 @kernel
@@ -215,17 +211,6 @@ def _hit(hits, cells, x, y):
     u, v = (x - np.float32(cells.x0)) * inverse, (y - np.float32(cells.y0)) * inverse
     if u >= 0 and u < hits.shape[0] and v >= 0 and v < hits.shape[1]:
         hits[int(u) & 0x7FFFFFFF, int(v) & 0x7FFFFFFF] += 1
-
-
-@kernel
-def _doubt(hits, cells, x, y):
-    """Let no cell within `DOUBT` of (x, y) be free."""
-    inverse = 1.0 / cells.resolution
-    reach = max(round(DOUBT * inverse), 1)
-    i, j = math.floor((x - cells.x0) * inverse), math.floor((y - cells.y0) * inverse)
-    for u in range(max(i - reach, 0), min(i + reach + 1, hits.shape[0])):
-        for v in range(max(j - reach, 0), min(j + reach + 1, hits.shape[1])):
-            hits[u, v] |= RAISED_BIT
 
 
 @kernel
@@ -269,9 +254,7 @@ def ray_mass(free, hits, polar, false_alarm, numbers):
                 s = s + 1 if s + 1 < polar.sectors else 0
             if count > 1:
                 cleared /= np.float32(count)
-            if hits[i, j] >= RAISED_BIT:
-                cleared *= DOUBTFUL
-            number = hits[i, j] & (RAISED_BIT - 1)
+            number = hits[i, j]
             if number > 0:
                 alarm = false_alarm[min(number, false_alarm.shape[0] - 1)]
                 mass[i, j, 0] = min(reliability * cleared * alarm, limit)

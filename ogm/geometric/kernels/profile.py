@@ -7,7 +7,7 @@ import numpy as np
 
 from ogm.jit import inline, kernel
 
-__all__ = ["DEEP", "NONE", "NO_RETURN", "OBSTACLE", "RAISED", "SUNK", "classify_rays"]
+__all__ = ["DEEP", "NONE", "NO_RETURN", "OBSTACLE", "STEP", "SUNK", "classify_rays"]
 
 NONE = 0  # no effect: multipath, or straight up or down
 GROUND = 1
@@ -16,7 +16,8 @@ OBSTACLE = 3
 RAISED = 4  # ground that rises suddenly, by less than an obstacle
 DEEP = 5  # in a hole, or beyond a drop
 NO_RETURN = 6
-SUNK = 7  # ground that falls suddenly, by less than a hole
+STEP = 7  # ground that rises suddenly, by as much as an obstacle
+SUNK = 8  # ground that falls suddenly, by less than a hole
 
 SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that it is compared with
 BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
@@ -26,7 +27,7 @@ RISE = np.float32(0.055)  # [m] of a return above the continued ground, that may
 BEND = np.float32(0.005)  # rise over run by which ground may bend upwards
 LONGEST = np.float32(6.0)  # [m] run of a rise that may be a step
 HIGHEST = np.float32(0.5)  # [m] of a rise that the ground map may follow
-STEP = np.float32(0.1)  # [m] of a rise that is an obstacle
+STEP_HEIGHT = np.float32(0.1)  # [m] of a rise that is an obstacle
 SINK = np.float32(0.1)  # [m] of a return below the continued ground, that may be in a hole
 FALL = np.float32(0.05)  # rise over run by which ground may fall from `FALL_GAP` on
 FALL_GAP = np.float32(6.0)  # [m]
@@ -136,7 +137,8 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         elif above > low:
             found.kind[n] = OBSTACLE
         elif bent > 0:
-            found.kind[n], found.begin[n] = OBSTACLE if rest > STEP + ROUGH * rough and run < first_run + EDGE else RAISED, begin
+            high_up = rest > STEP_HEIGHT + ROUGH * rough and run < first_run + EDGE
+            found.kind[n], found.begin[n] = STEP if high_up else RAISED, begin
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
