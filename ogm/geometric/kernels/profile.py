@@ -20,7 +20,7 @@ STEP = 7  # ground that rises suddenly, by as much as an obstacle
 SUNK = 8  # ground that falls suddenly, by less than a hole
 
 SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that it is compared with
-BASELINE = np.float32(3.0)  # [m] run over which the slope of that ground is taken
+BASELINE = np.float32(5.0)  # [m] run over which the slope of that ground is taken
 SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
 STEEPEST = 0.25
 RISE = np.float32(0.055)  # [m] of a return above the continued ground, that may be a step
@@ -33,6 +33,8 @@ FALL = np.float32(0.05)  # rise over run by which ground may fall from `FALL_GAP
 FALL_GAP = np.float32(6.0)  # [m]
 ROUGH = np.float32(2.5)  # standard deviations of the ground about the line
 EDGE = np.float32(0.3)  # [m] in run, of the returns from a step's face
+BUMP = np.float32(2.0)  # [m] in run, within which a rise that ends at once is noise
+MANY = 8  # returns that show how rough the ground is
 SAME = np.float32(0.5)  # [m] in run, of returns from one surface
 
 
@@ -112,7 +114,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
                         count = _add_support(support, count, run, height)
                     bent = 0
             else:
-                if bent > 0 and rest < half * before:
+                if bent > 0 and rest < half * before and run - last_run < BUMP:
                     end = max(end, _level(rays, first, n, limits, row, polar, begin, found))
                 bent = 0
 
@@ -179,7 +181,7 @@ def _continue(support, base, at, run):
     rr, rz, zz = rr - count * r * r, rz - count * r * z, zz - count * z * z
     incline = min(max(rz / rr, -STEEPEST), STEEPEST) if rr > 0.5 else 0.0
     rest = max(zz - incline * rz, 0.0) / max(count - 2.0, 1.0)
-    return np.float32(z + incline * (run - r)), np.float32(incline), np.float32(math.sqrt(rest))
+    return np.float32(z + incline * (run - r)), np.float32(incline), np.float32(math.sqrt(rest) if count >= MANY else 0.0)
 
 
 @kernel
