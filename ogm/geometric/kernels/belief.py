@@ -8,7 +8,7 @@ import numpy as np
 from ogm.geometric.kernels.arguments import SectorRays
 from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, STEP, SUNK, classify_rays
-from ogm.jit import inline, kernel, vector
+from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
 
@@ -76,7 +76,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
             if found.begin[n] >= 0:
                 kind = found.kind[n]
                 bit = HOLE if kind == DEEP else DIP if kind == SUNK else RISE
-                for k in range(found.begin[n], min(int(rays.table[first + n, 1] / step) + 1, bins)):
+                for k in range(found.begin[n], min(int(rays.table[first + n, 1] / step) + 2, bins)):
                     breaks[s, k] |= bit
                 if kind == DEEP or kind == STEP:
                     work.order[marks] = first + n
@@ -183,25 +183,29 @@ def _apply_breaks(rays, points, marks, polar, cells, breaks, work):
     """
     sectors, bins = breaks.shape
     for s in range(sectors):
-        a, b, d, e = breaks[s - 2], breaks[s - 1], breaks[(s + 1) % sectors], breaks[(s + 2) % sectors]
+        far = breaks[s - 2], breaks[(s + 2) % sectors]
+        near = breaks[s - 1], breaks[s], breaks[(s + 1) % sectors]
         for k in range(bins):
-            if breaks[s, k] & RISE and _raised(a[k], b[k], d[k], e[k]):
+            a, b, c, d, e = far[0][k], near[0][k], near[1][k], near[2][k], far[1][k]
+            if (b | c | d) & HOLE and _many(a, b, c, d, e, HOLE | DIP):
+                work.free[s, k] = 0
+            elif (b | c | d) & RISE and _many(a, b, c, d, e, RISE):
                 work.free[s, k] *= DOUBTFUL
-            if breaks[s, k] & HOLE and (b[k] | d[k]) & (HOLE | DIP):
-                work.free[s - 1, k] = work.free[s, k] = work.free[(s + 1) % sectors, k] = 0
     for n in marks:
         which = rays.index[n]
         s, k = work.sector[which], min(int(rays.table[n, 1] / polar.step), bins - 1)
-        a, b, d, e = breaks[s - 2, k], breaks[s - 1, k], breaks[(s + 1) % sectors, k], breaks[(s + 2) % sectors, k]
-        if (breaks[s, k] & RISE and _raised(a, b, d, e)) or (breaks[s, k] & HOLE and (b | d) & (HOLE | DIP)):
+        a, b, c = breaks[s - 2, k], breaks[s - 1, k], breaks[s, k]
+        d, e = breaks[(s + 1) % sectors, k], breaks[(s + 2) % sectors, k]
+        bits = RISE if c & RISE else HOLE | DIP
+        if _many(a, b, c, d, e, bits):
             _hit(work.hits, cells, points.x[which], points.y[which])
             _hit(work.hits, cells, points.x[which], points.y[which])
 
 
-@inline
-def _raised(a, b, d, e):
-    """Tell whether the ground rises in two of four neighbouring sectors."""
-    return (a & RISE) + (b & RISE) + (d & RISE) + (e & RISE) >= 2 * RISE
+@kernel
+def _many(a, b, c, d, e, bits):
+    """Tell whether two of five neighbouring sectors have one of some bits."""
+    return ((a & bits) > 0) + ((b & bits) > 0) + ((c & bits) > 0) + ((d & bits) > 0) + ((e & bits) > 0) >= 2
 
 
 @kernel
