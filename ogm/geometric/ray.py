@@ -27,13 +27,14 @@ class RayISM:
     """The geometric model to use: local ground, marking apart from clearing, counts turned into belief.
 
     Each return is a ray. Obstacle returns (between `obstacle_height` and `clearance` above the *local* ground)
-    mark their cell. All rays, also those to the ground, to tree crowns and, if given, beams without
-    echo, clear the cells they pass, the less the higher above ground they pass and not at all above
-    `clearance`. Where no ray passes low enough, the cell stays unknown.
+    mark their cell, and so do sudden steps and holes in the ground. All rays, also those to the ground, to tree
+    crowns and, if given, beams without echo, clear the cells they pass, the less the higher above ground they pass
+    and not at all above `clearance`. Where no ray passes low enough, or an obstacle before the cell hides some
+    heights above it, the cell stays unknown.
 
-    Counts become belief: R returns give occupied ``1 - p_false_alarm**R``, T rays at the ground give free
-    ``1 - p_miss**T`` (count-based belief, as in Bosch's evidential occupancy, CVPR 2024), and rays that pass
-    higher give less, see `kernels.belief.clear_sectors`.
+    Counts become belief: R returns give occupied ``1 - p_false_alarm**R`` (as in Bosch's evidential occupancy, CVPR
+    2024), and rays give free ``1 - E_H[p_miss**N(H)]`` with N(H) the number of rays below the unknown height H of an
+    obstacle, see `kernels.belief.clear_sectors`.
 
     Parameters
     ----------
@@ -44,15 +45,19 @@ class RayISM:
     ground : function
         `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, ground_point) -> height``.
     obstacle_height : float
-        Lowest return above ground that marks [m]; kerbs are 0.08 to 0.15 m high.
+        Lowest return above the ground map that marks [m]. Steps in the ground mark from 0.1 m on, whatever this is.
     clearance : float
         Height that a vehicle needs [m]; what hangs above does not mark. The paper's band ends at 2.0 m.
     below_ground : float
-        Returns further below ground are multipath and are ignored [m].
+        Returns further below ground are in a hole or multipath [m].
+    hidden_height : float
+        Largest thickness of something that hangs where no ray passes, because an obstacle before it stops them [m].
+    hidden_depth : float
+        How far such a thing may reach back from that obstacle [m].
     range_noise : float
         Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
     p_miss : float
-        Chance that a ray passes an occupied cell unnoticed; 0.8 in Bosch's belief model.
+        Chance that a ray passes an occupied cell unnoticed; fitted, see `ogm calibrate`; 0.8 in Bosch's belief model.
     p_false_alarm : float
         Chance that a return comes from an empty cell; 0.05 in Bosch's belief model.
     free_reliability_at_hits : float
@@ -64,10 +69,12 @@ class RayISM:
     max_range : float
         How far an obstacle would be seen, for beams without echo [m].
     no_return_weight : float
-        Weight of such a beam against one that came back: black and wet surfaces swallow beams too.
+        Reliability of these beams as a source: black and wet surfaces swallow beams too.
     azimuth_step : float
         Width of the polar sectors that rays are counted in [rad]; not finer than the sensor's azimuth step,
         or free space falls into streaks. 0.35 deg is a cell of 0.16 m at 26 m.
+    ground_cell : float
+        Side of the cells of the ground map, at least that of the grid's cells [m].
 
     Raises
     ------
@@ -78,18 +85,18 @@ class RayISM:
     spec: GridSpec
     mount: Mount
     ground: GroundEstimate = local_ground
-    obstacle_height: float = 0.1
+    obstacle_height: float = 0.15
     clearance: float = 2.0
     below_ground: float = 0.3
-    hidden_height: float = 0.5
-    hidden_depth: float = 10.0
+    hidden_height: float = 0.75
+    hidden_depth: float = 8.0
     range_noise: float = 0.03
-    p_miss: float = 0.8
+    p_miss: float = 0.25
     p_false_alarm: float = 0.05
     free_reliability_at_hits: float = 0.2
     max_mass: float = 0.98
     max_range: float = 100.0
-    no_return_weight: float = 0.2
+    no_return_weight: float = 0.25
     azimuth_step: float = 2 * math.pi / 1024
     ground_cell: float = 1.0
 

@@ -113,7 +113,9 @@ class SectorRays(NamedTuple):
     start: NDArray[np.int32]  # (N,) first bin
     stop: NDArray[np.int32]  # (N,) first bin after these
     begin: NDArray[np.int32]  # (N,) bin of the ground before a step or a hole; -1 for neither
-    support: NDArray[np.float64]  # (N + 1, 6) of ground returns: run [m]; sums of run, height, their squares and product
+    support: NDArray[
+        np.float64
+    ]  # (N + 1, 6) of ground returns: run [m]; sums of run, height, their squares and product
     nearest: NDArray[np.float32]  # (N,) [m]
 
 

@@ -177,7 +177,7 @@ def _mark(rays, first, last, points, origin, cells, numbers, found, hits):
 
 @kernel
 def _apply_breaks(rays, points, marks, polar, cells, breaks, work):
-    """Take belief from where the ground breaks in neighbouring sectors, too, and let the returns there mark their cells.
+    """Take belief from where the ground breaks in neighbouring sectors, too, and let the returns there mark cells.
 
     A lone sector does not count: a return may be noise or multipath.
     """

@@ -23,7 +23,7 @@ SUPPORT_GAP = np.float32(0.8)  # [m] between a return and the nearer ground that
 BASELINE = np.float32(5.0)  # [m] run over which the slope of that ground is taken
 SUPPORT_REACH = np.float32(4.0)  # [m] beyond which a rise is no step
 STEEPEST = 0.25
-RISE = np.float32(0.055)  # [m] of a return above the continued ground, that may be a step
+RISE = np.float32(0.075)  # [m] of a return above the continued ground, that may be a step
 BEND = np.float32(0.005)  # rise over run by which ground may bend upwards
 LONGEST = np.float32(6.0)  # [m] run of a rise that may be a step
 HIGHEST = np.float32(0.5)  # [m] of a rise that the ground map may follow
@@ -34,7 +34,7 @@ FALL_GAP = np.float32(6.0)  # [m]
 ROUGH = np.float32(4.0)  # standard deviations of the ground about the line
 EDGE = np.float32(0.3)  # [m] in run, of the returns from a step's face
 BUMP = np.float32(2.0)  # [m] in run, within which a rise that ends at once is noise
-MANY = 8  # returns that show how rough the ground is
+MANY = 4  # returns that show how rough the ground is
 SAME = np.float32(0.5)  # [m] in run, of returns from one surface
 
 
@@ -181,7 +181,11 @@ def _continue(support, base, at, run):
     rr, rz, zz = rr - count * r * r, rz - count * r * z, zz - count * z * z
     incline = min(max(rz / rr, -STEEPEST), STEEPEST) if rr > 0.5 else 0.0
     rest = max(zz - incline * rz, 0.0) / max(count - 2.0, 1.0)
-    return np.float32(z + incline * (run - r)), np.float32(incline), np.float32(math.sqrt(rest) if count >= MANY else 0.0)
+    return (
+        np.float32(z + incline * (run - r)),
+        np.float32(incline),
+        np.float32(math.sqrt(rest) if count >= MANY else 0.0),
+    )
 
 
 @kernel
