@@ -218,10 +218,8 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
         for name, *row in zip(names, *columns, strict=True):
             table.add_row(Text(_clean(name)), *row)
     out.print(table)
-    out.print(
-        f"(- lower, + higher is better; +- half of the interval: {record['intervals']}; report.html describes the metrics)",
-        soft_wrap=True,
-    )
+    legend = f"- lower, + higher is better; +- half of the interval: {record['intervals']}"
+    out.print(f"({legend}; report.html describes the metrics)", soft_wrap=True)
     for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
         out.print(_clean(f"\n{name}"), markup=False, soft_wrap=True)
         table = Table(box=None, pad_edge=False)

@@ -2,8 +2,8 @@
 
 Frames of one drive are alike, so that drives are what is counted: the spread of a mean is estimated by leaving one
 drive out at a time (jackknife), and its interval is Student's. One long drive is cut into parts that take the place of
-drives; the interval then holds for this drive alone. ``benchmarks/interval_coverage.py`` measures how often the intervals hold
-the truth.
+drives; the interval then holds for this drive alone. ``benchmarks/interval_coverage.py`` measures how often intervals
+hold the truth.
 """
 
 from collections.abc import Callable, Sequence

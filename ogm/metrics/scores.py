@@ -45,8 +45,8 @@ missed_occupied | missed occupied | lower | share of occupied cells without a ma
 false_occupied | false occupied | lower | share of free cells with a mass of occupied above 1/2
 missed_obstacles | missed obstacles | lower | share of the groups of touching occupied cells without P(occupied) > \
 1/2 anywhere within one cell
-from10_iou_free | IoU free, from 0.10 m | higher | the same as without "from": occupied cells whose obstacle is lower than \
-this are left out, such as dropped kerbs
+from10_iou_free | IoU free, from 0.10 m | higher | IoU free, but occupied cells whose obstacle is lower than 0.10 m, \
+such as low kerbs, are left out
 from10_iou_occupied | IoU occupied, from 0.10 m | higher | likewise
 from10_false_free | false free, from 0.10 m | lower | likewise
 from10_missed_occupied | missed occupied, from 0.10 m | lower | likewise
@@ -221,15 +221,15 @@ def reasons(counts: ConfusionSums) -> dict[str, str]:
 
 def _without_low(counts: ConfusionSums) -> dict[str, float]:
     """Return the scores that leave out occupied cells lower than each of `HEIGHTS`."""
-    found = {}
+    found: dict[str, float] = {}
     for height, predicted, detected in zip(HEIGHTS, counts.high_confusion, counts.high_detections, strict=True):
         cells, name = predicted.sum(), f"from{100 * height:.0f}"
         overlap = areas.overlaps(np.vstack([counts.confusion[:_OCCUPIED], predicted]))
         found |= {
             f"{name}_iou_free": overlap[_FREE] if cells else np.nan,
             f"{name}_iou_occupied": overlap[_OCCUPIED],
-            f"{name}_false_free": parts(detected[0], cells),
-            f"{name}_missed_occupied": 1 - parts(detected[1], cells),
+            f"{name}_false_free": float(parts(detected[0], cells)),
+            f"{name}_missed_occupied": float(1 - parts(detected[1], cells)),
         }
     return found
 

@@ -61,7 +61,8 @@ def made() -> tuple[dict[str, Any], dict[int, dict[str, bytes]]]:
     facts = {
         name: {"description": f"how {name} works", "weights": weights if name == "sharp" else None} for name in METHODS
     }
-    data = {"kind": "simulated data set", "name": "made", "truth": "drawn at random", "towns": 2, "plan": {"a": [1, {"b": 2}]}}
+    data = {"kind": "simulated data set", "name": "made", "truth": "drawn at random", "towns": 2}
+    data["plan"] = {"a": [1, {"b": 2}]}
     record = {
         "title": "A made-up town",
         "command": "ogm evaluate data/ --ism base sharp vague",
