@@ -98,7 +98,7 @@ def report(folder: Path, title: str, result: Evaluation, run: Run) -> None:
 def pool(run: Run, place: str, folder: Path, result: Evaluation) -> None:
     """Add what beliefs are compared by, and that of an earlier run, to a place's sums."""
     found = dict(zip(result.methods, result.pooled, strict=True))
-    if run.options.before:
+    if run.options.before and (run.options.before / folder.name / "report.json").exists():
         found["ray, before"] = earlier(run.options.before / folder.name, "ray")
     there = run.beliefs.setdefault(place, {})
     for name in ("height-band", "ray", "ray, before", DEEP):
