@@ -102,7 +102,9 @@ def reliability(path: Path, record: Mapping[str, Any], note: str) -> None:
             axes.set_title(place, fontsize=10)
             axes.grid(color="0.92")
     grid[0, 0].legend(fontsize=8, frameon=False)
-    _finish(figure, path, "Reliability of beliefs: too much is claimed below the diagonal; larger dots, more cells", note)
+    _finish(
+        figure, path, "Reliability of beliefs: below the diagonal too much is claimed (larger dots: more cells)", note
+    )
 
 
 def maps(path: Path, part: Mapping[str, Any], note: str) -> None:

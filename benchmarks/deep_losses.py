@@ -47,9 +47,9 @@ SHOWN = (
     *("false_free", "missed_occupied", "ece", "auroc_unknown", "kl_e10"),
 )
 NOTE = (
-    "One seed each: intervals are over drives, not over trainings, which they cannot compare. All but the reverse KL are trained with the "
-    "annealed KL to the uniform Dirichlet density (weight 0 to 1 over 10 epochs). kl_e10 is what the reverse KL "
-    "minimises."
+    "One seed each: intervals are over drives, not over trainings, which they cannot compare. All but the reverse KL "
+    "are trained with the annealed KL to the uniform Dirichlet density (weight 0 to 1 over 10 epochs). kl_e10 is what "
+    "the reverse KL minimises, and no proper score."
 )
 
 

@@ -67,7 +67,7 @@ class Truth:
         Values of `CellState`. Not copied.
     height_cm : (nx, ny) uint8, optional
         Height above ground of the highest obstacle that was hit in each occupied cell [cm], up to the clearance;
-        `PARTICIPANT` in all cells of a traffic participant's box. Of other cells it says nothing. None where heights
+        `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None where heights
         are not known.
 
     Raises

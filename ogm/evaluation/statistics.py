@@ -1,9 +1,9 @@
 """Statistics over frames: intervals of means and ratios, and paired comparisons of two methods.
 
-Frames of one drive are alike, so that drives are what is counted: the spread of a mean is estimated by leaving one
-drive out at a time (jackknife), and its interval is Student's. One long drive is cut into parts that take the place of
-drives; the interval then holds for this drive alone. ``benchmarks/interval_coverage.py`` measures how often intervals
-hold the truth.
+Frames of one drive are alike, so that drives are what is counted: the spread of a mean is estimated by taking one
+drive away at a time (jackknife), and its interval is Student's. One long drive is cut into parts that take the place
+of drives; the interval then holds for this drive alone. ``benchmarks/interval_coverage.py`` measures how often
+intervals hold the truth.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +22,7 @@ TIE = 1e-9  # values nearer than this, relative to the larger one, are equal
 
 
 class Interval(NamedTuple):
-    """A value and the interval that holds it with 95 % confidence; NaN limits where that cannot be told."""
+    """A value and the interval that holds it with 95 % confidence; NaN limits where drives are too few."""
 
     value: float
     low: float
@@ -103,7 +103,7 @@ def mean_interval(values: ArrayLike, drives: Drives = None) -> Interval:
         NaN is left out.
     drives : sequence of str, optional
         The drive of every frame, in order. Without it, frames count as independent. One drive of 100 frames or more is
-        cut into four parts: the interval then tells how sure the mean is for this drive, and nothing of others.
+        cut into four parts: the interval then holds for this drive, not for others.
 
     Returns
     -------
