@@ -54,7 +54,7 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
     legacy.legend(fontsize=9, frameon=False, loc="upper right")
     for axes in (masses, proper, strict, legacy):
         axes.set(xlim=(0, max(len(result.frames) - 1, 1)), xlabel="frame")
-    _finish(figure, path, "The paper's two figures on our simulated test town", note)
+    _finish(figure, path, "The paper's two figures on our simulated test towns", note)
 
 
 def _against(axes: Axes, result: Evaluation, metric: str, deep: str, title: str) -> None:
@@ -81,7 +81,7 @@ def by_distance(path: Path, part: Mapping[str, Any], note: str) -> None:
         axes.set(title=f"{heading} ({better} is better)", xlabel="distance [m]", xlim=(0, 50), ylim=(0, 1))
         axes.grid(color="0.92")
     axes.legend(fontsize=8, frameon=False)
-    _finish(figure, path, "Scores by distance, simulated test town, pooled", note)
+    _finish(figure, path, "Scores by distance, simulated test towns, pooled", note)
 
 
 def reliability(path: Path, record: Mapping[str, Any], note: str) -> None:

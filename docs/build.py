@@ -169,7 +169,7 @@ def deep_targets() -> str:
     """Return which targets `lite` reaches."""
     rows = [
         [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
-        for row in record("deep_quality")["wanted"]
+        for row in sorted(record("deep_quality")["wanted"], key=lambda row: row["what"].startswith(("kl_", "legacy")))
     ]
     return table(["target of `lite`", "wanted", "measured", ""], rows)
 
