@@ -195,7 +195,7 @@ def test_rays_and_points_give_the_same_observation() -> None:
     hits = (distance, directions, kind, ground, rise)
     observe_rays(fast, *hits, SMALL)
     rules = rays._Rules(SMALL.resolution, *SMALL.origin, HEIGHT_LIMITS)
-    rays._observe_rays.py_func(uncompiled, *hits, rules)
+    getattr(rays._observe_rays, "py_func", rays._observe_rays)(uncompiled, *hits, rules)
     np.testing.assert_array_equal(fast, uncompiled)
 
     x, y, z = (distance[:, None].astype(float) * directions)[60:].T

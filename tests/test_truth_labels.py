@@ -279,6 +279,15 @@ def test_what_left_since_is_contradicted() -> None:
     assert against(street, hits(0, 0, 1.0)) == ["       "] * 3
 
 
+def test_an_obstacle_stands_for_its_eight_neighbours_and_no_further() -> None:
+    """Ground in an occupied cell is no contradiction as long as an obstacle was seen in one of the nine cells."""
+    truth = Truth(SMALL, np.full(SMALL.shape, OCCUPIED, np.uint8))
+    for x in range(-3, 4):
+        for y in range(-3, 4):
+            cells = contradicted(truth, *scan_of(hits(0, 0, 0.0), hits(x, y, 1.0)))
+            assert cells[3, 3] == (max(abs(x), abs(y)) > 1), (x, y)
+
+
 # --- All together -----------------------------------------------------------------------------------
 
 

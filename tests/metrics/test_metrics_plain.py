@@ -39,6 +39,7 @@ def test_scores_are_their_definitions_where_all_cells_are_alike(free: float, occ
     check(np.full((7, 7, 2), [free, occupied], np.float32), state)
 
 
+@pytest.mark.skipif(not hasattr(counting.count_cells, "py_func"), reason="numba's compiler is switched off")
 def test_scores_are_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     mass, state = lattice_grid(3, coarse=64)
     away = np.random.default_rng(0).uniform(0, 60, state.shape).astype(np.float32)

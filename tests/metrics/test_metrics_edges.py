@@ -1,0 +1,50 @@
+"""The edges of bins, thresholds and kinds with one cell."""
+
+import numpy as np
+import pytest
+from plain import FREE, OCCUPIED
+
+from ogm.metrics import RANGES, accumulate, by_range, free_space, score
+from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
+
+
+@pytest.mark.parametrize(
+    ("distance", "place"),
+    [(0, 0), (9.999, 0), (10, 1), (12.5, 1), (19.999, 1), (20, 2), (30, 3), (39.999, 3), (40, 4), (1e4, 4)],
+)
+def test_ranges_are_of_10_m_and_a_cell_on_an_edge_is_in_the_farther(distance: float, place: int) -> None:
+    counts = accumulate(np.array([[[0.8, 0.1]]]), np.array([[OCCUPIED]], np.uint8), np.array([[float(distance)]]))
+    table = by_range(counts)
+    assert np.flatnonzero(table["cells"]).tolist() == [place]
+    assert table["false_free"][place] == 1
+    assert len(RANGES) == len(table["cells"]) + 1
+    assert RANGES[place] <= distance < RANGES[place + 1]
+
+
+def test_one_free_and_one_occupied_cell_make_a_curve() -> None:
+    counts = accumulate(np.array([[[0.75, 0.0], [0.25, 0.5]]]), np.array([[FREE, OCCUPIED]], np.uint8))
+    false_free, recall, threshold = free_space(counts)
+    assert [recall[false_free == 0].max(), false_free[-1]] == [1, 1]
+    assert threshold[(false_free == 0) & (recall == 1)].max() == pytest.approx(0.75, abs=1 / 4096)
+    scores = score(counts)
+    assert scores["free_recall_1"] == scores["free_recall_01"] == scores["ap_occupied"] == 1
+
+
+@pytest.mark.parametrize(
+    ("positive", "negative", "area", "precision", "false"),
+    [
+        ([0, 1], [1, 0], 1, 1, 0),
+        ([1, 0], [0, 1], 0, 0.5, 1),
+        ([0, 0, 1], [0, 0, 1], 0.5, 0.5, 1),
+        ([0, 5, 0, 95], [4, 0, 4, 0], 39 / 40, 0.95 + 0.05 * 100 / 104, 0),  # 95 % are found at the highest level
+        ([0, 6, 0, 94], [4, 0, 4, 0], 0.97, 0.94 + 0.06 * 100 / 104, 0.5),
+        ([1, 1], [0, 0], np.nan, np.nan, np.nan),
+        ([0, 0], [1, 1], np.nan, np.nan, np.nan),
+    ],
+)
+def test_rankings_of_few_cells_are_those_by_hand(
+    positive: list[int], negative: list[int], area: float, precision: float, false: float
+) -> None:
+    p, n = np.array(positive), np.array(negative)
+    found = auroc(p, n), average_precision(p, n), false_positive_rate(p, n)
+    assert found == pytest.approx((area, precision, false), nan_ok=True)
