@@ -90,7 +90,12 @@ def test_extents_are_whole_cells_to_a_millionth() -> None:
             GridSpec.centered(length, 8.0, 1.0)
 
 
+def test_a_grid_lies_around_its_center() -> None:
+    assert GridSpec.centered(4.0, 2.0, 0.5, center=(10.0, -3.0)).extent == (8.0, 12.0, -4.0, -2.0)
+
+
 def test_the_smallest_grid_is_one_cell() -> None:
+    assert GridSpec.centered(resolution=1000.0).shape == (1, 1)
     assert GridSpec.centered(1.0, 1.0, 1.0).shape == (1, 1)
 
 
@@ -126,6 +131,7 @@ def test_index_floors_and_never_truncates() -> None:
     ix, iy = SPEC.index([-1.0, -0.51, -1.01, 1.99, 2.0], [-2.0, -1.51, -2.01, -0.01, 0.0])
     assert ix.tolist() == [0, 0, -1, 5, 6]
     assert iy.tolist() == [0, 0, -1, 3, 4]
+    assert SPEC.contains([0.0, 0.0, 0.0], [-2.0, -0.001, 0.0]).tolist() == [True, True, False]
     assert SPEC.contains([-1.0, -1.01, 1.99, 2.0], [-2.0, -2.0, -0.01, 0.0]).tolist() == [True, False, True, False]
 
 
@@ -137,6 +143,9 @@ def test_cell_centers_lie_in_their_cells(resolution: float, nx: int, ny: int, x:
     ix, iy = spec.index(*np.broadcast_arrays(cx, cy))
     np.testing.assert_array_equal(ix, np.arange(nx)[:, None] * np.ones((1, ny), int))
     np.testing.assert_array_equal(iy, np.arange(ny)[None, :] * np.ones((nx, 1), int))
+    assert spec.contains(cx, cy).all()
+    for over_x, over_y in ((nx, 0), (0, ny), (-nx, 0), (0, -ny)):
+        assert not spec.contains(cx + over_x * resolution, cy + over_y * resolution).any()
 
 
 def test_spec_is_hashable_and_refines() -> None:
@@ -231,6 +240,12 @@ def test_a_vacuous_grid_is_all_unknown() -> None:
 def test_what_are_no_masses_is_refused(bad: np.ndarray, error: type, message: str) -> None:
     with pytest.raises(error, match=message):
         EvidentialGrid(SPEC, bad)
+
+
+def test_masses_are_kept_as_float32() -> None:
+    mass = random_grid().mass
+    assert EvidentialGrid(SPEC, mass).mass is mass
+    assert EvidentialGrid(SPEC, mass.astype(np.float64)).mass.dtype == np.float32
 
 
 def test_the_error_names_the_cell() -> None:
