@@ -103,7 +103,9 @@ class Recorder:
                 for line, tests in data.contexts_by_lineno(path).items()
             }
         here = os.getcwd()
-        others = [name for name, one in sys.modules.items() if not (getattr(one, "__file__", "") or here).startswith(here)]
+        others = [
+            name for name, one in sys.modules.items() if not (getattr(one, "__file__", "") or here).startswith(here)
+        ]
         return Reach(others, {test: self.seconds[test] for test in sorted(self.passed)}, lines)
 
 
@@ -121,7 +123,16 @@ def run_tests(paths: list[str], plugin: object) -> int:
     """Run pytest in this process; return its exit code."""
     import pytest
 
-    options = ["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
+    options = [
+        "-q",
+        "-x",
+        "-p",
+        "no:cacheprovider",
+        "-m",
+        "not slow",
+        "-W",
+        "ignore::pytest.PytestAssertRewriteWarning",
+    ]
     return int(pytest.main([*options, *paths], plugins=[plugin]))
 
 
@@ -202,7 +213,7 @@ def equivalents() -> dict[tuple[str, str, str, str], str]:
     result = {}
     for block in filter(None, (block.strip() for block in text.split("\n\n") if not block.startswith("#"))):
         head, before, after, reason = block.split("\n", 3)
-        path, function = head.split(" ", 1) if " " in head else (head, "")
+        path, _, function = head.partition(" ")
         result[path, function, before.removeprefix("- "), after.removeprefix("+ ")] = reason
     return result
 
@@ -218,7 +229,9 @@ def digest(paths: list[Path]) -> str:
 def files(paths: list[str]) -> list[Path]:
     """Return the Python files of folders and files, in the working directory."""
     paths = [path for path in paths if not path.startswith("--")]
-    return [file for path in paths for file in ([Path(path)] if path.endswith(".py") else sorted(Path(path).rglob("*.py")))]
+    return [
+        file for path in paths for file in ([Path(path)] if path.endswith(".py") else sorted(Path(path).rglob("*.py")))
+    ]
 
 
 def run_group(group: str, options: argparse.Namespace, results: Path) -> list[dict[str, Any]]:
@@ -260,7 +273,10 @@ def run_group(group: str, options: argparse.Namespace, results: Path) -> list[di
                 print(json.dumps(one), file=kept)
             done[mutant.key()] = one
             if code == 0:
-                print("survived: {}:{} {}\n  - {}\n  + {}".format(mutant.path, mutant.lines.start, *mutant.key()[1:]), flush=True)
+                print(
+                    "survived: {}:{} {}\n  - {}\n  + {}".format(mutant.path, mutant.lines.start, *mutant.key()[1:]),
+                    flush=True,
+                )
     return [done[mutant.key()] for mutant in drawn]
 
 

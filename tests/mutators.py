@@ -2,6 +2,7 @@
 
 import ast
 import copy
+import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,8 +50,11 @@ class Mutant:
         self._put(self.node)
 
     def key(self) -> tuple[str, str, str, str]:
-        """Return path, function, and the first line that differs, without and with the change."""
-        return self.path, self.function, *self._lines()
+        """Return path, function, and the first line that differs, without and with the change; a long one is cut."""
+        old, new = self._lines()
+        start = max(len(os.path.commonprefix([old, new])) - 60, 0)
+        end = max(len(os.path.commonprefix([old[start + 60 :][::-1], new[start + 60 :][::-1]])) - 60, 0)
+        return self.path, self.function, old[start : len(old) - end].strip(), new[start : len(new) - end].strip()
 
     def _lines(self) -> tuple[str, str]:
         holder = ast.Module([self.statement], [])  # a statement that is dropped is replaced here, not in its parent

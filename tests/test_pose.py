@@ -42,6 +42,11 @@ def test_transform_keeps_dtype_and_intensity() -> None:
         (np.diag([1.0, 1, 1 + 1e-4, 1]), "rigid"),
         (np.diag([-1.0, 1, 1, 1]), "mirror"),
         (np.diag([1.0, 1, 1, 2]), "last row"),
+        (np.diag([1.0, 1, 1, 0.5]), "last row"),
+        (np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1e-7, 1]]), "last row"),
+        (np.diag([0.5, 0.5, 0.5, 1]), "rigid"),
+        (np.diag([1.0, 1, np.nan, 1]), "NaN"),
+        (np.diag([1.0, 1, np.inf, 1]), "NaN or inf"),
     ],
 )
 def test_what_is_not_rigid_is_refused(bad: np.ndarray, message: str) -> None:
@@ -72,8 +77,12 @@ def test_a_trajectory_returns_its_poses_and_those_between() -> None:
     np.testing.assert_allclose(trajectory.at(trajectory.stamps), trajectory.poses, atol=1e-12)
     np.testing.assert_allclose(trajectory.at(1.5), pose(1, yaw=0.5), atol=1e-12)
     assert trajectory.at([1.5, 3.0]).shape == (2, 4, 4)
-    with pytest.raises(ValueError, match="not extrapolated"):
-        trajectory.at(4.1)
+    for stamp, one in zip(trajectory.stamps, trajectory.poses, strict=True):
+        np.testing.assert_allclose(trajectory.at(stamp), one, atol=1e-12)
+    assert trajectory.at([]).shape == (0, 4, 4)
+    for outside in (4.1, 0.9, [0.9, 2.0], [2.0, 4.1], np.nan):
+        with pytest.raises(ValueError, match="not extrapolated"):
+            trajectory.at(outside)
 
 
 def test_a_trajectory_keeps_its_own_copy() -> None:

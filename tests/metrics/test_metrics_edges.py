@@ -48,3 +48,16 @@ def test_rankings_of_few_cells_are_those_by_hand(
     p, n = np.array(positive), np.array(negative)
     found = auroc(p, n), average_precision(p, n), false_positive_rate(p, n)
     assert found == pytest.approx((area, precision, false), nan_ok=True)
+
+
+@pytest.mark.parametrize(("name", "cells"), [("free_recall_1", 100), ("free_recall_01", 1000)])
+def test_bounds_of_false_free_are_a_hundredth_and_a_thousandth(name: str, cells: int) -> None:
+    """One occupied cell with Bel(free) = 0.9: with one cell fewer than the bound allows for, no cell may exceed it."""
+    of_free = np.array([0.95] * 3 + [0.85] * 7)
+    for occupied, recall in ((cells - 1, 0.3), (cells, 1.0)):
+        free = np.concatenate([of_free, [0.9], np.zeros(occupied - 1)])
+        state = np.where(np.arange(len(free)) < 10, FREE, OCCUPIED).astype(np.uint8)[None]
+        mass = np.stack([free, 0 * free], axis=-1)[None]
+        counts = accumulate(mass, state, np.full(state.shape, 15.0))
+        assert score(counts)[name] == pytest.approx(recall)
+        assert by_range(counts)[name][1] == pytest.approx(recall)
