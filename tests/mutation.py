@@ -12,9 +12,9 @@ The tree is copied. One process imports what the tests need but not `ogm`, and f
 the changed module in place of the one on disk. Kernels run as plain Python (NUMBA_DISABLE_JIT).
 
 Why no library: mutmut 3.8 makes no mutant of a function with a decorator, which all kernels have, nor of a constant of
-a module. cosmic-ray 8.7 starts a new Python for each mutant (4 s for the imports of `test_pose.py`, which run for
-0.3 s), changes the files in place, has one test command for all modules and draws no sample. mutatest 3.1 needs
-coverage < 6. All three would need a wrapper of this length.
+a module. cosmic-ray 8.7 starts a new Python for each mutant (3.7 s of processor time for one of `ogm.pose`, a fork
+takes 0.4 s), changes the files in place, has one test command for all modules and draws no sample; the wrapper around
+it would be as long as this file. mutatest 3.1 needs coverage < 6.
 """
 
 import argparse
@@ -34,10 +34,11 @@ import traceback
 from collections.abc import Callable
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
 from mutators import Mutant, mutants_of
+from reach import Chosen, Reach, limit_examples, record, run_tests
 
 GROUPS = {  # modules, and the tests that are theirs
     "evidence": ("ogm/evidence", ["tests/evidence", "--ignore=tests/evidence/test_evidence_docs.py"]),
@@ -47,104 +48,10 @@ GROUPS = {  # modules, and the tests that are theirs
     "truth": ("ogm/truth", ["tests/test_truth.py", "tests/test_truth_labels.py"]),
     "geometric": ("ogm/geometric", ["tests/geometric"]),
 }
-EXAMPLES = 15  # of a hypothesis test, at most
-SLOWEST = 5.0  # [s] a test that takes longer without the compiler is left out
 BUDGET = 40.0  # [s] of tests per mutant, by the times that they take without change
 ENVIRONMENT = {"NUMBA_DISABLE_JIT": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 ROOT = Path(__file__).parents[1]
-
-
-class Reach(NamedTuple):
-    """The modules of others that the tests of a group import, their times [s], and those that reach a line of a file."""
-
-    imports: list[str]
-    seconds: dict[str, float]
-    lines: dict[str, dict[int, set[str]]]
-
-
-class Recorder:
-    """A pytest plugin that records the time of each test and the lines that it reaches."""
-
-    def __init__(self) -> None:
-        import coverage
-
-        self.coverage = coverage.Coverage(data_file=None, config_file=False, include=[f"{os.getcwd()}/ogm/*"])
-        self.seconds: dict[str, float] = {}
-        self.passed: set[str] = set()
-
-    def pytest_fixture_setup(self, fixturedef: Any, request: Any) -> None:
-        self.coverage.switch_context(request.node.nodeid if fixturedef.scope == "function" else "")
-
-    def pytest_runtest_call(self, item: Any) -> None:
-        self.coverage.switch_context(item.nodeid)
-        signal.signal(signal.SIGPROF, self.skip)
-        signal.setitimer(signal.ITIMER_PROF, SLOWEST)
-
-    def skip(self, *_: object) -> None:
-        import pytest
-
-        pytest.skip("slow without the compiler")
-
-    def pytest_runtest_teardown(self) -> None:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        self.coverage.switch_context("")
-
-    def pytest_runtest_logreport(self, report: Any) -> None:
-        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0) + report.duration
-        if report.when == "call" and report.passed:
-            self.passed.add(report.nodeid)
-
-    def reach(self) -> Reach:
-        """Return what was recorded; a line that is run by an import or a shared fixture is reached by all tests."""
-        data, lines = self.coverage.get_data(), {}
-        for path in data.measured_files():
-            lines[os.path.relpath(path)] = {
-                line: self.passed if "" in tests else self.passed & set(tests)
-                for line, tests in data.contexts_by_lineno(path).items()
-            }
-        here = os.getcwd()
-        others = [
-            name for name, one in sys.modules.items() if not (getattr(one, "__file__", "") or here).startswith(here)
-        ]
-        return Reach(others, {test: self.seconds[test] for test in sorted(self.passed)}, lines)
-
-
-class Chosen:
-    """A pytest plugin that keeps the chosen tests alone, in their order."""
-
-    def __init__(self, tests: list[str]) -> None:
-        self.place = {test: n for n, test in enumerate(tests)}
-
-    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
-        items[:] = sorted((i for i in items if i.nodeid in self.place), key=lambda item: self.place[item.nodeid])
-
-
-def run_tests(paths: list[str], plugin: object) -> int:
-    """Run pytest in this process; return its exit code."""
-    import pytest
-
-    options = [
-        "-q",
-        "-x",
-        "-p",
-        "no:cacheprovider",
-        "-m",
-        "not slow",
-        "-W",
-        "ignore::pytest.PytestAssertRewriteWarning",
-    ]
-    return int(pytest.main([*options, *paths], plugins=[plugin]))
-
-
-def record(paths: list[str], to: Path) -> int:
-    """Run the tests of a group without change and write their reach to a file."""
-    recorder = Recorder()
-    recorder.coverage.start()
-    code = run_tests(paths, recorder)
-    recorder.coverage.stop()
-    assert sys.modules["ogm"].__file__ == str(Path("ogm/__init__.py").absolute())
-    to.write_bytes(pickle.dumps(recorder.reach()))
-    return code
+PROGRAMS = [ROOT / "tests" / name for name in ("mutation.py", "mutators.py", "reach.py")]
 
 
 def try_mutant(mutant: Mutant, reach: Reach) -> int:
@@ -188,25 +95,6 @@ def fork(work: Callable[[], int], *, quiet: bool, seconds: int) -> int:
         os._exit(code)
 
 
-def limit_examples() -> None:
-    """Make hypothesis try few, always the same examples."""
-    import hypothesis
-
-    hypothesis.settings.register_profile(
-        "few", max_examples=EXAMPLES, deadline=None, derandomize=True, database=None,
-        phases=[hypothesis.Phase.explicit, hypothesis.Phase.generate],
-    )  # fmt: skip
-    hypothesis.settings.load_profile("few")
-    plain = hypothesis.settings.__init__
-
-    def few(self: Any, *parent: Any, **given: Any) -> None:
-        if "max_examples" in given:
-            given["max_examples"] = min(given["max_examples"], EXAMPLES)
-        plain(self, *parent, **given)
-
-    hypothesis.settings.__init__ = few  # type: ignore[method-assign]
-
-
 def equivalents() -> dict[tuple[str, str, str, str], str]:
     """Return the reasons of `mutation_equivalent.txt` by path, function, original and changed line."""
     text = (ROOT / "tests" / "mutation_equivalent.txt").read_text()
@@ -219,11 +107,8 @@ def equivalents() -> dict[tuple[str, str, str, str], str]:
 
 
 def digest(paths: list[Path]) -> str:
-    """Return a number that changes with any of some files, and with this one."""
-    result = hashlib.sha256()
-    for path in [*paths, Path(__file__), Path(__file__).with_name("mutators.py")]:
-        result.update(path.read_bytes())
-    return result.hexdigest()[:16]
+    """Return a number that changes with any of some files, and with these programs."""
+    return hashlib.sha256(b"".join(path.read_bytes() for path in [*paths, *PROGRAMS])).hexdigest()[:16]
 
 
 def files(paths: list[str]) -> list[Path]:
@@ -273,10 +158,8 @@ def run_group(group: str, options: argparse.Namespace, results: Path) -> list[di
                 print(json.dumps(one), file=kept)
             done[mutant.key()] = one
             if code == 0:
-                print(
-                    "survived: {}:{} {}\n  - {}\n  + {}".format(mutant.path, mutant.lines.start, *mutant.key()[1:]),
-                    flush=True,
-                )
+                path, function, old, new = mutant.key()
+                print(f"survived: {path}:{mutant.lines.start} {function}\n  - {old}\n  + {new}", flush=True)
     return [done[mutant.key()] for mutant in drawn]
 
 
