@@ -114,6 +114,8 @@ def _changes(node: Any) -> Iterator[Any]:
             for n, op in enumerate(node.ops):
                 for other in OTHERS[type(op)]:
                     yield _with(node, ops=[*node.ops[:n], other(), *node.ops[n + 1 :]])
+        case ast.BinOp(ast.Constant(0)) | ast.BinOp(_, _, ast.BinOp(ast.Constant(0))):
+            pass  # + 0 * x gives a shape, whatever the operators
         case ast.BinOp() | ast.BoolOp() if type(node.op) in OTHERS:
             for other in OTHERS[type(node.op)]:
                 yield _with(node, op=other())

@@ -191,6 +191,7 @@ def test_numbers_out_of_range_are_refused() -> None:
         (lambda: evidence.Opinion.from_mass(np.zeros((3, 2))), r"got shape \(3, 2\)"),
         (lambda: evidence.Opinion(0.5, 0.6), "unknown must lie in"),
         (lambda: evidence.Opinion(0.5, 0.2, 0.2), "free \\+ occupied \\+ unknown must be 1"),
+        (lambda: evidence.Opinion(0.5, 0.2, 0.3 + 1e-5), "free \\+ occupied \\+ unknown must be 1"),
         (lambda: evidence.Opinion(float("nan"), 0.6), "must lie in"),
         (lambda: evidence.Opinion(0.5, 0.2, base_rate=2), "base_rate must lie in"),
     ]
