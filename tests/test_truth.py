@@ -476,6 +476,7 @@ def test_the_ground_is_linear_between_the_medians_of_squares() -> None:
 
 def test_squares_without_ground_take_the_nearest_up_to_10_m() -> None:
     xyz = np.array([[0, 0, -1.7], [10, 0, 0], [0, 10, 0], [11, 0, 0], [8, 8, 0], [6, 6, 0], [25, 0, -0.7], [24, 0, 0]])
+    xyz = np.column_stack([xyz, np.full(8, np.nan)])  # without intensities
     height = height_above_ground(xyz, np.isin(np.arange(8), [0, 6]))
     np.testing.assert_allclose(height, [0, 1.7, 1.7, np.nan, np.nan, 1.7, 0, 0.7], atol=1e-9)
 
