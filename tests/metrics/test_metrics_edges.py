@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from plain import FREE, OCCUPIED
 
-from ogm.metrics import RANGES, accumulate, by_range, free_space, score
+from ogm.metrics import RANGES, ConfusionSums, accumulate, by_range, free_space, score
 from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
 
 
@@ -61,3 +61,16 @@ def test_bounds_of_false_free_are_a_hundredth_and_a_thousandth(name: str, cells:
         counts = accumulate(mass, state, np.full(state.shape, 15.0))
         assert score(counts)[name] == pytest.approx(recall)
         assert by_range(counts)[name][1] == pytest.approx(recall)
+
+
+def test_sums_have_the_documented_shapes() -> None:
+    shapes = {name: one.shape for name, one in ConfusionSums.zeros()._asdict().items()}
+    by_truth = ("cells", "evilog_kl", "log_loss", "entropy", "dissonance", "squared_error")
+    assert [shapes.pop(name) for name in by_truth] == [(3,)] * 6
+    assert shapes == {
+        **{"mass": (3, 2), "to_truth": (3, 3), "from_truth": (2, 3), "confusion": (3, 3), "detections": (3, 2)},
+        **{"confusion_by_probability": (3, 3), "reliability": (3, 15, 3), "intervals": (15, 4), "obstacles": (2,)},
+        **{"unknown_hist": (3, 4097), "p_occupied_hist": (3, 4097), "p_occupied_hist_tol1": (3, 4097)},
+        **{"bel_free_hist": (2, 4097), "range_confusion": (5, 3, 3), "range_detections": (5, 3, 2)},
+        "range_bel_free_hist": (5, 2, 1025),
+    }
