@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from plain import FREE, OCCUPIED
+from plain import FREE, OCCUPIED, UNKNOWN
 
-from ogm.metrics import RANGES, ConfusionSums, accumulate, by_range, free_space, score
+from ogm.metrics import RANGES, ConfusionSums, accumulate, by_range, free_space, reasons, score
 from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
 
 
@@ -21,8 +21,9 @@ def test_ranges_are_of_10_m_and_a_cell_on_an_edge_is_in_the_farther(distance: fl
     assert RANGES[place] <= distance < RANGES[place + 1]
 
 
-def test_one_free_and_one_occupied_cell_make_a_curve() -> None:
-    counts = accumulate(np.array([[[0.75, 0.0], [0.25, 0.5]]]), np.array([[FREE, OCCUPIED]], np.uint8))
+@pytest.mark.parametrize("wrong", [0.25, 0.0])
+def test_one_free_and_one_occupied_cell_make_a_curve(wrong: float) -> None:
+    counts = accumulate(np.array([[[0.75, 0.0], [wrong, 0.5]]]), np.array([[FREE, OCCUPIED]], np.uint8))
     false_free, recall, threshold = free_space(counts)
     assert [recall[false_free == 0].max(), false_free[-1]] == [1, 1]
     assert threshold[(false_free == 0) & (recall == 1)].max() == pytest.approx(0.75, abs=1 / 4096)
@@ -48,6 +49,15 @@ def test_rankings_of_few_cells_are_those_by_hand(
     p, n = np.array(positive), np.array(negative)
     found = auroc(p, n), average_precision(p, n), false_positive_rate(p, n)
     assert found == pytest.approx((area, precision, false), nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("states", "missing"),
+    [((FREE,), "unknown"), ((OCCUPIED,), "unknown"), ((FREE, OCCUPIED), "unknown"), ((UNKNOWN,), "known")],
+)
+def test_reasons_name_the_kinds_of_cells_that_are_missing(states: tuple[int, ...], missing: str) -> None:
+    counts = accumulate(np.full((1, 6, 2), 0.3), np.resize(np.array(states, np.uint8), (1, 6)))
+    assert reasons(counts)["auroc_unknown"] == f"the truth has no {missing} cell"
 
 
 @pytest.mark.parametrize(("name", "cells"), [("free_recall_1", 100), ("free_recall_01", 1000)])
