@@ -103,6 +103,10 @@ def equivalents() -> dict[tuple[str, str, str, str], str]:
         head, before, after, reason = block.split("\n", 3)
         path, _, function = head.partition(" ")
         result[path, function, before.removeprefix("- "), after.removeprefix("+ ")] = reason
+    functions = {key[:2] for key in result}
+    every = [mutant for path in {path for path, _ in functions} for mutant in mutants_of(ROOT, path)]
+    if gone := result.keys() - {mutant.key() for mutant in every if (mutant.path, mutant.function) in functions}:
+        raise SystemExit(f"mutation_equivalent.txt lists what is no mutant: {gone}")
     return result
 
 
@@ -122,14 +126,10 @@ def files(paths: list[str]) -> list[Path]:
 def run_group(group: str, options: argparse.Namespace, results: Path) -> list[dict[str, Any]]:
     """Try the mutants of a group; return one record of each, and keep it in a file."""
     modules, tests = GROUPS[group]
-    known, drawn = equivalents(), []
-    every = [mutant for path in files([modules]) for mutant in mutants_of(Path(), str(path))]
-    listed = {mutant.key() for mutant in every if (mutant.path, mutant.function) in {key[:2] for key in known}}
-    if gone := [key for key in known if Path(modules) in [Path(key[0]), *Path(key[0]).parents] and key not in listed]:
-        raise SystemExit(f"mutation_equivalent.txt lists what is no mutant: {gone}")
+    every, drawn = [mutant for path in files([modules]) for mutant in mutants_of(Path(), str(path))], []
     random.Random(f"{options.seed} {group}").shuffle(every)
     for mutant in every:
-        if len(drawn) < options.count and mutant.key() not in known:
+        if len(drawn) < options.count and mutant.key() not in options.known:
             drawn.append(mutant)
     version = digest(files([modules, *tests]))
     done = {tuple(one["mutant"]): one for one in map(json.loads, results.open()) if one["version"] == version}
@@ -173,6 +173,7 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=ROOT / "out" / "mutation.jsonl")
     parser.add_argument("--least", type=float, default=0.92, help="share that must be killed")
     options = parser.parse_args()
+    options.known = equivalents()
     options.results.parent.mkdir(parents=True, exist_ok=True)
     options.results.touch()
     os.environ |= ENVIRONMENT
