@@ -7,6 +7,7 @@
 >>> write_report("report", result)                                                                  # doctest: +SKIP
 """
 
+from ogm.evaluation.calibration import Calibration, calibrate
 from ogm.evaluation.methods import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod
 from ogm.evaluation.models import load_model, model_factory
 from ogm.evaluation.report import evaluation_record, write_report
@@ -15,6 +16,7 @@ from ogm.evaluation.runner import evaluate
 from ogm.evaluation.statistics import Comparison, Interval, bootstrap_mean, bootstrap_ratio, compare_paired
 
 __all__ = [
+    "Calibration",
     "Comparison",
     "Evaluation",
     "FrameInfo",
@@ -25,6 +27,7 @@ __all__ = [
     "SingleScanMethod",
     "bootstrap_mean",
     "bootstrap_ratio",
+    "calibrate",
     "compare_paired",
     "evaluate",
     "evaluation_record",

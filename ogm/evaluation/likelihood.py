@@ -1,0 +1,126 @@
+"""The likelihood of the truth of labelled frames as a function of a geometric model's parameters."""
+
+from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.evaluation.models import HEIGHT_BAND, RAY
+from ogm.files import OgmError
+from ogm.grid import GridSpec
+from ogm.metrics import accumulate, score
+from ogm.scan import Frame, Mount, Scan
+from ogm.state import CellState
+
+__all__ = ["Likelihood", "default_parameters", "model_class"]
+
+
+def model_class(name: str) -> Any:
+    """Return the class of a geometric model by its name."""
+    from ogm.geometric import HeightBandISM, RayISM
+
+    classes = {RAY: RayISM, HEIGHT_BAND: HeightBandISM}
+    if name not in classes:
+        raise OgmError(f"there is no model {name!r} with parameters to fit; there are {', '.join(classes)}")
+    return classes[name]
+
+
+def default_parameters(name: str) -> dict[str, float]:
+    """Return the numbers that a geometric model can be made with, and their defaults."""
+    return {one.name: one.default for one in fields(model_class(name)) if isinstance(one.default, float)}
+
+
+class LabelledScan(NamedTuple):
+    """A frame as the likelihood needs it."""
+
+    scan: Scan
+    mount: Mount
+    state: NDArray[np.uint8]  # (nx, ny)
+    known: NDArray[np.bool_]  # (nx, ny): free or occupied
+    drive: int
+
+
+class Likelihood:
+    """Negative log likelihood of the true states of known cells, as a function of a model's parameters.
+
+    It is the metric ``nll`` of `ogm.metrics` of each frame, with P(occupied) = occupied + unknown / 2, averaged over the
+    frames of each drive.
+
+    Parameters
+    ----------
+    model : {"ray", "height-band"}
+    dataset : iterable of Frame
+        Frames with truth; those without a known cell are left out. Kept in memory, about 2 MB each.
+    spec : GridSpec, optional
+        The cells; by default the 81.92 m x 56.32 m of the paper.
+    threads : int
+        Frames that are mapped at the same time. The result does not depend on it.
+
+    Attributes
+    ----------
+    frames : list of LabelledScan
+    drives : dict of str to int
+        Numbers of the drives by their names. A frame that stands alone is a drive of its own.
+
+    Raises
+    ------
+    ValueError
+        If a frame has no truth, no frame has a known cell, or there is no such model.
+    """
+
+    def __init__(
+        self, model: str, dataset: Iterable[Frame], spec: GridSpec | None = None, *, threads: int = 1
+    ) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        self._class, self._spec = model_class(model), GridSpec.centered() if spec is None else spec
+        self._threads = threads
+        self.frames: list[LabelledScan] = []
+        self.drives: dict[str, int] = {}
+        for frame in dataset:
+            if frame.truth is None:
+                raise ValueError(f"frame {frame.name} has no truth to compare with; give labelled data")
+            state = frame.truth.crop(self._spec).state
+            known = (state == CellState.FREE) | (state == CellState.OCCUPIED)
+            if known.any():
+                drive = self.drives.setdefault(frame.sequence or frame.name, len(self.drives))
+                self.frames.append(LabelledScan(frame.scan, frame.mount, state, known, drive))
+        if not self.frames:
+            raise ValueError("no frame has a cell that is known to be free or occupied")
+
+    def __call__(self, parameters: Mapping[str, float]) -> NDArray[np.float64]:
+        """Return the mean of every drive [nats], (drives,); the model may refuse parameters (ValueError)."""
+
+        def nll(one: LabelledScan) -> float:  # of the known cells, which are taken for a grid of one row
+            mass = self._mass(one, parameters)[one.known]
+            return score(accumulate(mass[None], one.state[one.known][None]))["nll"]
+
+        return self._by_drive(self._of_frames(nll))
+
+    def scores(self, parameters: Mapping[str, float]) -> dict[str, float]:
+        """Return every metric of `ogm.metrics`: means over the frames of a drive, then over drives."""
+
+        def scores(one: LabelledScan) -> dict[str, float]:
+            return score(accumulate(self._mass(one, parameters), one.state))
+
+        rows = self._of_frames(scores)
+        return {name: float(np.nanmean(self._by_drive([row[name] for row in rows]))) for name in rows[0]}
+
+    def _mass(self, one: LabelledScan, parameters: Mapping[str, float]) -> NDArray[np.float32]:
+        return self._class(self._spec, one.mount, **parameters)(one.scan).mass
+
+    def _of_frames(self, function: Any) -> list[Any]:
+        if self._threads == 1:
+            return [function(one) for one in self.frames]
+        with ThreadPoolExecutor(self._threads) as pool:
+            return list(pool.map(function, self.frames))
+
+    def _by_drive(self, values: list[float]) -> NDArray[np.float64]:
+        """Return the mean of the frames of every drive; frames without a value are left out."""
+        drive, kept = np.array([one.drive for one in self.frames]), np.isfinite(values)
+        sums = np.bincount(drive, np.where(kept, values, 0.0), len(self.drives))
+        counts = np.bincount(drive, kept, len(self.drives))
+        return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
