@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ogm import EvidentialGrid, GridSpec
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
-from ogm.state import CellState, Truth
+from ogm.state import PARTICIPANT, CellState, Truth
 from ogm.truth import (
     HEIGHT_LIMITS,
     TRUTH_SPEC,
@@ -192,11 +192,13 @@ def test_rays_and_points_give_the_same_observation() -> None:
     rise = rng.uniform(0, 0.1, SMALL.shape).astype(np.float32)
 
     fast, uncompiled = np.zeros((2, *SMALL.shape), np.uint8)
+    highest, also = np.zeros((2, *SMALL.shape), np.float32)
     hits = (distance, directions, kind, ground, rise)
-    observe_rays(fast, *hits, SMALL)
+    observe_rays(fast, highest, *hits, SMALL)
     rules = rays._Rules(SMALL.resolution, *SMALL.origin, HEIGHT_LIMITS)
-    rays._observe_rays.py_func(uncompiled, *hits, rules)
+    rays._observe_rays.py_func(uncompiled, also, *hits, rules)
     np.testing.assert_array_equal(fast, uncompiled)
+    np.testing.assert_array_equal(highest, also)
 
     x, y, z = (distance[:, None].astype(float) * directions)[60:].T
     kind, inside = kind[60:], SMALL.contains(x, y)
@@ -208,6 +210,29 @@ def test_rays_and_points_give_the_same_observation() -> None:
     observe_points(slow, x[known], y[known], kind[known], height[known], SMALL)
     np.testing.assert_array_equal(fast, slow)
     assert set(np.unique(fast)) >= {0, 3}
+    slow_highest = np.zeros(SMALL.shape, np.float32)
+    limit = np.select([kind == Kind.PLANT, (kind == Kind.OBSTACLE) | (kind == Kind.STEP)], [0.25, 0.05], np.inf)
+    obstacle = known & (height >= limit)
+    np.maximum.at(slow_highest, SMALL.index(x[obstacle], y[obstacle]), height[obstacle])
+    np.testing.assert_allclose(highest, slow_highest, rtol=1e-5)
+    assert ((highest > 0) == (fast >= 2)).all()
+
+
+def test_heights_are_kept_in_centimetres_and_participants_have_none_of_their_own() -> None:
+    seen = np.array([[2, 3, 1], [2, 0, 2]], np.uint8)
+    highest = np.array([[0.052, 1.9999, 0.0], [0.5, 0.0, 0.3]], np.float32)
+    car = box(1.5, 1.5, 0.0, 0.5, 0.5)
+    truth = finalize_truth(
+        seen, GridSpec(1.0, (2, 3), (0, 0)), boxes=car, returns=[50], unobserved=np.eye(2, 3, 2, bool), highest=highest
+    )
+    assert truth.height_cm is not None
+    assert truth.height_cm.tolist() == [[5, 200, 0], [50, PARTICIPANT, 30]]
+    turned = truth.crop(GridSpec(1.0, (3, 2), (-3, 0)), yaw=np.pi / 2)
+    assert turned.height_cm is not None
+    assert turned.height_cm.tolist() == [[0, 30], [200, PARTICIPANT], [5, 50]]
+    mirrored = truth.mirrored().height_cm
+    assert mirrored is not None
+    assert mirrored.tolist() == [[0, 200, 5], [30, PARTICIPANT, 50]]
 
 
 def test_an_observation_may_be_built_up_in_parts() -> None:

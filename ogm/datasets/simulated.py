@@ -77,6 +77,8 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
             return one
         return ignore_cells(one, one.state == CellState.UNKNOWN)
 
+    planned = store.plan.get("test_towns" if name == "test" else "towns", 1)  # that drives go through in turn
+    towns = len({int(one) % planned for one in facts[:, FACTS.index("scenario")]})
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
@@ -93,7 +95,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         stamped=drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()},
+        facts={"split": name, "towns": towns, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()},
         files=(path / "zarr.json", path / name),
     )
 
