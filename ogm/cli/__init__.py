@@ -1,5 +1,4 @@
-"""The command line: ``ogm demo``, ``map``, ``fuse``, ``simulate``, ``train``, ``calibrate``,
-``evaluate``, ``export``, ``info``."""
+"""The command line: ``ogm demo, map, fuse, simulate, train, calibrate, evaluate, export, info``."""
 
 import logging
 import sys

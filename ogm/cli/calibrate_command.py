@@ -28,8 +28,7 @@ def calibrate_command(
         ),
     ] = None,
     split: Annotated[
-        str | None,
-        typer.Option(help="Part of a simulated data set: train, val, test or sequences. [default: train]"),
+        str | None, typer.Option(help="Part of a simulated data set: train, val, test or sequences. [default: train]")
     ] = None,
     truth: Annotated[
         str | None,
@@ -48,8 +47,8 @@ def calibrate_command(
 ) -> None:
     """Fit the parameters of a geometric model to the labels of your own sensor's data, by maximum likelihood.
 
-    The result is a small JSON file, whose path is a model's name for all commands: `ogm evaluate TEST --ism ray ray.json`.
-    Evaluate it on other drives than those of the fit. Ctrl-C ends the search and keeps the best parameters so far.
+    The result is a small JSON file, whose path is a model's name for all commands: evaluate it on other drives than
+    those of the fit, `ogm evaluate TEST --ism ray ray.json`. Ctrl-C ends the search and keeps the best so far.
     """
     from ogm.datasets import open_dataset
     from ogm.evaluation import calibrate
@@ -100,7 +99,12 @@ def _bounds(text: str) -> dict[str, tuple[float, float]]:
 
 def _print(fitted: "Calibration") -> None:
     table = Table(box=None, pad_edge=False)
-    for head in (f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives", "before", "after", "+-"):
+    for head in (
+        f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives",
+        "before",
+        "after",
+        "+-",
+    ):
         table.add_column(head, justify="left" if not table.columns else "right")
     for name, value in fitted.parameters.items():
         error = fitted.errors.get(name)

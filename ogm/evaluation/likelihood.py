@@ -2,35 +2,18 @@
 
 from collections.abc import Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.evaluation.models import HEIGHT_BAND, RAY
-from ogm.files import OgmError
+from ogm.evaluation.models import model_class
 from ogm.grid import GridSpec
 from ogm.metrics import accumulate, score
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
 
-__all__ = ["Likelihood", "default_parameters", "model_class"]
-
-
-def model_class(name: str) -> Any:
-    """Return the class of a geometric model by its name."""
-    from ogm.geometric import HeightBandISM, RayISM
-
-    classes = {RAY: RayISM, HEIGHT_BAND: HeightBandISM}
-    if name not in classes:
-        raise OgmError(f"there is no model {name!r} with parameters to fit; there are {', '.join(classes)}")
-    return classes[name]
-
-
-def default_parameters(name: str) -> dict[str, float]:
-    """Return the numbers that a geometric model can be made with, and their defaults."""
-    return {one.name: one.default for one in fields(model_class(name)) if isinstance(one.default, float)}
+__all__ = ["Likelihood"]
 
 
 class LabelledScan(NamedTuple):
@@ -46,8 +29,8 @@ class LabelledScan(NamedTuple):
 class Likelihood:
     """Negative log likelihood of the true states of known cells, as a function of a model's parameters.
 
-    It is the metric ``nll`` of `ogm.metrics` of each frame, with P(occupied) = occupied + unknown / 2, averaged over the
-    frames of each drive.
+    It is the metric ``nll`` of `ogm.metrics` of each frame, with P(occupied) = occupied + unknown / 2, averaged over
+    the frames of each drive.
 
     Parameters
     ----------
@@ -71,9 +54,7 @@ class Likelihood:
         If a frame has no truth, no frame has a known cell, or there is no such model.
     """
 
-    def __init__(
-        self, model: str, dataset: Iterable[Frame], spec: GridSpec | None = None, *, threads: int = 1
-    ) -> None:
+    def __init__(self, model: str, dataset: Iterable[Frame], spec: GridSpec | None = None, *, threads: int = 1) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._class, self._spec = model_class(model), GridSpec.centered() if spec is None else spec
@@ -101,13 +82,14 @@ class Likelihood:
         return self._by_drive(self._of_frames(nll))
 
     def scores(self, parameters: Mapping[str, float]) -> dict[str, float]:
-        """Return every metric of `ogm.metrics`: means over the frames of a drive, then over drives."""
+        """Return the metrics of `ogm.metrics` that have a value: means over the frames of a drive, then over drives."""
 
         def scores(one: LabelledScan) -> dict[str, float]:
             return score(accumulate(self._mass(one, parameters), one.state))
 
         rows = self._of_frames(scores)
-        return {name: float(np.nanmean(self._by_drive([row[name] for row in rows]))) for name in rows[0]}
+        means = {name: self._by_drive([row[name] for row in rows]) for name in rows[0]}
+        return {name: float(values.mean()) for name, values in means.items() if len(values)}
 
     def _mass(self, one: LabelledScan, parameters: Mapping[str, float]) -> NDArray[np.float32]:
         return self._class(self._spec, one.mount, **parameters)(one.scan).mass
@@ -119,8 +101,8 @@ class Likelihood:
             return list(pool.map(function, self.frames))
 
     def _by_drive(self, values: list[float]) -> NDArray[np.float64]:
-        """Return the mean of the frames of every drive; frames without a value are left out."""
-        drive, kept = np.array([one.drive for one in self.frames]), np.isfinite(values)
-        sums = np.bincount(drive, np.where(kept, values, 0.0), len(self.drives))
-        counts = np.bincount(drive, kept, len(self.drives))
-        return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
+        """Return the mean of the frames of every drive; frames and drives without a value are left out."""
+        kept = np.isfinite(values)
+        drive = np.array([one.drive for one in self.frames])[kept]
+        counts = np.bincount(drive)
+        return np.bincount(drive, np.array(values)[kept])[counts > 0] / counts[counts > 0]
