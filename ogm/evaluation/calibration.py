@@ -109,7 +109,7 @@ class Calibration:
 
 def calibrate(
     dataset: Sequence[Frame],
-    model: str = "ray",
+    model: str | Calibration = "ray",
     spec: GridSpec | None = None,
     *,
     fit: Mapping[str, tuple[float, float]] | None = None,
@@ -127,8 +127,8 @@ def calibrate(
     ----------
     dataset : sequence of Frame
         Frames with truth, as `ogm.datasets.open_dataset` returns them.
-    model : str
-        "ray" or "height-band", or the path of a calibration to start from.
+    model : str or Calibration
+        "ray" or "height-band", or a calibration or its path, to start from.
     spec : GridSpec, optional
         The cells; by default the 81.92 m x 56.32 m of the paper.
     fit : dict of str to (low, high), optional
@@ -148,12 +148,13 @@ def calibrate(
     ValueError
         If there are no labelled frames, there is no such model or parameter, or bounds do not hold the start.
     """
-    begun = Calibration.load(model) if model.endswith(".json") else Calibration(model, {})
-    start = default_parameters(begun.model) | begun.parameters
-    chosen = {name: BOUNDS[name] for name in FITTED[begun.model]} if fit is None else dict(fit)
-    _check_fit(begun.model, chosen, start)
+    if isinstance(model, str):
+        model = Calibration.load(model) if model.endswith(".json") else Calibration(model, {})
+    start = default_parameters(model.model) | model.parameters
+    chosen = {name: BOUNDS[name] for name in FITTED[model.model]} if fit is None else dict(fit)
+    _check_fit(model.model, chosen, start)
     numbers = range(len(dataset)) if frames is None else frames
-    likelihood = Likelihood(begun.model, (dataset[k] for k in reading(numbers)), spec, threads=threads)
+    likelihood = Likelihood(model.model, (dataset[k] for k in reading(numbers)), spec, threads=threads)
 
     search = LikelihoodSearch(likelihood, start, chosen, progress)
     errors: dict[str, float | None] = dict.fromkeys(chosen)
@@ -170,13 +171,13 @@ def calibrate(
     before, after = (
         {name: found[name] for name in REPORTED if name in found} for found in map(likelihood.scores, ends)
     )
-    names = dict.fromkeys([*begun.parameters, *chosen])
+    names = dict.fromkeys([*model.parameters, *chosen])
     first, fitted = ({name: values[name] for name in names} for values in ends)
     about = {"name": "frames", "format": "frames in Python", "description": ""}
     data = {key: getattr(dataset, key, default) for key, default in about.items()}
     data |= {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
     data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives)}
-    return Calibration(begun.model, fitted, first, errors, before, after, data, search.evaluations, finished)
+    return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
 
 
 def _check_fit(model: str, chosen: Mapping[str, tuple[float, float]], start: Mapping[str, float]) -> None:
