@@ -95,13 +95,8 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         stamped=drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts={
-            "split": name,
-            "towns": towns,
-            "plan": store.plan,
-            "versions": store.versions,
-            "samples": numbers.tolist(),
-        },
+        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
+        | {"towns": towns},
         files=(path / "zarr.json", path / name),
     )
 

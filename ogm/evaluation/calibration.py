@@ -51,7 +51,7 @@ class Calibration:
     start : dict of str to float
         The same before the fit.
     errors : dict of str to float or None
-        Standard errors of the fitted parameters; None where there is none: fewer than five drives, a parameter at its
+        Standard errors of the fitted parameters; None where there is none: fewer than four drives, a parameter at its
         bound or without effect, an interrupted fit.
     before, after : dict of str to float
         Metrics of `ogm.metrics` on the frames of the fit: means over the frames of a drive, then over drives.

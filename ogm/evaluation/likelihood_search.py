@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.likelihood import Likelihood
-from ogm.evaluation.statistics import MIN_SAMPLES
+from ogm.evaluation.statistics import MIN_DRIVES
 
 __all__ = ["Axis", "LikelihoodSearch"]
 
@@ -114,7 +114,7 @@ class LikelihoodSearch:
         """
         x, drives = self.best.copy(), len(self._likelihood.drives)
         inner = [k for k in range(len(x)) if STEP <= x[k] <= 1 - STEP]
-        if drives < MIN_SAMPLES or not inner:
+        if drives < MIN_DRIVES or not inner:
             return {}
         steps = STEP * np.eye(len(x))[inner]
         here = self.of_drives(x)

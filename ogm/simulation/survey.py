@@ -143,5 +143,7 @@ class _Observer:
     def truth(self, known: Known) -> Truth:
         """Return the truth of the cells."""
         boxes, returns, ego = known
-        cells = {"unobserved": ego, "beyond": np.isnan(self.below.z), "highest": self.highest}
-        return finalize_truth(self.seen, self.below.spec, boxes=boxes, returns=returns, **cells)
+        beyond, spec = np.isnan(self.below.z), self.below.spec
+        return finalize_truth(
+            self.seen, spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond, highest=self.highest
+        )

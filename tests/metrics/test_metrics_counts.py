@@ -266,8 +266,10 @@ def test_scores_without_a_cell_are_nan_and_not_zero(states: tuple[int, ...], wit
 
 def test_pooled_counts_are_those_of_all_cells_together() -> None:
     (a, a_state), (b, b_state) = random_grid(9), random_grid(10)
-    both = score(accumulate(np.concatenate([a, b]), np.concatenate([a_state, b_state])))
-    assert score(accumulate(a, a_state).plus(accumulate(b, b_state))) == pytest.approx(both)
+    heights = [np.random.default_rng(seed).integers(5, 201, a_state.shape).astype(np.uint8) for seed in (11, 12)]
+    both = score(accumulate(np.concatenate([a, b]), np.concatenate([a_state, b_state]), None, np.concatenate(heights)))
+    parts = [accumulate(a, a_state, None, heights[0]), accumulate(b, b_state, None, heights[1])]
+    assert score(parts[0].plus(parts[1])) == pytest.approx(both)
 
 
 @pytest.mark.parametrize(
