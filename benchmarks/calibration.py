@@ -11,6 +11,7 @@ docs/pictures/calibration.png.
 
 import _run as run  # first: it sets the number of threads
 from _quality_inputs import real
+from _quality_record import beliefs, write
 
 # isort: split
 import argparse
@@ -21,7 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ogm import GridSpec
 from ogm.datasets import Dataset, open_dataset
@@ -51,7 +51,6 @@ METRICS = (
     "iou_occupied",
     "free_recall_1",
 )
-BINS = 15
 COLOURS = {"before": "#8c8c8c", "after": "#b35806"}
 
 
@@ -85,7 +84,7 @@ def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
 
 def recorded(result: Evaluation) -> dict[str, Any]:
     """Return the means of the metrics before and after, and their differences with 95 % intervals."""
-    differences = result.compare("after", "before", np.random.default_rng(0))
+    differences = result.compare("after", "before")
     found: dict[str, Any] = {
         "frames": len(result.frames),
         "drives": len({one.sequence or one.name for one in result.frames}),
@@ -93,27 +92,12 @@ def recorded(result: Evaluation) -> dict[str, Any]:
         "after - before": {m: [finite(x) for x in differences[m].difference] for m in METRICS},
     }
     for name, sums in zip(result.methods, result.pooled, strict=True):
-        found |= {f"reliability of {state}, {name}": rows.tolist() for state, rows in reliability(sums).items()}
+        found[f"beliefs {name}"] = beliefs(sums)
     return found
 
 
 def finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def reliability(sums: ConfusionSums) -> dict[str, NDArray]:
-    """Return, by bins of belief, its mean, the share of known cells that are in that state, and how many there are."""
-    free = sums.bel_free_hist
-    levels = np.linspace(0, 1, free.shape[1])
-    place = np.minimum((levels * BINS).astype(int), BINS - 1)
-    cells, happened = (np.bincount(place, counts, BINS) for counts in (free.sum(axis=0), free[0]))
-    belief = np.bincount(place, free.sum(axis=0) * levels, BINS)
-    bins = {"free": np.array([cells, belief, happened]).T, "occupied": sums.intervals[:, [0, 1, 3]]}
-    return {
-        state: np.column_stack([one[:, 1] / one[:, 0], one[:, 2] / one[:, 0], one[:, 0]])
-        for state, rows in bins.items()
-        for one in [rows[rows[:, 0] > 0]]
-    }
 
 
 def added(results: Mapping[str, Evaluation], method: int) -> ConfusionSums:
@@ -166,8 +150,8 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
             axes.fill_between([0, 1], [0, 1], [1, 1], color="#1b7837", alpha=0.07, lw=0)
             axes.plot([0, 1], [0, 1], color="black", lw=0.7)
             for name, sums in zip(test.methods, pooled, strict=True):
-                belief, share, _ = reliability(sums)[state].T
-                axes.plot(belief, share, "o-", color=COLOURS[name], ms=4, label=name)
+                found = beliefs(sums)[state]
+                axes.plot(found["belief"], found["share"], "o-", color=COLOURS[name], ms=4, label=name)
             axes.set(xlim=(0, 1), ylim=(0, 1), xlabel=f"belief that a cell is {state}", ylabel=f"share that is {state}")
             axes.set_title(f"{place}: {state}")
             axes.legend(frameon=False)
@@ -180,6 +164,7 @@ def main() -> None:
     parser.add_argument("fit", type=Path, metavar="FIT")
     parser.add_argument("test", type=Path, metavar="TEST")
     parser.add_argument("--fitted", type=Path, help="what `ogm calibrate` wrote, instead of a fit")
+    parser.add_argument("--base-rate", default="0.5", help="of the fit, see `ogm calibrate`")
     parser.add_argument("--every", type=int, default=1, help="every N-th frame of FIT and TEST")
     parser.add_argument("--points", type=int, default=9, help="values of each parameter")
     parser.add_argument("--quick", action="store_true", help="few frames and values; writes to the folder runs/")
@@ -192,14 +177,19 @@ def main() -> None:
 
     training = open_dataset(given.fit, split="train")[::every]
     if given.fitted is None:
+        base = None if given.base_rate == "data" else float(given.base_rate)
         fitted = calibrate(
-            training, Calibration("ray", BEFORE), SPEC, progress=lambda n, nll: print(n, f"{nll:.4f}", end="\r")
+            training,
+            Calibration("ray", BEFORE),
+            SPEC,
+            base_rate=base,
+            progress=lambda n, nll: print(n, f"{nll:.4f}", end="\r"),
         )
     else:
         fitted = Calibration.load(given.fitted)
     print("fitted:", ", ".join(f"{name} {value:g}" for name, value in fitted.parameters.items()))
     record: dict[str, Any] = {"environment": run.environment(), "before": BEFORE, "fitted": asdict(fitted)}
-    record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC), points)
+    record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC, base_rate=fitted.data["base_rate"]), points)
     test = compared(open_dataset(given.test, split="test"), fitted, every)
     record["test"] = recorded(test)
     recordings = {}
@@ -215,7 +205,7 @@ def main() -> None:
         print(
             f"{name:32}" + "  ".join(f"{m} {before[m]:.3f} -> {after[m]:.3f}" for m in shown if before[m] is not None)
         )
-    run.write_json(given.out, record)
+    write(given.out, record)
     draw(given.picture, record, test, recordings)
     print(f"written {given.out} and {given.picture}")
 

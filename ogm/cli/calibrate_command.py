@@ -41,6 +41,12 @@ def calibrate_command(
     axes: Annotated[
         str, typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
     ] = "flu",
+    base_rate: Annotated[
+        str,
+        typer.Option(
+            help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"
+        ),
+    ] = "0.5",
     every: Annotated[int, typer.Option(help="Use every N-th frame.", metavar="N")] = 1,
     threads: Annotated[int, typer.Option(help="Frames that are mapped at the same time.")] = 1,
     out_path: Annotated[Path | None, typer.Option("--out", help="The result. [default: ./MODEL.json]")] = None,
@@ -66,10 +72,10 @@ def calibrate_command(
     dataset = open_dataset(data, axes=parsed_axes(axes), split=split, truth=sources)
     with stderr.status("") as status:
         fitted = calibrate(
-            dataset,
+            dataset[::every],
             ism,
             fit=None if fit is None else _bounds(fit),
-            frames=range(0, len(dataset), every),
+            base_rate=_base_rate(base_rate),
             threads=threads,
             reading=lambda numbers: ticked(numbers, "reading"),
             progress=lambda n, nll: status.update(f"evaluation {n}: NLL {nll:.4f} (Ctrl-C keeps the best so far)"),
@@ -79,6 +85,13 @@ def calibrate_command(
     out.print(f"written {path}", markup=False, soft_wrap=True)
     if not fitted.finished:
         raise KeyboardInterrupt(f"the best parameters so far are in {path}")
+
+
+def _base_rate(text: str) -> float | None:
+    try:
+        return None if text == "data" else float(text)
+    except ValueError:
+        raise ValueError(f"--base-rate takes a number or data, got {text!r}") from None
 
 
 def _bounds(text: str) -> dict[str, tuple[float, float]]:

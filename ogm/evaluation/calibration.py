@@ -56,7 +56,7 @@ class Calibration:
     before, after : dict of str to float
         Metrics of `ogm.metrics` on the frames of the fit: means over the frames of a drive, then over drives.
     data : dict
-        What the frames are from, and how many they and their drives are.
+        What the frames are from, how many they and their drives are, and the base rate of the fit.
     evaluations : int
         How many sets of parameters were tried.
     finished : bool
@@ -113,7 +113,7 @@ def calibrate(
     spec: GridSpec | None = None,
     *,
     fit: Mapping[str, tuple[float, float]] | None = None,
-    frames: Iterable[int] | None = None,
+    base_rate: float | None = 0.5,
     threads: int = 1,
     reading: Callable[[Iterable[int]], Iterable[int]] = iter,
     progress: Callable[[int, float], object] = lambda evaluations, nll: None,
@@ -134,8 +134,10 @@ def calibrate(
     fit : dict of str to (low, high), optional
         The fitted parameters with their bounds; by default those of `FITTED`, within `BOUNDS`. One without effect on
         these frames keeps its value.
-    frames : iterable of int, optional
-        Numbers of the frames; all by default.
+    base_rate : float, optional
+        P(occupied) of a cell of which nothing is known. With 1/2, the metric ``nll`` is minimised: as few cells are
+        occupied, the fit makes up for it by more belief in free. With None, the share of the known cells that are
+        occupied: masses then hold what the rays tell beyond it.
     threads : int
         Frames that are mapped at the same time. The result does not depend on it.
     reading : function
@@ -153,8 +155,8 @@ def calibrate(
     start = default_parameters(model.model) | model.parameters
     chosen = {name: BOUNDS[name] for name in FITTED[model.model]} if fit is None else dict(fit)
     _check_fit(model.model, chosen, start)
-    numbers = range(len(dataset)) if frames is None else frames
-    likelihood = Likelihood(model.model, (dataset[k] for k in reading(numbers)), spec, threads=threads)
+    frames = (dataset[k] for k in reading(range(len(dataset))))
+    likelihood = Likelihood(model.model, frames, spec, base_rate=base_rate, threads=threads)
 
     search = LikelihoodSearch(likelihood, start, chosen, progress)
     errors: dict[str, float | None] = dict.fromkeys(chosen)
@@ -177,6 +179,7 @@ def calibrate(
     data = {key: getattr(dataset, key, default) for key, default in about.items()}
     data |= {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
     data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives)}
+    data |= {"base_rate": likelihood.base_rate}
     return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
 
 

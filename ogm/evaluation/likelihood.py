@@ -29,8 +29,8 @@ class LabelledScan(NamedTuple):
 class Likelihood:
     """Negative log likelihood of the true states of known cells, as a function of a model's parameters.
 
-    It is the metric ``nll`` of `ogm.metrics` of each frame, with P(occupied) = occupied + unknown / 2, averaged over
-    the frames of each drive.
+    P(occupied) = occupied + base_rate * unknown. With a base rate of 1/2 it is the metric ``nll`` of `ogm.metrics` of
+    each frame, averaged over the frames of each drive.
 
     Parameters
     ----------
@@ -39,11 +39,14 @@ class Likelihood:
         Frames with truth; those without a known cell are left out. Kept in memory, about 2 MB each.
     spec : GridSpec, optional
         The cells; by default the 81.92 m x 56.32 m of the paper.
+    base_rate : float, optional
+        P(occupied) of a cell of which nothing is known, in (0, 1); None for the share of known cells that are occupied.
     threads : int
         Frames that are mapped at the same time. The result does not depend on it.
 
     Attributes
     ----------
+    base_rate : float
     frames : list of LabelledScan
     drives : dict of str to int
         Numbers of the drives by their names. A frame that stands alone is a drive of its own.
@@ -51,10 +54,18 @@ class Likelihood:
     Raises
     ------
     ValueError
-        If a frame has no truth, no frame has a known cell, or there is no such model.
+        If a frame has no truth, no frame has a known cell, a number is out of its range, or there is no such model.
     """
 
-    def __init__(self, model: str, dataset: Iterable[Frame], spec: GridSpec | None = None, *, threads: int = 1) -> None:
+    def __init__(
+        self,
+        model: str,
+        dataset: Iterable[Frame],
+        spec: GridSpec | None = None,
+        *,
+        base_rate: float | None = 0.5,
+        threads: int = 1,
+    ) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._class, self._spec = model_class(model), GridSpec.centered() if spec is None else spec
@@ -71,13 +82,21 @@ class Likelihood:
                 self.frames.append(LabelledScan(frame.scan, frame.mount, state, known, drive))
         if not self.frames:
             raise ValueError("no frame has a cell that is known to be free or occupied")
+        if base_rate is None:
+            shares = [float((one.state[one.known] == CellState.OCCUPIED).mean()) for one in self.frames]
+            base_rate = float(self._by_drive(shares).mean())
+        if not 0 < base_rate < 1:
+            raise ValueError(f"base_rate must lie between 0 and 1, got {base_rate}")
+        self.base_rate = base_rate
 
     def __call__(self, parameters: Mapping[str, float]) -> NDArray[np.float64]:
         """Return the mean of every drive [nats], (drives,); the model may refuse parameters (ValueError)."""
 
-        def nll(one: LabelledScan) -> float:  # of the known cells, which are taken for a grid of one row
-            mass = self._mass(one, parameters)[one.known]
-            return score(accumulate(mass[None], one.state[one.known][None]))["nll"]
+        def nll(one: LabelledScan) -> float:
+            # The metric of a grid of one row, the known cells, whose masses are P(free) and P(occupied)
+            free, occupied = self._mass(one, parameters)[one.known].astype(np.float64).T
+            p = occupied + self.base_rate * (1 - free - occupied)
+            return score(accumulate(np.stack([1 - p, p], axis=-1)[None], one.state[one.known][None]))["nll"]
 
         return self._by_drive(self._of_frames(nll))
 

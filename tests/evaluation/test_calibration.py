@@ -99,6 +99,18 @@ def test_the_likelihood_is_the_metric_of_an_evaluation(frames: list[Frame]) -> N
     np.testing.assert_allclose(alone({"p_miss": 0.6}), nll[:3], rtol=1e-12)
 
 
+def test_a_base_rate_takes_the_place_of_one_half(frames: list[Frame]) -> None:
+    mass, state = RayISM(SPEC, MOUNT)(frames[0].scan).mass.astype(np.float64), frames[0].truth.state
+    known = state != CellState.UNKNOWN
+    free, occupied = mass[known].T
+    p = occupied + 0.1 * (1 - free - occupied)
+    expected = -np.log(np.where(state[known] == CellState.OCCUPIED, p, 1 - p)).mean()
+    one = Likelihood("ray", frames[:1], SPEC, base_rate=0.1)
+    np.testing.assert_allclose(one({}), [expected], rtol=1e-6)
+    share = (state[known] == CellState.OCCUPIED).mean()
+    assert Likelihood("ray", frames[:1], SPEC, base_rate=None).base_rate == pytest.approx(share)
+
+
 def test_threads_do_not_change_the_result(frames: list[Frame]) -> None:
     one, two = (Likelihood("ray", frames[:8], SPEC, threads=n) for n in (1, 2))
     np.testing.assert_array_equal(one(TRUE), two(TRUE))
@@ -107,18 +119,18 @@ def test_threads_do_not_change_the_result(frames: list[Frame]) -> None:
 def test_a_parameter_without_effect_keeps_its_value(frames: list[Frame]) -> None:
     """These scans have no beams without echo."""
     fit = {name: BOUNDS[name] for name in ("no_return_weight", "p_miss")}
-    found = calibrate(frames, "ray", SPEC, fit=fit, frames=range(5))
+    found = calibrate(frames[:5], "ray", SPEC, fit=fit)
     assert found.parameters["no_return_weight"] == found.start["no_return_weight"]
     assert found.errors["no_return_weight"] is None
     assert found.parameters["p_miss"] != found.start["p_miss"]
     assert found.data["frames"] == 5
     with pytest.raises(ValueError, match="no_return_weight change nothing on these frames"):
-        calibrate(frames, "ray", SPEC, fit={"no_return_weight": (0, 1)}, frames=range(2))
+        calibrate(frames[:2], "ray", SPEC, fit={"no_return_weight": (0, 1)})
 
 
 def test_few_drives_give_no_standard_errors(frames: list[Frame]) -> None:
-    found = calibrate(frames, "ray", SPEC, fit={"p_miss": BOUNDS["p_miss"]}, frames=range(4))
-    assert (found.data["drives"], found.errors) == (4, {"p_miss": None})
+    found = calibrate(frames[:3], "ray", SPEC, fit={"p_miss": BOUNDS["p_miss"]})
+    assert (found.data["drives"], found.errors) == (3, {"p_miss": None})
 
 
 def test_an_interrupt_keeps_the_best_parameters(frames: list[Frame]) -> None:
@@ -129,7 +141,7 @@ def test_an_interrupt_keeps_the_best_parameters(frames: list[Frame]) -> None:
         if evaluations == 12:
             raise KeyboardInterrupt
 
-    found = calibrate(frames, "ray", SPEC, fit=FIT, frames=range(8), progress=stop)
+    found = calibrate(frames[:8], "ray", SPEC, fit=FIT, progress=stop)
     assert not found.finished
     assert found.evaluations == 12
     assert seen == sorted(seen, reverse=True)
@@ -141,7 +153,7 @@ def test_an_interrupt_keeps_the_best_parameters(frames: list[Frame]) -> None:
 def test_parameters_that_do_not_go_together_are_avoided(frames: list[Frame]) -> None:
     """The band must not be empty: z_min below z_max."""
     fit = {"z_min": (0.1, 1.9), "z_max": (0.2, 2.5)}
-    found = calibrate(frames, "height-band", SPEC, fit=fit, frames=range(3))
+    found = calibrate(frames[:3], "height-band", SPEC, fit=fit)
     assert found.parameters["z_min"] < found.parameters["z_max"]
     assert found.after["nll"] <= found.before["nll"]
 
@@ -170,6 +182,7 @@ def test_models_can_be_made_with_their_bounds() -> None:
         ({"fit": {"p_miss": (0.9, 0.95)}}, "p_miss starts at .*; its bounds must hold that"),
         ({"fit": {"p_miss": (0.2, float("inf"))}}, "its bounds must hold that"),
         ({"threads": 0}, "threads must be at least 1"),
+        ({"base_rate": 1.0}, "base_rate must lie between 0 and 1"),
         ({"dataset": []}, "no frame has a cell"),
         ({"dataset": [frame(0, None)]}, "frame 0 has no truth"),
         ({"dataset": [frame(0, Truth(SPEC, np.zeros(SPEC.shape, np.uint8)))]}, "no frame has a cell that is known"),
@@ -200,7 +213,7 @@ def test_the_file_is_a_model(fitted: Calibration, tmp_path: Path) -> None:
 def test_a_fit_goes_on_from_a_file(frames: list[Frame], tmp_path: Path) -> None:
     path = tmp_path / "before.json"
     Calibration("ray", {"max_mass": 0.9, "p_miss": 0.6}).save(path)
-    found = calibrate(frames, str(path), SPEC, fit={"p_miss": BOUNDS["p_miss"]}, frames=range(2))
+    found = calibrate(frames[:2], str(path), SPEC, fit={"p_miss": BOUNDS["p_miss"]})
     assert found.start == {"max_mass": 0.9, "p_miss": 0.6}
     assert found.parameters["max_mass"] == 0.9
     assert found.parameters["p_miss"] != 0.6
@@ -289,6 +302,7 @@ def test_an_interrupted_command_writes_the_best_so_far(data: Path, monkeypatch: 
         (("--fit", "colour=0:1"), "ray has no parameter 'colour'"),
         (("--ism", "lite"), "no geometric model 'lite'"),
         (("--every", 0), "--every must be at least 1"),
+        (("--base-rate", "half"), "--base-rate takes a number or data, got 'half'"),
         (("--threads", 0), "threads must be at least 1"),
         (("--out", "ray.npz"), "--out writes .json"),
         (("--out", "nowhere/ray.json"), "there is no folder nowhere"),
