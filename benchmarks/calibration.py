@@ -77,7 +77,7 @@ def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
     """Evaluate the model before and after."""
     methods = {
         name: PerMount(lambda mount, numbers=numbers: RayISM(SPEC, mount, **numbers))
-        for name, numbers in (("before", BEFORE), ("after", fitted.parameters))
+        for name, numbers in (("before", fitted.start), ("after", fitted.parameters))
     }
     return evaluate(methods, dataset, SPEC, frames=range(0, len(dataset), every))
 
@@ -127,20 +127,21 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
     )
     figure.colorbar(lines, ax=first, label="NLL above the least [nats]")
     for name, marker in (("before", "o"), ("after", "*")):
-        at = BEFORE if name == "before" else fitted["parameters"]
+        at = fitted["start" if name == "before" else "parameters"]
         first.plot(at[PAIR[1]], at[PAIR[0]], marker, color="black", ms=9, label=name)
     first.set(xlabel=PAIR[1], ylabel=PAIR[0], xscale="log", title="Likelihood on training towns")
     first.legend(frameon=False)
     for axes, (name, one) in zip(rest, profiles.items(), strict=True):
         axes.plot(one["values"], one["nll"], color=COLOURS["after"])
-        axes.axvline(BEFORE[name], color=COLOURS["before"], ls="--")
+        axes.axvline(fitted["start"][name], color=COLOURS["before"], ls="--")
         axes.axvline(fitted["parameters"][name], color=COLOURS["after"], ls=":")
         error = fitted["errors"].get(name)
         axes.set(
-            title=f"{name}: {fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""),
+            xlabel=name,
+            title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""),
             ylabel="NLL [nats]",
         )
-    places = {"unseen towns": [one for one in test.pooled]}
+    places = {"unseen towns": list(test.pooled)}
     if recordings:
         places["real recordings"] = [added(recordings, k) for k in (0, 1)]
     panels = iter(np.ravel(bottom.subplots(1, 2 * len(places))))
@@ -188,7 +189,7 @@ def main() -> None:
     else:
         fitted = Calibration.load(given.fitted)
     print("fitted:", ", ".join(f"{name} {value:g}" for name, value in fitted.parameters.items()))
-    record: dict[str, Any] = {"environment": run.environment(), "before": BEFORE, "fitted": asdict(fitted)}
+    record: dict[str, Any] = {"environment": run.environment(), "fitted": asdict(fitted)}
     record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC, base_rate=fitted.data["base_rate"]), points)
     test = compared(open_dataset(given.test, split="test"), fitted, every)
     record["test"] = recorded(test)

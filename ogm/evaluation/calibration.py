@@ -34,6 +34,7 @@ BOUNDS = {  # that a parameter is searched in
     **{"free_reliability_at_hits": (0.0, 1.0), "no_return_weight": (0.0, 1.0)},
     **{"obstacle_height": (0.03, 0.5), "clearance": (1.0, 3.0), "below_ground": (0.05, 2.0), "range_noise": (0.0, 0.2)},
     **{"max_range": (20.0, 200.0), "azimuth_step": (0.001, 0.05), "ground_cell": (0.2, 3.0)},
+    **{"hidden_height": (0.1, 2.0), "hidden_depth": (0.5, 40.0)},
     **{"z_min": (0.05, 1.5), "z_max": (1.6, 3.0), "evidence": (0.1, 100.0)},
 }
 REPORTED = ("nll", "false_free", "missed_occupied", "false_occupied", "iou_free", "iou_occupied", "ece")
