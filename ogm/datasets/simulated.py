@@ -58,7 +58,9 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     T_world_sensor, T_vehicle_sensor = poses
     T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the sensor
     drive = name == "sequences"
-    frames = [FrameRef(f"{name} {n}", T_map_sensor=T) for n, T in zip(numbers, T_world_sensor, strict=True)]
+    scenarios = facts[:, FACTS.index("scenario")].astype(int)  # samples of one drive, too far apart to be fused
+    each = zip(numbers, scenarios, T_world_sensor, strict=True)
+    frames = [FrameRef(f"{name} {n}", f"drive {number}", None, T) for n, number, T in each]
     if drive:
         stamps = facts[:, FACTS.index("stamp")].tolist()
         drives = [f"sequence {n // SEQUENCE}" for n in numbers]

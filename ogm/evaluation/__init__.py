@@ -7,6 +7,7 @@
 >>> write_report("report", result)                                                                  # doctest: +SKIP
 """
 
+from ogm.evaluation.calibration import Calibration, calibrate
 from ogm.evaluation.methods import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod
 from ogm.evaluation.models import load_model, model_factory
 from ogm.evaluation.report import evaluation_record, write_report
@@ -15,6 +16,7 @@ from ogm.evaluation.runner import evaluate
 from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean_interval, ratio_interval
 
 __all__ = [
+    "Calibration",
     "Comparison",
     "Evaluation",
     "FrameInfo",
@@ -23,6 +25,7 @@ __all__ = [
     "MethodRunner",
     "PrecomputedGrids",
     "SingleScanMethod",
+    "calibrate",
     "compare_paired",
     "evaluate",
     "evaluation_record",

@@ -83,4 +83,5 @@ def test_sums_have_the_documented_shapes() -> None:
         **{"unknown_hist": (3, 4097), "p_occupied_hist": (3, 4097), "p_occupied_hist_tol1": (3, 4097)},
         **{"bel_free_hist": (2, 4097), "range_confusion": (5, 3, 3), "range_detections": (5, 3, 2)},
         "range_bel_free_hist": (5, 2, 1025),
+        **{"high_confusion": (2, 3), "high_detections": (2, 2)},
     }
