@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import GridSpec
-from ogm.evaluation import Comparison, bootstrap_mean, bootstrap_ratio, compare_paired
+from ogm.evaluation import compare_paired, ratio_interval
 from ogm.evidence import dirichlet_kl
 from ogm.metrics import evilog_unmixed
 
@@ -76,9 +76,12 @@ def described(curves: Curves) -> dict[str, dict[str, Any]]:
     }
 
 
-def versus(first: NDArray[np.float64], second: NDArray[np.float64], rng: np.random.Generator) -> dict[str, Any]:
-    """Compare two curves, of which the lower one is better, frame by frame; intervals are of 95 %."""
-    found: Comparison = compare_paired(first, second, "lower", rng, RESAMPLES)
+def versus(first: NDArray[np.float64], second: NDArray[np.float64]) -> dict[str, Any]:
+    """Compare two curves, of which the lower one is better, frame by frame; intervals are of 95 %.
+
+    Frames count as independent: they are in random order, and neighbours are not alike (`order`).
+    """
+    found = compare_paired(first, second, "lower")
     ratios, lost = second / first, np.flatnonzero(second < first)
     margins = (first - second)[lost]
     return found._asdict() | {
@@ -96,14 +99,14 @@ def versus(first: NDArray[np.float64], second: NDArray[np.float64], rng: np.rand
     }
 
 
-def shares(curves: Curves, rng: np.random.Generator) -> dict[str, Any]:
+def shares(curves: Curves) -> dict[str, Any]:
     """Compare the masses: ratios deep / geometric, and the share of occupied in what is not unknown."""
     known, known_geo = 1 - curves.unknown, 1 - curves.unknown_geo
     return {
-        "free, deep / geometric": bootstrap_ratio(curves.free, curves.free_geo, rng)._asdict(),
-        "occupied, deep / geometric": bootstrap_ratio(curves.occupied, curves.occupied_geo, rng)._asdict(),
+        "free, deep / geometric": ratio_interval(curves.free, curves.free_geo)._asdict(),
+        "occupied, deep / geometric": ratio_interval(curves.occupied, curves.occupied_geo)._asdict(),
         "frames in which deep has less unknown": int((curves.unknown < curves.unknown_geo).sum()),
-        "unknown, geometric - deep": bootstrap_mean(curves.unknown_geo - curves.unknown, rng)._asdict(),
+        "unknown, geometric - deep": compare_paired(curves.unknown_geo, curves.unknown, "lower").difference._asdict(),
         "occupied of what is known, deep": curves.occupied.mean() / known.mean(),
         "occupied of what is known, geometric": curves.occupied_geo.mean() / known_geo.mean(),
     }

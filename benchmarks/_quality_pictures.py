@@ -39,7 +39,7 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
     masses.set(title="Mean masses: the baseline as in the text, as released, the network, the truth")
     masses.set(ylabel="mean mass", ylim=(0, 1.3))
     masses.legend(ncols=4, fontsize=7.5, frameon=False, loc="upper center", columnspacing=1.0)
-    _against(proper, result, "kl_e10", deep, "KL[grid || truth], truth of evidence 10")
+    _against(proper, result, "nll", deep, "NLL of known cells, a proper score")
     _against(strict, result, "kl_e1", deep, "KL[grid || truth], truth of evidence 1, as the released code's labels")
     ours, theirs = result.of(deep, "legacy_kl"), result.of("height-band-released", "legacy_kl")
     report = evilog_published(ours, theirs)
@@ -54,7 +54,7 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
     legacy.legend(fontsize=9, frameon=False, loc="upper right")
     for axes in (masses, proper, strict, legacy):
         axes.set(xlim=(0, max(len(result.frames) - 1, 1)), xlabel="frame")
-    _finish(figure, path, "The paper's two figures on our simulated test town", note)
+    _finish(figure, path, "The paper's two figures on our simulated test towns", note)
 
 
 def _against(axes: Axes, result: Evaluation, metric: str, deep: str, title: str) -> None:
@@ -81,7 +81,30 @@ def by_distance(path: Path, part: Mapping[str, Any], note: str) -> None:
         axes.set(title=f"{heading} ({better} is better)", xlabel="distance [m]", xlim=(0, 50), ylim=(0, 1))
         axes.grid(color="0.92")
     axes.legend(fontsize=8, frameon=False)
-    _finish(figure, path, "Scores by distance, simulated test town, pooled", note)
+    _finish(figure, path, "Scores by distance, simulated test towns, pooled", note)
+
+
+def reliability(path: Path, record: Mapping[str, Any], note: str) -> None:
+    """Draw how often cells are free, and occupied, over the belief in it; `record` is by place and method."""
+    figure = Figure(figsize=(5.2 * len(record), 9.8), layout="constrained")
+    grid = figure.subplots(2, len(record), squeeze=False)
+    for state, row in zip(("free", "occupied"), grid, strict=True):
+        for axes, (place, methods) in zip(row, record.items(), strict=True):
+            axes.plot([0, 1], [0, 1], color="0.6", lw=1)
+            for name, one in methods.items():
+                model, _, before = name.partition(", ")
+                curve = one[state]
+                style = {"color": COLOURS.get(model, OTHER), "ls": "--" if before else "-", "label": name}
+                axes.plot(curve["belief"], curve["share"], lw=1.2, **style)
+                sizes = 150 * np.sqrt(np.array(curve["cells"]) / sum(curve["cells"]))
+                axes.scatter(curve["belief"], curve["share"], sizes, color=style["color"], alpha=0.6)
+            axes.set(xlabel=f"belief in {state}", ylabel=f"share of cells that are {state}", xlim=(0, 1), ylim=(0, 1))
+            axes.set_title(place, fontsize=10)
+            axes.grid(color="0.92")
+    grid[0, 0].legend(fontsize=8, frameon=False)
+    _finish(
+        figure, path, "Reliability of beliefs: below the diagonal too much is claimed (larger dots: more cells)", note
+    )
 
 
 def maps(path: Path, part: Mapping[str, Any], note: str) -> None:

@@ -12,32 +12,34 @@ from _quality_inputs import AGAINST, model_of
 from numpy.typing import NDArray
 
 from ogm.evaluation import Comparison, Evaluation, compare_paired
+from ogm.evaluation.report import describe_extent, describe_intervals
 from ogm.files import atomic_write
-from ogm.metrics import METRICS, RANGES, by_range, evilog_published, reasons
+from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, evilog_published, reasons
 
 KEPT = (
-    "kl_e10", "kl_e1", "kl_e1_scaled", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known",
-    "iou_occupied_known", "false_free", "missed_occupied", "false_occupied", "missed_obstacles",
-    "free_recall_1", "free_recall_01", "ap_occupied_near", "brier", "nll", "ece", "ece_relative", "ace",
-    "interval_violation", "auroc_unknown", "fpr95_unknown", "aurc", "ause", "conflict", "legacy_kl",
+    "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "false_free",
+    "missed_occupied", "false_occupied", "missed_obstacles", *(m for m in METRICS if m.startswith("from")),
+    "free_recall_1", "free_recall_01", "ap_occupied_near", "ece", "ece_relative", "ace", "interval_violation",
+    "auroc_unknown", "fpr95_unknown", "aurc", "ause", "conflict", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl",
     "legacy_accuracy", "mean_free", "mean_occupied", "mean_unknown",
 )  # fmt: skip
 PAIRED = (
-    "kl_e10", "kl_e1", "iou_free", "iou_occupied", "false_free", "missed_occupied", "missed_obstacles",
-    "brier", "ece_relative", "auroc_unknown",
+    "nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "missed_obstacles", "ece_relative",
+    "auroc_unknown", "kl_e10", "kl_e1",
 )  # fmt: skip
+BINS = 15  # of belief
 CONFUSION = "called unknown, free, occupied, of truly unknown, free, occupied"
 
 
-def record_of(result: Evaluation, rng: np.random.Generator) -> dict[str, Any]:
-    """Return what is kept, with intervals by a bootstrap."""
+def record_of(result: Evaluation) -> dict[str, Any]:
+    """Return what is kept."""
     states = ("unknown", "free", "occupied", "ignored")
     models = {}
     for name, sums in zip(result.methods, result.pooled, strict=True):
         pooled = result.micro(name)
         models[name] = {
             **{key: value for key, value in result.facts.get(name, {}).items() if value},
-            "mean": {m: list(result.interval(name, m, rng)) for m in KEPT},
+            "mean": {m: list(result.interval(name, m)) for m in KEPT},
             "pooled": {m: pooled[m] for m in KEPT},
             "by range": {m: column.tolist() for m, column in by_range(sums).items()},
             CONFUSION: _shares(sums.confusion),
@@ -46,12 +48,13 @@ def record_of(result: Evaluation, rng: np.random.Generator) -> dict[str, Any]:
     return {
         "data": {key: value for key, value in result.data.items() if key != "samples"},
         "frames": len(result.frames),
-        "drives": len({frame.sequence for frame in result.frames}),
-        "intervals": f"95 %, bootstrap over {'frames' if result.groups is None else 'drives'}",
+        "drives": len({frame.sequence for frame in result.frames} - {""}),
+        "extent": describe_extent(result),
+        "intervals": describe_intervals(result),
         "truth, mean shares": dict(zip(states, result.truth.mean(axis=0).tolist(), strict=True)),
         "ranges [m]": [edge if math.isfinite(edge) else None for edge in RANGES],
         "models": models,
-        "paired": _compared(result, rng),
+        "paired": _compared(result),
     }
 
 
@@ -80,6 +83,30 @@ def published(result: Evaluation, deep: str, geometric: str) -> dict[str, Any]:
     }
 
 
+def beliefs(sums: ConfusionSums) -> dict[str, dict[str, list[float]]]:
+    """Return how often known cells are free, and occupied, in 15 bins of their belief in it."""
+    hist, levels = sums.bel_free_hist, np.linspace(0, 1, sums.bel_free_hist.shape[1])
+    place = np.minimum((levels * BINS).astype(int), BINS - 1)
+    free = [np.bincount(place, weights) for weights in (hist.sum(axis=0), hist.sum(axis=0) * levels, hist[0])]
+    found = {}
+    for state, (cells, belief, right) in (("free", free), ("occupied", sums.intervals.T[[0, 1, 3]])):
+        some = cells > 0
+        columns = {"belief": belief[some] / cells[some], "share": right[some] / cells[some], "cells": cells[some]}
+        found[state] = {name: column.tolist() for name, column in columns.items()}
+    return found
+
+
+def earlier(folder: Path, name: str) -> ConfusionSums:
+    """Return what `beliefs` needs of a method in an earlier run: the folder of one of its parts."""
+    place = list(json.loads((folder / "report.json").read_text(encoding="utf-8"))["methods"]).index(name)
+    total = ConfusionSums.zeros()
+    for path in sorted((folder / "frames").glob("*.npz")):
+        with np.load(path) as data:
+            some = {field: data[f"sums {field}"][place] for field in ("bel_free_hist", "intervals")}
+            total = total.plus(ConfusionSums.zeros()._replace(**some))
+    return total
+
+
 def write(path: Path, record: Mapping[str, Any]) -> None:
     """Write a record as JSON, whole or not at all; lists of numbers in one line."""
     text = json.dumps(record, indent=1, allow_nan=False, ensure_ascii=False)
@@ -89,7 +116,7 @@ def write(path: Path, record: Mapping[str, Any]) -> None:
         file.write(short + "\n")
 
 
-def _compared(result: Evaluation, rng: np.random.Generator) -> dict[str, dict[str, Any]]:
+def _compared(result: Evaluation) -> dict[str, dict[str, Any]]:
     """Compare every method with the baseline and with `ray`, frame by frame; a map also with its own scans."""
     found = {}
     for name in result.methods:
@@ -98,7 +125,7 @@ def _compared(result: Evaluation, rng: np.random.Generator) -> dict[str, dict[st
                 continue
             pairs = {m: (result.of(name, m), result.of(other, m)) for m in PAIRED}
             found[f"{name} against {other}"] = {
-                m: _pair(compare_paired(*pair, METRICS[m].better, rng, groups=result.groups))
+                m: _pair(compare_paired(*pair, METRICS[m].better, result.drives))
                 for m, pair in pairs.items()
                 if not np.isnan(pair).all(axis=1).any()
             }

@@ -3,8 +3,8 @@
     python benchmarks/deep_quality.py DATA [--split test] [--lite WEIGHTS] [--samples N]
 
 DATA is the data set that `ogm simulate` made, whose test split is another town than that of training and
-validation. Every frame is evaluated for every model, so that all comparisons are paired; intervals are 95 %
-bootstrap intervals over frames. Writes benchmarks/results/deep_quality.json and docs/pictures/deep_quality.png.
+validation. Every frame is evaluated for every model, so that all comparisons are paired; intervals are of
+95 %, over drives. Writes benchmarks/results/deep_quality.json and docs/pictures/deep_quality.png.
 
 The models:
 
@@ -49,8 +49,7 @@ from ogm.truth import MIN_RETURNS, cells_in_boxes
 
 PAPER = GridSpec.centered()
 MODELS = ("height-band", "height-band-released", "ray")
-PER_FRAME = ("kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "false_free")
-SEED = 0
+PER_FRAME = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl")
 WEIGHTS = (1.0, 2.0, 5.0)  # of occupied cells
 NOTE = (
     "Means over frames; those named micro are of all frames' cells together. Ignored cells are left out. A "
@@ -124,7 +123,7 @@ def weighed(method: SingleScanMethod, dataset: Dataset) -> dict[str, dict[str, f
             mass = evidence_to_mass(undo_class_weights(evidence, occupied=1 / weight).numpy())
             sums = accumulate(mass, frame.truth.crop(PAPER).state)
             pooled[weight] = pooled[weight].plus(sums) if weight in pooled else sums
-    shown = ("kl_e10", "iou_free", "iou_occupied", "ece_relative", "false_free")
+    shown = ("nll", "iou_free", "iou_occupied", "ece_relative", "false_free")
     return {f"{weight:g}": {name: score(sums)[name] for name in shown} for weight, sums in pooled.items()}
 
 
@@ -148,15 +147,14 @@ def main() -> None:
     methods = {short: SingleScanMethod.named(name, PAPER) for short, name in names.items()}
     deep = list(methods)[-1]
     result = evaluate(methods, dataset, PAPER, progress=lambda numbers: track(numbers, "evaluating"))
-    found = evaluation_record(result, np.random.default_rng(SEED))
+    found = evaluation_record(result)
     found["models"] = found.pop("methods")
     for one in found["models"].values():
         one["per frame"] = {name: one["per frame"][name] for name in PER_FRAME}
-    facts = {key: dataset.facts[key] for key in ("plan", "versions", "split")}
+    facts = {key: dataset.facts[key] for key in ("plan", "versions", "split", "towns")}
     record |= {
-        "data": {**facts, "frames": len(dataset)},
+        "data": {**facts, "frames": len(dataset), "drives": [frame.sequence for frame in result.frames]},
         "weights": methods[deep].weights,
-        "bootstrap seed": SEED,
         "note": NOTE,
         "wanted": wanted(result, found, deep),
         "occupied cells by what stands there, pooled": missed_by_kind(methods, dataset, samples),
@@ -174,7 +172,7 @@ def main() -> None:
         parts = (f"{kind}: " + ", ".join(f"{k} {v:.3g}" for k, v in one.items()) for kind, one in kinds.items())
         print(f"{name:22} {'   '.join(parts)}")
     write_json(options.out, record)
-    title = f"{options.split}, {len(dataset)} frames: quartiles and 5 to 95 % over frames; dot and number: mean"
+    title = f"{options.split}, {record['extent']}: quartiles and 5 to 95 % over frames; dot and number: mean"
     draw_metrics(options.picture, result, title, note=caption(record))
     print(f"\nwrote {options.out} and {options.picture}")
 

@@ -58,10 +58,10 @@ def facts(curves: read.Curves, rng: np.random.Generator) -> dict[str, Any]:
     return {
         "frames": len(curves.kl),
         "curves": read.described(curves),
-        "masses": read.shares(curves, rng),
+        "masses": read.shares(curves),
         "the geometric model's masses, if an observed cell has 1/3": read.observed(curves),
-        "KL, deep against geometric as plotted": read.versus(curves.kl, curves.kl_geo, rng),
-        "KL, deep against geometric de-mixed (2 g - d)": read.versus(curves.kl, own, rng),
+        "KL, deep against geometric as plotted": read.versus(curves.kl, curves.kl_geo),
+        "KL, deep against geometric de-mixed (2 g - d)": read.versus(curves.kl, own),
         "geometric de-mixed": {"mean": own.mean(), "least": own.min(), "most": own.max()},
         "is it time?": read.order(curves, rng),
         "is it a Dirichlet KL with labels of evidence 1?": {

@@ -1,20 +1,22 @@
 """Which model should one use, how good is it, where does it fail? All models and rules in one command.
 
-    python benchmarks/quality.py --single DATA --sequences SEQ [--paper WEIGHTS] [--every 5] [--quick]
+    python benchmarks/quality.py --single DATA --sequences SEQ [--single-old OLD] [--paper WEIGHTS] [--before FOLDER]
 
-DATA and SEQ are data sets that `ogm simulate` made (see benchmarks/README.md): single frames, whose test split is
-another town than that of training, and drives of 10 s at 10 Hz. Compared are
+DATA, OLD and SEQ are data sets that `ogm simulate` made (see benchmarks/README.md): single frames of many drives in
+towns that no training has seen, those of an older and smaller test, and drives of 10 s at 10 Hz. Compared are
 
-* in the test town, single frames, against the whole truth: the models of `deep_quality`, and paper if given;
+* in the test towns, single frames, against the whole truth: the models of `deep_quality`, and paper if given; the
+  same on OLD, so that figures of earlier versions can be read on;
 * on the drives, against what each frame itself can observe: each of these alone and fused over time by every rule of
   `ogm evaluate --fused`, with the mappers' defaults, and by plain Dempster (half-life 2 s for everything). All frames
   are fused, every fifth is evaluated. The rules that run in numpy are left to ray and the networks;
 * on real recordings, labelled cells only: each alone, and fused where there are poses, against truth of later scans.
 
-All by `ogm.metrics`; means over frames, 95 % bootstrap intervals over drives where there are five or more, else over
-frames; every method is compared with height-band and ray frame by frame. Finished frames are kept in runs/quality: an
-interrupted run resumes when it is repeated. Writes benchmarks/results/quality.json, docs/pictures/quality*.png (the
-tables of the documentation are made of the record by docs/build.py), and reports in runs/quality, also of the real
+All by `ogm.metrics`; means over frames with 95 % intervals over drives (`ogm.evaluation.statistics`), none where there
+are fewer than four; every method is compared with height-band and ray frame by frame. Beliefs are compared with how
+often they are right; FOLDER, the runs/quality of an earlier version, adds its `ray` to that picture. Finished frames
+are kept in runs/quality: an interrupted run resumes when it is repeated. Writes benchmarks/results/quality.json and
+docs/pictures/quality*.png (docs/build.py makes tables of the record), and reports in runs/quality, also of the real
 recordings, whose scans may not be passed on. Nothing was chosen by the test data.
 """
 
@@ -28,10 +30,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from _quality_inputs import all_maps, every, real, single_scan
-from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings
-from _quality_record import brief, published, record_of, write
+from _quality_pictures import by_distance, chosen, maps, papers_figures, recordings, reliability
+from _quality_record import beliefs, brief, earlier, published, record_of, write
 
 from ogm import GridSpec
 from ogm.datasets import Dataset, open_dataset
@@ -39,11 +40,10 @@ from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, write_report
 from ogm.evaluation.figures import draw_frames, frame_panels
 from ogm.evaluation.frame_pictures import draw_frame
 from ogm.evaluation.text import as_json
-from ogm.metrics import METRICS
+from ogm.metrics import METRICS, ConfusionSums
 
 PAPER = GridSpec.centered()
 KEEP = ROOT / "runs" / "quality"
-SEED = 0
 DEEP = "lite"  # the shipped network, which is drawn
 DRAWN = ("ray", "lite", "ray + bayes", "ray + cautious", "lite + cautious")  # of the maps
 QUICK_FRAMES, QUICK_SCANS, QUICK_REAL = 4, 10, ("KITTI, single scans", "SUSTechPOINTS")
@@ -57,6 +57,7 @@ class Run(NamedTuple):
     folder: Path  # of frames and reports
     pictures: Path
     facts: Mapping[str, Any]  # machine, date, versions
+    beliefs: dict[str, dict[str, ConfusionSums]]  # pooled, by place and method
 
 
 def progress(words: str) -> None:
@@ -91,7 +92,18 @@ def run_part(
 def report(folder: Path, title: str, result: Evaluation, run: Run) -> None:
     """Write the report that `ogm evaluate` writes."""
     machine = f"{run.facts['cpu']}, {run.facts['system']}, Python {run.facts['python']}"
-    write_report(folder, result, title=title, command=run.facts["command"], seed=SEED, pictured=1000, machine=machine)
+    write_report(folder, result, title=title, command=run.facts["command"], pictured=1000, machine=machine)
+
+
+def pool(run: Run, place: str, folder: Path, result: Evaluation) -> None:
+    """Add what beliefs are compared by, and that of an earlier run, to a place's sums."""
+    found = dict(zip(result.methods, result.pooled, strict=True))
+    if run.options.before and (run.options.before / folder.name / "report.json").exists():
+        found["ray, before"] = earlier(run.options.before / folder.name, "ray")
+    there = run.beliefs.setdefault(place, {})
+    for name in ("height-band", "ray", "ray, before", DEEP):
+        if name in found:
+            there[name] = there[name].plus(found[name]) if name in there else found[name]
 
 
 def only(places: Sequence[int]) -> Callable[..., dict[str, bytes]]:
@@ -120,19 +132,27 @@ def draw_three(path: Path, title: str, result: Evaluation, shown: Sequence[str],
 
 
 def evaluate_town(run: Run) -> dict[str, Any]:
-    """Evaluate single frames of the simulated test town."""
+    """Evaluate single frames of the simulated test towns."""
     dataset = open_dataset(run.options.single, split=run.options.split)
     numbers = range(len(dataset))[: QUICK_FRAMES if run.options.quick else None]
     result = run_part(run.folder / "town", dataset, numbers, run.models, draw_frame)
     names = list(run.models)
-    record = record_of(result, np.random.default_rng(SEED))
+    record = record_of(result)
     record["as the released code would report"] = published(result, DEEP, "height-band-released")
-    report(run.folder / "town", f"Simulated test town: {', '.join(names)}", result, run)
+    report(run.folder / "town", f"Simulated test towns: {', '.join(names)}", result, run)
+    pool(run, f"unseen towns, {record['extent']}", run.folder / "town", result)
     papers_figures(run.pictures / "quality.png", result, DEEP, caption(run.facts))
     by_distance(run.pictures / "quality_range.png", record, caption(run.facts))
-    title = f"Simulated test town: best, middling and worst frame of {DEEP}"
-    draw_three(run.pictures / "quality_frames.png", title, result, names, (DEEP, "kl_e10"))
+    title = f"Simulated test towns: best, middling and worst frame of {DEEP}"
+    draw_three(run.pictures / "quality_frames.png", title, result, names, (DEEP, "nll"))
     return record
+
+
+def evaluate_old(run: Run) -> dict[str, Any]:
+    """Evaluate the older and smaller test: ten drives in one town."""
+    dataset = open_dataset(run.options.single_old, split=run.options.split)
+    numbers = range(len(dataset))[: QUICK_FRAMES if run.options.quick else None]
+    return brief(record_of(run_part(run.folder / "old", dataset, numbers, run.models, nothing)))
 
 
 def evaluate_drives(run: Run) -> dict[str, Any]:
@@ -144,7 +164,7 @@ def evaluate_drives(run: Run) -> dict[str, Any]:
     methods = all_maps(run.models, PAPER, run.options.quick)
     draw = only([list(methods).index(name) for name in DRAWN])
     result = run_part(run.folder / "drives", dataset, numbers, methods, draw)
-    record = record_of(result, np.random.default_rng(SEED))
+    record = record_of(result)
     maps(run.pictures / "quality_maps.png", record, caption(run.facts))
     title = "Simulated test drives: best, middling and worst frame of lite + cautious"
     draw_three(run.pictures / "quality_maps_frames.png", title, result, DRAWN, ("lite + cautious", "brier"))
@@ -163,13 +183,15 @@ def evaluate_real(run: Run) -> dict[str, Any]:
             continue
         folder = run.folder / "".join(c if c.isalnum() else "-" for c in one.name)
         result = run_part(folder, one.alone, range(len(one.alone)), run.models, draw_frame)
-        found[one.name] = {"alone": record_of(result, np.random.default_rng(SEED))}
+        found[one.name] = {"alone": record_of(result)}
         report(folder, one.name, result, run)
+        if (result.truth[:, 1:3].sum(axis=0) > 0).all():  # else every belief in one of the two is right
+            pool(run, "real recordings with free and occupied labels", folder, result)
         if one.fused is not None:
             folder = folder.with_name(f"{folder.name}-fused")
             methods = all_maps(run.models, PAPER, run.options.quick)
             result = run_part(folder, one.fused, range(len(one.fused)), methods, nothing)
-            found[one.name]["fused"] = brief(record_of(result, np.random.default_rng(SEED)))
+            found[one.name]["fused"] = brief(record_of(result))
     if any("alone" in one for one in found.values()):
         recordings(run.pictures / "quality_real.png", as_json(found), caption(run.facts))
     return found
@@ -178,6 +200,8 @@ def evaluate_real(run: Run) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--single", type=Path, help="data set of single frames")
+    parser.add_argument("--single-old", type=Path, help="data set of single frames of an older test")
+    parser.add_argument("--before", type=Path, help="runs/quality of an earlier version, for the reliability of ray")
     parser.add_argument("--split", default="test", help="part of it (default test, for the final figure only)")
     parser.add_argument("--sequences", type=Path, help="data set of drives")
     parser.add_argument("--real", type=Path, default=DATA, help="folder of real recordings (default OGM_DATA)")
@@ -195,10 +219,11 @@ def main() -> None:
     record = environment()
     words = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
     record["command"] = " ".join(["python benchmarks/quality.py", *words])
-    record |= {"seed": SEED, "split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
-    run = Run(options, single_scan(PAPER, options.paper), folder, pictures, dict(record))
+    record |= {"split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
+    run = Run(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
     parts = {
         "town": evaluate_town if options.single else None,
+        "old": evaluate_old if options.single_old else None,
         "drives": evaluate_drives if options.sequences else None,
         "real": evaluate_real if options.real.is_dir() else None,
     }
@@ -208,6 +233,11 @@ def main() -> None:
             continue
         record[name] = as_json(part(run))
         write(out, record)
+    if run.beliefs:
+        places = run.beliefs.items()
+        record["reliability"] = {place: {name: beliefs(one) for name, one in sums.items()} for place, sums in places}
+        write(out, as_json(record))
+        reliability(pictures / "quality_reliability.png", record["reliability"], caption(run.facts))
     progress(f"wrote {out}, pictures in {pictures}, reports in {folder}; python docs/build.py makes the tables")
 
 

@@ -16,16 +16,21 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from quality_tables import sentences, tables
+from quality_tables import tables
+from reproduction_sentences import sentences
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 MODELS = ("height-band", "height-band-released", "ray", "lite")
 QUALITY = (
-    *("iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
-    *("brier", "nll", "ece", "ece_relative", "auroc_unknown", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl"),
-    "mean_unknown",
+    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
+    *("ece", "ece_relative", "auroc_unknown", "mean_unknown", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl"),
 )
+LOSSES = (  # titles of what is compared of trainings; the last is what the reverse KL minimises
+    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known"),
+    *("false_free", "missed_occupied", "ece", "auroc_unknown", "kl_e10"),
+)
+OLD_EXTENT = "100 frames of 10 drives in 1 town"  # of records that do not say it
 MAPS = {  # name in the record -> title
     "scan alone": "scan alone",
     "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
@@ -83,21 +88,26 @@ def section(title: str, name: str, *parts: str) -> str:
 
 
 def headline() -> str:
-    """Return the table of the README: three models on the simulated test drive."""
+    """Return the table of the README: three models on the simulated test drives."""
     means = record("deep_quality")["models"]
     titles = {
+        "brier": "Brier score ↓",
         "iou_free": "IoU free ↑",
         "iou_occupied": "IoU occupied ↑",
-        "auroc_unknown": "finding unknown cells (AUROC) ↑",
         "false_free": "occupied cells predicted free ↓",
-        "brier": "Brier score ↓",
+        "auroc_unknown": "finding unknown cells (AUROC) ↑",
     }
     models = ("height-band", "ray", "lite")
     rows = [
         [title, *(f"{means[model]['macro'][metric]['value']:.3f}" for model in models)]
         for metric, title in titles.items()
     ]
-    return table(["100 scans of one simulated drive", "paper's baseline", "`RayISM`", "`lite`"], rows)
+    return table([extent(), "paper's baseline", "`RayISM`", "`lite`"], rows)
+
+
+def extent() -> str:
+    """Return how many frames, drives and towns `deep_quality` is of."""
+    return record("deep_quality").get("extent", OLD_EXTENT)
 
 
 def speed() -> str:
@@ -149,16 +159,17 @@ def deep_quality() -> str:
         cells = []
         for model in MODELS:
             one = found["models"][model]["macro"][metric]
-            cells.append(f"{one['value']:.3f} ± {(one['high'] - one['low']) / 2:.3f}")
+            ends = "" if one["low"] is None else f" ({one['low']:.3f} to {one['high']:.3f})"
+            cells.append(f"{one['value']:.3f}{ends}")
         rows.append([f"{facts['title']}{arrow}", *cells])
-    return table(["mean over frames", *(f"`{model}`" for model in MODELS)], rows)
+    return table(["mean (95 %)", *(f"`{model}`" for model in MODELS)], rows)
 
 
 def deep_targets() -> str:
     """Return which targets `lite` reaches."""
     rows = [
         [row["what"], row["wanted"], f"{row['value']:.3f}", "reached" if row["met"] else "**missed**"]
-        for row in record("deep_quality")["wanted"]
+        for row in sorted(record("deep_quality")["wanted"], key=lambda row: row["what"].startswith(("kl_", "legacy")))
     ]
     return table(["target of `lite`", "wanted", "measured", ""], rows)
 
@@ -181,7 +192,7 @@ def deep_occupied() -> str:
 def deep_losses() -> str:
     """Return what networks reach that were trained alike with other losses."""
     scores = record("deep_losses")["scores"]
-    metrics = ("kl_e10", "auroc_unknown", "iou_free", "iou_occupied", "iou_unknown", "ece", "brier", "false_free")
+    metrics = [metric for metric in LOSSES if metric in scores["reverse KL"]]
     titles = [record("deep_quality")["metrics"][metric]["title"] for metric in metrics]
     rows = [[name, *(f"{one[metric]['value']:.3f}" for metric in metrics)] for name, one in scores.items()]
     return table(["loss, one seed each", *titles], rows)
@@ -197,11 +208,12 @@ def losses_of_the_paper() -> str:
         "reverse KL": "reverse KL, our default",
     }
     metrics = {
-        "kl_e10": "KL, E = 10",
+        "brier": "Brier",
         "iou_free": "IoU free",
         "iou_occupied": "IoU occupied",
         "auroc_unknown": "AUROC unknown",
         "ece": "ECE",
+        "kl_e10": "KL, E = 10",
     }
     rows = [[title, *(f"{scores[name][metric]['value']:.3f}" for metric in metrics)] for name, title in names.items()]
     return table(["", *metrics.values()], rows)
@@ -352,6 +364,26 @@ def metrics() -> str:
     return table(["key", "title", "better", "what it is"], rows).replace("---:", "---")
 
 
+def coverage() -> str:
+    """Return how often intervals hold the truth, least and most over how alike frames are."""
+    cases = record("interval_coverage")["cases"]
+    columns = dict.fromkeys((case["drives"], case["frames"][1]) for case in cases)
+    heads = [f"{drives} drives" if drives > 1 else f"one drive, {frames} frames" for drives, frames in columns]
+    shapes = list(dict.fromkeys(case["shape"] for case in cases))
+    kinds = [(f"mean: {shape}", "mean", (shape,)) for shape in shapes]
+    kinds += [("ratio of two means: all of these", "ratio", shapes), ("p below 0.05: all", "p below 0.05", shapes)]
+    kinds += [("mean, were frames independent: all", "mean, frames as independent", shapes)]
+    rows = []
+    for title, what, of in kinds:
+        cells = []
+        for drives, frames in columns:
+            column = [one for one in cases if (one["drives"], one["frames"][1]) == (drives, frames)]
+            found = [one[what] for one in column if one["shape"] in of]
+            cells.append(f"{100 * min(found):.1f} to {100 * max(found):.1f}")
+        rows.append([title, *cells])
+    return table(["[%]", *heads], rows)
+
+
 def results() -> str:
     """Return the page of results."""
     boxes = "Real scans with annotated boxes, by a benchmark of commit 28273fa that `ogm evaluate` has replaced since:"
@@ -359,12 +391,12 @@ def results() -> str:
         "# Results",
         "All tables of this page are made by `python docs/build.py` from the records of the benchmarks. Sensor "
         "models on real and simulated data side by side: [quality.md](quality.md). What is compared in each: "
-        "[benchmarks](../benchmarks/README.md). The 100 test frames are scans of **one** simulated drive, 1 s apart: "
-        "their intervals, over frames, are too narrow.",
+        "[benchmarks](../benchmarks/README.md), and [how far intervals can be trusted](evaluation.md#intervals).",
         section(
             "Sensor models, simulated test drive",
             "deep_quality",
-            *(deep_quality(), deep_targets(), deep_occupied()),
+            *(f"{extent()}. Intervals: {record('deep_quality')['intervals']}.", deep_quality(), deep_targets()),
+            deep_occupied(),
         ),
         section("Objects in real scans", "deep_real", boxes, deep_boxes()),
         section("Losses of the network", "deep_losses", deep_losses()),
@@ -408,9 +440,10 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/lite.md": lambda: {"results": headline()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/reproduction.md": lambda: (
-        sentences(record("quality")) | {"losses": losses_of_the_paper(), "divergence": divergences()}
+        sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))
+        | {"losses": losses_of_the_paper(), "divergence": divergences()}
     ),
-    "docs/evaluation.md": lambda: {"metrics": metrics()},
+    "docs/evaluation.md": lambda: {"metrics": metrics(), "coverage": coverage()},
 }
 
 

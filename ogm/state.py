@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["CellState", "StateShares", "Truth", "predict_state"]
+__all__ = ["PARTICIPANT", "CellState", "StateShares", "Truth", "predict_state"]
 
+PARTICIPANT = 255  # in `Truth.height_cm`: the cell belongs to the box of a traffic participant
 EPS_CELL = 1e-9  # [cells] added so that rounding does not decide where the edges of two grids coincide
 
 
@@ -64,24 +65,32 @@ class Truth:
     spec : GridSpec
     state : (nx, ny) uint8
         Values of `CellState`. Not copied.
+    height_cm : (nx, ny) uint8, optional
+        Height above ground of the highest obstacle that was hit in each occupied cell [cm], up to the clearance;
+        `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None where heights
+        are not known.
 
     Raises
     ------
     TypeError
-        If `state` is not uint8.
+        If `state` or `height_cm` is not uint8.
     ValueError
-        If its shape does not fit `spec`, or a value is no `CellState`.
+        If their shape does not fit `spec`, or a value is no `CellState`.
     """
 
     spec: GridSpec
     state: NDArray[np.uint8]
+    height_cm: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.state, np.ndarray) or self.state.dtype != np.uint8:
-            got = getattr(self.state, "dtype", type(self.state).__name__)
-            raise TypeError(f"state must be a uint8 array, got {got}; convert it with .astype('uint8')")
-        if self.state.shape != self.spec.shape:
-            raise ValueError(f"state has shape {self.state.shape}, but the spec has {self.spec.shape} cells")
+        for name, array in (("state", self.state), ("height_cm", self.height_cm)):
+            if name == "height_cm" and array is None:
+                continue
+            if not isinstance(array, np.ndarray) or array.dtype != np.uint8:
+                got = getattr(array, "dtype", type(array).__name__)
+                raise TypeError(f"{name} must be a uint8 array, got {got}; convert it with .astype('uint8')")
+            if array.shape != self.spec.shape:
+                raise ValueError(f"{name} has shape {array.shape}, but the spec has {self.spec.shape} cells")
         if self.state.size and self.state.max() > CellState.IGNORE:
             raise ValueError(f"a state must be 0 unknown, 1 free, 2 occupied or 3 ignore, got {int(self.state.max())}")
 
@@ -144,15 +153,21 @@ class Truth:
         ix = _cells(c * x + s * y, self.spec.origin[0], self.spec.resolution)
         iy = _cells(c * y - s * x, self.spec.origin[1], self.spec.resolution)
         inside = (ix >= 0) & (iy >= 0) & (ix < self.spec.shape[0]) & (iy < self.spec.shape[1])
+        at = ix[inside].astype(np.intp), iy[inside].astype(np.intp)
         state = np.full(spec.shape, np.uint8(CellState.IGNORE))
-        state[inside] = self.state[ix[inside].astype(np.intp), iy[inside].astype(np.intp)]
-        return Truth(spec, state)
+        state[inside] = self.state[at]
+        if self.height_cm is None:
+            return Truth(spec, state)
+        height = np.zeros(spec.shape, np.uint8)
+        height[inside] = self.height_cm[at]
+        return Truth(spec, state, height)
 
     def mirrored(self) -> "Truth":
         """Return the scene with left and right exchanged: y becomes -y."""
         x, y = self.spec.origin
         spec = GridSpec(self.spec.resolution, self.spec.shape, (x, -(y + self.spec.width)))
-        return Truth(spec, np.ascontiguousarray(self.state[:, ::-1]))
+        height = None if self.height_cm is None else np.ascontiguousarray(self.height_cm[:, ::-1])
+        return Truth(spec, np.ascontiguousarray(self.state[:, ::-1]), height)
 
 
 def _cells(x: NDArray[np.float64], x0: float, resolution: float) -> NDArray[np.float64]:

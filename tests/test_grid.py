@@ -25,6 +25,7 @@ def test_centered_gives_the_papers_grid() -> None:
     spec = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
     assert spec.shape == (512, 352)
     np.testing.assert_allclose(spec.extent, (-40.96, 40.96, -28.16, 28.16), atol=1e-12)
+    assert GridSpec.centered() == spec
 
 
 def test_centered_refuses_broken_lengths_and_names_whole_ones() -> None:
@@ -60,7 +61,10 @@ def test_only_defaults_are_rounded() -> None:
         (1.0, (0, 2), (0, 0)),
         (1.0, (2.5, 2), (0, 0)),
         (1.0, (2, 2, 2), (0, 0)),
-        (1.0, (2**15, 2**15), (0, 0)),
+        (1.0, (2**14, 2**14 + 1), (0, 0)),
+        (1.0, (2**14 + 1, 2**14), (0, 0)),
+        (1.0, (2,), (0, 0)),
+        (1.0, (2, 2), (0, 0, 0)),
         (1.0, (2, 2), (float("inf"), 0)),
     ],
 )
@@ -69,10 +73,65 @@ def test_impossible_specs_are_refused(resolution: float, shape: tuple, origin: t
         GridSpec(resolution, shape, origin)
 
 
+def test_the_largest_grid_has_2_to_the_28_cells() -> None:
+    assert GridSpec(1.0, (2**14, 2**14), (0, 0)).length == 2**14
+
+
+@pytest.mark.parametrize("resolution", [0.0, -1.0, np.nan, np.inf])
+def test_a_resolution_is_positive_and_finite(resolution: float) -> None:
+    with pytest.raises(ValueError, match=r"^resolution must be positive and finite"):
+        GridSpec.centered(8.0, 8.0, resolution)
+
+
+def test_extents_are_whole_cells_to_a_millionth() -> None:
+    assert GridSpec.centered(0.3, 1000 + 9e-4, 0.1 + 0.2 - 0.2).shape == (3, 10000)
+    for length in (1 + 1.2e-6, 1000 + 2e-3, 0.9999):
+        with pytest.raises(ValueError, match="not a whole number"):
+            GridSpec.centered(length, 8.0, 1.0)
+
+
+def test_a_grid_lies_around_its_center() -> None:
+    assert GridSpec.centered(4.0, 2.0, 0.5, center=(10.0, -3.0)).extent == (8.0, 12.0, -4.0, -2.0)
+
+
+def test_the_smallest_grid_is_one_cell() -> None:
+    assert GridSpec.centered(resolution=1000.0).shape == (1, 1)
+    assert GridSpec.centered(1.0, 1.0, 1.0).shape == (1, 1)
+
+
+def test_cell_centers_are_the_middles() -> None:
+    x, y = GridSpec(0.5, (2, 3), (1.0, -1.0)).cell_centers
+    assert x.tolist() == [[1.25], [1.75]]
+    assert y.tolist() == [[-0.75, -0.25, 0.25]]
+
+
+def test_a_spec_keeps_plain_numbers() -> None:
+    spec = GridSpec(np.float32(1), (np.int64(2), 3.0), (0, np.float32(1)))  # type: ignore[arg-type]
+    assert repr(spec) == "GridSpec(resolution=1.0, shape=(2, 3), origin=(0.0, 1.0))"
+
+
+@pytest.mark.parametrize("factor", [0, -1, 0.5, 1.5, np.nan, np.inf])
+def test_a_grid_is_refined_by_whole_factors(factor: float) -> None:
+    with pytest.raises(ValueError, match="factor must be a positive whole number"):
+        SPEC.refined(factor)  # type: ignore[arg-type]
+
+
+def test_a_trusted_grid_is_a_grid() -> None:
+    grid = random_grid()
+    assert EvidentialGrid.trusted(SPEC, grid.mass) == grid
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf])
+def test_extents_are_positive_and_finite(size: float) -> None:
+    with pytest.raises(ValueError, match="width must be positive and finite"):
+        GridSpec.centered(8.0, size, 1.0)
+
+
 def test_index_floors_and_never_truncates() -> None:
     ix, iy = SPEC.index([-1.0, -0.51, -1.01, 1.99, 2.0], [-2.0, -1.51, -2.01, -0.01, 0.0])
     assert ix.tolist() == [0, 0, -1, 5, 6]
     assert iy.tolist() == [0, 0, -1, 3, 4]
+    assert SPEC.contains([0.0, 0.0, 0.0], [-2.0, -0.001, 0.0]).tolist() == [True, True, False]
     assert SPEC.contains([-1.0, -1.01, 1.99, 2.0], [-2.0, -2.0, -0.01, 0.0]).tolist() == [True, False, True, False]
 
 
@@ -84,6 +143,9 @@ def test_cell_centers_lie_in_their_cells(resolution: float, nx: int, ny: int, x:
     ix, iy = spec.index(*np.broadcast_arrays(cx, cy))
     np.testing.assert_array_equal(ix, np.arange(nx)[:, None] * np.ones((1, ny), int))
     np.testing.assert_array_equal(iy, np.arange(ny)[None, :] * np.ones((nx, 1), int))
+    assert spec.contains(cx, cy).all()
+    for over_x, over_y in ((nx, 0), (0, ny), (-nx, 0), (0, -ny)):
+        assert not spec.contains(cx + over_x * resolution, cy + over_y * resolution).any()
 
 
 def test_spec_is_hashable_and_refines() -> None:
@@ -180,6 +242,12 @@ def test_what_are_no_masses_is_refused(bad: np.ndarray, error: type, message: st
         EvidentialGrid(SPEC, bad)
 
 
+def test_masses_are_kept_as_float32() -> None:
+    mass = random_grid().mass
+    assert EvidentialGrid(SPEC, mass).mass is mass
+    assert EvidentialGrid(SPEC, mass.astype(np.float64)).mass.dtype == np.float32
+
+
 def test_the_error_names_the_cell() -> None:
     mass = np.zeros((6, 4, 2), np.float32)
     mass[3, 1] = 0.9, 0.3
@@ -257,15 +325,24 @@ def test_flipped_bytes_are_a_value_error_or_a_grid(tmp_path: Path) -> None:
             EvidentialGrid.load(path)
 
 
-def test_a_file_that_announces_too_much_is_not_unpacked(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("size", "message"),
+    [
+        (2**32 - 2, "announces 42949"),
+        (2**31 + 2**20 + 1, "announces 2148532225 bytes"),
+        (2**31 + 2**20, "found arrays"),
+    ],
+)
+def test_a_file_that_announces_too_much_is_not_unpacked(tmp_path: Path, size: int, message: str) -> None:
+    """The largest grid has 2**28 cells of 8 bytes; 1 MiB is left for the rest."""
     path = tmp_path / "bomb.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("mass.npy", b"x")
     data = bytearray(path.read_bytes())
     at = data.rfind(b"PK\x01\x02") + 24  # the uncompressed size in the archive's directory
-    data[at : at + 4] = (2**32 - 2).to_bytes(4, "little")
+    data[at : at + 4] = size.to_bytes(4, "little")
     path.write_bytes(bytes(data))
-    with pytest.raises(ValueError, match="announces"):
+    with pytest.raises(ValueError, match=message):
         EvidentialGrid.load(path)
 
 

@@ -67,15 +67,15 @@ def test_demixing_undoes_the_mean_of_both() -> None:
 
 
 def test_demixing_turns_no_win_into_a_loss_and_doubles_the_difference() -> None:
-    curves, rng = figures(), np.random.default_rng(0)
-    plotted, own = (facts.versus(curves.kl, curves.kl_geo, rng), facts.versus(curves.kl, facts.demixed(curves), rng))
+    curves = figures()
+    plotted, own = facts.versus(curves.kl, curves.kl_geo), facts.versus(curves.kl, facts.demixed(curves))
     assert (plotted["wins"], plotted["losses"]) == (own["wins"], own["losses"])
     assert own["difference"]["value"] == pytest.approx(2 * plotted["difference"]["value"])
 
 
 def test_lost_frames_are_those_in_which_the_second_is_lower() -> None:
     first, second = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 1.5, 4.0, 3.0])
-    found = facts.versus(first, second, np.random.default_rng(0))
+    found = facts.versus(first, second)
     assert found["frames in which the second is lower"] == [1, 3]
     assert found["margin in these"] == {"mean": 0.75, "most": 1.0}
     assert (found["wins"], found["losses"]) == (2, 2)
@@ -107,7 +107,7 @@ def test_masses_of_a_third_are_counted_as_cells() -> None:
     found = facts.observed(curves)
     assert found["cells observed"] == pytest.approx(found["cells free"] + found["cells occupied"])
     assert found["mean unknown if it had mass 1"] == pytest.approx(1 - found["cells observed"])
-    masses = facts.shares(curves, np.random.default_rng(0))
+    masses = facts.shares(curves)
     assert masses["occupied of what is known, deep"] == pytest.approx(0.1)
     assert masses["occupied of what is known, geometric"] == pytest.approx(0.03)
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.pose import Trajectory, check_pose, inverse, pose, transform_points
@@ -13,6 +13,7 @@ angles = st.floats(-1.5, 1.5)
 lengths = st.floats(-100, 100)
 
 
+@settings(deadline=None)
 @given(lengths, lengths, lengths, angles, angles, angles)
 def test_inverse_undoes(x: float, y: float, z: float, roll: float, pitch: float, yaw: float) -> None:
     T = pose(x, y, z, roll=roll, pitch=pitch, yaw=yaw)
@@ -38,13 +39,23 @@ def test_transform_keeps_dtype_and_intensity() -> None:
         (np.eye(3), "4x4"),
         (np.full((4, 4), np.nan), "NaN"),
         (np.diag([2.0, 2, 2, 1]), "rigid"),
+        (np.diag([1.0, 1, 1 + 1e-4, 1]), "rigid"),
         (np.diag([-1.0, 1, 1, 1]), "mirror"),
         (np.diag([1.0, 1, 1, 2]), "last row"),
+        (np.diag([1.0, 1, 1, 0.5]), "last row"),
+        (np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1e-7, 1]]), "last row"),
+        (np.diag([0.5, 0.5, 0.5, 1]), "rigid"),
+        (np.diag([1.0, 1, np.nan, 1]), "NaN"),
+        (np.diag([1.0, 1, np.inf, 1]), "NaN or inf"),
     ],
 )
 def test_what_is_not_rigid_is_refused(bad: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         check_pose(bad)
+
+
+def test_a_pose_of_four_decimals_is_rigid() -> None:
+    check_pose(pose(1, 2, 3, roll=0.1, pitch=0.2, yaw=0.3).round(4))
 
 
 def test_poses_between_lie_on_the_straight_line_and_the_shortest_arc() -> None:
@@ -53,9 +64,11 @@ def test_poses_between_lie_on_the_straight_line_and_the_shortest_arc() -> None:
     assert Trajectory([1.0, 2.0], poses).at([1.0, 1.2, 2.0]).shape == (3, 4, 4)
 
 
-def test_transform_points_refuses_wrong_shapes() -> None:
-    with pytest.raises(ValueError, match="N, 3 or more"):
-        transform_points(np.eye(4), np.zeros((3, 2)))
+def test_transform_points_takes_rows_of_three_numbers_or_more() -> None:
+    for wrong in (np.zeros((3, 2)), np.zeros(3), np.zeros((2, 3, 3))):
+        with pytest.raises(ValueError, match="N, 3 or more"):
+            transform_points(np.eye(4), wrong)
+    np.testing.assert_array_equal(transform_points(pose(1, 2, 3), np.zeros((2, 3))), [[1, 2, 3]] * 2)
 
 
 def test_a_trajectory_returns_its_poses_and_those_between() -> None:
@@ -64,8 +77,12 @@ def test_a_trajectory_returns_its_poses_and_those_between() -> None:
     np.testing.assert_allclose(trajectory.at(trajectory.stamps), trajectory.poses, atol=1e-12)
     np.testing.assert_allclose(trajectory.at(1.5), pose(1, yaw=0.5), atol=1e-12)
     assert trajectory.at([1.5, 3.0]).shape == (2, 4, 4)
-    with pytest.raises(ValueError, match="not extrapolated"):
-        trajectory.at(4.1)
+    for stamp, one in zip(trajectory.stamps, trajectory.poses, strict=True):
+        np.testing.assert_allclose(trajectory.at(stamp), one, atol=1e-12)
+    assert trajectory.at([]).shape == (0, 4, 4)
+    for outside in (4.1, 0.9, [0.9, 2.0], [2.0, 4.1], np.nan):
+        with pytest.raises(ValueError, match="not extrapolated"):
+            trajectory.at(outside)
 
 
 def test_a_trajectory_keeps_its_own_copy() -> None:
@@ -90,8 +107,11 @@ def test_a_trajectory_of_one_pose_has_one_time() -> None:
         ([], np.zeros((0, 4, 4)), "at least 1"),
         ([0.0, 1.0], [np.eye(4)], "agree"),
         ([0.0, np.nan], [np.eye(4)] * 2, r"stamps\[1\] is not"),
+        ([[0.0, 1.0]], [np.eye(4)], "agree"),
+        ([0.0, 1.0], [np.eye(3)] * 2, "agree"),
+        ([0.0, 1.0], [np.eye(4)[:3]] * 2, "agree"),
         ([0.0, 0.0], [np.eye(4)] * 2, "increase"),
-        ([1.0, 0.0], [np.eye(4)] * 2, "increase"),
+        ([0.0, 1.0, 0.5, 2.0], [np.eye(4)] * 4, r"increase, but stamps\[1\]=1.0 is followed by 0.5"),
         ([0.0, 1.0], [np.eye(4), np.diag([2.0, 2, 2, 1])], r"poses\[1\] must be rigid"),
         ([0.0], [np.full((4, 4), np.nan)], "NaN"),
     ],

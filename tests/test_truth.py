@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ogm import EvidentialGrid, GridSpec
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
-from ogm.state import CellState, Truth
+from ogm.state import PARTICIPANT, CellState, Truth
 from ogm.truth import (
     HEIGHT_LIMITS,
     TRUTH_SPEC,
@@ -180,34 +180,94 @@ def test_cells_beyond_the_world_are_ignored_unless_hit() -> None:
 
 
 def test_rays_and_points_give_the_same_observation() -> None:
+    """On cells so small that most hold one hit or none: each hit counts."""
     rng = np.random.default_rng(3)
-    count = 20_000
+    count, spec = 6_000, GridSpec.centered(7.0, 6.0, 0.1, center=(0.5, 0.0))
     directions = rng.normal(size=(count, 3)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     distance = rng.uniform(0.1, 8, count).astype(np.float32)
-    distance[:50], distance[50:60] = np.inf, np.nan
+    distance[:50], distance[50:60], distance[60:62] = np.inf, np.nan, 1e6
     kind = rng.integers(0, len(Kind), count).astype(np.uint8)
-    ground = rng.uniform(-2, -1, SMALL.shape).astype(np.float32)
-    ground[0, 0] = np.nan
-    rise = rng.uniform(0, 0.1, SMALL.shape).astype(np.float32)
+    ground = rng.uniform(-2, -1, spec.shape).astype(np.float32)
+    ground[30] = np.nan
+    rise = rng.uniform(0, 0.1, spec.shape).astype(np.float32)
 
-    fast, uncompiled = np.zeros((2, *SMALL.shape), np.uint8)
+    fast, uncompiled = np.zeros((2, *spec.shape), np.uint8)
+    highest, also = np.zeros((2, *spec.shape), np.float32)
     hits = (distance, directions, kind, ground, rise)
-    observe_rays(fast, *hits, SMALL)
-    rules = rays._Rules(SMALL.resolution, *SMALL.origin, HEIGHT_LIMITS)
-    rays._observe_rays.py_func(uncompiled, *hits, rules)
+    observe_rays(fast, highest, *hits, spec)
+    rules = rays._Rules(spec.resolution, *spec.origin, HEIGHT_LIMITS)
+    getattr(rays._observe_rays, "py_func", rays._observe_rays)(uncompiled, also, *hits, rules)
     np.testing.assert_array_equal(fast, uncompiled)
+    np.testing.assert_array_equal(highest, also)
 
     x, y, z = (distance[:, None].astype(float) * directions)[60:].T
-    kind, inside = kind[60:], SMALL.contains(x, y)
+    kind, inside = kind[60:], spec.contains(x, y)
     x, y, z, kind = x[inside], y[inside], z[inside], kind[inside]
-    height = z - ground[SMALL.index(x, y)]
+    height = z - ground[spec.index(x, y)]
     known = height < 2.0
-    height = np.where(kind == Kind.STEP, rise[SMALL.index(x, y)], height)
-    slow = np.zeros(SMALL.shape, np.uint8)
-    observe_points(slow, x[known], y[known], kind[known], height[known], SMALL)
+    height = np.where(kind == Kind.STEP, rise[spec.index(x, y)], height)
+    slow = np.zeros(spec.shape, np.uint8)
+    observe_points(slow, x[known], y[known], kind[known], height[known], spec)
     np.testing.assert_array_equal(fast, slow)
-    assert set(np.unique(fast)) >= {0, 3}
+    assert (np.bincount(fast.ravel(), minlength=4) > 50).all()
+    assert (fast[30] == 0).all()
+    slow_highest = np.zeros(spec.shape, np.float32)
+    limit = np.select([kind == Kind.PLANT, (kind == Kind.OBSTACLE) | (kind == Kind.STEP)], [0.25, 0.05], np.inf)
+    obstacle = known & (height >= limit)
+    np.maximum.at(slow_highest, spec.index(x[obstacle], y[obstacle]), height[obstacle])
+    np.testing.assert_allclose(highest, slow_highest, rtol=1e-5)
+    assert ((highest > 0) == (fast >= 2)).all()
+
+
+def test_heights_are_kept_in_centimetres_and_participants_have_none_of_their_own() -> None:
+    seen = np.array([[2, 3, 1], [2, 0, 2]], np.uint8)
+    highest = np.array([[0.052, 1.9999, 0.0], [0.5, 0.0, 0.3]], np.float32)
+    car = box(1.5, 1.5, 0.0, 0.5, 0.5)
+    truth = finalize_truth(
+        seen, GridSpec(1.0, (2, 3), (0, 0)), boxes=car, returns=[50], unobserved=np.eye(2, 3, 2, bool), highest=highest
+    )
+    assert truth.height_cm is not None
+    assert truth.height_cm.tolist() == [[5, 200, 0], [50, PARTICIPANT, 30]]
+    turned = truth.crop(GridSpec(1.0, (3, 2), (-3, 0)), yaw=np.pi / 2)
+    assert turned.height_cm is not None
+    assert turned.height_cm.tolist() == [[0, 30], [200, PARTICIPANT], [5, 50]]
+    mirrored = truth.mirrored().height_cm
+    assert mirrored is not None
+    assert mirrored.tolist() == [[0, 200, 5], [30, PARTICIPANT, 50]]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "z", "kind", "bits"),
+    [
+        (-3.5, 0.0, 0.0, Kind.GROUND, 1),  # the lower edges are inside
+        (0.0, -3.5, 0.0, Kind.GROUND, 1),
+        (3.5, 0.0, 0.0, Kind.GROUND, 0),
+        (0.0, 3.5, 0.0, Kind.GROUND, 0),
+        (1.0, 0.0, 0.9, Kind.GROUND, 1),  # the ground lies at -1 m, the clearance at 1 m
+        (1.0, 0.0, 1.0, Kind.GROUND, 0),
+        (1.0, 0.0, 0.5, Kind.OBSTACLE, 2),
+        (1.0, 0.0, 1.0, Kind.OBSTACLE, 0),
+        (1.0, 0.0, -0.95, Kind.OBSTACLE, 2),
+        (1.0, 0.0, -0.96, Kind.OBSTACLE, 0),
+        (1.0, 0.0, -0.8, Kind.PLANT, 1),
+        (1.0, 0.0, -0.75, Kind.PLANT, 2),
+        (1.0, 0.0, -0.8, Kind.STEP, 2),  # the ground rises by 0.1 m
+        (1.0, 0.0, -0.8, Kind.OTHER, 0),
+    ],
+)
+def test_each_kind_of_hit_leaves_its_bits(x: float, y: float, z: float, kind: Kind, bits: int) -> None:
+    at = np.array([[x, y, z]])
+    distance = np.linalg.norm(at, axis=1)
+    ground, rise = np.full(SMALL.shape, -1.0, np.float32), np.full(SMALL.shape, 0.1, np.float32)
+    seen = np.zeros(SMALL.shape, np.uint8)
+    hit = distance, at / distance[:, None], np.array([kind], np.uint8)
+    observe_rays(seen, np.zeros(SMALL.shape, np.float32), *hit, ground, rise, SMALL)
+    assert seen.sum() == bits
+    other = np.zeros(SMALL.shape, np.uint8)
+    height = np.array([0.1 if kind == Kind.STEP else z + 1.0])
+    observe_points(other, at[:, 0], at[:, 1], np.array([kind]), height, SMALL)
+    np.testing.assert_array_equal(other, seen)
 
 
 def test_an_observation_may_be_built_up_in_parts() -> None:
@@ -396,6 +456,10 @@ def test_a_crop_refuses_a_yaw_that_is_no_number() -> None:
         (lambda: height_above_ground(np.zeros((3, 3)), np.zeros(3, int)), "is_ground must be 3 booleans"),
         (lambda: height_above_ground(np.full((3, 3), np.nan), np.ones(3, bool)), "xyz holds NaN"),
         (lambda: height_above_ground(np.diag([1e30, 1e30, 0]), np.ones(3, bool)), "one lies at .*: drop it"),
+        (
+            lambda: height_above_ground(np.array([[0, 0, 1e9], [2e4, 3e4, 0]]), np.ones(2, bool)),
+            r"one lies at \[20000.0, 30000.0\] m",
+        ),
     ],
 )
 def test_wrong_points_are_refused(call, message: str) -> None:
@@ -420,6 +484,29 @@ def test_height_above_ground_follows_a_slope() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.03
 
 
+def test_the_ground_is_linear_between_the_medians_of_squares() -> None:
+    from scipy.interpolate import RegularGridInterpolator
+
+    rng = np.random.default_rng(1)
+    median = rng.normal(size=(9, 6))
+    squares = np.argwhere(np.ones((9, 6)))  # the first point, at (0, 0), is the middle of the first square
+    shifts = rng.permuted(np.tile([-0.5, -0.1, 0.0, 2.0], (54, 1)), axis=1)  # of an even number, the upper median
+    ground = np.column_stack([np.repeat(squares, 4, 0), (median.reshape(-1, 1) + shifts).ravel()])
+    places = rng.uniform((0, 0), (8, 5), (300, 2))
+    z = rng.normal(size=300)
+    xyz = np.concatenate([ground, np.column_stack([places, z])])
+    height = height_above_ground(xyz, np.arange(len(xyz)) < len(ground))[len(ground) :]
+    middles = np.arange(9.0), np.arange(6.0)
+    np.testing.assert_allclose(height, z - RegularGridInterpolator(middles, median)(places), atol=1e-9)
+
+
+def test_squares_without_ground_take_the_nearest_up_to_10_m() -> None:
+    xyz = np.array([[0, 0, -1.7], [10, 0, 0], [0, 10, 0], [11, 0, 0], [8, 8, 0], [6, 6, 0], [25, 0, -0.7], [24, 0, 0]])
+    xyz = np.column_stack([xyz, np.full(8, np.nan)])  # without intensities
+    height = height_above_ground(xyz, np.isin(np.arange(8), [0, 6]))
+    np.testing.assert_allclose(height, [0, 1.7, 1.7, np.nan, np.nan, 1.7, 0, 0.7], atol=1e-9)
+
+
 def test_height_far_from_any_ground_is_not_known() -> None:
     xyz = np.array([[0, 0, -1.7], [0.2, 0, -0.7], [30, 0, 0.0]])
     height = height_above_ground(xyz, np.array([True, False, False]))
@@ -430,7 +517,7 @@ def test_height_far_from_any_ground_is_not_known() -> None:
 def test_recorded_cells_are_known_only_where_points_are() -> None:
     rng = np.random.default_rng(0)
     xy = np.concatenate([rng.uniform((-3, -1), (1, 1), (100, 2)), [[3, 0], [3, 1], [np.nan, 0]]])
-    points = np.column_stack([xy, slope(*xy.T), np.zeros(103)]).astype(np.float32)
+    points = np.column_stack([xy, slope(*xy.T), np.full(103, np.nan)]).astype(np.float32)  # without intensities
     points[100:102, 2] += (1.0, 4.0)  # a post, and a branch above
     kind = np.array([Kind.GROUND] * 100 + [Kind.OBSTACLE] * 3)
     truth = truth_from_points(points, kind, SMALL)

@@ -48,8 +48,8 @@ def drawn(*rows: str) -> Truth:
 
 
 def hits(x: float, y: float, high: float, count: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of one scan in one cell, and their heights."""
-    return np.tile([x, y, 0.0], (count, 1)), np.full(count, high)
+    """Return points of one scan in one cell, and their heights; z is of another origin."""
+    return np.tile([x, y, -99.0], (count, 1)), np.full(count, high)
 
 
 def scan_of(*parts: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -134,7 +134,7 @@ def test_which_tracks_move() -> None:
     order = np.random.default_rng(0).permutation(len(rows))  # a track need not come in order
     stamps, boxes = [], []
     for name, stamp, x, y in (rows[n] for n in order):
-        stamps.append(stamp)
+        stamps.append(stamp + 1000)
         boxes.append(Boxes(np.array([x, y, 0]), np.ones(3), np.zeros(1), track=[name]))
     assert moving_tracks(stamps, boxes) == {"drives", "drives and waits", "there and back"}
     with pytest.raises(ValueError, match="one stamp per frame"):
@@ -202,7 +202,32 @@ def test_low_returns_stand_but_they_hide_little() -> None:
     assert draw(road_with([[1.0, 0.0, -1.3]]))[:3] == [".......", ".......", "... ..."]
 
 
-@pytest.mark.parametrize("high", [0.1, 2.5])
+def test_what_lies_on_the_line_of_sight_hides_the_road() -> None:
+    """The line from the sensor to the road at 2 m, 1.8 m below it, is 0.9 m below it at 1 m."""
+    assert draw(road_with([[1.0, 0.0, -0.9]]))[:3] == [".......", "... ...", "... ..."]
+
+
+def test_returns_hide_the_road_in_their_sector_alone() -> None:
+    """By every pair of a cell and a return: in one sector of 0.4 deg, nearer, on the line of sight or above."""
+    rng = np.random.default_rng(5)
+    spec = GridSpec(0.5, (80, 50), (-20.0, -15.0))
+    azimuth, away = rng.uniform(-np.pi, np.pi, 400), rng.uniform(2, 15, 400)
+    xyz = np.column_stack([away * np.cos(azimuth), away * np.sin(azimuth), rng.uniform(-1.8, 0.5, 400)])
+    ground = rng.uniform(-2.0, -1.6, spec.shape)
+    truth = truth_from_road(np.ones(spec.shape, bool), ground, xyz, xyz[:, 2] + 1.8, spec)
+
+    x, y = (one[..., None] for one in np.broadcast_arrays(*spec.cell_centers))
+    stands = (xyz[:, 2] + 1.8 > 0.3) & (xyz[:, 2] + 1.8 < 2.0)
+    sector = np.floor(np.degrees(np.arctan2(y, x)) / 0.4) == np.floor(np.degrees(azimuth) / 0.4)
+    distance = np.hypot(x, y)
+    hidden = (sector & (away < distance) & (xyz[:, 2] / away >= ground[..., None] / distance) & stands).any(-1)
+    stands &= spec.contains(*xyz[:, :2].T)
+    hidden[spec.index(*xyz[stands, :2].T)] = True
+    np.testing.assert_array_equal(truth.state, np.where(hidden, IGNORE, FREE))
+    assert 0.1 < hidden.mean() < 0.9
+
+
+@pytest.mark.parametrize("high", [0.1, 0.29, 2.0, 2.5])
 def test_road_and_bridges_hide_nothing(high: float) -> None:
     assert (road_with([[1.0, 0.0, high - 1.8]]).state == FREE).all()
 
@@ -239,6 +264,14 @@ NOTHING = (np.empty((0, 3)), np.empty(0))
         ([SKY, SKY], IGNORE),
         ([scan_of(GROUND, SKY), GROUND], FREE),
         ([WALL, WALL, GROUND, GROUND], OCCUPIED),  # half of them: it counts
+        ([WALL, WALL, NOTHING, NOTHING, NOTHING], OCCUPIED),  # of those that saw the cell
+        ([hits(0, 0, -0.3)] * 2, FREE),
+        ([hits(0, 0, 0.149)] * 2, FREE),
+        ([hits(0, 0, 0.15)] * 2, IGNORE),
+        ([hits(0, 0, 0.299)] * 2, IGNORE),
+        ([hits(0, 0, 0.3)] * 2, OCCUPIED),
+        ([hits(0, 0, 1.999)] * 2, OCCUPIED),
+        ([hits(0, 0, 2.0)] * 2, IGNORE),
         ([WALL, WALL, GROUND, GROUND, GROUND], IGNORE),  # it came or went
         ([hits(0, 0, -0.4), hits(0, 0, -0.4)], IGNORE),  # below the ground
         ([hits(9, 0, 1.0), hits(9, 0, 1.0)], IGNORE),  # outside
@@ -246,6 +279,14 @@ NOTHING = (np.empty((0, 3)), np.empty(0))
 )
 def test_what_scans_agree_on(scans, state) -> None:
     assert seen(scans) == state
+
+
+def test_scans_are_counted_in_the_cells_that_hold_their_points() -> None:
+    spec = GridSpec(0.5, (8, 5), (-1.0, -2.0))
+    truth = truth_from_scans(*zip(*[scan_of(hits(2.8, 0.4, 1.0), hits(-0.9, -1.9, 0.0))] * 2, strict=True), spec)
+    expected = np.full(spec.shape, IGNORE)
+    expected[7, 4], expected[0, 0] = OCCUPIED, FREE
+    np.testing.assert_array_equal(truth.state, expected)
 
 
 def test_one_scan_is_enough_where_min_scans_is_one() -> None:
@@ -277,6 +318,36 @@ def test_what_left_since_is_contradicted() -> None:
     assert against(street, hits(0, 0, 0.0)) == ["   #   ", "  ###  ", "   #   "]
     assert against(street, hits(0, 0, 0.0), hits(1, 1, 1.0)) == ["       "] * 3  # it still stands there
     assert against(street, hits(0, 0, 1.0)) == ["       "] * 3
+
+
+@pytest.mark.parametrize(
+    ("high", "of_free", "of_occupied"),
+    [
+        *((-0.301, False, False), (-0.3, False, True), (0.149, False, True), (0.15, False, False)),
+        *((0.299, False, False), (0.3, True, False), (1.999, True, False), (2.0, False, False)),
+    ],
+)
+def test_heights_that_contradict(high: float, of_free: bool, of_occupied: bool) -> None:
+    for state, contradicts in ((FREE, of_free), (OCCUPIED, of_occupied)):
+        truth = Truth(SMALL, np.full(SMALL.shape, state, np.uint8))
+        assert contradicted(truth, *hits(0, 0, high)).any() == contradicts
+
+
+@pytest.mark.parametrize(("reach", "cells"), [(0.3, 1), (0.5, 1), (0.51, 2), (1.0, 2), (0.0, 1)])
+def test_a_contradiction_reaches_so_far(reach: float, cells: int) -> None:
+    truth = Truth(GridSpec(0.5, (9, 8), (-2.0, -2.0)), np.full((9, 8), FREE, np.uint8))
+    found = np.argwhere(contradicted(truth, *hits(0.2, 0.3, 1.0), reach)) - [4, 4]
+    expected = [(x, y) for x in range(-4, 5) for y in range(-4, 4) if abs(x) + abs(y) <= cells]
+    assert sorted(map(tuple, found)) == expected
+
+
+def test_an_obstacle_stands_for_its_eight_neighbours_and_no_further() -> None:
+    """Ground in an occupied cell is no contradiction as long as an obstacle was seen in one of the nine cells."""
+    truth = Truth(SMALL, np.full(SMALL.shape, OCCUPIED, np.uint8))
+    for x in range(-3, 4):
+        for y in range(-3, 4):
+            cells = contradicted(truth, *scan_of(hits(0, 0, 0.0), hits(x, y, 1.0)))
+            assert cells[3, 3] == (max(abs(x), abs(y)) > 1), (x, y)
 
 
 # --- All together -----------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo``, ``map``, ``fuse``, ``simulate``, ``train``, ``evaluate``, ``export``, ``info``."""
+"""The command line: ``ogm demo, map, fuse, simulate, train, calibrate, evaluate, export, info``."""
 
 import logging
 import sys
@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import ogm
+from ogm.cli.calibrate_command import calibrate_command
 from ogm.cli.console import out
 from ogm.cli.evaluate_command import evaluate
 from ogm.cli.fuse_command import fuse
@@ -33,6 +34,7 @@ app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --
 )
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
+app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out ray.json")(calibrate_command)
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)
 app.command("export", epilog="Example:  ogm export lite --out lite.onnx")(export_command)
 app.command(epilog="Example:  ogm info scan.pcd")(info)

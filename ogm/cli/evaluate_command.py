@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 RULES = ("cautious", "dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes")
 MODELS = ("height-band", "ray", "lite")
 PRINTED = (
-    "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "iou_unknown",
-    "iou_free_known", "iou_occupied_known", "auroc_unknown", "ece", "ece_relative", "brier",
-    "false_free", "missed_occupied", "mean_unknown",
+    "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known",
+    "false_free", "missed_occupied", "from50_false_free", "from50_missed_occupied", "ece", "ece_relative",
+    "auroc_unknown", "mean_unknown", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl",
 )  # fmt: skip
 COMPARED = (
-    "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl", "iou_free", "iou_occupied", "ece", "ece_relative",
-    "false_free",
+    "nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "ece", "ece_relative", "kl_e10",
+    "kl_e1", "kl_e1_scaled", "legacy_kl",
 )  # fmt: skip
-BRIEF = ("kl_e10", "iou_free", "iou_occupied", "false_free", "brier", "ece")  # of many methods
+BRIEF = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "ece")  # of many methods
 FEW = 6  # methods that have a column each
 
 
@@ -94,7 +94,7 @@ def evaluate(
     samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
-    seed: Annotated[int, typer.Option(help="Random seed of --samples and of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(help="Random seed of --samples.")] = 0,
     out_folder: Annotated[
         Path, typer.Option("--out", help="Folder for report.html, report.json, frames.csv, metrics.png, frames.png.")
     ] = Path("report"),
@@ -106,8 +106,8 @@ def evaluate(
     and tilt and the ego footprint; only height-band-released has its own numbers built in. With --fused, cells that a
     simulated frame cannot observe are left out too, as a map may know them, and the aggregated truth of a recording is
     made from later scans only, which no map has fused.
-    The number after +- is half of the 95 % bootstrap interval of the mean: over drives where there are five or more,
-    else over frames.
+    The number after +- is half of the 95 % interval of the mean: over drives, or over parts of one long drive, as
+    scans of a drive are alike. Fewer than four drives have none.
 
     Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run.
     """
@@ -145,8 +145,8 @@ def evaluate(
         )
     with stderr.status("writing the report ..."):
         command = shlex.join(["ogm", *sys.argv[1:]])
-        record = write_report(out_folder, result, command=command, seed=seed, pictured=frames)
-    _print_tables(record, f"{dataset.name}, {len(numbers)} frames")
+        record = write_report(out_folder, result, command=command, pictured=frames)
+    _print_tables(record, f"{dataset.name}, {record['extent']}")
     written = "   ".join(str(out_folder / name) for name in REPORT_FILES)
     out.print(f"written {written}", markup=False, soft_wrap=True)
 
@@ -218,7 +218,8 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
         for name, *row in zip(names, *columns, strict=True):
             table.add_row(Text(_clean(name)), *row)
     out.print(table)
-    out.print("(- lower, + higher is better; +- half of the 95 % interval; report.html describes the metrics)")
+    legend = f"- lower, + higher is better; +- half of the interval: {record['intervals']}"
+    out.print(f"({legend}; report.html describes the metrics)", soft_wrap=True)
     for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
         out.print(_clean(f"\n{name}"), markup=False, soft_wrap=True)
         table = Table(box=None, pad_edge=False)

@@ -28,7 +28,7 @@ class TruthMode(StrEnum):
 def simulate(
     path: Annotated[Path | None, typer.Argument(help="Folder for the data set: new, or empty.")] = None,
     samples: Annotated[
-        int | None, typer.Option(help="Training samples, 1 Hz from ten drives. [default: 10000]")
+        int | None, typer.Option(help="Training samples, from --drives in turn. [default: 10000]")
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Random seed. [default: 1]")] = None,
     validation: Annotated[
@@ -55,8 +55,14 @@ def simulate(
         float | None, typer.Option(help="Share of samples that the ego motion distorts. [default: 0]")
     ] = None,
     towns: Annotated[
-        int | None, typer.Option(help="Towns for training and validation; that of the test is another. [default: 1]")
+        int | None, typer.Option(help="Towns for training and validation; the test's are others. [default: 1]")
     ] = None,
+    test_towns: Annotated[int | None, typer.Option(help="Towns that the test drives through. [default: 1]")] = None,
+    drives: Annotated[
+        int | None,
+        typer.Option(help="Drives that the samples of a split are taken from, 10 each in turn. [default: 10]"),
+    ] = None,
+    spacing: Annotated[float | None, typer.Option(help="Time between the samples of a drive [s]. [default: 1]")] = None,
     town_size: Annotated[float | None, typer.Option(help="Side of the towns [m]. [default: 480]")] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes on this machine. [default: what cores and memory allow]")
@@ -101,6 +107,9 @@ def simulate(
         "bad_weather": bad_weather,
         "in_motion": in_motion,
         "towns": towns,
+        "test_towns": test_towns,
+        "drives": drives,
+        "spacing": spacing,
         "town_size": town_size,
     }
     chosen = {name: value for name, value in options.items() if value is not None}

@@ -7,7 +7,7 @@ const D = read("data");
 const METHODS = D.methods.map((name, k) => ({ name, k, style: `s${k % 8} d${Math.floor(k / 8) % 5}` }));
 const TRUTH = { name: "truth", k: -1, style: "truth" };
 const FEW = 6;  // methods that are shown at first
-const NUMBERS = ["kl_e10", "iou_free", "iou_occupied", "brier", "false_free", "missed_occupied"].filter(m => D.perFrame[m]);  // beside the pictures
+const NUMBERS = ["nll", "iou_free", "iou_occupied", "brier", "false_free", "missed_occupied"].filter(m => D.perFrame[m]);  // beside the pictures
 
 // ---------- small helpers
 
@@ -234,7 +234,7 @@ const mark = () => { for (const svg of onFrames) svg.here(axis.indexOf(frame)); 
 
 function figureControls() {
   for (const metric of Object.keys(D.perFrame)) $("figure-metric").append(option(metric, title(metric) + sign(metric)));
-  const quick = ["kl_e10", "kl_e1", "legacy_kl"].filter(m => D.perFrame[m]);
+  const quick = ["nll", "kl_e10", "kl_e1", "legacy_kl"].filter(m => D.perFrame[m]);
   figureMetric = quick[0] ?? D.headline[0];
   const set = metric => {
     figureMetric = $("figure-metric").value = metric;
@@ -242,7 +242,7 @@ function figureControls() {
     frameFigures();
   };
   for (const metric of quick) {
-    const button = node("button", { type: "button", "data-metric": metric }, { kl_e10: "E = 10", kl_e1: "E = 1", legacy_kl: "as released" }[metric]);
+    const button = node("button", { type: "button", "data-metric": metric }, { nll: "NLL", kl_e10: "KL, E = 10", kl_e1: "E = 1", legacy_kl: "as released" }[metric]);
     button.addEventListener("click", () => set(metric));
     $("figure-switch").append(button);
   }

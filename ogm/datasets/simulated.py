@@ -58,7 +58,9 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     T_world_sensor, T_vehicle_sensor = poses
     T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the sensor
     drive = name == "sequences"
-    frames = [FrameRef(f"{name} {n}", T_map_sensor=T) for n, T in zip(numbers, T_world_sensor, strict=True)]
+    scenarios = facts[:, FACTS.index("scenario")].astype(int)  # samples of one drive, too far apart to be fused
+    each = zip(numbers, scenarios, T_world_sensor, strict=True)
+    frames = [FrameRef(f"{name} {n}", f"drive {number}", None, T) for n, number, T in each]
     if drive:
         stamps = facts[:, FACTS.index("stamp")].tolist()
         drives = [f"sequence {n // SEQUENCE}" for n in numbers]
@@ -75,6 +77,8 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
             return one
         return ignore_cells(one, one.state == CellState.UNKNOWN)
 
+    planned = store.plan.get("test_towns" if name == "test" else "towns", 1)  # that drives go through in turn
+    towns = len({int(one) % planned for one in facts[:, FACTS.index("scenario")]})
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
@@ -91,7 +95,8 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         stamped=drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()},
+        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
+        | {"towns": towns},
         files=(path / "zarr.json", path / name),
     )
 

@@ -17,9 +17,9 @@ from ogm.plot import LEGEND, Panel
 __all__ = ["draw_frames", "draw_metrics", "frame_panels"]
 
 SHOWN = (
-    "kl_e10", "kl_e1_scaled", "kl_e1", "legacy_kl",
-    "iou_free", "iou_occupied", "iou_unknown", "auroc_unknown",
-    "ece", "ece_relative", "false_free", "missed_occupied",
+    "nll", "brier", "ece_relative", "auroc_unknown",
+    "iou_free", "iou_occupied", "iou_unknown", "missed_occupied",
+    "false_free", "kl_e10", "kl_e1", "legacy_kl",
 )  # fmt: skip
 MOST = 6  # methods side by side
 DOTS = 110  # per inch
@@ -86,8 +86,8 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
 
     titles = {"points": "points", "truth": "truth"}
     for place, name in enumerate(result.methods[:MOST]):
-        value = result.of(name, "kl_e10")[frame]
-        titles[f"mass {place}"] = name if np.isnan(value) else f"{name}, KL {value:.2f}"
+        value = result.of(name, "nll")[frame]
+        titles[f"mass {place}"] = name if np.isnan(value) else f"{name}, NLL {value:.2f}"
     panels = []
     for key, title in titles.items():
         if key in pictures:

@@ -1,13 +1,19 @@
-"""Sensor models by name: the geometric ones, the network that ogm ships, and weights that ``ogm train`` wrote."""
+"""Sensor models by name: geometric ones, also fitted, the network that ogm ships, and weights of ``ogm train``."""
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
+from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount
 
-__all__ = ["LITE", "MODELS", "RELEASED", "describe_model", "load_model", "model_factory", "short_names"]
+__all__ = [
+    "HEIGHT_BAND", "LITE", "MODELS", "RAY", "RELEASED", "default_parameters", "describe_model", "load_model",
+    "model_class", "model_factory", "short_names",
+]  # fmt: skip
 
 Factory = Callable[[Mount], InverseSensorModel]
 GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
@@ -27,7 +33,8 @@ def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: boo
     Parameters
     ----------
     name : str
-        A name in `MODELS`, or the path of weights that ``ogm train`` wrote: a ``.safetensors`` file or a run's folder.
+        A name in `MODELS`, the path of parameters that ``ogm calibrate`` wrote (``.json``), or that of weights that
+        ``ogm train`` wrote: a ``.safetensors`` file or a run's folder.
     spec : GridSpec
         The grid to fill. ``height-band-released`` fills cells of twice the side, on the same area.
     mount : Mount
@@ -50,18 +57,22 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
 
     Parameters and errors as of `load_model`; what depends on the mount is checked when the function is called.
     """
-    if name in GEOMETRIC:
-        from ogm.geometric import HeightBandISM, RayISM
+    if name == RELEASED:
+        return _released(spec)
+    if name in GEOMETRIC or _is_fitted(name):
+        parameters: dict[str, Any] = {}
+        if _is_fitted(name):
+            from ogm.evaluation.calibration import Calibration
 
-        if name == RELEASED:
-            return _released(spec)
-        if name == RAY:
-            return lambda mount: RayISM(spec, mount)
-        return lambda mount: HeightBandISM(spec, mount, drop_ego_returns=drop_ego_returns)
+            fitted = Calibration.load(name)
+            name, parameters = fitted.model, dict(fitted.parameters)
+        if name == HEIGHT_BAND:
+            parameters["drop_ego_returns"] = drop_ego_returns
+        return lambda mount: model_class(name)(spec, mount, **parameters)
     if name != LITE and not Path(name).exists() and Path(name).suffix != ".safetensors":
         raise ValueError(
-            f"there is no sensor model {name!r}: give {', '.join(MODELS)}, or weights that `ogm train` wrote (a file "
-            "or a run's folder)"
+            f"there is no sensor model {name!r}: give {', '.join(MODELS)}, parameters that `ogm calibrate` wrote "
+            "(.json), or weights that `ogm train` wrote (a file or a run's folder)"
         )
     from ogm.deep.checkpoint import load_network
     from ogm.deep.ism import DeepISM, weights_of
@@ -69,6 +80,25 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     with weights_of(name) as path:
         network, description = load_network(path)
     return lambda mount: DeepISM(network, spec, mount, description=description)
+
+
+def model_class(name: str) -> Any:
+    """Return the class of a geometric model whose parameters can be chosen, by its name."""
+    from ogm.geometric import HeightBandISM, RayISM
+
+    classes = {RAY: RayISM, HEIGHT_BAND: HeightBandISM}
+    if name not in classes:
+        raise OgmError(f"there is no geometric model {name!r} with parameters; there are {', '.join(classes)}")
+    return classes[name]
+
+
+def default_parameters(name: str) -> dict[str, float]:
+    """Return the numbers that such a model can be made with, and their defaults."""
+    return {one.name: one.default for one in fields(model_class(name)) if isinstance(one.default, float)}
+
+
+def _is_fitted(name: str) -> bool:
+    return Path(name).suffix == ".json"
 
 
 def _released(spec: GridSpec) -> Factory:
@@ -89,9 +119,16 @@ def _released(spec: GridSpec) -> Factory:
 
 
 def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
-    """Return one sentence about a model by its name, and file name and SHA-256 of its weights, if it has some."""
+    """Return one sentence about a model by its name, and file name and SHA-256 of what it was read from, if it was."""
     if name in GEOMETRIC:
         return MODELS[name], None
+    if _is_fitted(name):
+        from ogm.evaluation.calibration import Calibration
+
+        one, path = Calibration.load(name), Path(name)
+        numbers = ", ".join(f"{key} {value:g}" for key, value in one.parameters.items())
+        facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        return f"{MODELS[one.model].rstrip('.')}, with {numbers or 'its defaults'}.", facts
     from ogm.deep.ism import weights_of
 
     with weights_of(name) as path:

@@ -18,14 +18,14 @@ from ogm.evaluation import figures
 from ogm.evaluation.page import write_page
 from ogm.evaluation.result import Evaluation
 from ogm.evaluation.runner import package_versions
-from ogm.evaluation.statistics import MIN_SAMPLES
-from ogm.evaluation.text import as_json, clean
+from ogm.evaluation.statistics import MIN_DRIVES, has_parts
+from ogm.evaluation.text import as_json, clean, pluralize
 from ogm.files import atomic_write
 from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, reasons
 
-__all__ = ["evaluation_record", "write_csv", "write_report"]
+__all__ = ["describe_extent", "describe_intervals", "evaluation_record", "write_csv", "write_report"]
 
-RANKED_BY = "kl_e10"
+RANKED_BY = "nll"
 WORST, BEST = 0.5, 0.25  # shares of the frames in the page; the rest is spread evenly over the ranks
 ROWS = 6  # of the contact sheet
 FEW = 6  # methods of which all pairs are compared
@@ -37,7 +37,6 @@ def write_report(
     *,
     title: str | None = None,
     command: str = "",
-    seed: int = 0,
     pictured: int = 100,
     machine: str | None = None,
 ) -> dict[str, Any]:
@@ -51,8 +50,6 @@ def write_report(
         With pictures of frames if it was evaluated with ``out=``; without them there is no ``frames.png``.
     title, command, machine : str, optional
         Texts of the page; by default data set and methods, none, and this machine.
-    seed : int
-        Of the bootstrap.
     pictured : int
         Frames with pictures in the page: the worst, the best, and others evenly between them.
 
@@ -67,8 +64,7 @@ def write_report(
         "title": title or (f"{name}: {', '.join(result.methods)}" if len(result.methods) < 5 else name),
         "command": command,
         "date": datetime.now(UTC).date().isoformat(),
-        "seed": seed,
-        **evaluation_record(result, np.random.default_rng(seed)),
+        **evaluation_record(result),
     }
     record["machine"] = machine or record["machine"]
     with atomic_write(folder / "report.json", "w") as file:
@@ -77,7 +73,7 @@ def write_report(
     write_csv(folder / "frames.csv", result)
     chosen = _frames_to_show(result, pictured) if result.cache else []
     write_page(folder / "report.html", record, {k: found for k in chosen if (found := result.pictures(k))})
-    heading = f"{name}, {len(result.frames)} frames: quartiles, 5 to 95 %, dot and number: mean"
+    heading = f"{name}, {record['extent']}: quartiles, 5 to 95 % of the frames, dot and number: mean"
     figures.draw_metrics(folder / "metrics.png", result, heading)
     order = _ranked(result)
     places = np.linspace(0, len(order) - 1, min(ROWS, len(order))).round().astype(int)
@@ -92,29 +88,23 @@ def write_report(
     return record
 
 
-def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str, Any]:
-    """Return all of an evaluation as JSON can hold it: NaN becomes None.
-
-    Parameters
-    ----------
-    result : Evaluation
-    rng : numpy.random.Generator
-        For the bootstrap intervals.
-    """
+def evaluation_record(result: Evaluation) -> dict[str, Any]:
+    """Return all of an evaluation as JSON can hold it: NaN becomes None."""
     spec = result.spec
     record = {
-        "format": "ogm.evaluation/3",
+        "format": "ogm.evaluation/4",
         "versions": package_versions(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "grid": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
-        "intervals": _describe_intervals(result),
+        "extent": describe_extent(result),
+        "intervals": describe_intervals(result),
         "metrics": METRICS,
         "ranges": RANGES,
         "methods": {
             name: {
                 "description": result.facts.get(name, {}).get("description", ""),
                 "weights": result.facts.get(name, {}).get("weights"),
-                "macro": {m: result.interval(name, m, rng) for m in METRICS},
+                "macro": {m: result.interval(name, m) for m in METRICS},
                 "micro": result.micro(name),
                 "missing": reasons(sums),
                 "confusion": sums.confusion.astype(int),  # [truth][predicted], unknown free occupied
@@ -125,7 +115,7 @@ def evaluation_record(result: Evaluation, rng: np.random.Generator) -> dict[str,
             for name, sums in zip(result.methods, result.pooled, strict=True)
         },
         "truth per frame": dict(zip(("unknown", "free", "occupied", "ignored"), result.truth.T, strict=True)),
-        "paired": {f"{b} against {a}": result.compare(b, a, rng) for a, b in _pairs(result.methods)},
+        "paired": {f"{b} against {a}": result.compare(b, a) for a, b in _pairs(result.methods)},
     }
     return {"data": result.data, "frames": [frame._asdict() for frame in result.frames], **as_json(record)}
 
@@ -141,15 +131,24 @@ def write_csv(path: str | Path, result: Evaluation) -> None:
                 writer.writerow([clean(frame.name), clean(name), *cells])
 
 
-def _describe_intervals(result: Evaluation) -> str:
-    """Return what the bootstrap draws."""
-    if result.groups is not None:
-        return f"95 %, bootstrap over {len(set(result.groups))} drives"
-    count, drives = len(result.frames), len({frame.sequence for frame in result.frames} - {""})
-    if count < MIN_SAMPLES:
-        return f"none, as {count} frames are too few" if count > 1 else "none, as there is one frame"
-    alike = f" of {drives} drive{'s' * (drives > 1)}, which are alike: too narrow for other drives"
-    return f"95 %, bootstrap over {count} frames{alike if drives else ''}"
+def describe_extent(result: Evaluation) -> str:
+    """Return how many frames, drives and towns an evaluation is of, as far as they are known."""
+    drives, towns = len({frame.sequence for frame in result.frames} - {""}), result.data.get("towns")
+    text = pluralize(len(result.frames), "frame")
+    if drives:
+        text += f" of {pluralize(drives, 'drive')}" + (f" in {pluralize(towns, 'town')}" if towns else "")
+    return text
+
+
+def describe_intervals(result: Evaluation) -> str:
+    """Return what the intervals are, and what they are not."""
+    drives = set(result.drives)
+    if has_parts(result.drives):
+        return f"95 %, Student's t over {MIN_DRIVES} parts of the one drive; they say nothing about other drives"
+    what = "drive" if drives & {frame.sequence for frame in result.frames} else "frame"
+    if len(drives) < MIN_DRIVES:
+        return f"none: {pluralize(len(drives), what)} cannot show how much {what}s differ"
+    return f"95 %, Student's t over {len(drives)} {what}s"
 
 
 def _curves(sums: ConfusionSums) -> dict[str, Any]:

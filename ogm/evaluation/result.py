@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.cache import ResultCache
-from ogm.evaluation.statistics import MIN_SAMPLES, Comparison, Interval, bootstrap_mean, compare_paired
+from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean_interval
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
 
@@ -66,9 +66,9 @@ class Evaluation:
     def __str__(self) -> str:
         """Tabulate the means over frames: a row per metric, a column per method."""
         width = max(12, *(len(name) + 2 for name in self.methods))
-        lines = [f"{f'mean of {len(self.frames)} frames':22}" + "".join(f"{name:>{width}}" for name in self.methods)]
+        lines = [f"{f'mean of {len(self.frames)} frames':28}" + "".join(f"{name:>{width}}" for name in self.methods)]
         means = [self.macro(name) for name in self.methods]
-        lines += [f"{m:22}" + "".join(f"{one[m]:>{width}.4f}" for one in means) for m in self.values]
+        lines += [f"{m:28}" + "".join(f"{one[m]:>{width}.4f}" for one in means) for m in self.values]
         return "\n".join(lines)
 
     @classmethod
@@ -128,19 +128,18 @@ class Evaluation:
         return score(self.pooled[self.methods.index(method)])
 
     @property
-    def groups(self) -> list[str] | None:
-        """Drive of every frame for the bootstrap; None with fewer than five drives: frames are drawn then."""
-        drives = [frame.sequence for frame in self.frames]
-        return drives if len(set(drives)) >= MIN_SAMPLES else None
+    def drives(self) -> list[str]:
+        """Drive of every frame; one that stands alone is its own."""
+        return [frame.sequence or f"frame {k}" for k, frame in enumerate(self.frames)]
 
-    def interval(self, method: str, metric: str, rng: np.random.Generator) -> Interval:
-        """Return a metric's mean over frames with its 95 % bootstrap interval, see `bootstrap_mean`."""
-        return bootstrap_mean(self.of(method, metric), rng, groups=self.groups)
+    def interval(self, method: str, metric: str) -> Interval:
+        """Return a metric's mean over frames with its 95 % interval over drives, see `mean_interval`."""
+        return mean_interval(self.of(method, metric), self.drives)
 
-    def compare(self, method: str, other: str, rng: np.random.Generator) -> dict[str, Comparison]:
+    def compare(self, method: str, other: str) -> dict[str, Comparison]:
         """Compare two methods frame by frame, in every metric with a better direction, see `compare_paired`."""
         return {
-            m: compare_paired(self.of(method, m), self.of(other, m), METRICS[m].better, rng, groups=self.groups)
+            m: compare_paired(self.of(method, m), self.of(other, m), METRICS[m].better, self.drives)
             for m in self.values
             if METRICS[m].better
         }

@@ -126,9 +126,10 @@ def _results(
             continue
         if frame.truth is None:
             raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
-        state = frame.truth.crop(spec).state
+        truth = frame.truth.crop(spec)
+        state = truth.state
         masses = [grid.mass for grid in runner.grids(frame).values()]
-        sums = tuple(accumulate(mass, state, away) for mass in masses)
+        sums = tuple(accumulate(mass, state, away, truth.height_cm) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
         points, ground_z = _points(frame) if draw else (None, 0.0)
         yield number, FrameResult(sums, shares, draw(points, state, masses, spec, ground_z) if draw else {})

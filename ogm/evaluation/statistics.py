@@ -1,23 +1,28 @@
-"""Statistics over frames: bootstrap intervals of means and ratios, and paired comparisons of two methods."""
+"""Statistics over frames: intervals of means and ratios, and paired comparisons of two methods.
 
-from collections.abc import Sequence
+Frames of one drive are alike, so that drives are what is counted: the spread of a mean is estimated by taking one
+drive away at a time (jackknife), and its interval is Student's. One long drive is cut into parts that take the place
+of drives; the interval then holds for this drive alone. ``benchmarks/interval_coverage.py`` measures how often
+intervals hold the truth.
+"""
+
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["MIN_SAMPLES", "Comparison", "Interval", "bootstrap_mean", "bootstrap_ratio", "compare_paired"]
+__all__ = ["MIN_DRIVES", "Comparison", "Interval", "compare_paired", "has_parts", "mean_interval", "ratio_interval"]
 
-Groups = Sequence[str] | NDArray | None
-RESAMPLES = 2000
+Drives = Sequence[str] | NDArray | None
 LEVEL = 0.95
-MIN_SAMPLES = 5  # frames or drives that a bootstrap interval needs
+MIN_DRIVES = 4  # that an interval needs, and the parts that one drive is cut into
+PART = 25  # frames: parts of fewer are alike, as scans within a drive are
 TIE = 1e-9  # values nearer than this, relative to the larger one, are equal
 
 
 class Interval(NamedTuple):
-    """A value and the interval that holds it with 95 % confidence."""
+    """A value and the interval that holds it with 95 % confidence; NaN limits where drives are too few."""
 
     value: float
     low: float
@@ -38,8 +43,8 @@ class Comparison(NamedTuple):
     ratio : Interval
         Mean of the first over mean of the second.
     p : float
-        Of Wilcoxon's signed rank test, two-sided, that the differences lie around 0; ties are left out. Frames
-        count as independent, see `bootstrap_mean`. NaN if all frames are ties.
+        Of Student's t test over drives, two-sided, that the mean difference is 0: below 0.05 where the interval of the
+        difference leaves out 0. NaN where that has no limits, or all frames are ties.
     """
 
     frames: int
@@ -51,9 +56,7 @@ class Comparison(NamedTuple):
     p: float
 
 
-def compare_paired(
-    first: ArrayLike, second: ArrayLike, better: str, rng: Generator, resamples: int = RESAMPLES, groups: Groups = None
-) -> Comparison:
+def compare_paired(first: ArrayLike, second: ArrayLike, better: str, drives: Drives = None) -> Comparison:
     """Compare two methods frame by frame.
 
     Parameters
@@ -62,101 +65,132 @@ def compare_paired(
         A metric of both on the same frames; NaN where a frame has no value.
     better : {"lower", "higher"}
         Which values are better.
-    rng : numpy.random.Generator
-        Draws the frames of the bootstrap.
-    resamples : int
-    groups : sequence of str, optional
-        The drive of every frame, see `bootstrap_mean`.
+    drives : sequence of str, optional
+        The drive of every frame, see `mean_interval`.
 
     Returns
     -------
     Comparison
         With NaN intervals if no frame has both values.
     """
-    from scipy.stats import wilcoxon  # doubles the time of the import
-
     if better not in ("lower", "higher"):
         raise ValueError(f'better must be "lower" or "higher", got {better!r}')
-    a, b, kept = _both(first, second, groups)
+    a, b, groups = _both(first, second, drives)
     gain = b - a if better == "lower" else a - b
     ties = np.abs(gain) <= TIE * np.maximum(np.abs(a), np.abs(b))
+    difference, p = _student(a - b, np.ones(len(a)), groups, _PLAIN)
     return Comparison(
         frames=len(a),
         wins=int((~ties & (gain > 0)).sum()),
         ties=int(ties.sum()),
         losses=int((~ties & (gain < 0)).sum()),
-        difference=bootstrap_mean(a - b, rng, resamples, kept),
-        ratio=bootstrap_ratio(a, b, rng, resamples, kept),
-        p=float(wilcoxon(gain[~ties]).pvalue) if not ties.all() else float("nan"),
+        difference=difference,
+        ratio=_student(a, b, groups, _scale_of(a, b))[0],
+        p=p if not ties.all() else float("nan"),
     )
 
 
-def bootstrap_mean(values: ArrayLike, rng: Generator, resamples: int = RESAMPLES, groups: Groups = None) -> Interval:
-    """Return the mean over frames with its 95 % interval: percentiles over frames drawn with replacement.
+def mean_interval(values: ArrayLike, drives: Drives = None) -> Interval:
+    """Return the mean over frames with its 95 % interval: Student's t of the jackknife over drives.
 
-    Without groups, frames count as independent of each other. Those of one drive are not quite, so that the
-    interval is rather too narrow than too wide; with groups, whole drives are drawn.
+    It is taken on the scale of log-odds where all values lie in [0, 1], of logarithms where none is negative, as shares
+    and errors spread unevenly; so differences belong to `compare_paired`. Drives of many frames count more: the degrees
+    of freedom are those of Kish's effective number of drives, less one.
 
     Parameters
     ----------
     values : (frames,) float array
         NaN is left out.
-    rng : numpy.random.Generator
-    resamples : int
-    groups : sequence of str, optional
-        The drive of every frame: drives are drawn with all their frames. Needs some ten drives to mean much.
+    drives : sequence of str, optional
+        The drive of every frame, in order. Without it, frames count as independent. One drive of 100 frames or more is
+        cut into four parts: the interval then holds for this drive, not for others.
+
+    Returns
+    -------
+    Interval
+        NaN if no frame is left; without limits for fewer than four drives, one drive of fewer than 100 frames, or where
+        the value rests on a single drive.
     """
     kept = np.asarray(values, np.float64)
-    return bootstrap_ratio(kept, np.where(np.isnan(kept), np.nan, 1.0), rng, resamples, groups)
+    return ratio_interval(kept, np.where(np.isnan(kept), np.nan, 1.0), drives)
 
 
-def bootstrap_ratio(
-    first: ArrayLike, second: ArrayLike, rng: Generator, resamples: int = RESAMPLES, groups: Groups = None
-) -> Interval:
-    """Return the ratio of two means over the same frames, with its 95 % interval, see `bootstrap_mean`.
+def ratio_interval(first: ArrayLike, second: ArrayLike, drives: Drives = None) -> Interval:
+    """Return the ratio of two means over the same frames, with its 95 % interval, see `mean_interval`.
 
     Parameters
     ----------
     first, second : (frames,) float array
         A frame that lacks one of them (NaN) is left out.
-    rng : numpy.random.Generator
-    resamples : int
-    groups : sequence of str, optional
-        The drive of every frame, see `bootstrap_mean`.
+    drives : sequence of str, optional
 
     Returns
     -------
     Interval
-        NaN if no frame is left, or where the second mean is 0; without limits if fewer than five frames, or
-        drives, are left: so few do not show the spread.
+        As of `mean_interval`; NaN where the second mean is 0.
     """
-    if resamples < 1:
-        raise ValueError(f"resamples must be at least 1, got {resamples}")
-    a, b, kept = _both(first, second, groups)
-    if not len(a):
-        return Interval(np.nan, np.nan, np.nan)
-    value = float(_ratio(a.mean(), b.mean()))
-    if kept is not None:  # sums over drives: the ratio of means over their frames is that of their sums
-        _, drive = np.unique(kept, return_inverse=True)
-        a, b = (np.bincount(drive, one).astype(np.float64) for one in (a, b))
-    drawn = rng.integers(len(a), size=(resamples, len(a)))
-    ratios = _ratio(a[drawn].mean(axis=1), b[drawn].mean(axis=1))
-    if len(a) < MIN_SAMPLES or np.isnan(ratios).any():
-        return Interval(value, np.nan, np.nan)
-    return Interval(value, *np.quantile(ratios, [(1 - LEVEL) / 2, 1 - (1 - LEVEL) / 2]).tolist())
+    a, b, groups = _both(first, second, drives)
+    return _student(a, b, groups, _scale_of(a, b))[0]
 
 
-def _both(first: ArrayLike, second: ArrayLike, groups: Groups) -> tuple[NDArray, NDArray, NDArray | None]:
-    """Return the values and groups of the frames that have both values."""
+def has_parts(drives: Sequence[str]) -> bool:
+    """Return whether the frames are of one drive that is long enough to be cut into parts."""
+    return len(set(drives)) == 1 and len(drives) >= MIN_DRIVES * PART
+
+
+class _Scale(NamedTuple):
+    there: Callable[[NDArray], NDArray]
+    back: Callable[[NDArray], NDArray]
+
+
+_PLAIN = _Scale(np.asarray, np.asarray)
+_LOG = _Scale(np.log, np.exp)
+_LOG_ODDS = _Scale(lambda p: np.log(p / (1 - p)), lambda z: 1 / (1 + np.exp(-z)))
+
+
+def _scale_of(a: NDArray, b: NDArray) -> _Scale:
+    """Return the scale on which the spread of a ratio is even."""
+    if (a < 0).any() or (b < 0).any():
+        return _PLAIN
+    return _LOG_ODDS if (b == 1).all() and (a <= 1).all() else _LOG
+
+
+def _student(a: NDArray, b: NDArray, groups: NDArray, scale: _Scale) -> tuple[Interval, float]:
+    """Return sum(a) / sum(b) with its interval over groups, and the p value that it is 0 on the scale."""
+    from scipy.special import stdtr, stdtrit
+
+    nothing = float("nan")
+    if not len(a) or b.sum() == 0:
+        return Interval(nothing, nothing, nothing), nothing
+    value = a.sum() / b.sum()
+    frames, first, second = (np.bincount(groups, one) for one in (None, a, b))
+    count, effective = len(frames), len(a) ** 2 / (frames**2).sum()
+    if count < MIN_DRIVES or effective < 2:
+        return Interval(float(value), nothing, nothing), nothing
+    with np.errstate(divide="ignore", invalid="ignore"):  # on the scale; also of 0 / 0 and log 0
+        without = (first.sum() - first) / (second.sum() - second)  # one group each
+        if np.allclose(without, value, rtol=1e-12, atol=0):  # no spread
+            return Interval(*[float(value)] * 3), 0.0 if value else nothing
+        middle, each = scale.there(value), scale.there(without)
+        error = np.sqrt((count - 1) / count * ((each - each.mean()) ** 2).sum())
+        reach = stdtrit(effective - 1, 0.5 + LEVEL / 2) * error
+        low, high = scale.back(np.array([middle - reach, middle + reach]))
+        p = 2 * stdtr(effective - 1, -abs(middle) / error)
+    return Interval(float(value), float(low), float(high)), float(p)
+
+
+def _both(first: ArrayLike, second: ArrayLike, drives: Drives) -> tuple[NDArray, NDArray, NDArray]:
+    """Return the values of the frames that have both, and the number of the group of each."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.ndim != 1 or a.shape != b.shape:
         raise ValueError(f"both methods need one value per frame, got shapes {a.shape} and {b.shape}")
-    if groups is not None and len(groups) != len(a):
-        raise ValueError(f"groups must name the drive of each of {len(a)} frames, got {len(groups)}")
+    if drives is not None and len(drives) != len(a):
+        raise ValueError(f"drives must name the drive of each of {len(a)} frames, got {len(drives)}")
     kept = ~(np.isnan(a) | np.isnan(b))
-    return a[kept], b[kept], None if groups is None else np.asarray(groups)[kept]
-
-
-def _ratio(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
-    b = np.asarray(b, np.float64)
-    return np.asarray(a) / np.where(b == 0, np.nan, b)
+    count = np.count_nonzero(kept)
+    if drives is None:
+        return a[kept], b[kept], np.arange(count)
+    names = np.asarray(drives)[kept]
+    if has_parts(names.tolist()):
+        return a[kept], b[kept], np.arange(count) * MIN_DRIVES // count
+    return a[kept], b[kept], np.unique(names, return_inverse=True)[1]

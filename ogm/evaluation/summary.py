@@ -4,12 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ogm.evaluation.chart_data import HEADLINE
-from ogm.evaluation.statistics import MIN_SAMPLES
 
 __all__ = ["Leader", "best_value", "leaders", "summarize"]
 
 Record = Mapping[str, Any]
-LEVEL = 0.05  # of p
 SMALL_IOU = 0.05  # a method with a lower IoU hardly ever predicts the state
 
 
@@ -55,17 +53,15 @@ def leaders(record: Record) -> list[Leader]:
 def _compared(record: Record, first: str, second: str, metric: str) -> tuple[str, bool]:
     """Return in how many frames `first` beats `second`, and whether it is significantly better.
 
-    The interval of the difference must leave out zero, and p be small: with few frames the interval alone is too
-    narrow. Without a paired comparison, their own intervals must not overlap.
+    The interval of the difference must leave out zero; without a paired comparison, their own must not overlap.
     """
     lower = record["metrics"][metric]["better"] == "lower"
     for a, b, won, negative in ((first, second, "wins", lower), (second, first, "losses", not lower)):
         if one := record["paired"].get(f"{a} against {b}", {}).get(metric):
             end = one["difference"]["high" if negative else "low"]
-            p = one.get("p")
             apart = end is not None and (end < 0 if negative else end > 0)
             ties = f", {one['ties']} tied" if one["ties"] else ""
-            return f"{one[won]} of {one['frames']} frames{ties}", apart and p is not None and p < LEVEL
+            return f"{one[won]} of {one['frames']} frames{ties}", apart
     spans = [record["methods"][name]["macro"][metric] for name in (first, second)]
     if any(span["low"] is None or span["high"] is None for span in spans):
         return "", False
@@ -80,7 +76,7 @@ def summarize(record: Record) -> dict[str, Any]:
     dict
         ``leaders``; ``winners``: name, titles of won metrics, how many of them significantly, most first; ``ties`` and
         ``empty``: titles of metrics with several best methods, without any value; ``cautious``: methods with fewest
-        false free or occupied cells at the lowest IoU; ``drives``: their number where it is too small, else 0.
+        false free or occupied cells at the lowest IoU.
     """
     metrics, best = record["metrics"], leaders(record)
     won: dict[str, list[Leader]] = {}
@@ -91,7 +87,6 @@ def summarize(record: Record) -> dict[str, Any]:
         (name, [metrics[one.metric]["title"] for one in led], sum(one.significant for one in led))
         for name, led in won.items()
     ]
-    drives = len({frame["sequence"] for frame in record["frames"]} - {""})
     valued = {leader.metric for leader in best}
     return {
         "leaders": best,
@@ -99,7 +94,6 @@ def summarize(record: Record) -> dict[str, Any]:
         "ties": [metrics[one.metric]["title"] for one in best if len(one.best) > 1],
         "empty": [metrics[m]["title"] for m in HEADLINE if m not in valued],
         "cautious": _cautious(record, best),
-        "drives": drives if drives < MIN_SAMPLES else 0,
     }
 
 

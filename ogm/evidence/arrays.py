@@ -231,7 +231,7 @@ def stack_last(xp: Any, numbers: list[Any], mass: Any) -> Any:
     """Stack numbers per cell on a new last axis, in the dtype of `mass`."""
     if xp is np:
         return np.stack(np.broadcast_arrays(*numbers), axis=-1).astype(mass.dtype, copy=False)
-    return xp.stack(xp.broadcast_tensors(*numbers), dim=-1)
+    return xp.stack(xp.broadcast_tensors(*numbers), dim=-1).to(mass.dtype)
 
 
 def per_cell(value: Any, mass: Any) -> Any:

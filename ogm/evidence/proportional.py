@@ -15,7 +15,9 @@ from itertools import product
 from math import prod
 from typing import Any
 
-from ogm.evidence.arrays import Array, maybe_any, sources, stack_last
+import numpy as np
+
+from ogm.evidence.arrays import Array, maybe_any, rounding, sources, stack_last
 
 _MAX_SOURCES = 8  # 3^8 products of masses
 _UNKNOWN = 2  # place of the unknown in (free, occupied, unknown)
@@ -108,26 +110,36 @@ def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None =
 
     Notes
     -----
-    Jøsang (2016), section 12.6. Where the sources are equal no residue remains, and their common mass is returned
-    (the published formula divides zero by zero there).
+    Jøsang (2016), section 12.6; van der Heijden, Kopp and Kargl (2018). The published formula divides zero by zero
+
+    * where all sources are equal: their common mass is returned, as no residue remains;
+    * where two or more are dogmatic (unknown of at most 4 units of rounding) and another has no residue, such as
+      (1, 0), (1, 0) and a vacuous one: the mean of the dogmatic masses is returned. It is the limit of dogmatic
+      sources whose residues give the same small share to the unknown.
     """
     xp, parts = sources(a, b, axis)
     if len(parts) > 12:
         raise ValueError(f"consensus_compromise takes at most 12 sources, got {len(parts)}")
+    # In float64, as the product of twelve unknowns of float32 may be too small for it.
+    parts = [tuple(number.astype(np.float64) if xp is np else number.double() for number in part) for part in parts]
     # Step 1, consensus: the belief that every source has at least.
     agreed_free, agreed_occupied = (reduce(xp.minimum, [part[k] for part in parts]) for k in (0, 1))
     rests = [(free - agreed_free, occupied - agreed_occupied) for free, occupied, _ in parts]
-    unknowns = [unknown for _, _, unknown in parts]
-    # Step 2, compromise: a residue meets the unknown of all others, or their residues.
+    unknowns = [unknown * (unknown > rounding(a)) for _, _, unknown in parts]
+    # Step 2, compromise: a residue meets the unknown of all others, or their residues of the other state.
     free, occupied = (
-        sum(_product([rest[k], *unknowns[:i], *unknowns[i + 1 :]]) for i, rest in enumerate(rests))
-        + _product([rest[k] for rest in rests])
-        for k in (0, 1)
+        sum(_product([rest[k], *unknowns[:i], *unknowns[i + 1 :]]) for i, rest in enumerate(rests)) for k in (0, 1)
     )
     both = 0 * free
     for states in product((0, 1), repeat=len(rests)):
         if 0 in states and 1 in states:
             both = both + _product([rest[state] for rest, state in zip(rests, states, strict=True)])
+    none = free + occupied + both == 0
+    if maybe_any(xp, none):  # the limit: the residues of the dogmatic sources, if any
+        free, occupied = (
+            value + none * sum(rest[k] * (unknown == 0) for rest, unknown in zip(rests, unknowns, strict=True))
+            for k, value in enumerate((free, occupied))
+        )
     # Step 3, normalise: the mass that is neither agreed nor unknown to all sources is distributed in proportion.
     left = (1 - agreed_free - agreed_occupied - _product(unknowns)).clip(0)
     shared = free + occupied + both

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 _LOG_2 = math.log(2.0)
 _LOG_LEAST = math.log(MIN_UNKNOWN / 2)  # of P(true state) in the log loss: a wrong dogmatic cell costs 11.5 nats
-_DETECTION = 0.5  # the mass above which a state is detected
+DETECTION = 0.5  # the mass above which a state is detected
 _TINY = 1e-300  # in place of 0 in logarithms that are multiplied by it
 _UNKNOWN, _FREE, _OCCUPIED = int(CellState.UNKNOWN), int(CellState.FREE), int(CellState.OCCUPIED)
 
@@ -99,8 +99,8 @@ def count_cells(mass: Any, state: Any, near: Any, sums: "ConfusionSums") -> None
         sums.confusion[truth, predicted] += 1.0
         by_probability = _OCCUPIED if occupied > free else _FREE if free > occupied else _UNKNOWN
         sums.confusion_by_probability[truth, by_probability] += 1.0
-        sums.detections[truth, 0] += free > _DETECTION
-        sums.detections[truth, 1] += occupied > _DETECTION
+        sums.detections[truth, 0] += free > DETECTION
+        sums.detections[truth, 1] += occupied > DETECTION
         unknown_level = nearest_level(unknown, levels)
         sums.unknown_hist[0 if truth > 0 else 1, unknown_level] += 1.0
 
@@ -150,7 +150,7 @@ def count_ranges(mass: Any, state: Any, distance: Any, edges: Any, sums: "Confus
         free, occupied = max(float(mass[k, 0]), 0.0), max(float(mass[k, 1]), 0.0)
         unknown = max(1.0 - free - occupied, 0.0)
         sums.range_confusion[r, truth, _predicted(free, occupied, unknown)] += 1.0
-        sums.range_detections[r, truth, 0] += free > _DETECTION
-        sums.range_detections[r, truth, 1] += occupied > _DETECTION
+        sums.range_detections[r, truth, 0] += free > DETECTION
+        sums.range_detections[r, truth, 1] += occupied > DETECTION
         if truth != _UNKNOWN:
             sums.range_bel_free_hist[r, truth - 1, nearest_level(free, levels)] += 1.0

@@ -12,14 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evidence import check_mass
-from ogm.metrics.counting import count_cells, count_neighbours, count_ranges
+from ogm.metrics.counting import DETECTION, count_cells, count_neighbours, count_ranges
 from ogm.metrics.divergence import MIN_EVIDENCE, from_truth, sum_divergences, to_truth
-from ogm.state import CellState
+from ogm.state import CellState, predict_state
 
 STRENGTHS = (1.0, 10.0)  # E, the evidence of the truth that divergences are taken for
 BINS = 15  # of P(occupied) and of Bel(occupied), for reliability
 LEVELS = 4097  # of histograms: 0, 1/4096, ..., 1
 RANGES = (0.0, 10.0, 20.0, 30.0, 40.0, inf)  # [m] edges of bins; a cell on an edge is in the farther
+HEIGHTS = (0.10, 0.50)  # [m] from which on obstacles count in metrics that leave lower ones out
 RANGE_LEVELS = 1025  # of those by range: 0, 1/1024, ..., 1
 ROUNDING = 1e-6  # how far a mass may lie outside [0, 1], as float32 makes it
 
@@ -82,6 +83,9 @@ class ConfusionSums(NamedTuple):
     range_detections : (ranges, truth, 2)
     range_bel_free_hist : (ranges, 2, 1025)
         As without `range_`, by the bins of `RANGES`; zeros if no distances were given.
+    high_confusion : (heights, predicted)
+    high_detections : (heights, 2)
+        Of occupied cells whose obstacle is at least as high as each of `HEIGHTS`; zeros if heights are not known.
     """
 
     cells: NDArray[np.float64]
@@ -106,6 +110,8 @@ class ConfusionSums(NamedTuple):
     range_confusion: NDArray[np.float64]
     range_detections: NDArray[np.float64]
     range_bel_free_hist: NDArray[np.float64]
+    high_confusion: NDArray[np.float64]
+    high_detections: NDArray[np.float64]
 
     @classmethod
     def zeros(cls) -> Self:
@@ -114,7 +120,7 @@ class ConfusionSums(NamedTuple):
         shapes = [
             *((3,), (3, 2), (3, 3), (2, 3), (3,), (3, 3), (3, 3), (3, 2), (3, BINS, 3), (BINS, 4), (3,), (3,), (3,)),
             *((3,), (3, LEVELS), (3, LEVELS), (3, LEVELS), (2, LEVELS), (2,)),
-            *((ranges, 3, 3), (ranges, 3, 2), (ranges, 2, RANGE_LEVELS)),
+            *((ranges, 3, 3), (ranges, 3, 2), (ranges, 2, RANGE_LEVELS), (len(HEIGHTS), 3), (len(HEIGHTS), 2)),
         ]
         return cls(*map(np.zeros, shapes))
 
@@ -124,7 +130,10 @@ class ConfusionSums(NamedTuple):
 
 
 def accumulate(
-    mass: NDArray[np.floating], state: NDArray[np.uint8], distance: NDArray[np.floating] | None = None
+    mass: NDArray[np.floating],
+    state: NDArray[np.uint8],
+    distance: NDArray[np.floating] | None = None,
+    height_cm: NDArray[np.uint8] | None = None,
 ) -> ConfusionSums:
     """Return the sums of one grid that the scores and the curves need.
 
@@ -136,6 +145,8 @@ def accumulate(
         True states, as `Truth.state`: 0 unknown, 1 free, 2 occupied, 3 ignored.
     distance : (nx, ny) float array, optional
         Distances of the cells from the sensor [m], see `distances`; without them nothing is counted by range.
+    height_cm : (nx, ny) uint8, optional
+        Heights of the occupied cells' obstacles, as `Truth.height_cm`; without them nothing is counted by height.
 
     Raises
     ------
@@ -155,6 +166,8 @@ def accumulate(
         _check_distance(distance, state)
         far = np.ascontiguousarray(distance.ravel())
         count_ranges(cells, states, far, np.array(RANGES), sums)
+    if height_cm is not None:
+        _count_high(mass, state, height_cm, sums)
 
     divergence = sum_divergences(cells, states, np.array([1.0, STRENGTHS[0] / STRENGTHS[1]]))
     sums.to_truth[:2] = [to_truth(divergence, 0, sums.cells, strength) for strength in STRENGTHS]
@@ -166,6 +179,19 @@ def accumulate(
     constant = MIN_EVIDENCE * np.log(MIN_EVIDENCE) * np.array([2.0, 1.0, 1.0])
     sums.evilog_kl[:] = constant * sums.cells - (weights * logs).sum(axis=0)
     return sums
+
+
+def _count_high(mass: NDArray, state: NDArray[np.uint8], height_cm: NDArray[np.uint8], sums: ConfusionSums) -> None:
+    """Count the occupied cells whose obstacle is not lower than each of `HEIGHTS`."""
+    if height_cm.shape != state.shape:
+        raise ValueError(f"height_cm must have the cells' shape {state.shape}, got {height_cm.shape}")
+    occupied = state == CellState.OCCUPIED
+    found, heights = mass[occupied], height_cm[occupied]
+    predicted, detected = predict_state(found), found > DETECTION
+    for k, least in enumerate(HEIGHTS):
+        high = heights >= round(100 * least)
+        sums.high_confusion[k] = np.bincount(predicted[high], minlength=3)
+        sums.high_detections[k] = detected[high].sum(axis=0)
 
 
 def _count_obstacles(mass: NDArray, state: NDArray[np.uint8], sums: ConfusionSums) -> NDArray[np.uint8]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ogm.metrics import areas
 from ogm.metrics.areas import parts
-from ogm.metrics.counts import ConfusionSums
+from ogm.metrics.counts import HEIGHTS, ConfusionSums
 from ogm.metrics.ranking import auroc, average_precision, false_positive_rate
 from ogm.state import CellState
 
@@ -35,25 +35,37 @@ class Metric(NamedTuple):
 
 
 _TABLE = """\
-kl_e10 | KL, E = 10 | lower | mean KL[grid || truth], truth of evidence 10 [nats]
-kl_e1 | KL, E = 1 | lower | mean KL[grid || truth], truth of evidence 1 [nats]
-kl_e1_scaled | KL, E = 1, e/10 | lower | the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10
+nll | NLL | lower | mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid
+brier | Brier | lower | mean squared error of P(occupied) on known cells
 iou_free | IoU free | higher | IoU of free cells; predicted is the state of greatest mass, unknown included
 iou_occupied | IoU occupied | higher | IoU of occupied cells, likewise
 iou_unknown | IoU unknown | higher | IoU of unknown cells, likewise
-brier | Brier | lower | mean squared error of P(occupied) on known cells
-nll | NLL | lower | mean -ln P(true state) on known cells, P being at least 1e-5 [nats]; 0.69 for a vacuous grid
 false_free | false free | lower | share of occupied cells with a mass of free above 1/2
 missed_occupied | missed occupied | lower | share of occupied cells without a mass of occupied above 1/2
 false_occupied | false occupied | lower | share of free cells with a mass of occupied above 1/2
 missed_obstacles | missed obstacles | lower | share of the groups of touching occupied cells without P(occupied) > \
 1/2 anywhere within one cell
+from10_iou_free | IoU free, from 0.10 m | higher | IoU free, but occupied cells whose obstacle is lower than 0.10 m, \
+such as low kerbs, are left out
+from10_iou_occupied | IoU occupied, from 0.10 m | higher | likewise
+from10_false_free | false free, from 0.10 m | lower | likewise
+from10_missed_occupied | missed occupied, from 0.10 m | lower | likewise
+from50_iou_free | IoU free, from 0.50 m | higher | likewise; also without kerbs, low walls and plants
+from50_iou_occupied | IoU occupied, from 0.50 m | higher | likewise
+from50_false_free | false free, from 0.50 m | lower | likewise
+from50_missed_occupied | missed occupied, from 0.50 m | lower | likewise
 free_recall_1 | free recall at 1 % | higher | share of free cells above the least Bel(free) that at most 1 % of \
 occupied cells exceed
 free_recall_01 | free recall at 0.1 % | higher | the same for at most 0.1 %
 ap_occupied_near | AP occupied, 1 cell | higher | average precision of P(occupied) on known cells, with a tolerance \
 of one cell
 ap_occupied | AP occupied | higher | the same without tolerance
+ece | ECE | lower | expected calibration error of P(occupied) on known cells, 15 bins
+ece_relative | ECE, relative | lower | the same of occupied / (free + occupied), 1/2 where both are 0
+ece_called | ECE, predicted known | lower | the same on those known cells that the grid predicts as free or occupied
+ace | ACE | lower | calibration error of P(occupied) on known cells, 15 bins of equal weight
+interval_violation | outside [Bel, Pl] | lower | how far the share of occupied cells lies outside [Bel, Pl], mean \
+over 15 bins of Bel(occupied)
 auroc_unknown | AUROC unknown | higher | AUROC of the mass of unknown for cells whose truth is unknown
 aupr_unknown | AUPR unknown | higher | average precision of the mass of unknown for cells whose truth is unknown
 aupr_known | AUPR known | higher | average precision of little unknown for cells whose truth is known
@@ -61,25 +73,23 @@ fpr95_unknown | FPR at 95 % | lower | share of known cells with as much unknown 
 unknown cells
 aurc | AURC | lower | mean risk over coverage: share of wrong P(occupied) among known cells taken by ascending unknown
 ause | AUSE | lower | the same minus its least value, that of cells sorted by their error
-ece | ECE | lower | expected calibration error of P(occupied) on known cells, 15 bins
-ece_relative | ECE, relative | lower | the same of occupied / (free + occupied), 1/2 where both are 0
-ece_called | ECE, predicted known | lower | the same on those known cells that the grid predicts as free or occupied
-ace | ACE | lower | calibration error of P(occupied) on known cells, 15 bins of equal weight
-interval_violation | outside [Bel, Pl] | lower | how far the share of occupied cells lies outside [Bel, Pl], mean \
-over 15 bins of Bel(occupied)
 brier_relative | Brier, relative | lower | squared error of occupied / (free + occupied)
 brier_expected | Brier, expected | lower | mean squared error of p drawn from the grid's Beta density, known cells
+map_score | MapScore | higher | mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid
 conflict | conflict | lower | mean mass on the wrong state, known cells
 conflict_free | conflict free | lower | mean mass of free on occupied cells
 conflict_occupied | conflict occupied | lower | mean mass of occupied on free cells
 iou_free_known | IoU free, known | higher | IoU of free by P(occupied) < 1/2, on cells whose truth is known
 iou_occupied_known | IoU occupied, known | higher | IoU of occupied by P(occupied) > 1/2, on known cells
-map_score | MapScore | higher | mean 1 + log2 P(true state) on known cells [bit]; 1 is best, 0 for a vacuous grid
 entropy | entropy |  | mean Shannon entropy of P(occupied) [bit]
 dissonance | dissonance |  | mean 2 min(free, occupied)
 mean_free | mean free |  | mean mass of free
 mean_occupied | mean occupied |  | mean mass of occupied
 mean_unknown | mean unknown |  | mean mass of unknown
+kl_e10 | KL, E = 10 | lower | mean KL[grid || truth], truth of evidence 10 [nats]; what the reverse KL loss of `lite` \
+minimises, and no proper score: a right cell with more evidence than 10 is penalised
+kl_e1 | KL, E = 1 | lower | mean KL[grid || truth], truth of evidence 1 [nats]; penalises a right cell with more than 1
+kl_e1_scaled | KL, E = 1, e/10 | lower | the same with a tenth of the grid's evidence: 10 is certain, as in kl_e10
 kl_e10_reverse | reverse KL, E = 10 | lower | mean KL[truth || grid], truth of evidence 10 [nats]
 kl_e1_reverse | reverse KL, E = 1 | lower | mean KL[truth || grid], truth of evidence 1 [nats]
 legacy_kl | released code's KL | lower | categorical KL of clipped evidence, as in the EviLOG code [nats]
@@ -90,8 +100,8 @@ METRICS = {name: Metric(*rest) for name, *rest in (row.split(" | ") for row in _
 
 _NEEDS = {
     "unknown": "iou_unknown auroc_unknown aupr_unknown aupr_known fpr95_unknown",
-    "free": "iou_free iou_free_known false_occupied conflict_occupied free_recall_1 free_recall_01 ap_occupied "
-    "ap_occupied_near",
+    "free": "iou_free from10_iou_free from50_iou_free iou_free_known false_occupied conflict_occupied free_recall_1 "
+    "free_recall_01 ap_occupied ap_occupied_near",
     "occupied": "iou_occupied iou_occupied_known false_free missed_occupied missed_obstacles conflict_free "
     "free_recall_1 free_recall_01 ap_occupied ap_occupied_near",
     "known": "auroc_unknown aupr_unknown aupr_known fpr95_unknown brier nll aurc ause ece ece_relative ece_called ace "
@@ -152,6 +162,7 @@ def score(counts: ConfusionSums) -> dict[str, float]:
         "missed_occupied": 1 - parts(counts.detections[_OCCUPIED, 1], counts.cells[_OCCUPIED]),
         "false_occupied": parts(counts.detections[_FREE, 1], counts.cells[_FREE]),
         "missed_obstacles": parts(counts.obstacles[1], counts.obstacles[0]),
+        **_without_low(counts),
         **{name: areas.free_recall(counts.bel_free_hist, bound) for name, bound in FALSE_FREE.items()},
         "ap_occupied_near": areas.average_precision_of(counts, 1),
         "ap_occupied": areas.average_precision_of(counts, 0),
@@ -201,9 +212,26 @@ def reasons(counts: ConfusionSums) -> dict[str, str]:
             result[name] = "the truth ignores every cell"
         elif missing:
             result[name] = f"the truth has no {' and no '.join(missing)} cell"
+        elif name.startswith("from"):
+            result[name] = "the truth has no obstacle that high, or does not know heights"
         else:
             result[name] = "the grid predicts every known cell as unknown"  # ece_called
     return result
+
+
+def _without_low(counts: ConfusionSums) -> dict[str, float]:
+    """Return the scores that leave out occupied cells lower than each of `HEIGHTS`."""
+    found: dict[str, float] = {}
+    for height, predicted, detected in zip(HEIGHTS, counts.high_confusion, counts.high_detections, strict=True):
+        cells, name = predicted.sum(), f"from{100 * height:.0f}"
+        overlap = areas.overlaps(np.vstack([counts.confusion[:_OCCUPIED], predicted]))
+        found |= {
+            f"{name}_iou_free": overlap[_FREE] if cells else np.nan,
+            f"{name}_iou_occupied": overlap[_OCCUPIED],
+            f"{name}_false_free": float(parts(detected[0], cells)),
+            f"{name}_missed_occupied": float(1 - parts(detected[1], cells)),
+        }
+    return found
 
 
 def _calibration_error(bins: NDArray) -> float:

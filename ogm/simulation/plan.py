@@ -12,14 +12,15 @@ from ogm.simulation.sensors import LIDARS
 __all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "draw_mount", "moment", "only", "sample_rng"]
 
 SPLITS = ("training", "validation", "test", "sequences")
-DRIVES = 10  # scenarios that the samples of a split are taken from in turn (Sec. V: five each way round)
-RUN = 10  # [s] of one drive before the next one's turn: one shard of samples at 1 Hz
-LAP = 1000  # samples that one drive gives at most, one per second
+RUN = 10  # samples of one drive before the next one's turn: one shard
+LAP = 1000.0  # [s] of a drive, from which samples are taken
 WARM_UP = 20.0  # [s] that traffic has run before the first sample
 BOUNDS = {  # of numbers of a `DatasetPlan`, and their unit
-    "towns": (1, DRIVES, ", the number of drives"), "hd_layers": (2, math.inf, ""), "town_size": (240.0, 1000.0, " m"),
+    "drives": (1, 1000, ""), "spacing": (0.1, 100.0, " s"), "hd_layers": (2, math.inf, ""),
+    "town_size": (240.0, 1000.0, " m"),
     "bad_weather": (0, 1, ", a share of the samples"), "in_motion": (0, 1, ", a share of the samples"),
 }  # fmt: skip
+ADDED = {"drives", "test_towns", "spacing"}  # settings that older data sets lack; their defaults are what those did
 SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
 
 
@@ -84,7 +85,8 @@ class DatasetPlan:
     """What a data set shall hold; with the number of a sample, all that is needed to make it.
 
     The default is the paper's recipe (Sec. V): ten drives through one town, half of them clockwise, at 1 Hz;
-    validation in the same town with other traffic; test in another town.
+    validation in the same town with other traffic; test in another town. Samples of one drive 1 s apart are much
+    alike: intervals over a test need many drives (`drives`, `test_towns`), or samples further apart (`spacing`).
 
     Parameters
     ----------
@@ -102,12 +104,18 @@ class DatasetPlan:
     in_motion : float
         Share [0, 1] of the samples that the ego motion distorts during the turn (rolling shutter).
     towns : int
-        Towns that training and validation drive through in turn; the paper has one. The test's is always
-        another.
+        Towns that training and validation drive through in turn; the paper has one. The test's are always
+        others.
     town_size : float
         Side of the towns [m].
     hd_layers : int
         Layers of the lidar behind the "hd" truth.
+    drives : int
+        Drives that the samples of a split are taken from in turn, ten samples each time.
+    test_towns : int
+        Towns that the drives of the test go through in turn.
+    spacing : float
+        Time from one sample of a drive to its next one [s]. Of `sequences` it is always 0.1 s.
     """
 
     seed: int = 1
@@ -122,22 +130,28 @@ class DatasetPlan:
     towns: int = 1
     town_size: float = 480.0
     hd_layers: int = 3000
+    drives: int = 10
+    test_towns: int = 1
+    spacing: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("seed", "samples", "validation", "test", "sequences", "towns", "hd_layers"):
+        whole = ("seed", "samples", "validation", "test", "sequences", "towns", "hd_layers", "drives", "test_towns")
+        for name in whole:
             value = getattr(self, name)
             if not (isinstance(value, int | float | np.integer) and value >= 0 and value % 1 == 0):
                 raise ValueError(f"{name} must be a whole number from 0 on, got {value!r}")
             object.__setattr__(self, name, int(value))
         object.__setattr__(self, "mounts", tuple(self.mounts))
         object.__setattr__(self, "town_size", float(self.town_size))
+        object.__setattr__(self, "spacing", float(self.spacing))
         if not sum(self.counts.values()):
             raise ValueError("the data set would be empty: ask for at least one sample")
         if self.truth not in ("aimed", "hd"):
             raise ValueError(f'truth must be "aimed" or "hd", got {self.truth!r}')
         if not self.mounts:
             raise ValueError("mounts are empty: give at least one lidar")
-        for name, (low, high, unit) in BOUNDS.items():
+        bounds = BOUNDS | dict.fromkeys(("towns", "test_towns"), (1, self.drives, ", the number of drives"))
+        for name, (low, high, unit) in bounds.items():
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} must be in {low:g} ... {high:g}{unit}, got {getattr(self, name)}")
 
@@ -149,10 +163,9 @@ class DatasetPlan:
 
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
-        """Make from what `dataclasses.asdict` returned, or from what JSON made of it."""
+        """Make from what `dataclasses.asdict` returned, or from what JSON made of it; also by an older version."""
         known = {field.name for field in fields(cls)}
-        if set(numbers) != known:
-            odd = sorted(set(numbers) ^ known)
+        if odd := sorted((set(numbers) ^ known) - ADDED):
             raise ValueError(f"the plan has other settings than this version of ogm: {', '.join(odd)}")
         return cls(**(dict(numbers) | {"mounts": tuple(LidarMount(**one) for one in numbers["mounts"])}))
 
@@ -206,7 +219,7 @@ class Moment(NamedTuple):
 def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
     """Return which drive a sample is from, and when.
 
-    Runs of ten seconds are taken from ten drives in turn, so that a part of a data set is as mixed as the
+    Runs of ten samples are taken from the drives in turn, so that a part of a data set is as mixed as the
     whole, and a longer one begins with the shorter one's samples.
     """
     if split not in SPLITS:
@@ -218,13 +231,16 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
         scenario, frame = divmod(index, SEQUENCE)
         time = WARM_UP + 0.1 * frame
     else:
-        lap, rest = divmod(index, DRIVES * LAP)
-        run, second = divmod(rest, RUN)
-        scenario = DRIVES * lap + run % DRIVES
-        time = WARM_UP + run // DRIVES * RUN + second
-    town = _integer(plan.seed, 1) if split == "test" else _integer(plan.seed, 0, scenario % plan.towns)
+        runs = max(int(LAP / plan.spacing) // RUN, 1)  # of one drive
+        lap, rest = divmod(index, plan.drives * runs * RUN)
+        run, sample = divmod(rest, RUN)
+        scenario = plan.drives * lap + run % plan.drives
+        time = WARM_UP + plan.spacing * (run // plan.drives * RUN + sample)
+    test = split == "test"
+    town = _integer(plan.seed, int(test), scenario % (plan.test_towns if test else plan.towns))
     # both ways round by turns, in every town
-    way = scenario + (scenario // plan.towns if plan.towns % 2 == 0 else 0)
+    towns = plan.test_towns if test and plan.test_towns > 1 else plan.towns
+    way = scenario + (scenario // towns if towns % 2 == 0 else 0)
     return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
 
 

@@ -128,7 +128,7 @@ class SimulatedSample:
     intensities : (layers, columns) uint8
         Calibrated as Velodyne's, 0 ... 255.
     truth : Truth
-        Around the sensor, in its x and y.
+        Around the sensor, in its x and y; with heights, where the data set has them.
     objects : (K,) array of `OBJECT`
         Traffic participants nearby.
     T_world_sensor, T_vehicle_sensor : (4, 4) float64

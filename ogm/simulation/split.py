@@ -32,11 +32,11 @@ class Split(Sequence[SimulatedSample]):
     """The samples of one part of a data set.
 
     ``split[i]`` reads sample i; ``len(split)`` is the number planned, of which `finished` can be read. May be
-    pickled and used by several processes at once.
+    pickled and used by several processes at once. Old data sets have no `heights`.
     """
 
-    def __init__(self, path: Path, name: str, count: int, beams: Sequence[Beams]) -> None:
-        self.path, self.name, self.beams = path, name, tuple(beams)
+    def __init__(self, path: Path, name: str, count: int, beams: Sequence[Beams], heights: bool = True) -> None:
+        self.path, self.name, self.beams, self.heights = path, name, tuple(beams), heights
         self._count = count
         self._arrays: dict[str, Any] = {}
         self._small: dict[tuple[str, int], NDArray[Any]] = {}
@@ -87,7 +87,9 @@ class Split(Sequence[SimulatedSample]):
         poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
         rows = self._shard("objects", i // SHARD)[i % SHARD, : int(count)]
         image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
-        truth, objects = Truth(TRUTH_SPEC, self._read("truth", i)), unstructured_to_structured(rows, OBJECT)
+        heights = self._read("heights", i) if self.heights else None
+        truth = Truth(TRUTH_SPEC, self._read("truth", i), heights if heights is not None and heights.any() else None)
+        objects = unstructured_to_structured(rows, OBJECT)
         velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
         arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
         weather = Weather(value["rain"], value["fog"], value["wet"])
@@ -151,6 +153,7 @@ def array_layout(beams: Sequence[Beams]) -> dict[str, tuple[tuple[int, ...], str
         "steps": ((rays,), "uint16"),
         "intensities": ((rays,), "uint8"),
         "truth": (TRUTH_SPEC.shape, "uint8"),
+        "heights": (TRUTH_SPEC.shape, "uint8"),
         "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
         "facts": ((len(FACTS),), "float64"),
     }

@@ -14,6 +14,9 @@ Layout of a split, for n samples:
     end 0.
 ``truth`` (n, 624, 624) uint8
     Values of `ogm.state.CellState`.
+``heights`` (n, 624, 624) uint8
+    `ogm.state.Truth.height_cm`; zeros where heights are not known. Data sets of the format ogm.samples/2 lack it:
+    they can be read, not grow.
 ``objects`` (n, objects, 12) float32
     Rows of `ogm.simulation.sample.OBJECT`, the nearest first.
 ``facts`` (n, 36) float64
@@ -41,7 +44,8 @@ from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
 
-FORMAT = "ogm.samples/2"
+FORMAT = "ogm.samples/3"
+OLDER = "ogm.samples/2"  # without heights: is read, but not written
 BEGUN = "ogm.samples/begun"  # format of a data set until all its arrays are created
 MOST = 1_000_000  # samples of a split
 _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four times as long
@@ -52,6 +56,7 @@ class Store:
 
     def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
         self.path = path
+        self.format = str(attributes["format"])
         self.plan: dict[str, Any] = dict(attributes["plan"])
         self.versions: dict[str, str] = dict(attributes["versions"])
         self.beams = tuple(Beams.from_dict(one) for one in attributes["lidars"])
@@ -84,7 +89,7 @@ class Store:
             raise FileNotFoundError(
                 f"{path} holds no data set yet: making it was stopped at once; `ogm simulate {path}` begins again"
             )
-        if found != FORMAT:
+        if found not in (FORMAT, OLDER):
             raise ValueError(
                 f"{path} has the format {found}, this version of ogm reads {FORMAT}; "
                 "make the data set anew, or use the version that made it"
@@ -141,6 +146,11 @@ class Store:
             raise ValueError(f"{path} is a file; give a new or empty folder")
         if cls.exists(path):
             before = cls.open(path)
+            if before.format != FORMAT:
+                raise ValueError(
+                    f"{path} has the format {before.format}, which this version of ogm reads but does not write: give "
+                    "a new folder, or use the version that made it"
+                )
             for name, count in before.counts.items():
                 if (got := counts.get(name, 0)) < count:
                     raise ValueError(f"{path} has {count} samples of {name} planned, got {got}; a data set only grows")
@@ -166,7 +176,7 @@ class Store:
     def __getitem__(self, split: str) -> Split:
         if split not in self.counts:
             raise KeyError(f"{self.path} has no split {split!r}; it has {', '.join(self.counts)}")
-        return Split(self.path, split, self.counts[split], self.beams)
+        return Split(self.path, split, self.counts[split], self.beams, heights=self.format == FORMAT)
 
     def write(self, split: str, shard: int, samples: Sequence[SimulatedSample]) -> int:
         """Write one shard: samples ``shard * SHARD`` and those that follow, all that the split has of it.
@@ -196,6 +206,8 @@ class Store:
             columns["steps"][k, : one.steps.size] = one.steps.ravel()
             columns["intensities"][k, : one.steps.size] = np.where(one.steps > 0, one.intensities, 0).ravel()
             columns["truth"][k] = one.truth.state
+            if one.truth.height_cm is not None:
+                columns["heights"][k] = one.truth.height_cm
             columns["objects"][k, : len(rows)] = structured_to_unstructured(rows, np.float32)
             columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))
         files = [shard_file(self.path / split, name, shard) for name in columns]
@@ -215,7 +227,7 @@ class Store:
         """Return what the data set holds, as names and values to print."""
         files = [file for name in self.counts for file in (self.path / name).rglob("*")]
         size = sum(file.stat().st_size for file in files if file.is_file())
-        facts = {"format": FORMAT, "made by": " ".join(f"{k} {v}" for k, v in self.versions.items())}
+        facts = {"format": self.format, "made by": " ".join(f"{k} {v}" for k, v in self.versions.items())}
         made = 0
         for name in self.counts:
             split = self[name]
@@ -252,7 +264,7 @@ def _grow(root: Any, name: str, count: int, beams: Sequence[Beams]) -> None:
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))
             continue
-        large = array in ("steps", "intensities", "truth")
+        large = array in ("steps", "intensities", "truth", "heights")
         shuffled = BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle")
         group.create_array(
             array,

@@ -127,6 +127,7 @@ class _Observer:
     def __init__(self, scene: Scene, below: Below, salt: int) -> None:
         self.scene, self.below, self.salt = scene, below, salt
         self.seen = np.zeros(below.spec.shape, np.uint8)
+        self.highest = np.zeros(below.spec.shape, np.float32)  # [m] of the obstacle hits in each cell
         self._number = 0  # rays so far
 
     def cast(self, directions: NDArray[np.float32]) -> None:
@@ -135,11 +136,14 @@ class _Observer:
         for start in range(0, len(directions), BATCH):
             part = directions[start : start + BATCH]
             hits = self.scene.cast(T, part, salt=self.salt, number=self._number + start)
-            observe_rays(self.seen, hits.distance, part, KINDS[hits.material], ground, rise, spec)
+            found = hits.distance, part, KINDS[hits.material]
+            observe_rays(self.seen, self.highest, *found, ground, rise, spec)
         self._number += len(directions)
 
     def truth(self, known: Known) -> Truth:
         """Return the truth of the cells."""
         boxes, returns, ego = known
-        beyond = np.isnan(self.below.z)
-        return finalize_truth(self.seen, self.below.spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond)
+        beyond, spec = np.isnan(self.below.z), self.below.spec
+        return finalize_truth(
+            self.seen, spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond, highest=self.highest
+        )

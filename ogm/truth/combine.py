@@ -1,6 +1,7 @@
 """One truth of several, and a truth without some cells."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,4 +70,4 @@ def combine_truths(
 
 def ignore_cells(truth: Truth, cells: NDArray[np.bool_]) -> Truth:
     """Return a truth with some cells, (nx, ny) bool, to be ignored."""
-    return Truth(truth.spec, np.where(cells, np.uint8(CellState.IGNORE), truth.state))
+    return replace(truth, state=np.where(cells, np.uint8(CellState.IGNORE), truth.state))

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import GridSpec
 from ogm.scan import Boxes
-from ogm.state import CellState, Truth
+from ogm.state import PARTICIPANT, CellState, Truth
 from ogm.truth.boxes import cells_in_hit_boxes
 from ogm.truth.observe import Kind, observe_points
 
@@ -24,6 +24,7 @@ def finalize_truth(
     returns: ArrayLike | None = None,
     unobserved: NDArray[np.bool_] | None = None,
     beyond: NDArray[np.bool_] | None = None,
+    highest: NDArray[np.float32] | None = None,
 ) -> Truth:
     """Return the truth of an observation, with the boxes of traffic participants filled.
 
@@ -40,16 +41,24 @@ def finalize_truth(
         Cells to be ignored whatever was hit in them: those under the ego vehicle (`cells_in_footprint`).
     beyond : (nx, ny) bool, optional
         Cells outside the known world: to be ignored, instead of unknown, where nothing was hit.
+    highest : (nx, ny) float32, optional
+        Height of the highest obstacle hit in each cell [m]: makes `Truth.height_cm`.
     """
     of_bits = (CellState.UNKNOWN, CellState.FREE, CellState.OCCUPIED, CellState.OCCUPIED)
     state = np.array(of_bits, np.uint8)[seen]
     if beyond is not None:
         state[beyond & (state == CellState.UNKNOWN)] = CellState.IGNORE
+    height = None if highest is None else np.rint(100 * highest).astype(np.uint8)  # below the clearance
     if boxes is not None:
-        state[cells_in_hit_boxes(boxes, returns, spec)] = CellState.OCCUPIED
+        filled = cells_in_hit_boxes(boxes, returns, spec)
+        state[filled] = CellState.OCCUPIED
+        if height is not None:
+            height[filled] = PARTICIPANT
     if unobserved is not None:
         state[unobserved] = CellState.IGNORE
-    return Truth(spec, state)
+    if height is not None:
+        height[state != CellState.OCCUPIED] = 0
+    return Truth(spec, state, height)
 
 
 def height_above_ground(xyz: ArrayLike, is_ground: ArrayLike) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ class _Rules(NamedTuple):
 
 def observe_rays(
     seen: NDArray[np.uint8],
+    highest: NDArray[np.float32],
     distance: NDArray[np.float32],
     directions: NDArray[np.float32],
     kind: NDArray[np.uint8],
@@ -36,6 +37,8 @@ def observe_rays(
     ----------
     seen : (nx, ny) uint8, C-contiguous
         Changed in place; begin with zeros.
+    highest : (nx, ny) float32, C-contiguous
+        Height above ground of the highest obstacle hit in each cell [m]; changed in place, begin with zeros.
     distance : (N,) float32
         Range of each hit [m]; not finite for none.
     directions : (N, 3) float32
@@ -49,11 +52,13 @@ def observe_rays(
     spec : GridSpec
     """
     rules = _Rules(spec.resolution, *spec.origin, HEIGHT_LIMITS)
-    _observe_rays(seen, distance, directions, kind, ground, rise, rules)
+    _observe_rays(seen, highest, distance, directions, kind, ground, rise, rules)
 
 
 @kernel
-def _observe_rays(seen: Any, distance: Any, directions: Any, kinds: Any, ground: Any, rise: Any, rules: _Rules) -> None:
+def _observe_rays(
+    seen: Any, highest: Any, distance: Any, directions: Any, kinds: Any, ground: Any, rise: Any, rules: _Rules
+) -> None:
     nx, ny = seen.shape
     for n in range(len(distance)):
         kind = kinds[n]
@@ -76,3 +81,4 @@ def _observe_rays(seen: Any, distance: Any, directions: Any, kinds: Any, ground:
             seen[ix, iy] |= 1
         elif height >= (rules.heights.plant if kind == 2 else rules.heights.obstacle):
             seen[ix, iy] |= 2
+            highest[ix, iy] = max(highest[ix, iy], height)

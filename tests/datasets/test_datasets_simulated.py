@@ -49,7 +49,7 @@ def sample(split: str, index: int) -> SimulatedSample:
         stamp=20 + 0.1 * index,
         split=split,
         index=index,
-        scenario=0,
+        scenario=index // 5,
     )
 
 
@@ -83,8 +83,11 @@ def test_splits_have_short_names(store: Path) -> None:
     dataset = open_dataset(store, split="train")
     assert (dataset.name, len(dataset)) == ("data, training", 10)
     frame = dataset[3]
-    assert (frame.name, frame.sequence, frame.stamp) == ("training 3", "", None)
-    assert dataset.sequences == {}
+    assert (frame.name, frame.sequence, frame.stamp) == ("training 3", "drive 0", None)
+
+
+def test_samples_belong_to_their_drives_so_that_statistics_can_group_them(store: Path) -> None:
+    assert open_dataset(store, split="train").sequences == {"drive 0": [*range(5)], "drive 1": [*range(5, 10)]}
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from ogm.evaluation import Evaluation, FrameInfo, Interval, evaluation_record
 from ogm.evaluation.chart_data import HEADLINE, frame_keys, group_metrics
 from ogm.evaluation.frame_pictures import draw_frame
 from ogm.evaluation.page import write_page
+from ogm.evaluation.report import describe_extent, describe_intervals
 from ogm.evaluation.text import as_json
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, accumulate, distances
@@ -54,19 +55,19 @@ def made() -> tuple[dict[str, Any], dict[int, dict[str, bytes]]]:
     away = distances(SPEC)
     sums = [[accumulate(mass, state, away) for mass in row] for row, state in zip(masses, truth, strict=True)]
     shares = [np.bincount(state.ravel(), minlength=4) / state.size for state in truth]
-    frames = [FrameInfo(f"{k:03d}", f"drive {k // 3}", 0.1 * k) for k in range(FRAMES)]
+    frames = [FrameInfo(f"{k:03d}", f"drive {max(k - 1, 0)}", 0.1 * k) for k in range(FRAMES)]
     result = Evaluation.from_sums(METHODS, SPEC, zip(sums, shares, strict=True), frames)
     weights = {"file": "sharp.safetensors", "sha256": "ab" * 32}
     facts = {
         name: {"description": f"how {name} works", "weights": weights if name == "sharp" else None} for name in METHODS
     }
-    data = {"kind": "simulated data set", "name": "made", "truth": "drawn at random", "plan": {"a": [1, {"b": 2}]}}
+    data = {"kind": "simulated data set", "name": "made", "truth": "drawn at random", "towns": 2}
+    data["plan"] = {"a": [1, {"b": 2}]}
     record = {
         "title": "A made-up town",
         "command": "ogm evaluate data/ --ism base sharp vague",
         "date": "2020-02-02",
-        "seed": 7,
-        **evaluation_record(replace(result, data=data, facts=facts), np.random.default_rng(0)),
+        **evaluation_record(replace(result, data=data, facts=facts)),
     }
     points = np.random.default_rng(1).uniform(-3, 3, (200, 4)).astype(np.float32)
     views = {k: draw_frame(points, truth[k], list(masses[k]), SPEC) for k in range(FRAMES)}
@@ -187,8 +188,8 @@ def test_each_metric_is_in_one_group() -> None:
 def test_the_summary_names_the_best_and_its_significance(made: Any, page: Callable[..., Page]) -> None:
     words = page(*made).content
     assert "sharp is best in" in words
-    kl = [made[0]["methods"][name]["macro"]["kl_e10"]["value"] for name in ("sharp", "base")]
-    assert f"In KL, E = 10, sharp has {kl[0]:.3f} and base, the next best, {kl[1]:.3f}" in words
+    nll = [made[0]["methods"][name]["macro"]["nll"]["value"] for name in ("sharp", "base")]
+    assert f"In NLL, sharp has {nll[0]:.3f} and base, the next best, {nll[1]:.3f}" in words
     assert "vague makes the fewest false free cells at the lowest IoU free" in words
 
 
@@ -201,14 +202,14 @@ def test_a_difference_within_its_interval_is_not_significant(record: dict[str, A
     assert "not significant" in content
 
 
-def test_a_difference_that_may_be_chance_is_not_significant(record: dict[str, Any], page: Callable[..., Page]) -> None:
+def test_a_difference_without_interval_is_not_significant(record: dict[str, Any], page: Callable[..., Page]) -> None:
     for pair in record["paired"].values():
         for one in pair.values():
-            one["difference"], one["p"] = {"value": -2.0, "low": -3.0, "high": -1.0}, 0.04
+            one["difference"] = {"value": -2.0, "low": -3.0, "high": -1.0}
     assert "sure" in rows_of_summary(page(record))
     for pair in record["paired"].values():
         for one in pair.values():
-            one["p"] = 0.06
+            one["difference"] = {"value": -2.0, "low": None, "high": None}
     assert "sure" not in rows_of_summary(page(record))
 
 
@@ -226,11 +227,30 @@ def test_a_cautious_method_is_named(record: dict[str, Any], page: Callable[..., 
         assert description in page(record).content
 
 
-def test_the_page_warns_of_few_drives(record: dict[str, Any], page: Callable[..., Page]) -> None:
-    assert "The frames come from 2 drives, and frames of a drive are alike" in page(record).content
-    for frame in record["frames"]:
-        frame["sequence"] = ""
-    assert "frames of a drive are alike" not in page(record).content
+def test_the_head_of_the_page_states_drives_towns_and_intervals(made: Any, page: Callable[..., Page]) -> None:
+    head = page(*made).content.split("Summary", 2)[1]
+    assert "3 methods on 6 frames of 5 drives in 2 towns, made (simulated data set)" in head
+    assert "Intervals: 95 %, Student's t over 5 drives." in head
+
+
+@pytest.mark.parametrize(
+    ("sequences", "extent", "intervals"),
+    [
+        (["a", "b", "b", "c", "d"], "5 frames of 4 drives", "95 %, Student's t over 4 drives"),
+        ([""] * 5, "5 frames", "95 %, Student's t over 5 frames"),
+        (["a"] * 99, "99 frames of 1 drive", "none: 1 drive cannot show how much drives differ"),
+        ([""], "1 frame", "none: 1 frame cannot show how much frames differ"),
+    ],
+)  # fmt: skip
+def test_few_drives_are_stated(sequences: list[str], extent: str, intervals: str) -> None:
+    result = Evaluation((), SPEC, {}, (), np.zeros((0, 4)), tuple(FrameInfo("", one) for one in sequences))
+    assert (describe_extent(result), describe_intervals(result)) == (extent, intervals)
+
+
+def test_parts_of_one_long_drive_are_stated() -> None:
+    result = Evaluation((), SPEC, {}, (), np.zeros((0, 4)), (FrameInfo("", "a"),) * 100, {"towns": 1})
+    assert describe_extent(result) == "100 frames of 1 drive in 1 town"
+    assert describe_intervals(result).endswith("4 parts of the one drive; they say nothing about other drives")
 
 
 def test_of_two_that_were_not_compared_the_intervals_decide(record: dict[str, Any], page: Callable[..., Page]) -> None:
@@ -409,7 +429,7 @@ def browse(tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
 def test_in_a_browser_frames_are_stepped_sorted_and_linked(made: Any, browse: Callable[..., dict[str, Any]]) -> None:
     record, views = made
-    kl = record["methods"]["sharp"]["per frame"]["kl_e10"]
+    nll = record["methods"]["sharp"]["per frame"]["nll"]
     seen = browse(
         record,
         views,
@@ -422,7 +442,7 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(made: Any, browse: Ca
     $("stage").focus(); key("End"); o.end = frame(); key("ArrowRight"); o.beyond = frame();
     key("Home"); o.home = frame(); key("ArrowDown"); o.down = frame();
     location.hash = "#frame=001"; await wait(); o.followed = frame();
-    choose("sort-method", "1"); choose("sort-metric", "kl_e10");
+    choose("sort-method", "1"); choose("sort-metric", "nll");
     o.sorted = []; for (let i = 0; i < 6; i++) { o.sorted.push(frame()); key("j"); }
     choose("sort-way", "best"); o.best = frame();
     await wait();
@@ -441,8 +461,8 @@ def test_in_a_browser_frames_are_stepped_sorted_and_linked(made: Any, browse: Ca
     assert (seen["right"], seen["hash"], seen["alt"]) == ("004", "#frame=004", "points of 004, coloured by height")
     assert (seen["left"], seen["end"], seen["beyond"]) == ("002", "005", "005")
     assert (seen["home"], seen["down"], seen["followed"]) == ("000", "005", "001")
-    assert seen["sorted"] == [f"{k:03d}" for k in np.argsort(kl)[::-1]]
-    assert seen["best"] == f"{np.argmin(kl):03d}"
+    assert seen["sorted"] == [f"{k:03d}" for k in np.argsort(nll)[::-1]]
+    assert seen["best"] == f"{np.argmin(nll):03d}"
     assert seen["loaded"] is True
 
 
@@ -518,7 +538,7 @@ def test_in_a_browser_one_frame_without_points_or_unknown_is_shown(
     made: Any, record: dict[str, Any], browse: Callable[..., dict[str, Any]]
 ) -> None:
     model = record["methods"]["base"]
-    empty = ("iou_unknown", "auroc_unknown", "kl_e10")
+    empty = ("iou_unknown", "auroc_unknown", "nll")
     for name in METRICS:
         model["per frame"][name] = [None if name in empty else model["per frame"][name][0]]
         model["macro"][name] = NOTHING if name in empty else model["macro"][name]

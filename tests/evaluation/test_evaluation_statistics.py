@@ -1,15 +1,25 @@
-"""Evaluations from sums, bootstrap intervals and paired comparisons over frames."""
+"""Evaluations from sums, intervals over drives and paired comparisons."""
+
+import sys
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from ogm.evaluation import Evaluation, FrameInfo, bootstrap_mean, bootstrap_ratio, compare_paired
+from ogm.evaluation import Evaluation, FrameInfo, compare_paired, mean_interval, ratio_interval
 from ogm.grid import GridSpec
 from ogm.metrics import ConfusionSums, accumulate, score
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 EVEN = np.full(4, 0.25)
+FILE = Path(__file__).parents[2] / "benchmarks/interval_coverage.py"
+FOUND = spec_from_file_location(FILE.stem, FILE)
+assert FOUND is not None
+assert FOUND.loader is not None
+coverage = sys.modules[FILE.stem] = module_from_spec(FOUND)
+FOUND.loader.exec_module(coverage)
 
 
 def sums(frames: int, methods: int = 2) -> list[list[ConfusionSums]]:
@@ -35,114 +45,170 @@ def test_an_evaluation_is_its_frames_scores_and_their_sums() -> None:
     assert result.truth.tolist() == [[0.25] * 4] * 3
 
 
-def test_wilcoxon_is_that_of_scipy_and_leaves_ties_out() -> None:
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(0, 1, 30), rng.normal(0.3, 1, 30)
-    for better in ("lower", "higher"):
-        assert compare_paired(a, b, better, rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
-    equal = np.concatenate([a, np.arange(5)]), np.concatenate([b, np.arange(5)])
-    assert compare_paired(*equal, "lower", rng).p == pytest.approx(stats.wilcoxon(a, b).pvalue)
+def test_frames_of_a_drive_are_grouped_and_others_stand_alone() -> None:
+    infos = [FrameInfo("1", "north"), FrameInfo("2", "north"), FrameInfo("3"), FrameInfo("4"), FrameInfo("5")]
+    result = Evaluation.from_sums(["a"], SPEC, ((row, EVEN) for row in sums(5, 1)), infos)
+    assert result.drives == ["north", "north", "frame 2", "frame 3", "frame 4"]
+    assert result.interval("a", "brier") == mean_interval(result.of("a", "brier"), list("nnabc"))
+    rows = Evaluation.from_sums(["a", "b"], SPEC, ((row, EVEN) for row in sums(5)), infos)
+    paired = compare_paired(rows.of("b", "brier"), rows.of("a", "brier"), "lower", list("nnabc"))
+    assert rows.compare("b", "a")["brier"] == paired
 
 
-@pytest.mark.parametrize("frames", [1, 4, 8])
-def test_wilcoxon_of_wins_alone_is_the_chance_of_a_coin(frames: int) -> None:
-    rng = np.random.default_rng(1)
-    gains = 1 + np.arange(frames)
-    assert compare_paired(gains, np.zeros(frames), "higher", rng).p == pytest.approx(2 / 2**frames)
+# --- Coverage ---------------------------------------------------------------------------------------
 
 
-def test_wilcoxon_without_a_difference_is_nan() -> None:
-    rng = np.random.default_rng(2)
-    assert np.isnan(compare_paired([1.0, 2.0], [1.0, 2.0], "lower", rng).p)
-    assert np.isnan(compare_paired([np.nan], [1.0], "lower", rng).p)
+def assert_covers(case: tuple, repeats: int) -> None:
+    """Check that 93 to 97 % of the intervals hold the truth, and 3 to 7 % of p are small, but for chance."""
+    found = coverage.coverage(coverage.Case(*case), repeats, np.random.default_rng(0))
+    chance = stats.norm.ppf(0.999) * np.sqrt(0.05 * 0.95 / repeats)
+    for name in ("mean", "ratio"):
+        assert 0.93 - chance < found[name] < 0.97 + chance, (case, name, found)
+    assert 0.03 - chance < found["p below 0.05"] < 0.07 + chance, (case, found)
+    assert found["mean, frames as independent"] < 0.9, (case, found)
 
 
-def test_of_few_frames_the_interval_is_too_narrow_and_p_is_not() -> None:
-    """Without any difference one interval of seven leaves out zero at six frames, as docs/evaluation.md has it."""
-    rng = np.random.default_rng(8)
-    nothing = np.zeros(6)
-    found = [compare_paired(rng.normal(0, 1, 6), nothing, "higher", rng, 400) for _ in range(800)]
-    out = np.array([one.difference.low > 0 or one.difference.high < 0 for one in found])
-    small = np.array([one.p < 0.05 for one in found])
-    assert pytest.approx(out.mean(), abs=0.03) == 1 / 7
-    assert (out & small).mean() < 0.06
+@pytest.mark.parametrize("drives", [5, 12, 24])
+def test_intervals_over_drives_hold_the_truth_as_often_as_they_promise(drives: int) -> None:
+    assert_covers((drives, (10, 100), "share, mean 0.1", 0.4, 0.7), 500)
 
 
-def test_drives_are_drawn_whole() -> None:
+def test_intervals_of_a_long_drive_hold_its_mean() -> None:
+    assert_covers((1, (100, 100), "share, mean 0.2", 0.0, 0.7), 500)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", coverage.cases(), ids=str)
+def test_intervals_hold_the_truth_whatever_the_metric(case: tuple) -> None:
+    assert_covers(case, 4000)
+
+
+# --- Laws -------------------------------------------------------------------------------------------
+
+
+def test_independent_frames_of_a_normal_metric_have_the_interval_of_the_textbook() -> None:
+    values = np.random.default_rng(1).normal(-3.0, 1.0, 40)
+    expected = stats.t.interval(0.95, 39, values.mean(), stats.sem(values))
+    assert mean_interval(values) == pytest.approx((values.mean(), *expected))
+    other = np.random.default_rng(2).normal(-3.2, 1.0, 40)
+    assert compare_paired(values, other, "lower").p == pytest.approx(stats.ttest_rel(values, other).pvalue)
+
+
+def test_drives_count_and_not_their_frames() -> None:
     """Frames that repeat their drive's value tell no more than one frame per drive."""
-    rng = np.random.default_rng(3)
-    drives = rng.normal(0, 1, 20)
-    groups = np.repeat([f"drive {k}" for k in range(20)], 30)
-    alone = bootstrap_mean(drives, np.random.default_rng(4))
-    whole = bootstrap_mean(np.repeat(drives, 30), np.random.default_rng(4), groups=list(groups))
-    frames = bootstrap_mean(np.repeat(drives, 30), np.random.default_rng(4))
-    # drives are sorted by name, so that it is the same draw of other drives: the widths agree, not the ends
-    assert whole.value == pytest.approx(alone.value)
-    assert whole.high - whole.low == pytest.approx(alone.high - alone.low, rel=0.1)
-    assert frames.high - frames.low < 0.3 * (whole.high - whole.low)
+    values = np.random.default_rng(3).normal(0, 1, 20)
+    names = [f"drive {k}" for k in range(20)]
+    repeated, drives = np.repeat(values, 30), [name for name in names for _ in range(30)]
+    alone = mean_interval(values)
+    assert mean_interval(repeated, drives) == pytest.approx(alone)
+    assert mean_interval(repeated).high - mean_interval(repeated).low < 0.3 * (alone.high - alone.low)
+    shuffled = np.random.default_rng(4).permutation(600)
+    assert mean_interval(repeated[shuffled], np.array(drives)[shuffled]) == pytest.approx(alone)
 
 
-def test_ratios_over_drives_weigh_their_frames() -> None:
-    a, b = np.array([1.0, 2.0, 3.0, np.nan]), np.array([2.0, 2.0, 2.0, 5.0])
-    five = [f"{letter}{drive}" for drive in range(5) for letter in ("x", "x", "y", "y")]
-    found = bootstrap_ratio(np.tile(a, 5), np.tile(b, 5), np.random.default_rng(5), groups=five)
-    assert found.value == pytest.approx(1.0)
-    assert 0.75 <= found.low < 1.0 < found.high <= 1.5  # of drives of one kind alone it is 3 / 4 and 3 / 2
+def test_one_drive_that_has_nearly_all_frames_makes_the_interval_wider() -> None:
+    values = np.random.default_rng(5).normal(0.5, 0.1, 6)
+    even = mean_interval(np.repeat(values, 10), np.repeat(np.arange(6), 10))
+    lengths = [10, 10, 10, 10, 10, 100]
+    uneven = mean_interval(np.repeat(values, lengths), np.repeat(np.arange(6), lengths))
+    assert uneven.high - uneven.low > 1.5 * (even.high - even.low)
 
 
-def test_few_frames_or_drives_have_no_interval() -> None:
+def test_limits_of_shares_and_errors_stay_where_values_can_be() -> None:
+    shares = np.array([0.0, 0.0, 0.001, 0.0, 0.04, 0.0])
+    low, high = mean_interval(shares)[1:]
+    assert 0 < low < shares.mean() < high < 1
+    mirrored = mean_interval(1 - shares)
+    assert (1 - mirrored.high, 1 - mirrored.low) == pytest.approx((low, high))
+    errors = 30 * shares
+    assert mean_interval(errors).low > 0
+    a, b = np.array([[1.0, 2.0, 3.0, 5.0], [2.0, 2.0, 4.0, 5.0]])
+    there, back = ratio_interval(a, b), ratio_interval(b, a)
+    assert (1 / back.high, 1 / back.low) == pytest.approx(there[1:])
+
+
+def test_the_interval_of_a_difference_and_p_agree() -> None:
     rng = np.random.default_rng(6)
-    values = [3.0, 2.0, 4.0, 3.0, 3.0]
-    for one in (bootstrap_mean(values[:4], rng), bootstrap_mean(values * 4, rng, groups=list("abcd") * 5)):
-        assert one.value == 3.0
-        assert np.isnan([one.low, one.high]).all()
-    assert bootstrap_mean(values, rng).low < 3.0 < bootstrap_mean(values, rng).high
+    agreed = set()
+    for _ in range(50):
+        one = compare_paired(rng.normal(0.5, 1, 12), rng.normal(0, 1, 12), "lower", list("aabbccddeeff"))
+        apart = one.difference.low > 0 or one.difference.high < 0
+        assert apart == (one.p < 0.05)
+        agreed.add(apart)
+    assert agreed == {True, False}
 
 
-def test_groups_are_one_per_frame() -> None:
-    rng = np.random.default_rng(7)
-    with pytest.raises(ValueError, match="groups must name the drive of each of 2 frames, got 1"):
-        bootstrap_mean([1.0, 2.0], rng, groups=["a"])
-    with pytest.raises(ValueError, match="groups must name"):
-        compare_paired([1.0, 2.0], [1.0, 2.0], "lower", rng, groups=["a"])
+def test_ratios_weigh_frames() -> None:
+    a, b = np.array([1.0, 2.0, 3.0, np.nan]), np.array([2.0, 2.0, 2.0, 5.0])
+    drives = [f"{letter}{drive}" for drive in range(5) for letter in ("x", "x", "y", "y")]
+    found = ratio_interval(np.tile(a, 5), np.tile(b, 5), drives)
+    assert found.value == pytest.approx(1.0)
+    assert 0.75 < found.low < 1.0 < found.high < 1.5  # of drives of one kind alone it is 3 / 4 and 3 / 2
 
 
 def test_wins_ties_and_losses_are_counted_in_the_better_direction() -> None:
-    rng = np.random.default_rng(0)
     a, b = np.array([1.0, 2.0, 3.0, np.nan, 5.0]), np.array([2.0, 2.0, 2.0, 1.0, 6.0])
-    one = compare_paired(a, b, "lower", rng)
+    one = compare_paired(a, b, "lower")
     assert (one.frames, one.wins, one.ties, one.losses) == (4, 2, 1, 1)
-    other = compare_paired(a, b, "higher", rng)
+    other = compare_paired(a, b, "higher")
     assert (other.wins, other.ties, other.losses) == (1, 1, 2)
     assert one.difference.value == pytest.approx(-0.25)
     assert one.ratio.value == pytest.approx(11 / 12)
-    of_many = compare_paired(np.tile(a, 3), np.tile(b, 3), "lower", rng).ratio
-    assert of_many.low < 11 / 12 < of_many.high
 
 
-def test_bootstrap_finds_the_standard_error() -> None:
-    rng = np.random.default_rng(1)
-    values = rng.normal(3.0, 1.0, 400)
-    interval = bootstrap_mean(values, rng)
-    assert interval.value == pytest.approx(values.mean())
-    assert interval.high - interval.low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
+# --- Without limits ---------------------------------------------------------------------------------
 
 
-def test_bootstrap_is_paired_and_repeats_with_its_seed() -> None:
-    values = np.random.default_rng(2).gamma(1.0, 1.0, 50)
-    exact = bootstrap_ratio(0.4 * values, values, np.random.default_rng(3))
-    assert exact == pytest.approx((0.4, 0.4, 0.4))
-    one, again = (bootstrap_mean(values, np.random.default_rng(4)) for _ in range(2))
-    assert one == again
+@pytest.mark.parametrize(
+    "drives",
+    [["one"] * 99, ["one"] * 60 + ["two"] * 60, list("abc") * 40, ["a"] * 200 + list("bcd")],
+    ids=["a short drive", "two drives", "three drives", "nearly one drive"],
+)
+def test_few_drives_have_no_interval(drives: list[str]) -> None:
+    values = np.random.default_rng(7).uniform(size=len(drives))
+    one = compare_paired(values, values[::-1], "lower", drives)
+    for found in (mean_interval(values, drives), one.difference, one.ratio):
+        assert np.isfinite(found.value)
+        assert np.isnan(found[1:]).all()
+    assert np.isnan(one.p)
 
 
-def test_bootstrap_without_values_is_nan() -> None:
-    rng = np.random.default_rng(5)
-    assert np.isnan(bootstrap_mean(np.full(3, np.nan), rng)).all()
-    assert np.isnan(bootstrap_ratio([1.0, 2.0], [0.0, 0.0], rng)).all()
+def test_four_drives_or_a_hundred_frames_of_one_have_an_interval() -> None:
+    values = np.random.default_rng(8).uniform(size=100)
+    for found in (mean_interval(values, ["one"] * 100), mean_interval(values, list("abcd") * 25)):
+        assert found.low < found.value < found.high
+
+
+def test_a_value_that_rests_on_one_drive_has_no_limits() -> None:
+    found = mean_interval([0.0, 0.0, 0.0, 0.0, 0.3])
+    assert found.value == pytest.approx(0.06)
+    assert np.isnan(found[1:]).all()
+
+
+def test_without_spread_the_limits_are_the_value() -> None:
+    values = np.random.default_rng(9).gamma(1.0, 1.0, 50)
+    assert ratio_interval(0.4 * values, values) == pytest.approx((0.4, 0.4, 0.4))
+    assert mean_interval(np.zeros(8)) == (0.0, 0.0, 0.0)
+    assert compare_paired(values + 1, values, "lower").p == 0.0
+    equal = compare_paired(values, values, "lower")
+    assert (equal.ties, equal.difference.value) == (50, 0.0)
+    assert np.isnan(equal.p)
+
+
+def test_without_values_all_is_nan() -> None:
+    assert np.isnan(mean_interval(np.full(3, np.nan))).all()
+    assert np.isnan(ratio_interval([1.0, 2.0], [0.0, 0.0])).all()
+    none = compare_paired([np.nan], [1.0], "lower")
+    assert none.frames == 0
+    assert np.isnan([*none.difference, *none.ratio, none.p]).all()
+
+
+def test_unfit_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="one value per frame"):
-        compare_paired([1.0], [1.0, 2.0], "lower", rng)
+        compare_paired([1.0], [1.0, 2.0], "lower")
     with pytest.raises(ValueError, match='better must be "lower" or "higher"'):
-        compare_paired([1.0], [1.0], "", rng)
-    with pytest.raises(ValueError, match="resamples must be at least 1"):
-        bootstrap_mean([1.0], rng, resamples=0)
+        compare_paired([1.0], [1.0], "")
+    with pytest.raises(ValueError, match="drives must name the drive of each of 2 frames, got 1"):
+        mean_interval([1.0, 2.0], ["a"])
+    with pytest.raises(ValueError, match="drives must name"):
+        compare_paired([1.0, 2.0], [1.0, 2.0], "lower", ["a"])

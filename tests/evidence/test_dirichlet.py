@@ -91,6 +91,14 @@ def test_kl_is_exact_and_never_negative_for_near_densities(parts: list, log_step
         assert abs(value - exact) <= 1e-2 * exact
 
 
+@pytest.mark.parametrize("alpha", [(2.0, 5.0), (0.3, 40.0), (7.0, 1.5, 3.0)])
+def test_the_series_for_near_densities_has_three_orders(alpha: tuple) -> None:
+    """The third is some 1e-5 of the value where it ends, at a relative difference of 1e-4."""
+    for sign in (1, -1):
+        other = np.array(alpha) * (1 + sign * 9e-5 * np.array([1, -0.4, 0.2])[: len(alpha)])
+        assert evidence.dirichlet_kl(np.array(alpha), other) == pytest.approx(float(exact_kl(alpha, other)), rel=1e-7)
+
+
 def test_kl_is_never_negative_in_float32() -> None:
     """The textbook formula in float32 is: -5e-4 at alpha = 1e3."""
     rng = np.random.default_rng(0)
@@ -150,6 +158,8 @@ def test_gradient_is_the_difference_quotient(states: int) -> None:
     alpha, other = 1 + 10 ** rng.uniform(-2, 2, (2, 200, states))
     value, gradient = dirichlet_kl_gradient(alpha, other)
     np.testing.assert_array_equal(value, evidence.dirichlet_kl(alpha, other))
+    folded = dirichlet_kl_gradient(alpha.reshape(10, 20, states), other.reshape(10, 20, states))
+    np.testing.assert_array_equal(folded[1].reshape(200, states), gradient)
     for k in range(states):
         step = 1e-5 * alpha[:, k, None] * np.eye(states)[k]
         above, below = (evidence.dirichlet_kl(alpha + sign * step, other) for sign in (1, -1))

@@ -191,8 +191,11 @@ def test_numbers_out_of_range_are_refused() -> None:
         (lambda: evidence.Opinion.from_mass(np.zeros((3, 2))), r"got shape \(3, 2\)"),
         (lambda: evidence.Opinion(0.5, 0.6), "unknown must lie in"),
         (lambda: evidence.Opinion(0.5, 0.2, 0.2), "free \\+ occupied \\+ unknown must be 1"),
+        (lambda: evidence.Opinion(0.5, 0.2, 0.3 + 1e-5), "free \\+ occupied \\+ unknown must be 1"),
         (lambda: evidence.Opinion(float("nan"), 0.6), "must lie in"),
         (lambda: evidence.Opinion(0.5, 0.2, base_rate=2), "base_rate must lie in"),
+        (lambda: evidence.Opinion(0.5, 0.2, base_rate=1 + 1e-5), "base_rate must lie in"),
+        (lambda: evidence.Opinion(0.5, 0.2, base_rate=-1e-5), "base_rate must lie in"),
     ]
     for call, message in calls:
         with pytest.raises(ValueError, match=message):
@@ -228,6 +231,7 @@ def test_powerset_refuses_what_is_no_mass_function() -> None:
         (lambda: powerset.subset(6), "numbers from 0 to 5"),
         (lambda: powerset.coarsen(np.eye(8)[7], [(0,), (1,)]), "partition of the states 0 to 2"),
         (lambda: powerset.coarsen(np.eye(8)[7], [(0,), (1, 1, 2)]), "partition"),
+        (lambda: powerset.coarsen(np.eye(8)[7], [(0, 1, 2), ()]), "partition"),
         (lambda: powerset.refine(good, [(0,), (1,), (2,)]), "one group per state, 2, got 3"),
         (lambda: powerset.refine(good, [(0, 1, 2, 3), (4, 5, 6)]), "at most 6 states"),
         (lambda: powerset.contextual_discount(good, [0.5]), "one reliability per state, 2, got 1"),

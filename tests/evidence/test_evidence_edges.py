@@ -131,6 +131,38 @@ def test_consensus_compromise_jumps_at_agreement() -> None:
     np.testing.assert_allclose(near, (0.2, 0.64), atol=1e-4)
 
 
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_consensus_compromise_keeps_what_dogmatic_sources_agree_on(dtype: Any) -> None:
+    for certain in (FREE, OCCUPIED, np.array([0.75, 0.25])):
+        for others in ([VACUOUS], [VACUOUS, VACUOUS], [0.4 * certain], [0.9 * certain, VACUOUS]):
+            stack = np.array([certain, *others, certain], dtype)
+            np.testing.assert_allclose(evidence.consensus_compromise(stack, axis=0), certain, atol=1e-7)
+    conflicting = np.array([FREE, VACUOUS, OCCUPIED, OCCUPIED], dtype)
+    np.testing.assert_allclose(evidence.consensus_compromise(conflicting, axis=0), (1 / 3, 2 / 3), atol=1e-7)
+
+
+@pytest.mark.parametrize("dogmatic", [2, 3, 4])
+def test_consensus_compromise_of_dogmatic_sources_is_a_limit(dogmatic: int) -> None:
+    """The published formula, at sources whose residues give 1e-6 to the unknown, instead of 0/0."""
+    rng = np.random.default_rng(dogmatic)
+    floor = rng.dirichlet([1, 1, 3], 200)[:, :2]  # the source without residue
+    share = rng.random((dogmatic, 200, 1))
+    residue = (1 - floor.sum(-1, keepdims=True)) * np.concatenate([share, 1 - share], axis=-1)
+    uncertain = floor + rng.random((200, 1)) * np.stack([residue[0, :, 0] * 0.9, 0 * share[0, :, 0]], axis=-1)
+    stack, near = (np.concatenate([[floor, uncertain], floor + rest]) for rest in (residue, residue * (1 - 1e-6)))
+    result = evidence.consensus_compromise(stack, axis=0)
+    np.testing.assert_allclose(result, evidence.consensus_compromise(near, axis=0), atol=1e-3)
+    np.testing.assert_allclose(result, stack[2:].mean(0), atol=1e-12)
+
+
+def test_consensus_compromise_of_many_almost_certain_sources_in_float32() -> None:
+    """The product of their unknowns, 1e-60, is 0 in float32."""
+    stack = np.array([[1 - 1e-6, 0]] * 10 + [[0, 0], [0, 1 - 1e-6]])
+    expected = evidence.consensus_compromise(stack, axis=0)
+    np.testing.assert_allclose(evidence.consensus_compromise(stack.astype(np.float32), axis=0), expected, atol=1e-2)
+    assert expected[0] == pytest.approx(10 / 11, abs=1e-3)
+
+
 def test_evidence_of_dogmatic_masses() -> None:
     np.testing.assert_array_equal(evidence.mass_to_evidence(np.array([0.3, 0.7])), (np.inf, np.inf))
     np.testing.assert_array_equal(evidence.mass_to_evidence(OCCUPIED), (0, np.inf))

@@ -353,6 +353,19 @@ def test_deduction_from_certainty_is_the_conditional(conditionals: Any) -> None:
     same(evidence.deduction(swapped(certain), if_true, if_false).mass, if_false, times=5)
 
 
+@pytest.mark.parametrize("base_rate", [0.1, 0.5, 0.8])
+def test_deduction_from_nothing_keeps_what_both_conditionals_hold(base_rate: float) -> None:
+    """The most unknown that keeps the projected probability and the belief and disbelief that both have at least."""
+    rng = np.random.default_rng(0)
+    if_true, if_false = rng.dirichlet([1, 1, 1], (2, 400))[..., :2]
+    y, rate = evidence.deduction(np.zeros((400, 2)), if_true, if_false, base_rate)
+    spare = y - np.minimum(if_true, if_false)
+    assert spare.min() >= -1e-12
+    np.testing.assert_allclose(spare.min(axis=-1), 0, atol=1e-12)
+    p_true, p_false = (evidence.mass_to_probability(one, rate) for one in (if_true, if_false))
+    same(evidence.mass_to_probability(y, rate), base_rate * p_true + (1 - base_rate) * p_false)
+
+
 @laws
 @given(hits=st.integers(0, 6), passes=st.integers(0, 6), miss=numbers, false=numbers)
 def test_count_masses_are_yagers_rule_on_simple_masses(hits: int, passes: int, miss: float, false: float) -> None:

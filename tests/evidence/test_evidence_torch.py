@@ -113,7 +113,10 @@ def test_functions_of_two_masses_agree_with_numpy(name: str, masses: Any) -> Non
     agree(OF_TWO[name](torch.from_numpy(a), torch.from_numpy(b)), OF_TWO[name](a, b), times=100)
 
 
-@pytest.mark.parametrize("name", ["dempster", "cumulative", "averaging", "weighted", "pcr6_plus", "murphy"])
+STACKED = ["dempster", "cumulative", "averaging", "weighted", "pcr6_plus", "murphy", "consensus_compromise"]
+
+
+@pytest.mark.parametrize("name", STACKED)
 @laws
 @given(masses=arrays_of_masses(3))
 def test_stacks_and_certainties_agree_with_numpy(name: str, masses: Any) -> None:
@@ -149,7 +152,7 @@ def test_gradients_of_functions_of_two_masses(name: str) -> None:
     assert torch.autograd.gradcheck(OF_TWO[name], inner_masses(2))
 
 
-@pytest.mark.parametrize("name", ["dempster", "cumulative", "averaging", "weighted", "pcr6_plus", "yager"])
+@pytest.mark.parametrize("name", [*STACKED, "yager"])
 def test_gradients_of_stacks(name: str) -> None:
     stack = torch.stack(inner_masses(3)).detach().requires_grad_()
     assert torch.autograd.gradcheck(lambda masses: rule(name)(masses, axis=0), [stack])

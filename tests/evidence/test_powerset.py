@@ -1,6 +1,6 @@
 """General frames: transforms that invert each other, the reference of the binary rules, frames of three states."""
 
-from itertools import product
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
@@ -132,6 +132,33 @@ def test_general_rules_are_their_definitions(name: str) -> None:
         expected[:, 0] = 0
     expected /= expected.sum(-1, keepdims=True)
     np.testing.assert_allclose(getattr(powerset, name)(a, b), expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("states", [3, 4])
+def test_general_consensus_compromise_is_its_definition(states: int) -> None:
+    """Pair by pair of sets (van der Heijden et al. 2018), with base rates in proportion to the sizes of sets."""
+    whole = frozenset(range(states))
+    place = {subset: sum(1 << k for k in subset) for n in range(states + 1) for subset in combinations(whole, n)}
+    sets = {frozenset(subset): number for subset, number in place.items() if subset and len(subset) < states}
+    for a, b in zip(random_masses(states, (20,), seed=3), random_masses(states, (20,), seed=4), strict=True):
+        a[0] = b[0] = 0
+        a, b = a / a.sum(), b / b.sum()
+        agreed = {one: min(a[n], b[n]) for one, n in sets.items()}
+        compromise = dict.fromkeys([*sets, whole], 0.0)
+        for (x, i), (y, j) in product(sets.items(), repeat=2):
+            residues = (a[i] - agreed[x]) * (b[j] - agreed[y])
+            both = (len(x & y) / len(x)) * (len(x & y) / len(y))
+            compromise[x | y] += (1 - both) * residues
+            if x & y:
+                compromise[x & y] += both * residues
+        for x, i in sets.items():
+            compromise[x] += (a[i] - agreed[x]) * b[-1] + (b[i] - agreed[x]) * a[-1]
+        left = 1 - sum(agreed.values()) - a[-1] * b[-1]
+        expected = np.zeros(1 << states)
+        for x, i in sets.items():
+            expected[i] = agreed[x] + left * compromise[x] / sum(compromise.values())
+        expected[-1] = 1 - expected.sum()
+        np.testing.assert_allclose(powerset.consensus_compromise(a, b), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", sorted(set(GENERAL.values()) - {"cumulative_epistemic"}))

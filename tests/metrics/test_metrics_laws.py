@@ -33,9 +33,17 @@ FRACTIONS = {
 }  # fmt: skip
 
 
+FROM = [name for name in METRICS if name.startswith("from")]  # scores that leave low obstacles out
+
+
 def truth_as_mass(state: NDArray[np.uint8], strength: float = math.inf) -> NDArray[np.float32]:
     evidence = np.stack([state == FREE, state == OCCUPIED], axis=-1).astype(np.float32)
     return evidence if math.isinf(strength) else evidence_to_mass(strength * evidence)
+
+
+def high(state: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return heights [cm] that leave no obstacle out."""
+    return np.full(state.shape, 150, np.uint8)
 
 
 # Symmetries
@@ -87,11 +95,13 @@ def test_counts_add_up_to_those_of_the_cells_together() -> None:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_both_float_types_and_any_layout_are_taken(dtype: type) -> None:
     mass, state = lattice_grid(3)
-    wanted = score(accumulate(mass, state))
-    assert score(accumulate(mass.astype(dtype), state)) == wanted
-    assert score(accumulate(np.asfortranarray(mass.astype(dtype)), np.asfortranarray(state))) == wanted
+    height = np.random.default_rng(3).integers(5, 201, state.shape).astype(np.uint8)
+    wanted = score(accumulate(mass, state, None, height))
+    assert score(accumulate(mass.astype(dtype), state, None, height)) == wanted
+    turned = np.asfortranarray(mass.astype(dtype)), np.asfortranarray(state), None, np.asfortranarray(height)
+    assert score(accumulate(*turned)) == wanted
     planes = np.ascontiguousarray(np.moveaxis(mass.astype(dtype), -1, 0))
-    assert score(accumulate(np.moveaxis(planes, 0, -1), state)) == wanted
+    assert score(accumulate(np.moveaxis(planes, 0, -1), state, None, height)) == wanted
 
 
 def test_sums_are_small_and_of_numbers() -> None:
@@ -109,7 +119,7 @@ def test_a_perfect_map_is_perfect_under_every_metric(seed: int) -> None:
     """Dogmatic truth has the best value of every score but the divergences, which ask for the truth's evidence."""
     _, state = lattice_grid(seed, (12, 12))
     best = {"lower": 0.0, "higher": 1.0}
-    scores = score(accumulate(truth_as_mass(state), state))
+    scores = score(accumulate(truth_as_mass(state), state, None, high(state)))
     for name, metric in METRICS.items():
         if metric.better and not name.startswith("kl_"):
             assert scores[name] == pytest.approx(best[metric.better], abs=1e-6), name
@@ -170,7 +180,7 @@ def test_scores_of_a_vacuous_grid() -> None:
 
 def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
     _, state = lattice_grid(7)
-    scores = score(accumulate(truth_as_mass(SWAP[state]), state))
+    scores = score(accumulate(truth_as_mass(SWAP[state]), state, None, high(state)))
     wanted = {
         "nll": -math.log(1e-5), "map_score": 1 + math.log2(1e-5), "brier": 1, "conflict": 1, "false_free": 1,
         "false_occupied": 1, "missed_occupied": 1, "aurc": 1, "ause": 0, "ece": 1, "interval_violation": 1,
@@ -199,13 +209,13 @@ def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
                 ("iou_occupied", "iou_occupied_known", "false_free", "missed_occupied", "missed_obstacles",
                  "conflict_free", "free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"),
                 "the truth has no occupied cell",
-            ),
+            ) | dict.fromkeys(FROM, "the truth has no obstacle that high, or does not know heights"),
         ),
         (
             (UNKNOWN, OCCUPIED),
             dict.fromkeys(
-                ("iou_free", "iou_free_known", "false_occupied", "conflict_occupied", "free_recall_1",
-                 "free_recall_01", "ap_occupied", "ap_occupied_near"),
+                ("iou_free", "iou_free_known", "from10_iou_free", "from50_iou_free", "false_occupied",
+                 "conflict_occupied", "free_recall_1", "free_recall_01", "ap_occupied", "ap_occupied_near"),
                 "the truth has no free cell",
             ),
         ),
@@ -213,7 +223,7 @@ def test_a_dogmatic_grid_that_is_wrong_everywhere_is_worst_and_finite() -> None:
 )  # fmt: skip
 def test_what_is_missing_has_a_reason(states: tuple[int, ...], missing: dict[str, str]) -> None:
     state = np.resize(np.array(states, np.uint8), (7, 7))
-    assert reasons(accumulate(np.full((7, 7, 2), [0.7, 0.0]), state)) == missing
+    assert reasons(accumulate(np.full((7, 7, 2), [0.7, 0.0]), state, None, high(state))) == missing
 
 
 def test_unknown_cells_alone_leave_what_is_about_unknown() -> None:
@@ -227,8 +237,13 @@ def test_unknown_cells_alone_leave_what_is_about_unknown() -> None:
 
 def test_a_vacuous_grid_has_no_calibration_of_predicted_states() -> None:
     _, state = lattice_grid(8)
-    found = reasons(accumulate(np.zeros((7, 7, 2)), state))
+    found = reasons(accumulate(np.zeros((7, 7, 2)), state, None, high(state)))
     assert found == {"ece_called": "the grid predicts every known cell as unknown"}
+
+
+def test_without_heights_no_obstacle_is_left_out_in_silence() -> None:
+    found = score(accumulate(*lattice_grid(8)))
+    assert {name for name, value in found.items() if math.isnan(value)} == set(FROM)
 
 
 @settings(max_examples=25, deadline=None)
@@ -297,3 +312,8 @@ def test_rounding_is_tolerated() -> None:
 def test_invalid_distances_are_refused(distance: NDArray, description: str) -> None:
     with pytest.raises(ValueError, match=description):
         accumulate(*GOOD, distance)
+
+
+def test_heights_are_of_the_same_cells() -> None:
+    with pytest.raises(ValueError, match="height_cm must have the cells' shape"):
+        accumulate(*GOOD, None, np.zeros((3, 4), np.uint8))

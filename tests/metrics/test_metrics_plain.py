@@ -10,6 +10,7 @@ from ogm.metrics import METRICS, accumulate, counting, counts, divergence, score
 
 COUNTED_ELSEWHERE = {
     "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "ece_called", "legacy_accuracy",
+    *(name for name in METRICS if name.startswith("from")),
 }  # fmt: skip
 
 
@@ -39,6 +40,21 @@ def test_scores_are_their_definitions_where_all_cells_are_alike(free: float, occ
     check(np.full((7, 7, 2), [free, occupied], np.float32), state)
 
 
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**31), highest=st.sampled_from([8, 30, 200]))
+def test_scores_without_low_obstacles_are_those_of_a_truth_that_ignores_them(seed: int, highest: int) -> None:
+    mass, state = lattice_grid(seed)
+    height = np.random.default_rng(seed).integers(5, highest + 1, state.shape).astype(np.uint8)
+    found = score(accumulate(mass, state, None, height))
+    for least in (10, 50):
+        low = (state == OCCUPIED) & (height < least)
+        wanted = score(accumulate(mass, np.where(low, np.uint8(IGNORE), state)))
+        for name in ("iou_free", "iou_occupied", "false_free", "missed_occupied"):
+            value = wanted[name] if ((state == OCCUPIED) & ~low).any() else np.nan
+            assert found[f"from{least}_{name}"] == pytest.approx(value, nan_ok=True), (least, name)
+
+
+@pytest.mark.skipif(not hasattr(counting.count_cells, "py_func"), reason="numba's compiler is switched off")
 def test_scores_are_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     mass, state = lattice_grid(3, coarse=64)
     away = np.random.default_rng(0).uniform(0, 60, state.shape).astype(np.float32)

@@ -25,13 +25,15 @@ def stand_in(plan: object, split: str, index: int, threads: int = 1) -> Simulate
         objects[name] = rng.integers(1, 8, len(objects))
     state = np.zeros(TRUTH_SPEC.shape, np.uint8)
     state[100:200, 50:90], state[300, 300:400], state[10:20] = 1, 2, 3
+    state = np.roll(state, index, axis=0)
+    heights = (state == 2) * rng.integers(5, 201, state.shape).astype(np.uint8)
     poses = np.tile(np.eye(4), (2, 1, 1))
     poses[:, :3, 3] = rng.normal(size=(2, 3))
     return SimulatedSample(
         beams=beams,
         steps=steps.astype(np.uint16),
         intensities=rng.integers(0, 256, beams.shape).astype(np.uint8) * (steps > 0),
-        truth=Truth(TRUTH_SPEC, np.roll(state, index, axis=0)),
+        truth=Truth(TRUTH_SPEC, state, heights),
         objects=objects,
         T_world_sensor=poses[0],
         T_vehicle_sensor=poses[1],

@@ -77,6 +77,14 @@ def test_plans_go_through_json() -> None:
         DatasetPlan.from_dict(asdict(plan) | {"colour": "red"})
 
 
+def test_plans_of_older_data_sets_lack_settings_that_came_later() -> None:
+    older = {name: value for name, value in asdict(PLAN).items() if name not in ("drives", "test_towns", "spacing")}
+    assert DatasetPlan.from_dict(older) == PLAN
+    del older["town_size"]
+    with pytest.raises(ValueError, match="other settings.*town_size"):
+        DatasetPlan.from_dict(older)
+
+
 def test_only_the_counts_of_a_plan_may_grow() -> None:
     assert replace(PLAN, samples=20).grown(replace(PLAN, test=200)) == replace(PLAN, test=200)
     with pytest.raises(ValueError, match="begun with truth = hd, got aimed"):
@@ -94,6 +102,12 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         ({"truth": "drawn"}, '"aimed" or "hd"'),
         ({"mounts": ()}, "mounts are empty"),
         ({"town_size": 3.0}, "town_size must be in 240 ... 1000 m"),
+        ({"towns": 11}, "towns must be in 1 ... 10, the number of drives"),
+        ({"drives": 0}, "drives must be in 1 ... 1000"),
+        ({"drives": 4, "test_towns": 5}, "test_towns must be in 1 ... 4, the number of drives"),
+        ({"test_towns": 1.5}, "test_towns must be a whole number"),
+        ({"spacing": 0.0}, "spacing must be in 0.1 ... 100 s"),
+        ({"spacing": float("nan")}, "spacing must be in 0.1 ... 100 s"),
         ({"bad_weather": 1.2}, "bad_weather must be in 0 ... 1, a share"),
         ({"in_motion": float("nan")}, "in_motion must be in 0 ... 1, a share"),
     ],
@@ -146,3 +160,44 @@ def test_every_town_is_driven_both_ways(towns: int) -> None:
     ways = {(drive[0], drive[2]) for drive in drives}
     assert sum(way for *_, way in drives) == 5
     assert len(ways) == (2 * towns if towns <= 5 else towns)
+
+
+def test_a_test_of_many_drives_goes_through_towns_that_no_training_uses() -> None:
+    plan = DatasetPlan(test=240, drives=24, test_towns=6, spacing=5.0, towns=24)
+    moments = [moment(plan, "test", i) for i in range(240)]
+    drives: dict[int, list] = {}
+    for one in moments:
+        drives.setdefault(one.scenario, []).append(one)
+    assert sorted(drives) == [*range(24)]
+    for drive in drives.values():
+        assert [one.time for one in drive] == [20.0 + 5.0 * k for k in range(10)]
+        assert len({one[:4] for one in drive}) == 1
+    towns = {one.town for one in moments}
+    assert len(towns) == 6
+    assert len({one[:3] for one in moments}) == 24
+    assert all(sum(drive[0].clockwise for drive in drives.values() if drive[0].town == town) == 2 for town in towns)
+    training = {moment(plan, split, 10 * k).town for split in ("training", "validation") for k in range(24)}
+    assert len(training) == 24
+    assert towns.isdisjoint(training)
+    assert moment(plan, "test", 240).time == 20.0 + 50.0  # the first drive goes on
+
+
+def test_drives_end_before_the_traffic_does() -> None:
+    for spacing in (0.1, 0.3, 1.0, 7.0, 100.0):
+        plan = DatasetPlan(drives=2, spacing=spacing)
+        times = [one.time for one in (moment(plan, "training", i) for i in range(21_000)) if one.scenario == 0]
+        assert len(times) >= 10
+        assert max(times) <= 1020
+
+
+def test_the_moments_of_the_default_are_those_of_older_data_sets() -> None:
+    """The data sets in use were made from these towns and this traffic."""
+    found = [moment(DatasetPlan(), split, 57) for split in SPLITS]
+    assert [one[:2] for one in found] == [
+        (917752063, 1086352446),
+        (917752063, 242265286),
+        (594516694, 1743390123),
+        (917752063, 1911094848),
+    ]
+    later = moment(DatasetPlan(seed=2, towns=4), "test", 10_015)
+    assert later == (153813223, 1263981984, False, 11, 25.0)

@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,7 +16,7 @@ import pytest
 from ogm.simulation import store as store_module
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import OBJECTS
-from ogm.simulation.store import FORMAT, SHARD, Damaged, Store
+from ogm.simulation.store import FORMAT, OLDER, SHARD, Damaged, Store
 
 Make = Callable[..., SimulatedSample]
 
@@ -33,6 +34,7 @@ def assert_same(a: SimulatedSample, b: SimulatedSample) -> None:
     for name in ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     np.testing.assert_array_equal(a.truth.state, b.truth.state)
+    np.testing.assert_array_equal(a.truth.height_cm, b.truth.height_cm)
     for name in ("beams", "yaw_rate", "stamp", "split", "index", "scenario", "weather"):
         assert getattr(a, name) == getattr(b, name), name
 
@@ -44,6 +46,25 @@ def test_what_was_written_is_read(store: Store, make_sample: Make) -> None:
         assert_same(split[i], make_sample(None, "training", i))
     assert_same(split[-1], split[12])
     assert [one.index for one in split[4:12:3]] == [4, 7, 10]
+
+
+def test_data_sets_without_heights_are_read_but_do_not_grow(store: Store, beams: tuple[Beams, ...]) -> None:
+    new = store["training"][3].truth
+    shutil.rmtree(store.path / "training" / "heights")
+    text = (store.path / "zarr.json").read_text()
+    (store.path / "zarr.json").write_text(text.replace(FORMAT, OLDER))
+    old = Store.open(store.path)["training"][3].truth
+    assert old.height_cm is None
+    np.testing.assert_array_equal(old.state, new.state)
+    with pytest.raises(ValueError, match="format ogm.samples/2, which .* does not write: give a new folder"):
+        Store.create(store.path, {"seed": 7}, {"training": 23, "validation": 4}, beams, {"ogm": "0"})
+
+
+def test_heights_that_are_not_known_are_not_zero(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> None:
+    one = make_sample(None, "training", 0)
+    store = Store.create(tmp_path / "data", {}, {"training": 1}, beams, {})
+    store.write("training", 0, [replace(one, truth=replace(one.truth, height_cm=None))])
+    assert store["training"][0].truth.height_cm is None
 
 
 def test_points_are_range_times_direction(make_sample: Make) -> None:

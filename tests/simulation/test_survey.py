@@ -125,6 +125,17 @@ def test_a_kerb_is_one_unbroken_line(turn: float) -> None:
         assert (truth.state[SEEN & (np.abs(far) > 0.12)] == CellState.FREE).all()
 
 
+def test_heights_are_those_of_the_obstacles_and_of_a_kerb_its_rise() -> None:
+    ground, face = kerb(0.12, 0.0)
+    bench = box((-4.0, -1.0, 0.0), (-3.9, 1.0, 0.4), Material.STONE)
+    wall = box((-1.0, 5.0, 0.0), (1.0, 5.1, 4.0), Material.BRICK)
+    for truth in View(face, bench, wall, ground=ground).both():
+        found = np.where(truth.state == CellState.OCCUPIED, truth.height_cm, 0)
+        assert set(np.unique(found[(x > 4.5) & (np.abs(y) < 3)])) == {0, 12}
+        assert 36 <= found[(np.abs(x + 3.95) < 0.3) & (np.abs(y) < 0.8)].max() <= 40
+        assert (found[(np.abs(y - 5) < 0.3) & (np.abs(x) < 0.8)].reshape(-1, 4).max(axis=1) > 170).all()
+
+
 def test_a_dropped_kerb_is_none() -> None:
     ground, face = kerb(0.02, 0.3)
     for truth in View(face, ground=ground).both():

@@ -1,0 +1,215 @@
+"""The parameters of RayISM of greatest likelihood, how well they are known, and what they change on other drives.
+
+    python benchmarks/calibration.py FIT TEST [--fitted ray.json] [--every N] [--quick]
+
+FIT and TEST are what `ogm simulate` made: drives through training towns, and drives through other towns
+(benchmarks/README.md). The fit is that of `ogm calibrate`; --fitted takes its result instead. The likelihood is drawn
+around it, over two parameters at once and over each other one, the rest held. Then the model before and after is
+evaluated on TEST, and on real recordings where they are there. Writes benchmarks/results/calibration.json and
+docs/pictures/calibration.png.
+"""
+
+import _run as run  # first: it sets the number of threads
+from _quality_inputs import real
+from _quality_record import beliefs, write
+
+# isort: split
+import argparse
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ogm import GridSpec
+from ogm.datasets import Dataset, open_dataset
+from ogm.evaluation import Calibration, Evaluation, calibrate, evaluate
+from ogm.evaluation.calibration import BOUNDS
+from ogm.evaluation.likelihood import Likelihood
+from ogm.evaluation.likelihood_search import Axis
+from ogm.geometric import RayISM
+from ogm.metrics import ConfusionSums
+from ogm.scan import PerMount
+
+SPEC = GridSpec.centered()
+# Before the fit: the rates of Bosch's belief model (CVPR 2024); the others were chosen by us
+BEFORE = {
+    **{"p_miss": 0.8, "p_false_alarm": 0.05, "free_reliability_at_hits": 0.2},
+    **{"no_return_weight": 0.2, "obstacle_height": 0.1, "max_mass": 0.98},
+}
+PAIR = "p_miss", "p_false_alarm"
+METRICS = (
+    "nll",
+    "brier",
+    "ece",
+    "false_free",
+    "missed_occupied",
+    "false_occupied",
+    "iou_free",
+    "iou_occupied",
+    "free_recall_1",
+)
+COLOURS = {"before": "#8c8c8c", "after": "#b35806"}
+
+
+def around(fitted: Calibration, likelihood: Likelihood, points: int) -> dict[str, Any]:
+    """Return the NLL over `PAIR`, and over each other parameter, the rest held at the fitted values."""
+
+    def nll(**changed: float) -> float:
+        return float(likelihood(fitted.parameters | changed).mean())
+
+    def values(name: str) -> list[float]:
+        """From bound to bound, closer around the fitted value."""
+        axis, at = Axis(name, *BOUNDS[name]), Axis(name, *BOUNDS[name]).coordinate(fitted.parameters[name])
+        side = np.linspace(0, 1, points // 2 + 1) ** 2
+        return sorted({axis.value(x) for x in (*(at - at * side), *(at + (1 - at) * side))})
+
+    first, second = map(values, PAIR)
+    surface = [[nll(**dict(zip(PAIR, (a, b), strict=True))) for b in second] for a in first]
+    others = [name for name in fitted.parameters if name not in PAIR]
+    profiles = {name: {"values": values(name), "nll": [nll(**{name: v}) for v in values(name)]} for name in others}
+    return {"surface": {PAIR[0]: first, PAIR[1]: second, "nll": surface}, "profiles": profiles}
+
+
+def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
+    """Evaluate the model before and after."""
+    methods = {
+        name: PerMount(lambda mount, numbers=numbers: RayISM(SPEC, mount, **numbers))
+        for name, numbers in (("before", fitted.start), ("after", fitted.parameters))
+    }
+    return evaluate(methods, dataset, SPEC, frames=range(0, len(dataset), every))
+
+
+def recorded(result: Evaluation) -> dict[str, Any]:
+    """Return the means of the metrics before and after, and their differences with 95 % intervals."""
+    differences = result.compare("after", "before")
+    found: dict[str, Any] = {
+        "frames": len(result.frames),
+        "drives": len({one.sequence or one.name for one in result.frames}),
+        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
+        "after - before": {m: [finite(x) for x in differences[m].difference] for m in METRICS},
+    }
+    for name, sums in zip(result.methods, result.pooled, strict=True):
+        found[f"beliefs {name}"] = beliefs(sums)
+    return found
+
+
+def finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def added(results: Mapping[str, Evaluation], method: int) -> ConfusionSums:
+    total = ConfusionSums.zeros()
+    for result in results.values():
+        total = total.plus(result.pooled[method])
+    return total
+
+
+def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Mapping[str, Evaluation]) -> None:
+    """Draw the likelihood around the fitted parameters, and how honest the beliefs are before and after."""
+    from matplotlib.figure import Figure
+
+    fitted, profiles = record["fitted"], record["likelihood"]["profiles"]
+    figure = Figure(figsize=(16, 9), layout="constrained")
+    top, bottom = figure.subfigures(2, 1)
+    first, *rest = np.atleast_1d(top.subplots(1, 1 + len(profiles)))
+    surface = record["likelihood"]["surface"]
+    excess = np.array(surface["nll"]) - np.min(surface["nll"])
+    lines = first.contourf(
+        surface[PAIR[1]],
+        surface[PAIR[0]],
+        excess,
+        [0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3],
+        cmap="YlOrBr",
+        norm="symlog",
+    )
+    figure.colorbar(lines, ax=first, label="NLL above the least [nats]")
+    for name, marker in (("before", "o"), ("after", "*")):
+        at = fitted["start" if name == "before" else "parameters"]
+        first.plot(at[PAIR[1]], at[PAIR[0]], marker, color="black", ms=9, label=name)
+    first.set(xlabel=PAIR[1], ylabel=PAIR[0], xscale="log", title="Likelihood on training towns")
+    first.legend(frameon=False)
+    for axes, (name, one) in zip(rest, profiles.items(), strict=True):
+        axes.plot(one["values"], one["nll"], color=COLOURS["after"])
+        axes.axvline(fitted["start"][name], color=COLOURS["before"], ls="--")
+        axes.axvline(fitted["parameters"][name], color=COLOURS["after"], ls=":")
+        error = fitted["errors"].get(name)
+        axes.set(
+            xlabel=name,
+            title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""),
+            ylabel="NLL [nats]",
+        )
+    places = {"unseen towns": list(test.pooled)}
+    if recordings:
+        places["real recordings"] = [added(recordings, k) for k in (0, 1)]
+    panels = iter(np.ravel(bottom.subplots(1, 2 * len(places))))
+    for place, pooled in places.items():
+        for state in ("free", "occupied"):
+            axes = next(panels)
+            axes.fill_between([0, 1], [0, 1], [1, 1], color="#1b7837", alpha=0.07, lw=0)
+            axes.plot([0, 1], [0, 1], color="black", lw=0.7)
+            for name, sums in zip(test.methods, pooled, strict=True):
+                found = beliefs(sums)[state]
+                axes.plot(found["belief"], found["share"], "o-", color=COLOURS[name], ms=4, label=name)
+            axes.set(xlim=(0, 1), ylim=(0, 1), xlabel=f"belief that a cell is {state}", ylabel=f"share that is {state}")
+            axes.set_title(f"{place}: {state}")
+            axes.legend(frameon=False)
+    note = f"A belief is kept above the diagonal. Dashed: before. {run.caption(record['environment'])}"
+    run.save_picture(figure, path, note)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("fit", type=Path, metavar="FIT")
+    parser.add_argument("test", type=Path, metavar="TEST")
+    parser.add_argument("--fitted", type=Path, help="what `ogm calibrate` wrote, instead of a fit")
+    parser.add_argument("--base-rate", default="0.5", help="of the fit, see `ogm calibrate`")
+    parser.add_argument("--every", type=int, default=1, help="every N-th frame of FIT and TEST")
+    parser.add_argument("--points", type=int, default=9, help="values of each parameter")
+    parser.add_argument("--quick", action="store_true", help="few frames and values; writes to the folder runs/")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "calibration.json")
+    parser.add_argument("--picture", type=Path, default=run.PICTURES / "calibration.png")
+    given = parser.parse_args()
+    every, points = (20, 3) if given.quick else (given.every, given.points)
+    if given.quick:
+        given.out, given.picture = (run.ROOT / "runs" / path.name for path in (given.out, given.picture))
+
+    training = open_dataset(given.fit, split="train")[::every]
+    if given.fitted is None:
+        base = None if given.base_rate == "data" else float(given.base_rate)
+        fitted = calibrate(
+            training,
+            Calibration("ray", BEFORE),
+            SPEC,
+            base_rate=base,
+            progress=lambda n, nll: print(n, f"{nll:.4f}", end="\r"),
+        )
+    else:
+        fitted = Calibration.load(given.fitted)
+    print("fitted:", ", ".join(f"{name} {value:g}" for name, value in fitted.parameters.items()))
+    record: dict[str, Any] = {"environment": run.environment(), "fitted": asdict(fitted)}
+    record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC, base_rate=fitted.data["base_rate"]), points)
+    test = compared(open_dataset(given.test, split="test"), fitted, every)
+    record["test"] = recorded(test)
+    recordings = {}
+    for one in real(run.DATA):
+        if one.alone is None:
+            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
+        else:
+            recordings[one.name] = compared(one.alone, fitted, every if given.quick else 1)
+    record["real"] = {name: recorded(result) for name, result in recordings.items()}
+    for name, found in {"unseen towns": record["test"], **record["real"]}.items():
+        before, after = (found["means"][which] for which in ("before", "after"))
+        shown = ("nll", "ece", "false_free", "iou_free")
+        print(
+            f"{name:32}" + "  ".join(f"{m} {before[m]:.3f} -> {after[m]:.3f}" for m in shown if before[m] is not None)
+        )
+    write(given.out, record)
+    draw(given.picture, record, test, recordings)
+    print(f"written {given.out} and {given.picture}")
+
+
+if __name__ == "__main__":
+    main()

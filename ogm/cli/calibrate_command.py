@@ -1,0 +1,128 @@
+"""``ogm calibrate``: labelled frames to the parameters of a geometric model."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from ogm.cli.console import out, report_errors, stderr, ticked
+from ogm.cli.options import parsed_axes
+
+if TYPE_CHECKING:
+    from ogm.evaluation import Calibration
+
+
+@report_errors
+def calibrate_command(
+    data: Annotated[
+        Path, typer.Argument(help="A data set with truth: a recording, or what `ogm simulate` made.", metavar="DATA")
+    ],
+    ism: Annotated[str, typer.Option(help="Model: ray, height-band, or an earlier result to start from.")] = "ray",
+    fit: Annotated[
+        str | None,
+        typer.Option(
+            help="Fitted parameters with commas between; =LOW:HIGH sets the bounds of the search. [default: the "
+            "error rates, weights and heights, see docs/evaluation.md]",
+            metavar="NAME[=LOW:HIGH],...",
+        ),
+    ] = None,
+    split: Annotated[
+        str | None, typer.Option(help="Part of a simulated data set: train, val, test or sequences. [default: train]")
+    ] = None,
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            help="What the truth of a recording is made from, with commas between: boxes, classes, map, aggregated. "
+            "[default: all there is]",
+            metavar="WHAT[,WHAT]...",
+        ),
+    ] = None,
+    axes: Annotated[
+        str, typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
+    ] = "flu",
+    base_rate: Annotated[
+        str,
+        typer.Option(
+            help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"
+        ),
+    ] = "0.5",
+    every: Annotated[int, typer.Option(help="Use every N-th frame.", metavar="N")] = 1,
+    threads: Annotated[int, typer.Option(help="Frames that are mapped at the same time.")] = 1,
+    out_path: Annotated[Path | None, typer.Option("--out", help="The result. [default: ./MODEL.json]")] = None,
+) -> None:
+    """Fit the parameters of a geometric model to the labels of your own sensor's data, by maximum likelihood.
+
+    The result is a small JSON file, whose path is a model's name for all commands: evaluate it on other drives than
+    those of the fit, `ogm evaluate TEST --ism ray ray.json`. Ctrl-C ends the search and keeps the best so far.
+    """
+    from ogm.datasets import open_dataset
+    from ogm.evaluation import calibrate
+
+    if every < 1:
+        raise ValueError(f"--every must be at least 1, got {every}")
+    path = Path(f"{Path(ism).stem}.json") if out_path is None else out_path
+    if path.suffix != ".json":
+        raise ValueError(f"--out writes .json, got {path}")
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"there is no folder {path.parent} for --out {path.name}; create it first")
+    if split is None and (data / "zarr.json").exists():
+        split = "train"
+    sources = tuple((truth or "").split(",")) if truth else ()
+    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, truth=sources)
+    with stderr.status("") as status:
+        fitted = calibrate(
+            dataset[::every],
+            ism,
+            fit=None if fit is None else _bounds(fit),
+            base_rate=_base_rate(base_rate),
+            threads=threads,
+            reading=lambda numbers: ticked(numbers, "reading"),
+            progress=lambda n, nll: status.update(f"evaluation {n}: NLL {nll:.4f} (Ctrl-C keeps the best so far)"),
+        )
+    fitted.save(path)
+    _print(fitted)
+    out.print(f"written {path}", markup=False, soft_wrap=True)
+    if not fitted.finished:
+        raise KeyboardInterrupt(f"the best parameters so far are in {path}")
+
+
+def _base_rate(text: str) -> float | None:
+    try:
+        return None if text == "data" else float(text)
+    except ValueError:
+        raise ValueError(f"--base-rate takes a number or data, got {text!r}") from None
+
+
+def _bounds(text: str) -> dict[str, tuple[float, float]]:
+    """Return the parameters of --fit with their bounds."""
+    from ogm.evaluation.calibration import BOUNDS
+
+    found = {}
+    for word in text.split(","):
+        name, equals, limits = (part.strip() for part in word.partition("="))
+        try:
+            low, high = map(float, limits.split(":")) if equals else BOUNDS[name]
+        except (ValueError, KeyError):
+            known = f"NAME=LOW:HIGH, or one of {', '.join(BOUNDS)}"
+            raise ValueError(f"--fit takes {known}; got {word.strip()!r}") from None
+        found[name] = low, high
+    return found
+
+
+def _print(fitted: "Calibration") -> None:
+    table = Table(box=None, pad_edge=False)
+    for head in (
+        f"{fitted.model}, {fitted.data['frames']} frames of {fitted.data['drives']} drives",
+        "before",
+        "after",
+        "+-",
+    ):
+        table.add_column(head, justify="left" if not table.columns else "right")
+    for name, value in fitted.parameters.items():
+        error = fitted.errors.get(name)
+        table.add_row(name, f"{fitted.start[name]:.4g}", f"{value:.4g}", "" if error is None else f"{error:.2g}")
+    for name, value in fitted.after.items():
+        table.add_row(name, f"{fitted.before[name]:.4f}", f"{value:.4f}", "")
+    out.print(table)
+    out.print("(+- standard error over drives)")

@@ -1,0 +1,194 @@
+"""Parameters of a geometric sensor model from labelled frames, by maximum likelihood.
+
+>>> from ogm.datasets import open_dataset
+>>> from ogm.evaluation import calibrate
+>>> fitted = calibrate(open_dataset("data/", split="train"), "ray")                                # doctest: +SKIP
+>>> fitted.save("ray.json")                    # a model's name from now on: evaluate({"mine": "ray.json"}, ...)
+"""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from math import inf, isfinite
+from pathlib import Path
+from typing import Any, Self
+
+from ogm.evaluation.likelihood import Likelihood
+from ogm.evaluation.likelihood_search import LikelihoodSearch
+from ogm.evaluation.models import default_parameters
+from ogm.files import OgmError, atomic_write
+from ogm.grid import GridSpec
+from ogm.scan import Frame
+
+__all__ = ["BOUNDS", "FITTED", "Calibration", "calibrate"]
+
+FORMAT = "ogm.calibration/1"
+FITTED = {  # by default
+    "ray": (
+        *("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height", "max_mass"),
+    ),
+    "height-band": ("z_min", "z_max", "evidence"),
+}
+BOUNDS = {  # that a parameter is searched in
+    **{"p_miss": (0.01, 0.999), "p_false_alarm": (1e-4, 0.8), "max_mass": (0.5, 0.9999)},
+    **{"free_reliability_at_hits": (0.0, 1.0), "no_return_weight": (0.0, 1.0)},
+    **{"obstacle_height": (0.03, 0.5), "clearance": (1.0, 3.0), "below_ground": (0.05, 2.0), "range_noise": (0.0, 0.2)},
+    **{"max_range": (20.0, 200.0), "azimuth_step": (0.001, 0.05), "ground_cell": (0.2, 3.0)},
+    **{"hidden_height": (0.1, 2.0), "hidden_depth": (0.5, 40.0)},
+    **{"z_min": (0.05, 1.5), "z_max": (1.6, 3.0), "evidence": (0.1, 100.0)},
+}
+REPORTED = ("nll", "false_free", "missed_occupied", "false_occupied", "iou_free", "iou_occupied", "ece")
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Fitted parameters of a geometric model.
+
+    Parameters
+    ----------
+    model : {"ray", "height-band"}
+    parameters : dict of str to float
+        The fitted ones, and those of the calibration that the fit started from.
+    start : dict of str to float
+        The same before the fit.
+    errors : dict of str to float or None
+        Standard errors of the fitted parameters; None where there is none: fewer than four drives, a parameter at its
+        bound or without effect, an interrupted fit.
+    before, after : dict of str to float
+        Metrics of `ogm.metrics` on the frames of the fit: means over the frames of a drive, then over drives.
+    data : dict
+        What the frames are from, how many they and their drives are, and the base rate of the fit.
+    evaluations : int
+        How many sets of parameters were tried.
+    finished : bool
+        False if the fit was interrupted.
+    """
+
+    model: str
+    parameters: dict[str, float]
+    start: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, float | None] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)
+    after: dict[str, float] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)
+    evaluations: int = 0
+    finished: bool = True
+
+    def __post_init__(self) -> None:
+        known = default_parameters(self.model)
+        for name, value in self.parameters.items():
+            if name not in known:
+                raise OgmError(f"{self.model} has no parameter {name!r}; it has {', '.join(known)}")
+            if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+                raise OgmError(f"{name} must be a finite number, got {value!r}")
+
+    def save(self, path: str | Path) -> None:
+        """Write a JSON file, whole or not at all."""
+        with atomic_write(path, "w") as file:
+            json.dump({"format": FORMAT} | asdict(self), file, indent=1)
+            file.write("\n")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        OgmError
+            If it is no calibration, or one with a model or parameters that this version does not have.
+        """
+        try:
+            record = json.loads(Path(path).read_text("utf-8"))
+            if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
+                raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote")
+            return cls(**record)
+        except (ValueError, TypeError, AttributeError) as error:
+            raise OgmError(f"{path}: {error}") from error
+
+
+def calibrate(
+    dataset: Sequence[Frame],
+    model: str | Calibration = "ray",
+    spec: GridSpec | None = None,
+    *,
+    fit: Mapping[str, tuple[float, float]] | None = None,
+    base_rate: float | None = 0.5,
+    threads: int = 1,
+    reading: Callable[[Iterable[int]], Iterable[int]] = iter,
+    progress: Callable[[int, float], object] = lambda evaluations, nll: None,
+) -> Calibration:
+    """Fit the parameters of a geometric model to labelled frames (Thrun, Burgard, Fox 2005, Sec. 9.3).
+
+    Minimises the mean over drives of `Likelihood`, the log loss on known cells, by Powell's method within bounds.
+    Nothing is drawn at random. An interrupt (Ctrl-C) ends the search: the best parameters so far are returned.
+
+    Parameters
+    ----------
+    dataset : sequence of Frame
+        Frames with truth, as `ogm.datasets.open_dataset` returns them.
+    model : str or Calibration
+        "ray" or "height-band", or a calibration or its path, to start from.
+    spec : GridSpec, optional
+        The cells; by default the 81.92 m x 56.32 m of the paper.
+    fit : dict of str to (low, high), optional
+        The fitted parameters with their bounds; by default those of `FITTED`, within `BOUNDS`. One without effect on
+        these frames keeps its value.
+    base_rate : float, optional
+        P(occupied) of a cell of which nothing is known. With 1/2, the metric ``nll`` is minimised: as few cells are
+        occupied, the fit makes up for it by more belief in free. With None, the share of the known cells that are
+        occupied: masses then hold what the rays tell beyond it.
+    threads : int
+        Frames that are mapped at the same time. The result does not depend on it.
+    reading : function
+        Iterates over the numbers of the frames while they are read, and may draw a progress bar.
+    progress : function
+        Called after each evaluation with their number and the least NLL.
+
+    Raises
+    ------
+    ValueError
+        If there are no labelled frames, there is no such model or parameter, or bounds do not hold the start.
+    """
+    if isinstance(model, str):
+        model = Calibration.load(model) if model.endswith(".json") else Calibration(model, {})
+    start = default_parameters(model.model) | model.parameters
+    chosen = {name: BOUNDS[name] for name in FITTED[model.model]} if fit is None else dict(fit)
+    _check_fit(model.model, chosen, start)
+    frames = (dataset[k] for k in reading(range(len(dataset))))
+    likelihood = Likelihood(model.model, frames, spec, base_rate=base_rate, threads=threads)
+
+    search = LikelihoodSearch(likelihood, start, chosen, progress)
+    errors: dict[str, float | None] = dict.fromkeys(chosen)
+    finished = False
+    try:
+        search.keep_those_without_effect()
+        search.minimise()
+        errors |= search.newton_step()
+        finished = True
+    except KeyboardInterrupt:
+        pass
+
+    ends = start, search.parameters(search.best)
+    before, after = (
+        {name: found[name] for name in REPORTED if name in found} for found in map(likelihood.scores, ends)
+    )
+    names = dict.fromkeys([*model.parameters, *chosen])
+    first, fitted = ({name: values[name] for name in names} for values in ends)
+    about = {"name": "frames", "format": "frames in Python", "description": ""}
+    data = {key: getattr(dataset, key, default) for key, default in about.items()}
+    data |= {key: value for key, value in getattr(dataset, "facts", {}).items() if key in ("split", "plan")}
+    data |= {"frames": len(likelihood.frames), "drives": len(likelihood.drives)}
+    data |= {"base_rate": likelihood.base_rate}
+    return Calibration(model.model, fitted, first, errors, before, after, data, search.evaluations, finished)
+
+
+def _check_fit(model: str, chosen: Mapping[str, tuple[float, float]], start: Mapping[str, float]) -> None:
+    if not chosen:
+        raise ValueError(f"there is nothing to fit: give parameters of {model}, such as {', '.join(FITTED[model])}")
+    for name, (low, high) in chosen.items():
+        if name not in start:
+            raise ValueError(f"{model} has no parameter {name!r}; it has {', '.join(start)}")
+        if not (-inf < low < high < inf and low <= start[name] <= high):
+            raise ValueError(f"{name} starts at {start[name]:g}; its bounds must hold that, got {low:g} ... {high:g}")

@@ -1,0 +1,83 @@
+"""Returns in the outermost cells, on the edges of the grid, and beyond all limits."""
+
+import logging
+
+import numpy as np
+import pytest
+
+from ogm import GridSpec, Mount
+from ogm.geometric import HeightBandISM, RayISM, flat_ground
+
+SPEC = GridSpec(0.5, (9, 6), (-2.0, -1.25))  # x -2 to 2.5 m, y -1.25 to 1.75 m
+MOUNT = Mount(1.5, ego_footprint=(0.0, 0.0, 0.0, 0.0))
+EXACT = RayISM(SPEC, MOUNT, ground=flat_ground, range_noise=0.0)
+NOISY = RayISM(SPEC, MOUNT, ground=flat_ground)
+CELLS = [(ix, iy) for ix in range(9) for iy in range(6)]
+BORDER = [(ix, iy) for ix, iy in CELLS if ix in (0, 8) or iy in (0, 5)]
+
+
+def marked(ism: RayISM, x: float, y: float) -> dict[tuple[int, int], float]:
+    """Return the cells that one return from an obstacle marks, and their masses of occupied."""
+    occupied = ism(np.array([[x, y, -0.5, 0.5]], np.float32)).occupied
+    return {(int(ix), int(iy)): float(occupied[ix, iy]) for ix, iy in np.argwhere(occupied)}
+
+
+@pytest.mark.parametrize("ism", [EXACT, NOISY], ids=["exact", "noisy"])
+@pytest.mark.parametrize(("ix", "iy"), BORDER)
+def test_a_return_in_a_border_cell_marks_it_and_no_other(ism: RayISM, ix: int, iy: int) -> None:
+    x, y = -2.0 + 0.5 * (ix + 0.5), -1.25 + 0.5 * (iy + 0.5)
+    assert marked(ism, x, y) == {(ix, iy): pytest.approx(0.95)}
+
+
+@pytest.mark.parametrize(("ix", "iy"), [(ix, iy) for ix, iy in CELLS if abs(ix - 4) > 1 or abs(iy - 2) > 1])
+def test_the_lower_edges_belong_to_a_cell(ix: int, iy: int) -> None:
+    """But for cells that touch that of the sensor: what is straight below it is no ray."""
+    x, y = -2.0 + 0.5 * ix, -1.25 + 0.5 * iy
+    assert list(marked(EXACT, x, y + 0.25)) == [(ix, iy)]
+    assert list(marked(EXACT, x + 0.25, y)) == [(ix, iy)]
+    assert list(marked(EXACT, x, y)) == [(ix, iy)]
+
+
+def test_the_far_edges_are_outside() -> None:
+    just = np.float32(1e-4)
+    for y in np.arange(-1.25, 1.75, 0.25):
+        assert not marked(EXACT, 2.5, y)
+        assert not marked(EXACT, -2.0 - just, y)
+        assert marked(EXACT, 2.5 - just, y)
+    for x in np.arange(-2.0, 2.5, 0.25):
+        assert not marked(EXACT, x, 1.75)
+        assert not marked(EXACT, x, -1.25 - just)
+        assert marked(EXACT, x, 1.75 - just)
+
+
+@pytest.mark.parametrize(("x", "y"), [(-1.99, 0.0), (2.49, 0.0), (0.0, -1.24), (0.0, 1.74)])
+def test_a_return_at_the_outer_edge_may_come_from_beyond_it(x: float, y: float) -> None:
+    """The part of it that range noise takes out of the grid marks nothing."""
+    ((cell, mass),) = marked(NOISY, x, y).items()
+    assert cell == tuple(int(i) for i in SPEC.index(x, y))
+    assert 0.1 < mass < 0.9
+
+
+@pytest.mark.parametrize("ism", [NOISY, HeightBandISM(SPEC, MOUNT)], ids=["ray", "height-band"])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e6, -1e6])
+def test_a_coordinate_beyond_all_limits_drops_its_point(
+    ism: RayISM | HeightBandISM, axis: int, bad: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    points = np.array([[2.0, 1.0, -0.5, 0.0], [1.0, -0.9, -0.5, 0.0]], np.float32)
+    points[0, axis] = bad
+    with caplog.at_level(logging.WARNING):
+        grid = ism(points)
+    assert grid == ism(points[1:])
+    assert "dropped 1 of 2 points" in caplog.text
+
+
+def test_the_ego_footprint_is_left_out_up_to_its_edges() -> None:
+    mount = Mount(1.5, ego_footprint=(-1.0, 1.5, -0.5, 0.75))
+    ism = RayISM(SPEC, mount, ground=flat_ground, range_noise=0.0)
+    for x, y, inside in (
+        *((-0.99, 0.0, True), (1.49, 0.0, True), (0.3, -0.49, True), (0.3, 0.74, True), (1.6, 0.0, False)),
+        *((-1.1, 0.0, False), (0.3, -0.6, False), (0.3, 0.8, False), (1.6, 0.8, False)),
+    ):
+        points = np.array([[x, y, -0.5, 0.5]], np.float32)
+        assert (ism(points).mass == 0).all() == inside, (x, y)
