@@ -73,7 +73,7 @@ def dirichlet_kl(alpha: Array, other: Array) -> Array:
     # Very near densities: two terms of the series in the difference, the first one the Fisher information.
     near = (abs(t) < _NEAR).all(-1)
     if maybe_any(xp, near):
-        series = _series(xp, x, y).sum(-1) - _series(xp, x_sum, y_sum)
+        series = _series(xp, x - y, y).sum(-1) - _series(xp, (x - y).sum(-1), y_sum)  # sums of x and y are rounded
         divergence = xp.where(near, series, divergence)
     return _cast(xp, divergence.clip(0), alpha)
 
@@ -193,9 +193,9 @@ def _log(xp: Any, ratio: Any, t: Any) -> Any:
     return xp.where(small, xp.log1p(xp.where(small, t, 0 * t)), xp.log(ratio))
 
 
-def _series(xp: Any, x: Any, y: Any) -> Any:
-    """Return D(x, y) to third order in x - y."""
-    d, polygamma = x - y, _special(xp).polygamma
+def _series(xp: Any, d: Any, y: Any) -> Any:
+    """Return D(y + d, y) to third order in d."""
+    polygamma = _special(xp).polygamma
     return d**2 * (polygamma(1, y) / 2 + d * polygamma(2, y) / 6)
 
 

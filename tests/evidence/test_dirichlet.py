@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import integrate, stats
 
@@ -80,6 +80,7 @@ def test_kl_is_exact_for_all_sizes_of_alpha(logs: list) -> None:
 
 @laws
 @given(st.lists(st.tuples(exponents, st.floats(-1, 1)), min_size=2, max_size=4), st.floats(-7, -0.5))
+@example([(5.0, 1.0), (0.5625, 0.25), (7.0, 1.0)], -7.0)
 def test_kl_is_exact_and_never_negative_for_near_densities(parts: list, log_step: float) -> None:
     alpha = 10 ** np.array([part[0] for part in parts])
     other = alpha * (1 + np.array([part[1] for part in parts]) * 10**log_step)

@@ -182,6 +182,8 @@ def test_numbers_out_of_range_are_refused() -> None:
         (lambda: evidence.cumulative(GOOD, GOOD, dogmatic_weights=[1]), "2 positive numbers"),
         (lambda: evidence.averaging(GOOD, GOOD, dogmatic_weights=[1, -1]), "2 positive numbers"),
         (lambda: evidence.cumulative_unfusion(np.zeros(2), GOOD), "part must not hold more evidence than fused"),
+        (lambda: evidence.cumulative_unfusion(np.array([0.5, 0.2]), np.array([0.1, 0.5])), "more evidence than fused"),
+        (lambda: evidence.cumulative_unfusion(np.array([0.2, 0.5]), np.array([0.5, 0.1])), "more evidence than fused"),
         (lambda: evidence.multiplication(GOOD, GOOD, 1.0, 1.0), "must not both be 1"),
         (lambda: evidence.comultiplication(GOOD, GOOD, 0.0, 0.0), "must not both be 0"),
         (lambda: evidence.bold(np.zeros(3), np.zeros(3)), "conflict > 0"),

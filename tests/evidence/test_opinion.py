@@ -112,6 +112,9 @@ def test_log_odds_of_certainty_is_infinite() -> None:
     certain = np.array([[1.0, 0], [0, 1], [0, 0], [0.5, 0.5]])
     np.testing.assert_array_equal(evidence.mass_to_log_odds(certain), (-np.inf, np.inf, 0, 0))
     np.testing.assert_array_equal(evidence.log_odds_to_mass(np.array([-np.inf, np.inf, 0])), certain[:3])
+    rounded = np.array([[np.nextafter(np.float32(1), 2), 0], [0, np.nextafter(np.float32(1), 2)]], np.float32)
+    np.testing.assert_array_equal(evidence.mass_to_log_odds(rounded), (-np.inf, np.inf))
+    np.testing.assert_array_equal(evidence.mass_to_log_odds(torch.from_numpy(rounded)).numpy(), (-np.inf, np.inf))
 
 
 def test_dempster_on_simple_masses_is_the_bayesian_update() -> None:
