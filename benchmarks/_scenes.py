@@ -218,7 +218,7 @@ BUILDERS: dict[str, Callable[[Rng], Scene]] = {
     **{f"glass, {s:.0%} pass": partial(pane, x=12, share=s) for s in (0.5, 0.9)},
     "wall along": partial(block, name="wall", x=(2, 40), y=(middle(4), middle(4) + 0.3), height=2.5),
     **{f"parked car at {d} m": partial(parked, x=d, y=0) for d in DISTANCES},
-    **{f"low object at {d} m": partial(block, name="object", x=(middle(d), middle(d + 0.16)), y=(-0.48, 0.48), height=0.3)
+    **{f"low object at {d} m": partial(block, name="object", x=(middle(d), middle(d) + 0.16), y=(-0.5, 0.5), height=0.3)
        for d in (8, 12, 20)},
     "ghosts ahead": partial(wet, x=12, y=0, count=40),
     "ghosts beside": partial(wet, x=8, y=3.5, count=40),
