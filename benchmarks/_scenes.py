@@ -212,7 +212,7 @@ BUILDERS: dict[str, Callable[[Rng], Scene]] = {
        for d in DISTANCES},
     "bank left": partial(banks, edge=4, sides=(1,)),
     **{f"banks at {d} m": partial(banks, edge=d, sides=(1, -1)) for d in (2.5, 4, 9)},
-    "banks at 9 m, HDL-32E": partial(banks, edge=9, sides=(1, -1), lidar="hdl-32e"),
+    **{f"banks at {d} m, HDL-32E": partial(banks, edge=d, sides=(1, -1), lidar="hdl-32e") for d in (4, 7, 9)},
     "bridge 4.2 m": partial(overhang, underside=4.2, top=5, x=12, y=0, size=(8, 40)),
     "tree crown 2.3 m": partial(tree, x=12, y=2, height=2.3),
     **{f"glass, {s:.0%} pass": partial(pane, x=12, share=s) for s in (0.5, 0.9)},
