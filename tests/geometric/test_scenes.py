@@ -1,0 +1,126 @@
+"""Hand-built scenes: what must not be predicted free is not, and all else is predicted no worse than before."""
+
+import json
+import sys
+from functools import cache
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from ogm.geometric import RayISM
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+def load(name: str) -> ModuleType:
+    spec = spec_from_file_location(name, BENCHMARKS / f"{name}.py")
+    module = sys.modules[name] = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+load("_scene_scan")  # which `_scenes` imports
+scenes = load("_scenes")
+ISM = RayISM(scenes.SPEC, scenes.MOUNT)
+BEFORE = json.loads((BENCHMARKS / "results/scenes.json").read_text())["before"]["scenes"]
+TOLERANCE = 0.02  # of a share, against the model before
+
+
+def names(*starts: str) -> list[str]:
+    """Return the scenes whose names begin so."""
+    found = [name for name in scenes.BUILDERS if name.startswith(starts)]
+    assert found, starts
+    return found
+
+
+def steps(lowest: float) -> list[str]:
+    return [name for name in names("step ") if float(name.split()[1]) >= lowest]
+
+
+@cache
+def predicted(name: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Return a scene's regions, and which cells have a mass of free, and of occupied, of more than 1/2."""
+    one = scenes.scene(name)
+    return one.regions, ISM(one.scan).mass > 0.5
+
+
+def shares(name: str, region: str) -> tuple[float, float]:
+    """Return the shares of a region's cells that are predicted free and occupied."""
+    regions, states = predicted(name)
+    free, occupied = states[regions[region]].mean(axis=0)
+    return float(free), float(occupied)
+
+
+@pytest.mark.parametrize("name", names("trailer", "bar"))
+def test_what_hangs_lower_than_clearance_is_not_free_behind_its_first_row(name: str) -> None:
+    assert shares(name, "under")[0] <= 0.05
+    assert shares(name, "overhang")[1] >= BEFORE[name]["overhang"]["occupied"] - TOLERANCE
+
+
+@pytest.mark.parametrize("name", steps(0.15))
+def test_the_face_of_a_step_is_not_free(name: str) -> None:
+    assert shares(name, "face")[0] <= 0.10
+
+
+@pytest.mark.parametrize("name", steps(0.25))
+def test_the_face_of_a_high_step_is_occupied(name: str) -> None:
+    assert shares(name, "face")[1] >= 0.5
+
+
+@pytest.mark.parametrize("region", ["below", "inside_seen"])
+@pytest.mark.parametrize("name", names("ditch"))
+def test_a_ditch_is_not_free_where_returns_show_it(name: str, region: str) -> None:
+    assert shares(name, region)[0] <= 0.05
+
+
+def test_nothing_is_free_beyond_a_drop() -> None:
+    for region in ("below", "beyond"):
+        assert shares("drop 3 m", region)[0] <= 0.05
+
+
+@pytest.mark.parametrize("name", names("swallowing"))
+def test_a_car_that_swallows_its_beams_is_not_free(name: str) -> None:
+    assert shares(name, "footprint")[0] <= 0.05
+
+
+@pytest.mark.parametrize("name", names("bank"))
+def test_the_ground_does_not_absorb_banks(name: str) -> None:
+    assert shares(name, "bank_near")[0] <= 0.10
+    assert shares(name, "bank_high")[0] <= 0.10
+
+
+@pytest.mark.parametrize("name", names("ghosts"))
+def test_ghost_returns_below_the_road_make_no_holes(name: str) -> None:
+    assert shares(name, "around")[0] >= 0.9
+
+
+@pytest.mark.parametrize("name", names("ditch", "drop", "swallowing", "ghosts", "step"))
+def test_the_road_before_and_around_stays_free(name: str) -> None:
+    assert shares(name, "ground")[0] >= BEFORE[name]["ground"]["free"] - TOLERANCE
+
+
+@pytest.mark.parametrize("name", names("flat", "rough", "slope", "bridge", "tree", "glass", "wall", "parked", "low"))
+def test_all_else_is_predicted_no_worse_than_before(name: str) -> None:
+    """Ground is free, also on slopes, under bridges and crowns; what holds returns of obstacles is occupied."""
+    regions = predicted(name)[0]
+    for region in regions.keys() & {"ground", "under"}:
+        assert shares(name, region)[0] >= BEFORE[name][region]["free"] - TOLERANCE, region
+    for region in regions.keys() & {"occupied", "car", "pane", "wall", "trunk", "object"}:
+        free, occupied = shares(name, region)
+        assert occupied >= BEFORE[name][region]["occupied"] - TOLERANCE, region
+        assert free <= BEFORE[name][region]["free"] + TOLERANCE, region
+
+
+def test_every_beam_of_a_scene_returns_or_is_known_not_to() -> None:
+    one = scenes.scene("trailer 0.9 m at 12 m")
+    assert len(one.scan) + len(one.scan.no_returns) == 32 * 1800
+    front, road = one.points_on("overhang"), one.points_on("ground")
+    np.testing.assert_allclose(front[:, 0], 12.08, atol=0.11)
+    assert front[:, 2].min() > 0.88
+    along = np.linalg.norm(road - [0, 0, 1.9], axis=1)
+    assert np.std(road[:, 2] * along / 1.9) == pytest.approx(0.02, rel=0.03)
+    assert not (one.regions["under"] & one.regions["overhang"]).any()
+    assert (one.truth.state[one.regions["under"]] == 2).all()
