@@ -78,7 +78,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
                 bit = HOLE if kind == DEEP else DIP if kind == SUNK else RISE
                 for k in range(found.begin[n], min(int(rays.table[first + n, 1] / step) + 2, bins)):
                     breaks[s, k] |= bit
-                if kind == DEEP or kind == STEP:
+                if kind in (DEEP, STEP):
                     work.order[marks] = first + n
                     marks += 1
         free = work.free[s, :end]
