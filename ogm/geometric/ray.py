@@ -197,15 +197,16 @@ def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
     The allocator keeps one large piece for the next scan; the pages of many it would return to the system, and
     fresh pages cost as much time as the rays.
     """
-    shapes = *((count,),) * 6, (count, 3), polar.ring.shape, (polar.sectors, polar.bins)
+    polar_shape = polar.sectors, polar.bins
+    shapes = (count,), (count,), (count,), (count,), (count,), (count,), (count, 3), polar.ring.shape, polar_shape
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     pieces = np.split(np.empty(ends[-1], np.float32), ends[:-1])
-    integers = {"sector", "order", "index", "hits"}
+    sector, slope, run, above, order, point, table, hits, free = (
+        p.reshape(shape) for p, shape in zip(pieces, shapes, strict=True)
+    )
+    whole = np.int32
     return WorkSpace(
-        *(
-            p.reshape(shape).view(np.int32 if name in integers else np.float32)
-            for name, p, shape in zip(WorkSpace._fields, pieces, shapes, strict=True)
-        )
+        sector.view(whole), slope, run, above, order.view(whole), point.view(whole), table, hits.view(whole), free
     )
 
 
@@ -213,7 +214,7 @@ def _work_space(count: int, polar: PolarGrid) -> WorkSpace:
 def _ground_spec(spec: GridSpec, cell: float) -> GridSpec:
     """Return cells of the ground map over the area of a grid; not finer than those of the grid."""
     size = max(cell, spec.resolution)
-    return GridSpec(size, tuple(max(math.ceil(side / size), 2) for side in (spec.length, spec.width)), spec.origin)
+    return GridSpec(size, (max(math.ceil(spec.length / size), 2), max(math.ceil(spec.width / size), 2)), spec.origin)
 
 
 @lru_cache(maxsize=64)

@@ -102,7 +102,7 @@ class Rays(NamedTuple):
     """Rays, sorted by sector and in a sector by slope."""
 
     table: NDArray[np.float32]  # (N, 3) slope (rise over run), run of the return [m], its height above ground [m]
-    index: NDArray[np.int32]  # (N,) of the return among the points; -1 for a beam without echo
+    point: NDArray[np.int32]  # (N,) of the return among the points; -1 for a beam without echo
     starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins
 
 
@@ -127,7 +127,7 @@ class WorkSpace(NamedTuple):
     run: NDArray[np.float32]
     above: NDArray[np.float32]
     order: NDArray[np.int32]
-    index: NDArray[np.int32]
+    point: NDArray[np.int32]
     table: NDArray[np.float32]  # (N, 3) of `Rays`
     hits: NDArray[np.int32]  # (nx, ny)
     free: NDArray[np.float32]  # (sectors, bins)

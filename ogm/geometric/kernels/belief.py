@@ -167,7 +167,7 @@ def _mark(rays, first, last, points, origin, cells, numbers, found, hits):
         if kind == NO_RETURN:
             silent = True
         elif kind == OBSTACLE:
-            which, run = rays.index[first + n] & 0x7FFFFFFF, rays.table[first + n, 1]
+            which, run = rays.point[first + n] & 0x7FFFFFFF, rays.table[first + n, 1]
             x, y, share = points.x[which], points.y[which], noise / run
             du, dv = (x - origin[0]) * share, (y - origin[1]) * share
             _hit(hits, cells, x - du, y - dv)
@@ -192,7 +192,7 @@ def _apply_breaks(rays, points, marks, polar, cells, breaks, work):
             elif (b | c | d) & RISE and _many(a, b, c, d, e, RISE):
                 work.free[s, k] *= DOUBTFUL
     for n in marks:
-        which = rays.index[n]
+        which = rays.point[n]
         s, k = work.sector[which], min(int(rays.table[n, 1] / polar.step), bins - 1)
         a, b, c = breaks[s - 2, k], breaks[s - 1, k], breaks[s, k]
         d, e = breaks[(s + 1) % sectors, k], breaks[(s + 2) % sectors, k]

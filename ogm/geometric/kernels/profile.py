@@ -80,7 +80,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         if run < step:
             continue
         reach = min(run * per_metre, bins)
-        if rays.index[first + n] < 0:
+        if rays.point[first + n] < 0:
             found.kind[n] = NO_RETURN
             found.start[n], stop = _below_clearance(limits, row, slope, int(reach), step)
             found.stop[n] = _above_ground(limits, row, slope, found.start[n], stop)
@@ -218,7 +218,7 @@ def _nearest_ground(rays, first, last, low, nearest):
     least = np.float32(np.inf)
     for n in range(last - first - 1, -1, -1):
         nearest[n] = least
-        if rays.index[first + n] >= 0 and abs(rays.table[first + n, 2]) <= low:
+        if rays.point[first + n] >= 0 and abs(rays.table[first + n, 2]) <= low:
             least = min(least, rays.table[first + n, 1])
 
 

@@ -47,8 +47,8 @@ def sort_rays(points, directions, origin, ground, polar, numbers, work):
     _aim(directions, points.x.shape[0], polar.sectors, numbers.max_range, work)
     _sort_by_slope_class(work.slope, work.order)
     starts = _sort_by_sector(points.x.shape[0], polar.sectors, work)
-    _finish_sort(work.table, work.index, starts)
-    return Rays(work.table, work.index, starts)
+    _finish_sort(work.table, work.point, starts)
+    return Rays(work.table, work.point, starts)
 
 
 @vector
@@ -102,7 +102,7 @@ def _sort_by_sector(count, sectors, work):
         to = starts[s] & 0x7FFFFFFF
         starts[s] += 1
         work.table[to, 0], work.table[to, 1], work.table[to, 2] = work.slope[n], work.run[n], work.above[n]
-        work.index[to] = n if n < count else -1
+        work.point[to] = n if n < count else -1
     return starts[: sectors + 1]
 
 
