@@ -126,7 +126,7 @@ def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
 @vector
 def _pass(part, slope, start, stop):
     """Let a ray pass some bins before any obstacle."""
-    for k in range(start, stop):
+    for k in range(start & 0x7FFF, stop & 0x7FFF):
         up = max(slope - part[SLOPE + k], np.float32(0.0))
         part[SUM + k] += up * part[PASS + k]
         part[PASS + k] *= part[POWER + k]
@@ -137,7 +137,7 @@ def _pass(part, slope, start, stop):
 def _pass_obstacles(part, slope, start, stop):
     """Let a ray pass some bins behind an obstacle that stops other rays of the sector."""
     zero = np.float32(0.0)
-    for k in range(start, stop):
+    for k in range(start & 0x7FFF, stop & 0x7FFF):
         up = max(slope - part[SLOPE + k], zero)
         part[HIDDEN + k] += max(part[BLOCKED + k] * up - part[HIDDEN + k], zero)
         part[BLOCKED + k] = zero
@@ -149,7 +149,8 @@ def _pass_obstacles(part, slope, start, stop):
 @vector
 def _block(part, start, stop, fade):
     """Let an obstacle stop a ray: the chance that it is still there falls behind it."""
-    for k in range(start, stop):
+    start &= 0x7FFF
+    for k in range(start, stop & 0x7FFF):
         here = np.float32(1.0) - np.float32(k - start) * fade
         part[BLOCKED + k] += max(here - part[BLOCKED + k], np.float32(0.0))
 

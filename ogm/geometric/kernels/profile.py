@@ -71,7 +71,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     table, support, count, at, base, end = rays.table[first:last], found.support, 0, 0, 0, 0
     count = _add_support(support, 0, zero, limits.ground[row, 0] * half * step)  # the ground under the sensor
     # The rise (1) or fall (-1) that is followed: its last returns, and the ground before it
-    bent, begin, first_run, last_run, last_height = 0, 0, zero, zero, zero
+    bent, since, begin, first_run, last_run, last_height = 0, 0, 0, zero, zero, zero
     from_run, from_height, from_incline = zero, zero, zero
     _nearest_ground(rays, first, last, low, found.nearest)
     for n in range(last - first):
@@ -86,8 +86,11 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             found.stop[n] = _above_ground(limits, row, slope, found.start[n], stop)
             end = max(end, found.stop[n])
             continue
-        if above >= high:
+        if above > low:
             found.kind[n] = OVERHEAD
+            if above < high:
+                found.kind[n] = OBSTACLE
+                reach = max(reach - margin * per_metre, zero)
             found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
             end = max(end, found.stop[n])
             continue
@@ -103,30 +106,30 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         low_down = rise < -SINK - slack
 
         # A rise or fall is a slope if it goes on, a step or a hole if not, and nothing if it ends at once
-        if bent != 0 and (above <= low or low_down) and run > last_run + SUPPORT_GAP:
+        if bent != 0 and run > last_run + SUPPORT_GAP:
             rest = height - from_height - from_incline * (run - from_run)
             before = last_height - from_height - from_incline * (last_run - from_run)
             if bent * rest > bent * before * (one + half * (run - last_run) / (last_run - from_run)):
                 last_run, last_height = run, height
                 if run - from_run > LONGEST or rest > HIGHEST:
-                    end = max(end, _level(rays, first, n, limits, row, polar, begin, found))
+                    end = max(end, _level(rays, first, since, n, limits, row, polar, found))
                     if bent < 0:
                         count = _add_support(support, count, run, height)
                     bent = 0
             else:
                 if bent > 0 and rest < half * before and run - last_run < BUMP:
-                    end = max(end, _level(rays, first, n, limits, row, polar, begin, found))
+                    end = max(end, _level(rays, first, since, n, limits, row, polar, found))
                 bent = 0
 
         # Does one begin here?
         if bent == 0 and at > 0:
-            if gap < SUPPORT_REACH and rise > RISE + slack and above <= low:
+            if gap < SUPPORT_REACH and rise > RISE + slack:
                 bent = 1
             elif low_down and found.nearest[n] > run - SAME:
                 bent = -1
             if bent != 0:
                 edge = np.float32(support[_last_before(support, count, at, run - EDGE), 0])
-                begin, first_run, last_run, last_height = max(int(edge * per_metre) - 1, 0), run, run, height
+                since, begin, first_run, last_run, last_height = n, max(int(edge * per_metre) - 1, 0), run, run, height
                 from_run, from_height, from_incline = run - gap, level - incline * gap, incline
 
         # What was hit, and where the ray ends
@@ -136,8 +139,6 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             reach = np.float32(begin)
         elif above < -below:
             continue
-        elif above > low:
-            found.kind[n] = OBSTACLE
         elif bent > 0:
             high_up = rest > STEP_HEIGHT + ROUGH * rough and run < first_run + EDGE
             found.kind[n], found.begin[n] = STEP if high_up else RAISED, begin
@@ -146,9 +147,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             reach = min(reach + one, bins)
             if bent < 0 and low_down:
                 found.kind[n], found.begin[n] = SUNK, begin
-        if found.kind[n] == OBSTACLE:
-            reach = max(reach - margin * per_metre, zero)
-        if above <= low and not low_down:
+        if not low_down:
             count = _add_support(support, count, run, height)
         found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
         end = max(end, found.stop[n])
@@ -189,11 +188,11 @@ def _continue(support, base, at, run):
 
 
 @kernel
-def _level(rays, first, count, limits, row, polar, begin, found):
+def _level(rays, first, since, count, limits, row, polar, found):
     """Take a rise for a slope: its returns are ground; return the first bin that none of them reaches."""
     end, per_metre = 0, np.float32(1.0 / polar.step)
-    for n in range(count):
-        if found.begin[n] == begin:
+    for n in range(since, count):
+        if found.begin[n] >= 0:
             slope, run = rays.table[first + n, 0], rays.table[first + n, 1]
             reach = min(int(run * per_metre + np.float32(1.0)), polar.bins)
             found.kind[n], found.begin[n] = GROUND, -1
