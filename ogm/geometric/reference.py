@@ -7,6 +7,7 @@ kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one 
 import itertools
 import math
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,7 +173,8 @@ def ground_map(
             height[cell], weight[cell] = low + layer.mean(), min(len(layer), 8)
         elif cell == home:
             height[cell], weight[cell] = ground_point[2], 1
-    return _pull_push(height, weight, ground_point[2])
+    limit = lower_envelope(np.where(weight > 0, height, np.inf), max_slope * spec.resolution)
+    return np.where(weight > 0, height, np.minimum(_pull_push(height, weight, ground_point[2]), limit))
 
 
 def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
@@ -196,22 +198,6 @@ def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
     return result
 
 
-def _clear_from_rays(
-    slopes: NDArray, level: float, reach: float, per_cell: float, p_miss: float, weights: NDArray
-) -> float:
-    """Return the belief in free of one polar bin from the (R,) rays that pass it, one by one.
-
-    `level` is the weight of a level ray, 1 - (sensor's height above the ground there) / clearance; `reach` the
-    distance of the bin's middle over clearance; `per_cell` how much of the sector a cell covers there.
-    """
-    visible = np.maximum(level - slopes * reach, 0)  # 0 above clearance
-    first = min(visible.max(initial=0), 1.0)
-    if first == 0:
-        return 0.0
-    count = min(max(float((visible * weights).sum()) / first, 0.0), float(weights[visible > 0].sum()))
-    return first * (1 - p_miss ** (count * per_cell))
-
-
 def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int) -> NDArray[np.float32]:
     """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
 
@@ -219,6 +205,8 @@ def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM,
     ----------
     xyz : (N, 3) float array
         Points in the frame of the grid, without returns from the ego vehicle [m].
+        Without steps and holes: the ground returns of a sector lie on the ground, and returns more than
+        `below_ground` under it lie behind such.
     no_returns : (M, 3) float array
         Unit directions of beams without echo, in the frame of the grid.
     ground : float
@@ -253,7 +241,14 @@ def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM,
     return mass
 
 
-Ray = tuple[float, float, float, float]  # azimuth [rad], slope, first bin that it does not clear, weight
+class Ray(NamedTuple):
+    """One ray over flat ground."""
+
+    azimuth: float  # [rad]
+    slope: float  # rise over run
+    end: int  # first bin that it does not reach
+    is_silent: bool  # without echo
+    is_stopped: bool  # by an obstacle
 
 
 def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> list[Ray]:
@@ -265,43 +260,84 @@ def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> l
         r = math.hypot(dx, dy)
         if above < -ism.below_ground or r < spec.resolution:
             continue
+        is_obstacle = ism.obstacle_height < above < ism.clearance
         end = r / spec.resolution
         if above <= ism.obstacle_height:
             end += 1
-        elif above < ism.clearance:
-            end = (r - 2 * ism.range_noise) / spec.resolution
+        elif is_obstacle:
+            end = max(r - 2 * ism.range_noise, 0) / spec.resolution
             for side in (-ism.range_noise, ism.range_noise):
                 u, v = x + dx / r * side, y + dy / r * side
                 if spec.contains(u, v):
                     hits[spec.index(u, v)] += 1
-        rays.append((math.atan2(dy, dx), (z - z0) / r, end, 1.0))
+        rays.append(Ray(math.atan2(dy, dx), (z - z0) / r, int(end), False, is_obstacle))
     return rays
 
 
 def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray]:
     """Return the rays of beams without echo, up to the ground or to `max_range`."""
     step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
-    rays: list[Ray] = []
+    rays = []
     for dx, dy, dz in no_returns.tolist():
         run = math.hypot(dx, dy)
         end = int(ism.max_range * run / step)
         end = next((k for k in range(end) if height + dz / run * (k + 0.5) * step < 0), end)
-        rays.append((math.atan2(dy, dx), dz / run, end, ism.no_return_weight))
+        rays.append(Ray(math.atan2(dy, dx), dz / run, end, True, False))
     return rays
+
+
+def chance_unnoticed(heights: NDArray, clearance: float, chance: float) -> float:
+    """Return E_H[chance ** N(H)] for H uniform up to `clearance` and N(H) the number of `heights` below H."""
+    heights = np.sort(np.clip(heights, 0, clearance))
+    edges = np.unique([0, *heights, clearance])
+    passed = np.searchsorted(heights, (edges[1:] + edges[:-1]) / 2)  # N(H) is constant between two edges
+    return float(np.diff(edges) @ chance**passed) / clearance
+
+
+def chance_hidden(heights: NDArray, fades: NDArray, ism: RayISM) -> float:
+    """Return the chance that something hangs between the rays that pass a bin, where an obstacle stopped others.
+
+    `heights` are those of all rays in the bin, also where a ray would be if nothing had stopped it, from the lowest
+    up; `fades` is NaN for a ray that passes, else how much of the obstacle is left (0: nothing, 1: all).
+    """
+    passing = np.flatnonzero(np.isnan(fades))
+    levels = np.clip([0, *heights[passing], ism.clearance], 0, ism.clearance)
+    worst = 0.0
+    for n, stopped in enumerate(np.split(fades, passing)):  # the stopped rays under each level; first a passing ray
+        thickness = (levels[n + 1] - levels[n]) / ism.hidden_height * (2 if n == len(passing) else 1)
+        worst = max(worst, thickness * np.nan_to_num(stopped).max(initial=0))
+    return min(worst, 1.0)
 
 
 def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> NDArray[np.float64]:
     """Return the belief in free of every polar bin, (sectors, bins)."""
-    spec, (x, y, z) = ism.spec, ism.mount.origin.tolist()
-    step, (x0, x1, y0, y1) = spec.resolution, spec.extent
-    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / step) + 1
-    table = np.array(rays).reshape(-1, 4)
-    sector = np.minimum((table[:, 0] % (2 * math.pi) * sectors / (2 * math.pi)).astype(int), sectors - 1)
-    level = 1 - (z - ground) / ism.clearance
+    spec, (x, y, _) = ism.spec, ism.mount.origin.tolist()
+    x0, x1, y0, y1 = spec.extent
+    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
+    by_sector: list[list[Ray]] = [[] for _ in range(sectors)]
+    for ray in sorted(rays, key=lambda ray: ray.slope):
+        by_sector[min(int(ray.azimuth % (2 * math.pi) * sectors / (2 * math.pi)), sectors - 1)].append(ray)
     free = np.zeros((sectors, bins))
     for s, k in np.ndindex(sectors, bins):
-        through = table[(sector == s) & (table[:, 2].astype(int) > k)]
-        per_cell = sectors / (2 * math.pi) / (k + 0.5)
-        reach = (k + 0.5) * step / ism.clearance
-        free[s, k] = _clear_from_rays(through[:, 1], level, reach, per_cell, ism.p_miss, through[:, 3])
+        chance = ism.p_miss ** (sectors / (2 * math.pi) / (k + 0.5))  # a cell sees some of the sector's rays
+        alone = _bin_free([ray for ray in by_sector[s] if not ray.is_silent], k, chance, ground, ism)
+        together = _bin_free(by_sector[s], k, chance, ground, ism)
+        free[s, k] = alone + ism.no_return_weight * max(together - alone, 0)
     return free
+
+
+def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM) -> float:
+    """Return the belief in free of bin `k` from the rays of its sector, sorted by slope, missing with `chance`."""
+    step, heights, fades = ism.spec.resolution, [], []
+    for ray in rays:
+        height = float(ism.mount.origin[2]) - ground + ray.slope * (k + 0.5) * step
+        passes = k < ray.end
+        if passes and height < ism.clearance:
+            heights.append(height)
+            fades.append(math.nan)
+        elif not passes and ray.is_stopped:
+            heights.append(height)
+            fades.append(max(1 - (k - ray.end) * step / ism.hidden_depth, 0))
+    height, fade = np.array(heights), np.array(fades)
+    missed = chance_unnoticed(height[np.isnan(fade)], ism.clearance, chance)
+    return (1 - missed) * (1 - chance_hidden(height, fade, ism))
