@@ -206,7 +206,7 @@ def test_what_hangs_behind_an_obstacle_is_not_called_free() -> None:
     points = np.pad(beams * run[:, None], ((0, 0), (0, 1))).astype(np.float32)
     ism, clear = RayISM(spec, Mount(1.9)), np.pad(beams * (1.9 / -slope)[:, None], ((0, 0), (0, 1)))
     grid, before = ism(points), ism(clear.astype(np.float32))
-    assert grid.at(6.1, 0.1).occupied > 0.9
+    assert grid.at(6.1, 0.1).occupied > 0.75
     for x in (7.0, 9.0, 11.0):
         assert before.at(x, 0.1).free > 0.8
         assert grid.at(x, 0.1).free < 0.5 * before.at(x, 0.1).free
