@@ -7,16 +7,19 @@ kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one 
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.height_band import HeightBandISM
+from ogm.geometric.kernels import profile
+from ogm.geometric.kernels.arguments import RayNumbers
 from ogm.geometric.ray import RayISM
 from ogm.grid import GridSpec
 
-__all__ = ["ground_map", "height_band_mass", "line_cells", "lower_envelope", "ray_grid_mass"]
+__all__ = ["Beam", "classify", "ground_map", "height_band_mass", "line_cells", "lower_envelope", "ray_grid_mass"]
 
 Point = tuple[float, float, float]
 
@@ -341,3 +344,125 @@ def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM
     height, fade = np.array(heights), np.array(fades)
     missed = chance_unnoticed(height[np.isnan(fade)], ism.clearance, chance)
     return (1 - missed) * (1 - chance_hidden(height, fade, ism))
+
+
+class Beam(NamedTuple):
+    """What `classify` needs of a ray of one sector."""
+
+    slope: float  # rise over run
+    run: float  # of its return [m]
+    above: float  # height of that above the ground map [m]
+    is_return: bool
+
+
+def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers) -> list[tuple[int, int]]:
+    """Return what the rays of one sector hit, as `kernels.profile.classify_rays` has it: kind and `begin` of each.
+
+    Parameters
+    ----------
+    beams : list of Beam
+        Sorted by slope. The run of ground returns rises with it.
+    height : float
+        Of the ground under the sensor, relative to the sensor [m].
+    step : float
+        Depth of a bin [m].
+    numbers : RayNumbers
+    """
+    result = [(profile.NONE, -1)] * len(beams)
+    known = [(0.0, height)]  # run and height of ground returns
+    trend: Trend | None = None
+    for n, (slope, run, above, is_return) in enumerate(beams):
+        if run < step:
+            continue
+        if not is_return or above >= numbers.clearance:
+            result[n] = (profile.OVERHEAD if is_return else profile.NO_RETURN, -1)
+            continue
+        z, is_low = slope * run, above <= numbers.obstacle_height
+        near, level, incline, rough = _continued(known, run)
+        gap, rise = run - near, z - level
+        slack = profile.BEND * gap + profile.ROUGH * rough
+        is_sunk = rise < -profile.SINK - slack
+
+        if trend and (is_low or is_sunk) and run > trend.last[0] + profile.SUPPORT_GAP:
+            rest, before = trend.rest(run, z), trend.rest(*trend.last)
+            since = (run - trend.last[0]) / (trend.last[0] - trend.start[0])
+            if trend.sign * rest > trend.sign * before * (1 + since / 2):  # it goes on
+                trend.last = (run, z)
+                if run - trend.start[0] > profile.LONGEST or rest > profile.HIGHEST:
+                    _make_ground(result, n, trend.begin)
+                    if trend.sign < 0:
+                        known.append((run, z))
+                    trend = None
+            else:
+                if trend.sign > 0 and rest < before / 2 and run - trend.last[0] < profile.BUMP:
+                    _make_ground(result, n, trend.begin)
+                trend = None
+
+        if trend is None and near > 0:
+            steeper = [b.run for b in beams[n + 1 :] if b.is_return and abs(b.above) <= numbers.obstacle_height]
+            rises = gap < profile.SUPPORT_REACH and rise > profile.RISE + slack and is_low
+            falls = is_sunk and min(steeper, default=math.inf) > run - profile.SAME
+            if rises or falls:
+                edge = max([r for r, _ in known if r <= run - profile.EDGE], default=0.0)
+                begin = max(int(edge / step) - 1, 0)
+                trend = Trend(1 if rises else -1, begin, (near, level - incline * gap), incline, run, (run, z))
+
+        if trend and trend.sign < 0 and is_sunk:
+            allowed = numbers.below_ground + profile.FALL * max(run - trend.start[0] - profile.FALL_GAP, 0) + slack
+            is_deep = trend.rest(run, z) < -allowed
+        else:
+            is_deep = False
+        if is_deep and trend:
+            result[n] = (profile.DEEP, trend.begin)
+        elif above < -numbers.below_ground:
+            continue
+        elif not is_low:
+            result[n] = (profile.OBSTACLE, -1)
+        elif trend and trend.sign > 0:
+            is_step = trend.rest(run, z) > profile.STEP_HEIGHT + profile.ROUGH * rough
+            is_step = is_step and run < trend.first + profile.EDGE
+            result[n] = (profile.STEP if is_step else profile.RAISED, trend.begin)
+        elif trend and is_sunk:
+            result[n] = (profile.SUNK, trend.begin)
+        else:
+            result[n] = (profile.GROUND, -1)
+        if is_low and not is_sunk:
+            known.append((run, z))
+    return result
+
+
+@dataclass
+class Trend:
+    """A rise or fall of the ground that `classify` follows."""
+
+    sign: int  # 1 for a rise
+    begin: int  # bin of the ground before it
+    start: tuple[float, float]  # run and height of that [m]
+    incline: float  # of the ground before it
+    first: float  # run of the first return in it [m]
+    last: tuple[float, float]  # run and height of the last [m]
+
+    def rest(self, run: float, z: float) -> float:
+        """Return the height above the ground continued from before the rise or fall [m]."""
+        return z - self.start[1] - self.incline * (run - self.start[0])
+
+
+def _continued(known: list[tuple[float, float]], run: float) -> tuple[float, float, float, float]:
+    """Return the run of the last ground return before `run`, and height, incline and roughness from there on."""
+    at = max((k for k, (r, _) in enumerate(known) if r <= run - profile.SUPPORT_GAP), default=0)
+    base = max((k for k, (r, _) in enumerate(known[: at + 1]) if r <= known[at][0] - profile.BASELINE), default=0)
+    r, z = np.array(known[max(min(base + 1, at - 1), 0) : at + 1]).T
+    incline = 0.0
+    if ((r - r.mean()) ** 2).sum() > 0.5:
+        incline = min(max(float(np.polyfit(r, z, 1)[0]), -profile.STEEPEST), profile.STEEPEST)
+    level = float(z.mean() + incline * (run - r.mean()))
+    residual = ((z - z.mean()) ** 2).sum() - incline * ((r - r.mean()) * (z - z.mean())).sum()
+    rough = math.sqrt(max(residual, 0) / (len(r) - 2)) if len(r) >= profile.MANY else 0.0
+    return known[at][0], level, incline, rough
+
+
+def _make_ground(result: list[tuple[int, int]], count: int, begin: int) -> None:
+    """Take a rise or fall for a slope: what was in it is ground."""
+    for n in range(count):
+        if result[n][1] == begin:
+            result[n] = (profile.GROUND, -1)

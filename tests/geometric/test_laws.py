@@ -240,6 +240,22 @@ def test_the_order_of_the_points_does_not_matter() -> None:
         np.testing.assert_allclose(ism(shuffled).mass, expected, atol=1e-3)
 
 
+def test_one_point_matters_only_near_it_and_in_its_direction() -> None:
+    """Without it, no cell changes that is more than 3 m from it and 3 sectors from its own."""
+    spec, sectors = GridSpec.centered(81.92, 56.32, 0.16), 1024
+    points, ism = shipped_scan(), RayISM(spec, Mount(1.98))
+    per_turn, (cx, cy) = sectors / (2 * math.pi), spec.cell_centers
+    azimuth, run = np.arctan2(cy, cx) * per_turn, np.hypot(cx, cy)
+    expected, inside = ism(points).mass, np.flatnonzero(spec.contains(points[:, 0], points[:, 1]))
+    for n in np.random.default_rng(0).choice(inside, 40, replace=False):
+        x, y = points[n, :2].astype(float)
+        own = int(math.atan2(y, x) % (2 * math.pi) * per_turn) + 0.5
+        apart = np.abs((azimuth - own + sectors / 2) % sectors - sectors / 2)
+        is_far = (apart > 3.5 + 0.16 / run / 2 * per_turn + 0.5) & (np.hypot(cx - x, cy - y) > 3)
+        change = np.abs(ism(np.delete(points, n, axis=0)).mass - expected).max(axis=-1)
+        assert change[is_far].max() < 1e-3
+
+
 @pytest.mark.parametrize("quarter", [1, 2, 3])
 @pytest.mark.parametrize("model", [HeightBandISM, RayISM])
 def test_rotating_points_rotates_the_grid(model: type, quarter: int) -> None:

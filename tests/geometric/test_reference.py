@@ -15,7 +15,8 @@ from ogm import GridSpec, Mount, Scan
 from ogm.geometric import HeightBandISM, RayISM, flat_ground, ground_height, reference
 from ogm.geometric.ground import surface_of
 from ogm.geometric.kernels import lines, polar, surface
-from ogm.geometric.kernels.arguments import PolarGrid
+from ogm.geometric.kernels.arguments import PolarGrid, RayNumbers, Rays, SectorRays
+from ogm.geometric.kernels.profile import classify_rays
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(16.0, 12.0, 0.5)
@@ -160,6 +161,54 @@ def test_the_rays_that_meet_ground_and_clearance_follow_the_ground_along_each_se
     sampled = slice(None, None, 4)
     np.testing.assert_allclose((limits.ground * run)[:, sampled], (ground - origin[2])[:, sampled], atol=1e-4)
     np.testing.assert_allclose(limits.highest, (ground - origin[2] + 2.0)[:, sampled].max(axis=1), atol=1e-4)
+
+
+def random_sector(rng: np.random.Generator) -> list[reference.Beam]:
+    """Rays of one sector over a random profile: slopes, steps, dips, obstacles, roughness; multipath, beams that miss."""
+    x = np.arange(0.02, 45, 0.02)
+    ground = rng.choice([0, 0, 0.05, -0.05]) * np.maximum(x - rng.uniform(5, 20), 0) + rng.normal(
+        0, rng.choice([0, 0.01, 0.02]), x.size
+    )
+    for _ in range(rng.integers(0, 4)):
+        begin, length, height = (
+            rng.uniform(3, 30),
+            rng.choice([0.3, 3, 40]),
+            rng.choice([0.08, 0.12, 0.3, -0.2, -1, -3, 1.5, 2.5]),
+        )
+        ground[(x > begin) & (x < begin + length)] += height
+    surface = ground - HEIGHT
+    beams = []
+    for slope in np.sort(-HEIGHT / rng.uniform(2, 40, rng.integers(1, 60))).tolist():
+        below = np.flatnonzero(slope * x <= surface)
+        run = float(x[below[0]]) if below.size else 45.0
+        if rng.random() < 0.02:
+            run *= rng.uniform(1.1, 2)
+        beams.append(reference.Beam(slope, run, slope * run + HEIGHT, bool(below.size)))
+    return beams
+
+
+def test_rays_are_classified_as_in_the_reference() -> None:
+    """Rounding to float32 may turn a few sectors; every kind occurs many times."""
+    rng, step, bins, count = np.random.default_rng(8), 0.16, 300, np.zeros(9, int)
+    numbers = RayNumbers(*(float(getattr(RayISM(SPEC, Mount(HEIGHT)), name)) for name in RayNumbers._fields))
+    unused, middle = np.zeros((1, 1), np.int16), ((np.arange(bins) + 0.5) * step).astype(np.float32)
+    plane = polar.RayLimits((-HEIGHT / middle)[None], ((2 - HEIGHT) / middle)[None], np.float32([2 - HEIGHT]))
+    grid, differ = PolarGrid(step, 8, 1, bins, unused, unused, unused), []
+    for _ in range(1000):
+        beams = random_sector(rng)
+        n = len(beams)
+        table = np.array([beam[:3] for beam in beams], np.float32)
+        index = np.array([k if beam.is_return else -1 for k, beam in enumerate(beams)], np.int32)
+        found = SectorRays(
+            np.zeros(n, np.int8), *np.zeros((3, n), np.int32), np.zeros((n + 1, 6)), np.zeros(n, np.float32)
+        )
+        classify_rays(Rays(table, index, np.array([0, n], np.int32)), 0, n, plane, 0, grid, numbers, found)
+        fast = list(zip(found.kind.tolist(), found.begin.tolist(), strict=True))
+        slow = reference.classify(beams, -HEIGHT, step, numbers)
+        differ.append(fast != slow)
+        count += np.bincount([kind for kind, _ in slow], minlength=9)
+    assert np.mean(differ) < 0.01
+    assert (count > 50).all(), count
 
 
 @given(st.integers(0, 2**32 - 1))
