@@ -7,15 +7,19 @@ kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one 
 import itertools
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.height_band import HeightBandISM
+from ogm.geometric.kernels import profile
+from ogm.geometric.kernels.arguments import RayNumbers
 from ogm.geometric.ray import RayISM
 from ogm.grid import GridSpec
 
-__all__ = ["ground_map", "height_band_mass", "line_cells", "lower_envelope", "ray_grid_mass"]
+__all__ = ["Beam", "classify", "ground_map", "height_band_mass", "line_cells", "lower_envelope", "ray_grid_mass"]
 
 Point = tuple[float, float, float]
 
@@ -172,7 +176,8 @@ def ground_map(
             height[cell], weight[cell] = low + layer.mean(), min(len(layer), 8)
         elif cell == home:
             height[cell], weight[cell] = ground_point[2], 1
-    return _pull_push(height, weight, ground_point[2])
+    limit = lower_envelope(np.where(weight > 0, height, np.inf), max_slope * spec.resolution)
+    return np.where(weight > 0, height, np.minimum(_pull_push(height, weight, ground_point[2]), limit))
 
 
 def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
@@ -196,22 +201,6 @@ def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
     return result
 
 
-def _clear_from_rays(
-    slopes: NDArray, level: float, reach: float, per_cell: float, p_miss: float, weights: NDArray
-) -> float:
-    """Return the belief in free of one polar bin from the (R,) rays that pass it, one by one.
-
-    `level` is the weight of a level ray, 1 - (sensor's height above the ground there) / clearance; `reach` the
-    distance of the bin's middle over clearance; `per_cell` how much of the sector a cell covers there.
-    """
-    visible = np.maximum(level - slopes * reach, 0)  # 0 above clearance
-    first = min(visible.max(initial=0), 1.0)
-    if first == 0:
-        return 0.0
-    count = min(max(float((visible * weights).sum()) / first, 0.0), float(weights[visible > 0].sum()))
-    return first * (1 - p_miss ** (count * per_cell))
-
-
 def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int) -> NDArray[np.float32]:
     """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
 
@@ -219,6 +208,8 @@ def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM,
     ----------
     xyz : (N, 3) float array
         Points in the frame of the grid, without returns from the ego vehicle [m].
+        Without steps and holes: the ground returns of a sector lie on the ground, and returns more than
+        `below_ground` under it lie behind such.
     no_returns : (M, 3) float array
         Unit directions of beams without echo, in the frame of the grid.
     ground : float
@@ -253,7 +244,14 @@ def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM,
     return mass
 
 
-Ray = tuple[float, float, float, float]  # azimuth [rad], slope, first bin that it does not clear, weight
+class Ray(NamedTuple):
+    """One ray over flat ground."""
+
+    azimuth: float  # [rad]
+    slope: float  # rise over run
+    end: int  # first bin that it does not reach
+    is_silent: bool  # without echo
+    is_stopped: bool  # by an obstacle
 
 
 def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> list[Ray]:
@@ -265,43 +263,206 @@ def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> l
         r = math.hypot(dx, dy)
         if above < -ism.below_ground or r < spec.resolution:
             continue
+        is_obstacle = ism.obstacle_height < above < ism.clearance
         end = r / spec.resolution
         if above <= ism.obstacle_height:
             end += 1
-        elif above < ism.clearance:
-            end = (r - 2 * ism.range_noise) / spec.resolution
+        elif is_obstacle:
+            end = max(r - 2 * ism.range_noise, 0) / spec.resolution
             for side in (-ism.range_noise, ism.range_noise):
                 u, v = x + dx / r * side, y + dy / r * side
                 if spec.contains(u, v):
                     hits[spec.index(u, v)] += 1
-        rays.append((math.atan2(dy, dx), (z - z0) / r, end, 1.0))
+        rays.append(Ray(math.atan2(dy, dx), (z - z0) / r, int(end), False, is_obstacle))
     return rays
 
 
 def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray]:
     """Return the rays of beams without echo, up to the ground or to `max_range`."""
     step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
-    rays: list[Ray] = []
+    rays = []
     for dx, dy, dz in no_returns.tolist():
         run = math.hypot(dx, dy)
         end = int(ism.max_range * run / step)
         end = next((k for k in range(end) if height + dz / run * (k + 0.5) * step < 0), end)
-        rays.append((math.atan2(dy, dx), dz / run, end, ism.no_return_weight))
+        rays.append(Ray(math.atan2(dy, dx), dz / run, end, True, False))
     return rays
+
+
+def chance_unnoticed(heights: NDArray, clearance: float, chance: float) -> float:
+    """Return E_H[chance ** N(H)] for H uniform up to `clearance` and N(H) the number of `heights` below H."""
+    heights = np.sort(np.clip(heights, 0, clearance))
+    edges = np.unique([0, *heights, clearance])
+    passed = np.searchsorted(heights, (edges[1:] + edges[:-1]) / 2)  # N(H) is constant between two edges
+    return float(np.diff(edges) @ chance**passed) / clearance
+
+
+def chance_hidden(heights: NDArray, fades: NDArray, ism: RayISM) -> float:
+    """Return the chance that something hangs between the rays that pass a bin, where an obstacle stopped others.
+
+    `heights` are those of all rays in the bin, also where a ray would be if nothing had stopped it, from the lowest
+    up; `fades` is NaN for a ray that passes, else how much of the obstacle is left (0: nothing, 1: all).
+    """
+    passing = np.flatnonzero(np.isnan(fades))
+    levels = np.clip([0, *heights[passing], ism.clearance], 0, ism.clearance)
+    worst = 0.0
+    for n, stopped in enumerate(np.split(fades, passing)):  # the stopped rays under each level; first a passing ray
+        thickness = (levels[n + 1] - levels[n]) / ism.hidden_height * (2 if n == len(passing) else 1)
+        worst = max(worst, thickness * np.nan_to_num(stopped).max(initial=0))
+    return min(worst, 1.0)
 
 
 def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> NDArray[np.float64]:
     """Return the belief in free of every polar bin, (sectors, bins)."""
-    spec, (x, y, z) = ism.spec, ism.mount.origin.tolist()
-    step, (x0, x1, y0, y1) = spec.resolution, spec.extent
-    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / step) + 1
-    table = np.array(rays).reshape(-1, 4)
-    sector = np.minimum((table[:, 0] % (2 * math.pi) * sectors / (2 * math.pi)).astype(int), sectors - 1)
-    level = 1 - (z - ground) / ism.clearance
+    spec, (x, y, _) = ism.spec, ism.mount.origin.tolist()
+    x0, x1, y0, y1 = spec.extent
+    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
+    by_sector: list[list[Ray]] = [[] for _ in range(sectors)]
+    for ray in sorted(rays, key=lambda ray: ray.slope):
+        by_sector[min(int(ray.azimuth % (2 * math.pi) * sectors / (2 * math.pi)), sectors - 1)].append(ray)
     free = np.zeros((sectors, bins))
     for s, k in np.ndindex(sectors, bins):
-        through = table[(sector == s) & (table[:, 2].astype(int) > k)]
-        per_cell = sectors / (2 * math.pi) / (k + 0.5)
-        reach = (k + 0.5) * step / ism.clearance
-        free[s, k] = _clear_from_rays(through[:, 1], level, reach, per_cell, ism.p_miss, through[:, 3])
+        chance = ism.p_miss ** (sectors / (2 * math.pi) / (k + 0.5))  # a cell sees some of the sector's rays
+        alone = _bin_free([ray for ray in by_sector[s] if not ray.is_silent], k, chance, ground, ism)
+        together = _bin_free(by_sector[s], k, chance, ground, ism)
+        free[s, k] = alone + ism.no_return_weight * max(together - alone, 0)
     return free
+
+
+def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM) -> float:
+    """Return the belief in free of bin `k` from the rays of its sector, sorted by slope, missing with `chance`."""
+    step, heights, fades = ism.spec.resolution, [], []
+    for ray in rays:
+        height = float(ism.mount.origin[2]) - ground + ray.slope * (k + 0.5) * step
+        passes = k < ray.end
+        if passes and height < ism.clearance:
+            heights.append(height)
+            fades.append(math.nan)
+        elif not passes and ray.is_stopped:
+            heights.append(height)
+            fades.append(max(1 - (k - ray.end) * step / ism.hidden_depth, 0))
+    height, fade = np.array(heights), np.array(fades)
+    missed = chance_unnoticed(height[np.isnan(fade)], ism.clearance, chance)
+    return (1 - missed) * (1 - chance_hidden(height, fade, ism))
+
+
+class Beam(NamedTuple):
+    """What `classify` needs of a ray of one sector."""
+
+    slope: float  # rise over run
+    run: float  # of its return [m]
+    above: float  # height of that above the ground map [m]
+    is_return: bool
+
+
+def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers) -> list[tuple[int, int]]:
+    """Return what the rays of one sector hit, as `kernels.profile.classify_rays` has it: kind and `begin` of each.
+
+    Parameters
+    ----------
+    beams : list of Beam
+        Sorted by slope. The run of ground returns rises with it.
+    height : float
+        Of the ground under the sensor, relative to the sensor [m].
+    step : float
+        Depth of a bin [m].
+    numbers : RayNumbers
+    """
+    result = [(profile.NONE, -1)] * len(beams)
+    known = [(0.0, height)]  # run and height of ground returns
+    trend: Trend | None = None
+    for n, (slope, run, above, is_return) in enumerate(beams):
+        if run < step:
+            continue
+        if not is_return or above >= numbers.clearance:
+            result[n] = (profile.OVERHEAD if is_return else profile.NO_RETURN, -1)
+            continue
+        z, is_low = slope * run, above <= numbers.obstacle_height
+        near, level, incline, rough = _continued(known, run)
+        gap, rise = run - near, z - level
+        slack = profile.BEND * gap + profile.ROUGH * rough
+        is_sunk = rise < -profile.SINK - slack
+
+        if trend and (is_low or is_sunk) and run > trend.last[0] + profile.SUPPORT_GAP:
+            rest, before = trend.rest(run, z), trend.rest(*trend.last)
+            since = (run - trend.last[0]) / (trend.last[0] - trend.start[0])
+            if trend.sign * rest > trend.sign * before * (1 + since / 2):  # it goes on
+                trend.last = (run, z)
+                if run - trend.start[0] > profile.LONGEST or rest > profile.HIGHEST:
+                    _make_ground(result, n, trend.begin)
+                    if trend.sign < 0:
+                        known.append((run, z))
+                    trend = None
+            else:
+                if trend.sign > 0 and rest < before / 2 and run - trend.last[0] < profile.BUMP:
+                    _make_ground(result, n, trend.begin)
+                trend = None
+
+        if trend is None and near > 0:
+            steeper = [b.run for b in beams[n + 1 :] if b.is_return and abs(b.above) <= numbers.obstacle_height]
+            rises = gap < profile.SUPPORT_REACH and rise > profile.RISE + slack and is_low
+            falls = is_sunk and min(steeper, default=math.inf) > run - profile.SAME
+            if rises or falls:
+                edge = max([r for r, _ in known if r <= run - profile.EDGE], default=0.0)
+                begin = max(int(edge / step) - 1, 0)
+                trend = Trend(1 if rises else -1, begin, (near, level - incline * gap), incline, run, (run, z))
+
+        if trend and trend.sign < 0 and is_sunk:
+            allowed = numbers.below_ground + profile.FALL * max(run - trend.start[0] - profile.FALL_GAP, 0) + slack
+            is_deep = trend.rest(run, z) < -allowed
+        else:
+            is_deep = False
+        if is_deep and trend:
+            result[n] = (profile.DEEP, trend.begin)
+        elif above < -numbers.below_ground:
+            continue
+        elif not is_low:
+            result[n] = (profile.OBSTACLE, -1)
+        elif trend and trend.sign > 0:
+            is_step = trend.rest(run, z) > profile.STEP_HEIGHT + profile.ROUGH * rough
+            is_step = is_step and run < trend.first + profile.EDGE
+            result[n] = (profile.STEP if is_step else profile.RAISED, trend.begin)
+        elif trend and is_sunk:
+            result[n] = (profile.SUNK, trend.begin)
+        else:
+            result[n] = (profile.GROUND, -1)
+        if is_low and not is_sunk:
+            known.append((run, z))
+    return result
+
+
+@dataclass
+class Trend:
+    """A rise or fall of the ground that `classify` follows."""
+
+    sign: int  # 1 for a rise
+    begin: int  # bin of the ground before it
+    start: tuple[float, float]  # run and height of that [m]
+    incline: float  # of the ground before it
+    first: float  # run of the first return in it [m]
+    last: tuple[float, float]  # run and height of the last [m]
+
+    def rest(self, run: float, z: float) -> float:
+        """Return the height above the ground continued from before the rise or fall [m]."""
+        return z - self.start[1] - self.incline * (run - self.start[0])
+
+
+def _continued(known: list[tuple[float, float]], run: float) -> tuple[float, float, float, float]:
+    """Return the run of the last ground return before `run`, and height, incline and roughness from there on."""
+    at = max((k for k, (r, _) in enumerate(known) if r <= run - profile.SUPPORT_GAP), default=0)
+    base = max((k for k, (r, _) in enumerate(known[: at + 1]) if r <= known[at][0] - profile.BASELINE), default=0)
+    r, z = np.array(known[max(min(base + 1, at - 1), 0) : at + 1]).T
+    incline = 0.0
+    if ((r - r.mean()) ** 2).sum() > 0.5:
+        incline = min(max(float(np.polyfit(r, z, 1)[0]), -profile.STEEPEST), profile.STEEPEST)
+    level = float(z.mean() + incline * (run - r.mean()))
+    residual = ((z - z.mean()) ** 2).sum() - incline * ((r - r.mean()) * (z - z.mean())).sum()
+    rough = math.sqrt(max(residual, 0) / (len(r) - 2)) if len(r) >= profile.MANY else 0.0
+    return known[at][0], level, incline, rough
+
+
+def _make_ground(result: list[tuple[int, int]], count: int, begin: int) -> None:
+    """Take a rise or fall for a slope: what was in it is ground."""
+    for n in range(count):
+        if result[n][1] == begin:
+            result[n] = (profile.GROUND, -1)

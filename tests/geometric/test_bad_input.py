@@ -2,6 +2,7 @@
 
 import logging
 import math
+import time
 
 import numpy as np
 import pytest
@@ -138,6 +139,9 @@ def test_a_number_instead_of_a_mount_is_refused_with_the_fix(model: type) -> Non
         (RayISM, {"azimuth_step": 0.0}, "azimuth_step"),
         (RayISM, {"below_ground": math.nan}, "below_ground"),
         (RayISM, {"max_range": 1e300}, "max_range"),
+        (RayISM, {"hidden_height": 0.0}, "hidden_height"),
+        (RayISM, {"hidden_depth": -1.0}, "hidden_depth"),
+        (RayISM, {"ground_cell": math.inf}, "ground_cell"),
     ],
 )
 def test_impossible_numbers_are_refused(model: type, options: dict, message: str) -> None:
@@ -201,7 +205,17 @@ def test_a_ground_estimate_that_returns_nonsense_is_refused(height) -> None:
         ism(np.zeros((1, 4), np.float32))
 
 
-@pytest.mark.parametrize("spec", [GridSpec(0.1, (2**17, 1), (0.0, 0.0)), GridSpec(50.0, (2000, 2), (0.0, 0.0))])
-def test_a_grid_longer_than_the_kernels_count_is_refused(spec: GridSpec) -> None:
+def test_a_grid_longer_than_the_kernels_count_is_refused() -> None:
     with pytest.raises(ValueError, match="use coarser cells or a smaller grid"):
-        RayISM(spec, MOUNT)(np.zeros((1, 4), np.float32))
+        RayISM(GridSpec(0.1, (2**17, 1), (0.0, 0.0)), MOUNT)(np.zeros((1, 4), np.float32))
+
+
+def test_the_cost_follows_the_number_of_cells_and_not_their_size() -> None:
+    """10 km x 10 km of 100 m cells: as many as 1 km x 1 km of 10 m cells, and as fast."""
+    points = np.random.default_rng(4).uniform((-3000, -3000, -1.7, 0), (3000, 3000, 1, 1), (5000, 4))
+    ism = RayISM(GridSpec.centered(10_000.0, 10_000.0, 100.0), MOUNT)
+    ism(points.astype(np.float32))  # compiles
+    began = time.perf_counter()
+    grid = ism(points.astype(np.float32))
+    assert time.perf_counter() - began < 0.5
+    assert grid.occupied.any()

@@ -1,11 +1,12 @@
 """What every geometric model promises, on scenes small enough to draw by hand."""
 
 import math
+from importlib.resources import as_file, files
 
 import numpy as np
 import pytest
 
-from ogm import GridSpec, Mount, Scan
+from ogm import GridSpec, Mount, Scan, read_points
 from ogm.geometric import HeightBandISM, RayISM, flat_ground
 from ogm.pose import pose
 
@@ -148,7 +149,7 @@ def test_returns_far_below_ground_have_no_effect() -> None:
 
 def test_beams_without_echo_clear_the_ground_they_pass() -> None:
     spec = GridSpec.centered(40.0, 40.0, 0.5)
-    ism = RayISM(spec, MOUNT, max_range=15.0)
+    ism = RayISM(spec, MOUNT, max_range=15.0, no_return_weight=1.0)
     level = np.array([(math.cos(a), math.sin(a), -0.05) for a in np.linspace(0, 0.2, 400)], np.float32)
     level /= np.linalg.norm(level, axis=1, keepdims=True)
     grid = ism(Scan(NO_POINTS, no_returns=level))
@@ -157,6 +158,102 @@ def test_beams_without_echo_clear_the_ground_they_pass() -> None:
     assert grid.at(-10.0, 1.0).free == 0
     down = np.array([(math.cos(0.1), math.sin(0.1), -0.5)], np.float32).repeat(400, axis=0)
     assert ism(Scan(NO_POINTS, no_returns=down)).at(10.0, 1.0).free == 0  # behind where it met the ground
+
+
+def test_beams_without_echo_add_the_share_that_their_source_is_reliable() -> None:
+    spec = GridSpec.centered(40.0, 40.0, 0.5)
+    beams = np.array(
+        [(1, a, -0.08 - 0.06 * (k % 7) / 7) for k, a in enumerate(np.linspace(-0.2, 0.2, 900))], np.float32
+    )
+    beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+    road = at(*[(r, a * r, 0.0) for r in (4.0, 12.0) for a in np.arange(-0.2, 0.2, 0.004)])
+
+    def free(weight: float) -> np.ndarray:
+        return RayISM(spec, MOUNT, ground=flat_ground, no_return_weight=weight)(Scan(road, no_returns=beams)).free
+
+    alone, together = free(0.0), free(1.0)
+    np.testing.assert_array_equal(alone, RayISM(spec, MOUNT, ground=flat_ground)(road).free)
+    assert (together - alone).max() > 0.3
+    is_capped = together >= 0.97
+    np.testing.assert_allclose(free(0.25)[~is_capped], (0.75 * alone + 0.25 * together)[~is_capped], atol=1e-5)
+
+
+def test_a_black_car_that_swallows_its_beams_is_not_free() -> None:
+    """The road returns all around; beams into the car at 8 to 12 m return nothing, and are known to."""
+    spec = GridSpec.centered(40.0, 40.0, 0.5)
+    azimuth, fall = np.meshgrid(np.arange(-0.3, 0.3, 0.004), np.linspace(0.05, 0.6, 40))
+    beams = np.stack([np.cos(azimuth), np.sin(azimuth), -fall], -1).reshape(-1, 3)
+    reach = HEIGHT / beams[:, 2] * -1
+    height = HEIGHT + beams[:, 2] * 8.0  # where they enter the car
+    is_swallowed = (np.abs(beams[:, 1] / beams[:, 0] * 8.0) < 1.0) & (reach > 8.0) & (height < 1.4)
+    road = np.pad(beams[~is_swallowed] * reach[~is_swallowed, None], ((0, 0), (0, 1))).astype(np.float32)
+    silent = (beams / np.linalg.norm(beams, axis=1, keepdims=True))[is_swallowed].astype(np.float32)
+    grid = RayISM(spec, MOUNT)(Scan(road, no_returns=silent))
+    car = (slice(spec.index(8.6, 0)[0], spec.index(12.0, 0)[0]), slice(*spec.index(0, [-0.5, 0.5])[1]))
+    assert grid.free[car].max() < 0.5
+    assert grid.at(6.0, 0.2).free > 0.8
+    assert grid.at(10.0, 2.2).free > 0.7
+
+
+def test_what_hangs_behind_an_obstacle_is_not_called_free() -> None:
+    """A tail-lift at 0.9 to 1.1 m stops rays; those under it reach the road behind, which stays unknown for 8 m."""
+    spec = GridSpec.centered(60.0, 20.0, 0.25)
+    azimuth, fall = np.meshgrid(np.arange(-0.4, 0.4, 0.004), np.linspace(0.02, 0.6, 60))
+    slope = -fall.ravel()
+    beams = np.stack([np.cos(azimuth), np.sin(azimuth), -fall], -1).reshape(-1, 3)
+    stop = np.abs(1.0 - (1.9 + slope * 6.0)) < 0.1
+    run = np.where(stop, 6.0, 1.9 / -slope)
+    points = np.pad(beams * run[:, None], ((0, 0), (0, 1))).astype(np.float32)
+    ism, clear = RayISM(spec, Mount(1.9)), np.pad(beams * (1.9 / -slope)[:, None], ((0, 0), (0, 1)))
+    grid, before = ism(points), ism(clear.astype(np.float32))
+    assert grid.at(6.1, 0.1).occupied > 0.75
+    for x in (7.0, 9.0, 11.0):
+        assert before.at(x, 0.1).free > 0.8
+        assert grid.at(x, 0.1).free < 0.5 * before.at(x, 0.1).free
+    assert grid.at(4.0, 0.1).free == pytest.approx(before.at(4.0, 0.1).free, abs=0.02)
+    assert grid.at(15.5, 0.1).free == pytest.approx(before.at(15.5, 0.1).free, abs=0.15)
+
+
+@pytest.mark.xfail(strict=True, reason="RayISM: an obstacle whose ray comes from above clearance blocks from bin 0 on")
+def test_an_obstacle_hides_nothing_before_it() -> None:
+    """A sensor at 5 m: a return 1.9 m above ground at 18 m takes nothing from the road at 10 m."""
+    spec = GridSpec.centered(60.0, 10.0, 0.5)
+    ism = RayISM(spec, Mount(5.0), ground=flat_ground)
+    road = [(x, y, -5.0, 0) for x in np.arange(6, 17, 0.25) for y in np.arange(-1, 1, 0.02)]
+    roof = [(18.0, y, -3.1, 0) for y in np.arange(-1, 1, 0.02)]
+    alone, both = ism(np.array(road, np.float32)), ism(np.array(road + roof, np.float32))
+    near = slice(0, spec.index(16.0, 0)[0])
+    np.testing.assert_allclose(both.free[near], alone.free[near], atol=1e-5)
+
+
+def shipped_scan() -> np.ndarray:
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        return read_points(path)
+
+
+def test_the_order_of_the_points_does_not_matter() -> None:
+    points, ism = shipped_scan(), RayISM(GridSpec.centered(81.92, 56.32, 0.16), Mount(1.98))
+    expected = ism(points).mass
+    assert (expected > 0.5).any(axis=(0, 1)).all()
+    for seed in range(3):
+        shuffled = np.random.default_rng(seed).permutation(points)
+        np.testing.assert_allclose(ism(shuffled).mass, expected, atol=1e-3)
+
+
+def test_one_point_matters_only_near_it_and_in_its_direction() -> None:
+    """Without it, no cell changes that is more than 3 m from it and 3 sectors from its own."""
+    spec, sectors = GridSpec.centered(81.92, 56.32, 0.16), 1024
+    points, ism = shipped_scan(), RayISM(spec, Mount(1.98))
+    per_turn, (cx, cy) = sectors / (2 * math.pi), spec.cell_centers
+    azimuth, run = np.arctan2(cy, cx) * per_turn, np.hypot(cx, cy)
+    expected, inside = ism(points).mass, np.flatnonzero(spec.contains(points[:, 0], points[:, 1]))
+    for n in np.random.default_rng(0).choice(inside, 40, replace=False):
+        x, y = points[n, :2].astype(float)
+        own = int(math.atan2(y, x) % (2 * math.pi) * per_turn) + 0.5
+        apart = np.abs((azimuth - own + sectors / 2) % sectors - sectors / 2)
+        is_far = (apart > 3.5 + 0.16 / run / 2 * per_turn + 0.5) & (np.hypot(cx - x, cy - y) > 3)
+        change = np.abs(ism(np.delete(points, n, axis=0)).mass - expected).max(axis=-1)
+        assert change[is_far].max() < 1e-3
 
 
 @pytest.mark.parametrize("quarter", [1, 2, 3])
@@ -248,7 +345,7 @@ def test_on_a_falling_road_high_rays_take_nothing_either() -> None:
 
 def test_directions_of_beams_without_echo_turn_with_the_mount() -> None:
     spec = GridSpec.centered(40.0, 40.0, 0.5)
-    ism = RayISM(spec, Mount(HEIGHT, pose(yaw=math.pi / 2)))
+    ism = RayISM(spec, Mount(HEIGHT, pose(yaw=math.pi / 2)), no_return_weight=1.0)
     ahead = np.array([(math.cos(a), math.sin(a), -0.05) for a in np.linspace(-0.1, 0.1, 400)], np.float32)
     grid = ism(Scan(NO_POINTS, no_returns=ahead))
     assert grid.at(0.1, 10.0).free > 0.3
