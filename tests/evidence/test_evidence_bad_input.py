@@ -192,6 +192,7 @@ def test_numbers_out_of_range_are_refused() -> None:
         (lambda: evidence.consensus_compromise(np.zeros((13, 2)), axis=0), "at most 12 sources, got 13"),
         (lambda: evidence.Opinion.from_mass(np.zeros((3, 2))), r"got shape \(3, 2\)"),
         (lambda: evidence.Opinion(0.5, 0.6), "unknown must lie in"),
+        (lambda: evidence.Opinion(0.5, 0.5 + 1e-5), "unknown must lie in"),
         (lambda: evidence.Opinion(0.5, 0.2, 0.2), "free \\+ occupied \\+ unknown must be 1"),
         (lambda: evidence.Opinion(0.5, 0.2, 0.3 + 1e-5), "free \\+ occupied \\+ unknown must be 1"),
         (lambda: evidence.Opinion(float("nan"), 0.6), "must lie in"),
@@ -217,6 +218,13 @@ def test_numbers_of_the_wrong_library_are_refused() -> None:
             function(np.array([1]))
     with pytest.raises(TypeError, match="hits must be float32 or float64"):
         evidence.counts_to_mass(np.array([1]), np.array([1]))
+
+
+def test_powerset_refuses_mixed_sources() -> None:
+    good = powerset.from_pair(GOOD)
+    for other, message in ((good.astype(np.float32), "one dtype"), (torch.from_numpy(good), "one library")):
+        with pytest.raises(TypeError, match=message):
+            powerset.conjunctive(good, other)  # type: ignore[type-var]
 
 
 def test_powerset_refuses_what_is_no_mass_function() -> None:

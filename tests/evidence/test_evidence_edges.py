@@ -22,7 +22,7 @@ def test_total_conflict_follows_the_policy(policy: Any, expected: tuple) -> None
     closed = evidence.close_world(evidence.conjunctive(*both), on_conflict=policy)
     np.testing.assert_array_equal(closed, [expected, (0, 1)])
     general = powerset.dempster(*map(powerset.from_pair, both), on_conflict=policy)
-    np.testing.assert_allclose(general[:, 1:3], [expected, (0, 1)])
+    np.testing.assert_allclose(general[:, 1:], [(*expected, 1 - sum(expected)), (0, 1, 0)])
 
 
 def test_total_conflict_may_raise() -> None:

@@ -1,5 +1,6 @@
 """Laws that hold for all masses, in float32 and float64 and for every batch shape."""
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -364,6 +365,19 @@ def test_deduction_from_nothing_keeps_what_both_conditionals_hold(base_rate: flo
     np.testing.assert_allclose(spare.min(axis=-1), 0, atol=1e-12)
     p_true, p_false = (evidence.mass_to_probability(one, rate) for one in (if_true, if_false))
     same(evidence.mass_to_probability(y, rate), base_rate * p_true + (1 - base_rate) * p_false)
+
+
+def test_defaults_are_those_of_the_literature() -> None:
+    """Base rate 1/2 and prior weight 2 (Jøsang 2016); the sensor's error rates of counts as in `RayISM`."""
+    wanted = {"base_rate": 0.5, "prior_weight": 2, "p_miss": 0.8, "p_false_alarm": 0.05}
+    found = set()
+    for function in (getattr(evidence, name) for name in evidence.__all__ if callable(getattr(evidence, name))):
+        for name, parameter in inspect.signature(function).parameters.items():
+            name = name.removesuffix("_x").removesuffix("_y")
+            if name in wanted and parameter.default is not parameter.empty:
+                assert parameter.default == wanted[name], (function, name)
+                found.add(name)
+    assert found == set(wanted)
 
 
 @laws

@@ -176,6 +176,13 @@ def test_general_rules_give_mass_functions(name: str, dtype: Any, shape: tuple) 
     np.testing.assert_allclose(result, combine(b, a), atol=1e-4 if dtype == np.float32 else 1e-10)
 
 
+def test_general_cautious_reads_certainty_as_almost_certain() -> None:
+    certain, other = np.array([0, 1.0]), np.array([0.3, 0.5])
+    for a, b in ((certain, certain), (certain, other), (other, certain)):
+        general = powerset.cautious(powerset.from_pair(a), powerset.from_pair(b))
+        np.testing.assert_allclose(powerset.to_triple(general), evidence.cautious(a, b), atol=1e-9)
+
+
 def test_general_cautious_and_bold_are_idempotent() -> None:
     mass = random_masses(3, (30,)) * 0.9 + 0.1 * np.eye(8)[0]
     np.testing.assert_allclose(powerset.cautious(mass, mass), mass, atol=1e-9)

@@ -51,6 +51,13 @@ def test_rankings_of_few_cells_are_those_by_hand(
     assert found == pytest.approx((area, precision, false), nan_ok=True)
 
 
+def test_cells_without_belief_in_free_make_a_curve() -> None:
+    counts = accumulate(np.array([[[0.0, 0.5], [0.0, 0.5]]]), np.array([[FREE, OCCUPIED]], np.uint8))
+    false_free, recall, _ = free_space(counts)
+    assert [false_free[0], recall[0], false_free[-1], recall[-1]] == [0, 0, 1, 1]
+    assert score(counts)["free_recall_1"] == 0
+
+
 @pytest.mark.parametrize(
     ("states", "missing"),
     [((FREE,), "unknown"), ((OCCUPIED,), "unknown"), ((FREE, OCCUPIED), "unknown"), ((UNKNOWN,), "known")],
