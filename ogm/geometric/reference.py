@@ -449,8 +449,8 @@ class Trend:
 
 def _continued(known: list[tuple[float, float]], run: float) -> tuple[float, float, float, float]:
     """Return the run of the last ground return before `run`, and height, incline and roughness from there on."""
-    at = max((k for k, (r, _) in enumerate(known) if r <= run - profile.SUPPORT_GAP), default=0)
-    base = max((k for k, (r, _) in enumerate(known[: at + 1]) if r <= known[at][0] - profile.BASELINE), default=0)
+    at: int = max((k for k, (r, _) in enumerate(known) if r <= run - profile.SUPPORT_GAP), default=0)
+    base: int = max((k for k, (r, _) in enumerate(known[: at + 1]) if r <= known[at][0] - profile.BASELINE), default=0)
     r, z = np.array(known[max(min(base + 1, at - 1), 0) : at + 1]).T
     incline = 0.0
     if ((r - r.mean()) ** 2).sum() > 0.5:
