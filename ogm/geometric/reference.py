@@ -341,9 +341,9 @@ def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM
         elif not passes and ray.is_stopped:
             heights.append(height)
             fades.append(max(1 - (k - ray.end) * step / ism.hidden_depth, 0))
-    height, fade = np.array(heights), np.array(fades)
-    missed = chance_unnoticed(height[np.isnan(fade)], ism.clearance, chance)
-    return (1 - missed) * (1 - chance_hidden(height, fade, ism))
+    at, fade = np.array(heights), np.array(fades)
+    missed = chance_unnoticed(at[np.isnan(fade)], ism.clearance, chance)
+    return (1 - missed) * (1 - chance_hidden(at, fade, ism))
 
 
 class Beam(NamedTuple):
@@ -405,7 +405,7 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
             if rises or falls:
                 edge = max([r for r, _ in known if r <= run - profile.EDGE], default=0.0)
                 begin = max(int(edge / step) - 1, 0)
-                trend = Trend(1 if rises else -1, begin, (near, level - incline * gap), incline, run, (run, z))
+                trend = Trend(1 if rises else -1, begin, (near, float(level - incline * gap)), incline, run, (run, z))
 
         if trend and trend.sign < 0 and is_sunk:
             allowed = numbers.below_ground + profile.FALL * max(run - trend.start[0] - profile.FALL_GAP, 0) + slack

@@ -178,7 +178,8 @@ def random_sector(rng: np.random.Generator) -> list[reference.Beam]:
         ground[(x > begin) & (x < begin + length)] += height
     surface = ground - HEIGHT
     beams = []
-    for slope in np.sort(-HEIGHT / rng.uniform(2, 40, rng.integers(1, 60))).tolist():
+    slopes = *(-HEIGHT / rng.uniform(2, 40, rng.integers(1, 60))), *rng.uniform(0, 0.3, 5)
+    for slope in sorted(map(float, slopes)):
         below = np.flatnonzero(slope * x <= surface)
         run = float(x[below[0]]) if below.size else 45.0
         if rng.random() < 0.02:
