@@ -408,7 +408,8 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
                 trend = Trend(1 if rises else -1, begin, (near, float(level - incline * gap)), incline, run, (run, z))
 
         if trend and trend.sign < 0 and is_sunk:
-            allowed = numbers.below_ground + profile.FALL * max(run - trend.start[0] - profile.FALL_GAP, 0) + slack
+            fall = float(profile.FALL) * max(run - trend.start[0] - float(profile.FALL_GAP), 0.0)
+            allowed = numbers.below_ground + fall + slack
             is_deep = trend.rest(run, z) < -allowed
         else:
             is_deep = False
