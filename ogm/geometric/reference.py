@@ -410,7 +410,7 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
         if trend and trend.sign < 0 and is_sunk:
             fall = float(profile.FALL) * max(run - trend.start[0] - float(profile.FALL_GAP), 0.0)
             allowed = numbers.below_ground + fall + slack
-            is_deep = trend.rest(run, z) < -allowed
+            is_deep = bool(trend.rest(run, z) < -allowed)
         else:
             is_deep = False
         if is_deep and trend:
