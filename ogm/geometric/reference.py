@@ -341,9 +341,9 @@ def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM
         elif not passes and ray.is_stopped:
             heights.append(height)
             fades.append(max(1 - (k - ray.end) * step / ism.hidden_depth, 0))
-    height, fade = np.array(heights), np.array(fades)
-    missed = chance_unnoticed(height[np.isnan(fade)], ism.clearance, chance)
-    return (1 - missed) * (1 - chance_hidden(height, fade, ism))
+    at, fade = np.array(heights), np.array(fades)
+    missed = chance_unnoticed(at[np.isnan(fade)], ism.clearance, chance)
+    return (1 - missed) * (1 - chance_hidden(at, fade, ism))
 
 
 class Beam(NamedTuple):
@@ -405,11 +405,12 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
             if rises or falls:
                 edge = max([r for r, _ in known if r <= run - profile.EDGE], default=0.0)
                 begin = max(int(edge / step) - 1, 0)
-                trend = Trend(1 if rises else -1, begin, (near, level - incline * gap), incline, run, (run, z))
+                trend = Trend(1 if rises else -1, begin, (near, float(level - incline * gap)), incline, run, (run, z))
 
         if trend and trend.sign < 0 and is_sunk:
-            allowed = numbers.below_ground + profile.FALL * max(run - trend.start[0] - profile.FALL_GAP, 0) + slack
-            is_deep = trend.rest(run, z) < -allowed
+            fall = float(profile.FALL) * max(run - trend.start[0] - float(profile.FALL_GAP), 0.0)
+            allowed = numbers.below_ground + fall + slack
+            is_deep = bool(trend.rest(run, z) < -allowed)
         else:
             is_deep = False
         if is_deep and trend:
@@ -449,8 +450,8 @@ class Trend:
 
 def _continued(known: list[tuple[float, float]], run: float) -> tuple[float, float, float, float]:
     """Return the run of the last ground return before `run`, and height, incline and roughness from there on."""
-    at = max((k for k, (r, _) in enumerate(known) if r <= run - profile.SUPPORT_GAP), default=0)
-    base = max((k for k, (r, _) in enumerate(known[: at + 1]) if r <= known[at][0] - profile.BASELINE), default=0)
+    at: int = max((k for k, (r, _) in enumerate(known) if r <= run - profile.SUPPORT_GAP), default=0)
+    base: int = max((k for k, (r, _) in enumerate(known[: at + 1]) if r <= known[at][0] - profile.BASELINE), default=0)
     r, z = np.array(known[max(min(base + 1, at - 1), 0) : at + 1]).T
     incline = 0.0
     if ((r - r.mean()) ** 2).sum() > 0.5:
