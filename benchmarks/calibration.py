@@ -51,6 +51,7 @@ METRICS = (
     "iou_occupied",
     "free_recall_1",
 )
+LEVELS = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10)  # [nats] of the surface
 COLOURS = {"before": "#8c8c8c", "after": "#b35806"}
 
 
@@ -109,38 +110,33 @@ def added(results: Mapping[str, Evaluation], method: int) -> ConfusionSums:
 
 def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Mapping[str, Evaluation]) -> None:
     """Draw the likelihood around the fitted parameters, and how honest the beliefs are before and after."""
+    from matplotlib import colormaps
     from matplotlib.figure import Figure
 
     fitted, profiles = record["fitted"], record["likelihood"]["profiles"]
     figure = Figure(figsize=(16, 9), layout="constrained")
     top, bottom = figure.subfigures(2, 1)
-    first, *rest = np.atleast_1d(top.subplots(1, 1 + len(profiles)))
+    map_figure, profile_figure = top.subfigures(1, 2, width_ratios=(1, 2.6))
+    first, rest = map_figure.subplots(), np.atleast_1d(profile_figure.subplots(1, len(profiles), sharey=True))
     surface = record["likelihood"]["surface"]
-    excess = np.array(surface["nll"]) - np.min(surface["nll"])
-    lines = first.contourf(
-        surface[PAIR[1]],
-        surface[PAIR[0]],
-        excess,
-        [0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3],
-        cmap="YlOrBr",
-        norm="symlog",
-    )
-    figure.colorbar(lines, ax=first, label="NLL above the least [nats]")
+    values = np.array(surface["nll"])
+    least = min(values.min(), *(min(one["nll"]) for one in profiles.values()))
+    colours = colormaps["YlOrBr"](np.linspace(0, 1, len(LEVELS) - 1))
+    drawn = first.contourf(surface[PAIR[1]], surface[PAIR[0]], values - least, LEVELS, colors=colours)
+    map_figure.colorbar(drawn, ax=first, label="NLL above the least [nats]", format="%g")
     for name, marker in (("before", "o"), ("after", "*")):
         at = fitted["start" if name == "before" else "parameters"]
         first.plot(at[PAIR[1]], at[PAIR[0]], marker, color="black", ms=9, label=name)
     first.set(xlabel=PAIR[1], ylabel=PAIR[0], xscale="log", title="Likelihood on training towns")
     first.legend(frameon=False)
     for axes, (name, one) in zip(rest, profiles.items(), strict=True):
-        axes.plot(one["values"], one["nll"], color=COLOURS["after"])
+        axes.plot(one["values"], np.array(one["nll"]) - least, color=COLOURS["after"])
+        axes.set_yscale("symlog", linthresh=1e-3)
         axes.axvline(fitted["start"][name], color=COLOURS["before"], ls="--")
         axes.axvline(fitted["parameters"][name], color=COLOURS["after"], ls=":")
         error = fitted["errors"].get(name)
-        axes.set(
-            xlabel=name,
-            title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""),
-            ylabel="NLL [nats]",
-        )
+        axes.set(xlabel=name, title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""))
+    rest[0].set_ylabel("NLL above the least [nats]")
     places = {"unseen towns": list(test.pooled)}
     if recordings:
         places["real recordings"] = [added(recordings, k) for k in (0, 1)]
