@@ -47,7 +47,6 @@ ALLOWED = {
     r"^docs/(build|reproduction_sentences)\.py:.*[\"'][^\"']*called": "keys of the records, written before",
     r"\bbearings\b": "a key of the shipped weights",
     r"^ogm/simulation/town/.*([Hh]ouse|[Dd]oor)": "buildings of the simulator's towns",
-    r"^ogm/geometric/kernels/profile\.py:.*\bbent\b": "ground that bends",
 }
 FILES = sorted(
     path

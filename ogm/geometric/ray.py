@@ -88,8 +88,8 @@ class RayISM:
     obstacle_height: float = 0.15
     clearance: float = 2.0
     below_ground: float = 0.3
-    hidden_height: float = 0.75
-    hidden_depth: float = 8.0
+    hidden_height: float = 0.5
+    hidden_depth: float = 10.0
     range_noise: float = 0.03
     p_miss: float = 0.25
     p_false_alarm: float = 0.05

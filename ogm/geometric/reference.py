@@ -377,13 +377,16 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
         if not is_return or above >= numbers.clearance:
             result[n] = (profile.OVERHEAD if is_return else profile.NO_RETURN, -1)
             continue
-        z, is_low = slope * run, above <= numbers.obstacle_height
+        if above > numbers.obstacle_height:
+            result[n] = (profile.OBSTACLE, -1)
+            continue
+        z = slope * run
         near, level, incline, rough = _continued(known, run)
         gap, rise = run - near, z - level
         slack = profile.BEND * gap + profile.ROUGH * rough
         is_sunk = rise < -profile.SINK - slack
 
-        if trend and (is_low or is_sunk) and run > trend.last[0] + profile.SUPPORT_GAP:
+        if trend and run > trend.last[0] + profile.SUPPORT_GAP:
             rest, before = trend.rest(run, z), trend.rest(*trend.last)
             since = (run - trend.last[0]) / (trend.last[0] - trend.start[0])
             if trend.sign * rest > trend.sign * before * (1 + since / 2):  # it goes on
@@ -400,7 +403,7 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
 
         if trend is None and near > 0:
             steeper = [b.run for b in beams[n + 1 :] if b.is_return and abs(b.above) <= numbers.obstacle_height]
-            rises = gap < profile.SUPPORT_REACH and rise > profile.RISE + slack and is_low
+            rises = gap < profile.SUPPORT_REACH and rise > profile.RISE + slack
             falls = is_sunk and min(steeper, default=math.inf) > run - profile.SAME
             if rises or falls:
                 edge = max([r for r, _ in known if r <= run - profile.EDGE], default=0.0)
@@ -417,8 +420,6 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
             result[n] = (profile.DEEP, trend.begin)
         elif above < -numbers.below_ground:
             continue
-        elif not is_low:
-            result[n] = (profile.OBSTACLE, -1)
         elif trend and trend.sign > 0:
             is_step = trend.rest(run, z) > profile.STEP_HEIGHT + profile.ROUGH * rough
             is_step = is_step and run < trend.first + profile.EDGE
@@ -427,7 +428,7 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
             result[n] = (profile.SUNK, trend.begin)
         else:
             result[n] = (profile.GROUND, -1)
-        if is_low and not is_sunk:
+        if not is_sunk:
             known.append((run, z))
     return result
 

@@ -214,7 +214,6 @@ def test_what_hangs_behind_an_obstacle_is_not_called_free() -> None:
     assert grid.at(15.5, 0.1).free > 0.7
 
 
-@pytest.mark.xfail(strict=True, reason="RayISM: an obstacle whose ray comes from above clearance blocks from bin 0 on")
 def test_an_obstacle_hides_nothing_before_it() -> None:
     """A sensor at 5 m: a return 1.9 m above ground at 18 m takes nothing from the road at 10 m."""
     spec = GridSpec.centered(60.0, 10.0, 0.5)

@@ -112,6 +112,7 @@ class SectorRays(NamedTuple):
     kind: NDArray[np.int8]  # (N,)
     start: NDArray[np.int32]  # (N,) first bin
     stop: NDArray[np.int32]  # (N,) first bin after these
+    block: NDArray[np.int32]  # (N,) bin of an obstacle
     begin: NDArray[np.int32]  # (N,) bin of the ground before a step or a hole; -1 for neither
     support: NDArray[
         np.float64

@@ -56,8 +56,9 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     sectors, bins, most = polar.sectors, polar.bins, 0
     for s in range(sectors):
         most = max(most, rays.starts[s + 1] - rays.starts[s])
+    whole = np.empty((4, most), np.int32)
     found = SectorRays(
-        np.empty(most, np.int8), np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.int32),
+        np.empty(most, np.int8), whole[0], whole[1], whole[2], whole[3],
         np.empty((most + 1, 6), np.float64), np.empty(most, np.float32),
     )  # fmt: skip
     part = np.empty(PARTS, np.float32)
@@ -102,7 +103,7 @@ def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
     fade = np.float32(polar.step / numbers.hidden_depth)
     for n in range(table.shape[0]):
         if found.kind[n] == OBSTACLE:
-            first_block = min(first_block, found.stop[n])
+            first_block = min(first_block, found.block[n])
     for n in range(table.shape[0]):
         kind = found.kind[n]
         if kind == NONE or (kind == NO_RETURN and not silent):
@@ -112,7 +113,7 @@ def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
         _pass(part, table[n, 0], max(start, near), open_end)
         _pass_obstacles(part, table[n, 0], max(start, open_end), stop)
         if kind == OBSTACLE:
-            _block(part, stop, min(end, stop + int(1.0 / fade) + 1), fade)
+            _block(part, found.block[n], min(end, found.block[n] + int(1.0 / fade) + 1), fade)
         while near < first_block and part[PASS + near] < NEGLIGIBLE:
             near += 1
     scale = np.float32(polar.step / numbers.hidden_height)

@@ -71,7 +71,7 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
     table, support, count, at, base, end = rays.table[first:last], found.support, 0, 0, 0, 0
     count = _add_support(support, 0, zero, limits.ground[row, 0] * half * step)  # the ground under the sensor
     # The rise (1) or fall (-1) that is followed: its last returns, and the ground before it
-    bent, since, begin, first_run, last_run, last_height = 0, 0, 0, zero, zero, zero
+    sign, since, begin, first_run, last_run, last_height = 0, 0, 0, zero, zero, zero
     from_run, from_height, from_incline = zero, zero, zero
     _nearest_ground(rays, first, last, low, found.nearest)
     for n in range(last - first):
@@ -90,7 +90,8 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
             found.kind[n] = OVERHEAD
             if above < high:
                 found.kind[n] = OBSTACLE
-                reach = max(reach - margin * per_metre, zero)
+                reach = min(max((run - margin) * per_metre, zero), bins)
+                found.block[n] = int(reach)
             found.start[n], found.stop[n] = _below_clearance(limits, row, slope, int(reach), step)
             end = max(end, found.stop[n])
             continue
@@ -106,46 +107,46 @@ def classify_rays(rays, first, last, limits, row, polar, numbers, found):
         low_down = rise < -SINK - slack
 
         # A rise or fall is a slope if it goes on, a step or a hole if not, and nothing if it ends at once
-        if bent != 0 and run > last_run + SUPPORT_GAP:
+        if sign != 0 and run > last_run + SUPPORT_GAP:
             rest = height - from_height - from_incline * (run - from_run)
             before = last_height - from_height - from_incline * (last_run - from_run)
-            if bent * rest > bent * before * (one + half * (run - last_run) / (last_run - from_run)):
+            if sign * rest > sign * before * (one + half * (run - last_run) / (last_run - from_run)):
                 last_run, last_height = run, height
                 if run - from_run > LONGEST or rest > HIGHEST:
                     end = max(end, _level(rays, first, since, n, limits, row, polar, found))
-                    if bent < 0:
+                    if sign < 0:
                         count = _add_support(support, count, run, height)
-                    bent = 0
+                    sign = 0
             else:
-                if bent > 0 and rest < half * before and run - last_run < BUMP:
+                if sign > 0 and rest < half * before and run - last_run < BUMP:
                     end = max(end, _level(rays, first, since, n, limits, row, polar, found))
-                bent = 0
+                sign = 0
 
         # Does one begin here?
-        if bent == 0 and at > 0:
+        if sign == 0 and at > 0:
             if gap < SUPPORT_REACH and rise > RISE + slack:
-                bent = 1
+                sign = 1
             elif low_down and found.nearest[n] > run - SAME:
-                bent = -1
-            if bent != 0:
+                sign = -1
+            if sign != 0:
                 edge = np.float32(support[_last_before(support, count, at, run - EDGE), 0])
                 since, begin, first_run, last_run, last_height = n, max(int(edge * per_metre) - 1, 0), run, run, height
                 from_run, from_height, from_incline = run - gap, level - incline * gap, incline
 
         # What was hit, and where the ray ends
         rest = height - from_height - from_incline * (run - from_run)
-        if bent < 0 and low_down and rest < -below - FALL * max(run - from_run - FALL_GAP, zero) - slack:
+        if sign < 0 and low_down and rest < -below - FALL * max(run - from_run - FALL_GAP, zero) - slack:
             found.kind[n], found.begin[n] = DEEP, begin
             reach = np.float32(begin)
         elif above < -below:
             continue
-        elif bent > 0:
+        elif sign > 0:
             high_up = rest > STEP_HEIGHT + ROUGH * rough and run < first_run + EDGE
             found.kind[n], found.begin[n] = STEP if high_up else RAISED, begin
         else:
             found.kind[n] = GROUND
             reach = min(reach + one, bins)
-            if bent < 0 and low_down:
+            if sign < 0 and low_down:
                 found.kind[n], found.begin[n] = SUNK, begin
         if not low_down:
             count = _add_support(support, count, run, height)
