@@ -392,13 +392,13 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
             if trend.sign * rest > trend.sign * before * (1 + since / 2):  # it goes on
                 trend.last = (run, z)
                 if run - trend.start[0] > profile.LONGEST or rest > profile.HIGHEST:
-                    _make_ground(result, n, trend.begin)
+                    _make_ground(result, trend.since, n)
                     if trend.sign < 0:
                         known.append((run, z))
                     trend = None
             else:
                 if trend.sign > 0 and rest < before / 2 and run - trend.last[0] < profile.BUMP:
-                    _make_ground(result, n, trend.begin)
+                    _make_ground(result, trend.since, n)
                 trend = None
 
         if trend is None and near > 0:
@@ -408,7 +408,9 @@ def classify(beams: list[Beam], height: float, step: float, numbers: RayNumbers)
             if rises or falls:
                 edge = max([r for r, _ in known if r <= run - profile.EDGE], default=0.0)
                 begin = max(int(edge / step) - 1, 0)
-                trend = Trend(1 if rises else -1, begin, (near, float(level - incline * gap)), incline, run, (run, z))
+                trend = Trend(
+                    1 if rises else -1, n, begin, (near, float(level - incline * gap)), incline, run, (run, z)
+                )
 
         if trend and trend.sign < 0 and is_sunk:
             fall = float(profile.FALL) * max(run - trend.start[0] - float(profile.FALL_GAP), 0.0)
@@ -438,6 +440,7 @@ class Trend:
     """A rise or fall of the ground that `classify` follows."""
 
     sign: int  # 1 for a rise
+    since: int  # number of its first ray
     begin: int  # bin of the ground before it
     start: tuple[float, float]  # run and height of that [m]
     incline: float  # of the ground before it
@@ -463,8 +466,8 @@ def _continued(known: list[tuple[float, float]], run: float) -> tuple[float, flo
     return known[at][0], level, incline, rough
 
 
-def _make_ground(result: list[tuple[int, int]], count: int, begin: int) -> None:
-    """Take a rise or fall for a slope: what was in it is ground."""
-    for n in range(count):
-        if result[n][1] == begin:
-            result[n] = (profile.GROUND, -1)
+def _make_ground(result: list[tuple[int, int]], since: int, until: int) -> None:
+    """Take the returns of a rise or fall for ground, in place."""
+    for k in range(since, until):
+        if result[k][1] >= 0:
+            result[k] = (profile.GROUND, -1)
