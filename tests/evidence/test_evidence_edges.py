@@ -50,6 +50,8 @@ def test_total_conflict_in_a_stack_gives_the_mean_in_any_order() -> None:
     for order in ([0, 1, 2], [2, 1, 0], [1, 0, 2]):
         stack = np.stack([FREE, OCCUPIED, OCCUPIED])[order]
         np.testing.assert_allclose(evidence.dempster(stack, axis=0), (1 / 3, 2 / 3))
+        uncertain = np.concatenate([stack, [(0.1, 0.3), VACUOUS]])[[3, *order, 4]]
+        np.testing.assert_allclose(evidence.dempster(uncertain, axis=0), (1 / 3, 2 / 3))
 
 
 def test_near_total_conflict_in_float32_divides_by_what_survives() -> None:
