@@ -400,7 +400,7 @@ def results() -> str:
         ),
         section("Objects in real scans", "deep_real", boxes, deep_boxes()),
         section("Losses of the network", "deep_losses", deep_losses()),
-        section("Time per scan", "speed", speed()),
+        section("Time per scan, RayISM of 2026-11-21", "speed", speed()),
         section("Time of the network", "deep_speed", deep_speed()),
         section("Ground estimates, labelled returns not used while parameters were chosen", "ground", ground()),
         section(
