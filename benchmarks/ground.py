@@ -35,7 +35,7 @@ SEEN, UNSEEN = "seen while choosing", "not seen while choosing"
 CHOSEN_ON = {"SemanticKITTI": {0, 4}, "nuScenes": {0}}
 NOTE = (
     "The frames of one set are consecutive and show one street each: treat a set as one scene, not as many.\n"
-    f"'{SEEN}': the frames that were used while obstacle_height = 0.1 m, the 1 m cells and the treatment of\n"
+    f"'{SEEN}': the frames that were used while obstacle_height, the 1 m cells and the treatment of\n"
     "ghost returns were chosen."
 )
 

@@ -3,7 +3,7 @@
     python benchmarks/interval_coverage.py [--repeats 4000]
 
 Values of frames are made of normal numbers: one per drive, and a chain within it whose neighbours are correlated. They
-are bent into metrics of several shapes. Drives have 10 to 100 frames. Counted is how often the 95 % intervals of the
+become metrics of several shapes. Drives have 10 to 100 frames. Counted is how often the 95 % intervals of the
 mean, and of the ratio of two methods' means, hold the true value; how often two methods that are equally good differ
 with p < 0.05; and how often the interval of the mean would hold the truth if frames were taken for independent. Writes
 benchmarks/results/interval_coverage.json; docs/build.py makes the table of docs/evaluation.md of it.

@@ -70,12 +70,13 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def source(name: str) -> str:
-    """Return where a table comes from: command, date, machine."""
+    """Return where a table comes from: command, date, machine, and what has changed since."""
     found = record(name)
+    outdated = f" **Outdated:** {found['outdated']}" if "outdated" in found else ""
     found = found.get("environment", found)
     return (
         f"*`{found['command']}`, {found['date'].split()[0]}, {found['cpu']}, {found['cores used']} of {found['cores']} "
-        f"cores; [record](../benchmarks/results/{name}.json).*"
+        f"cores; [record](../benchmarks/results/{name}.json).*{outdated}"
     )
 
 
@@ -400,7 +401,7 @@ def results() -> str:
         ),
         section("Objects in real scans", "deep_real", boxes, deep_boxes()),
         section("Losses of the network", "deep_losses", deep_losses()),
-        section("Time per scan, RayISM of 2026-11-21", "speed", speed()),
+        section("Time per scan", "speed", speed()),
         section("Time of the network", "deep_speed", deep_speed()),
         section("Ground estimates, labelled returns not used while parameters were chosen", "ground", ground()),
         section(

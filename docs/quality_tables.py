@@ -57,7 +57,8 @@ def tables(record: Record) -> dict[str, str]:
     if old := record.get("old"):
         found |= {"old": f"{_extent(old)}\n\n{_town(old, OLD, titles)}"}
     if drives := record.get("drives"):
-        found |= {"drives": _list(drives["models"], DRIVES, titles), "memory": _memory(drives, titles)}
+        note = f"**Outdated:** {drives['outdated']}\n\n" if "outdated" in drives else ""
+        found |= {"drives": note + _list(drives["models"], DRIVES, titles), "memory": note + _memory(drives, titles)}
     if real := record.get("real"):
         found |= {"real": _real(real, "alone", titles), "real-fused": _real(real, "fused", titles)}
     return found

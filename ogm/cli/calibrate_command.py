@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 
 from ogm.cli.console import out, report_errors, stderr, ticked
-from ogm.cli.options import parsed_axes
+from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.evaluation import Calibration
@@ -30,17 +30,8 @@ def calibrate_command(
     split: Annotated[
         str | None, typer.Option(help="Part of a simulated data set: train, val, test or sequences. [default: train]")
     ] = None,
-    truth: Annotated[
-        str | None,
-        typer.Option(
-            help="What the truth of a recording is made from, with commas between: boxes, classes, map, aggregated. "
-            "[default: all there is]",
-            metavar="WHAT[,WHAT]...",
-        ),
-    ] = None,
-    axes: Annotated[
-        str, typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
-    ] = "flu",
+    truth: TruthSources = None,
+    axes: FolderAxes = "flu",
     base_rate: Annotated[
         str,
         typer.Option(

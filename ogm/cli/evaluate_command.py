@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
-from ogm.cli.options import parsed_axes
+from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -80,17 +80,8 @@ def evaluate(
             "samples; sequences with --fused]"
         ),
     ] = None,
-    truth: Annotated[
-        str | None,
-        typer.Option(
-            help="What the truth of a recording is made from, with commas between: boxes, classes, map, aggregated. "
-            "[default: all there is]",
-            metavar="WHAT[,WHAT]...",
-        ),
-    ] = None,
-    axes: Annotated[
-        str, typer.Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
-    ] = "flu",
+    truth: TruthSources = None,
+    axes: FolderAxes = "flu",
     samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,

@@ -20,6 +20,17 @@ Axes = Annotated[
         help="Axes of the files: flu (x forward, y left), kitti, nuscenes, ..., or +y,-x,+z.",
     ),
 ]
+FolderAxes = Annotated[
+    str, Option(help="Axes of the files of a folder of scans: flu, kitti, nuscenes, ..., or +y,-x,+z.")
+]
+TruthSources = Annotated[
+    str | None,
+    Option(
+        help="What the truth of a recording is made from, with commas between: boxes, classes, map, aggregated. "
+        "[default: all there is]",
+        metavar="WHAT[,WHAT]...",
+    ),
+]
 IntensityMax = Annotated[float | None, Option(help="The file's intensity that means 1; by default the format's.")]
 TimeUnit = Annotated[
     float | None, Option(help="The file's unit of time [s]; by default whole numbers are nanoseconds, others seconds.")

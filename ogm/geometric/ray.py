@@ -57,7 +57,7 @@ class RayISM:
     range_noise : float
         Standard deviation of a range [m]; +-3 cm in the VLP-32C's data sheet.
     p_miss : float
-        Chance that a ray passes an occupied cell unnoticed; fitted, see `ogm calibrate`; 0.8 in Bosch's belief model.
+        Chance that a ray passes an occupied cell unnoticed; chosen on validation frames; 0.8 in Bosch's belief model.
     p_false_alarm : float
         Chance that a return comes from an empty cell; 0.05 in Bosch's belief model.
     free_reliability_at_hits : float

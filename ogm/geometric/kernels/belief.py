@@ -15,7 +15,7 @@ __all__ = ["clear_sectors", "ray_mass"]
 # Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
-DOUBTFUL = np.float32(0.5)
+DOUBTFUL = np.float32(0.5)  # reliability of belief between a step and the ground before it
 HOLE, DIP, RISE = 1, 2, 4  # bits of the breaks of the ground in a polar bin
 
 
@@ -29,12 +29,14 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
 
         free = 1 - E_H[p ** N(H)],       E_H = (sum_i (h_i+1 - h_i) * p ** i) / clearance,
 
-    for the heights h_1 <= h_2 <= ... of the rays, h_0 = 0 and the clearance as the last. It is exact.
+    for the heights h_1 <= h_2 <= ... of the rays, h_0 = 0 and the clearance as the last. It is exact, but for
+    terms below `NEGLIGIBLE`.
 
     Something may also hang at a height that no ray passes, because an obstacle before it stops them. Let such a
     thing be as thick as some height, equally likely anywhere up to `hidden_height`. It fits between two
     neighbouring rays that are d apart, if others between them were stopped, with probability
-    ``min(d / hidden_height, 1)``; belief is reduced by the largest of these.
+    ``min(d / hidden_height, 1)``, times the chance that the obstacle reaches so far back, which falls to 0 at
+    `hidden_depth`. A gap that ends at the clearance counts twice. Belief is reduced by the largest of these.
 
     Beams without echo are one source of evidence of reliability `no_return_weight`: belief is that without them,
     plus this share of what they add.
@@ -65,6 +67,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
     breaks, step, marks = np.zeros((sectors, bins), np.uint8), np.float32(polar.step), 0
+    hidden_bins = np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)
     work.hits[:] = 0
     for s in range(sectors):
         first, last, row = rays.starts[s], rays.starts[s + 1], s >> ROW_BITS
@@ -72,7 +75,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
         work.free[s, end:] = 0
         if end == 0:
             continue
-        silent = _mark(rays, first, last, points, origin, cells, numbers, found, work.hits)
+        silent = _mark(rays.point[first:last], points, origin, cells, numbers, found, work.hits)
         for n in range(last - first):
             if found.begin[n] >= 0:
                 kind = found.kind[n]
@@ -83,24 +86,27 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
                     work.order[marks] = first + n
                     marks += 1
         free = work.free[s, :end]
-        _free_belief(rays.table[first:last], found, limits, row, polar, numbers, False, part, free)
+        _free_belief(rays.table[first:last], found, limits, row, hidden_bins, False, part, free)
         if silent:
             weight, alone = np.float32(numbers.no_return_weight), free.copy()
-            _free_belief(rays.table[first:last], found, limits, row, polar, numbers, True, part, free)
+            _free_belief(rays.table[first:last], found, limits, row, hidden_bins, True, part, free)
             for k in range(end):
                 free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
     _apply_breaks(rays, points, work.order[:marks], polar, cells, breaks, work)
 
 
 @kernel
-def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
-    """Fill in the belief of one sector's bins, with the beams without echo or without them."""
+def _free_belief(table, found, limits, row, hidden_bins, silent, part, free):
+    """Fill in the belief of one sector's bins, with the beams without echo or without them.
+
+    `hidden_bins` are `hidden_height` and `hidden_depth` in bins.
+    """
     end, first_block, near, one, two = free.shape[0], free.shape[0], 0, np.float32(1.0), np.float32(2.0)
     ground, clearance = limits.ground[row], limits.clearance[row]
+    scale, fade = one / hidden_bins[0], one / hidden_bins[1]
     for k in range(end):
         part[PASS + k], part[SLOPE + k] = 1, ground[k]
         part[SUM + k], part[HIDDEN + k], part[BLOCKED + k] = 0, 0, 0
-    fade = np.float32(polar.step / numbers.hidden_depth)
     for n in range(table.shape[0]):
         if found.kind[n] == OBSTACLE:
             first_block = min(first_block, found.block[n])
@@ -116,7 +122,6 @@ def _free_belief(table, found, limits, row, polar, numbers, silent, part, free):
             _block(part, found.block[n], min(end, found.block[n] + int(1.0 / fade) + 1), fade)
         while near < first_block and part[PASS + near] < NEGLIGIBLE:
             near += 1
-    scale = np.float32(polar.step / numbers.hidden_height)
     for k in range(end):
         up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
         missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
@@ -157,21 +162,22 @@ def _block(part, start, stop, fade):
 
 
 @kernel
-def _mark(rays, first, last, points, origin, cells, numbers, found, hits):
+def _mark(point, points, origin, cells, numbers, found, hits):
     """Let obstacles and steps of a sector mark their cells; tell whether it has beams without echo.
 
     An obstacle return is spread over the two points one standard deviation before and behind it (two-point
     Gauss-Hermite rule), each marking its cell with half a hit.
     """
     silent, noise = False, np.float32(numbers.range_noise)
-    for n in range(last - first):
+    for n in range(point.shape[0]):
         kind = found.kind[n]
         if kind == NO_RETURN:
             silent = True
         elif kind == OBSTACLE:
-            which, run = rays.point[first + n] & 0x7FFFFFFF, rays.table[first + n, 1]
-            x, y, share = points.x[which], points.y[which], noise / run
-            du, dv = (x - origin[0]) * share, (y - origin[1]) * share
+            x, y = points.x[point[n] & 0x7FFFFFFF], points.y[point[n] & 0x7FFFFFFF]
+            dx, dy = x - origin[0], y - origin[1]
+            share = noise / np.sqrt(dx * dx + dy * dy)
+            du, dv = dx * share, dy * share
             _hit(hits, cells, x - du, y - dv)
             _hit(hits, cells, x + du, y + dv)
     return silent

@@ -80,7 +80,7 @@ def ground_heights(points, ground_point, cells, shape, limits):
     limit = np.where(weight > 0, height, np.float32(np.inf))
     lower_envelope(limit, np.float32(limits.max_slope * cells.resolution))
     fill(height, weight, gz)
-    return np.minimum(height, np.maximum(limit, np.where(weight > 0, height, np.float32(-np.inf))))
+    return np.where(weight > 0, height, np.minimum(height, limit))
 
 
 @kernel
