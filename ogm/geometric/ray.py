@@ -91,7 +91,7 @@ class RayISM:
     hidden_height: float = 0.5
     hidden_depth: float = 10.0
     range_noise: float = 0.03
-    p_miss: float = 0.25
+    p_miss: float = 0.42
     p_false_alarm: float = 0.05
     free_reliability_at_hits: float = 0.2
     max_mass: float = 0.98

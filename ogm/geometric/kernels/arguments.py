@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "Breaks",
     "Cells",
     "GroundLimits",
     "HeightBand",
@@ -95,7 +96,6 @@ class RayLimits(NamedTuple):
 
     ground: NDArray[np.float32]  # (rows, bins)
     clearance: NDArray[np.float32]  # (rows, bins)
-    highest: NDArray[np.float32]  # (rows,) of the clearance along a row, relative to the sensor [m]
 
 
 class Rays(NamedTuple):
@@ -106,6 +106,17 @@ class Rays(NamedTuple):
     starts: NDArray[np.int32]  # (sectors + 1,) where each sector begins
 
 
+class Breaks(NamedTuple):
+    """Where the ground rises or falls suddenly: one entry for each bin of each profile, see `kernels.breaks`."""
+
+    kind: NDArray[np.int8]  # (profiles, count)
+    limit: NDArray[np.float32]  # (profiles, count) height beyond which returns are in the break, from the sensor [m]
+    begin: NDArray[np.int32]  # (profiles, count) polar bin of the ground before it
+    end: NDArray[np.int32]  # (profiles, count) last bin of the profile in it
+    reliability: NDArray[np.float32]  # (profiles, bins) of belief in free, in each polar bin
+    width: int  # of a profile's bin, in polar bins
+
+
 class SectorRays(NamedTuple):
     """The rays of one sector: what they hit, and the bins in which they are below clearance."""
 
@@ -113,11 +124,6 @@ class SectorRays(NamedTuple):
     start: NDArray[np.int32]  # (N,) first bin
     stop: NDArray[np.int32]  # (N,) first bin after these
     block: NDArray[np.int32]  # (N,) bin of an obstacle
-    begin: NDArray[np.int32]  # (N,) bin of the ground before a step or a hole; -1 for neither
-    support: NDArray[
-        np.float64
-    ]  # (N + 1, 6) of ground returns: run [m]; sums of run, height, their squares and product
-    nearest: NDArray[np.float32]  # (N,) [m]
 
 
 class WorkSpace(NamedTuple):

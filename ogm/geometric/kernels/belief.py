@@ -7,7 +7,8 @@ import numpy as np
 
 from ogm.geometric.kernels.arguments import SectorRays
 from ogm.geometric.kernels.polar import ROW_BITS
-from ogm.geometric.kernels.profile import DEEP, NO_RETURN, NONE, OBSTACLE, STEP, SUNK, classify_rays
+from ogm.geometric.kernels.breaks import PROFILE_BITS, ground_breaks
+from ogm.geometric.kernels.classify import DEEP, FACE_OF_STEP, NO_RETURN, NONE, OBSTACLE, classify_rays
 from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
@@ -15,8 +16,6 @@ __all__ = ["clear_sectors", "ray_mass"]
 # Where the parts of the work space of a sector begin; constants, so that the compiler sees them apart
 PASS, SLOPE, SUM, HIDDEN, BLOCKED, POWER, PARTS = 0, 32848, 65696, 98544, 131392, 164240, 197088
 NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are not counted
-DOUBTFUL = np.float32(0.5)  # reliability of belief between a step and the ground before it
-HOLE, DIP, RISE = 1, 2, 4  # bits of the breaks of the ground in a polar bin
 
 
 @kernel
@@ -58,41 +57,30 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     sectors, bins, most = polar.sectors, polar.bins, 0
     for s in range(sectors):
         most = max(most, rays.starts[s + 1] - rays.starts[s])
-    whole = np.empty((4, most), np.int32)
-    found = SectorRays(
-        np.empty(most, np.int8), whole[0], whole[1], whole[2], whole[3],
-        np.empty((most + 1, 6), np.float64), np.empty(most, np.float32),
-    )  # fmt: skip
+    whole = np.empty((3, most), np.int32)
+    found = SectorRays(np.empty(most, np.int8), whole[0], whole[1], whole[2])
+    breaks = ground_breaks(rays, limits, polar, numbers)
     part = np.empty(PARTS, np.float32)
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
-    breaks, step, marks = np.zeros((sectors, bins), np.uint8), np.float32(polar.step), 0
     hidden_bins = np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)
     work.hits[:] = 0
+    _mark_obstacles(points, origin, cells, numbers, work)
     for s in range(sectors):
         first, last, row = rays.starts[s], rays.starts[s + 1], s >> ROW_BITS
-        end = classify_rays(rays, first, last, limits, row, polar, numbers, found)
+        end = classify_rays(rays, s, limits, polar, breaks, numbers, found)
         work.free[s, end:] = 0
         if end == 0:
             continue
-        silent = _mark(rays.point[first:last], points, origin, cells, numbers, found, work.hits)
-        for n in range(last - first):
-            if found.begin[n] >= 0:
-                kind = found.kind[n]
-                bit = HOLE if kind == DEEP else DIP if kind == SUNK else RISE
-                for k in range(found.begin[n], min(int(rays.table[first + n, 1] / step) + 2, bins)):
-                    breaks[s, k] |= bit
-                if kind in (DEEP, STEP):
-                    work.order[marks] = first + n
-                    marks += 1
+        _mark_breaks(rays.point[first:last], points, cells, found, work.hits)
         free = work.free[s, :end]
-        _free_belief(rays.table[first:last], found, limits, row, hidden_bins, False, part, free)
-        if silent:
+        if _free_belief(rays.table[first:last], found, limits, row, hidden_bins, False, part, free):
             weight, alone = np.float32(numbers.no_return_weight), free.copy()
             _free_belief(rays.table[first:last], found, limits, row, hidden_bins, True, part, free)
             for k in range(end):
                 free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
-    _apply_breaks(rays, points, work.order[:marks], polar, cells, breaks, work)
+        for k in range(end):
+            free[k] *= breaks.reliability[s >> PROFILE_BITS, k]
 
 
 @kernel
@@ -101,7 +89,9 @@ def _free_belief(table, found, limits, row, hidden_bins, silent, part, free):
 
     `hidden_bins` are `hidden_height` and `hidden_depth` in bins.
     """
-    end, first_block, near, one, two = free.shape[0], free.shape[0], 0, np.float32(1.0), np.float32(2.0)
+    end, first_block, near, blocked, last_block = free.shape[0], free.shape[0], 0, PARTS, PARTS
+    one, two = np.float32(1.0), np.float32(2.0)
+    left_out, noted, noted_slope = False, (0, 0), np.float32(0.0)  # a ray whose passing is not yet noted, and where
     ground, clearance = limits.ground[row], limits.clearance[row]
     scale, fade = one / hidden_bins[0], one / hidden_bins[1]
     for k in range(end):
@@ -112,21 +102,40 @@ def _free_belief(table, found, limits, row, hidden_bins, silent, part, free):
             first_block = min(first_block, found.block[n])
     for n in range(table.shape[0]):
         kind = found.kind[n]
-        if kind == NONE or (kind == NO_RETURN and not silent):
+        if kind == NONE:
             continue
-        start, stop = found.start[n] & 0x7FFF, found.stop[n] & 0x7FFF
-        open_end = min(stop, first_block)
-        _pass(part, table[n, 0], max(start, near), open_end)
-        _pass_obstacles(part, table[n, 0], max(start, open_end), stop)
-        if kind == OBSTACLE:
-            _block(part, found.block[n], min(end, found.block[n] + int(1.0 / fade) + 1), fade)
-        while near < first_block and part[PASS + near] < NEGLIGIBLE:
+        if kind == NO_RETURN and not silent:
+            left_out = True
+            continue
+        slope, start, stop = table[n, 0], found.start[n] & 0x7FFF, found.stop[n] & 0x7FFF
+        first = max(start, near)
+        if first < min(stop, first_block):
+            _pass(part, slope, first, min(stop, first_block))
+        # Behind an obstacle: where nothing was stopped since the last ray, and enough have passed, only heights count
+        first = max(start, first_block)
+        if first < stop:
+            plain = min(max(min(near, blocked), first), stop)
+            if first > noted[0] or plain < noted[1]:
+                _raise(part, noted_slope, noted[0], noted[1])
+            noted, noted_slope = (first, plain), slope
+            if plain < stop:
+                _pass_obstacles(part, slope, plain, stop)
+                blocked = max(blocked, stop) if first <= blocked else blocked
+        if stop > last_block:
+            last_block = PARTS
+        if kind == OBSTACLE and found.block[n] != last_block:
+            last_block = found.block[n]
+            blocked = min(blocked, last_block)
+            _block(part, last_block, min(end, last_block + int(1.0 / fade) + 1), fade)
+        while near < end and part[PASS + near] < NEGLIGIBLE:
             near += 1
+    _raise(part, noted_slope, noted[0], noted[1])
     for k in range(end):
         up = max(clearance[k] - part[SLOPE + k], np.float32(0.0))
         missed = (part[SUM + k] + up * part[PASS + k]) / (clearance[k] - ground[k])
         hidden = max(part[HIDDEN + k], two * part[BLOCKED + k] * up) * (np.float32(k) + np.float32(0.5)) * scale
         free[k] = (one - min(missed, one)) * max(one - hidden, np.float32(0.0))
+    return left_out
 
 
 @vector
@@ -137,6 +146,13 @@ def _pass(part, slope, start, stop):
         part[SUM + k] += up * part[PASS + k]
         part[PASS + k] *= part[POWER + k]
         part[SLOPE + k] += up
+
+
+@vector
+def _raise(part, slope, start, stop):
+    """Note that a ray passes some bins."""
+    for k in range(start & 0x7FFF, stop & 0x7FFF):
+        part[SLOPE + k] = max(part[SLOPE + k], slope)
 
 
 @vector
@@ -162,58 +178,30 @@ def _block(part, start, stop, fade):
 
 
 @kernel
-def _mark(point, points, origin, cells, numbers, found, hits):
-    """Let obstacles and steps of a sector mark their cells; tell whether it has beams without echo.
+def _mark_obstacles(points, origin, cells, numbers, work):
+    """Let the returns of obstacles mark their cells.
 
-    An obstacle return is spread over the two points one standard deviation before and behind it (two-point
-    Gauss-Hermite rule), each marking its cell with half a hit.
+    Each is spread over the two points one standard deviation before and behind it (two-point Gauss-Hermite rule),
+    each marking its cell with half a hit.
     """
-    silent, noise = False, np.float32(numbers.range_noise)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    noise, near = np.float32(numbers.range_noise), np.float32(cells.resolution)
+    for n in range(points.x.shape[0]):
+        if work.above[n] > low and work.above[n] < high and work.run[n] >= near:
+            x, y, share = points.x[n], points.y[n], noise / work.run[n]
+            du, dv = (x - origin[0]) * share, (y - origin[1]) * share
+            _hit(work.hits, cells, x - du, y - dv)
+            _hit(work.hits, cells, x + du, y + dv)
+
+
+@kernel
+def _mark_breaks(point, points, cells, found, hits):
+    """Let the returns from steps and holes of a sector mark their cells."""
     for n in range(point.shape[0]):
-        kind = found.kind[n]
-        if kind == NO_RETURN:
-            silent = True
-        elif kind == OBSTACLE:
+        if found.kind[n] == FACE_OF_STEP or found.kind[n] == DEEP:
             x, y = points.x[point[n] & 0x7FFFFFFF], points.y[point[n] & 0x7FFFFFFF]
-            dx, dy = x - origin[0], y - origin[1]
-            share = noise / np.sqrt(dx * dx + dy * dy)
-            du, dv = dx * share, dy * share
-            _hit(hits, cells, x - du, y - dv)
-            _hit(hits, cells, x + du, y + dv)
-    return silent
-
-
-@kernel
-def _apply_breaks(rays, points, marks, polar, cells, breaks, work):
-    """Take belief from where the ground breaks in neighbouring sectors, too, and let the returns there mark cells.
-
-    A lone sector does not count: a return may be noise or multipath.
-    """
-    sectors, bins = breaks.shape
-    for s in range(sectors):
-        far = breaks[s - 2], breaks[(s + 2) % sectors]
-        near = breaks[s - 1], breaks[s], breaks[(s + 1) % sectors]
-        for k in range(bins):
-            a, b, c, d, e = far[0][k], near[0][k], near[1][k], near[2][k], far[1][k]
-            if (b | c | d) & HOLE and _many(a, b, c, d, e, HOLE | DIP):
-                work.free[s, k] = 0
-            elif (b | c | d) & RISE and _many(a, b, c, d, e, RISE):
-                work.free[s, k] *= DOUBTFUL
-    for n in marks:
-        which = rays.point[n]
-        s, k = work.sector[which], min(int(rays.table[n, 1] / polar.step), bins - 1)
-        a, b, c = breaks[s - 2, k], breaks[s - 1, k], breaks[s, k]
-        d, e = breaks[(s + 1) % sectors, k], breaks[(s + 2) % sectors, k]
-        bits = RISE if c & RISE else HOLE | DIP
-        if _many(a, b, c, d, e, bits):
-            _hit(work.hits, cells, points.x[which], points.y[which])
-            _hit(work.hits, cells, points.x[which], points.y[which])
-
-
-@kernel
-def _many(a, b, c, d, e, bits):
-    """Tell whether two of five neighbouring sectors have one of some bits."""
-    return ((a & bits) > 0) + ((b & bits) > 0) + ((c & bits) > 0) + ((d & bits) > 0) + ((e & bits) > 0) >= 2
+            _hit(hits, cells, x, y)
+            _hit(hits, cells, x, y)
 
 
 @kernel

@@ -109,12 +109,11 @@ def ray_limits(ground, origin, clearance, polar):
     """
     rows, bins, step = polar.rows, polar.bins, polar.step
     low, high = np.empty((rows, bins), np.float32), np.empty((rows, bins), np.float32)
-    highest = np.empty(rows, np.float32)
     above = np.float32(clearance)
     for s in range(rows):
         angle = (s + 0.5) * 2 * math.pi / rows
         cx, cy = np.float32(math.cos(angle) * step), np.float32(math.sin(angle) * step)
-        before, most = np.float32(0.0), np.float32(-np.inf)
+        before = np.float32(0.0)
         for k in range(0, bins + 3, 4):
             middle = np.float32(k) + np.float32(0.5)
             now = sample(ground, origin[0] + cx * middle, origin[1] + cy * middle) - origin[2]
@@ -124,11 +123,9 @@ def ray_limits(ground, origin, clearance, polar):
                         low[s, k - 4 + part] = before + (now - before) * np.float32(part) * np.float32(0.25)
             if k < bins:
                 low[s, k] = now
-                most = max(most, now)
             before = now
-        highest[s] = most + above
         for k in range(bins):
             per_metre = np.float32(1.0) / ((np.float32(k) + np.float32(0.5)) * np.float32(step))
             high[s, k] = (low[s, k] + above) * per_metre
             low[s, k] *= per_metre
-    return RayLimits(low, high, highest)
+    return RayLimits(low, high)

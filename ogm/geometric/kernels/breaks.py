@@ -1,0 +1,261 @@
+"""Breaks of the ground: steps, falls and holes, found along profiles of its height."""
+
+# mypy: allow-untyped-defs
+import math
+
+import numpy as np
+
+from ogm.geometric.kernels.arguments import Breaks
+from ogm.geometric.kernels.polar import ROW_BITS
+from ogm.jit import inline, kernel
+
+__all__ = ["FALL", "HOLE", "LEVEL", "PROFILE_BITS", "STEP", "ground_breaks"]
+
+LEVEL, FALL, STEP, HOLE = 0, 1, 2, 3
+
+PROFILE_BITS = 1  # a profile is that of 2**1 neighbouring sectors
+BEYOND = 1.5  # how far profiles reach, in parts of the polar grid
+DEPTH = 0.25  # [m] of the bins of a profile
+FEW = np.float32(2.0)  # returns that a bin needs at least
+GAP = 0.8  # [m] in run, between a bin and the nearer ground that it is compared with
+REACH = 8.0  # [m] in run, beyond which a rise is no step, and a fall no kerb
+BASELINE = 5.0  # [m] of run, over which the incline of that ground is taken
+STEEPEST = 0.25  # rise over run of ground
+MANY = 5  # bins that show how rough the ground is
+ROUGH = 4.0  # standard deviations of the ground about the line
+BEND = 0.005  # rise over run by which ground may bend
+ONSET = 0.03  # [m] of a bin above the continued ground, where a step may begin
+RISE = 0.05  # [m] of a step
+RISE_ANGLE = 0.001  # [rad] and as much more per metre of run: error of a beam's elevation
+OBSTACLE_STEP = 0.2  # [m] of a step that marks
+FACE = 0.05  # [m] from which on the returns of its face mark
+SINK = 0.15  # [m] of a bin below the continued ground, where a hole may begin
+DESCENT, DESCENT_GAP = 0.05, 6.0  # rise over run by which ground may fall from so far on [m]
+SUDDEN = 0.5  # share of a step or fall between two neighbouring bins
+LONGEST, HIGHEST = 6.0, 0.5  # [m] run and height of a rise, beyond which it is a slope
+BUMP = 2.0  # [m] in run, within which a rise that ends at once is noise
+EDGE = 0.3  # [m] in run, of the ground before a break
+DOUBTFUL = np.float32(0.5)  # reliability of belief between a step or fall and the ground before it
+NO_BREAK = -1  # a slope, or noise
+
+
+@kernel
+def ground_breaks(rays, limits, polar, numbers):
+    """Find where the ground rises or falls suddenly.
+
+    A *profile* is the mean height of the ground returns of a few neighbouring sectors, in bins of `DEPTH`. Each bin
+    is compared with the *continued ground*: the line through the nearer bins. What rises above it suddenly and is
+    then level is a step, also where the ground map follows it. What lies under it is a fall or, if it is deep, a
+    hole, if the beams to it pass over all nearer ground; else it is multipath. A rise or fall that goes on is a
+    slope. A break counts if a neighbouring profile has one there, too.
+
+    Parameters
+    ----------
+    rays : Rays
+    limits : RayLimits
+    polar : PolarGrid
+    numbers : RayNumbers
+
+    Returns
+    -------
+    Breaks
+    """
+    rows, wide = polar.sectors >> PROFILE_BITS, max(int(DEPTH / polar.step + 0.5), 1)
+    count = int(BEYOND * polar.bins) // wide + 1
+    breaks = Breaks(
+        np.zeros((rows, count), np.int8), np.zeros((rows, count), np.float32), np.zeros((rows, count), np.int32),
+        np.zeros((rows, count), np.int32), np.ones((rows, polar.bins), np.float32), wide,
+    )  # fmt: skip
+    sums, profile, support = np.empty((count, 3), np.float32), np.empty((count, 3)), np.empty((count, 6))
+    for row in range(rows):
+        first, last = rays.starts[row << PROFILE_BITS], rays.starts[(row + 1) << PROFILE_BITS]
+        _add_up(rays, first, last, np.float32(1.0 / (wide * polar.step)), np.float32(numbers.obstacle_height), sums)
+        found = 0
+        for k in range(count):
+            if sums[k, 0] >= FEW:
+                profile[found, 0], profile[found, 1] = sums[k, 1] / sums[k, 0], sums[k, 2] / sums[k, 0]
+                profile[found, 2] = k
+                found += 1
+        ground = limits.ground[row >> (ROW_BITS - PROFILE_BITS), 0] * 0.5 * polar.step  # under the sensor
+        _compare(profile[:found], support, row, polar.step, numbers.below_ground, ground, breaks)
+    _agree(breaks)
+    return breaks
+
+
+@kernel
+def _add_up(rays, first, last, per_metre, obstacle_height, sums):
+    """Fill in the number of returns that are no obstacles, the sum of their runs and of their heights, by bins."""
+    sums[:] = 0
+    for n in range(first, last):
+        slope, run, above = rays.table[n, 0], rays.table[n, 1], rays.table[n, 2]
+        k = int(run * per_metre)
+        if above <= obstacle_height and k < sums.shape[0] and rays.point[n] >= 0:
+            k &= 0x7FFFFFFF
+            sums[k, 0] += np.float32(1.0)
+            sums[k, 1] += run
+            sums[k, 2] += slope * run
+
+
+@kernel
+def _compare(profile, support, row, step, below_ground, lowest, breaks):
+    """Compare the bins of a profile (run, height, number), the nearest first, with the continued ground.
+
+    `lowest` is the height of the ground under the sensor.
+    """
+    count, start, at, base, resume, begin, end = 0, 0, 0, 0, 0, -1, NO_BREAK
+    horizon, incline, edge_of_hole = -np.inf, 0.0, (0.0, 0.0, 0.0)
+    for k in range(profile.shape[0]):
+        run, height, number = profile[k, 0], profile[k, 1], int(profile[k, 2])
+        slope = height / run
+        if count > 0 and k >= resume:
+            at = max(_last_before(support, count, at, run - GAP), start)
+            base = max(_last_before(support, at + 1, min(base, at), support[at, 0] - BASELINE), start)
+            line, rough = _continue(support, base, at, incline)
+            incline, gap = line[2], run - line[0]
+            rise, slack = _above(line, run, height), BEND * gap + ROUGH * rough
+            edge = max(int(support[_last_before(support, count, count - 1, run - EDGE), 0] / step) - 1, 0)
+
+            if gap < REACH and rise > ONSET + slack:
+                end = _follow(profile, k, line, 1.0)
+                high = _above(line, profile[end, 0], profile[end, 1])
+                is_high = end != NO_BREAK and high > RISE + RISE_ANGLE * run + ROUGH * rough
+                if is_high and _jump(profile, k, end, incline, 1.0) > SUDDEN * high:
+                    face = height - rise + FACE + ROUGH * rough if high > OBSTACLE_STEP else np.inf
+                    _note(breaks, row, number, STEP, face, edge, int(profile[end, 2]))
+                    start, resume, begin = count, end + 1, -1  # the line begins anew
+                    count = _add_support(support, count, profile[end, 0], profile[end, 1])
+
+            elif rise < -SINK - slack:
+                if slope < horizon:
+                    continue  # multipath
+                if begin < 0:
+                    edge_of_hole, end = line, _follow(profile, k, line, -1.0)
+                if begin >= 0 or end != NO_BREAK:
+                    descent = DESCENT * max(run - edge_of_hole[0] - DESCENT_GAP, 0.0)
+                    floor = min(height - _above(edge_of_hole, run, height), lowest) - below_ground - descent - slack
+                    if height < floor:
+                        begin = edge if begin < 0 else begin
+                        _note(breaks, row, number, HOLE, floor, begin, number)
+                        continue
+                    if gap < REACH and _jump(profile, k, k, incline, -1.0) > -SUDDEN * rise:
+                        _note(breaks, row, number, FALL, -np.inf, edge, number)
+                        start = count
+        horizon = max(horizon, slope)
+        if k >= resume:
+            begin, lowest = -1, min(lowest, height)
+            count = _add_support(support, count, run, height)
+
+
+@inline
+def _above(line, run, height):
+    """Return how far a height lies above a line (run, height, incline) [m]."""
+    return height - line[1] - line[2] * (run - line[0])
+
+
+@inline
+def _note(breaks, row, number, kind, limit, begin, end):
+    breaks.kind[row, number], breaks.limit[row, number] = kind, limit
+    breaks.begin[row, number], breaks.end[row, number] = begin, end
+
+
+@inline
+def _add_support(support, count, run, height):
+    """Add a bin, and the sums for a line through the last ones; return the new number of supports."""
+    support[count, 0], support[count, 1], support[count, 2] = run, run, height
+    support[count, 3], support[count, 4], support[count, 5] = run * run, run * height, height * height
+    if count > 0:
+        for k in range(1, 6):
+            support[count, k] += support[count - 1, k]
+    return count + 1
+
+
+@inline
+def _last_before(support, count, at, run):
+    """Return the last of the first `count` supports that is no further than `run`, searched from `at`."""
+    while at > 0 and support[at, 0] > run:
+        at -= 1
+    while at + 1 < count and support[at + 1, 0] <= run:
+        at += 1
+    return at
+
+
+@inline
+def _continue(support, base, at, before):
+    """Fit a line (run, height, incline) to the supports from `base` to `at`; return it and the standard deviation.
+
+    The incline is `before` where they are too close together for one.
+    """
+    count = float(at - base + 1)
+    r, z, rr, rz, zz = support[at, 1], support[at, 2], support[at, 3], support[at, 4], support[at, 5]
+    if base > 0:
+        r, z, rr = r - support[base - 1, 1], z - support[base - 1, 2], rr - support[base - 1, 3]
+        rz, zz = rz - support[base - 1, 4], zz - support[base - 1, 5]
+    r, z = r / count, z / count
+    rr, rz, zz = rr - count * r * r, rz - count * r * z, zz - count * z * z
+    incline = min(max(rz / rr, -STEEPEST), STEEPEST) if rr > 0.5 else before
+    rest = max(zz - incline * rz, 0.0) / max(count - 2.0, 1.0)
+    run = support[at, 0]
+    return (run, z + incline * (run - r), incline), math.sqrt(rest) if count >= MANY else 0.0
+
+
+@inline
+def _jump(profile, first, last, incline, sign):
+    """Return the largest rise (`sign` 1) or fall (-1) from one bin to the next, up to some bins, but for the incline."""
+    most = 0.0
+    for k in range(max(first, 1), last + 1):
+        rise = profile[k, 1] - profile[k - 1, 1] - incline * (profile[k, 0] - profile[k - 1, 0])
+        most = max(most, sign * rise)
+    return most
+
+
+@kernel
+def _follow(profile, k, line, sign):
+    """Return the last bin of a rise (`sign` 1) or fall (-1) that begins in bin `k`, or `NO_BREAK`.
+
+    It goes on as long as it grows at least half as fast as from the ground before it.
+    """
+    last, before = k, _above(line, profile[k, 0], profile[k, 1])
+    for j in range(k + 1, profile.shape[0]):
+        run, grown = profile[j, 0], profile[j, 0] - profile[last, 0]
+        if grown <= GAP:
+            continue
+        rest = _above(line, run, profile[j, 1])
+        if sign * rest <= sign * before * (1.0 + 0.5 * grown / (profile[last, 0] - line[0])):
+            return NO_BREAK if sign > 0 and rest < 0.5 * before and grown < BUMP else last
+        last, before = j, rest
+        if run - line[0] > LONGEST or rest > HIGHEST:
+            return NO_BREAK
+    return last
+
+
+@kernel
+def _agree(breaks):
+    """Keep the breaks that a neighbouring profile has, too, and reduce belief there."""
+    rows, count = breaks.kind.shape
+    wide, bins, alone = breaks.width, breaks.reliability.shape[1], []
+    for row in range(rows):
+        for k in range(count):
+            if breaks.kind[row, k] == LEVEL:
+                continue
+            begin, end = breaks.begin[row, k], (breaks.end[row, k] + 1) * wide
+            if not (_has_break(breaks, row - 1, k, row) or _has_break(breaks, (row + 1) % rows, k, row)):
+                alone.append((row, k))
+                continue
+            share = np.float32(0.0) if breaks.kind[row, k] == HOLE else DOUBTFUL
+            for n in range(begin, min(end + 1, bins)):
+                breaks.reliability[row, n] = min(breaks.reliability[row, n], share)
+    for row, k in alone:
+        breaks.kind[row, k] = LEVEL
+
+
+@kernel
+def _has_break(breaks, side, k, row):
+    """Tell whether a profile has a break upwards, or downwards, as bin `k` of `row` has, and where it has."""
+    wide, is_step = breaks.width, breaks.kind[row, k] == STEP
+    begin, end = breaks.begin[row, k], (breaks.end[row, k] + 1) * wide
+    for j in range(breaks.kind.shape[1]):
+        kind = breaks.kind[side, j]
+        if kind != LEVEL and (kind == STEP) == is_step:
+            if breaks.begin[side, j] < end and (breaks.end[side, j] + 1) * wide > begin:
+                return True
+    return False
