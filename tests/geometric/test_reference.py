@@ -16,7 +16,8 @@ from ogm.geometric import HeightBandISM, RayISM, flat_ground, ground_height, ref
 from ogm.geometric.ground import surface_of
 from ogm.geometric.kernels import lines, polar, surface
 from ogm.geometric.kernels.arguments import PolarGrid, RayNumbers, Rays, SectorRays
-from ogm.geometric.kernels.profile import classify_rays
+from ogm.geometric.kernels.breaks import FALL, HOLE, STEP, ground_breaks
+from ogm.geometric.kernels.classify import classify_rays
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(16.0, 12.0, 0.5)
@@ -151,56 +152,66 @@ def test_the_rays_that_meet_ground_and_clearance_follow_the_ground_along_each_se
     np.testing.assert_allclose(limits.clearance * run, ground - origin[2] + 2.0, atol=0.01)
     sampled = slice(None, None, 4)
     np.testing.assert_allclose((limits.ground * run)[:, sampled], (ground - origin[2])[:, sampled], atol=1e-4)
-    np.testing.assert_allclose(limits.highest, (ground - origin[2] + 2.0)[:, sampled].max(axis=1), atol=1e-4)
 
 
-def random_sector(rng: np.random.Generator) -> list[reference.Beam]:
-    """Rays of one sector over a random profile: slopes, steps, dips, obstacles; multipath, beams that miss."""
-    x = np.arange(0.0207, 45, 0.0201)  # hardly ever on the edge of a bin
-    ground = rng.choice([0, 0, 0.05, -0.05]) * np.maximum(x - rng.uniform(5, 20), 0) + rng.normal(
-        0, rng.choice([0, 0.01, 0.02]), x.size
-    )
+def random_sectors(rng: np.random.Generator) -> list[list[reference.Beam]]:
+    """Rays of eight sectors over a random ground: slopes, steps, dips, obstacles; multipath, beams that miss."""
+    x = np.arange(0.0207, 60, 0.0201)  # hardly ever on the edge of a bin
+    even = rng.choice([0, 0, 0.05, -0.05]) * np.maximum(x - rng.uniform(5, 20), 0)
     for _ in range(rng.integers(0, 4)):
-        begin, length, height = (
-            rng.uniform(3, 30),
-            rng.choice([0.3, 3, 40]),
-            rng.choice([0.08, 0.12, 0.3, -0.2, -1, -3, 1.5, 2.5]),
-        )
-        ground[(x > begin) & (x < begin + length)] += height
-    surface = ground - HEIGHT
-    beams = []
-    slopes = *(-HEIGHT / rng.uniform(2, 40, rng.integers(1, 60))), *rng.uniform(0, 0.3, 5)
-    for slope in sorted(map(float, slopes)):
-        below = np.flatnonzero(slope * x <= surface)
-        run = float(x[below[0]]) if below.size else 45.0
-        if rng.random() < 0.02:
-            run *= rng.uniform(1.1, 2)
-        beams.append(reference.Beam(slope, run, slope * run + HEIGHT, bool(below.size)))
-    return beams
+        begin, length = rng.uniform(3, 30), rng.choice([0.3, 3, 40])
+        even[(x > begin) & (x < begin + length)] += rng.choice([0.08, 0.12, 0.3, -0.2, -1, -3, 1.5, 2.5])
+    slopes, sectors = np.append(-HEIGHT / rng.uniform(2, 50, rng.integers(1, 60)), rng.uniform(0, 0.3, 5)), []
+    for _ in range(8):
+        surface = even + rng.normal(0, rng.choice([0, 0.01, 0.02]), x.size) - HEIGHT
+        if rng.random() < 0.2:
+            surface[x > 10] += rng.choice([0.3, -1.0])
+        beams = []
+        for slope in np.sort(np.repeat(slopes, 2) + rng.normal(0, 1e-4, 2 * len(slopes))).tolist():
+            below = np.flatnonzero(slope * x <= surface)
+            run = float(x[below[0]]) if below.size else 60.0
+            run *= rng.uniform(1.1, 2) if rng.random() < 0.02 else 1.0
+            beams.append(reference.Beam(slope, run, slope * run + HEIGHT, bool(below.size)))
+        sectors.append(beams)
+    return sectors
 
 
-def test_rays_are_classified_as_in_the_reference() -> None:
-    """Rounding to float32 may turn a few sectors; every kind occurs many times."""
-    rng, step, bins, count = np.random.default_rng(8), 0.16, 300, np.zeros(9, int)
+def test_breaks_and_what_rays_hit_are_those_of_the_reference() -> None:
+    """Rounding to float32 may turn a few; every kind occurs many times."""
+    rng, step, bins, count, kinds = np.random.default_rng(8), 0.16, 300, np.zeros(4, int), np.zeros(7, int)
     numbers = RayNumbers(*(float(getattr(RayISM(SPEC, Mount(HEIGHT)), name)) for name in RayNumbers._fields))
     unused, middle = np.zeros((1, 1), np.int16), ((np.arange(bins) + 0.5) * step).astype(np.float32)
-    plane = polar.RayLimits((-HEIGHT / middle)[None], ((2 - HEIGHT) / middle)[None], np.float32([2 - HEIGHT]))
-    grid, differ = PolarGrid(step, 8, 1, bins, unused, unused, unused), []
-    for _ in range(1000):
-        beams = random_sector(rng)
-        n = len(beams)
+    plane = polar.RayLimits((-HEIGHT / middle)[None], ((2 - HEIGHT) / middle)[None])
+    grid, differ, hit_differ = PolarGrid(step, 8, 1, bins, unused, unused, unused), [], []
+    for _ in range(400):
+        sectors = random_sectors(rng)
+        beams = [beam for sector in sectors for beam in sector]
         table = np.array([beam[:3] for beam in beams], np.float32)
         index = np.array([k if beam.is_return else -1 for k, beam in enumerate(beams)], np.int32)
-        found = SectorRays(
-            np.zeros(n, np.int8), *np.zeros((4, n), np.int32), np.zeros((n + 1, 6)), np.zeros(n, np.float32)
-        )
-        classify_rays(Rays(table, index, np.array([0, n], np.int32)), 0, n, plane, 0, grid, numbers, found)
-        fast = list(zip(found.kind.tolist(), found.begin.tolist(), strict=True))
-        slow = reference.classify(beams, -HEIGHT, step, numbers)
-        differ.append(fast != slow)
-        count += np.bincount([kind for kind, _ in slow], minlength=9)
+        starts = np.cumsum([0, *map(len, sectors)]).astype(np.int32)
+        rays = Rays(table, index, starts)
+        fast = ground_breaks(rays, plane, grid, numbers)
+        profiles = reference.profiles_of(sectors, step, numbers.obstacle_height, bins)
+        slow, reliability = reference.find_breaks(profiles, -HEIGHT, step, bins, numbers.below_ground)
+        for row, found in enumerate(slow):
+            broken = np.flatnonzero(fast.kind[row])
+            here = {k: (fast.kind[row, k], fast.begin[row, k], fast.end[row, k]) for k in broken}
+            same = here == {k: (one.kind, one.begin, one.end) for k, one in found.items()}
+            differ.append(not same or (reliability[row] != fast.reliability[row]).any())
+            count += np.bincount([one.kind for one in found.values()], minlength=4)
+            if not differ[-1]:
+                for k, one in found.items():
+                    assert fast.limit[row, k] == pytest.approx(one.limit, abs=1e-4)
+        for s, sector in enumerate(sectors):
+            hits = SectorRays(np.zeros(len(sector), np.int8), *np.zeros((3, len(sector)), np.int32))
+            classify_rays(rays, s, plane, grid, fast, numbers, hits)
+            expected = reference.classify(sector, slow[s // 2], step, numbers)
+            hit_differ.append(hits.kind.tolist() != expected and not differ[-4 + s // 2])
+            kinds += np.bincount(expected, minlength=7)
     assert np.mean(differ) < 0.01
-    assert (count > 50).all(), count
+    assert np.mean(hit_differ) < 0.01
+    assert (count[[FALL, STEP, HOLE]] > 50).all(), count
+    assert (kinds > 50).all(), kinds
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -6,9 +6,9 @@ import math
 import numpy as np
 
 from ogm.geometric.kernels.arguments import SectorRays
-from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.geometric.kernels.breaks import PROFILE_BITS, ground_breaks
 from ogm.geometric.kernels.classify import DEEP, FACE_OF_STEP, NO_RETURN, NONE, OBSTACLE, classify_rays
+from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]

@@ -88,7 +88,7 @@ def _add_up(rays, first, last, per_metre, obstacle_height, sums):
     sums[:] = 0
     for n in range(first, last):
         slope, run, above = rays.table[n, 0], rays.table[n, 1], rays.table[n, 2]
-        k = int(run * per_metre)
+        k = int(min(run * per_metre, np.float32(1e6)))
         if above <= obstacle_height and k < sums.shape[0] and rays.point[n] >= 0:
             k &= 0x7FFFFFFF
             sums[k, 0] += np.float32(1.0)
@@ -200,7 +200,7 @@ def _continue(support, base, at, before):
 
 @inline
 def _jump(profile, first, last, incline, sign):
-    """Return the largest rise (`sign` 1) or fall (-1) from one bin to the next, up to some bins, but for the incline."""
+    """Return the largest rise (`sign` 1) or fall (-1) from a bin to the next, up to some bins, less the incline."""
     most = 0.0
     for k in range(max(first, 1), last + 1):
         rise = profile[k, 1] - profile[k - 1, 1] - incline * (profile[k, 0] - profile[k - 1, 0])
@@ -255,7 +255,7 @@ def _has_break(breaks, side, k, row):
     begin, end = breaks.begin[row, k], (breaks.end[row, k] + 1) * wide
     for j in range(breaks.kind.shape[1]):
         kind = breaks.kind[side, j]
-        if kind != LEVEL and (kind == STEP) == is_step:
-            if breaks.begin[side, j] < end and (breaks.end[side, j] + 1) * wide > begin:
-                return True
+        overlaps = breaks.begin[side, j] < end and (breaks.end[side, j] + 1) * wide > begin
+        if overlaps and kind != LEVEL and (kind == STEP) == is_step:
+            return True
     return False

@@ -47,7 +47,7 @@ def classify_rays(rays, s, limits, polar, breaks, numbers, found):
     per_metre, margin = np.float32(1.0 / polar.step), np.float32(2.0 * numbers.range_noise)
     low, high, below = numbers.obstacle_height, numbers.clearance, -numbers.below_ground
     low, high, below = np.float32(low), np.float32(high), np.float32(below)
-    zero, one, bins = np.float32(0.0), np.float32(1.0), np.float32(polar.bins)
+    zero, one, bins, far_out = np.float32(0.0), np.float32(1.0), np.float32(polar.bins), np.float32(1e6)
     clearance, near, far, end = limits.clearance[row], 0, polar.bins, 0
     for n in range(rays.starts[s + 1] - first):
         slope, run, above = rays.table[first + n, 0], rays.table[first + n, 1], rays.table[first + n, 2]
@@ -70,8 +70,9 @@ def classify_rays(rays, s, limits, polar, breaks, numbers, found):
             found.block[n] = int(reach)
         else:
             kind, reach = GROUND, min(here + one, bins)
-            if here < bins:
-                k = (int(here) & 0x7FFF) // breaks.width
+            k = int(min(run * per_metre, far_out)) // breaks.width
+            if k < breaks.kind.shape[1]:
+                k &= 0x7FFFFFFF
                 broken, height = breaks.kind[profile, k], slope * run
                 if broken == STEP and height > breaks.limit[profile, k]:
                     kind = FACE_OF_STEP

@@ -1,0 +1,157 @@
+"""`RayISM` over flat ground by a loop over cells and rays."""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.ray import RayISM
+
+__all__ = ["ray_grid_mass"]
+
+
+def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int) -> NDArray[np.float32]:
+    """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float array
+        Points in the frame of the grid, without returns from the ego vehicle [m].
+        Without steps and holes: the ground returns of a sector lie on the ground, and returns more than
+        `below_ground` under it lie behind such.
+    no_returns : (M, 3) float array
+        Unit directions of beams without echo, in the frame of the grid.
+    ground : float
+        Height of the ground [m].
+    ism : RayISM
+        Its `ground` and `azimuth_step` are not used.
+    sectors : int
+
+    Returns
+    -------
+    (nx, ny, 2) float32
+    """
+    hits = np.zeros(ism.spec.shape)
+    rays = _returned_rays(xyz, ground, ism, hits) + _no_return_rays(no_returns, ground, ism)
+    free = _polar_free(rays, ground, ism, sectors)
+    spec, (x0, y0, _) = ism.spec, ism.mount.origin.tolist()
+    x_min, x_max, y_min, y_max = ism.mount.ego_footprint
+    mass = np.zeros((*spec.shape, 2), np.float32)
+    for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in spec.cell_centers)):
+        if x_min < x < x_max and y_min < y < y_max:
+            continue
+        r = math.hypot(x - x0, y - y0)
+        ring = min(int(r / spec.resolution), free.shape[1] - 1)
+        width = min(spec.resolution / max(r, spec.resolution / 8) / (2 * math.pi), 1) * sectors
+        span = max(round(width), 1)
+        begin = round(math.atan2(y - y0, x - x0) * sectors / (2 * math.pi) - span / 2)
+        cleared = np.mean([free[(begin + n) % sectors, ring] for n in range(span)])
+        alarm = ism.p_false_alarm ** (hits[i, j] / 2)
+        if hits[i, j]:
+            cleared *= ism.free_reliability_at_hits
+        mass[i, j] = min(cleared * alarm, ism.max_mass), min((1 - alarm) * (1 - cleared), ism.max_mass)
+    return mass
+
+
+class Ray(NamedTuple):
+    """One ray over flat ground."""
+
+    azimuth: float  # [rad]
+    slope: float  # rise over run
+    end: int  # first bin that it does not reach
+    is_silent: bool  # without echo
+    is_stopped: bool  # by an obstacle
+
+
+def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> list[Ray]:
+    """Return the ray to each return, and count the half hits of obstacles."""
+    spec, (x0, y0, z0) = ism.spec, ism.mount.origin.tolist()
+    rays = []
+    for x, y, z in xyz.tolist():
+        dx, dy, above = x - x0, y - y0, z - ground
+        r = math.hypot(dx, dy)
+        if above < -ism.below_ground or r < spec.resolution:
+            continue
+        is_obstacle = ism.obstacle_height < above < ism.clearance
+        end = r / spec.resolution
+        if above <= ism.obstacle_height:
+            end += 1
+        elif is_obstacle:
+            end = max(r - 2 * ism.range_noise, 0) / spec.resolution
+            for side in (-ism.range_noise, ism.range_noise):
+                u, v = x + dx / r * side, y + dy / r * side
+                if spec.contains(u, v):
+                    hits[spec.index(u, v)] += 1
+        rays.append(Ray(math.atan2(dy, dx), (z - z0) / r, int(end), False, is_obstacle))
+    return rays
+
+
+def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray]:
+    """Return the rays of beams without echo, up to the ground or to `max_range`."""
+    step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
+    rays = []
+    for dx, dy, dz in no_returns.tolist():
+        run = math.hypot(dx, dy)
+        end = int(ism.max_range * run / step)
+        end = next((k for k in range(end) if height + dz / run * (k + 0.5) * step < 0), end)
+        rays.append(Ray(math.atan2(dy, dx), dz / run, end, True, False))
+    return rays
+
+
+def chance_unnoticed(heights: NDArray, clearance: float, chance: float) -> float:
+    """Return E_H[chance ** N(H)] for H uniform up to `clearance` and N(H) the number of `heights` below H."""
+    heights = np.sort(np.clip(heights, 0, clearance))
+    edges = np.unique([0, *heights, clearance])
+    passed = np.searchsorted(heights, (edges[1:] + edges[:-1]) / 2)  # N(H) is constant between two edges
+    return float(np.diff(edges) @ chance**passed) / clearance
+
+
+def chance_hidden(heights: NDArray, fades: NDArray, ism: RayISM) -> float:
+    """Return the chance that something hangs between the rays that pass a bin, where an obstacle stopped others.
+
+    `heights` are those of all rays in the bin, also where a ray would be if nothing had stopped it, from the lowest
+    up; `fades` is NaN for a ray that passes, else how much of the obstacle is left (0: nothing, 1: all).
+    """
+    passing = np.flatnonzero(np.isnan(fades))
+    levels = np.clip([0, *heights[passing], ism.clearance], 0, ism.clearance)
+    worst = 0.0
+    for n, stopped in enumerate(np.split(fades, passing)):  # the stopped rays under each level; first a passing ray
+        thickness = (levels[n + 1] - levels[n]) / ism.hidden_height * (2 if n == len(passing) else 1)
+        worst = max(worst, thickness * np.nan_to_num(stopped).max(initial=0))
+    return min(worst, 1.0)
+
+
+def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> NDArray[np.float64]:
+    """Return the belief in free of every polar bin, (sectors, bins)."""
+    spec, (x, y, _) = ism.spec, ism.mount.origin.tolist()
+    x0, x1, y0, y1 = spec.extent
+    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
+    by_sector: list[list[Ray]] = [[] for _ in range(sectors)]
+    for ray in sorted(rays, key=lambda ray: ray.slope):
+        by_sector[min(int(ray.azimuth % (2 * math.pi) * sectors / (2 * math.pi)), sectors - 1)].append(ray)
+    free = np.zeros((sectors, bins))
+    for s, k in np.ndindex(sectors, bins):
+        chance = ism.p_miss ** (sectors / (2 * math.pi) / (k + 0.5))  # a cell sees some of the sector's rays
+        alone = _bin_free([ray for ray in by_sector[s] if not ray.is_silent], k, chance, ground, ism)
+        together = _bin_free(by_sector[s], k, chance, ground, ism)
+        free[s, k] = alone + ism.no_return_weight * max(together - alone, 0)
+    return free
+
+
+def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM) -> float:
+    """Return the belief in free of bin `k` from the rays of its sector, sorted by slope, missing with `chance`."""
+    step, heights, fades = ism.spec.resolution, [], []
+    for ray in rays:
+        height = float(ism.mount.origin[2]) - ground + ray.slope * (k + 0.5) * step
+        passes = k < ray.end
+        if passes and height < ism.clearance:
+            heights.append(height)
+            fades.append(math.nan)
+        elif not passes and ray.is_stopped:
+            heights.append(height)
+            fades.append(max(1 - (k - ray.end) * step / ism.hidden_depth, 0))
+    at, fade = np.array(heights), np.array(fades)
+    missed = chance_unnoticed(at[np.isnan(fade)], ism.clearance, chance)
+    return (1 - missed) * (1 - chance_hidden(at, fade, ism))
