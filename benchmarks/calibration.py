@@ -161,7 +161,7 @@ def main() -> None:
     parser.add_argument("fit", type=Path, metavar="FIT")
     parser.add_argument("test", type=Path, metavar="TEST")
     parser.add_argument("--fitted", type=Path, help="what `ogm calibrate` wrote, instead of a fit")
-    parser.add_argument("--base-rate", default="0.5", help="of the fit, see `ogm calibrate`")
+    parser.add_argument("--base-rate", default="data", help="of the fit, see `ogm calibrate`")
     parser.add_argument("--every", type=int, default=1, help="every N-th frame of FIT and TEST")
     parser.add_argument("--points", type=int, default=9, help="values of each parameter")
     parser.add_argument("--quick", action="store_true", help="few frames and values; writes to the folder runs/")

@@ -27,7 +27,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import GridSpec, Mount
-from ogm.geometric import HeightBandISM, RayISM
+from ogm.geometric import HeightBandISM, RayISM, ray
+from ogm.geometric.ground import surface_of
+from ogm.geometric.inputs import to_vehicle_frame
+from ogm.geometric.kernels.arguments import Cells, Points, RayNumbers
+from ogm.geometric.kernels.belief import clear_sectors, ray_mass
+from ogm.geometric.kernels.breaks import ground_breaks
+from ogm.geometric.kernels.polar import ray_limits
+from ogm.geometric.kernels.rays import sort_rays
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)  # 512 x 352 cells
 MAX_RANGE = math.hypot(SPEC.length, SPEC.width) / 2  # [m] the grid's far corner, where the 3D mappers stop too
@@ -56,6 +63,64 @@ for model in (HeightBandISM, RayISM):
     steps["first call of " + model.__name__] = time.perf_counter() - start
 print(json.dumps(steps))
 """
+
+
+TWO_THREADS = """
+import os, sys, time
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+from ogm import GridSpec, Mount
+from ogm.geometric import RayISM
+points, ism = np.load(sys.argv[1]), RayISM(GridSpec.centered(), Mount(float(sys.argv[2])))
+expected, rates = ism(points).mass, {}
+for _ in range(5):
+    for threads in (1, 2):
+        with ThreadPoolExecutor(threads) as pool:
+            start = time.perf_counter()
+            grids = list(pool.map(ism, [points] * 60))
+            rates.setdefault(threads, []).append(60 / (time.perf_counter() - start))
+        assert all((grid.mass == expected).all() for grid in grids)
+print(max(rates[1]), max(rates[2]))
+"""
+
+
+def two_threads(scan: NamedScan) -> dict[str, float]:
+    """Return the scans per second of one model in one thread and in two, on two cores; their grids are the same."""
+    cores = os.cpu_count() or 1
+    if cores < 2:
+        return {}
+    prepare = partial(os.sched_setaffinity, 0, range(cores)) if hasattr(os, "sched_setaffinity") else None
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(path := Path(folder) / "points.npy", make.thinned(scan.points, 120_000))
+        command = [sys.executable, "-c", TWO_THREADS, str(path), str(scan.sensor_height)]
+        out = subprocess.run(command, capture_output=True, text=True, check=True, preexec_fn=prepare)  # noqa: PLW1509
+    one, two = map(float, out.stdout.split())
+    return {"one thread [1/s]": one, "two threads [1/s]": two, "ratio": two / one}
+
+
+def steps(scan: NamedScan, rounds: int) -> dict[str, run.Times]:
+    """Time the steps of `RayISM`, each on what the steps before it made."""
+    points, mount = make.thinned(scan.points, 120_000), Mount(scan.sensor_height)
+    ism, cells = RayISM(SPEC, mount), Cells(*SPEC.origin, SPEC.resolution)
+    polar, coarse = ray._polar_grid(SPEC, mount, ism.azimuth_step), ray._ground_spec(SPEC, ism.ground_cell)
+    numbers = RayNumbers(*(float(getattr(ism, name)) for name in RayNumbers._fields))
+    origin, nothing = mount.origin.astype(np.float32), np.empty((0, 3), np.float32)
+    xyz = to_vehicle_frame(points, mount, mount.ego_footprint)
+    ground = surface_of(ism.ground(xyz, coarse, mount.ground_point), coarse)
+    limits, work = ray_limits(ground, origin, numbers.clearance, polar), ray._work_space(len(xyz), polar)
+    columns, alarms = Points(*xyz.T), ray._powers(math.sqrt(ism.p_false_alarm))
+    rays = sort_rays(columns, nothing, origin, ground, polar, numbers, work)
+    calls = {
+        "points in the vehicle frame": lambda _: to_vehicle_frame(points, mount, mount.ego_footprint),
+        "ground map": lambda _: ism.ground(xyz, coarse, mount.ground_point),
+        "rays, sorted": lambda _: sort_rays(columns, nothing, origin, ground, polar, numbers, work),
+        "breaks of the ground": lambda _: ground_breaks(rays, limits, polar, numbers),
+        "marks and belief, with the breaks": lambda _: clear_sectors(
+            rays, columns, origin, limits, polar, cells, numbers, work
+        ),
+        "masses": lambda _: ray_mass(work.free, work.hits, polar, alarms, numbers),
+    }
+    return run.measure({name: run.Contender(call) for name, call in calls.items()}, rounds)
 
 
 def first_calls() -> dict[str, dict[str, float]]:
@@ -100,7 +165,9 @@ def cost(sizes: list[int], runs: list[tuple[GridSpec, NDArray[np.float32]]], rou
     return result
 
 
-def verdicts(comparisons: list[dict[str, Any]], points: dict[str, Any]) -> list[dict[str, Any]]:
+def verdicts(
+    comparisons: list[dict[str, Any]], points: dict[str, Any], threads: dict[str, float]
+) -> list[dict[str, Any]]:
     """Return the ratios beside what they have to reach."""
     rows: list[tuple[str, float, str, float, str]] = []
     for comparison in comparisons:
@@ -118,6 +185,11 @@ def verdicts(comparisons: list[dict[str, Any]], points: dict[str, Any]) -> list[
             ratio = times[KISS].median / times[model].median
             rows.append((f"{model}: times faster than {KISS} {where}", ratio, ">=", 15, "x"))
         rows.append((f"{model}: time {where}", times[model].median, "<=", 8, "ms"))
+        rows.append(
+            (f"{model}: of the time of a copy {where}", times[model].median / times[COPY].median, "<=", 10, "x")
+        )
+    if threads:
+        rows.append((f"{RAY}: two threads against one", threads["ratio"], ">=", 1.6, "x"))
     for model in (HEIGHT_BAND, RAY):
         for kind in ("slope", "steepest step"):
             what = f"{model}: {kind} of log time over log points, to {max(points['points'])} points"
@@ -248,7 +320,10 @@ def main() -> None:
     cells, shapes = [math.prod(spec.shape) for spec in specs], [spec.shape for spec in specs]
     by_cells = cost(cells, [(spec, synthetic["120k"].points) for spec in specs], rounds)
     record["cost of cells"] = {"cells": cells, "shapes": shapes, **by_cells}
-    record["verdicts"] = verdicts(record["comparisons"], record["cost of points"])
+    timed = scans[0]["120k"]
+    record["steps of RayISM"] = {"scan": timed.name, "times": steps(timed, rounds)}
+    record["two threads"] = two_threads(timed)
+    record["verdicts"] = verdicts(record["comparisons"], record["cost of points"], record["two threads"])
     record["note"] = NOTE
     report(record)
     run.write_json(options.out, _named(record))

@@ -37,7 +37,7 @@ def calibrate_command(
         typer.Option(
             help="P(occupied) of a cell of which nothing is known; data: the share of occupied cells.", metavar="P"
         ),
-    ] = "0.5",
+    ] = "data",
     every: Annotated[int, typer.Option(help="Use every N-th frame.", metavar="N")] = 1,
     threads: Annotated[int, typer.Option(help="Frames that are mapped at the same time.")] = 1,
     out_path: Annotated[Path | None, typer.Option("--out", help="The result. [default: ./MODEL.json]")] = None,

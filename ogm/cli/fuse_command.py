@@ -33,7 +33,12 @@ SavePoses = Annotated[File, Option(help="Write the poses of the scans that were 
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
 First = Annotated[int | None, Option(help="Map the first so many scans only. [default: all]")]
-Model = Annotated[str, Option(help="Sensor model: ray, height-band, lite, or weights that `ogm train` wrote.")]
+Model = Annotated[
+    str,
+    Option(
+        help="Sensor model: ray, height-band, lite, weights that `ogm train` wrote, or the .json of `ogm calibrate`."
+    ),
+]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
 Rule = Annotated[
     str, Option(help="Combine scans by: cautious, dempster, yager, cumulative, pcr6, averaging, weighted, bayes.")

@@ -114,7 +114,7 @@ def calibrate(
     spec: GridSpec | None = None,
     *,
     fit: Mapping[str, tuple[float, float]] | None = None,
-    base_rate: float | None = 0.5,
+    base_rate: float | None = None,
     threads: int = 1,
     reading: Callable[[Iterable[int]], Iterable[int]] = iter,
     progress: Callable[[int, float], object] = lambda evaluations, nll: None,
@@ -136,9 +136,9 @@ def calibrate(
         The fitted parameters with their bounds; by default those of `FITTED`, within `BOUNDS`. One without effect on
         these frames keeps its value.
     base_rate : float, optional
-        P(occupied) of a cell of which nothing is known. With 1/2, the metric ``nll`` is minimised: as few cells are
-        occupied, the fit makes up for it by more belief in free. With None, the share of the known cells that are
-        occupied: masses then hold what the rays tell beyond it.
+        P(occupied) of a cell of which nothing is known; by default the share of the known cells that are occupied:
+        masses then hold what the rays tell beyond it. With 1/2, the metric ``nll`` is minimised: as few cells are
+        occupied, the fit makes up for it by more belief in free.
     threads : int
         Frames that are mapped at the same time. The result does not depend on it.
     reading : function
