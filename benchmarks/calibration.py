@@ -4,8 +4,8 @@
 
 FIT and TEST are what `ogm simulate` made: drives through training towns, and drives through other towns
 (benchmarks/README.md). The fit is that of `ogm calibrate`; --fitted takes its result instead. The likelihood is drawn
-around it, over two parameters at once and over each other one, the rest held. Then the model before and after is
-evaluated on TEST, and on real recordings where they are there. Writes benchmarks/results/calibration.json and
+around it, over two parameters at once and over each other one, the rest held. Then the model by default and as
+fitted is evaluated on TEST, and on real recordings where they are there. Writes benchmarks/results/calibration.json and
 docs/pictures/calibration.png.
 """
 
@@ -34,11 +34,6 @@ from ogm.metrics import ConfusionSums
 from ogm.scan import PerMount
 
 SPEC = GridSpec.centered()
-# Before the fit: the rates of Bosch's belief model (CVPR 2024); the others were chosen by us
-BEFORE = {
-    **{"p_miss": 0.8, "p_false_alarm": 0.05, "free_reliability_at_hits": 0.2},
-    **{"no_return_weight": 0.2, "obstacle_height": 0.1, "max_mass": 0.98},
-}
 PAIR = "p_miss", "p_false_alarm"
 METRICS = (
     "nll",
@@ -52,7 +47,7 @@ METRICS = (
     "free_recall_1",
 )
 LEVELS = (0, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10)  # [nats] of the surface
-COLOURS = {"before": "#8c8c8c", "after": "#b35806"}
+COLOURS = {"default": "#8c8c8c", "fitted": "#b35806"}
 
 
 def around(fitted: Calibration, likelihood: Likelihood, points: int) -> dict[str, Any]:
@@ -75,22 +70,22 @@ def around(fitted: Calibration, likelihood: Likelihood, points: int) -> dict[str
 
 
 def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
-    """Evaluate the model before and after."""
+    """Evaluate the model by default and fitted."""
     methods = {
         name: PerMount(lambda mount, numbers=numbers: RayISM(SPEC, mount, **numbers))
-        for name, numbers in (("before", fitted.start), ("after", fitted.parameters))
+        for name, numbers in (("default", fitted.start), ("fitted", fitted.parameters))
     }
     return evaluate(methods, dataset, SPEC, frames=range(0, len(dataset), every))
 
 
 def recorded(result: Evaluation) -> dict[str, Any]:
-    """Return the means of the metrics before and after, and their differences with 95 % intervals."""
-    differences = result.compare("after", "before")
+    """Return the means of the metrics by default and fitted, and their differences with 95 % intervals."""
+    differences = result.compare("fitted", "default")
     found: dict[str, Any] = {
         "frames": len(result.frames),
         "drives": len({one.sequence or one.name for one in result.frames}),
         "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
-        "after - before": {m: [finite(x) for x in differences[m].difference] for m in METRICS},
+        "fitted - default": {m: [finite(x) for x in differences[m].difference] for m in METRICS},
     }
     for name, sums in zip(result.methods, result.pooled, strict=True):
         found[f"beliefs {name}"] = beliefs(sums)
@@ -109,7 +104,7 @@ def added(results: Mapping[str, Evaluation], method: int) -> ConfusionSums:
 
 
 def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Mapping[str, Evaluation]) -> None:
-    """Draw the likelihood around the fitted parameters, and how honest the beliefs are before and after."""
+    """Draw the likelihood around the fitted parameters, and how honest the beliefs are by default and fitted."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 
@@ -124,16 +119,16 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
     colours = colormaps["YlOrBr"](np.linspace(0, 1, len(LEVELS) - 1))
     drawn = first.contourf(surface[PAIR[1]], surface[PAIR[0]], values - least, LEVELS, colors=colours)
     map_figure.colorbar(drawn, ax=first, label="NLL above the least [nats]", format="%g")
-    for name, marker in (("before", "o"), ("after", "*")):
-        at = fitted["start" if name == "before" else "parameters"]
+    for name, marker in (("default", "o"), ("fitted", "*")):
+        at = fitted["start" if name == "default" else "parameters"]
         first.plot(at[PAIR[1]], at[PAIR[0]], marker, color="black", ms=9, label=name)
     first.set(xlabel=PAIR[1], ylabel=PAIR[0], xscale="log", title="Likelihood on training towns")
     first.legend(frameon=False)
     for axes, (name, one) in zip(rest, profiles.items(), strict=True):
-        axes.plot(one["values"], np.array(one["nll"]) - least, color=COLOURS["after"])
+        axes.plot(one["values"], np.array(one["nll"]) - least, color=COLOURS["fitted"])
         axes.set_yscale("symlog", linthresh=1e-3)
-        axes.axvline(fitted["start"][name], color=COLOURS["before"], ls="--")
-        axes.axvline(fitted["parameters"][name], color=COLOURS["after"], ls=":")
+        axes.axvline(fitted["start"][name], color=COLOURS["default"], ls="--")
+        axes.axvline(fitted["parameters"][name], color=COLOURS["fitted"], ls=":")
         error = fitted["errors"].get(name)
         axes.set(xlabel=name, title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""))
     rest[0].set_ylabel("NLL above the least [nats]")
@@ -152,7 +147,7 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
             axes.set(xlim=(0, 1), ylim=(0, 1), xlabel=f"belief that a cell is {state}", ylabel=f"share that is {state}")
             axes.set_title(f"{place}: {state}")
             axes.legend(frameon=False)
-    note = f"A belief is kept above the diagonal. Dashed: before. {run.caption(record['environment'])}"
+    note = f"A belief is kept above the diagonal. Dashed: the default. {run.caption(record['environment'])}"
     run.save_picture(figure, path, note)
 
 
@@ -176,11 +171,7 @@ def main() -> None:
     if given.fitted is None:
         base = None if given.base_rate == "data" else float(given.base_rate)
         fitted = calibrate(
-            training,
-            Calibration("ray", BEFORE),
-            SPEC,
-            base_rate=base,
-            progress=lambda n, nll: print(n, f"{nll:.4f}", end="\r"),
+            training, "ray", SPEC, base_rate=base, progress=lambda n, nll: print(n, f"{nll:.4f}", end="\r")
         )
     else:
         fitted = Calibration.load(given.fitted)
@@ -197,10 +188,10 @@ def main() -> None:
             recordings[one.name] = compared(one.alone, fitted, every if given.quick else 1)
     record["real"] = {name: recorded(result) for name, result in recordings.items()}
     for name, found in {"unseen towns": record["test"], **record["real"]}.items():
-        before, after = (found["means"][which] for which in ("before", "after"))
+        default, new = (found["means"][which] for which in ("default", "fitted"))
         shown = ("nll", "ece", "false_free", "iou_free")
         print(
-            f"{name:32}" + "  ".join(f"{m} {before[m]:.3f} -> {after[m]:.3f}" for m in shown if before[m] is not None)
+            f"{name:32}" + "  ".join(f"{m} {default[m]:.3f} -> {new[m]:.3f}" for m in shown if default[m] is not None)
         )
     write(given.out, record)
     draw(given.picture, record, test, recordings)

@@ -68,8 +68,8 @@ def map_(
     ism: Annotated[
         str,
         typer.Option(
-            help="Sensor model: ray, height-band, height-band-released, lite, weights that `ogm train` wrote, or the .json "
-            "of `ogm calibrate`."
+            help="Sensor model: ray, height-band, height-band-released, lite, weights that `ogm train` wrote, or the "
+            ".json of `ogm calibrate`."
         ),
     ] = "ray",
     axes: options.Axes = "flu",

@@ -86,7 +86,7 @@ class Likelihood:
             shares = [float((one.state[one.known] == CellState.OCCUPIED).mean()) for one in self.frames]
             base_rate = float(self._by_drive(shares).mean())
         if not 0 < base_rate < 1:
-            raise ValueError(f"base_rate must lie between 0 and 1, got {base_rate}")
+            raise ValueError(f"base_rate must lie between 0 and 1, got {base_rate}; give one if all cells are alike")
         self.base_rate = base_rate
 
     def __call__(self, parameters: Mapping[str, float]) -> NDArray[np.float64]:

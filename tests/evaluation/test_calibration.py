@@ -56,7 +56,7 @@ def frames() -> list[Frame]:
 
 @pytest.fixture(scope="module")
 def fitted(frames: list[Frame]) -> Calibration:
-    return calibrate(frames, "ray", SPEC, fit=FIT)
+    return calibrate(frames, "ray", SPEC, fit=FIT, base_rate=0.5)
 
 
 # --- The fit ----------------------------------------------------------------------------------------
@@ -141,7 +141,7 @@ def test_an_interrupt_keeps_the_best_parameters(frames: list[Frame]) -> None:
         if evaluations == 12:
             raise KeyboardInterrupt
 
-    found = calibrate(frames[:8], "ray", SPEC, fit=FIT, progress=stop)
+    found = calibrate(frames[:8], "ray", SPEC, fit=FIT, base_rate=0.5, progress=stop)
     assert not found.finished
     assert found.evaluations == 12
     assert seen == sorted(seen, reverse=True)
@@ -272,7 +272,9 @@ def data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 
 def test_the_command_writes_a_model(data: Path) -> None:
     out = data / "mine.json"
-    code, output = run("calibrate", data, "--fit", "p_miss,p_false_alarm=0.01:0.5", "--every", 2, "--out", out)
+    code, output = run(
+        "calibrate", data, "--fit", "p_miss,p_false_alarm=0.01:0.5", "--every", 2, "--base-rate", 0.5, "--out", out
+    )
     assert code == 0, output
     assert "ray, 3 frames of 3 drives" in output
     assert f"written {out}" in output

@@ -116,7 +116,7 @@ def _compare(profile, support, row, step, below_ground, lowest, breaks):
             edge = max(int(support[_last_before(support, count, count - 1, run - EDGE), 0] / step) - 1, 0)
 
             if gap < REACH and rise > ONSET + slack:
-                end = _follow(profile, k, line, 1.0)
+                end = _end_of_change(profile, k, line, 1.0)
                 high = _above(line, profile[end, 0], profile[end, 1])
                 is_high = end != NO_BREAK and high > RISE + RISE_ANGLE * run + ROUGH * rough
                 if is_high and _jump(profile, k, end, incline, 1.0) > SUDDEN * high:
@@ -129,7 +129,7 @@ def _compare(profile, support, row, step, below_ground, lowest, breaks):
                 if slope < horizon:
                     continue  # multipath
                 if begin < 0:
-                    edge_of_hole, end = line, _follow(profile, k, line, -1.0)
+                    edge_of_hole, end = line, _end_of_change(profile, k, line, -1.0)
                 if begin >= 0 or end != NO_BREAK:
                     descent = DESCENT * max(run - edge_of_hole[0] - DESCENT_GAP, 0.0)
                     floor = min(height - _above(edge_of_hole, run, height), lowest) - below_ground - descent - slack
@@ -209,7 +209,7 @@ def _jump(profile, first, last, incline, sign):
 
 
 @kernel
-def _follow(profile, k, line, sign):
+def _end_of_change(profile, k, line, sign):
     """Return the last bin of a rise (`sign` 1) or fall (-1) that begins in bin `k`, or `NO_BREAK`.
 
     It goes on as long as it grows at least half as fast as from the ground before it.
