@@ -126,8 +126,9 @@ def environment() -> dict[str, Any]:
     for package in PACKAGES:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             versions[package] = importlib.metadata.version(package)
+    words = (Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:])
     return {
-        "command": " ".join(["python", *sys.argv]),
+        "command": " ".join([f"python benchmarks/{Path(sys.argv[0]).name}", *words]),
         "date": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "cpu": _cpu(),
         "cores": os.cpu_count(),

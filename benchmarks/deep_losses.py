@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs/losses"), help="folder of the trainings")
     parser.add_argument("--only", nargs="+", choices=RECIPES, default=list(RECIPES))
     options = parser.parse_args()
-    record = environment() | {"command": f"python benchmarks/deep_losses.py {options.data.name}"}
+    record = environment()
     training, validation = (open_dataset(options.data, split=name) for name in ("training", "validation"))
     # Spread over all drives; weights are chosen by other validation frames than those that are evaluated.
     chosen = np.linspace(0, len(training) - 1, options.samples).astype(int)

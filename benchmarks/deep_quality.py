@@ -23,7 +23,6 @@ from _run import PICTURES, RESULTS, caption, environment, write_json
 
 # isort: split
 import argparse
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -138,8 +137,6 @@ def main() -> None:
     options = parser.parse_args()
 
     record = environment()
-    words = (Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:])
-    record["command"] = " ".join(["python benchmarks/deep_quality.py", *words])
     dataset = open_dataset(options.data, split=options.split)[: options.samples]
     part = Store.open(options.data)[dataset.facts["split"]]
     samples = [part[k] for k in dataset.facts["samples"][: options.samples]]

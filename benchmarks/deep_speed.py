@@ -157,7 +157,6 @@ def main() -> None:
     if options.data:
         record["reading and augmenting, one process"] = read = loading(options.data)
         print(f"frames read and augmented per second {read['samples per second']:.1f}")
-        record["command"] = f"python benchmarks/deep_speed.py --data {options.data.name}"
     for name, one in {**times, **record["summary"]}.items():
         print(f"{name:34} {one}")
     if not options.quick:

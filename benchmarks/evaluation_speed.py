@@ -121,7 +121,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--quick", action="store_true", help="see that everything runs; figures are worth nothing")
     given = parser.parse_args()
-    found = environment() | {"command": f"python benchmarks/evaluation_speed.py {given.data.name}"}
+    found = environment()
     frame = open_dataset(given.data, split="sequences")[50]
     state = frame.truth.crop(SPEC).state
     times: dict[str, dict[str, Times]] = {}

@@ -83,11 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--repeats", type=int, default=4000)
     options = parser.parse_args()
-    record = environment() | {
-        "command": "python benchmarks/interval_coverage.py",
-        "repeats": options.repeats,
-        "cases": [],
-    }
+    record = environment() | {"repeats": options.repeats, "cases": []}
     for number, case in enumerate(cases()):
         record["cases"].append(case._asdict() | coverage(case, options.repeats, np.random.default_rng(number)))
         print(*(f"{name} {value}" for name, value in record["cases"][-1].items()), sep="  ", flush=True)

@@ -17,7 +17,6 @@ from _run import DATA, PICTURES, RESULTS, caption, environment, save_picture, wr
 # isort: split
 import argparse
 import hashlib
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -166,8 +165,6 @@ def main() -> None:
         print(f"there is no {options.curves}: give the values behind the paper's figures with --curves")
         return
     record = environment()
-    words = (Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:])
-    record["command"] = " ".join(["python benchmarks/paper_curves.py", *words])
     record["source"] = CITED
     record["sha256 of the values"] = hashlib.sha256(options.curves.read_bytes()).hexdigest()
     record["seed"] = SEED

@@ -217,8 +217,6 @@ def main() -> None:
         parser.error(f"--every must be at least 1 (with --quick at most {QUICK_SCANS}), got {options.every}")
 
     record = environment()
-    words = [Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]]
-    record["command"] = " ".join(["python benchmarks/quality.py", *words])
     record |= {"split": options.split, "metrics": {m: METRICS[m]._asdict() for m in METRICS}}
     run = Run(options, single_scan(PAPER, options.paper), folder, pictures, dict(record), {})
     parts = {

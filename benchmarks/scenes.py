@@ -19,7 +19,6 @@ import argparse
 import contextlib
 import json
 import subprocess
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -83,7 +82,6 @@ def main() -> None:
         print(f"wrote {options.keep}")
         return
     record = run.environment() | {"commit": commit(), "seed": options.seed}
-    record["command"] = " ".join(["python benchmarks/scenes.py", *(a.rpartition("/")[2] for a in sys.argv[1:])])
     record["share"] = "of a region's cells with a mass of free, or of occupied, of more than 1/2"
     record["scenes"] = shares(masses, scenes)
     if options.before:

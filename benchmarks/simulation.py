@@ -161,8 +161,6 @@ def main() -> None:
     chosen = (options.moments, options.repeats, options.samples)
     moments, repeats, samples = (2, 1, 20) if options.quick else chosen
     record = environment()
-    if options.store:
-        record["command"] = record["command"].replace(str(options.store), options.store.name)
     plan = DatasetPlan(mounts=only("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))

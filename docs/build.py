@@ -136,6 +136,39 @@ def speed() -> str:
     return table(["KITTI scan, HDL-64E", "57,600 points", "120,000 points", "x copy"], rows)
 
 
+def speed_steps() -> str:
+    """Return the time of each step of `RayISM`, and what two threads gain."""
+    found = record("speed")
+    steps, threads = found["steps of RayISM"], found["two threads"]
+    times = {name: one["median [ms]"] for name, one in steps["times"].items()}
+    rows = [[name, f"{one:.2g} ms"] for name, one in times.items()]
+    gain = f"Two threads map {threads['ratio']:.2f} times as many scans per second as one, with the same result."
+    return f"{table([f'step, {steps["scan"]}, 120,000 points', 'time'], rows)}\n\n{gain}\n\n{source('speed')}"
+
+
+def calibration() -> str:
+    """Return the fitted parameters of `RayISM`, and what they change in unseen towns."""
+    found = record("calibration")
+    fitted, test = found["fitted"], found["test"]
+    rows = []
+    for name, value in fitted["parameters"].items():
+        error = fitted["errors"].get(name)
+        rows.append([f"`{name}`", f"{fitted['start'][name]:.3g}", f"{value:.3g}", f"{error:.2g}" if error else ""])
+    parts = [table(["parameter", "default", "fitted", "standard error"], rows)]
+    parts.append(f"Unseen towns, {test['frames']} frames of {test['drives']} drives:")
+    names = {"nll": "NLL", "ece": "ECE", "false_free": "false free", "iou_free": "IoU free"}
+    rows = [
+        [
+            title,
+            *(f"{test['means'][which][name]:.3f}" for which in ("default", "fitted")),
+            "{:.3f} ({:.3f} to {:.3f})".format(*test["fitted - default"][name]),
+        ]
+        for name, title in names.items()
+    ]
+    parts.append(table(["mean", "default", "fitted", "difference (95 %)"], rows))
+    return "\n\n".join([*parts, source("calibration")])
+
+
 def ground() -> str:
     """Return precision, recall and F1 of ground and obstacle points."""
     rows = []
@@ -439,6 +472,7 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": headline()},
     "docs/lite.md": lambda: {"results": headline()},
+    "docs/geometric.md": lambda: {"calibration": calibration(), "time": speed_steps()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/reproduction.md": lambda: (
         sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))
