@@ -139,11 +139,20 @@ def speed() -> str:
 def speed_steps() -> str:
     """Return the time of each step of `RayISM`, and what two threads gain."""
     found = record("speed")
-    steps, threads = found["steps of RayISM"], found["two threads"]
-    times = {name: one["median [ms]"] for name, one in steps["times"].items()}
-    rows = [[name, f"{one:.2g} ms"] for name, one in times.items()]
+    timed, threads = found["steps of RayISM"], found["two threads"]
+    rows = [[name, f"{one['median [ms]']:.2g} ms"] for name, one in timed["times"].items()]
     gain = f"Two threads map {threads['ratio']:.2f} times as many scans per second as one, with the same result."
-    return f"{table([f'step, {steps["scan"]}, 120,000 points', 'time'], rows)}\n\n{gain}\n\n{source('speed')}"
+    return "\n\n".join([table([f"step, {timed['scan']}, 120,000 points", "time"], rows), gain, source("speed")])
+
+
+def steps() -> str:
+    """Return what is predicted where a step's face returns beams, by its height and place."""
+    found, places = record("scenes")["scenes"], ("at 8 m", "at 12 m", "at 15 m", "along")
+    rows = []
+    for height in sorted({name.split()[1] for name in found if name.startswith("step ")}):
+        faces = [found[f"step {height} m {place}"]["face"] for place in places]
+        rows.append([f"{height} m", *(f"{100 * one['free']:.0f} / {100 * one['occupied']:.0f}" for one in faces)])
+    return table(["step, free / occupied [%]", *(place.replace("at", "ahead,") for place in places)], rows)
 
 
 def calibration() -> str:
@@ -472,7 +481,7 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": headline()},
     "docs/lite.md": lambda: {"results": headline()},
-    "docs/geometric.md": lambda: {"calibration": calibration(), "time": speed_steps()},
+    "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/reproduction.md": lambda: (
         sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))

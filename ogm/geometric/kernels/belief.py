@@ -51,8 +51,7 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     numbers : RayNumbers
         p is `p_miss`.
     work : WorkSpace
-        `free` and `hits` are filled: belief in free, and half hits of obstacles and of returns from holes. `order`
-        is overwritten.
+        `free` and `hits` are filled: belief in free, and half hits of obstacles and of returns from steps and holes.
     """
     sectors, bins, most = polar.sectors, polar.bins, 0
     for s in range(sectors):
