@@ -176,14 +176,15 @@ def random_sectors(rng: np.random.Generator) -> list[list[reference.Beam]]:
     return sectors
 
 
-def test_breaks_and_what_rays_hit_are_those_of_the_reference() -> None:
+@pytest.mark.parametrize("seed", range(6))
+def test_breaks_and_what_rays_hit_are_those_of_the_reference(seed: int) -> None:
     """Rounding to float32 may turn a few; every kind occurs many times."""
-    rng, step, bins, count, kinds = np.random.default_rng(8), 0.16, 300, np.zeros(4, int), np.zeros(7, int)
+    rng, step, bins, count, kinds = np.random.default_rng(seed), 0.16, 300, np.zeros(4, int), np.zeros(7, int)
     numbers = RayNumbers(*(float(getattr(RayISM(SPEC, Mount(HEIGHT)), name)) for name in RayNumbers._fields))
     unused, middle = np.zeros((1, 1), np.int16), ((np.arange(bins) + 0.5) * step).astype(np.float32)
     plane = polar.RayLimits((-HEIGHT / middle)[None], ((2 - HEIGHT) / middle)[None])
     grid, differ, hit_differ = PolarGrid(step, 8, 1, bins, unused, unused, unused), [], []
-    for _ in range(400):
+    for _ in range(70):
         sectors = random_sectors(rng)
         beams = [beam for sector in sectors for beam in sector]
         table = np.array([beam[:3] for beam in beams], np.float32)
@@ -210,8 +211,8 @@ def test_breaks_and_what_rays_hit_are_those_of_the_reference() -> None:
             kinds += np.bincount(expected, minlength=7)
     assert np.mean(differ) < 0.01
     assert np.mean(hit_differ) < 0.01
-    assert (count[[FALL, STEP, HOLE]] > 50).all(), count
-    assert (kinds > 50).all(), kinds
+    assert (count[[FALL, STEP, HOLE]] > 8).all(), count
+    assert (kinds > 8).all(), kinds
 
 
 @given(st.integers(0, 2**32 - 1))
