@@ -5,6 +5,8 @@ import pytest
 
 from ogm import GridSpec, Mount, read_points
 from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, reference
+from ogm.geometric.kernels.surface import fill
+from ogm.geometric.reference.ground import _pull_push
 
 SPEC = GridSpec.centered(60.0, 60.0, 1.0)
 GROUND_POINT = (0.0, 0.0, -1.8)
@@ -122,6 +124,30 @@ def test_local_ground_equals_its_reference(seed: int, shape: tuple[int, int]) ->
     fast = local_ground(xyz, spec, ground_point)
     slow = reference.ground_map(xyz, ground_point, spec, 0.25, 0.15, 0.4, 0.25)
     np.testing.assert_allclose(fast, slow, atol=1e-4)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.9])
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 2), (2, 1), (1, 3), (1, 9), (8, 1), (2, 2), (2, 3), (3, 2), (3, 3), (5, 4), (7, 17), (16, 9)]
+)
+def test_missing_heights_are_filled_as_the_slow_version_does(shape: tuple[int, int], share: float) -> None:
+    rng = np.random.default_rng(shape[0] * 100 + shape[1])
+    for _ in range(4):
+        height = rng.uniform(-2, 3, shape).astype(np.float32)
+        weight = np.where(rng.random(shape) < share, rng.integers(1, 9, shape), 0).astype(np.float32)
+        height[weight == 0] = 0
+        filled, weight_before = height.copy(), weight.copy()
+        fill(filled, weight, np.float32(-1.8))
+        np.testing.assert_array_equal(weight, weight_before)
+        slow = _pull_push(height.astype(float), weight.astype(float), -1.8)
+        np.testing.assert_allclose(filled, slow, atol=1e-5)
+        known = weight > 0
+        np.testing.assert_array_equal(filled[known], height[known])
+        if known.any():  # means of what is known
+            assert (filled >= height[known].min() - 1e-5).all()
+            assert (filled <= height[known].max() + 1e-5).all()
+        else:
+            np.testing.assert_array_equal(filled, np.float32(-1.8))
 
 
 def test_kerbs_do_not_break_the_ground_on_either_side() -> None:

@@ -32,9 +32,9 @@ def cloud(seed: int, count: int = 300, height: float = HEIGHT) -> np.ndarray:
     return np.stack([run * np.cos(azimuth), run * np.sin(azimuth), z, rng.uniform(0, 1, count)], 1).astype(np.float32)
 
 
-def flat_cloud(seed: int, height: float) -> np.ndarray:
+def flat_cloud(seed: int, height: float, count: int = 300) -> np.ndarray:
     """As `cloud`, over ground without noise and without strays under it: nothing there looks like a step or a hole."""
-    points = cloud(seed, height=height)
+    points = cloud(seed, count, height)
     points[points[:, 2] < 0.2 - height, 2] = -height
     return points
 
@@ -84,6 +84,25 @@ def test_ray_model_equals_the_loop_over_cells_and_rays(
     assert np.abs(fast - slow).mean() < 1e-3
     assert (slow[..., 0] > 0.1).mean() > 0.1
     assert (slow[..., 1] > 0.5).mean() > 0.02
+
+
+@pytest.mark.parametrize(("height", "p_miss"), [(1.7, 0.05), (1.7, 1e-4), (3.0, 1e-4), (5.0, 1e-4)])
+@pytest.mark.parametrize("seed", range(2))
+def test_ray_model_equals_the_loop_where_so_many_rays_pass_that_some_are_not_counted(
+    height: float, p_miss: float, seed: int
+) -> None:
+    """Also behind obstacles that stop some of them, and with beams without echo among them."""
+    points = flat_cloud(seed, height, count=1500)
+    rng = np.random.default_rng(seed + 100)
+    no_returns = rng.normal(0, [1, 1, 0.1], (200, 3))
+    no_returns = (no_returns / np.linalg.norm(no_returns, axis=1, keepdims=True)).astype(np.float32)
+    mount = Mount(height, ego_footprint=(0.0, 0.0, 0.0, 0.0))
+    options = {"azimuth_step": 2 * math.pi / 32, "p_miss": p_miss, "max_mass": 0.9999, "hidden_height": 1.5}
+    ism = RayISM(SPEC, mount, ground=flat_ground, **options)
+    slow = reference.ray_grid_mass(points[:, :3].astype(np.float64), no_returns, -height, ism, sectors=32)
+    fast = ism(Scan(points, no_returns=no_returns)).mass
+    np.testing.assert_allclose(fast, slow, atol=2e-4)
+    assert ((slow[..., 0] > 0.1) & (slow[..., 0] < 0.9)).mean() > 0.1
 
 
 @pytest.mark.parametrize("p_miss", [0.8, 0.3])
