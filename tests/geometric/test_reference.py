@@ -4,6 +4,7 @@ import math
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from ogm.geometric import HeightBandISM, RayISM, flat_ground, ground_height, ref
 from ogm.geometric.ground import surface_of
 from ogm.geometric.kernels import lines, polar, surface
 from ogm.geometric.kernels.arguments import PolarGrid, RayNumbers, Rays, SectorRays
-from ogm.geometric.kernels.breaks import FALL, HOLE, STEP, ground_breaks
+from ogm.geometric.kernels.breaks import FALL, HOLE, LEVEL, STEP, ground_breaks
 from ogm.geometric.kernels.classify import classify_rays
 from ogm.pose import pose
 
@@ -232,6 +233,47 @@ def test_breaks_and_what_rays_hit_are_those_of_the_reference(seed: int) -> None:
     assert np.mean(hit_differ) < 0.01
     assert (count[[FALL, STEP, HOLE]] > 8).all(), count
     assert (kinds > 8).all(), kinds
+
+
+def breaks_on(rise: Callable[[np.ndarray], np.ndarray]) -> list[tuple[int, float]]:
+    """Kinds and limits of the breaks where the ground rises so much along each sector, under beams 0.1 m apart."""
+    step, bins, sectors, x = 0.16, 300, 8, np.arange(0.02, 70, 0.01)
+    beams = []
+    for slope in -HEIGHT / np.arange(2.0, 40.0, 0.1):
+        below = np.flatnonzero(slope * x <= rise(x) - HEIGHT)
+        if below.size:
+            beams.append((slope, x[below[0]], 0.0))  # the map follows the ground
+    table, starts = np.array(beams * sectors, np.float32), np.arange(sectors + 1, dtype=np.int32) * len(beams)
+    unused, middle = np.zeros((1, 1), np.int16), ((np.arange(bins) + 0.5) * step).astype(np.float32)
+    plane = polar.RayLimits((-HEIGHT / middle)[None], ((2 - HEIGHT) / middle)[None])
+    numbers = RayNumbers(*(float(getattr(RayISM(SPEC, Mount(HEIGHT)), name)) for name in RayNumbers._fields))
+    grid = PolarGrid(step, sectors, 1, bins, unused, unused, unused)
+    found = ground_breaks(Rays(table, np.arange(len(table), dtype=np.int32), starts), plane, grid, numbers)
+    assert (found.kind == found.kind[0]).all()
+    return [(int(found.kind[0, k]), float(found.limit[0, k])) for k in np.flatnonzero(found.kind[0])]
+
+
+@pytest.mark.parametrize(
+    ("rise", "kind", "limit"),
+    [
+        *[(0.055, LEVEL, 0), (0.065, STEP, math.inf), (0.19, STEP, math.inf), (0.21, STEP, 0.05), (0.49, STEP, 0.05)],
+        *[(0.52, LEVEL, 0), (-0.14, LEVEL, 0), (-0.16, FALL, -math.inf), (-0.28, FALL, -math.inf), (-0.4, HOLE, -0.32)],
+    ],
+)
+def test_how_much_the_ground_may_rise_or_fall_at_once(rise: float, kind: int, limit: float) -> None:
+    """At 10 m: 6 cm are a step, whose face marks if it has 20 cm; 50 cm are a slope; 15 cm down are a fall."""
+    found = breaks_on(lambda x: np.where(x > 10, rise, 0.0))
+    assert {one for one, _ in found} == ({kind} if kind else set())
+    if found:
+        assert found[0][1] == pytest.approx(limit - HEIGHT, abs=0.005)
+
+
+def test_ramps_and_short_bumps_are_no_steps() -> None:
+    for incline in (0.1, 0.2, 0.3):
+        assert not breaks_on(lambda x, incline=incline: incline * np.maximum(x - 10, 0))
+    for length, is_step in ((1.0, False), (1.5, False), (2.5, True)):
+        found = breaks_on(lambda x, length=length: np.where((x > 10) & (x < 10 + length), 0.12, 0.0))
+        assert bool(found) == is_step
 
 
 @given(st.integers(0, 2**32 - 1))
