@@ -87,19 +87,21 @@ def test_ray_model_equals_the_loop_over_cells_and_rays(
     assert (slow[..., 1] > 0.5).mean() > 0.02
 
 
-@pytest.mark.parametrize(("height", "p_miss"), [(1.7, 0.05), (1.7, 1e-4), (3.0, 1e-4), (5.0, 1e-4)])
+@pytest.mark.parametrize(
+    ("height", "p_miss", "range_noise"), [(1.7, 0.05, 0.03), (1.7, 1e-4, 0.03), (2.5, 1e-4, 1.0), (5.0, 1e-4, 0.03)]
+)
 @pytest.mark.parametrize("seed", range(2))
 def test_ray_model_equals_the_loop_where_so_many_rays_pass_that_some_are_not_counted(
-    height: float, p_miss: float, seed: int
+    height: float, p_miss: float, range_noise: float, seed: int
 ) -> None:
-    """Also behind obstacles that stop some of them, and with beams without echo among them."""
+    """Also behind obstacles that stop some of them, from where these may be, and with beams without echo among them."""
     points = flat_cloud(seed, height, count=1500)
     rng = np.random.default_rng(seed + 100)
     no_returns = rng.normal(0, [1, 1, 0.1], (200, 3))
     no_returns = (no_returns / np.linalg.norm(no_returns, axis=1, keepdims=True)).astype(np.float32)
     mount = Mount(height, ego_footprint=(0.0, 0.0, 0.0, 0.0))
     options = {"azimuth_step": 2 * math.pi / 32, "p_miss": p_miss, "max_mass": 0.9999, "hidden_height": 1.5}
-    ism = RayISM(SPEC, mount, ground=flat_ground, **options)
+    ism = RayISM(SPEC, mount, ground=flat_ground, range_noise=range_noise, **options)
     slow = reference.ray_grid_mass(points[:, :3].astype(np.float64), no_returns, -height, ism, sectors=32)
     fast = ism(Scan(points, no_returns=no_returns)).mass
     np.testing.assert_allclose(fast, slow, atol=2e-4)
