@@ -205,6 +205,10 @@ def test_patchwork_adapter_agrees_with_the_plane_where_it_is_one() -> None:
     assert np.abs(height[near] + 1.8).mean() < 0.01
     shifted = patchwork_ground(xyz + np.float32([0, 0, 1.8]), SPEC, (0.0, 0.0, 0.0))
     np.testing.assert_allclose(shifted, height + 1.8, atol=0.02)
+    small = GridSpec(1.0, (30, 14), (-20.0, -6.0))  # there are returns beyond all its edges
+    beside = SPEC.index(-19.5, -5.5)
+    part = height[beside[0] : beside[0] + 30, beside[1] : beside[1] + 14]
+    np.testing.assert_allclose(patchwork_ground(xyz, small, GROUND_POINT), part, atol=0.02)
 
 
 def test_ray_model_takes_any_ground() -> None:
