@@ -94,6 +94,13 @@ def test_up_to_which_height_a_return_is_ground_and_an_obstacle(height: float, cl
     assert grid.occupied.any() == marks
 
 
+def test_a_return_nearer_than_a_cell_takes_nothing_from_the_others() -> None:
+    others = np.array([[1.7, 0.1, -1.5, 0.5], [2.2, 0.13, -1.5, 0.5], [2.3, 0.14, -0.5, 0.5]], np.float32)
+    near = np.array([[0.2, 0.012, -1.0, 0.5]], np.float32)  # in their sector, below them
+    assert NOISY(np.concatenate([near, others])) == NOISY(others)
+    assert NOISY(others).free.any()
+
+
 def test_the_default_numbers_are_those_that_results_are_given_for() -> None:
     ism = RayISM(SPEC, MOUNT)
     assert (ism.p_miss, ism.p_false_alarm, ism.free_reliability_at_hits, ism.max_mass) == (0.42, 0.05, 0.2, 0.98)
