@@ -1,5 +1,6 @@
 """Evaluations from sums, intervals over drives and paired comparisons."""
 
+import math
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -144,6 +145,31 @@ def test_ratios_weigh_frames() -> None:
     found = ratio_interval(np.tile(a, 5), np.tile(b, 5), drives)
     assert found.value == pytest.approx(1.0)
     assert 0.75 < found.low < 1.0 < found.high < 1.5  # of drives of one kind alone it is 3 / 4 and 3 / 2
+
+
+@pytest.mark.parametrize("kind", ["errors", "differences", "shares"])
+def test_the_interval_of_a_ratio_is_that_of_a_jackknife_over_uneven_drives(kind: str) -> None:
+    """Written out: one drive less at a time, on logarithms, as they are, or on log-odds."""
+    rng, drives = np.random.default_rng(10), np.array(list("aaabbbbbccddddddddeeeeffffff"))
+    first, second = rng.gamma(2.0, 1.0, (2, len(drives)))
+    there, back = math.log, math.exp
+    if kind == "differences":
+        first -= 1.5
+        there = back = float
+    elif kind == "shares":
+        first, second = rng.uniform(0.0, 0.4, len(drives)), np.ones(len(drives))
+        there, back = (lambda p: math.log(p / (1 - p))), (lambda z: 1 / (1 + math.exp(-z)))
+    without = [there(first[drives != one].sum() / second[drives != one].sum()) for one in "abcdef"]
+    middle = sum(without) / 6
+    error = math.sqrt(5 / 6 * sum((value - middle) ** 2 for value in without))
+    effective = len(drives) ** 2 / sum((drives == one).sum() ** 2 for one in "abcdef")
+    reach = stats.t.ppf(0.975, effective - 1) * error
+    value = first.sum() / second.sum()
+    expected = value, back(there(value) - reach), back(there(value) + reach)
+    assert ratio_interval(first, second, drives) == pytest.approx(expected)
+    gaps = np.where(rng.random(40) < 0.5, np.nan, 1.0)  # frames that lack one of the two count for nothing
+    more = [np.concatenate(pair) for pair in ((first, gaps), (second, gaps * np.nan), (drives, ["g"] * 40))]
+    assert ratio_interval(*more) == pytest.approx(expected)
 
 
 def test_wins_ties_and_losses_are_counted_in_the_better_direction() -> None:

@@ -81,3 +81,31 @@ def test_the_ego_footprint_is_left_out_up_to_its_edges() -> None:
     ):
         points = np.array([[x, y, -0.5, 0.5]], np.float32)
         assert (ism(points).mass == 0).all() == inside, (x, y)
+
+
+@pytest.mark.parametrize(
+    ("height", "clears", "marks"),
+    [(-0.32, False, False), (-0.28, True, False), (0.14, True, False), (0.16, True, True), (1.98, True, True)]
+    + [(2.02, True, False)],
+)
+def test_up_to_which_height_a_return_is_ground_and_an_obstacle(height: float, clears: bool, marks: bool) -> None:
+    grid = NOISY(np.array([[2.25, 0.1, height - 1.5, 0.5]], np.float32))
+    assert grid.free.any() == clears
+    assert grid.occupied.any() == marks
+
+
+def test_a_return_nearer_than_a_cell_takes_nothing_from_the_others() -> None:
+    others = np.array([[1.7, 0.1, -1.5, 0.5], [2.2, 0.13, -1.5, 0.5], [2.3, 0.14, -0.5, 0.5]], np.float32)
+    near = np.array([[0.2, 0.012, -1.0, 0.5]], np.float32)  # in their sector, below them
+    assert NOISY(np.concatenate([near, others])) == NOISY(others)
+    assert NOISY(others).free.any()
+
+
+def test_the_default_numbers_are_those_that_results_are_given_for() -> None:
+    ism = RayISM(SPEC, MOUNT)
+    assert (ism.p_miss, ism.p_false_alarm, ism.free_reliability_at_hits, ism.max_mass) == (0.42, 0.05, 0.2, 0.98)
+    assert (ism.range_noise, ism.max_range, ism.no_return_weight) == (0.03, 100.0, 0.25)
+    assert (ism.hidden_height, ism.hidden_depth, ism.ground_cell) == (0.5, 10.0, 1.0)
+    assert ism.azimuth_step == pytest.approx(np.radians(0.3515625))
+    band = HeightBandISM(SPEC, MOUNT)
+    assert (band.z_min, band.z_max, band.evidence, band.min_range, band.supersampling) == (0.5, 2.0, 10.0, 0.0, 1)

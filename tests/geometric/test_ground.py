@@ -5,6 +5,8 @@ import pytest
 
 from ogm import GridSpec, Mount, read_points
 from ogm.geometric import RayISM, flat_ground, ground_height, local_ground, patchwork_ground, reference
+from ogm.geometric.kernels.surface import fill
+from ogm.geometric.reference.ground import _pull_push
 
 SPEC = GridSpec.centered(60.0, 60.0, 1.0)
 GROUND_POINT = (0.0, 0.0, -1.8)
@@ -124,6 +126,45 @@ def test_local_ground_equals_its_reference(seed: int, shape: tuple[int, int]) ->
     np.testing.assert_allclose(fast, slow, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("lowest", "layer", "above", "height"),
+    [(1, 10, 0, -1.75), (1, 9, 0, -2.0), (2, 20, 2, -1.75), (2, 20, 3, -2.0), (2, 19, 0, -2.0)],
+)
+def test_a_layer_above_the_lowest_is_the_ground_from_ten_times_the_returns(
+    lowest: int, layer: int, above: int, height: float
+) -> None:
+    z = np.repeat(np.float32([-2.0, -1.75 + 1e-4, -1.4]), (lowest, layer, above))
+    xyz = np.column_stack([np.full((len(z), 2), 0.5), z]).astype(np.float32)
+    spec, ground_point = GridSpec(1.0, (2, 2), (0.0, 0.0)), (0.5, 0.5, -1.8)
+    slow = reference.ground_map(xyz, ground_point, spec, 0.25, 0.15, 0.4, 0.25)
+    for estimate in (local_ground(xyz, spec, ground_point), slow):
+        np.testing.assert_allclose(estimate, height, atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.9])
+@pytest.mark.parametrize(
+    "shape", [(1, 1), (1, 2), (2, 1), (1, 3), (1, 9), (8, 1), (2, 2), (2, 3), (3, 2), (3, 3), (5, 4), (7, 17), (16, 9)]
+)
+def test_missing_heights_are_filled_as_the_slow_version_does(shape: tuple[int, int], share: float) -> None:
+    rng = np.random.default_rng(shape[0] * 100 + shape[1])
+    for _ in range(4):
+        height = rng.uniform(-2, 3, shape).astype(np.float32)
+        weight = np.where(rng.random(shape) < share, rng.integers(1, 9, shape), 0).astype(np.float32)
+        height[weight == 0] = 0
+        filled, weight_before = height.copy(), weight.copy()
+        fill(filled, weight, np.float32(-1.8))
+        np.testing.assert_array_equal(weight, weight_before)
+        slow = _pull_push(height.astype(float), weight.astype(float), -1.8)
+        np.testing.assert_allclose(filled, slow, atol=1e-5)
+        known = weight > 0
+        np.testing.assert_array_equal(filled[known], height[known])
+        if known.any():  # means of what is known
+            assert (filled >= height[known].min() - 1e-5).all()
+            assert (filled <= height[known].max() + 1e-5).all()
+        else:
+            np.testing.assert_array_equal(filled, np.float32(-1.8))
+
+
 def test_kerbs_do_not_break_the_ground_on_either_side() -> None:
     rng = np.random.default_rng(2)
     x, y = rng.uniform(-25, 25, (2, 60_000))
@@ -161,9 +202,13 @@ def test_patchwork_adapter_agrees_with_the_plane_where_it_is_one() -> None:
     xyz[:, 2] -= hill(xyz[:, 0], xyz[:, 1]).astype(np.float32) + np.float32(1.8)
     height = patchwork_ground(xyz, SPEC, GROUND_POINT)
     near = np.hypot(*np.broadcast_arrays(*SPEC.cell_centers)) < 15
-    assert np.abs(height[near] + 1.8).mean() < 0.1
+    assert np.abs(height[near] + 1.8).mean() < 0.01
     shifted = patchwork_ground(xyz + np.float32([0, 0, 1.8]), SPEC, (0.0, 0.0, 0.0))
     np.testing.assert_allclose(shifted, height + 1.8, atol=0.02)
+    small = GridSpec(1.0, (30, 14), (-20.0, -6.0))  # there are returns beyond all its edges
+    beside = SPEC.index(-19.5, -5.5)
+    part = height[beside[0] : beside[0] + 30, beside[1] : beside[1] + 14]
+    np.testing.assert_allclose(patchwork_ground(xyz, small, GROUND_POINT), part, atol=0.02)
 
 
 def test_ray_model_takes_any_ground() -> None:
@@ -175,6 +220,22 @@ def test_ray_model_takes_any_ground() -> None:
     ahead = (slice(spec.index(12, 0)[0], None), slice(*spec.index(0, [-3.0, 3.0])[1]))
     assert (flat.occupied[ahead] > 0.5).mean() > 0.5  # 8 % of 12 m is a metre: the plane sees a wall
     assert (local.occupied[ahead] > 0.5).mean() < 0.1
+
+
+@pytest.mark.parametrize(("cell", "side"), [(1.0, 1.0), (0.1, 0.5), (3.0, 3.0), (50.0, 50.0)])
+def test_the_map_of_the_ground_covers_the_grid_with_cells_that_are_no_finer(cell: float, side: float) -> None:
+    seen = []
+
+    def keep(xyz: np.ndarray, spec: GridSpec, ground_point: tuple) -> np.ndarray:
+        seen.append(spec)
+        return flat_ground(xyz, spec, ground_point)
+
+    spec = GridSpec(0.5, (13, 9), (-2.0, -1.5))  # 6.5 m x 4.5 m
+    RayISM(spec, Mount(1.8), ground=keep, ground_cell=cell)(np.zeros((1, 4), np.float32))
+    (coarse,) = seen
+    assert (coarse.resolution, coarse.origin) == (side, spec.origin)
+    for n, length in zip(coarse.shape, (6.5, 4.5), strict=True):
+        assert n == max(2, int(np.ceil(length / side)))
 
 
 def test_slope_of_a_real_road_is_not_an_obstacle(real) -> None:
