@@ -29,6 +29,7 @@ from ogm.evaluation import Calibration, Evaluation, calibrate, evaluate
 from ogm.evaluation.calibration import BOUNDS
 from ogm.evaluation.likelihood import Likelihood
 from ogm.evaluation.likelihood_search import Axis
+from ogm.evaluation.models import default_parameters
 from ogm.geometric import RayISM
 from ogm.metrics import ConfusionSums
 from ogm.scan import PerMount
@@ -69,11 +70,16 @@ def around(fitted: Calibration, likelihood: Likelihood, points: int) -> dict[str
     return {"surface": {PAIR[0]: first, PAIR[1]: second, "nll": surface}, "profiles": profiles}
 
 
+def defaults(fitted: Calibration) -> dict[str, float]:
+    """Return the default values of the fitted parameters."""
+    return {name: default_parameters(fitted.model)[name] for name in fitted.parameters}
+
+
 def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
     """Evaluate the model by default and fitted."""
     methods = {
         name: PerMount(lambda mount, numbers=numbers: RayISM(SPEC, mount, **numbers))
-        for name, numbers in (("default", fitted.start), ("fitted", fitted.parameters))
+        for name, numbers in (("default", defaults(fitted)), ("fitted", fitted.parameters))
     }
     return evaluate(methods, dataset, SPEC, frames=range(0, len(dataset), every))
 
@@ -120,14 +126,14 @@ def draw(path: Path, record: Mapping[str, Any], test: Evaluation, recordings: Ma
     drawn = first.contourf(surface[PAIR[1]], surface[PAIR[0]], values - least, LEVELS, colors=colours)
     map_figure.colorbar(drawn, ax=first, label="NLL above the least [nats]", format="%g")
     for name, marker in (("default", "o"), ("fitted", "*")):
-        at = fitted["start" if name == "default" else "parameters"]
+        at = record["default"] if name == "default" else fitted["parameters"]
         first.plot(at[PAIR[1]], at[PAIR[0]], marker, color="black", ms=9, label=name)
     first.set(xlabel=PAIR[1], ylabel=PAIR[0], xscale="log", title="Likelihood on training towns")
     first.legend(frameon=False)
     for axes, (name, one) in zip(rest, profiles.items(), strict=True):
         axes.plot(one["values"], np.array(one["nll"]) - least, color=COLOURS["fitted"])
         axes.set_yscale("symlog", linthresh=1e-3)
-        axes.axvline(fitted["start"][name], color=COLOURS["default"], ls="--")
+        axes.axvline(record["default"][name], color=COLOURS["default"], ls="--")
         axes.axvline(fitted["parameters"][name], color=COLOURS["fitted"], ls=":")
         error = fitted["errors"].get(name)
         axes.set(xlabel=name, title=f"{fitted['parameters'][name]:.3g}" + (f" ± {error:.2g}" if error else ""))
@@ -176,7 +182,7 @@ def main() -> None:
     else:
         fitted = Calibration.load(given.fitted)
     print("fitted:", ", ".join(f"{name} {value:g}" for name, value in fitted.parameters.items()))
-    record: dict[str, Any] = {"environment": run.environment(), "fitted": asdict(fitted)}
+    record: dict[str, Any] = {"environment": run.environment(), "fitted": asdict(fitted), "default": defaults(fitted)}
     record["likelihood"] = around(fitted, Likelihood("ray", training, SPEC, base_rate=fitted.data["base_rate"]), points)
     test = compared(open_dataset(given.test, split="test"), fitted, every)
     record["test"] = recorded(test)

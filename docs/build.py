@@ -162,7 +162,7 @@ def calibration() -> str:
     rows = []
     for name, value in fitted["parameters"].items():
         error = fitted["errors"].get(name)
-        rows.append([f"`{name}`", f"{fitted['start'][name]:.3g}", f"{value:.3g}", f"{error:.2g}" if error else ""])
+        rows.append([f"`{name}`", f"{found['default'][name]:.3g}", f"{value:.3g}", f"{error:.2g}" if error else ""])
     parts = [table(["parameter", "default", "fitted", "standard error"], rows)]
     parts.append(f"Unseen towns, {test['frames']} frames of {test['drives']} drives:")
     names = {"nll": "NLL", "ece": "ECE", "false_free": "false free", "iou_free": "IoU free"}

@@ -24,9 +24,7 @@ __all__ = ["BOUNDS", "FITTED", "Calibration", "calibrate"]
 
 FORMAT = "ogm.calibration/1"
 FITTED = {  # by default
-    "ray": (
-        *("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),
-    ),
+    "ray": (*("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),),
     "height-band": ("z_min", "z_max", "evidence"),
 }
 BOUNDS = {  # that a parameter is searched in

@@ -60,8 +60,8 @@ class RayISM:
         Chance that a ray passes an occupied cell unnoticed. With 0.5, one ray alone predicts no far cell free; the
         likeliest value is lower (docs/geometric.md), and 0.8 in Bosch's belief model.
     p_false_alarm : float
-        Chance that a return comes from an empty cell; two fits on training towns gave 0.02 and 0.03, and Bosch's belief
-        model has 0.05.
+        Chance that a return comes from an empty cell; 0.05 in Bosch's belief model; two fits on training towns gave
+        0.02 and 0.03.
     free_reliability_at_hits : float
         Shafer reliability of the rays that pass a cell in which others of the same scan were returned. With 1,
         both are evidence of one state (Bosch's belief model: walls at a grazing angle fade); with 0, only the
@@ -94,7 +94,7 @@ class RayISM:
     hidden_depth: float = 10.0
     range_noise: float = 0.03
     p_miss: float = 0.5
-    p_false_alarm: float = 0.02
+    p_false_alarm: float = 0.05
     free_reliability_at_hits: float = 0.2
     max_mass: float = 0.98
     max_range: float = 100.0

@@ -103,7 +103,7 @@ def test_a_return_nearer_than_a_cell_takes_nothing_from_the_others() -> None:
 
 def test_the_default_numbers_are_those_that_results_are_given_for() -> None:
     ism = RayISM(SPEC, MOUNT)
-    assert (ism.p_miss, ism.p_false_alarm, ism.free_reliability_at_hits, ism.max_mass) == (0.42, 0.05, 0.2, 0.98)
+    assert (ism.p_miss, ism.p_false_alarm, ism.free_reliability_at_hits, ism.max_mass) == (0.5, 0.05, 0.2, 0.98)
     assert (ism.range_noise, ism.max_range, ism.no_return_weight) == (0.03, 100.0, 0.25)
     assert (ism.hidden_height, ism.hidden_depth, ism.ground_cell) == (0.5, 10.0, 1.0)
     assert ism.azimuth_step == pytest.approx(np.radians(0.3515625))
