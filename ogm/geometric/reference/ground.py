@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.geometric.reference.height_band import cell_of
 from ogm.grid import GridSpec
 
 __all__ = ["ground_map", "lower_envelope"]
@@ -54,12 +55,12 @@ def ground_map(
     (nx, ny) float64
         Heights [m].
     """
-    home = spec.index(ground_point[0], ground_point[1])
+    home = cell_of(spec, ground_point[0], ground_point[1])
     cells: dict[tuple[int, int], list[float]] = {}
     lowest = np.full(spec.shape, np.inf)
     for x, y, z in xyz.tolist():
         if spec.contains(x, y):
-            cell = spec.index(x, y)
+            cell = cell_of(spec, x, y)
             cells.setdefault(cell, []).append(z)
             if ground_point[2] - low_tolerance - z <= max_descent * math.dist((x, y), ground_point[:2]):
                 lowest[cell] = min(lowest[cell], z)

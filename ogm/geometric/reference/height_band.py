@@ -52,12 +52,12 @@ def height_band_mass(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
         if not low < z < high or math.dist((x, y, z), origin) <= ism.min_range:
             continue
         if spec.contains(x, y):
-            ends.append(_cell(spec, x, y))
+            ends.append(cell_of(spec, x, y))
             occupied[ends[-1]] = True
         else:
             ends.append(_leave(spec, origin, x, y))
     for end in ends:
-        for cell in line_cells(_cell(spec, x0, y0), end):
+        for cell in line_cells(cell_of(spec, x0, y0), end):
             if occupied[cell]:
                 break
             free[cell] = True
@@ -66,7 +66,7 @@ def height_band_mass(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
     return mass
 
 
-def _cell(spec: GridSpec, x: float, y: float) -> tuple[int, int]:
+def cell_of(spec: GridSpec, x: float, y: float) -> tuple[int, int]:
     i, j = spec.index(x, y)
     return int(i), int(j)
 
@@ -80,5 +80,5 @@ def _leave(spec: GridSpec, origin: Point, x: float, y: float) -> tuple[int, int]
             share = min(share, (start - low) / (start - end))
         elif end >= high:
             share = min(share, (high - start) / (end - start))
-    i, j = _cell(spec, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
+    i, j = cell_of(spec, origin[0] + share * (x - origin[0]), origin[1] + share * (y - origin[1]))
     return min(max(i, 0), spec.shape[0] - 1), min(max(j, 0), spec.shape[1] - 1)
