@@ -154,6 +154,7 @@ def _above(line, run, height):
 
 @inline
 def _note(breaks, row, number, kind, limit, begin, end):
+    """Write down a break."""
     breaks.kind[row, number], breaks.limit[row, number] = kind, limit
     breaks.begin[row, number], breaks.end[row, number] = begin, end
 
