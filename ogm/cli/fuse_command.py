@@ -14,12 +14,13 @@ from typer import Argument, Option
 from ogm.cli import options
 from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
 from ogm.cli.options import File
+from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
 
 ENDINGS = {  # of what each option writes
-    "--out": (".npz",),
+    "--out": MAP_ENDINGS,
     "--picture": (".png",),
     "--movie": (".gif", ".webp", ".png"),
     "--save-poses": (".csv", ".txt", ".tum"),
@@ -47,7 +48,14 @@ HalfLife = Annotated[float | None, Option(help="Time in which belief halves [s],
 Window = Annotated[
     str, Option(help="rolling: follows the vehicle. fixed: covers the drive (--half-life inf keeps it).")
 ]
-Out = Annotated[File, Option("--out", help="Map (.npz); its folder is made if need be. [default: map.npz]")]
+Out = Annotated[
+    File,
+    Option(
+        "--out",
+        help="Map: .npz, .yaml (map_server), .tif, .nc, .zarr, .png (masses as colours); its folder is made if need "
+        "be. [default: map.npz]",
+    ),
+]
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
 MovieFile = Annotated[File, Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")]
 
@@ -128,7 +136,7 @@ def fuse(
         if run.last is None:
             raise (typer.Exit(code) if code == 130 else ValueError("no scan could be mapped; nothing is written"))
         if out_path is not None:
-            mapper.grid.save(out_path)
+            write_grid(out_path, PlacedGrid(mapper.grid, stamp=mapper.stamp))
         if save_poses is not None:
             run.save_poses(save_poses)
         if picture is not None:
@@ -163,7 +171,9 @@ def _prepare_outputs(wanted: dict[str, Path | None]) -> None:
             continue
         if path.suffix.lower() not in ENDINGS[option]:
             raise ValueError(f"{option} writes {' or '.join(ENDINGS[option])}, got {path}")
-        if path.is_dir():
+        if option == "--out":
+            check_grid_output(path)
+        if path.is_dir() and path.suffix.lower() != ".zarr":
             raise ValueError(f"{option} {path} is a folder; give a file name")
         other = used.setdefault(path.resolve(), option)
         if other != option:

@@ -1,52 +1,17 @@
-"""Grids that other programs wrote."""
+"""Grids without a place of their own: arrays (.npy), and pictures of the paper's released code (.png)."""
 
-import os
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ogm.files import OgmError
+from ogm.files import OgmError, atomic_write
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["GRID_ENDINGS", "read_grid"]
-
-GRID_ENDINGS = (".npz", ".npy", ".png")
+__all__ = ["read_array", "read_picture", "write_picture"]
 
 
-def read_grid(path: str | os.PathLike[str], area: GridSpec) -> EvidentialGrid:
-    """Read a grid of belief masses.
-
-    Parameters
-    ----------
-    path : path
-        ``.npz`` that `EvidentialGrid.save` wrote; ``.npy`` with masses of free and occupied, (nx, ny, 2) float, index
-        (0, 0) behind on the right, as everywhere in `ogm`; or ``.png`` as the paper's released code exports it: red 255
-        times the mass of occupied, green that of free, row 0 the front, column 0 the left.
-    area : GridSpec
-        Area of ``.npy`` and ``.png``, which do not hold it; their cells may be coarser or finer.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    OgmError
-        If it is damaged, of another kind, holds no masses, or cells that are no squares on that area.
-    """
-    path = Path(path)
-    ending = path.suffix.lower()
-    if ending not in GRID_ENDINGS:
-        raise OgmError(f"{path} is no grid that can be read; wanted {', '.join(GRID_ENDINGS)}")
-    try:
-        if ending == ".npz":
-            return EvidentialGrid.load(path)
-        return EvidentialGrid(*(_array(path, area) if ending == ".npy" else _picture(path, area)))
-    except ValueError as error:
-        message = str(error)
-        raise OgmError(message if str(path) in message else f"{path}: {message}") from error
-
-
-def _array(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
+def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
+    """Read masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses a shape that the file does not hold
     except (ValueError, EOFError, OverflowError) as error:
@@ -55,10 +20,11 @@ def _array(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
         raise OgmError(
             f"{path} must hold masses of free and occupied, (nx, ny, 2) float, got {array.dtype} {array.shape}"
         )
-    return _on(area, array.shape[:2], path), array.astype(np.float32)
+    return EvidentialGrid(_on(area, array.shape[:2], path), array.astype(np.float32))
 
 
-def _picture(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]:
+def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
+    """Read a picture: red 255 times the mass of occupied, green that of free, row 0 the front, column 0 the left."""
     from PIL import Image, UnidentifiedImageError
 
     try:
@@ -73,7 +39,17 @@ def _picture(path: Path, area: GridSpec) -> tuple[GridSpec, NDArray[np.float32]]
         raise OgmError(f"{path} is damaged or no picture: {error}") from error
     red, green = pixels[::-1, ::-1, 0], pixels[::-1, ::-1, 1]
     mass = np.stack([green, red], axis=-1).astype(np.float32) / 255
-    return spec, mass / np.maximum(mass.sum(axis=-1, keepdims=True), 1)  # rounding may exceed one
+    return EvidentialGrid(spec, mass / np.maximum(mass.sum(axis=-1, keepdims=True), 1))  # rounding may exceed one
+
+
+def write_picture(path: Path, grid: EvidentialGrid) -> None:
+    """Write a picture as `read_picture` reads it. Masses are rounded to 1/255; the place of the cells is not in it."""
+    from PIL import Image
+
+    pixels = np.zeros((*grid.spec.shape, 3), np.uint8)
+    pixels[..., 0], pixels[..., 1] = np.rint(255 * grid.occupied), np.rint(255 * grid.free)
+    with atomic_write(path) as file:
+        Image.fromarray(np.ascontiguousarray(pixels[::-1, ::-1])).save(file, "PNG")
 
 
 def _on(area: GridSpec, shape: tuple[int, int], path: Path) -> GridSpec:
