@@ -70,7 +70,8 @@ def read_geotiff(path: Path) -> PlacedGrid:
     """Read a GeoTIFF whose bands have the names free and occupied; nodata is unknown."""
     rasterio = optional("rasterio", path, "geo")
     try:
-        with warnings.catch_warnings(), rasterio.open(path, driver="GTiff") as image:
+        ignored = warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning)
+        with ignored, rasterio.open(path, driver="GTiff") as image:  # not one of GDAL's formats that name other files
             GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
             names = list(image.descriptions)
             if not {"free", "occupied"} <= set(names):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError, atomic_write
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
-from ogm.io.grids.values import grid_of_values, occupancy_values
+from ogm.io.messages import mass_from_occupancy, occupancy_values
 from ogm.io.reading import optional
 from ogm.state import predict_state
 
@@ -98,10 +98,10 @@ def _rows(cells: NDArray) -> NDArray:
 
 
 def read_map_server(path: Path) -> PlacedGrid:
-    """Read a map of map_server. Values become masses as `ogm.io.messages.grid_of_values` does it."""
+    """Read a map of map_server. Values become masses as `ogm.io.messages.mass_from_occupancy` makes them."""
     header = _header(path)
     values = np.ascontiguousarray(_values(header)[::-1].T)
-    return placed_at(grid_of_values(values), header.resolution, header.corner)
+    return placed_at(mass_from_occupancy(values), header.resolution, header.corner)
 
 
 def _header(path: Path) -> _Header:
@@ -202,14 +202,15 @@ def _channels(path: Path) -> tuple[tuple[NDArray[Any], ...], int]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # 90 to 179 million pixels: a large map
-            with Image.open(path, formats=_FORMATS) as image:
-                if image.mode.startswith("I"):  # 16 bit
-                    return (np.asarray(image).clip(0, 65535),), 65535
-                if image.mode not in ("L", "LA", "RGB", "RGBA"):
-                    alpha = "transparency" in image.info or image.mode == "PA"
-                    image = image.convert("RGBA" if alpha else "RGB")
-                return tuple(np.asarray(band) for band in image.split()), 255
+        # Pillow warns of 90 to 179 million pixels, which a large map has, and refuses more
+        with warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning):
+            opened = Image.open(path, formats=_FORMATS)
+        with opened as image:
+            if image.mode.startswith("I"):  # 16 bit
+                return (np.asarray(image).clip(0, 65535),), 65535
+            if image.mode not in ("L", "LA", "RGB", "RGBA"):
+                alpha = "transparency" in image.info or image.mode == "PA"
+                image = image.convert("RGBA" if alpha else "RGB")
+            return tuple(np.asarray(band) for band in image.split()), 255
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
         raise OgmError(f"{path} is damaged or no image ({error}), wanted {', '.join(_FORMATS)}") from error

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.messages.occupancy import split_corner
 from ogm.pose import check_pose, pose
 
 __all__ = ["Corner", "PlacedGrid", "nanometres", "placed_at"]
@@ -116,14 +117,13 @@ def placed_at(mass: NDArray[np.float32], resolution: float, corner: Corner, **fa
     resolution : float
         [m]
     corner : Corner
-        Where it is not turned, it becomes the origin of the grid, else part of `T_frame_grid`.
+        Its place becomes the origin of the grid, its yaw `T_frame_grid`.
     **facts
         Further attributes of `PlacedGrid`.
     """
     if not np.isfinite(corner).all():
         raise ValueError(f"origin must be finite numbers (x, y, yaw) [m, rad], got {tuple(corner)}")
-    origin = (0.0, 0.0) if corner.yaw else (corner.x, corner.y)
-    T = pose(corner.x, corner.y, yaw=corner.yaw) if corner.yaw else np.eye(4)
+    origin, T = split_corner(pose(corner.x, corner.y, yaw=corner.yaw))
     return PlacedGrid(EvidentialGrid(GridSpec(resolution, mass.shape[:2], origin), mass), T, **facts)
 
 

@@ -4,7 +4,7 @@ import json
 import math
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -117,19 +117,18 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         GridSpec(1.0, (nx, ny), (0.0, 0.0))  # not too many cells, before they are read
         _check_chunks(layers)
         stated = float(dataset.attrs.get("resolution", "nan"))
-        steps = {axis: _axis(dataset, axis, stated) for axis in ("x", "y")}
-        resolution = steps["x"][1]
-        if not math.isclose(resolution, steps["y"][1], rel_tol=_SAME_STEP):
-            raise OgmError(f"cells must be squares, got steps of {resolution:g} m in x and {steps['y'][1]:g} m in y")
+        x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
+        resolution = x.step or y.step or stated
+        if not math.isclose(resolution, y.step or resolution, rel_tol=_SAME_STEP):
+            raise OgmError(f"cells must be squares, got steps of {x.step:g} m in x and {y.step:g} m in y")
         mass = np.empty((nx, ny, 2), np.float32)
         for k, name in enumerate(("free", "occupied")):
             layer = layers[name].to_numpy()
             mass[..., k] = layer if layers[name].dims == ("x", "y") else layer.T
         mass[np.isnan(mass)] = 0
-        for axis in (0, 1):
-            if steps["xy"[axis]][2]:
-                mass = np.flip(mass, axis)
-        spec = GridSpec(resolution, (nx, ny), (steps["x"][0], steps["y"][0]))
+        mass = mass[:: -1 if x.decreases else 1, :: -1 if y.decreases else 1]
+        origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
+        spec = GridSpec(resolution, (nx, ny), origin)
         T = np.asarray(dataset.attrs.get("T_frame_grid", np.eye(4)), np.float64)
         stamp, crs = dataset.attrs.get("stamp"), _crs(dataset)
         return PlacedGrid(
@@ -143,34 +142,35 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
 
 
-def _axis(dataset: "Dataset", axis: str, stated: float) -> tuple[float, float, bool]:
-    """Return the lower edge of an axis [m], the size of a cell [m], and whether the axis decreases.
+class _Axis(NamedTuple):
+    """The least coordinate of an axis and its step [m] (None for one cell), and whether it decreases."""
 
-    Parameters
-    ----------
-    dataset : xarray.Dataset
-    axis : {"x", "y"}
-    stated : float
-        Size of a cell that the dataset states [m]: taken where it fits the coordinates.
-    """
+    first: float
+    step: float | None
+    decreases: bool
+
+
+def _axis(dataset: "Dataset", axis: str, stated: float) -> _Axis:
+    """Read a coordinate; its step is the resolution that the dataset states where they are the same but for rounding."""
     if axis not in dataset.coords:
         raise OgmError(f"the dataset must have a coordinate {axis}, the cells' centres [m]")
     centres = np.asarray(dataset[axis].to_numpy(), np.float64)
-    decreases = len(centres) > 1 and centres[0] > centres[-1]
+    if not np.isfinite(centres).all():
+        raise OgmError(f"{axis} must be finite, the cells' centres [m]")
+    count, decreases = len(centres), bool(centres[0] > centres[-1])
+    if count == 1:
+        return _Axis(float(centres[0]), None, False)
     if decreases:
         centres = centres[::-1]
-    count = len(centres)
-    step = (centres[-1] - centres[0]) / (count - 1) if count > 1 else stated
+    step = float(centres[-1] - centres[0]) / (count - 1)
     if math.isclose(step, stated, rel_tol=_SAME_STEP):
         step = stated
-    if not (np.isfinite(step) and step > 0 and np.isfinite(centres).all()):
-        raise OgmError(f"{axis} must be the cells' centres [m], finite, with the attribute resolution if there is one")
     even = centres[0] + step * np.arange(count)
-    if not np.allclose(centres, even, rtol=0, atol=max(1e-3 * step, 1e-9 * abs(centres[0]))):
+    if not (step > 0 and np.allclose(centres, even, rtol=0, atol=max(1e-3 * step, 1e-9 * abs(centres[0])))):
         raise OgmError(
             f"{axis} must have equal steps [m], got {np.diff(centres).min():g} to {np.diff(centres).max():g}"
         )
-    return nanometres(centres[0] - step / 2), step, decreases
+    return _Axis(float(centres[0]), step, decreases)
 
 
 def _crs(dataset: "Dataset") -> str | None:

@@ -14,7 +14,7 @@ from PIL import Image
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
-from ogm.io.grids.values import occupancy_values
+from ogm.io.messages import occupancy_values
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
 
@@ -71,7 +71,9 @@ def test_all_values_come_back(tmp_path: Path, mode: str) -> None:
     grid = EvidentialGrid(GridSpec(1.0, (102, 1), (0, 0)), mass)
     write_grid(tmp_path / "map.yaml", grid, mode=mode)
     assert load_map(tmp_path / "map.yaml").data == [*range(101), -1]
-    assert read_grid(tmp_path / "map.yaml") == grid
+    again = read_grid(tmp_path / "map.yaml")
+    assert again.spec == grid.spec
+    np.testing.assert_allclose(again.mass, mass, atol=1e-7)
 
 
 def test_unknown_stays_unknown_as_the_default(tmp_path: Path) -> None:
@@ -118,9 +120,7 @@ def by_hand(folder: Path, image: Image.Image, name: str = "m.png", **changes: ob
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("negate", [0, 1])
 @pytest.mark.parametrize("colours", ["L", "LA", "RGB", "RGBA", "P", "1"])
-def test_maps_of_others_are_read_as_the_loader_reads_them(
-    tmp_path: Path, mode: str, negate: int, colours: str
-) -> None:
+def test_maps_of_others_are_read_as_the_loader_reads_them(tmp_path: Path, mode: str, negate: int, colours: str) -> None:
     rng = np.random.default_rng(5)
     pixels = rng.integers(0, 256, (8, 5, 4), np.uint8)
     pixels[::2, :, 3] = 255
@@ -195,9 +195,7 @@ def test_what_is_no_map_is_refused(tmp_path: Path, changes: dict, message: str) 
     assert str(caught.value).count("m.yaml") == (2 if changes.get("image") == "m.yaml" else 1)
 
 
-LAUGHS = "a0: &a0 {x: 1}\n" + "".join(
-    f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}\n" for k in range(1, 40)
-)
+LAUGHS = "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}\n" for k in range(1, 40))
 
 
 @pytest.mark.parametrize(
