@@ -14,10 +14,11 @@ from ogm.cli.console import one_line, stderr
 from ogm.datasets import Dataset, frame_numbers
 from ogm.fusion import EvidentialMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import write_poses
+from ogm.io import GridLog, PlacedGrid, write_poses
+from ogm.io.messages import StampedTransform
 from ogm.movie import Movie
 from ogm.plot import Panel
-from ogm.pose import Trajectory
+from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Frame
 
 __all__ = ["FusionRun"]
@@ -66,7 +67,7 @@ class FusionRun:
         other = "conflict" if hasattr(self.mapper, "conflict") else "map, probability"
         return f"measurement ({model})", f"map ({rule}{fading})", other
 
-    def map_all(self, steps: Iterator[FusionStep], film: Movie | None) -> int:
+    def map_all(self, steps: Iterator[FusionStep], film: Movie | None, maps: GridLog | None = None) -> int:
         """Map all scans; return the exit code: 0, 2 after skipped scans or an error, 130 after Ctrl-C."""
         steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
         try:
@@ -74,6 +75,8 @@ class FusionRun:
                 if step.grid is None:
                     continue
                 self.note(k, step)
+                if maps is not None:
+                    self.record(step.frame, maps)
                 if film is not None:
                     panels, line = self.panels()
                     film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
@@ -111,6 +114,14 @@ class FusionRun:
         self.taken.append(k)
         self.seconds.append(step.seconds)
         self.last = step
+
+    def record(self, frame: Frame, maps: GridLog) -> None:
+        """Write the map after a scan to a log, at the height of the ground, and the pose of the vehicle."""
+        assert frame.T_map_sensor is not None
+        stamp, T_map_vehicle = frame.stamp or 0.0, frame.T_map_sensor @ inverse(frame.mount.T_vehicle_sensor)
+        ground_z = float((T_map_vehicle @ (*frame.mount.ground_point, 1.0))[2])
+        placed = PlacedGrid(self.mapper.grid, pose(z=ground_z), stamp=stamp)
+        maps.write(placed, [StampedTransform(placed.frame_id, "base_link", stamp, T_map_vehicle)])
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
         """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""

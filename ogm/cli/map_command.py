@@ -202,8 +202,6 @@ def _outputs(path: Path | None, names: list[str], endings: tuple[str, ...], opti
         path.parent.mkdir(parents=True, exist_ok=True)
         return [path]
     if path.suffix and not path.is_dir():
-        raise ValueError(
-            f"{option} writes {', '.join(endings)} files, got {path}; give a name that ends so, or a folder"
-        )
+        raise ValueError(f"{option} {path}: give a name that ends in {', '.join(endings)}, or a folder")
     path.mkdir(parents=True, exist_ok=True)
     return [path / f"{name}{endings[0]}" for name in names]

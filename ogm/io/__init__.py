@@ -5,7 +5,7 @@ A new format of point clouds goes to `ogm.io.formats`; the labels of a data set 
 
 from ogm.io.argoverse2 import read_argoverse2
 from ogm.io.axes import AXES, Axes
-from ogm.io.grids import PlacedGrid, from_xarray, read_grid, read_placed_grid, to_xarray, write_grid
+from ogm.io.grids import GridLog, PlacedGrid, from_xarray, read_grid, read_placed_grid, to_xarray, write_grid
 from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.labels import LabelledPoints
 from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
@@ -26,6 +26,7 @@ __all__ = [
     "SEMANTIC_KITTI_TRAINING",
     "Axes",
     "FileFacts",
+    "GridLog",
     "LabelledPoints",
     "NuScenes",
     "PlacedGrid",

@@ -7,20 +7,28 @@ from typing import get_args
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
+from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
 from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
 from ogm.io.grids.pictures import read_array, read_picture, write_picture
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
+from ogm.io.logs import LOG_ENDINGS
 from ogm.io.reading import optional
 
 __all__ = ["GRID_ENDINGS", "MAP_ENDINGS", "check_grid_output", "read_grid", "read_placed_grid", "write_grid"]
 
 GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
 _YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
-MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png")  # of what `write_grid` writes
+MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of what `write_grid` writes
 
 
-def write_grid(path: str | os.PathLike[str], grid: EvidentialGrid | PlacedGrid, *, mode: MapMode | None = None) -> None:
+def write_grid(
+    path: str | os.PathLike[str],
+    grid: EvidentialGrid | PlacedGrid,
+    *,
+    mode: MapMode | None = None,
+    message: GridMessage | None = None,
+) -> None:
     """Write a grid in the format that the ending of the path names. Files are whole or not there.
 
     Parameters
@@ -28,18 +36,21 @@ def write_grid(path: str | os.PathLike[str], grid: EvidentialGrid | PlacedGrid, 
     path : path
         ``.npz`` (exact, `EvidentialGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an image beside it), ``.tif``
         (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red 255 times the mass of
-        occupied, green that of free).
+        occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on ``/map``; of a drive:
+        `GridLog`).
     grid : EvidentialGrid or PlacedGrid
         With its place in a frame, a stamp and a coordinate reference system, as far as the format holds them.
     mode : {"trinary", "scale", "raw"}, optional
         Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
         grey levels and transparency, or as it is.
+    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
+        Of logs, see `GridLog`; by default the first.
 
     Raises
     ------
     ValueError
-        If no format has that ending, `mode` is given for another, the grid is tilted, or turned where the format holds
-        no turn, or a ``.zarr`` folder exists that is no grid.
+        If no format has that ending, an option is given for another, the grid is tilted, or turned where the format
+        holds no turn, or a ``.zarr`` folder exists that is no grid.
     ImportError
         If the package of the format is missing.
     OSError
@@ -52,7 +63,7 @@ def write_grid(path: str | os.PathLike[str], grid: EvidentialGrid | PlacedGrid, 
     """
     path = Path(path)
     placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
-    check_grid_output(path, mode=mode, crs=placed.crs)
+    check_grid_output(path, mode=mode, message=message, crs=placed.crs)
     ending = path.suffix.lower()
     if ending in _YAML:
         write_map_server(path, placed, mode or "trinary")
@@ -60,19 +71,29 @@ def write_grid(path: str | os.PathLike[str], grid: EvidentialGrid | PlacedGrid, 
         write_geotiff(path, placed)
     elif ending in _SCIENTIFIC:
         write_scientific(path, placed)
+    elif ending in LOG_ENDINGS:
+        with GridLog(path, message or "occupancy-grid") as log:
+            log.write(placed)
     elif ending == ".png":
         write_picture(path, placed.upright)
     else:
         placed.upright.save(path)
 
 
-def check_grid_output(path: str | os.PathLike[str], *, mode: MapMode | None = None, crs: str | None = None) -> None:
+def check_grid_output(
+    path: str | os.PathLike[str],
+    *,
+    mode: MapMode | None = None,
+    message: GridMessage | None = None,
+    crs: str | None = None,
+) -> None:
     """Raise what `write_grid` would raise for a path and options, before hours of work: ValueError, ImportError.
 
     Parameters
     ----------
     path : path
     mode : {"trinary", "scale", "raw"}, optional
+    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
     crs : str, optional
         Of the `PlacedGrid`.
     """
@@ -82,7 +103,11 @@ def check_grid_output(path: str | os.PathLike[str], *, mode: MapMode | None = No
         raise ValueError(f"a grid is written as {', '.join(MAP_ENDINGS)}, got {path}")
     if mode is not None and (ending not in _YAML or mode not in get_args(MapMode)):
         raise ValueError(f"mode must be one of {', '.join(get_args(MapMode))}, for .yaml files alone; got {mode!r}")
-    if ending in _YAML:
+    if message is not None and ending not in LOG_ENDINGS:
+        raise ValueError(f"message is for {', '.join(LOG_ENDINGS)} alone, got {message!r} for {path}")
+    if ending in LOG_ENDINGS:
+        check_logged(path, message or "occupancy-grid")
+    elif ending in _YAML:
         optional("yaml", path, verb="written")
     elif ending in _TIFF:
         optional("rasterio", path, "geo", "written")
@@ -92,7 +117,9 @@ def check_grid_output(path: str | os.PathLike[str], *, mode: MapMode | None = No
         check_crs(crs, path)
 
 
-def read_grid(path: str | os.PathLike[str], area: GridSpec | None = None) -> EvidentialGrid:
+def read_grid(
+    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
+) -> EvidentialGrid:
     """Read a grid of belief masses, in the coordinates of the frame that it was written in.
 
     Parameters
@@ -100,11 +127,14 @@ def read_grid(path: str | os.PathLike[str], area: GridSpec | None = None) -> Evi
     path : path
         What `write_grid` writes, and other programs' files of these formats: ``.yaml`` of map_server, whose occupancy
         values become masses without unknown, but for cells that are unknown; ``.tif``, ``.nc`` and ``.zarr`` with bands
-        or variables free and occupied; ``.png`` as the paper's released code exports it: red 255 times the mass of
+        or variables free and occupied; ``.mcap``, ``.db3`` and ``.bag`` with OccupancyGrid, GridMap or foxglove.Grid,
+        of which the last counts; ``.png`` as the paper's released code exports it: red 255 times the mass of
         occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with masses of free and occupied,
         (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
     area : GridSpec, optional
         Area of ``.npy`` and ``.png``, which do not hold it; their cells may be coarser or finer.
+    topic : str, optional
+        Of logs; by default the one with grids, or ``/map`` if there are several.
 
     Raises
     ------
@@ -116,19 +146,23 @@ def read_grid(path: str | os.PathLike[str], area: GridSpec | None = None) -> Evi
     ImportError
         If the package of the format is missing.
     """
-    placed = read_placed_grid(path, area)
+    placed = read_placed_grid(path, area, topic=topic)
     try:
         return placed.upright
     except ValueError as error:
         raise OgmError(f"{path}: {error}") from error
 
 
-def read_placed_grid(path: str | os.PathLike[str], area: GridSpec | None = None) -> PlacedGrid:
+def read_placed_grid(
+    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
+) -> PlacedGrid:
     """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`."""
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in (*MAP_ENDINGS, ".npy"):
         raise OgmError(f"{path} is no grid that can be read; wanted {', '.join((*MAP_ENDINGS, '.npy'))}")
+    if topic is not None and ending not in LOG_ENDINGS:
+        raise ValueError(f"topic is for {', '.join(LOG_ENDINGS)} alone, got {topic!r} for {path}")
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     if path.is_dir() != (ending == ".zarr") or not (path.is_file() or path.is_dir()):
@@ -136,6 +170,8 @@ def read_placed_grid(path: str | os.PathLike[str], area: GridSpec | None = None)
     if ending in (".npy", ".png") and area is None:
         raise OgmError(f"{path} does not hold its area: give it (a GridSpec; --length and --width [m])")
     try:
+        if ending in LOG_ENDINGS:
+            return read_logged(path, topic)
         if ending in _YAML:
             return read_map_server(path)
         if ending in _TIFF:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ogm.files import OgmError
 from ogm.grid import GridSpec
-from ogm.io.grids.outputs import whole_path
+from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
 from ogm.io.reading import optional
 
@@ -84,7 +84,7 @@ def read_geotiff(path: Path) -> PlacedGrid:
             rows = image.read(bands, out_dtype="float32", masked=True).filled(0)
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
     except (rasterio.errors.RasterioError, MemoryError) as error:
-        raise OgmError(f"{path} is damaged or no GeoTIFF: {error}") from error
+        raise OgmError(f"{path} is damaged or no GeoTIFF: {reason(error, path)}") from error
     mass = np.ascontiguousarray(np.moveaxis(rows[:, ::-1] if down else rows, 0, -1).swapaxes(0, 1))
     return placed_at(
         mass, resolution, corner, frame_id=tags.get("frame_id", "map"), stamp=_stamp(tags.get("stamp")), crs=crs

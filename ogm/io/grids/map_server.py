@@ -1,8 +1,8 @@
 """Maps of ROS's map_server: a YAML file, and an image whose row 0 is the top, the greatest y.
 
 Rules of nav2's loader (``nav2_map_server/src/map_io.cpp``): ``p = (255 - grey) / 255``, or ``grey / 255`` if negated.
-trinary: occupied above ``occupied_thresh``, free below ``free_thresh``, else unknown (later versions count the thresholds
-themselves as known). scale: the same thresholds, linear in between, transparent is unknown. raw: the grey is the value,
+trinary: occupied above ``occupied_thresh``, free below ``free_thresh``, else unknown (later versions count p at a
+threshold as known). scale: the same thresholds, linear in between, transparent is unknown. raw: the grey is the value,
 unknown above 100.
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError, atomic_write
+from ogm.io.grids.paths import reason
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.messages import mass_from_occupancy, occupancy_values
 from ogm.io.reading import optional
@@ -213,4 +214,6 @@ def _channels(path: Path) -> tuple[tuple[NDArray[Any], ...], int]:
                 image = image.convert("RGBA" if alpha else "RGB")
             return tuple(np.asarray(band) for band in image.split()), 255
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
-        raise OgmError(f"{path} is damaged or no image ({error}), wanted {', '.join(_FORMATS)}") from error
+        raise OgmError(
+            f"{path} is damaged or no image ({reason(error, path)}), wanted {', '.join(_FORMATS)}"
+        ) from error

@@ -6,6 +6,7 @@ import numpy as np
 
 from ogm.files import OgmError, atomic_write
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.grids.paths import reason
 
 __all__ = ["read_array", "read_picture", "write_picture"]
 
@@ -28,7 +29,7 @@ def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path) as picture:
+        with Image.open(path, formats=("PNG",)) as picture:
             if picture.mode not in ("RGB", "RGBA"):
                 raise OgmError(f"{path} must be an RGB picture, red occupied and green free, got {picture.mode}")
             spec = _on(area, (picture.height, picture.width), path)  # before it is unpacked
@@ -36,7 +37,7 @@ def read_picture(path: Path, area: GridSpec) -> EvidentialGrid:
     except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError) as error:
         if isinstance(error, FileNotFoundError):
             raise
-        raise OgmError(f"{path} is damaged or no picture: {error}") from error
+        raise OgmError(f"{path} is damaged or no picture: {reason(error, path)}") from error
     red, green = pixels[::-1, ::-1, 0], pixels[::-1, ::-1, 1]
     mass = np.stack([green, red], axis=-1).astype(np.float32) / 255
     return EvidentialGrid(spec, mass / np.maximum(mass.sum(axis=-1, keepdims=True), 1))  # rounding may exceed one

@@ -84,7 +84,8 @@ class PlacedGrid:
                 "the vertical alone: give a T_frame_grid without roll and pitch"
             )
         yaw = math.atan2(T[1, 0], T[0, 0])
-        return Corner(*(T[:2, :2] @ (x, y) + T[:2, 3]).tolist(), 0.0 if abs(yaw) < _NO_TURN else yaw)
+        corner = T[:2, :2] @ (x, y) + T[:2, 3]
+        return Corner(float(corner[0]), float(corner[1]), 0.0 if abs(yaw) < _NO_TURN else yaw)
 
     @property
     def upright(self) -> EvidentialGrid:

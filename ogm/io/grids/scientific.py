@@ -10,7 +10,7 @@ import numpy as np
 
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids.outputs import whole_path
+from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.reading import optional
 
@@ -119,12 +119,14 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         stated = float(dataset.attrs.get("resolution", "nan"))
         x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
         resolution = x.step or y.step or stated
+        if not resolution > 0:
+            raise OgmError("a dataset of one cell must state its resolution [m]")
         if not math.isclose(resolution, y.step or resolution, rel_tol=_SAME_STEP):
             raise OgmError(f"cells must be squares, got steps of {x.step:g} m in x and {y.step:g} m in y")
         mass = np.empty((nx, ny, 2), np.float32)
         for k, name in enumerate(("free", "occupied")):
-            layer = layers[name].to_numpy()
-            mass[..., k] = layer if layers[name].dims == ("x", "y") else layer.T
+            read = layers[name].to_numpy()
+            mass[..., k] = read if layers[name].dims == ("x", "y") else read.T
         mass[np.isnan(mass)] = 0
         mass = mass[:: -1 if x.decreases else 1, :: -1 if y.decreases else 1]
         origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
@@ -151,7 +153,7 @@ class _Axis(NamedTuple):
 
 
 def _axis(dataset: "Dataset", axis: str, stated: float) -> _Axis:
-    """Read a coordinate; its step is the resolution that the dataset states where they are the same but for rounding."""
+    """Read a coordinate; its step is the resolution that the dataset states if they are the same but for rounding."""
     if axis not in dataset.coords:
         raise OgmError(f"the dataset must have a coordinate {axis}, the cells' centres [m]")
     centres = np.asarray(dataset[axis].to_numpy(), np.float64)
@@ -228,7 +230,7 @@ def read_scientific(path: Path) -> PlacedGrid:
     except _READ_ERRORS as error:
         if isinstance(error, OgmError | PermissionError):
             raise
-        raise OgmError(f"{path} is damaged or no {path.suffix} file: {error}") from error
+        raise OgmError(f"{path} is damaged or no {path.suffix} file: {reason(error, path)}") from error
 
 
 def check_scientific(path: Path) -> None:

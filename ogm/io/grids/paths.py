@@ -1,4 +1,4 @@
-"""Files and folders that libraries write by name, and that are either whole or not there."""
+"""Files and folders that libraries write by name and that are either whole or not there; reasons of their errors."""
 
 import os
 import secrets
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["whole_path"]
+__all__ = ["reason", "whole_path"]
 
 
 @contextmanager
@@ -38,3 +38,8 @@ def whole_path(path: Path) -> Iterator[Path]:
         if old.exists():
             os.replace(old, path)
         raise
+
+
+def reason(error: BaseException, path: Path) -> str:
+    """Return the text of a library's error without the path, which ours begins with."""
+    return str(error).replace(str(path), "it").replace(f"{path.name}: ", "") or type(error).__name__
