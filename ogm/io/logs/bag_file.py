@@ -67,12 +67,12 @@ class BagFile:
         chunk = self._chunks[number]
         if chunk.packing:
             data = memoryview(self._chunks.data(number))[offset:]
-            room = len(data)
+            space = len(data)
         else:
             data = memoryview(self._file.read(chunk.start + offset, _BEGINNING))
-            room = chunk.stored - offset
+            space = chunk.stored - offset
         header, start, length = _record(data)
-        if header["op"] != _MESSAGE or length > min(room - start, LIMIT):
+        if header["op"] != _MESSAGE or length > min(space - start, LIMIT):
             raise OgmError("there is no whole message at its place: the file is damaged")
         wanted = length if size is None else min(size, length)
         if start + wanted > len(data):

@@ -74,10 +74,10 @@ class McapFile:
         return self._file.read(offset + _HEAD, length if size is None else min(size, length))
 
     @staticmethod
-    def _length(head: bytes, room: int) -> int:
-        """Return the length of a message by the head of its record; there is room for so many bytes."""
+    def _length(head: bytes, space: int) -> int:
+        """Return the length of a message by the head of its record; there is space for so many bytes."""
         opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
-        if opcode != _MESSAGE or not _SENT.size <= length <= min(LIMIT, room - _RECORD.size):
+        if opcode != _MESSAGE or not _SENT.size <= length <= min(LIMIT, space - _RECORD.size):
             raise OgmError("there is no whole message at its place: the file is damaged")
         return length - _SENT.size
 
