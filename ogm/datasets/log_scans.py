@@ -46,6 +46,8 @@ class LogScans(Sequence[ScanRef]):
     log : LogReader
     topic : str or iterable of str
         By default the only one of a lidar.
+    transforms : LogTransforms, optional
+        Those of the log; read when they are needed by default.
 
     Raises
     ------
@@ -53,9 +55,12 @@ class LogScans(Sequence[ScanRef]):
         If there is no such topic, or not one alone.
     """
 
-    def __init__(self, log: LogReader, topic: str | Iterable[str] = ()) -> None:
+    def __init__(
+        self, log: LogReader, topic: str | Iterable[str] = (), transforms: LogTransforms | None = None
+    ) -> None:
         self.log, self.path = log, log.paths[0]
         self.topics = _chosen(log, [topic] if isinstance(topic, str) else list(topic))
+        self.transforms = LogTransforms(log) if transforms is None else transforms
         self.types = {log.topics[name].type for name in self.topics}
         scans, lost = [], []
         for ref in log.refs(self.topics):
@@ -90,11 +95,6 @@ class LogScans(Sequence[ScanRef]):
     def stamps(self) -> NDArray[np.float64]:
         """Stamps of the headers, (K,) [s]; NaN where there is none."""
         return np.array([scan.stamp for scan in self])
-
-    @cached_property
-    def transforms(self) -> LogTransforms:
-        """Those of the log."""
-        return LogTransforms(self.log)
 
     @cached_property
     def by_frame(self) -> dict[str, NDArray[np.intp]]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import Layout, RawFrame
-from ogm.datasets.log_scans import CLOUD, LogScans
+from ogm.datasets.log_scans import CLOUD, LIDAR_TYPES, LogScans
+from ogm.datasets.log_transforms import LogTransforms
 from ogm.files import OgmError
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
@@ -19,7 +21,7 @@ from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_v
 from ogm.pose import pose
 from ogm.scan import Scan
 
-__all__ = ["is_log", "logs"]
+__all__ = ["describe_log", "is_log", "logs"]
 
 _LABELS = "poses of the scans (transforms or odometry in the log)"
 
@@ -89,7 +91,7 @@ def logs(
 
     stated = places is not None and places[0].height is not None
     return Layout(
-        f"log ({log.format})",
+        f"log, {log.format}",
         scans.frame_refs(poses),
         read,
         _LABELS,
@@ -105,6 +107,51 @@ def logs(
         files=log.paths,
         facts={"format": log.format, "frames": len(scans), "topics": list(scans.topics), **facts},
     )
+
+
+def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
+    """Return what a log holds, and what lacks for maps of its scans, as names and values to print.
+
+    Parameters
+    ----------
+    path : Path
+    frame : str, optional
+        See `LogTransforms.fixed_frame`.
+    """
+    log = open_log(path)
+    stamps = [t for facts in log.topics.values() for t in (facts.first, facts.last) if facts.count]
+    found = {"format": log.format, "files": ", ".join(one.name for one in log.paths)}
+    if stamps:
+        found["recorded"] = f"{max(stamps) - min(stamps):.1f} s, {_date(min(stamps))} to {_date(max(stamps))}"
+    for name, facts in log.topics.items():
+        rate = "" if np.isnan(facts.rate) else f", {facts.rate:.1f} Hz"
+        found[name] = f"{facts.type}, {facts.count} message{'s' * (facts.count != 1)}{rate}"
+    transforms = LogTransforms(log)
+    pairs = [
+        f"{parent} <- {child}{' (static)' * static}" for (parent, child), static in transforms.buffer.pairs.items()
+    ]
+    found["transforms"] = ", ".join(pairs) or "none"
+    for name, facts in log.topics.items():
+        if facts.type in LIDAR_TYPES and facts.count:
+            try:
+                scans = LogScans(log, name, transforms)
+                poses = scans.poses(frame)[1]["poses"]
+                found[f"poses of {name}"] = (
+                    f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
+                )
+            except OgmError as error:
+                found[f"poses of {name}"] = str(error)
+    if log.warnings:
+        found["damage"] = "; ".join(log.warnings)
+    return found
+
+
+def _date(stamp: float) -> str:
+    """Return a time as a date, or in seconds where it is no time since 1970."""
+    try:
+        return f"{datetime.fromtimestamp(stamp, UTC):%Y-%m-%d %H:%M:%S} UTC" if stamp > 1e8 else f"{stamp:.3f} s"
+    except (ValueError, OverflowError, OSError):
+        return f"{stamp:.3f} s"
 
 
 def _scan(message: LogMessage, intensity_max: float | None, time_unit: float | None) -> Scan:
