@@ -1,6 +1,7 @@
 """`fill_message`: messages of rospy, made by Debian's genpy, and of rclpy, whose shape is followed here."""
 
 import array
+import io
 import sys
 from types import ModuleType, SimpleNamespace
 
@@ -37,8 +38,6 @@ def test_rospy(ros1_class, stores):
         ("tf2_msgs/msg/TFMessage", tf_message([StampedTransform("a", "b", 9.5, pose(1, 2, 3, yaw=1))])),
     ):
         filled = fill_message(ros1_class(kind)(), plain)
-        import io
-
         buffer = io.BytesIO()
         filled.serialize(buffer)
         assert buffer.getvalue() == bytes(stores[1].serialize_ros1(plain, kind))
@@ -83,8 +82,9 @@ DEFINITIONS = {
     "std_msgs/Header": {"stamp": "builtin_interfaces/Time", "frame_id": "string"},
     "sensor_msgs/PointField": {"name": "string", "offset": "uint32", "datatype": "uint8", "count": "uint32"},
     "sensor_msgs/PointCloud2": {
-        "header": "std_msgs/Header", "height": "uint32", "width": "uint32", "fields": "sequence<sensor_msgs/PointField>",
-        "is_bigendian": "boolean", "point_step": "uint32", "row_step": "uint32", "data": "sequence<uint8>",
+        "header": "std_msgs/Header", "height": "uint32", "width": "uint32",
+        "fields": "sequence<sensor_msgs/PointField>", "is_bigendian": "boolean", "point_step": "uint32",
+        "row_step": "uint32", "data": "sequence<uint8>",
         "is_dense": "boolean",
     },
     "geometry_msgs/Point": {"x": "double", "y": "double", "z": "double"},
@@ -150,5 +150,7 @@ def test_rclpy(ros2):
 
 
 def test_fields_that_a_message_lacks_are_left_out(ros2):
-    header = fill_message(ros2("std_msgs/Header"), SimpleNamespace(seq=4, stamp=SimpleNamespace(sec=1, nanosec=2), frame_id="a"))
+    header = fill_message(
+        ros2("std_msgs/Header"), SimpleNamespace(seq=4, stamp=SimpleNamespace(sec=1, nanosec=2), frame_id="a")
+    )
     assert (header.frame_id, header.stamp.sec, header.stamp.nanosec) == ("a", 1, 2)

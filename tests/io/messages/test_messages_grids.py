@@ -255,7 +255,9 @@ def test_an_origin_whose_rotation_was_not_set():
 def test_grid_maps_that_are_none():
     message = grid_map(ell(), frame_id="map")
     message.layers[0] = "elevation"
-    with pytest.raises(OgmError, match="GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"):
+    with pytest.raises(
+        OgmError, match="GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"
+    ):
         grid_from_grid_map(message)
     message = grid_map(ell(), frame_id="map")
     message.data.pop()

@@ -134,7 +134,13 @@ def test_an_empty_scan(sent):
 
 def test_bytes_come_in_many_shapes():
     wanted = scan_from_point_cloud2(message(columns())).points
-    for form in (bytes, bytearray, lambda a: array.array("B", a.tobytes()), np.ndarray.tolist, lambda a: a.view(np.int8)):
+    for form in (
+        bytes,
+        bytearray,
+        lambda a: array.array("B", a.tobytes()),
+        np.ndarray.tolist,
+        lambda a: a.view(np.int8),
+    ):
         other = message(columns())
         other.data = form(other.data)
         np.testing.assert_array_equal(scan_from_point_cloud2(other).points, wanted)
@@ -160,7 +166,7 @@ def sweep(unit, kind, base=0.0, number=64):
     """Give times of a sweep of 0.1 s, and them as a message has them."""
     seconds = np.arange(number) / 640
     if kind[0] in "iu":
-        return seconds, np.round((round(base / unit) + np.round(seconds / unit))).astype(kind)
+        return seconds, np.round(round(base / unit) + np.round(seconds / unit)).astype(kind)
     return seconds, ((base + seconds) / unit).astype(kind)
 
 
@@ -254,6 +260,10 @@ def test_beams_without_echo_of_organised_clouds(nothing):
     assert scan_from_point_cloud2(laid).no_returns is None
 
 
+def field(offset, datatype=7, count=1, name="t"):
+    return SimpleNamespace(name=name, offset=offset, datatype=datatype, count=count)
+
+
 def wrong(**changes):
     broken = message(columns())
     for name, value in changes.items():
@@ -273,10 +283,10 @@ def wrong(**changes):
         (wrong(width=-1), "width -1"),
         (wrong(fields=[]), "fields none, wanted x, y, z"),
         (wrong(fields=message(columns()).fields[:2]), "fields x, y, wanted x, y, z"),
-        (wrong(fields=[*message(columns()).fields, SimpleNamespace(name="t", offset=9, datatype=7, count=1)]),
+        (wrong(fields=[*message(columns()).fields, field(9)]),
          "has t at byte 9, 1 times 4 bytes, wanted it inside of point_step 12"),
-        (wrong(fields=[*message(columns()).fields, SimpleNamespace(name="t", offset=0, datatype=7, count=4)]), "4 times 4"),
-        (wrong(fields=[*message(columns()).fields, SimpleNamespace(name="t", offset=0, datatype=0, count=1)]), "datatype 0"),
+        (wrong(fields=[*message(columns()).fields, field(0, count=4)]), "4 times 4"),
+        (wrong(fields=[*message(columns()).fields, field(0, 0)]), "datatype 0"),
         (wrong(fields=[*message(columns()).fields, *message(columns()).fields]), "one of each name"),
         (message({name: np.full(3, 1e6, "f4") for name in "xyz"}), "coordinates up to 1e[+]06 m"),
         (message(columns(intensity=np.full(60, 4000, "f4"))), "intensity_max"),
@@ -302,8 +312,8 @@ def test_old_habits_of_drivers():
     """A count of 0 for 1, padding fields, ROS 1 stamps and a slash before the frame."""
     given = message(columns())
     given.fields[0].count = 0
-    given.fields.append(SimpleNamespace(name="_", offset=0, datatype=2, count=4))
-    given.fields.append(SimpleNamespace(name="_", offset=4, datatype=2, count=4))
+    given.fields.append(field(0, 2, 4, "_"))
+    given.fields.append(field(4, 2, 4, "_"))
     given.header = SimpleNamespace(seq=4, stamp=SimpleNamespace(secs=5, nsecs=250_000_000), frame_id="/velodyne")
     scan = scan_from_point_cloud2(given)
     assert scan.stamp == 5.25

@@ -64,8 +64,12 @@ def test_stamps_there_and_back(sec, nanosec):
 def test_odometry(ros, sent):
     kind = "nav_msgs/msg/Odometry"
     nothing = N(linear=N(x=0.0, y=0.0, z=0.0), angular=N(x=0.0, y=0.0, z=0.0))
-    plain = N(header=head("/odom" if ros == 1 else "odom"), child_frame_id="base",
-              pose=N(pose=placed(), covariance=np.zeros(36)), twist=N(twist=nothing, covariance=np.zeros(36)))  # fmt: skip
+    plain = N(
+        header=head("/odom" if ros == 1 else "odom"),
+        child_frame_id="base",
+        pose=N(pose=placed(), covariance=np.zeros(36)),
+        twist=N(twist=nothing, covariance=np.zeros(36)),
+    )
     parent, child, stamp, T = transform_from_odometry(sent(plain, kind, ros))
     assert (parent, child, stamp) == ("odom", "base", 7.5)
     np.testing.assert_allclose(T @ [1, 0, 0, 1], [1, 3, 3, 1], atol=1e-12)  # forward is to the left
@@ -84,9 +88,15 @@ def imu(quaternion, first=0.0):
     covariance = np.zeros(9)
     covariance[0] = first
     rate = N(x=0.0, y=0.0, z=0.0)
-    return N(header=head("imu"), orientation=placed(quaternion=quaternion).orientation, orientation_covariance=covariance,
-             angular_velocity=rate, angular_velocity_covariance=np.zeros(9), linear_acceleration=rate,
-             linear_acceleration_covariance=np.zeros(9))  # fmt: skip
+    return N(
+        header=head("imu"),
+        orientation=placed(quaternion=quaternion).orientation,
+        orientation_covariance=covariance,
+        angular_velocity=rate,
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=rate,
+        linear_acceleration_covariance=np.zeros(9),
+    )
 
 
 def test_imu(sent):
@@ -108,7 +118,9 @@ def test_every_reader_gets_the_transforms_that_were_sent(sent, by_mcap, ros1_cla
     for arrived in (plain, sent(plain, TF, 1), sent(plain, TF, 2), by_mcap(plain, TF), ros1):
         back = transforms_from_tf(arrived)
         assert [one[:3] for one in back] == [one[:3] for one in several]
-        np.testing.assert_allclose([one.T_parent_child for one in back], [one.T_parent_child for one in several], atol=1e-12)
+        np.testing.assert_allclose(
+            [one.T_parent_child for one in back], [one.T_parent_child for one in several], atol=1e-12
+        )
     assert transforms_from_tf(plain.transforms[2])[0].child == "f2"
     buffer = TransformBuffer()
     for one in transforms_from_tf(sent(plain, TF, 2)):
