@@ -19,6 +19,7 @@ def info(
 ) -> None:
     """Show what a file or a data set holds: of a log also what its scans lack for `ogm fuse`."""
     from ogm import EvidentialGrid
+    from ogm.datasets.captures import CAPTURE_ENDINGS
     from ogm.datasets.logs import describe_log, is_log
     from ogm.io import describe, read_scan_file
 
@@ -28,7 +29,7 @@ def info(
         from ogm.simulation.store import Store
 
         facts = Store.open(scan).describe()
-    elif scan.is_dir():
+    elif scan.is_dir() or scan.suffix.lower() in CAPTURE_ENDINGS:
         from ogm.datasets import open_dataset
 
         options = {"intensity_max": intensity_max, "time_unit": time_unit}

@@ -1,6 +1,5 @@
 """Data sets as sequences of frames."""
 
-import copy
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.argoverse2 import argoverse2
+from ogm.datasets.captures import captures
 from ogm.datasets.kitti import kitti_object, kitti_odometry, kitti_raw, kitti_tracking
 from ogm.datasets.layout import FrameRef, Layout
 from ogm.datasets.logs import is_log, logs
@@ -46,7 +46,8 @@ _KNOWN = (
     "(velodyne_points/data/ or scans, label_02*.txt, calib*.txt) and odometry (velodyne/ poses.txt calib.txt); "
     "SemanticKITTI (velodyne/ labels/, or sequences/*/); nuScenes (v1.0-*/ samples/) and mmdetection3d's info as JSON; "
     "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); labelled range images "
-    "(*.npy in semantic_kitti/ or nuscenes/); logs (.mcap, .db3, .bag); data sets that `ogm simulate` made (zarr.json)"
+    "(*.npy in semantic_kitti/ or nuscenes/); logs (.mcap, .db3, .bag); "
+    "captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
 )
 
 
@@ -120,7 +121,8 @@ class Dataset(Sequence[Frame]):
 
     def select(self, numbers: Iterable[int]) -> "Dataset":
         """Return the data set of some frames, by their numbers in this one; they share what was read."""
-        chosen = copy.copy(self)
+        chosen = object.__new__(type(self))  # copy.copy would open it again, as unpickling does
+        chosen.__dict__.update(self.__dict__)
         chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
         return chosen
 
@@ -299,7 +301,7 @@ def _layout(paths: Sequence[Path], options: Mapping[str, Any]) -> Layout | None:
     layout = next((one for one in found if one is not None), None)
     if layout is None and len(paths) == 1 and spec is not None and grid_files(path):
         return truth_grids(path, spec)
-    return layout or scans(paths, **options["reading"])
+    return layout or captures(paths, **options["reading"]) or scans(paths, **options["reading"])
 
 
 def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:

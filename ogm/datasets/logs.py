@@ -21,7 +21,7 @@ from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_v
 from ogm.pose import pose
 from ogm.scan import Scan
 
-__all__ = ["describe_log", "is_log", "logs"]
+__all__ = ["describe_log", "is_log", "logs", "turn_scan"]
 
 _LABELS = "poses of the scans (transforms or odometry in the log)"
 
@@ -87,7 +87,7 @@ def logs(
             scan = _scan(message, intensity_max, time_unit)
         except OgmError as error:
             raise OgmError(f"{log.paths[scans[n].ref.file]}: {error}") from error
-        return RawFrame(_turned(replace(scan, sensor=scans[n].frame), turns[n]))
+        return RawFrame(turn_scan(replace(scan, sensor=scans[n].frame), turns[n]))
 
     stated = places is not None and places[0].height is not None
     return Layout(
@@ -173,8 +173,15 @@ def _turns(scans: LogScans, axes: Axes) -> NDArray[np.float64]:
     return T[:, :3, :3]
 
 
-def _turned(scan: Scan, R: NDArray[np.float64]) -> Scan:
-    """Return a scan in turned axes."""
+def turn_scan(scan: Scan, R: NDArray[np.float64]) -> Scan:
+    """Return a scan in other axes.
+
+    Parameters
+    ----------
+    scan : Scan
+    R : (3, 3) float64
+        Takes its coordinates to the other axes.
+    """
     if np.array_equal(R, np.eye(3)):
         return scan
     points = scan.points.copy()
