@@ -1,6 +1,5 @@
 """The scans of a log: where they lie, which sensor took them when, and where that was."""
 
-import logging
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -25,8 +24,6 @@ LIDAR_TYPES = (
 )
 _HALF_LENGTH, _HALF_WIDTH = 2.5, 1.1  # [m] of the ego vehicle around its lidars, as `Mount` has it around one
 
-_log = logging.getLogger(__name__)
-
 
 class ScanRef(NamedTuple):
     """A scan of a log, of which only the header was read."""
@@ -46,8 +43,6 @@ class LogScans(Sequence[ScanRef]):
     log : LogReader
     topic : str or iterable of str
         By default the only one of a lidar.
-    transforms : LogTransforms, optional
-        Those of the log; read when they are needed by default.
 
     Raises
     ------
@@ -55,28 +50,19 @@ class LogScans(Sequence[ScanRef]):
         If there is no such topic, or not one alone.
     """
 
-    def __init__(
-        self, log: LogReader, topic: str | Iterable[str] = (), transforms: LogTransforms | None = None
-    ) -> None:
+    def __init__(self, log: LogReader, topic: str | Iterable[str] = ()) -> None:
         self.log, self.path = log, log.paths[0]
         self.topics = _chosen(log, [topic] if isinstance(topic, str) else list(topic))
-        self.transforms = LogTransforms(log) if transforms is None else transforms
         self.types = {log.topics[name].type for name in self.topics}
-        scans, lost = [], []
-        for ref in log.refs(self.topics):
-            try:
-                head = log.head(ref)
-            except OgmError as error:
-                lost.append(str(error))
-                continue
-            stamp = head.stamp if head.time else np.nan
-            scans.append(ScanRef(ref, log.topic_of(ref), head.frame, head.time, stamp))
+        self.transforms = LogTransforms(log, self.topics)
+        scans = [
+            ScanRef(ref, log.topic_of(ref), head.frame, head.time, head.stamp if head.time else np.nan)
+            for ref, head in self.transforms.heads
+        ]
         self._scans = sorted(scans, key=lambda scan: scan.time)
-        self.warnings = [*log.warnings]
+        self.warnings, lost = [*log.warnings], self.transforms.lost
         if lost:
-            self.warnings.append(f"{len(lost)} scans are left out: {lost[0]}")
-        for warning in self.warnings:
-            _log.warning("%s", warning)
+            self.warnings.append(f"{len(lost)} messages are left out: {lost[0]}")
         if not scans:
             raise OgmError(f"{self.path} has no message of {', '.join(self.topics)} that can be read")
 

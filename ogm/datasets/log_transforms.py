@@ -1,21 +1,18 @@
 """Where the sensors of a log were: its transforms, or its odometry, from a fixed frame to the frames of the scans."""
 
-import logging
 import math
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.io.logs import LogReader
+from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
 
 __all__ = ["LogTransforms"]
-
-_log = logging.getLogger(__name__)
 
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
@@ -31,21 +28,36 @@ class LogTransforms:
     Parameters
     ----------
     log : LogReader
+    scans : iterable of str
+        Topics whose headers are read on the way, for a packed log is then unpacked once.
 
     Attributes
     ----------
     buffer : TransformBuffer
     source : str
         Where poses come from, in words.
+    heads : list of (MessageRef, MessageHead)
+        Of the scans.
+    lost : list of str
+        Why messages could not be read.
     """
 
-    def __init__(self, log: LogReader) -> None:
+    def __init__(self, log: LogReader, scans: Iterable[str] = ()) -> None:
         self.buffer, self.source = TransformBuffer(), "transforms"
         self._log = log
-        self._odometry = [name for name, facts in log.topics.items() if facts.type == _ODOMETRY and facts.count]
-        self._odometry.sort(key=lambda name: -log.topics[name].count)
-        for name in [name for name, facts in log.topics.items() if facts.type in _TRANSFORMS]:
-            self._read(name, transforms_from_tf, static=name.rstrip("/").endswith("tf_static"))
+        self._odometry = sorted(self._of_type(_ODOMETRY), key=lambda name: -log.topics[name].count)
+        self.heads: list[tuple[MessageRef, MessageHead]] = []
+        self.lost: list[str] = []
+        known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
+        for ref in log.refs([*scans, *known]):
+            try:
+                topic = log.topic_of(ref)
+                if topic in known:
+                    self._add(transforms_from_tf(log.message(ref).decode()), known[topic])
+                else:
+                    self.heads.append((ref, log.head(ref)))
+            except OgmError as error:
+                self.lost.append(str(error))
 
     def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
         """Return the frame that poses of a sensor are given in; None if there is none.
@@ -188,22 +200,18 @@ class LogTransforms:
             return False
         name = self._odometry.pop(0)
         self.source = f"odometry ({name})"
-        self._read(name, _odometry_transforms)
+        for ref in self._log.refs([name]):
+            try:
+                found = transform_from_odometry(self._log.message(ref).decode())
+                self._add([found if found.child else found._replace(child=_VEHICLE)])
+            except OgmError as error:
+                self.lost.append(str(error))
         return True
 
-    def _read(self, topic: str, convert: Callable[[Any], list[StampedTransform]], static: bool = False) -> None:
-        """Add the transforms of a topic."""
-        lost: list[str] = []
-        for message in self._log.messages([topic]):
-            try:
-                for transform in convert(message.decode()):
-                    self.buffer.add(transform, static)
-            except OgmError as error:
-                lost.append(str(error))
-        if lost:
-            _log.warning("%s: %d messages of %s are left out: %s", self._log.paths[0], len(lost), topic, lost[0])
+    def _of_type(self, *types: str) -> list[str]:
+        """Return the topics of some types."""
+        return [name for name, facts in self._log.topics.items() if facts.type in types]
 
-
-def _odometry_transforms(message: Any) -> list[StampedTransform]:
-    found = transform_from_odometry(message)
-    return [found if found.child else found._replace(child=_VEHICLE)]
+    def _add(self, transforms: Iterable[StampedTransform], static: bool = False) -> None:
+        for transform in transforms:
+            self.buffer.add(transform, static)

@@ -1,5 +1,6 @@
 """Logs: the lidar scans of ROS bags and MCAPs, with the poses that transforms or odometry in them give."""
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -22,6 +23,8 @@ from ogm.pose import pose
 from ogm.scan import Scan
 
 __all__ = ["describe_log", "is_log", "logs", "turn_scan"]
+
+_log = logging.getLogger(__name__)
 
 _LABELS = "poses of the scans (transforms or odometry in the log)"
 
@@ -67,6 +70,8 @@ def logs(
     """
     log = open_log(paths)
     scans = LogScans(log, topic)
+    for warning in scans.warnings:
+        _log.warning("%s", warning)
     several = len(scans.topics) > 1
     if scans.types != {CLOUD} and (intensity_max is not None or time_unit is not None):
         raise ValueError(f"{log.paths[0]} has scans of known units; leave out intensity_max and time_unit")
@@ -126,23 +131,20 @@ def describe_log(path: Path, frame: str | None = None) -> dict[str, str]:
     for name, facts in log.topics.items():
         rate = "" if np.isnan(facts.rate) else f", {facts.rate:.1f} Hz"
         found[name] = f"{facts.type}, {facts.count} message{'s' * (facts.count != 1)}{rate}"
-    transforms = LogTransforms(log)
-    pairs = [
-        f"{parent} <- {child}{' (static)' * static}" for (parent, child), static in transforms.buffer.pairs.items()
-    ]
-    found["transforms"] = ", ".join(pairs) or "none"
-    for name, facts in log.topics.items():
-        if facts.type in LIDAR_TYPES and facts.count:
-            try:
-                scans = LogScans(log, name, transforms)
-                poses = scans.poses(frame)[1]["poses"]
-                found[f"poses of {name}"] = (
-                    f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
-                )
-            except OgmError as error:
-                found[f"poses of {name}"] = str(error)
-    if log.warnings:
-        found["damage"] = "; ".join(log.warnings)
+    lidars = [name for name, facts in log.topics.items() if facts.type in LIDAR_TYPES and facts.count]
+    scans = {name: LogScans(log, name) for name in lidars}
+    transforms = next((one.transforms for one in scans.values()), None) or LogTransforms(log)
+    pairs = transforms.buffer.pairs.items()
+    found["transforms"] = ", ".join(f"{a} <- {b}{' (static)' * static}" for (a, b), static in pairs) or "none"
+    for name, one in scans.items():
+        try:
+            poses = one.poses(frame)[1]["poses"]
+        except OgmError as error:
+            poses = str(error)
+        found[f"poses of {name}"] = f"{poses} (see `ogm fuse --odometry`)" if poses.startswith("none") else poses
+    damage = [warning for one in scans.values() for warning in one.warnings] or log.warnings
+    if damage:
+        found["damage"] = "; ".join(dict.fromkeys(damage))
     return found
 
 
