@@ -66,17 +66,19 @@ class BagFile:
         number, offset = place
         chunk = self._chunks[number]
         if chunk.packing:
-            data = memoryview(self._chunks.data(number))[offset:]
-            room = len(data)
+            data = memoryview(self._chunks.data(number, offset + _BEGINNING))[offset:]
+            space = chunk.size - offset
         else:
             data = memoryview(self._file.read(chunk.start + offset, _BEGINNING))
-            room = chunk.stored - offset
+            space = chunk.stored - offset
         header, start, length = _record(data)
-        if header["op"] != _MESSAGE or length > min(room - start, LIMIT):
+        if header["op"] != _MESSAGE or length > min(space - start, LIMIT):
             raise OgmError("there is no whole message at its place: the file is damaged")
         wanted = length if size is None else min(size, length)
-        if start + wanted > len(data):
+        if start + wanted > len(data) and not chunk.packing:
             return self._file.read(chunk.start + offset + start, wanted)
+        if start + wanted > len(data):
+            data = memoryview(self._chunks.data(number, offset + start + wanted))[offset:]
         return data[start : start + wanted]
 
     def _walk(self, stream: BinaryIO) -> None:

@@ -12,6 +12,7 @@ from ogm.io.logs.files import RandomAccess
 __all__ = ["LIMIT", "Chunk", "Chunks"]
 
 LIMIT = 2**30  # [byte] of one message or one chunk: what is larger is taken for damage
+_BEGINNING = 2**18  # [byte] that are unpacked at least: blocks of zstd have half of it
 _KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan
 
 
@@ -77,29 +78,46 @@ class Chunks:
         """Tell whether a chunk is unpacked already."""
         return number in self._unpacked
 
-    def data(self, number: int) -> bytes:
+    def data(self, number: int, end: int | None = None) -> bytes:
         """Return what a chunk holds, unpacked.
+
+        Parameters
+        ----------
+        number : int
+        end : int, optional
+            So many bytes are enough. Of a beginning, the checksum is not known to fit.
 
         Raises
         ------
         OgmError
             If it is damaged, or packed in an unknown way.
         """
-        if number not in self._unpacked:
-            chunk = self._all[number]
-            where = f"the chunk at byte {chunk.start}"
-            if max(chunk.size, chunk.stored) > LIMIT:
-                raise OgmError(f"{where} is damaged: it has more than {LIMIT} bytes")
-            data = _unpack(self._file.read(chunk.start, chunk.stored), chunk)
-            if len(data) != chunk.size:
-                raise OgmError(f"{where} is damaged: {len(data)} of its {chunk.size} bytes can be unpacked")
-            if chunk.checksum and zlib.crc32(data) != chunk.checksum:
-                raise OgmError(f"{where} is damaged: its checksum does not fit")
-            self._unpacked[number] = data
+        chunk, kept = self._all[number], self._unpacked.get(number, b"")
+        wanted = chunk.size if end is None else min(end, chunk.size)
+        if len(kept) < wanted or number not in self._unpacked:
+            # A scan is often the last in its chunk, after messages of a few bytes.
+            limit = max(wanted, 2 * len(kept), _BEGINNING)
+            data = self._beginning(chunk, limit) if limit < chunk.size / 2 else b""
+            self._unpacked[number] = data if len(data) >= wanted else self._whole(chunk)
             if len(self._unpacked) > _KEPT:
                 self._unpacked.popitem(last=False)
         self._unpacked.move_to_end(number)
         return self._unpacked[number]
+
+    def _beginning(self, chunk: Chunk, limit: int) -> bytes:
+        stored = self._file.read(chunk.start, min(chunk.stored, limit + _BEGINNING))
+        return _unpack(stored, chunk._replace(size=limit))
+
+    def _whole(self, chunk: Chunk) -> bytes:
+        where = f"the chunk at byte {chunk.start}"
+        if max(chunk.size, chunk.stored) > LIMIT:
+            raise OgmError(f"{where} is damaged: it has more than {LIMIT} bytes")
+        data = _unpack(self._file.read(chunk.start, chunk.stored), chunk)
+        if len(data) != chunk.size:
+            raise OgmError(f"{where} is damaged: {len(data)} of its {chunk.size} bytes can be unpacked")
+        if chunk.checksum and zlib.crc32(data) != chunk.checksum:
+            raise OgmError(f"{where} is damaged: its checksum does not fit")
+        return data
 
 
 def _unpack(stored: bytes, chunk: Chunk) -> bytes:

@@ -64,9 +64,11 @@ class McapFile:
             start, end = chunk.start + offset, chunk.start + chunk.stored
             if size is not None or _RECORD.unpack(self._file.read(start, _RECORD.size))[1] < _SMALL:
                 return self._read_stored(start, end, size)
-        data = memoryview(self._chunks.data(number))
-        length = self._length(bytes(data[offset : offset + _RECORD.size]), len(data) - offset)
-        return data[offset + _HEAD : offset + _HEAD + (length if size is None else min(size, length))]
+        start = offset + _HEAD
+        head = self._chunks.data(number, start)[offset : offset + _RECORD.size]
+        length = self._length(head, chunk.size - offset)
+        end = start + (length if size is None else min(size, length))
+        return memoryview(self._chunks.data(number, end))[start:end]
 
     def _read_stored(self, offset: int, end: int, size: int | None) -> bytes:
         """Return a message that is not packed."""
@@ -74,10 +76,10 @@ class McapFile:
         return self._file.read(offset + _HEAD, length if size is None else min(size, length))
 
     @staticmethod
-    def _length(head: bytes, room: int) -> int:
-        """Return the length of a message by the head of its record; there is room for so many bytes."""
+    def _length(head: bytes, space: int) -> int:
+        """Return the length of a message by the head of its record; there is space for so many bytes."""
         opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
-        if opcode != _MESSAGE or not _SENT.size <= length <= min(LIMIT, room - _RECORD.size):
+        if opcode != _MESSAGE or not _SENT.size <= length <= min(LIMIT, space - _RECORD.size):
             raise OgmError("there is no whole message at its place: the file is damaged")
         return length - _SENT.size
 

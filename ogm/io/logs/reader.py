@@ -59,7 +59,8 @@ class MessageRef(NamedTuple):
 class MessageHead(NamedTuple):
     """The header of a message."""
 
-    stamp: float  # [s]
+    time: int  # its stamp [ns]
+    stamp: float  # the same [s]
     frame: str
 
 
@@ -322,4 +323,4 @@ def _head(channel: Channel, raw: bytes | memoryview) -> MessageHead:
         raise OgmError(f"{channel.topic} is {channel.encoding or 'of no encoding'}, wanted ROS messages")
     if length > _HEAD - 16:
         raise struct.error(f"its frame has a name of {length} bytes")
-    return MessageHead(sec + nanosec * 1e-9, bytes(raw[start:end]).decode().lstrip("/"))
+    return MessageHead(sec * 10**9 + nanosec, sec + nanosec * 1e-9, bytes(raw[start:end]).decode().lstrip("/"))
