@@ -16,6 +16,7 @@ from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_f
 from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
 from ogm.io.sensor_height import estimate_sensor_height, plausible_sensor_height
 from ogm.io.sustech import read_sustech
+from ogm.io.transforms import StampedTransform, TransformBuffer
 
 __all__ = [
     "AXES",
@@ -31,6 +32,8 @@ __all__ = [
     "NuScenes",
     "PlacedGrid",
     "Poses",
+    "StampedTransform",
+    "TransformBuffer",
     "describe",
     "estimate_sensor_height",
     "from_xarray",
