@@ -14,7 +14,7 @@ from typer import Argument, Option
 from ogm.cli import options
 from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
 from ogm.cli.options import File
-from ogm.io.grids import MAP_ENDINGS, GridLog, PlacedGrid, check_grid_output, write_grid
+from ogm.io.grids import MAP_ENDINGS, GridLog, check_grid_output, write_grid
 from ogm.io.logs import LOG_ENDINGS
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def fuse(
         if run.last is None:
             raise (typer.Exit(code) if code == 130 else ValueError("no scan could be mapped; nothing is written"))
         if out_path is not None and not is_log:
-            write_grid(out_path, PlacedGrid(mapper.grid, stamp=mapper.stamp))
+            write_grid(out_path, run.placed)
         if save_poses is not None:
             run.save_poses(save_poses)
         if picture is not None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import track
 
 from ogm import plot
@@ -76,7 +77,7 @@ class FusionRun:
                     continue
                 self.note(k, step)
                 if maps is not None:
-                    self.record(step.frame, maps)
+                    self.record(maps)
                 if film is not None:
                     panels, line = self.panels()
                     film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
@@ -115,13 +116,26 @@ class FusionRun:
         self.seconds.append(step.seconds)
         self.last = step
 
-    def record(self, frame: Frame, maps: GridLog) -> None:
-        """Write the map after a scan to a log, at the height of the ground, and the pose of the vehicle."""
-        assert frame.T_map_sensor is not None
-        stamp, T_map_vehicle = frame.stamp or 0.0, frame.T_map_sensor @ inverse(frame.mount.T_vehicle_sensor)
-        ground_z = float((T_map_vehicle @ (*frame.mount.ground_point, 1.0))[2])
-        placed = PlacedGrid(self.mapper.grid, pose(z=ground_z), stamp=stamp)
-        maps.write(placed, [StampedTransform(placed.frame_id, "base_link", stamp, T_map_vehicle)])
+    @property
+    def placed(self) -> PlacedGrid:
+        """The map, in the frame of the poses, at the height of the ground under the vehicle."""
+        assert self.last is not None
+        T, mount = self.T_map_vehicle, self.last.frame.mount
+        ground_z = float((T @ (*mount.ground_point, 1.0))[2])
+        frame = self.dataset.facts.get("frame") or "map"  # that of a log's poses
+        return PlacedGrid(self.mapper.grid, pose(z=ground_z), frame, self.mapper.stamp)
+
+    @property
+    def T_map_vehicle(self) -> NDArray[np.float64]:  # noqa: N802
+        """Where the vehicle was at the last scan, (4, 4)."""
+        assert self.last is not None
+        assert self.last.frame.T_map_sensor is not None
+        return self.last.frame.T_map_sensor @ inverse(self.last.frame.mount.T_vehicle_sensor)
+
+    def record(self, maps: GridLog) -> None:
+        """Write the map after the last scan to a log, and the pose of the vehicle."""
+        placed = self.placed
+        maps.write(placed, [StampedTransform(placed.frame_id, "base_link", placed.stamp or 0.0, self.T_map_vehicle)])
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
         """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""
