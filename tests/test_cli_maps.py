@@ -136,10 +136,10 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(
     """Before the work: the scans of the drive are not read."""
     real_import, real_find = importlib.import_module, importlib.util.find_spec
 
-    def missing(module: str, *more: object) -> object:
+    def missing(module: str, *more: object, **named: object) -> object:
         if module.split(".")[0] == name:
             raise ImportError(f"No module named {module!r}")
-        return real_import(module, *more)
+        return real_import(module, *more, **named)
 
     scientific = importlib.import_module("ogm.io.grids.scientific")
     monkeypatch.setattr(importlib, "import_module", missing)

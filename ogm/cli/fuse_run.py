@@ -134,8 +134,9 @@ class FusionRun:
 
     def record(self, maps: GridLog) -> None:
         """Write the map after the last scan to a log, and the pose of the vehicle."""
-        placed = self.placed
-        maps.write(placed, [StampedTransform(placed.frame_id, "base_link", placed.stamp or 0.0, self.T_map_vehicle)])
+        assert self.last is not None
+        placed, stamp = self.placed, self.last.frame.stamp or 0.0
+        maps.write(placed, [StampedTransform(placed.frame_id, "base_link", stamp, self.T_map_vehicle)])
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
         """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""

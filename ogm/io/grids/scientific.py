@@ -13,6 +13,7 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.reading import optional
+from ogm.pose import pose
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -42,9 +43,10 @@ def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
     xarray.Dataset
         Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied; coordinates
         ``x`` and ``y`` of the cells' centres [m], increasing. Attributes ``resolution`` [m], ``frame_id`` and, if
-        known, ``stamp`` [s]. The coordinates are those of the frame; where the grid is turned or tilted in it, they are
-        the grid's own, and the attribute ``T_frame_grid`` has the 16 numbers of the transform, row by row. With a
-        `crs`, ``spatial_ref`` is the grid mapping (or, where the grid is turned, the attribute ``crs_wkt``).
+        known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates are those of the frame; where the grid is
+        turned or tilted in it, they are the grid's own, and the attribute ``T_frame_grid`` has the 16 numbers of the
+        transform, row by row. With a `crs`, ``spatial_ref`` is the grid mapping (or, where the grid is turned, the
+        attribute ``crs_wkt``).
 
     Raises
     ------
@@ -54,7 +56,7 @@ def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
     xarray = optional("xarray", Path("an xarray.Dataset"), "geo", "made")
     placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
     T = placed.T_frame_grid
-    level = bool(np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9) and T[2, 3] == 0)
+    level = np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9)
     cells = placed.upright if level else placed.grid
     facts: dict[str, Any] = {
         "Conventions": "CF-1.11",
@@ -67,6 +69,8 @@ def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
         facts["stamp"] = placed.stamp
     if not level:
         facts["T_frame_grid"] = T.ravel().tolist()
+    elif T[2, 3]:
+        facts["height"] = float(T[2, 3])
     of_layers: dict[str, Any] = {"units": "1", "valid_min": np.float32(0), "valid_max": np.float32(1)}
     coordinates: dict[str, Any] = {}
     for axis, centres in zip(("y", "x"), (cells.spec.cell_centers[1], cells.spec.cell_centers[0]), strict=True):
@@ -131,7 +135,8 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         mass = mass[:: -1 if x.decreases else 1, :: -1 if y.decreases else 1]
         origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
         spec = GridSpec(resolution, (nx, ny), origin)
-        T = np.asarray(dataset.attrs.get("T_frame_grid", np.eye(4)), np.float64)
+        lifted = pose(z=float(dataset.attrs.get("height", 0.0)))
+        T = np.asarray(dataset.attrs.get("T_frame_grid", lifted), np.float64)
         stamp, crs = dataset.attrs.get("stamp"), _crs(dataset)
         return PlacedGrid(
             EvidentialGrid(spec, np.ascontiguousarray(mass)),

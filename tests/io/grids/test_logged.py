@@ -155,7 +155,7 @@ def test_the_masses_of_a_foxglove_grid_through_protobuf(tmp_path: Path) -> None:
         for name, value in zip(("free", "occupied"), placed.grid.mass[ix, iy], strict=True):
             assert np.frombuffer(cell, "<f4", 1, offsets[name])[0] == value
     again = read_placed_grid(path)
-    assert again.corner == pytest.approx(placed.corner)
+    assert again.corner == pytest.approx(placed.corner, abs=1e-9)
     assert np.array_equal(again.grid.mass, placed.grid.mass)
 
 

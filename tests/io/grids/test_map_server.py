@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nav2_loader import load_map
 from PIL import Image
+from typer.testing import CliRunner
 
+from ogm.cli import app
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
@@ -267,3 +270,21 @@ def test_a_tilted_grid_is_refused(tmp_path: Path) -> None:
         write_grid(tmp_path / "map.yaml", PlacedGrid(l_shape(), pose(pitch=0.1)))
     write_grid(tmp_path / "map.yaml", PlacedGrid(l_shape(), pose(pitch=1e-4, z=3)))
     assert math.isclose(read_placed_grid(tmp_path / "map.yaml").corner.x, SPEC.origin[0], rel_tol=1e-6)
+
+
+def test_the_map_of_six_real_scans_loads_by_the_rules_of_map_server(
+    real: Callable[[str], Path], tmp_path: Path
+) -> None:
+    folder = real("kitti_odometry_00")
+    words = ("--sensor-height", 1.78, "--length", 48, "--width", 32, "--resolution", 0.32)
+    poses = folder / "derived" / "poses_lidar_gicp.txt"
+    for name in ("m.npz", "m.yaml", "m.bag"):
+        given = ("fuse", folder, "--poses", poses, "--out", tmp_path / name, *words)
+        result = CliRunner().invoke(app, [str(one) for one in given])
+        assert result.exit_code == 0, result.output
+    wanted, loaded = read_grid(tmp_path / "m.npz"), load_map(tmp_path / "m.yaml")
+    values = np.reshape(loaded.data, (loaded.height, loaded.width)).T
+    assert (loaded.resolution, loaded.origin[:2]) == (wanted.spec.resolution, wanted.spec.origin)
+    assert np.array_equal(np.array([-1, 0, 100])[predict_state(wanted.mass)], values)
+    assert np.array_equal(occupancy_values(read_grid(tmp_path / "m.bag")), occupancy_values(wanted))
+    assert loaded.at(10.0, 0.0) == 0  # the road ahead

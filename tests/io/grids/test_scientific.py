@@ -79,9 +79,9 @@ def test_turned_and_tilted_grids_keep_their_transform(tmp_path: Path, ending: st
 
 
 def test_a_shift_moves_the_coordinates() -> None:
-    placed = from_xarray(to_xarray(PlacedGrid(grid(), pose(10.0, -20.0))))
+    placed = from_xarray(to_xarray(PlacedGrid(grid(), pose(10.0, -20.0, -1.7))))
     assert placed.grid.spec.origin == pytest.approx((8.3, -17.7))
-    assert np.array_equal(placed.T_frame_grid, np.eye(4))
+    assert np.array_equal(placed.T_frame_grid, pose(z=-1.7))
 
 
 def test_gdal_finds_corner_system_and_values(tmp_path: Path) -> None:
