@@ -1,6 +1,7 @@
 """Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`."""
 
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ _FORMAT = "ogm.EvidentialGrid/1"
 _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,
     EOFError,
     KeyError,
     IndexError,

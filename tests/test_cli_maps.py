@@ -129,7 +129,7 @@ def test_wrong_words_are_one_line_and_exit_code_2(
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.parametrize("name", ["rasterio", "xarray", "netCDF4", "zarr", "yaml", "rosbags", "foxglove"])
+@pytest.mark.parametrize("name", ["rasterio", "xarray", "netCDF4", "zarr", "rosbags", "foxglove"])
 def test_a_missing_package_is_named_with_the_line_that_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drive: Path, name: str
 ) -> None:
@@ -145,7 +145,7 @@ def test_a_missing_package_is_named_with_the_line_that_installs_it(
     monkeypatch.setattr(importlib, "import_module", missing)
     monkeypatch.setattr(scientific, "find_spec", lambda module: None if module == name else real_find(module))
     monkeypatch.setattr(RayISM, "__call__", None)
-    ending = {"rasterio": "tif", "yaml": "yaml", "zarr": "zarr", "rosbags": "bag", "foxglove": "mcap"}.get(name, "nc")
+    ending = {"rasterio": "tif", "zarr": "zarr", "rosbags": "bag", "foxglove": "mcap"}.get(name, "nc")
     words = ("--message", "foxglove-grid") if name == "foxglove" else ()
     result = fused(drive, tmp_path / f"m.{ending}", *words)
     assert result.exit_code == 2

@@ -1,8 +1,11 @@
 """Grid files of all formats, by the ending of their names."""
 
 import os
+import warnings
 from pathlib import Path
 from typing import get_args
+
+import numpy as np
 
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
@@ -107,8 +110,6 @@ def check_grid_output(
         raise ValueError(f"message is for {', '.join(LOG_ENDINGS)} alone, got {message!r} for {path}")
     if ending in LOG_ENDINGS:
         check_logged(path, message or "occupancy-grid")
-    elif ending in _YAML:
-        optional("yaml", path, verb="written")
     elif ending in _TIFF:
         optional("rasterio", path, "geo", "written")
     elif ending in _SCIENTIFIC:
@@ -170,17 +171,24 @@ def read_placed_grid(
     if ending in (".npy", ".png") and area is None:
         raise OgmError(f"{path} does not hold its area: give it (a GridSpec; --length and --width [m])")
     try:
-        if ending in LOG_ENDINGS:
-            return read_logged(path, topic)
-        if ending in _YAML:
-            return read_map_server(path)
-        if ending in _TIFF:
-            return read_geotiff(path)
-        if ending in _SCIENTIFIC:
-            return read_scientific(path)
-        if area is None or ending == ".npz":
-            return PlacedGrid(EvidentialGrid.load(path))
-        return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))
+        # what is damaged may hold any number, and libraries warn of what is refused below
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+            return _read(path, area, topic)
     except ValueError as error:
         message = str(error)
         raise OgmError(message if str(path) in message else f"{path}: {message}") from error
+
+
+def _read(path: Path, area: GridSpec | None, topic: str | None) -> PlacedGrid:
+    ending = path.suffix.lower()
+    if ending in LOG_ENDINGS:
+        return read_logged(path, topic)
+    if ending in _YAML:
+        return read_map_server(path)
+    if ending in _TIFF:
+        return read_geotiff(path)
+    if ending in _SCIENTIFIC:
+        return read_scientific(path)
+    if area is None or ending == ".npz":
+        return PlacedGrid(EvidentialGrid.load(path))
+    return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))

@@ -1,7 +1,6 @@
 """GeoTIFF: a cloud-optimised file with bands free, occupied and unknown, row 0 the top; turned by its GeoTransform."""
 
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +69,7 @@ def read_geotiff(path: Path) -> PlacedGrid:
     """Read a GeoTIFF whose bands have the names free and occupied; nodata is unknown."""
     rasterio = optional("rasterio", path, "geo")
     try:
-        ignored = warnings.catch_warnings(action="ignore", category=rasterio.errors.NotGeoreferencedWarning)
-        with ignored, rasterio.open(path, driver="GTiff") as image:  # not one of GDAL's formats that name other files
+        with rasterio.open(path, driver="GTiff") as image:  # not one of GDAL's formats that name other files
             GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
             names = list(image.descriptions)
             if not {"free", "occupied"} <= set(names):
@@ -83,8 +81,12 @@ def read_geotiff(path: Path) -> PlacedGrid:
             resolution, corner, down = _place(image.transform, image.height, path)
             rows = image.read(bands, out_dtype="float32", masked=True).filled(0)
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
-    except (rasterio.errors.RasterioError, MemoryError) as error:
+    except OgmError:
+        raise
+    except Exception as error:  # rasterio lets GDAL's own errors through
         raise OgmError(f"{path} is damaged or no GeoTIFF: {reason(error, path)}") from error
+    if crs is not None:
+        check_crs(crs, path)
     mass = np.ascontiguousarray(np.moveaxis(rows[:, ::-1] if down else rows, 0, -1).swapaxes(0, 1))
     return placed_at(
         mass, resolution, corner, frame_id=tags.get("frame_id", "map"), stamp=_stamp(tags.get("stamp")), crs=crs

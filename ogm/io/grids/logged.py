@@ -124,20 +124,22 @@ def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
     topic : str, optional
         By default the one with grids, or ``/map`` if there are several.
     """
-    with open_log(path) as log:
-        topic = topic or _topic(log, path)
-        refs = log.refs([topic])
-        if not refs:
-            raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
-        message = log.message(refs[-1])
-        for warning in log.warnings:
-            _log.warning("%s: %s", path, warning)
-    if message.type not in _READERS:
-        raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
     try:
+        with open_log(path) as log:
+            topic = topic or _topic(log, path)
+            refs = log.refs([topic])
+            if not refs:
+                raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
+            message = log.message(refs[-1])
+            for warning in log.warnings:
+                _log.warning("%s: %s", path, warning)
+        if message.type not in _READERS:
+            raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
         return _placed(message)
-    except OgmError as error:
-        raise OgmError(f"{path}: the last message of {topic}: {error}") from error
+    except (OgmError, AttributeError, TypeError, SyntaxError) as error:  # a log defines its own types
+        if isinstance(error, OgmError) and str(path) in str(error):
+            raise
+        raise OgmError(f"{path}: the last message of {topic} is damaged: {error}") from error
 
 
 def _topic(log: LogReader, path: Path) -> str:

@@ -7,7 +7,6 @@ unknown above 100.
 """
 
 import os
-import warnings
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -18,7 +17,6 @@ from ogm.files import OgmError, atomic_write
 from ogm.io.grids.paths import reason
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.messages import mass_from_occupancy, occupancy_values
-from ogm.io.reading import optional
 from ogm.state import predict_state
 
 __all__ = ["MapMode", "read_map_server", "write_map_server"]
@@ -54,7 +52,7 @@ def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") 
     Both files are written whole beside their names; then an old YAML file is removed, and the image and the YAML file
     get their names, in this order. A crash in between leaves no YAML file, hence no map, but never a wrong one.
     """
-    yaml = optional("yaml", path)
+    import yaml
     from PIL import Image
 
     x, y, yaw = placed.corner
@@ -88,9 +86,8 @@ def _pixels(placed: PlacedGrid, mode: MapMode) -> tuple[NDArray[np.uint8], str]:
     if mode == "raw":
         return np.where(values < 0, np.uint8(255), values.astype(np.uint8)), ".pgm"
     grey = np.rint(2.55 * (100 - np.maximum(values, 0).astype(np.float32))).astype(np.uint8)
-    return np.stack(
-        [grey, np.where(values < 0, np.uint8(0), np.uint8(255))], axis=-1
-    ), "-scale.png"  # NAME.png may be a picture
+    alpha = np.where(values < 0, np.uint8(0), np.uint8(255))
+    return np.stack([grey, alpha], axis=-1), "-scale.png"  # NAME.png may be a picture of the map
 
 
 def _rows(cells: NDArray) -> NDArray:
@@ -107,7 +104,8 @@ def read_map_server(path: Path) -> PlacedGrid:
 
 def _header(path: Path) -> _Header:
     """Read the YAML file."""
-    yaml = optional("yaml", path)
+    import yaml
+
     with open(path, "rb") as file:
         text = file.read(_MAX_TEXT + 1)
     if len(text) > _MAX_TEXT:
@@ -203,10 +201,7 @@ def _channels(path: Path) -> tuple[tuple[NDArray[Any], ...], int]:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        # Pillow warns of 90 to 179 million pixels, which a large map has, and refuses more
-        with warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning):
-            opened = Image.open(path, formats=_FORMATS)
-        with opened as image:
+        with Image.open(path, formats=_FORMATS) as image:
             if image.mode.startswith("I"):  # 16 bit
                 return (np.asarray(image).clip(0, 65535),), 65535
             if image.mode not in ("L", "LA", "RGB", "RGBA"):

@@ -1,6 +1,7 @@
 """Grids without a place of their own: arrays (.npy), and pictures of the paper's released code (.png)."""
 
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -15,7 +16,7 @@ def read_array(path: Path, area: GridSpec) -> EvidentialGrid:
     """Read masses of free and occupied, (nx, ny, 2) float, index (0, 0) behind on the right."""
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)  # refuses a shape that the file does not hold
-    except (ValueError, EOFError, OverflowError) as error:
+    except (ValueError, EOFError, OverflowError, TokenError) as error:
         raise OgmError(f"{path} is damaged or no .npy file of numbers: {error}") from error
     if array.ndim != 3 or array.shape[-1] != 2 or array.dtype.kind != "f":
         raise OgmError(

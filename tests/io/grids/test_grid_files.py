@@ -173,3 +173,30 @@ def test_a_path_is_whole_or_as_it_was(tmp_path: Path) -> None:
         assert temporary.suffix == ".x"
         assert not path.exists()
     assert path.read_text() == "new"
+
+
+@EVERY
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # rasterio's log of texts that are none
+def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> None:
+    """Cut files and changed bytes, most of them in the headers."""
+    path, rng = tmp_path / f"m{ending}", np.random.default_rng(11)
+    write_grid(path, PlacedGrid(grid(), crs="EPSG:25832"))
+    files = [one for one in (path, path.with_suffix(".pgm"), *path.rglob("*")) if one.is_file()]
+    whole = [one.read_bytes() for one in files]
+    refused = 0
+    for _ in range(80):
+        k = int(rng.integers(len(files)))
+        data = bytearray(whole[k])
+        if rng.integers(4):
+            for place in rng.integers(min(len(data), 600), size=4):
+                data[place] = rng.integers(256)
+        else:
+            del data[int(rng.integers(len(data))) :]
+        files[k].write_bytes(data)
+        try:
+            read_grid(path, SPEC)
+        except OgmError as error:
+            refused += str(path.name) in str(error)
+        files[k].write_bytes(whole[k])
+    assert refused > 20
+    assert read_grid(path, SPEC).spec.shape == SPEC.shape
