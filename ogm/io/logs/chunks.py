@@ -97,7 +97,7 @@ class Chunks:
         if len(kept) < wanted or number not in self._unpacked:
             # A scan is often the last in its chunk, after messages of a few bytes.
             limit = max(wanted, 2 * len(kept), _BEGINNING)
-            data = self._beginning(chunk, limit) if limit < chunk.size / 2 else b""
+            data = self._beginning(chunk, limit) if chunk.packing and limit < chunk.size / 2 else b""
             self._unpacked[number] = data if len(data) >= wanted else self._whole(chunk)
             if len(self._unpacked) > _KEPT:
                 self._unpacked.popitem(last=False)

@@ -18,6 +18,9 @@ __all__ = ["DB3_MAGIC", "Db3File"]
 
 DB3_MAGIC = b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_INDEX = (
+    "SELECT topic_id, timestamp, id FROM messages WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+)
 _ROWS = 10_000  # of the index that become one array
 
 
@@ -83,9 +86,9 @@ class Db3File:
             found = connection.execute(
                 "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
             )
-            definitions = {name: (text or "", form or "") for name, text, form in found}
+            definitions = {name: (str(text or ""), str(form or "")) for name, text, form in found}
         return {
-            number: Channel(topic, name, encoding or "cdr", *definitions.get(name, ("", "")))
+            number: Channel(str(topic), str(name), encoding or "cdr", *definitions.get(name, ("", "")))
             for number, topic, name, encoding in rows
         }
 
@@ -94,13 +97,13 @@ class Db3File:
         rows: list[NDArray[np.int64]] = []
         part: list[tuple[int, int, int]] = []
         try:
-            cursor = self._connection().execute("SELECT topic_id, timestamp, id FROM messages")
+            cursor = self._connection().execute(_INDEX)
             for row in cursor:
                 part.append(row)
                 if len(part) == _ROWS:
                     rows.append(np.array(part, np.int64))
                     part = []
-        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
+        except sqlite3.Error as error:
             count = sum(map(len, rows)) + len(part)
             self.warnings.append(
                 f"{self.path} is cut or damaged ({error}): {count} messages can be found. Was it recorded, or copied, "

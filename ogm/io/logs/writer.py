@@ -216,7 +216,9 @@ def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:
         if name == "std_msgs/msg/Header" and field == "seq":
             fields[field] = getattr(message, field, 0)
             continue
-        value = header if field == "header" else getattr(message, field)
+        value = getattr(message, field, header) if field == "header" else getattr(message, field)
+        if value is None:
+            raise OgmError(f"it has no {field}")
         if kind == Nodetype.NAME:
             value = _for_ros1(value, inner, store, header)
         elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and inner[0][0] == Nodetype.NAME:
