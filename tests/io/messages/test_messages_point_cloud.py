@@ -260,6 +260,15 @@ def test_beams_without_echo_of_organised_clouds(nothing):
     assert scan_from_point_cloud2(laid).no_returns is None
 
 
+def test_an_echo_straight_above_does_not_spoil_the_raster():
+    way, returned = raster()
+    returned[-1, 5] = True
+    xyz = np.where(returned[..., None], 7 * way, 0)
+    xyz[-1, 5] = 0, 0, 3
+    scan = scan_from_point_cloud2(message(dict(zip("xyz", xyz.astype("f4").reshape(-1, 3).T, strict=True)), height=16))
+    np.testing.assert_allclose(scan.no_returns, way[~returned], atol=2e-6)
+
+
 def field(offset, datatype=7, count=1, name="t"):
     return SimpleNamespace(name=name, offset=offset, datatype=datatype, count=count)
 
