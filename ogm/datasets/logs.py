@@ -17,7 +17,7 @@ from ogm.files import OgmError
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS, LogMessage, open_log
-from ogm.io.logs.reader import log_files
+from ogm.io.logs.opening import log_files
 from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_velodyne_scan
 from ogm.pose import pose
 from ogm.scan import Scan

@@ -4,15 +4,18 @@ import bz2
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from ogm.files import OgmError
 from ogm.io.logs.files import RandomAccess
+from ogm.io.reading import optional
 
 __all__ = ["LIMIT", "Chunk", "Chunks"]
 
 LIMIT = 2**30  # [byte] of one message or one chunk: what is larger is taken for damage
 _BEGINNING = 2**18  # [byte] that are unpacked at least: blocks of zstd have half of it
+_PACKED = Path("a packed log")
 _KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan
 
 
@@ -134,16 +137,14 @@ def _unpack(stored: bytes, chunk: Chunk) -> bytes:
 
 
 def _zstd(stored: bytes, limit: int) -> bytes:
-    import zstandard
-
+    zstandard = optional("zstandard", _PACKED, "ros")
     with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
-        return reader.read(limit)
+        return bytes(reader.read(limit))
 
 
 def _lz4(stored: bytes, limit: int) -> bytes:
-    import lz4.frame
-
-    return lz4.frame.LZ4FrameDecompressor().decompress(stored, limit)
+    frame = optional("lz4.frame", _PACKED, "ros")
+    return bytes(frame.LZ4FrameDecompressor().decompress(stored, limit))
 
 
 _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
