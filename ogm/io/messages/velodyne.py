@@ -1,0 +1,179 @@
+"""Packets of Velodyne sensors, as in ``velodyne_msgs/VelodyneScan``, to scans."""
+
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.formats.table import Table
+from ogm.io.messages.plain import as_bytes, describe_message, stamp_seconds
+from ogm.io.no_returns import directions_without_return
+from ogm.io.reading import optional
+from ogm.io.scan_table import scan_from_table
+from ogm.scan import Scan
+
+__all__ = ["PACKET_BYTES", "VELODYNE_MODELS", "Packet", "VelodyneDecoder", "scan_from_velodyne_scan"]
+
+VELODYNE_MODELS = {
+    "VLP-16": "VLP16",
+    "Puck LITE": "PuckLite",
+    "Puck Hi-Res": "PuckHiRes",
+    "VLP-32A": "VLP32A",
+    "VLP-32B": "VLP32B",
+    "VLP-32C": "VLP32C",
+    "HDL-32E": "HDL32E",
+    "HDL-64E S1": "HDL64E_S1",
+    "HDL-64E S2": "HDL64E_S2",
+    "HDL-64E S3": "HDL64E_S3",
+    "VLS-128": "VLS128",
+    "Alpha Prime": "AlphaPrime",
+}
+"""Names of models, and what `velodyne_decoder.Model` names them. An HDL-64E needs its calibration file besides."""
+
+PACKET_BYTES = 1206  # of a packet of data
+_RETURNS = (0x37, 0x38, 0x39, 0x3B)  # strongest, last, both, both with confidence: the last byte but one
+_PRODUCTS = {0x21: "HDL-32E", 0x22: "VLP-16", 0x24: "Puck Hi-Res", 0x28: "VLP-32C", 0xA1: "VLS-128"}  # the last byte
+_SAME_CLOCK = 10.0  # [s] between the stamps of a message and its packets
+_COLUMNS = ("x", "y", "z", "intensity", "time", "column", "ring")  # of velodyne_decoder
+
+
+class Packet(NamedTuple):
+    """A packet of data.
+
+    Attributes
+    ----------
+    stamp : float
+        [s]
+    data : bytes
+        1206 of them.
+    """
+
+    stamp: float
+    data: bytes
+
+
+def scan_from_velodyne_scan(
+    message: Any,
+    model: str | None = None,
+    *,
+    calibration: str | os.PathLike[str] | None = None,
+    no_returns: bool = True,
+) -> Scan:
+    """Return the scan of a ``velodyne_msgs/VelodyneScan``.
+
+    Parameters
+    ----------
+    message : object
+        With the fields of the message.
+    model : str, optional
+        One of `VELODYNE_MODELS`. By default that of the packets' factory bytes, which an HDL-64E has not, and which
+        are the same for VLP-16 and Puck LITE.
+    calibration : path, optional
+        A YAML file of the sensor's angles, as the ROS driver has it; that of the model by default.
+    no_returns : bool
+        Whether to find the beams without echo, which costs more time than all the rest.
+
+    Returns
+    -------
+    Scan
+        Of both echoes where the sensor reports two; intensity 1 is the sensor's 255. `Scan.stamp` is that of the
+        header, `Scan.time` counts from it.
+
+    Raises
+    ------
+    OgmError
+        If there are no packets, one is none of a Velodyne, or nothing tells the model.
+    ImportError
+        If velodyne-decoder is missing.
+    """
+    where = describe_message(message, "VelodyneScan")
+    packets = [Packet(stamp_seconds(one.stamp), as_bytes(one.data, where).tobytes()) for one in message.packets]
+    if not packets or any(len(packet.data) != PACKET_BYTES for packet in packets):
+        raise OgmError(f"{where} has {len(packets)} packets, wanted some, of {PACKET_BYTES} bytes each: it is damaged")
+    decoder = VelodyneDecoder(packets, model, calibration, where)
+    return decoder.scan(packets, stamp_seconds(message.header.stamp), no_returns, where)
+
+
+class VelodyneDecoder:
+    """`velodyne_decoder` for one sensor.
+
+    Parameters
+    ----------
+    packets : sequence of Packet
+        Some of its packets, which may name the model.
+    model, calibration
+        As for `scan_from_velodyne_scan`.
+    where : str
+        What they are of, for errors.
+    """
+
+    def __init__(
+        self, packets: Sequence[Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
+    ) -> None:
+        self.library = optional("velodyne_decoder", Path(where), "ros")
+        name = _model_of(packets, where) if model is None else _known_model(model)
+        try:
+            angles = None if calibration is None else self.library.Calibration.read(str(calibration))
+        except Exception as error:
+            raise OgmError(f"{calibration} is no calibration of a Velodyne: {error}") from error
+        if angles is None and name.startswith("HDL64E"):
+            raise OgmError(f"{where} is of an HDL-64E, whose angles differ: give its calibration file as calibration")
+        kind = getattr(self.library.Model, name)
+        options = {} if angles is None else {"calibration": angles}
+        self.config = self.library.Config(
+            model=kind, min_range=0.0, max_range=1000.0, timestamp_first_packet=True, **options
+        )
+
+    def scan(self, packets: Sequence[Packet], stamp: float, no_returns: bool, where: str) -> Scan:
+        """Return the scan of some packets; its times count from `stamp`."""
+        library = self.library
+        try:
+            vector = library.PacketVector([library.VelodynePacket(*packet) for packet in packets])
+            first, points = library.ScanDecoder(self.config).decode(vector)
+        except Exception as error:
+            raise OgmError(f"{where} has packets that do not decode: {error}") from error
+        columns: dict[str, NDArray] = dict(zip(_COLUMNS, np.asarray(points, np.float32).T, strict=False))
+        late = first.host - stamp
+        columns["time"] = columns["time"].astype(np.float64) + (late if abs(late) <= _SAME_CLOCK else 0.0)
+        table = Table("Velodyne packets", columns, None, 255.0)
+        scan = scan_from_table(table, where, stamp=stamp, time_unit=1.0)[0]
+        return replace(scan, no_returns=_directions(columns)) if no_returns else scan
+
+
+def _directions(columns: dict[str, NDArray]) -> NDArray[np.float32] | None:
+    """Return the directions of beams without echo: what lacks in the raster of rings and firings."""
+    row, column = (columns[name].astype(np.intp) for name in ("ring", "column"))
+    if not row.size:
+        return None
+    xyz = np.zeros((3, int(row.max()) + 1, int(column.max()) + 1), np.float32)
+    for image, name in zip(xyz, "xyz", strict=True):
+        image[row, column] = columns[name]
+    x, y, z = xyz
+    return directions_without_return(x, y, z, np.any(xyz != 0, axis=0))
+
+
+def _model_of(packets: Sequence[Packet], where: str) -> str:
+    """Return the model that the factory bytes at the end of all packets name."""
+    ends = {packet.data[-2:] for packet in packets}
+    known = {_PRODUCTS.get(end[1]) for end in ends if end[0] in _RETURNS}
+    if len(ends) > 2 or len(known) != 1 or None in known or not all(end[0] in _RETURNS for end in ends):
+        raise OgmError(
+            f"{where} has packets whose last bytes name no model ({', '.join(sorted(end.hex() for end in ends)[:4])}): "
+            f"give as model one of {', '.join(VELODYNE_MODELS)}"
+        )
+    return VELODYNE_MODELS[str(known.pop())]
+
+
+def _known_model(model: str) -> str:
+    """Return the library's name of a model, whose name may lack blanks, dashes and capitals."""
+    names = {re.sub(r"[^a-z0-9]", "", name.lower()): value for name, value in VELODYNE_MODELS.items()}
+    plain = re.sub(r"[^a-z0-9]", "", model.lower())
+    if plain not in names:
+        raise ValueError(f"there is no model {model!r}: give one of {', '.join(VELODYNE_MODELS)}")
+    return names[plain]
