@@ -32,6 +32,7 @@ __all__ = [
     "velocity_panel",
 ]
 
+CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 GREEN, RED, BLACK = (0.10, 0.80, 0.20), (0.93, 0.16, 0.16), (0.0, 0.0, 0.0)
 LEGEND = {"free": GREEN, "occupied": RED, "unknown": BLACK}
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
@@ -164,7 +165,7 @@ def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
         them.
     title : str
     """
-    appeared, went_away = conflict["free_to_occupied"], conflict["occupied_to_free"]
+    appeared, went_away = (conflict[name] for name in CONFLICT_LAYERS)
     colours = appeared[..., None] * np.array(APPEARED) + went_away[..., None] * np.array(WENT_AWAY)
     legend = {"appeared": APPEARED, "went away": WENT_AWAY, "no conflict": BLACK}
     return cells_panel(colours, conflict.spec, title or "conflict", legend)
@@ -194,7 +195,7 @@ def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None =
     fastest : float, optional
         Speed of full brightness [m/s]; by default the greatest.
     """
-    x, y = (np.nan_to_num(layers[name]) for name in ("velocity_x", "velocity_y"))
+    x, y = (np.nan_to_num(layers[name]) for name in VELOCITY_LAYERS)
     speed = np.hypot(x, y)
     fastest = float(speed.max()) if fastest is None else fastest
     brightness = np.sqrt(np.clip(speed / (fastest or 1.0), 0, 1))
