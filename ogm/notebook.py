@@ -85,10 +85,9 @@ def scan_html(scan: Scan) -> str:
 
 def facts_html(title: str, facts: Mapping[str, str]) -> str:
     """Return names and values as a table."""
-    rows = "".join(
-        f'<tr><th style="text-align:left;padding-right:1em">{escape(name)}</th><td style="text-align:left">{escape(value)}</td></tr>'
-        for name, value in facts.items()
-    )
+    left = 'style="text-align:left;padding-right:1em"'
+    lines = ((escape(name), escape(value)) for name, value in facts.items())
+    rows = "".join(f"<tr><th {left}>{name}</th><td {left}>{value}</td></tr>" for name, value in lines)
     return f'<table><caption style="text-align:left;font-weight:bold">{escape(title)}</caption>{rows}</table>'
 
 

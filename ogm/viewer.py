@@ -30,6 +30,7 @@ from ogm.view_layers import Layer, conflict_layer, mass_layers, number_layer, ve
 __all__ = ["TILE", "write_view"]
 
 TILE = 512  # [cells] along a side; even, so that no block of 2 x 2 cells lies in two tiles
+ROUGHEST = 64  # [cells] along the longer side of the last level: on any screen, a cell of it is wider than a pixel
 _TILES = "<!-- tiles -->"  # where they stand in the page
 
 
@@ -92,7 +93,12 @@ def write_view(
     if not shown:
         raise ValueError("there is nothing to show: the grid has no layers")
     facts = {"title": title or "grid", "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
-    facts |= {"resolution": grid.spec.resolution, "shape": grid.spec.shape, "origin": grid.spec.origin}
+    facts |= {
+        "roughest": ROUGHEST,
+        "resolution": grid.spec.resolution,
+        "shape": grid.spec.shape,
+        "origin": grid.spec.origin,
+    }
     with atomic_write(path) as file, ThreadPoolExecutor(os.cpu_count()) as pool:
         _write_page(file, facts, stored, pool)
 
@@ -146,14 +152,14 @@ def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored
 
 
 def _strips(stored: _Stored, shape: tuple[int, int]) -> Iterator[tuple[int, int, list[NDArray[np.uint8]]]]:
-    """Yield level, row and tiles of every row of tiles: of all cells, then of the levels, down to one tile."""
+    """Yield level, row and tiles of every row of tiles: of all cells, then of every level."""
     strips, level, size = (stored.rows(slice(start, start + TILE)) for start in range(0, shape[0], TILE)), 0, max(shape)
     while True:
         smaller = []
         for row, strip in enumerate(strips):
             yield level, row, [strip[:, start : start + TILE] for start in range(0, strip.shape[1], TILE)]
             smaller.append(stored.halve(strip))
-        if size <= TILE:
+        if size <= ROUGHEST:
             return
         cells, level, size = np.concatenate(smaller), level + 1, -(-size // 2)
         strips = (cells[start : start + TILE] for start in range(0, len(cells), TILE))

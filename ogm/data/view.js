@@ -5,7 +5,7 @@
 const $ = id => document.getElementById(id);
 const D = JSON.parse($("data").textContent);
 const [ROWS, COLUMNS] = D.shape, RES = D.resolution, T = D.tile, [X0, Y0] = D.origin;
-const TOP = Math.max(0, Math.ceil(Math.log2(Math.max(ROWS, COLUMNS) / T)));  // the level that is one tile
+const TOP = Math.max(0, Math.ceil(Math.log2(Math.max(ROWS, COLUMNS) / D.roughest)));  // the last level, one tile
 const CLOSEST = 160;  // pixels along a cell
 const canvas = $("map"), context = canvas.getContext("2d", { alpha: false });
 const fail = text => {
@@ -214,7 +214,7 @@ function decorate(x, y, w, h, [left, right, front, back]) {
     context.strokeRect(...cell);
   }
   if (byKeys) for (const [colour, wide] of [["#000", 3], ["#fff", 1.2]]) {
-    const [px, py] = [toX(at.u), toY(at.v)], arm = 9 * unit;
+    const [px, py] = [toX(at.u), toY(at.v)], arm = 12 * unit;
     context.strokeStyle = colour;
     context.lineWidth = wide * unit;
     context.beginPath();
