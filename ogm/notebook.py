@@ -61,7 +61,7 @@ def scan_png(scan: Scan) -> bytes:
     """Return a picture of the points around the sensor, by height."""
     xyz = scan.points[np.isfinite(scan.points[:, :3]).all(axis=1), :3]
     reach = float(np.quantile(np.abs(xyz[:, :2]).max(axis=1), 0.98)) if len(xyz) else NEAREST
-    half = min(max(reach, NEAREST), FURTHEST)
+    half = min(max(1.05 * reach, NEAREST), FURTHEST)
     spec = GridSpec(2 * half / 200, (200, 200), (-half, -half))
     return _png([plot.points_panel(xyz, spec)])
 
