@@ -232,14 +232,14 @@ def values(page: Page) -> dict[str, str]:
     return dict(page.run(rows))
 
 
-def cells_of(page: Page) -> np.ndarray:
-    """Return the colour in the middle of every cell on the screen, [ix, iy]."""
-    page.mouse("mouseMoved", *MIDDLE[:1], 5)  # no cell is marked
+def cells_of(page: Page, dx: int = 15, dy: int = 15) -> np.ndarray:
+    """Return the colour of every cell on the screen, [ix, iy], beside its middle, where the origin may be marked."""
+    page.mouse("mouseMoved", MIDDLE[0], 5)  # no cell is marked
     page.settle()
     picture = page.picture()
     nx, ny = SPEC.shape
-    # a little off the middle, where the origin may be marked
-    return np.array([[picture[pixel(ix, iy)[1] + 15, pixel(ix, iy)[0] + 15] for iy in range(ny)] for ix in range(nx)])
+    places = np.array([[pixel(ix, iy) for iy in range(ny)] for ix in range(nx)])
+    return picture[places[..., 1] + dy, places[..., 0] + dx]
 
 
 def test_front_is_up_and_left_is_left(shown: Page, grid: EvidentialGrid) -> None:
@@ -251,6 +251,8 @@ def test_front_is_up_and_left_is_left(shown: Page, grid: EvidentialGrid) -> None
     for x, y in ((4.25, 1.25), (4.25, 1.75), (4.75, 1.25), (4.75, 1.75)):
         expected[SPEC.index(x, y)] = True
     assert np.array_equal(red, expected)
+    for dx, dy in ((16, 0), (-16, 0), (0, 16), (0, -16)):  # to their borders
+        assert np.array_equal(cells_of(shown, dx, dy), cells_of(shown))
     picture = shown.picture()
     # On the screen: the far end of the wall is above its near end, its arm is on its left.
     (x0, y0), (x1, y1), (x2, y2) = (
@@ -473,15 +475,25 @@ def test_single_occupied_cells_are_visible_from_afar(large: tuple[Path, Evidenti
 def test_a_long_way_over_many_tiles_is_drawn_in_bounded_memory(large: tuple[Path, EvidentialGrid], browse: Any) -> None:
     path, grid = large
     page = browse(path.as_uri(), (900, 600))
-    rng = np.random.default_rng(2)
     x0, x1, y0, y1 = grid.spec.extent
-    for metre in (1.2, 2.5, 5, 5, 40, 2.5):
-        page.run(f"location.hash = '#x={rng.uniform(x0, x1):.1f}&y={rng.uniform(y0, y1):.1f}&metre={metre}'")
-        page.settle()
+    for metre, ahead, left in (
+        (1.2, 0.5, 0.5),
+        (5, 0.2, 0.2),
+        (5, 0.8, 0.2),
+        (40, 0.5, 0.5),
+        (5, 0.8, 0.8),
+        (5, 0.2, 0.8),
+    ):
+        x, y = x0 + ahead * (x1 - x0), y0 + left * (y1 - y0)
+        page.run(f"location.hash = '#x={x}&y={y}&metre={metre}'")
+        for layer in "23456":  # the pictures of each are kept, too
+            page.key(layer)
+            page.settle()
         kept = [int(one) for one in page.run("document.body.dataset.tiles").split()]
         assert max(kept) <= 96
+    assert kept[1] == 96
     x, y = float(grid.spec.cell_centers[0][1400, 0]), float(grid.spec.cell_centers[1][0, 1501])
-    page.run(f"location.hash = '#x={x}&y={y}&metre=150'")
+    page.run(f"location.hash = '#x={x}&y={y}&metre=150&layer=belief'")
     page.settle()
     page.mouse("mouseMoved", 300, 300)
     page.settle()
