@@ -202,6 +202,10 @@ def test_odometry_serves_where_transforms_do_not(log: Callable[..., Path]) -> No
     [
         ([], "no transforms (/tf, /tf_static) and no odometry"),
         ([fixed("base_link", "lidar", np.eye(4))], "one from a fixed frame (map, odom, world) to base_link is missing"),
+        (
+            [moved("base_link", "lidar", START + k, np.eye(4)) for k in (-1, 1)],
+            "one from a fixed frame (map, odom, world) to base_link is missing",
+        ),
         ([moved("map", "base_link", START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are"),
         ([odometry(START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are odom, base_link"),
     ],
@@ -276,8 +280,10 @@ def test_topics_are_listed_where_one_must_be_chosen(log: Callable[..., Path]) ->
         open_dataset(log([odometry(START, np.eye(4))], "odometry.mcap"))
 
 
-def test_topic_and_frame_are_for_logs(tmp_path: Path) -> None:
+def test_topic_and_frame_are_for_logs(tmp_path: Path, log: Callable[..., Path]) -> None:
     seen_from(np.eye(4)).points.tofile(tmp_path / "000.bin")
+    log(drive())  # in a folder of scans, which is no log for that
+    assert len(open_dataset(tmp_path)) == 1
     for options in ({"topic": "/points"}, {"frame": "map"}):
         with pytest.raises(ValueError, match=r"topic and frame \(--topic, --frame\) are for logs"):
             open_dataset(tmp_path, **options)
