@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo, map, fuse, convert, simulate, train, calibrate, evaluate, export, info``."""
+"""The command line: ``ogm demo, map, fuse, convert, simulate, train, calibrate, evaluate, export, info, view``."""
 
 import logging
 import sys
@@ -16,6 +16,7 @@ from ogm.cli.info_command import info
 from ogm.cli.map_command import demo, map_
 from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
+from ogm.cli.view_command import view
 
 __all__ = ["app", "main"]
 
@@ -40,6 +41,7 @@ app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out r
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)
 app.command("export", epilog="Example:  ogm export lite --out lite.onnx")(export_command)
 app.command(epilog="Example:  ogm info scan.pcd")(info)
+app.command(epilog="Example:  ogm view map.npz --out map.html --open")(view)
 
 
 @app.callback(invoke_without_command=True)

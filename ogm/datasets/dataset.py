@@ -116,6 +116,11 @@ class Dataset(Sequence[Frame]):
     def __repr__(self) -> str:
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
+    def _repr_html_(self) -> str:
+        from ogm.notebook import facts_html
+
+        return facts_html(f"Dataset {self.name}", self.describe())
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopened, (self._options, self.layout.frames, self.facts, self._numbers, self.trajectory)
 

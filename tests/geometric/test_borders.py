@@ -94,6 +94,13 @@ def test_up_to_which_height_a_return_is_ground_and_an_obstacle(height: float, cl
     assert grid.occupied.any() == marks
 
 
+@pytest.mark.parametrize(("height", "marks"), [(0.25, False), (0.2500001, True), (1.9999998, True), (2.0, False)])
+def test_obstacles_lie_in_an_open_interval_of_heights(height: float, marks: bool) -> None:
+    """These heights, less those of the sensor, are float32 numbers: no rounding moves them over a limit."""
+    ism = RayISM(SPEC, MOUNT, ground=flat_ground, obstacle_height=0.25, clearance=2.0)
+    assert ism(np.array([[2.25, 0.1, height - 1.5, 0.5]], np.float32)).occupied.any() == marks
+
+
 def test_a_return_nearer_than_a_cell_takes_nothing_from_the_others() -> None:
     others = np.array([[1.7, 0.1, -1.5, 0.5], [2.2, 0.13, -1.5, 0.5], [2.3, 0.14, -0.5, 0.5]], np.float32)
     near = np.array([[0.2, 0.012, -1.0, 0.5]], np.float32)  # in their sector, below them

@@ -54,6 +54,21 @@ def test_ghost_returns_below_ground_do_not_pull_it_down(depth: float) -> None:
     assert (np.abs(above[is_ground]) < 0.15).mean() > 0.985
 
 
+@pytest.mark.parametrize("edge", ["front", "back", "left", "right"])
+def test_strays_in_the_outermost_cells_are_dropped(edge: str) -> None:
+    """The sensor stands at one end of a long grid, and the stray return at the other, 1 m under the road."""
+    length, width = (40, 12) if edge in ("front", "back") else (12, 40)
+    spec = GridSpec(
+        1.0, (length, width), {"front": (-1, -6), "back": (-39, -6), "left": (-6, -1), "right": (-6, -39)}[edge]
+    )
+    x, y = (axis.ravel() for axis in np.broadcast_arrays(*spec.cell_centers))
+    road = np.stack([x, y, np.full(len(x), -1.8)], 1).astype(np.float32)
+    far = {"front": (38.5, 0.5), "back": (-38.5, 0.5), "left": (0.5, 38.5), "right": (0.5, -38.5)}[edge]
+    away = np.abs(road[:, :2] - far).max(axis=1) > 0.1  # the stray is all that its cell holds
+    both = np.concatenate([road[away], np.array([[*far, -2.8]], np.float32)])
+    np.testing.assert_allclose(local_ground(both, spec, GROUND_POINT), -1.8, atol=0.05)
+
+
 def test_a_few_strays_under_a_thin_layer_of_road_do_not_lower_it() -> None:
     """Twenty returns 0.4 m under three hundred of the road, in one cell near the car."""
     xyz, is_ground = scene(noise=0.01)

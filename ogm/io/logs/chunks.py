@@ -4,15 +4,18 @@ import bz2
 import zlib
 from collections import OrderedDict
 from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from ogm.files import OgmError
 from ogm.io.logs.files import RandomAccess
+from ogm.io.reading import optional
 
 __all__ = ["LIMIT", "Chunk", "Chunks"]
 
 LIMIT = 2**30  # [byte] of one message or one chunk: what is larger is taken for damage
 _BEGINNING = 2**18  # [byte] that are unpacked at least: blocks of zstd have half of it
+_PACKED = Path("a packed log")
 _KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan
 
 
@@ -97,7 +100,7 @@ class Chunks:
         if len(kept) < wanted or number not in self._unpacked:
             # A scan is often the last in its chunk, after messages of a few bytes.
             limit = max(wanted, 2 * len(kept), _BEGINNING)
-            data = self._beginning(chunk, limit) if limit < chunk.size / 2 else b""
+            data = self._beginning(chunk, limit) if chunk.packing and limit < chunk.size / 2 else b""
             self._unpacked[number] = data if len(data) >= wanted else self._whole(chunk)
             if len(self._unpacked) > _KEPT:
                 self._unpacked.popitem(last=False)
@@ -134,16 +137,14 @@ def _unpack(stored: bytes, chunk: Chunk) -> bytes:
 
 
 def _zstd(stored: bytes, limit: int) -> bytes:
-    import zstandard
-
+    zstandard = optional("zstandard", _PACKED, "ros")
     with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
-        return reader.read(limit)
+        return bytes(reader.read(limit))
 
 
 def _lz4(stored: bytes, limit: int) -> bytes:
-    import lz4.frame
-
-    return lz4.frame.LZ4FrameDecompressor().decompress(stored, limit)
+    frame = optional("lz4.frame", _PACKED, "ros")
+    return bytes(frame.LZ4FrameDecompressor().decompress(stored, limit))
 
 
 _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {

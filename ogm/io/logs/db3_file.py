@@ -13,11 +13,15 @@ from numpy.typing import NDArray
 from ogm.files import OgmError
 from ogm.io.logs.chunks import LIMIT
 from ogm.io.logs.files import Channel, Place
+from ogm.io.reading import optional
 
 __all__ = ["DB3_MAGIC", "Db3File"]
 
 DB3_MAGIC = b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_INDEX = (
+    "SELECT topic_id, timestamp, id FROM messages WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+)
 _ROWS = 10_000  # of the index that become one array
 
 
@@ -46,6 +50,7 @@ class Db3File:
                 "messages: is it whole?"
             ) from error
         self._read_index()
+        self._check_size()
         self.format = "ROS 2 bag (SQLite)"
 
     def read(self, place: Place, size: int | None = None) -> bytes:
@@ -83,9 +88,9 @@ class Db3File:
             found = connection.execute(
                 "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
             )
-            definitions = {name: (text or "", form or "") for name, text, form in found}
+            definitions = {name: (str(text or ""), str(form or "")) for name, text, form in found}
         return {
-            number: Channel(topic, name, encoding or "cdr", *definitions.get(name, ("", "")))
+            number: Channel(str(topic), str(name), encoding or "cdr", *definitions.get(name, ("", "")))
             for number, topic, name, encoding in rows
         }
 
@@ -94,18 +99,14 @@ class Db3File:
         rows: list[NDArray[np.int64]] = []
         part: list[tuple[int, int, int]] = []
         try:
-            cursor = self._connection().execute("SELECT topic_id, timestamp, id FROM messages")
+            cursor = self._connection().execute(_INDEX)
             for row in cursor:
                 part.append(row)
                 if len(part) == _ROWS:
                     rows.append(np.array(part, np.int64))
                     part = []
-        except (sqlite3.Error, TypeError, ValueError, OverflowError) as error:
-            count = sum(map(len, rows)) + len(part)
-            self.warnings.append(
-                f"{self.path} is cut or damaged ({error}): {count} messages can be found. Was it recorded, or copied, "
-                "to its end?"
-            )
+        except sqlite3.Error as error:
+            self._warn(str(error))
         table = np.concatenate([*rows, np.array(part, np.int64).reshape(-1, 3)])
         self.index = {}
         for number in self.channels:
@@ -113,13 +114,27 @@ class Db3File:
             if len(mine):
                 self.index[number] = np.column_stack([mine[:, 1:], np.zeros(len(mine), np.int64)])
 
+    def _check_size(self) -> None:
+        """Warn where the file has fewer pages than it states: SQLite takes what a cut page lacks for zeros."""
+        with open(self.path, "rb") as file:
+            head = file.read(100)
+        page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        wanted, size = (65536 if page == 1 else page) * pages, self.path.stat().st_size
+        if size < wanted and head[24:28] == head[92:96] and not self.warnings:
+            self._warn(f"{size} of {wanted} bytes")
+
+    def _warn(self, why: str) -> None:
+        self.warnings.append(
+            f"{self.path} is cut or damaged ({why}): only the messages that can be found are read. Was it recorded, or "
+            "copied, to its end?"
+        )
+
 
 def _unpacked(data: bytes) -> bytes:
     """Unpack a message that was packed by itself (compression_mode: message)."""
-    import zstandard
-
+    zstandard = optional("zstandard", Path("a packed message"), "ros")
     try:
         with zstandard.ZstdDecompressor().stream_reader(data) as reader:
-            return reader.read(LIMIT)
+            return bytes(reader.read(LIMIT))
     except zstandard.ZstdError as error:
         raise OgmError(f"it is damaged: {error}") from error

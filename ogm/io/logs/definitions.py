@@ -1,10 +1,12 @@
 """Message types: those that `rosbags` has of ROS 1 and ROS 2, and those of drivers that logs often lack."""
 
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 from ogm.files import OgmError
 from ogm.io.logs.files import Channel
+from ogm.io.reading import optional
 
 __all__ = ["decode", "message_types"]
 
@@ -69,6 +71,7 @@ def decode(channel: Channel, raw: bytes | memoryview) -> Any:
     OgmError
         If it is no ROS message, its type is not known, or its bytes do not fit the type.
     """
+    optional("rosbags", Path(channel.topic), "ros")
     from rosbags.serde import SerdeError
     from rosbags.typesys import TypesysError
 

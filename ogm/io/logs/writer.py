@@ -11,8 +11,9 @@ from typing import Any, Self
 
 from ogm.files import OgmError, atomic_write
 from ogm.io.logs.definitions import message_types
-from ogm.io.logs.reader import LOG_ENDINGS
+from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
+from ogm.io.reading import optional
 
 __all__ = ["LogWriter"]
 
@@ -115,6 +116,7 @@ class LogWriter:
             raise OgmError(f"{self.path}: a message for {topic} ({name}) cannot be written: {error}") from error
 
     def _begin_mcap(self, stack: ExitStack) -> Write:
+        optional("mcap", self.path, "ros", "written")
         from mcap.writer import CompressionType, Writer
 
         packing = CompressionType.ZSTD if self._compression else CompressionType.NONE
@@ -139,6 +141,7 @@ class LogWriter:
         return write
 
     def _begin_db3(self, stack: ExitStack) -> Write:
+        optional("rosbags", self.path, "ros", "written")
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.rosbag2.metadata import parse_qos
 
@@ -159,6 +162,7 @@ class LogWriter:
         return write
 
     def _begin_bag(self, stack: ExitStack) -> Write:
+        optional("rosbags", self.path, "ros", "written")
         from rosbags.rosbag1 import Writer
 
         path = self._temporary(stack) / self.path.name
@@ -216,7 +220,9 @@ def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:
         if name == "std_msgs/msg/Header" and field == "seq":
             fields[field] = getattr(message, field, 0)
             continue
-        value = header if field == "header" else getattr(message, field)
+        value = getattr(message, field, header) if field == "header" else getattr(message, field)
+        if value is None:
+            raise OgmError(f"it has no {field}")
         if kind == Nodetype.NAME:
             value = _for_ros1(value, inner, store, header)
         elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and inner[0][0] == Nodetype.NAME:
