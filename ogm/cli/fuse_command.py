@@ -24,6 +24,7 @@ ENDINGS = {  # of what each option writes
     "--out": MAP_ENDINGS,
     "--picture": (".png",),
     "--movie": (".gif", ".webp", ".png"),
+    "--page": (".html",),
     "--save-poses": (".csv", ".txt", ".tum"),
 }
 
@@ -62,6 +63,7 @@ Message = Annotated[
     Option(help="In logs: occupancy-grid, or with masses grid-map or foxglove-grid. [default: occupancy-grid]"),
 ]
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
+Page = Annotated[File, Option(help="Page for a browser: the map and its conflict, zoom, values of each cell (.html).")]
 MovieFile = Annotated[File, Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")]
 
 
@@ -94,6 +96,7 @@ def fuse(
     message: Message = None,
     picture: Picture = None,
     movie: MovieFile = None,
+    page: Page = None,
 ) -> None:
     """Fuse the scans of a drive into one map.
 
@@ -115,11 +118,12 @@ def fuse(
     from ogm.grid import GridSpec
     from ogm.movie import open_movie
     from ogm.scan import PerMount
+    from ogm.viewer import write_view
 
-    if out_path is None and picture is None and movie is None:
+    if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
     _check_poses(poses, calib, odometry, save_poses, first)
-    outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses}
+    outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses, "--page": page}
     _prepare_outputs(outputs, scans)
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
@@ -143,7 +147,7 @@ def fuse(
     cells = rolling_window(spec) if window == "rolling" else covering_window(spec, np.array(known))
     mapper = make_mapper(rule, cells, half_life, window)  # type: ignore[arg-type]
 
-    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or Path("map.npz"))
+    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or page or Path("map.npz"))
     times = (dataset.trajectory or True) if deskew else False
     steps = fused(dataset, model, mapper, deskew=times, on_error=run.report)
     titles = ("points by height", *run.titles)
@@ -159,8 +163,10 @@ def fuse(
             run.save_poses(save_poses)
         if picture is not None:
             run.save_picture(picture)
+        if page is not None:
+            write_view(page, mapper.grid, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
     print_facts(run.facts())
-    written = zip(("map", "picture", "movie", "poses"), outputs.values(), strict=True)
+    written = zip(("map", "picture", "movie", "poses", "page"), outputs.values(), strict=True)
     out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)
     if code:
         raise typer.Exit(code)
