@@ -49,7 +49,7 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
-        for ref in log.refs([*scans, *known]):
+        for ref in log.iter_refs([*scans, *known]):
             try:
                 topic = log.topic_of(ref)
                 if topic in known:
@@ -201,7 +201,7 @@ class LogTransforms:
             return False
         name = self._odometry.pop(0)
         self.source = f"odometry ({name})"
-        for ref in self._log.refs([name]):
+        for ref in self._log.iter_refs([name]):
             try:
                 found = transform_from_odometry(self._log.message(ref).decode())
                 self._add([found if found.child else found._replace(child=_VEHICLE)])

@@ -394,7 +394,22 @@ def test_opening_reads_no_points_and_a_frame_no_others(
     assert count < 1.1 * size / FRAMES + 4096
 
 
-def test_a_damaged_scan_is_skipped(log: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_scan_alone_cannot_be_read(log: Callable[..., Path]) -> None:
+    path = log([row for k, row in enumerate(drive()) if k < 8], compression="zstd")  # in two chunks
+    data = bytearray(path.read_bytes())
+    data[600_000:600_100] = bytes(100)
+    path.write_bytes(data)
+    dataset, failed = open_dataset(path), []
+    for frame in dataset:
+        try:
+            _ = frame.scan
+        except OgmError as error:
+            failed.append(str(error))
+    assert 0 < len(failed) < len(dataset)
+    assert all(error.count(str(path)) == 1 and "the chunk at byte" in error for error in failed)
+
+
+def test_of_a_cut_log_the_whole_scans_are_read(log: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
     path = log(drive())
     data = path.read_bytes()
     path.write_bytes(data[: int(0.7 * len(data))])
