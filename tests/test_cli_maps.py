@@ -184,7 +184,7 @@ def test_a_log_has_the_map_and_the_pose_after_each_scan(drive: Path, tmp_path: P
     assert [one.log_time for one in messages[::2]] == pytest.approx(STAMPS, abs=1e-6)
     for k, (tf, map_) in enumerate(zip(messages[::2], messages[1::2], strict=True)):
         (one,) = transforms_from_tf(tf.decode())
-        assert (one.parent, one.child, one.stamp) == ("map", "base_link", pytest.approx(STAMPS[k], abs=1e-6))
+        assert (one.parent, one.child, one.stamp) == ("map", "vehicle", pytest.approx(STAMPS[k], abs=1e-6))
         np.testing.assert_allclose(one.T_parent_child, POSES[k] @ pose(z=-HEIGHT), atol=1e-9)  # on the ground
         message = map_.decode()
         made, T = grid_from_occupancy_grid(message)
@@ -239,7 +239,7 @@ def test_a_scan_is_mapped_to_every_format(drive: Path, tmp_path: Path, ending: s
     if ending in ("tif", "nc", "zarr"):
         assert again == wanted
     if ending == "mcap":
-        assert read_placed_grid(tmp_path / "m.mcap").frame_id == "base_link"
+        assert read_placed_grid(tmp_path / "m.mcap").frame_id == "vehicle"
 
 
 def test_convert_starts_without_the_heavy_packages() -> None:

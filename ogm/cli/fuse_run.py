@@ -107,9 +107,8 @@ class FusionRun:
             why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
             stderr.print(f"ogm: {step.frame.name}: {why}", markup=False)
         elif self.last is not None:
-            here, before = step.frame, self.last.frame
-            metres = math.dist(here.T_map_sensor[:2, 3], before.T_map_sensor[:2, 3])  # type: ignore[index]
-            seconds = (here.stamp or 0.0) - (before.stamp or 0.0)
+            metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
+            seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
             self.path += metres
             self.speed = metres / seconds if seconds > 0 else math.nan
         self.taken.append(k)
@@ -136,7 +135,7 @@ class FusionRun:
         """Write the map after the last scan to a log, and the pose of the vehicle."""
         assert self.last is not None
         placed, stamp = self.placed, self.last.frame.stamp or 0.0
-        maps.write(placed, [StampedTransform(placed.frame_id, "base_link", stamp, self.T_map_vehicle)])
+        maps.write(placed, [StampedTransform(placed.frame_id, "vehicle", stamp, self.T_map_vehicle)])
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
         """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""

@@ -133,7 +133,7 @@ def map_(
                 warm = True
             grid, seconds = _timed(partial(run_model, model, frame))
             if grid_path is not None:
-                write_grid(grid_path, PlacedGrid(grid, frame_id="base_link", stamp=frame.stamp))
+                write_grid(grid_path, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
             if picture_path is not None:
                 cloud = plot.points_panel(frame.scan.points, grid.spec, frame.name)
                 plot.save_picture(picture_path, cloud, grid, titles=["", ism])

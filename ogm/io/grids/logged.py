@@ -132,7 +132,7 @@ def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
                 raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
             message = log.message(refs[-1])
             for warning in log.warnings:
-                _log.warning("%s: %s", path, warning)
+                _log.warning("%s", warning)
         if message.type not in _READERS:
             raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
         return _placed(message)
