@@ -3,48 +3,20 @@
 import logging
 import os
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.axes import Axes, rotation_to_flu
-from ogm.io.columns import check_rings, scale_intensities, split_times
 from ogm.io.formats import parse
-from ogm.io.formats.table import INTENSITY, POSITION, RING, TIME, plain
-from ogm.io.labels import REACH
-from ogm.io.no_returns import directions_without_return
 from ogm.io.reading import read_bytes
+from ogm.io.scan_table import FileFacts, check_scales, scan_from_table
 from ogm.io.sensor_height import estimate_sensor_height
 from ogm.scan import Scan
 
 __all__ = ["FileFacts", "describe", "read_points", "read_scan", "read_scan_file"]
 
 log = logging.getLogger(__name__)
-
-
-class FileFacts(NamedTuple):
-    """What a file of a scan holds besides the scan.
-
-    Attributes
-    ----------
-    dropped : int
-        Rows of the file that hold no point: x, y or z NaN or infinite, or (0, 0, 0).
-    intensity_max : float or None
-        The file's intensity that became 1; None where it has none.
-    format : str
-        What the file is, in words.
-    fields : tuple of str
-        What the file holds per point, under its own names.
-    shape : (rows, columns) or None
-        The raster of an organised file; None for a list of points.
-    """
-
-    dropped: int = 0
-    intensity_max: float | None = None
-    format: str = ""
-    fields: tuple[str, ...] = ()
-    shape: tuple[int, int] | None = None
 
 
 def read_points(path: str | os.PathLike[str], axes: Axes = "flu", **options: Any) -> np.ndarray:
@@ -142,58 +114,16 @@ def read_scan_file(
     time_unit: float | None = None,
 ) -> tuple[Scan, FileFacts]:
     """Read one scan as `read_scan` does, and return with it what else the file holds."""
-    rotation, shift = rotation_to_flu(axes), np.asarray(origin, dtype=np.float64)
+    shift = np.asarray(origin, dtype=np.float64)
     if shift.shape != (3,) or not np.isfinite(shift).all():
         raise ValueError(f"origin must be x, y, z [m], got {origin!r}")
-    if intensity_max is not None and not 0.0 < intensity_max < np.inf:
-        raise ValueError(f"intensity_max must be above 0, got {intensity_max!r}")
-    if time_unit is not None and not 0.0 < time_unit < np.inf:
-        raise ValueError(f"time_unit must be above 0 [s], such as 1e-9 for nanoseconds, got {time_unit!r}")
+    rotation = rotation_to_flu(axes)
+    check_scales(intensity_max, time_unit)
     data, inner = read_bytes(path)
     table = parse(data, inner)
     if table.format == "nuScenes" and np.array_equal(rotation, np.eye(3)):
         log.warning('%s: nuScenes files have x right and y forward; axes="nuscenes" turns them', path)
-
-    # Points are the rows with a finite position and a distance, whatever else they lack.
-    fields = table.fields or tuple(table.columns)
-    columns = {plain(name): column for name, column in table.columns.items()}
-    if not columns.keys() >= set(POSITION):
-        raise OgmError(f"{inner} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
-    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
-        xyz = np.array([columns[name] for name in POSITION], dtype=np.float64)
-    returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
-    kept: np.ndarray | slice = slice(None)
-    dropped = returned.size - int(np.count_nonzero(returned))
-    if dropped:
-        kept = returned
-        log.info("%s: %d of %d rows hold no point and are dropped", path, dropped, returned.size)
-
-    # From the file's coordinates to x forward, y left, z up.
-    xyz[:, ~returned] = 0.0
-    xyz = rotation @ (xyz - shift[:, None])
-    no_returns = None
-    if table.shape is not None:
-        x, y, z = xyz.reshape(3, *table.shape)
-        no_returns = directions_without_return(x, y, z, returned.reshape(table.shape))
-    points = np.zeros((returned.size - dropped, 4), np.float32)
-    xyz = xyz[:, kept]
-    reach = np.abs(xyz).max(initial=0.0)
-    if reach > REACH:
-        raise OgmError(
-            f"{inner} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
-            "coordinates, give the sensor's position as origin; if not, the file is damaged or wrongly named"
-        )
-    points[:, :3] = xyz.T
-
-    # What else was measured.
-    known = ([columns[name][kept] for name in names if name in columns] for names in (INTENSITY, RING, TIME))
-    intensity, ring, time = (found[0] if found else None for found in known)
-    scale = None
-    if intensity is not None:
-        points[:, 3], scale = scale_intensities(intensity, intensity_max, table.intensity_max, inner)
-    time, stamp = split_times(time, time_unit, inner)
-    scan = Scan(points, stamp=stamp, time=time, ring=check_rings(ring, inner), no_returns=no_returns)
-    return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
+    return scan_from_table(table, inner, axes, origin=shift, intensity_max=intensity_max, time_unit=time_unit)
 
 
 def describe(scan: Scan, file: FileFacts) -> dict[str, str]:

@@ -15,8 +15,10 @@ from ogm.files import OgmError
 POSITION = ("x", "y", "z")
 INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts
 RING = ("ring", "laser_number", "channel", "laser_id", "line")
-TIME = ("time", "timestamp", "time_stamp", "t", "offset_ns", "offset_time", "gps_time", "gpstime")
-KNOWN = frozenset(POSITION + INTENSITY + RING + TIME)
+TIME = ("time", "timestamp", "time_stamp", "t", "offset_ns", "offset_time", "time_offset", "gps_time", "gpstime")
+DOPPLER = ("doppler", "doppler_velocity", "radial_velocity", "range_rate", "velocity")
+RCS = ("rcs", "radar_cross_section")
+KNOWN = frozenset(POSITION + INTENSITY + RING + TIME + DOPPLER + RCS)
 
 TEXT_LIMIT = 2**28  # [byte] of the points of one cloud of text: some 10 M points
 
@@ -64,7 +66,7 @@ def plain(name: str) -> str:
     return name.lower().removeprefix("scalar_")
 
 
-def refuse_doubles(names: Iterable[str], path: Path) -> None:
+def refuse_doubles(names: Iterable[str], path: Path | str) -> None:
     """Raise where two fields have one name, or one meaning but for capitals and ``scalar_``.
 
     Parameters

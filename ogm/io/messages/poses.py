@@ -1,0 +1,124 @@
+"""Poses: ``tf2_msgs/TFMessage``, odometry, poses and IMU to transforms, and transforms to ``TFMessage``."""
+
+from collections.abc import Iterable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.files import OgmError
+from ogm.io.messages.plain import describe_message, frame_of, header, stamp_seconds
+from ogm.io.reading import from_quaternions
+from ogm.io.transforms import StampedTransform
+from ogm.pose import check_pose
+
+__all__ = [
+    "pose_message",
+    "rotation_from_imu",
+    "tf_message",
+    "transform_from_odometry",
+    "transform_from_pose",
+    "transforms_from_tf",
+]
+
+
+def transforms_from_tf(message: Any) -> list[StampedTransform]:
+    """Return the transforms of a ``tf2_msgs/TFMessage`` (``/tf``, ``/tf_static``), or of one ``TransformStamped``.
+
+    Raises
+    ------
+    OgmError
+        If a position is not finite, or a quaternion has not length 1.
+    """
+    several = message.transforms if hasattr(message, "transforms") else [message]
+    result = []
+    for one in several:
+        where = describe_message(one, "TransformStamped")
+        child = str(one.child_frame_id).lstrip("/")
+        T = _rigid(one.transform.translation, one.transform.rotation, f"{where}, of {child}")
+        result.append(StampedTransform(frame_of(one), child, stamp_seconds(one.header.stamp), T))
+    return result
+
+
+def transform_from_odometry(message: Any) -> StampedTransform:
+    """Return the pose of a ``nav_msgs/Odometry``: of its ``child_frame_id`` in the frame of its header.
+
+    Raises
+    ------
+    OgmError
+        If a position is not finite, or a quaternion has not length 1.
+    """
+    T = _pose(message.pose.pose, describe_message(message, "Odometry"))
+    child = str(message.child_frame_id).lstrip("/")
+    return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
+
+
+def transform_from_pose(message: Any, child: str) -> StampedTransform:
+    """Return the pose of a ``geometry_msgs/PoseStamped`` or ``PoseWithCovarianceStamped``.
+
+    Parameters
+    ----------
+    message : object
+    child : str
+        The frame whose pose it is, which the message does not hold.
+
+    Raises
+    ------
+    OgmError
+        If a position is not finite, or a quaternion has not length 1.
+    """
+    placed = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+    T = _pose(placed, describe_message(message, "PoseStamped"))
+    return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
+
+
+def rotation_from_imu(message: Any) -> NDArray[np.float64]:
+    """Return the orientation of a ``sensor_msgs/Imu``: (3, 3), takes coordinates of its frame to the world's.
+
+    The world has z up and, for most drivers, x to the east or where the sensor pointed when it started.
+
+    Raises
+    ------
+    OgmError
+        If the message has no orientation (``orientation_covariance[0]`` is -1, or the quaternion 0), or one that has
+        not length 1.
+    """
+    where = describe_message(message, "Imu")
+    q = message.orientation
+    if message.orientation_covariance[0] == -1 or not any((q.x, q.y, q.z, q.w)):
+        raise OgmError(f"{where} has no orientation, only rates and accelerations: give poses of another topic")
+    return _rigid(SimpleNamespace(x=0.0, y=0.0, z=0.0), q, where)[:3, :3]
+
+
+def tf_message(transforms: Iterable[StampedTransform]) -> SimpleNamespace:
+    """Return transforms as a ``tf2_msgs/TFMessage``, for ``/tf`` or ``/tf_static``."""
+    several = []
+    for one in transforms:
+        placed = pose_message(one.T_parent_child)
+        moved = SimpleNamespace(translation=placed.position, rotation=placed.orientation)
+        several.append(SimpleNamespace(header=header(one.stamp, one.parent), child_frame_id=one.child, transform=moved))
+    return SimpleNamespace(transforms=several)
+
+
+def pose_message(T: ArrayLike) -> SimpleNamespace:
+    """Return a transform (4, 4) as a ``geometry_msgs/Pose``; w of its quaternion is not negative."""
+    from scipy.spatial.transform import Rotation
+
+    array = check_pose(T)
+    x, y, z = array[:3, 3].tolist()
+    quaternion = Rotation.from_matrix(array[:3, :3]).as_quat(canonical=True)
+    return SimpleNamespace(
+        position=SimpleNamespace(x=x, y=y, z=z),
+        orientation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),
+    )
+
+
+def _pose(placed: Any, where: str) -> NDArray[np.float64]:
+    return _rigid(placed.position, placed.orientation, where)
+
+
+def _rigid(position: Any, q: Any, where: str) -> NDArray[np.float64]:
+    """Return the transform (4, 4) of a position and a quaternion."""
+    placed = np.array([[position.x, position.y, position.z]], np.float64)
+    return from_quaternions(placed, np.array([[q.x, q.y, q.z, q.w]], np.float64), lambda _: where)[0]

@@ -1,0 +1,281 @@
+"""Where frames were at a time: transforms between pairs of frames, chained and interpolated."""
+
+import logging
+import math
+from bisect import bisect_left, bisect_right
+from collections import deque
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.files import OgmError
+from ogm.pose import Trajectory, check_pose, inverse
+
+__all__ = [
+    "ExtrapolationError",
+    "NotConnectedError",
+    "StampedTransform",
+    "TransformBuffer",
+    "TransformError",
+    "UnknownFrameError",
+]
+
+log = logging.getLogger(__name__)
+
+
+class TransformError(OgmError):
+    """A transform between two frames is not known at a time."""
+
+
+class UnknownFrameError(TransformError):
+    """There is no transform from or to a frame."""
+
+
+class NotConnectedError(TransformError):
+    """There is no chain of transforms between two frames."""
+
+
+class ExtrapolationError(TransformError):
+    """A chain of transforms is known, but not at the time that was asked for.
+
+    Attributes
+    ----------
+    seconds : float
+        How far the time is from what is known [s]: above 0 if it is later, so that waiting may help; below 0 if it is
+        earlier; 0 inside of a gap.
+    """
+
+    def __init__(self, message: str, seconds: float) -> None:
+        super().__init__(message)
+        self.seconds = seconds
+
+
+class StampedTransform(NamedTuple):
+    """Where a frame was in another at a time.
+
+    Attributes
+    ----------
+    parent, child : str
+    stamp : float
+        [s]
+    T_parent_child : (4, 4) float64
+    """
+
+    parent: str
+    child: str
+    stamp: float
+    T_parent_child: NDArray[np.float64]
+
+
+class _Edge:
+    """Transforms of one pair of frames: one for all times, or several, in the order of their stamps."""
+
+    def __init__(self) -> None:
+        self.static: NDArray[np.float64] | None = None
+        self.stamps: list[float] = []
+        self.poses: list[NDArray[np.float64]] = []
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last stamp [s]."""
+        return (-math.inf, math.inf) if self.static is not None else (self.stamps[0], self.stamps[-1])
+
+
+class TransformBuffer:
+    """Transforms between frames, as they come from ``/tf``, ``/tf_static``, odometry or calibration.
+
+    Poses are interpolated: positions on a straight line, rotations on the shortest arc. Nothing is extrapolated.
+    A frame may have several parents; the chain of the fewest transforms counts.
+
+    Parameters
+    ----------
+    max_gap : float
+        The longest time between two transforms of a pair that is interpolated [s].
+    keep : float, optional
+        How long transforms are kept, counted back from the latest of their pair [s]; all by default. For live use.
+
+    Examples
+    --------
+    >>> from ogm.pose import pose
+    >>> buffer = TransformBuffer()
+    >>> buffer.add(StampedTransform("base", "lidar", 0.0, pose(z=1.8)), static=True)
+    >>> buffer.add(StampedTransform("map", "base", 10.0, pose(x=4.0)))
+    >>> buffer.add(StampedTransform("map", "base", 11.0, pose(x=6.0)))
+    >>> buffer.lookup("map", "lidar", 10.5)[:3, 3]
+    array([5. , 0. , 1.8])
+    """
+
+    def __init__(self, max_gap: float = 2.0, keep: float | None = None) -> None:
+        self.max_gap, self.keep = max_gap, keep
+        self._edges: dict[tuple[str, str], _Edge] = {}
+        self._neighbours: dict[str, list[str]] = {}
+        self._chains: dict[tuple[str, str], list[str]] = {}
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Names of all frames, in the order in which they came."""
+        return tuple(self._neighbours)
+
+    @property
+    def pairs(self) -> dict[tuple[str, str], bool]:
+        """(parent, child) of all transforms, and whether they are static."""
+        return {pair: edge.static is not None for pair, edge in self._edges.items()}
+
+    def add(self, transform: StampedTransform, static: bool = False) -> None:
+        """Add a transform.
+
+        Of several with one stamp, the first counts, as in tf2; of several static ones of a pair, the last.
+        A static transform holds at all times, whatever was added for its pair besides.
+
+        Raises
+        ------
+        OgmError
+            If a name is empty, the names are the same, the stamp is not finite or the transform not rigid.
+        """
+        parent, child, stamp = transform.parent, transform.child, float(transform.stamp)
+        where = f"the transform from {child!r} to {parent!r} at {stamp:.6f} s"
+        if not parent or not child or parent == child or not math.isfinite(stamp):
+            raise OgmError(f"{where} must have two different frames and a finite stamp")
+        try:
+            T = check_pose(transform.T_parent_child, where)
+        except ValueError as error:
+            raise OgmError(str(error)) from error
+        if (parent, child) not in self._edges:
+            self._connect(parent, child)
+        edge, T = self._edges[parent, child], T.copy()
+        if static:
+            edge.static = T
+            return
+        at = bisect_left(edge.stamps, stamp)
+        if at < len(edge.stamps) and edge.stamps[at] == stamp:
+            return
+        edge.stamps.insert(at, stamp)
+        edge.poses.insert(at, T)
+        if self.keep is not None:
+            old = bisect_left(edge.stamps, edge.stamps[-1] - self.keep)
+            del edge.stamps[:old], edge.poses[:old]
+
+    def lookup(self, target: str, source: str, stamp: ArrayLike) -> NDArray[np.float64]:
+        """Return where a frame was in another.
+
+        Parameters
+        ----------
+        target, source : str
+            Names of frames.
+        stamp : float or (M,) float
+            When [s].
+
+        Returns
+        -------
+        T_target_source : (4, 4) or (M, 4, 4) float64
+            Takes coordinates in `source` to `target`.
+
+        Raises
+        ------
+        UnknownFrameError
+            If there is no such frame.
+        NotConnectedError
+            If no chain of transforms joins the two.
+        ExtrapolationError
+            If a transform of the chain is not known then: before its first, after its last, or in a gap of more than
+            `max_gap`.
+        ValueError
+            If a stamp is not finite.
+        """
+        times = np.asarray(stamp, np.float64)
+        if not np.isfinite(times).all():
+            raise ValueError(f"stamps must be finite [s], got {times}")
+        T = np.broadcast_to(np.eye(4), (*times.shape, 4, 4))
+        for outer, inner in pairwise(self._chain(target, source)):
+            T = T @ self._step(outer, inner, times)
+        return T.copy()
+
+    def covers(self, target: str, source: str) -> tuple[float, float]:
+        """Return the first and the last time [s] at which `lookup` may give an answer; infinite if all is static.
+
+        Raises
+        ------
+        UnknownFrameError, NotConnectedError
+            As for `lookup`.
+        """
+        spans = [self._edges[self._pair(*pair)].span for pair in pairwise(self._chain(target, source))]
+        return max((first for first, _ in spans), default=-math.inf), min((last for _, last in spans), default=math.inf)
+
+    def _connect(self, parent: str, child: str) -> None:
+        others = [one for one, frame in self._edges if frame == child]
+        if others:
+            log.warning("frame %s has several parents, %s: the shortest chain counts", child, [*others, parent])
+        self._edges[parent, child] = _Edge()
+        for one, other in ((parent, child), (child, parent)):
+            self._neighbours.setdefault(one, []).append(other)
+        self._chains.clear()
+
+    def _chain(self, target: str, source: str) -> list[str]:
+        """Return the frames from `target` to `source`, both included, with the fewest between them."""
+        for name in (target, source):
+            if name not in self._neighbours:
+                known = ", ".join(self._neighbours) or "none: no transform was added"
+                raise UnknownFrameError(f"there is no frame {name!r}; there are {known}")
+        if (target, source) not in self._chains:
+            before, queue = {target: target}, deque([target])
+            while queue and source not in before:
+                one = queue.popleft()
+                for other in self._neighbours[one]:
+                    if other not in before:
+                        before[other] = one
+                        queue.append(other)
+            if source not in before:
+                raise NotConnectedError(
+                    f"{target} and {source} are not connected: {target} is joined with "
+                    f"{', '.join(sorted(before.keys() - {target}))}, and no transform leads from there to {source}"
+                )
+            chain = [source]
+            while chain[-1] != target:
+                chain.append(before[chain[-1]])
+            self._chains[target, source] = chain[::-1]
+        return self._chains[target, source]
+
+    def _pair(self, one: str, other: str) -> tuple[str, str]:
+        """Return two neighbours as (parent, child)."""
+        return (one, other) if (one, other) in self._edges else (other, one)
+
+    def _step(self, outer: str, inner: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return T_outer_inner of two neighbours."""
+        parent, child = self._pair(outer, inner)
+        edge, up = self._edges[parent, child], child == outer
+        if edge.static is not None:
+            return inverse(edge.static) if up else edge.static
+        if not times.size:
+            return np.empty((*times.shape, 4, 4))
+        earliest, latest = float(times.min()), float(times.max())
+        t, (first, last) = edge.stamps, edge.span
+        if earliest < first or latest > last:
+            seconds, asked = (latest - last, latest) if latest > last else (earliest - first, earliest)
+            raise ExtrapolationError(
+                f"the transform from {child} to {parent} needs extrapolation by {abs(seconds):.3g} s: asked for "
+                f"{asked:.6f} s, known from {first:.6f} to {last:.6f} s",
+                seconds,
+            )
+        rows = slice(bisect_right(t, earliest) - 1, bisect_left(t, latest) + 1)
+        known = Trajectory(np.array(t[rows]), np.array(edge.poses[rows]))
+        self._check_gaps(known.stamps, times, f"the transform from {child} to {parent}")
+        T = known.at(times)
+        if not up:
+            return T
+        R = np.swapaxes(T[..., :3, :3], -1, -2)
+        T[..., :3, 3] = -(R @ T[..., :3, 3, None])[..., 0]
+        T[..., :3, :3] = R
+        return T
+
+    def _check_gaps(self, t: NDArray[np.float64], times: NDArray[np.float64], where: str) -> None:
+        after = np.clip(np.searchsorted(t, times), 1, max(len(t) - 1, 1))
+        bad = len(t) > 1 and (t[after] - t[after - 1] > self.max_gap) & ~np.isin(times, t)
+        if np.any(bad):
+            k = after[bad].flat[0] if after.ndim else after
+            raise ExtrapolationError(
+                f"{where} has a gap of {t[k] - t[k - 1]:.3g} s, from {t[k - 1]:.6f} to {t[k]:.6f} s, allowed are "
+                f"{self.max_gap:g} s: give TransformBuffer a larger max_gap to interpolate there",
+                0.0,
+            )
