@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo, map, fuse, simulate, train, calibrate, evaluate, export, info``."""
+"""The command line: ``ogm demo, map, fuse, serve, simulate, train, calibrate, evaluate, export, info``."""
 
 import logging
 import sys
@@ -13,6 +13,7 @@ from ogm.cli.evaluate_command import evaluate
 from ogm.cli.fuse_command import fuse
 from ogm.cli.info_command import info
 from ogm.cli.map_command import demo, map_
+from ogm.cli.serve_command import serve
 from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
 
@@ -32,6 +33,7 @@ app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz -
 app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif")(
     fuse
 )
+app.command(epilog="Example:  ogm serve drive/ --rate 1.0 --port 8765")(serve)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
 app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out ray.json")(calibrate_command)
