@@ -76,13 +76,13 @@ def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:
     return bytes(content), path.with_suffix("") if packing in openers else path
 
 
-def optional(module: str, path: Path) -> Any:
-    """Import a package of the ``io`` extra; the error of a missing one has the line that installs it."""
+def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> Any:
+    """Import a package of an extra; the error of a missing one has the line that installs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         raise ImportError(
-            f'{path} cannot be read without the package {module}: pip install "ogm-toolkit[io]"', name=module
+            f'{path} cannot be {verb} without the package {module}: pip install "ogm-toolkit[{extra}]"', name=module
         ) from error
 
 

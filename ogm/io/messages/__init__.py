@@ -1,10 +1,16 @@
-"""Messages of ROS, Livox, Velodyne and Foxglove: to scans and transforms, and from grids.
+"""Messages of ROS, Livox, Velodyne and Foxglove: to scans and transforms, and grids to messages and back.
 
 A message is any object with the message's field names, of rosbags, rclpy, rospy or a decoded MCAP. Functions return
-messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialises them by the name of their type.
+messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialises them by the name of their type, and
+`fill_message` copies them into messages of rclpy and rospy.
 """
 
 from ogm.io.messages.clouds import point_cloud2, scan_from_point_cloud2
+from ogm.io.messages.fill import fill_message
+from ogm.io.messages.foxglove import foxglove_grid, grid_from_foxglove_grid
+from ogm.io.messages.layers import grid_from_grid_map, grid_map, layers_from_grid_map
+from ogm.io.messages.livox import scan_from_livox
+from ogm.io.messages.occupancy import grid_from_occupancy_grid, mass_from_occupancy, occupancy_grid, occupancy_values
 from ogm.io.messages.plain import ros_stamp, stamp_seconds
 from ogm.io.messages.poses import (
     rotation_from_imu,
@@ -13,14 +19,31 @@ from ogm.io.messages.poses import (
     transform_from_pose,
     transforms_from_tf,
 )
+from ogm.io.messages.radars import scan_from_radar_scan
+from ogm.io.messages.velodyne import VELODYNE_MODELS, scan_from_velodyne_scan, scans_from_pcap
 from ogm.io.transforms import StampedTransform
 
 __all__ = [
+    "VELODYNE_MODELS",
     "StampedTransform",
+    "fill_message",
+    "foxglove_grid",
+    "grid_from_foxglove_grid",
+    "grid_from_grid_map",
+    "grid_from_occupancy_grid",
+    "grid_map",
+    "layers_from_grid_map",
+    "mass_from_occupancy",
+    "occupancy_grid",
+    "occupancy_values",
     "point_cloud2",
     "ros_stamp",
     "rotation_from_imu",
+    "scan_from_livox",
     "scan_from_point_cloud2",
+    "scan_from_radar_scan",
+    "scan_from_velodyne_scan",
+    "scans_from_pcap",
     "stamp_seconds",
     "tf_message",
     "transform_from_odometry",

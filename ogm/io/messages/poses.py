@@ -19,6 +19,7 @@ __all__ = [
     "tf_message",
     "transform_from_odometry",
     "transform_from_pose",
+    "transform_of_pose",
     "transforms_from_tf",
 ]
 
@@ -49,7 +50,8 @@ def transform_from_odometry(message: Any) -> StampedTransform:
     OgmError
         If a position is not finite, or a quaternion has not length 1.
     """
-    T = _pose(message.pose.pose, describe_message(message, "Odometry"))
+    placed = message.pose.pose
+    T = _rigid(placed.position, placed.orientation, describe_message(message, "Odometry"))
     child = str(message.child_frame_id).lstrip("/")
     return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
 
@@ -69,7 +71,7 @@ def transform_from_pose(message: Any, child: str) -> StampedTransform:
         If a position is not finite, or a quaternion has not length 1.
     """
     placed = message.pose.pose if hasattr(message.pose, "pose") else message.pose
-    T = _pose(placed, describe_message(message, "PoseStamped"))
+    T = _rigid(placed.position, placed.orientation, describe_message(message, "PoseStamped"))
     return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
 
 
@@ -114,8 +116,12 @@ def pose_message(T: ArrayLike) -> SimpleNamespace:
     )
 
 
-def _pose(placed: Any, where: str) -> NDArray[np.float64]:
-    return _rigid(placed.position, placed.orientation, where)
+def transform_of_pose(placed: Any, where: str) -> NDArray[np.float64]:
+    """Return a ``geometry_msgs/Pose`` as a transform (4, 4); a quaternion that was not set, of zeros, turns nothing."""
+    q = placed.orientation
+    if not any((q.x, q.y, q.z, q.w)):
+        q = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    return _rigid(placed.position, q, where)
 
 
 def _rigid(position: Any, q: Any, where: str) -> NDArray[np.float64]:

@@ -1,0 +1,119 @@
+"""Livox: ``CustomMsg`` of livox_ros_driver and livox_ros_driver2 to a scan."""
+
+import struct
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.formats.table import Table
+from ogm.io.messages.plain import describe_message, stamp_seconds
+from ogm.io.scan_table import scan_from_table
+from ogm.scan import Scan
+
+__all__ = ["scan_from_livox"]
+
+_SAME_CLOCK = 10.0  # [s] between the header's stamp and the time base
+_POINT = [
+    ("offset_time", "u4"),
+    ("x", "f4"),
+    ("y", "f4"),
+    ("z", "f4"),
+    ("reflectivity", "u1"),
+    ("tag", "u1"),
+    ("line", "u1"),
+]
+_SIZE = 19  # [byte] of a point; from the start of one to that of the next, CDR has 20
+
+
+class _CustomMsg(NamedTuple):
+    stamp: float
+    timebase: int  # [ns]
+    points: NDArray[np.void]
+    where: str
+
+
+def scan_from_livox(message: Any) -> Scan:
+    """Return the scan of a Livox ``CustomMsg``.
+
+    Parameters
+    ----------
+    message : bytes or object
+        The message as it is in the log, CDR (ROS 2) or ROS 1, whose points are then viewed without a copy; or an
+        object with its fields, of which each point is an object, which takes some 50 times as long.
+
+    Returns
+    -------
+    Scan
+        `Scan.stamp` is that of the header (the time base where that is 0), `Scan.time` counts from it, `Scan.ring` is
+        the line. Points that the sensor tags as doubtful are kept; those at (0, 0, 0) are dropped.
+
+    Raises
+    ------
+    OgmError
+        If the bytes are no CustomMsg, or cut short.
+    """
+    raw = isinstance(message, bytes | bytearray | memoryview | np.ndarray)
+    stamp, timebase, points, where = _from_bytes(memoryview(message).cast("B")) if raw else _from_object(message)
+    base = timebase * 1e-9
+    stamp = stamp or base
+    late = base - stamp if abs(base - stamp) <= _SAME_CLOCK else 0.0
+    columns = {name: points[name] for name in ("x", "y", "z", "reflectivity", "line")}
+    columns["time"] = points["offset_time"] * 1e-9 + late
+    table = Table("Livox CustomMsg", columns, fields=tuple(name for name, _ in _POINT))
+    return scan_from_table(table, where, stamp=stamp, time_unit=1.0)[0]
+
+
+def _from_object(message: Any) -> _CustomMsg:
+    where = describe_message(message, "CustomMsg")
+    rows = [tuple(getattr(point, name) for name, _ in _POINT) for point in message.points]
+    return _CustomMsg(stamp_seconds(message.header.stamp), int(message.timebase), np.array(rows, _POINT), where)
+
+
+def _from_bytes(data: memoryview) -> _CustomMsg:
+    """View a message as CDR or as ROS 1: the lengths fit one of the two."""
+    for read in (_from_cdr, _from_ros1):
+        try:
+            return read(data)
+        except (struct.error, IndexError):
+            continue
+    raise OgmError(
+        f"{len(data)} bytes are no Livox CustomMsg, neither of ROS 2 (CDR) nor of ROS 1: they are cut short, or of "
+        "another type"
+    )
+
+
+def _from_cdr(data: memoryview) -> _CustomMsg:
+    """View a message of ROS 2: numbers lie at multiples of their size, counted from byte 4."""
+    if data[0] != 0 or data[1] > 1:
+        raise IndexError
+    order, body = "><"[data[1]], data[4:]
+    sec, nanosec, length = struct.unpack_from(f"{order}iII", body)
+    frame = bytes(body[12 : 12 + length]).rstrip(b"\0")
+    at = -(-(12 + length) // 8) * 8
+    timebase, number, count = struct.unpack_from(f"{order}QI4xI", body, at)
+    first = at + 20
+    if number > count or not 0 <= len(body) - (first + 20 * count - (count > 0)) < 4:
+        raise IndexError
+    return _message(body[first:], (sec, nanosec, frame, timebase, count), order, 20)
+
+
+def _from_ros1(data: memoryview) -> _CustomMsg:
+    """View a message of ROS 1: all without gaps, little-endian."""
+    _, sec, nanosec, length = struct.unpack_from("<4I", data)
+    frame = bytes(data[16 : 16 + length])
+    timebase, number, count = struct.unpack_from("<QI4xI", data, 16 + length)
+    first = 36 + length
+    if number > count or len(data) != first + _SIZE * count:
+        raise IndexError
+    return _message(data[first:], (sec, nanosec, frame, timebase, count), "<", _SIZE)
+
+
+def _message(body: memoryview, head: tuple[int, int, bytes, int, int], order: str, step: int) -> _CustomMsg:
+    sec, nanosec, frame, timebase, count = head
+    stamp = sec + nanosec * 1e-9
+    where = f"CustomMsg of {frame.decode('utf-8', 'replace') or 'no frame'} at {stamp:.6f} s"
+    kind = np.dtype([(name, order + one) for name, one in _POINT])
+    points = np.ndarray((count,), kind, body, 0, (step,)) if count else np.empty(0, kind)
+    return _CustomMsg(stamp, timebase, points, where)

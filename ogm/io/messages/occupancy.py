@@ -1,0 +1,134 @@
+"""Grids as ``nav_msgs/OccupancyGrid``, and back."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.files import OgmError
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.messages.plain import describe_message, header, ros_stamp
+from ogm.io.messages.poses import pose_message, transform_of_pose
+from ogm.pose import check_pose, inverse, pose
+from ogm.state import CellState, predict_state
+
+__all__ = [
+    "corner_pose",
+    "grid_from_occupancy_grid",
+    "mass_from_occupancy",
+    "occupancy_grid",
+    "occupancy_values",
+    "split_corner",
+]
+
+
+def occupancy_values(grid: EvidentialGrid) -> NDArray[np.int8]:
+    """Return what an occupancy grid of ROS holds: -1 for unknown, else 0 (free) to 100 (occupied).
+
+    Returns
+    -------
+    (nx, ny) int8
+        -1 where `ogm.state.predict_state` is unknown; else the probability of occupied, `EvidentialGrid.probability`,
+        in whole percent.
+    """
+    percent = np.rint(100 * np.asarray(grid.probability, np.float64)).astype(np.int8)
+    return np.where(predict_state(grid.mass) == CellState.UNKNOWN, np.int8(-1), percent)
+
+
+def mass_from_occupancy(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Return masses (..., 2) of free and occupied that have the probability of an occupancy grid's values.
+
+    All of the mass is on free and occupied, none on unknown; values that are not from 0 to 100 are unknown. Taken back
+    by `occupancy_values`, they are the same.
+    """
+    percent = values.astype(np.float64)
+    known = (percent >= 0) & (percent <= 100)
+    mass = np.stack([1 - percent / 100, percent / 100], axis=-1)
+    return np.where(known[..., None], mass, 0.0).astype(np.float32)
+
+
+def occupancy_grid(
+    grid: EvidentialGrid, *, frame_id: str, stamp: float | None = None, T_frame_grid: ArrayLike | None = None
+) -> SimpleNamespace:
+    """Return a grid as a ``nav_msgs/OccupancyGrid``.
+
+    Only one number per cell fits: `occupancy_values`. `grid_map` and `foxglove_grid` keep the masses.
+
+    Parameters
+    ----------
+    grid : EvidentialGrid
+    frame_id : str
+        Frame of the header.
+    stamp : float, optional
+        [s]; 0 by default.
+    T_frame_grid : (4, 4) array, optional
+        Takes the grid's coordinates to that frame; identity by default.
+
+    Returns
+    -------
+    SimpleNamespace
+        With the fields of the message. Its origin is the outer corner of cell (0, 0), its ``data`` begins there and
+        goes along x first.
+
+    Notes
+    -----
+    The message holds the resolution as float32: 0.1 m becomes 0.100000001490 m for those who do not round.
+    """
+    values = occupancy_values(grid)
+    info = SimpleNamespace(
+        map_load_time=ros_stamp(0.0 if stamp is None else stamp),
+        resolution=grid.spec.resolution,
+        width=grid.spec.shape[0],
+        height=grid.spec.shape[1],
+        origin=pose_message(corner_pose(grid.spec, T_frame_grid)),
+    )
+    return SimpleNamespace(header=header(stamp, frame_id), info=info, data=values.T.reshape(-1))
+
+
+def grid_from_occupancy_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.float64]]:
+    """Return the grid of a ``nav_msgs/OccupancyGrid``, and where it lies in the frame of the message.
+
+    Returns
+    -------
+    grid : EvidentialGrid
+        Its masses have the message's probabilities, see `mass_from_occupancy`. The corner is in ``spec.origin``.
+    T_frame_grid : (4, 4) float64
+        Turns and lifts the grid; identity if the message does neither.
+
+    Raises
+    ------
+    OgmError
+        If sizes contradict each other, or the pose is none.
+    """
+    where = describe_message(message, "OccupancyGrid")
+    info, data = message.info, np.asarray(message.data)
+    width, height = int(info.width), int(info.height)
+    if data.dtype.kind not in "iu" or data.size != width * height or min(width, height) < 1:
+        raise OgmError(f"{where} has {data.size} values of {data.dtype}, wanted int8 for {width} x {height} cells")
+    origin, T = split_corner(transform_of_pose(info.origin, where))
+    mass = mass_from_occupancy(data.reshape(height, width).T)
+    return EvidentialGrid(spec_of(info.resolution, (width, height), origin, where), mass), T
+
+
+def corner_pose(spec: GridSpec, T_frame_grid: ArrayLike | None = None) -> NDArray[np.float64]:
+    """Return the pose (4, 4) of the outer corner of cell (0, 0) in a frame: the origin of ROS and Foxglove."""
+    T = np.eye(4) if T_frame_grid is None else check_pose(T_frame_grid, "T_frame_grid")
+    return T @ pose(*spec.origin)
+
+
+def split_corner(T_frame_corner: NDArray[np.float64]) -> tuple[tuple[float, float], NDArray[np.float64]]:
+    """Return the corner (x, y) as the grid has it, and T_frame_grid, which turns and lifts but does not shift."""
+    turn = T_frame_corner.copy()
+    turn[:3, 3] = 0.0
+    x, y, z = (inverse(turn) @ T_frame_corner)[:3, 3]
+    return (float(x), float(y)), turn @ pose(z=float(z))
+
+
+def spec_of(resolution: float, shape: tuple[int, int], origin: tuple[float, float], where: str) -> GridSpec:
+    """Return the spec of a message's grid; a resolution in float32 becomes the shortest number that it stands for."""
+    short = np.float32(resolution)
+    try:
+        return GridSpec(float(str(short)) if short == resolution else float(resolution), shape, origin)
+    except ValueError as error:
+        raise OgmError(f"{where} has no cells: {error}") from error
