@@ -1,5 +1,6 @@
 """Map, scan and poses over the Foxglove WebSocket, for Foxglove, Lichtblick and whatever speaks its protocol."""
 
+import socket
 import time
 from pathlib import Path
 from typing import Any, Self
@@ -17,7 +18,8 @@ from ogm.scan import Frame
 __all__ = ["FoxglovePublisher"]
 
 MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
-BACKLOG = 16  # messages that wait for a slow viewer, the oldest of which is dropped: some 50 MB
+BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
+PATIENCE = 2.0  # [s] for which closing waits for the port to be free
 
 
 class FoxglovePublisher:
@@ -52,10 +54,11 @@ class FoxglovePublisher:
     """
 
     def __init__(self, host: str = "127.0.0.1", port: int = 8765, *, name: str = "ogm") -> None:
-        foxglove, channels = (optional(f"foxglove{part}", Path("a map"), "live", "served") for part in ("", ".channels"))
+        modules = "foxglove", "foxglove.channels"
+        foxglove, channels = (optional(name, Path("a map"), "live", "served") for name in modules)
         if not 0 <= port < 2**16:
             raise ValueError(f"port must be from 0 (any free one) to 65535, got {port}")
-        context = foxglove.Context()
+        context = self._context = foxglove.Context()  # kept: the server does not hold it
         try:
             self._server = foxglove.start_server(
                 name=name, host=host, port=port, context=context, message_backlog_size=BACKLOG
@@ -82,7 +85,10 @@ class FoxglovePublisher:
         """End all connections and free the port."""
         for channel in (self._map, self._points, self._tf):
             channel.close()
-        self._server.stop()
+        self._server.stop()  # returns before the port is free
+        until = time.monotonic() + PATIENCE
+        while not _is_free(self.host, self.port) and time.monotonic() < until:
+            time.sleep(0.002)
 
     def __call__(self, step: FusionStep, mapper: Mapper) -> None:
         """Send a fused frame and the map to all viewers.
@@ -104,6 +110,15 @@ class FoxglovePublisher:
         if self._map.has_sinks():
             T = pose(z=_ground_height(frame))
             self._map.log(foxglove_grid(mapper.grid, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
+
+
+def _is_free(host: str, port: int) -> bool:
+    """Tell whether an address can be listened on."""
+    try:
+        socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+    except OSError:
+        return False
+    return True
 
 
 def _ground_height(frame: Frame) -> float:

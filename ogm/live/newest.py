@@ -26,7 +26,7 @@ class NewestFrames:
     def __init__(self) -> None:
         self.dropped = 0
         self.due = 0.0
-        self._waiting: dict[str, tuple[Frame, float]] = {}  # oldest first
+        self._waiting: dict[str, tuple[Frame, float]] = {}  # in the order of their turns
         self._changed = threading.Condition()
         self._closed = False
 
@@ -40,8 +40,7 @@ class NewestFrames:
             When it became available, by `time.monotonic` [s]; now by default.
         """
         with self._changed:
-            if self._waiting.pop(frame.scan.sensor, None) is not None:
-                self.dropped += 1
+            self.dropped += frame.scan.sensor in self._waiting  # whose turn the new one takes
             self._waiting[frame.scan.sensor] = frame, time.monotonic() if due is None else due
             self._changed.notify()
 

@@ -166,7 +166,7 @@ class _Connection:
             raise OgmError("a message has a stamp or a pose that is not finite")
         self._points = np.empty(4 * count, "<f4")
         if count:
-            self._target, self._filled = memoryview(self._points).cast("B"), 0
+            self._target, self._filled = memoryview(self._points.data).cast("B"), 0
 
     def _message(self) -> tuple[Scan, np.ndarray]:
         """Return scan and pose, and wait for the next header."""
