@@ -299,6 +299,16 @@ class EvidentialGrid:
         free, occupied, unknown = (float(one.mean()) for one in (self.free, self.occupied, self.unknown))
         return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
 
+    def _repr_png_(self) -> bytes:
+        from ogm.notebook import grid_png
+
+        return grid_png(self)
+
+    def _repr_html_(self) -> str:
+        from ogm.notebook import grid_html
+
+        return grid_html(self)
+
     def __eq__(self, other: object) -> bool:
         """Return whether the other is a grid of the same cells with the same masses."""
         if not isinstance(other, EvidentialGrid):
@@ -394,3 +404,13 @@ class LayeredGrid:
 
     def __repr__(self) -> str:
         return f"LayeredGrid({self.spec}: {', '.join(self.layers)})"
+
+    def _repr_png_(self) -> bytes | None:
+        from ogm.notebook import layers_png
+
+        return layers_png(self) or None
+
+    def _repr_html_(self) -> str:
+        from ogm.notebook import layers_html
+
+        return layers_html(self)

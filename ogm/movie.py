@@ -163,7 +163,7 @@ def palette() -> Image.Image:
     green, red = np.array(plot.GREEN), np.array(plot.RED)
     belief = [free * green + occupied * red for free in steps for occupied in steps if free + occupied < 1 + 1e-9]
     conflict = (np.linspace(plot.BLACK, one, 24) for one in (plot.APPEARED, plot.WENT_AWAY))
-    heights = matplotlib.colormaps["turbo"](np.linspace(0.12, 0.97, 64))[:, :3]
+    heights = plot.height_colours(np.linspace(plot.LOWEST, plot.HIGHEST, 64))
     grey = np.linspace(plot.BLACK, (1, 1, 1), 28)
     drawn = np.array([BACKGROUND, INK, FAINT]) / 255
     colours = np.concatenate([belief, *conflict, heights, grey, drawn, np.full((1, 3), 0.08)])

@@ -19,17 +19,30 @@ __all__ = [
     "cells_panel",
     "conflict_panel",
     "dots_panel",
+    "heading_colours",
+    "height_colours",
+    "layer_panel",
     "mass_panel",
     "points_panel",
     "probability_panel",
     "save_picture",
     "show",
     "unknown_panel",
+    "upright",
+    "velocity_panel",
 ]
 
+CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
 GREEN, RED, BLACK = (0.10, 0.80, 0.20), (0.93, 0.16, 0.16), (0.0, 0.0, 0.0)
 LEGEND = {"free": GREEN, "occupied": RED, "unknown": BLACK}
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
+NO_VALUE = (0.16, 0.17, 0.19)
+BEHIND_POINTS = (0.08, 0.08, 0.08)
+TURBO = (0.15, 0.825)  # of matplotlib's "turbo", what stands out from BEHIND_POINTS: contrast 4.5 or more (WCAG 2)
+LOWEST, HIGHEST = -0.5, 3.5  # [m] over ground: heights with colours of their own
+GROUND_CELL = 2.0  # [m] the ground is the median of the lowest points of cells this wide
+DOTS, SPARSE_DOTS = 512, 384  # along the longer side of a picture
+SPARSE = 0.05  # share of a picture of which dots of one half cell cover less
 
 
 class Panel(NamedTuple):
@@ -52,8 +65,8 @@ class Panel(NamedTuple):
     legend: dict[str, tuple[float, float, float]]
 
 
-def _upright(cells: NDArray) -> NDArray:
-    """Turn ``[ix, iy, ...]`` into rows from the front to the back and columns from left to right."""
+def upright(cells: NDArray) -> NDArray:
+    """Turn ``[ix, iy, ...]``, without a copy, into rows from the front to the back and columns from left to right."""
     return cells[::-1, ::-1]
 
 
@@ -72,11 +85,16 @@ def cells_panel(colours: NDArray, spec: GridSpec, title: str, legend: dict[str, 
     title : str
     legend : dict of str to (red, green, blue)
     """
-    return Panel(_upright(_bytes(colours)), spec, title, legend)
+    return Panel(upright(_bytes(colours)), spec, title, legend)
 
 
 def dots_panel(
-    xyz: NDArray, colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
+    xyz: NDArray,
+    colours: NDArray,
+    spec: GridSpec,
+    title: str,
+    legend: dict[str, tuple[float, float, float]],
+    width: int | None = 1,
 ) -> Panel:
     """Show points from above, each in a colour of its own, on cells half as wide as those of `spec`.
 
@@ -90,13 +108,31 @@ def dots_panel(
         The area to show.
     title : str
     legend : dict of str to (red, green, blue)
+    width : int, optional
+        Of a dot [half cells]; wider dots cover no others. None: by the size of the picture and how many there are.
     """
     fine = spec.refined(2)
-    image = np.full((*fine.shape, 3), 0.08)
+    image, drawn = np.full((*fine.shape, 3), BEHIND_POINTS), np.zeros(fine.shape, bool)
     order = np.argsort(xyz[:, 2], kind="stable")  # the highest of a cell is drawn last
     order = order[fine.contains(xyz[order, 0], xyz[order, 1])]
-    image[fine.index(xyz[order, 0], xyz[order, 1])] = colours[order]
+    cells = fine.index(xyz[order, 0], xyz[order, 1])
+    image[cells], drawn[cells] = colours[order], True
+    if width is None:
+        width = max(1, round(max(fine.shape) / (SPARSE_DOTS if drawn.mean() < SPARSE else DOTS)))
+    _widen(image, drawn, width)
     return cells_panel(image, spec, title, legend)
+
+
+def _widen(image: NDArray, drawn: NDArray[np.bool_], width: int) -> None:
+    """Copy each dot that is drawn to the cells behind it and beside it, where there is none."""
+    for axis in (0, 1):
+        to, of = (np.swapaxes(one, 0, axis) for one in (image, drawn))
+        for step in range(1, width):
+            # even steps grow one way and odd ones the other, so that dots stay where they are
+            source, target = (slice(1, None), slice(-1)) if step % 2 else (slice(-1), slice(1, None))
+            grown = of[source] & ~of[target]
+            to[target][grown] = to[source][grown]
+            of[target] |= grown
 
 
 def mass_panel(grid: EvidentialGrid, title: str = "") -> Panel:
@@ -129,13 +165,54 @@ def conflict_panel(conflict: LayeredGrid, title: str = "") -> Panel:
         them.
     title : str
     """
-    appeared, went_away = conflict["free_to_occupied"], conflict["occupied_to_free"]
+    appeared, went_away = (conflict[name] for name in CONFLICT_LAYERS)
     colours = appeared[..., None] * np.array(APPEARED) + went_away[..., None] * np.array(WENT_AWAY)
     legend = {"appeared": APPEARED, "went away": WENT_AWAY, "no conflict": BLACK}
     return cells_panel(colours, conflict.spec, title or "conflict", legend)
 
 
-def points_panel(cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None) -> Panel:
+def layer_panel(layers: LayeredGrid, name: str, title: str = "") -> Panel:
+    """Show numbers from their lowest, purple, to their highest, yellow (matplotlib's "viridis"); grey without value."""
+    layer = layers[name]
+    finite = layer[np.isfinite(layer)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
+    share = (layer - low) / ((high - low) or 1.0)
+    colours = np.where(np.isnan(layer)[..., None], NO_VALUE, _colour_map("viridis", share))
+    steps = np.linspace(0, 1, 3 if high > low else bool(finite.size))
+    colours_of = _colour_map("viridis", steps)
+    legend = {f"{low + at * (high - low):.4g}": tuple(one) for at, one in zip(steps, colours_of, strict=True)}
+    return cells_panel(colours, layers.spec, title or name, legend | {"no value": NO_VALUE})
+
+
+def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None = None) -> Panel:
+    """Show velocities: the direction by colour, the speed by brightness; black what stands or has none.
+
+    Parameters
+    ----------
+    layers : LayeredGrid
+        With the layers ``velocity_x`` (forward) and ``velocity_y`` (left) [m/s].
+    title : str
+    fastest : float, optional
+        Speed of full brightness [m/s]; by default the greatest.
+    """
+    x, y = (np.nan_to_num(layers[name]) for name in VELOCITY_LAYERS)
+    speed = np.hypot(x, y)
+    fastest = float(speed.max()) if fastest is None else fastest
+    brightness = np.sqrt(np.clip(speed / (fastest or 1.0), 0, 1))
+    heading = {"forward": 0.0, "left": np.pi / 2, "backward": np.pi, "right": -np.pi / 2}
+    legend = {name: tuple(heading_colours(np.array(angle))) for name, angle in heading.items()}
+    colours = heading_colours(np.arctan2(y, x)) * brightness[..., None]
+    return cells_panel(colours, layers.spec, title or f"velocity, up to {fastest:.3g} m/s", legend | {"none": BLACK})
+
+
+def heading_colours(heading: NDArray) -> NDArray[np.float64]:
+    """Return red, green, blue [0, 1] of directions [rad], (..., 3)."""
+    return 0.5 + 0.5 * np.cos(heading[..., None] - np.array([0, 2, -2]) * np.pi / 3)
+
+
+def points_panel(
+    cloud: NDArray[np.float32], spec: GridSpec, title: str = "", ground_z: float | None = None, width: int | None = None
+) -> Panel:
     """Show points from above, coloured by height.
 
     Parameters
@@ -146,18 +223,33 @@ def points_panel(cloud: NDArray[np.float32], spec: GridSpec, title: str = "", gr
         The area to show.
     title : str
     ground_z : float, optional
-        Height of the ground in that frame [m]; by default the median of the points.
+        Height of the ground in that frame [m]; by default the median of the lowest points of cells of 2 m.
+    width : int, optional
+        Of a dot [half cells]; by default wider in large pictures, and where there are few points.
     """
     cloud = cloud[np.isfinite(cloud[:, :3]).all(axis=1)]
     cloud = cloud[spec.contains(cloud[:, 0], cloud[:, 1])]
-    base = float(np.median(cloud[:, 2])) if ground_z is None and len(cloud) else (ground_z or 0.0)
-    low, high = -0.5, 3.5
-    colours = _colour_map("turbo", 0.12 + 0.85 * (cloud[:, 2] - base - low) / (high - low))
-    legend = {
-        f"{height:g} m": tuple(_colour_map("turbo", np.array([0.12 + 0.85 * (height - low) / (high - low)]))[0])
-        for height in (0, 1, 2, 3)
-    }
-    return dots_panel(cloud, colours, spec, title or "points by height", legend)
+    base = _ground_z(cloud) if ground_z is None else ground_z
+    legend = {f"{height} m": tuple(height_colours(np.array([height]))[0]) for height in (0, 1, 2, 3)}
+    colours = height_colours(cloud[:, 2] - base)
+    return dots_panel(cloud, colours, spec, title or "points by height", legend, width)
+
+
+def height_colours(height: NDArray) -> NDArray[np.float64]:
+    """Return red, green, blue [0, 1] of points by their height over ground [m], (..., 3): readable on black."""
+    share = np.clip((height - LOWEST) / (HIGHEST - LOWEST), 0, 1)
+    return _colour_map("turbo", TURBO[0] + (TURBO[1] - TURBO[0]) * share)
+
+
+def _ground_z(cloud: NDArray) -> float:
+    """Return about where the ground is [m]: most cells hold a point of it. 0 without points."""
+    if not len(cloud):
+        return 0.0
+    ix, iy = np.floor(cloud[:, :2].T / GROUND_CELL).astype(np.int64)
+    _, cell = np.unique((ix << 32) + iy, return_inverse=True)
+    lowest = np.full(cell.max() + 1, np.inf)
+    np.minimum.at(lowest, cell, cloud[:, 2])
+    return float(np.median(lowest))
 
 
 def _colour_map(name: str, values: NDArray) -> NDArray[np.float64]:

@@ -83,6 +83,16 @@ class Scan:
         stamp = "" if self.stamp is None else f", stamp {self.stamp:.6g} s"
         return f"Scan({len(self)} points{stamp}{''.join(f', {name}' for name in extras)})"
 
+    def _repr_png_(self) -> bytes:
+        from ogm.notebook import scan_png
+
+        return scan_png(self)
+
+    def _repr_html_(self) -> str:
+        from ogm.notebook import scan_html
+
+        return scan_html(self)
+
     def select(self, keep: NDArray[Any] | slice) -> "Scan":
         """Return the scan with some of its points; beams without echo stay.
 

@@ -1,12 +1,13 @@
 """Pictures: an L-shaped obstacle must come out with front up and left left."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 
-from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot
+from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
 
 matplotlib.use("Agg")
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
@@ -112,3 +113,104 @@ def test_cells_and_dots_put_front_up_and_left_left_and_show_the_highest() -> Non
     assert image.shape == (8, 4, 3)
     assert image[0, 0].tolist() == [255, 0, 0]  # the higher of the two; the third is outside
     assert (image.reshape(-1, 3)[1:] == image[1, 1]).all()
+
+
+def luminance(colours: np.ndarray) -> np.ndarray:
+    """Return the relative luminance of colours in [0, 1], as WCAG 2 defines it."""
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    return linear @ [0.2126, 0.7152, 0.0722]
+
+
+def contrast(colours: np.ndarray) -> np.ndarray:
+    return (luminance(colours) + 0.05) / (luminance(np.array(plot.BEHIND_POINTS)) + 0.05)
+
+
+def test_points_of_every_height_stand_out_from_what_is_behind_them() -> None:
+    heights = np.linspace(-5, 9, 500)
+    colours = plot.height_colours(heights)
+    assert contrast(colours).min() > 4.45
+    inside = colours[(heights > plot.LOWEST) & (heights < plot.HIGHEST)]
+    assert len(np.unique(inside.round(3), axis=0)) > 100  # and they tell heights apart
+
+
+RECORDINGS = {  # sensor: file, axes
+    "VLS-128": ("nebula_apache2/vls128/*.pcd", ("+y", "-x", "+z")),
+    "VLP-16": ("nebula_apache2/vlp16/*.pcd", "flu"),
+    "VLP-32C": ("nebula_apache2/vlp32/*.pcd", "flu"),
+    "HDL-64E (KITTI)": ("kitti_odometry_00/000000.bin", "flu"),
+    "HDL-32E (nuScenes)": ("nuscenes_n015/*.pcd.bin", "nuscenes"),
+    "two VLP-32C (Argoverse 2)": ("argoverse2_adcf/sensors/lidar/*.feather", "flu"),
+    "Autoware": ("autoware_apache2/test.pcd.xz", "flu"),
+    "SUSTechPOINTS": ("sustechpoints/lidar/000965.pcd.xz", "flu"),
+    "XT32": ("nebula_apache2/hesai/xt32.pcd", "flu"),
+}
+
+
+@pytest.mark.parametrize("sensor", RECORDINGS)
+def test_every_point_of_every_sensor_is_drawn_and_readable(sensor: str, real: Callable[[str], Path]) -> None:
+    name, axes = RECORDINGS[sensor]
+    points = read_scan(real(name), axes=axes).points
+    points = points[np.isfinite(points[:, :3]).all(axis=1)]
+    spec = GridSpec.centered()
+    points = points[spec.contains(points[:, 0], points[:, 1])]
+    image = plot.points_panel(points, spec).image[::-1, ::-1]  # by cells
+    dots = image[spec.refined(2).index(points[:, 0], points[:, 1])] / 255
+    assert contrast(dots).min() > 4.4  # ground points among them
+    rest = image.reshape(-1, 3) / 255
+    assert ((contrast(rest) > 4.4) | (contrast(rest) < 1.05)).all()
+    hit = len(np.unique(np.stack(spec.refined(2).index(*points[:, :2].T)), axis=1).T)
+    assert np.count_nonzero(contrast(rest) > 4.4) > 1.3 * hit  # wider than a half cell, which a picture would lose
+
+
+def test_the_ground_is_found_below_what_stands_on_it() -> None:
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(-20, 20, (2000, 2)), rng.normal(-1.9, 0.02, 2000)])
+    wall = np.column_stack([rng.uniform(5, 6, 9000), rng.uniform(-20, 20, 9000), rng.uniform(-1.9, 3, 9000)])
+    cloud = np.concatenate([ground, wall]).astype(np.float32)
+    found = plot.points_panel(cloud, GridSpec.centered()).image
+    given = plot.points_panel(cloud, GridSpec.centered(), ground_z=-1.9).image
+    assert np.abs(found.astype(int) - given).max() < 12
+
+
+def test_wide_dots_cover_no_others() -> None:
+    spec = GridSpec(1.0, (3, 3), (0.0, 0.0))
+    xyz, colours = np.array([[1.25, 1.25, 0], [1.75, 1.25, 1]]), np.eye(3)[:2]
+    image = plot.dots_panel(xyz, colours, spec, "", {}, width=3).image
+    row, column = 6 - 1 - 2, 6 - 1 - 2  # of the first point
+    assert image[row, column].tolist() == [255, 0, 0]
+    assert image[row - 1, column].tolist() == [0, 255, 0]
+    lit = np.argwhere(image.max(-1) > 200)
+    assert (lit.min(axis=0).tolist(), lit.max(axis=0).tolist()) == ([1, 2], [4, 4])
+    assert len(lit) == 4 * 3
+    assert np.count_nonzero(plot.dots_panel(xyz, colours, spec, "", {}).image.max(-1) > 200) == 2
+
+
+def test_layers_are_shown_from_lowest_to_highest_and_grey_without_a_value() -> None:
+    numbers = np.full(SPEC.shape, np.nan, np.float32)
+    numbers[6, 4], numbers[6, 3], numbers[5, 4] = -2, 4, 1  # the front left corner
+    panel = plot.layer_panel(LayeredGrid(SPEC, {"height": numbers}), "height")
+    assert panel.title == "height"
+    assert list(panel.legend) == ["-2", "1", "4", "no value"]
+    for cell, name in (((0, 0), "-2"), ((0, 1), "4"), ((1, 0), "1"), ((6, 0), "no value")):
+        assert panel.image[cell].tolist() == plot._bytes(np.array(panel.legend[name])).tolist()
+    flat = plot.layer_panel(LayeredGrid(SPEC, {"height": np.ones(SPEC.shape)}), "height")
+    assert list(flat.legend) == ["1", "no value"]
+    assert list(plot.layer_panel(LayeredGrid(SPEC, {"h": numbers * np.nan}), "h").legend) == ["no value"]
+
+
+def test_velocities_are_shown_by_direction_and_speed() -> None:
+    x, y = np.zeros((2, *SPEC.shape), np.float32)
+    x[6, 4], y[6, 3], x[5, 4], y[5, 3], x[0, 0] = 4, 4, -4, -4, np.nan
+    x[3, 3] = 1
+    panel = plot.velocity_panel(LayeredGrid(SPEC, {"velocity_x": x, "velocity_y": y}))
+    assert "4 m/s" in panel.title
+    for cell, name in (
+        ((0, 0), "forward"),
+        ((0, 1), "left"),
+        ((1, 0), "backward"),
+        ((1, 1), "right"),
+        ((6, 4), "none"),
+    ):
+        assert np.abs(panel.image[cell] - 255 * np.array(panel.legend[name])).max() <= 1
+    half = np.abs(panel.image[3, 1].astype(int) - panel.image[0, 0] // 2)  # a quarter of the speed
+    assert half.max() <= 1

@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo, map, fuse, serve, simulate, train, calibrate, evaluate, export, info``."""
+"""The command line: ``ogm demo, map, fuse, serve, simulate, train, calibrate, evaluate, export, info, view``."""
 
 import logging
 import sys
@@ -16,6 +16,7 @@ from ogm.cli.map_command import demo, map_
 from ogm.cli.serve_command import serve
 from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
+from ogm.cli.view_command import view
 
 __all__ = ["app", "main"]
 
@@ -33,13 +34,14 @@ app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz -
 app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif")(
     fuse
 )
-app.command(epilog="Example:  ogm serve drive/ --rate 1.0 --port 8765")(serve)
+app.command(epilog="Example:  ogm serve drive.mcap --rate 1.0 --port 8765 --ism ray")(serve)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
 app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out ray.json")(calibrate_command)
 app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --out report/")(evaluate)
 app.command("export", epilog="Example:  ogm export lite --out lite.onnx")(export_command)
 app.command(epilog="Example:  ogm info scan.pcd")(info)
+app.command(epilog="Example:  ogm view map.npz --out map.html --open")(view)
 
 
 @app.callback(invoke_without_command=True)

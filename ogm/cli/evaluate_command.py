@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
-from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
+from ogm.cli.options import FixedFrame, FolderAxes, Topic, TruthSources, parsed_axes
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -82,6 +82,8 @@ def evaluate(
     ] = None,
     truth: TruthSources = None,
     axes: FolderAxes = "flu",
+    topic: Topic = None,
+    fixed_frame: FixedFrame = None,
     samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
@@ -119,7 +121,16 @@ def evaluate(
         split = "sequences"
     spec = GridSpec.centered()
     others = "later" if rules else "all"
-    dataset = open_dataset(data, axes=parsed_axes(axes), split=split, truth=tuple(sources), others=others, spec=spec)
+    log = {"topic": topic or (), "frame": fixed_frame}
+    dataset = open_dataset(
+        data,
+        axes=parsed_axes(axes),
+        split=split,
+        truth=tuple(sources),
+        others=others,
+        spec=spec,
+        **log,  # type: ignore
+    )
     numbers = _numbers(dataset, samples, every, seed)
     methods = _methods(names, rules, grids or [], spec, resample)
     result = run_evaluation(

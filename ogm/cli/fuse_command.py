@@ -25,7 +25,7 @@ ENDINGS = {  # of what each option writes
     "--save-poses": (".csv", ".txt", ".tum"),
 }
 
-ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, or a data set.", metavar="SCANS")]
+ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")]
 Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM (.txt), or what --save-poses wrote.")]
 Calibration = Annotated[File, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
 Odometry = Annotated[str | None, Option(help="Estimate the poses from the scans: kiss-icp or small-gicp.")]
@@ -61,6 +61,8 @@ def fuse(
     save_poses: SavePoses = None,
     rate: Rate = 10.0,
     sequence: Drive = None,
+    topic: options.Topic = None,
+    fixed_frame: options.FixedFrame = None,
     first: First = None,
     ism: Model = "ray",
     axes: options.Axes = "flu",
@@ -110,7 +112,13 @@ def fuse(
     make_mapper(rule, spec, half_life, window)  # type: ignore[arg-type]  # refuses what is no choice, before any work
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
     split = "sequences" if (scans[0] / "zarr.json").exists() else None
-    dataset = open_dataset(scans, **reading, sensor_height=sensor_height, sensor_position=sensor_position, split=split)
+    placed = {
+        "sensor_height": sensor_height,
+        "sensor_position": sensor_position,
+        "topic": topic or (),
+        "frame": fixed_frame,
+    }
+    dataset = open_dataset(scans, **reading, **placed, split=split)  # type: ignore[arg-type]
     dataset = _drive(dataset, sequence, sensor_height)
     if deskew and not dataset.motion_distorted:
         raise ValueError("leave out --deskew: the points of this data set are not (or not all) distorted by motion")
@@ -211,12 +219,12 @@ def _posed(
         dataset = with_odometry(dataset[:first], odometry, rate, ticked)
     elif poses is not None:
         dataset = with_poses(dataset, poses, calib, rate, ticked)
-    known = sum(ref.T_map_sensor is not None for ref in dataset.refs)
+    known, how = sum(ref.T_map_sensor is not None for ref in dataset.refs), dataset.facts.get("poses")
     if not known:
         raise ValueError(
-            "where were the scans taken? Give --poses FILE (KITTI, KITTI-360, TUM), or estimate the poses with "
-            "--odometry kiss-icp"
+            f"where were the scans taken? {f'Poses: {how}. ' if how else ''}Give --poses FILE (KITTI, KITTI-360, TUM), "
+            "or estimate the poses with --odometry kiss-icp"
         )
-    how = dataset.facts.get("poses") or f"{known} of {len(dataset)} scans, of the data set"
+    how = how or f"{known} of {len(dataset)} scans, of the data set"
     out.print(f"poses: {how}", markup=False, soft_wrap=True)
     return dataset[:first]

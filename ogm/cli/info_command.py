@@ -6,25 +6,30 @@ from typing import Annotated
 import typer
 
 from ogm.cli.console import print_facts, report_errors
-from ogm.cli.options import IntensityMax, TimeUnit, parsed_axes
+from ogm.cli.options import FixedFrame, IntensityMax, TimeUnit, parsed_axes
 
 
 @report_errors
 def info(
-    scan: Annotated[Path, typer.Argument(help="A scan, a grid (.npz), a folder of scans or a data set.")],
+    scan: Annotated[Path, typer.Argument(help="A scan, a grid (.npz), a folder of scans, a data set or a log.")],
     axes: Annotated[str, typer.Option(help="Axes of the file: flu, kitti, nuscenes, ..., or +y,-x,+z.")] = "flu",
     intensity_max: IntensityMax = None,
     time_unit: TimeUnit = None,
+    fixed_frame: FixedFrame = None,
 ) -> None:
-    """Show what a file or a data set holds."""
+    """Show what a file or a data set holds: of a log also what its scans lack for `ogm fuse`."""
     from ogm import EvidentialGrid
+    from ogm.datasets.captures import CAPTURE_ENDINGS
+    from ogm.datasets.logs import describe_log, is_log
     from ogm.io import describe, read_scan_file
 
-    if scan.is_dir() and (scan / "zarr.json").exists():
+    if scan.exists() and is_log([scan]):
+        facts = describe_log(scan, fixed_frame)
+    elif scan.is_dir() and (scan / "zarr.json").exists():
         from ogm.simulation.store import Store
 
         facts = Store.open(scan).describe()
-    elif scan.is_dir():
+    elif scan.is_dir() or scan.suffix.lower() in CAPTURE_ENDINGS:
         from ogm.datasets import open_dataset
 
         options = {"intensity_max": intensity_max, "time_unit": time_unit}

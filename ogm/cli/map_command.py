@@ -62,7 +62,8 @@ def map_(
     scans: Annotated[
         list[Path],
         typer.Argument(
-            help="Scan files (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder or a data set."
+            help="Scan files (.pcd .bin .pcd.bin .ply .las .laz .npy .feather, .xz, .gz), a folder, a data set, a log "
+            "(.mcap .db3 .bag)."
         ),
     ],
     ism: Annotated[
@@ -77,6 +78,8 @@ def map_(
     sensor_position: options.SensorPosition = None,
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
+    topic: options.Topic = None,
+    fixed_frame: options.FixedFrame = None,
     out_path: Annotated[
         Path | None, typer.Option("--out", help="Grid file (.npz), or a folder; made if need be. [default: ./NAME.npz]")
     ] = None,
@@ -94,9 +97,15 @@ def map_(
 
     spec = GridSpec.centered(length, width, resolution)
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
-    dataset = open_dataset(scans, **reading, sensor_height=sensor_height, sensor_position=sensor_position)
+    placed = {
+        "sensor_height": sensor_height,
+        "sensor_position": sensor_position,
+        "topic": topic or (),
+        "frame": fixed_frame,
+    }
+    dataset = open_dataset(scans, **reading, **placed)  # type: ignore[arg-type]
     model = _model(ism, spec, sensor_height, sensor_position)
-    estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith("scans")
+    estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
     names = [frame.name.replace("/", "_") for frame in dataset]
     if len(set(names)) < len(names):
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")

@@ -45,3 +45,10 @@ SensorPosition = Annotated[
 Length = Annotated[float | None, Option(help="Extent of a scan's grid along x [m]. [default: about 81.92]")]
 Width = Annotated[float | None, Option(help="Extent of a scan's grid along y [m]. [default: about 56.32]")]
 Resolution = Annotated[float, Option(help="Side of a cell [m].")]
+Topic = Annotated[
+    list[str] | None,
+    Option(help="Of a log: topic of a lidar; may be repeated. [default: the only one]", metavar="TOPIC"),
+]
+FixedFrame = Annotated[
+    str | None, Option("--frame", help="Of a log: fixed frame of the poses. [default: map, odom, world or the root]")
+]

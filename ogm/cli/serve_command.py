@@ -3,7 +3,7 @@
 import signal
 import socket
 from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -13,14 +13,29 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import first_call, one_line, out, report_errors, stderr
-from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule, _drive, _posed
+from ogm.cli.fuse_command import (
+    Calibration,
+    Drive,
+    First,
+    HalfLife,
+    Model,
+    Odometry,
+    Poses,
+    Rule,
+    _check_poses,
+    _drive,
+    _posed,
+)
 
 if TYPE_CHECKING:
+    from ogm.datasets import Dataset
     from ogm.scan import Frame
 
 SCAN_RATE = 10.0  # [Hz] of scans without stamps
 
-ScanPaths = Annotated[list[Path] | None, Argument(help="Files of scans, a folder, or a data set.", metavar="SCANS")]
+ScanPaths = Annotated[
+    list[Path] | None, Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")
+]
 Listen = Annotated[
     str | None,
     Option(help="Take scans and poses from a TCP connection instead; see docs/live.md.", metavar="[HOST:]PORT"),
@@ -45,6 +60,8 @@ def serve(
     calib: Calibration = None,
     odometry: Odometry = None,
     sequence: Drive = None,
+    topic: options.Topic = None,
+    fixed_frame: options.FixedFrame = None,
     first: First = None,
     ism: Model = "ray",
     axes: options.Axes = "flu",
@@ -83,16 +100,20 @@ def serve(
     frames: Iterable[Frame]
     with ExitStack() as stack:
         if scans is not None:
+            _check_poses(poses, calib, odometry, None, first)
             reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
-            place = {"sensor_height": sensor_height, "sensor_position": sensor_position}
-            frames = dataset = _drive(open_dataset(scans, **reading, **place), sequence, sensor_height)
-            frames = dataset = _posed(dataset, poses, calib, odometry, SCAN_RATE, first)
-            example, speed = dataset[0], 1.0 if rate is None else rate
+            placed = {"sensor_height": sensor_height, "sensor_position": sensor_position}
+            log = {"topic": topic or (), "frame": fixed_frame}
+            split = "sequences" if (scans[0] / "zarr.json").exists() else None
+            dataset = open_dataset(scans, **reading, **placed, **log, split=split)  # type: ignore[arg-type]
+            dataset = _posed(_drive(dataset, sequence, sensor_height), poses, calib, odometry, SCAN_RATE, first)
+            frames, example, speed = dataset, _example(dataset), 1.0 if rate is None else rate
         else:
             if sensor_height is None or rate is not None:
                 raise ValueError("--listen needs --sensor-height [m], and takes scans as they come, without --rate")
             listener = stack.enter_context(_listener(str(listen)))
-            frames, example, speed = receive_frames(listener, Mount(sensor_height), stop=stop, on_end=_print), None, None
+            frames = receive_frames(listener, Mount(sensor_height), stop=stop, on_end=_print)
+            example, speed = None, None
             _print("taking scans at {}:{}".format(*listener.getsockname()))
         with first_call():
             warm_up(model, mapper, example)
@@ -114,6 +135,16 @@ def serve(
     out.print(str(report), soft_wrap=True)
     if report.failed:
         raise typer.Exit(2)
+
+
+def _example(dataset: "Dataset") -> "Frame | None":
+    """Return a frame for the kernels to be compiled with: one of the first that have a pose and can be read."""
+    for n in [n for n, ref in enumerate(dataset.refs) if ref.T_map_sensor is not None][:5]:
+        frame = dataset[n]
+        with suppress(ValueError, TypeError, OSError):
+            if len(frame.scan) and frame.mount:
+                return frame
+    return None
 
 
 def _print(line: object) -> None:

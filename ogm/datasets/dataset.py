@@ -1,6 +1,5 @@
 """Data sets as sequences of frames."""
 
-import copy
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -12,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.argoverse2 import argoverse2
+from ogm.datasets.captures import captures
 from ogm.datasets.kitti import kitti_object, kitti_odometry, kitti_raw, kitti_tracking
 from ogm.datasets.layout import FrameRef, Layout
+from ogm.datasets.logs import is_log, logs
 from ogm.datasets.nuscenes import mmdet3d, nuscenes
 from ogm.datasets.paths import SCAN_ENDINGS
 from ogm.datasets.range_images import range_images
@@ -27,6 +28,7 @@ from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
+from ogm.io.logs import LOG_ENDINGS
 from ogm.pose import Trajectory
 from ogm.scan import Frame
 from ogm.state import Truth
@@ -44,7 +46,8 @@ _KNOWN = (
     "(velodyne_points/data/ or scans, label_02*.txt, calib*.txt) and odometry (velodyne/ poses.txt calib.txt); "
     "SemanticKITTI (velodyne/ labels/, or sequences/*/); nuScenes (v1.0-*/ samples/) and mmdetection3d's info as JSON; "
     "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); labelled range images "
-    "(*.npy in semantic_kitti/ or nuscenes/); data sets that `ogm simulate` made (zarr.json)"
+    "(*.npy in semantic_kitti/ or nuscenes/); logs (.mcap, .db3, .bag); "
+    "captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
 )
 
 
@@ -113,12 +116,18 @@ class Dataset(Sequence[Frame]):
     def __repr__(self) -> str:
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
+    def _repr_html_(self) -> str:
+        from ogm.notebook import facts_html
+
+        return facts_html(f"Dataset {self.name}", self.describe())
+
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopened, (self._options, self.layout.frames, self.facts, self._numbers, self.trajectory)
 
     def select(self, numbers: Iterable[int]) -> "Dataset":
         """Return the data set of some frames, by their numbers in this one; they share what was read."""
-        chosen = copy.copy(self)
+        chosen = object.__new__(type(self))  # copy.copy would open it again, as unpickling does
+        chosen.__dict__.update(self.__dict__)
         chosen._numbers = tuple(self._numbers[int(n)] for n in numbers)
         return chosen
 
@@ -187,6 +196,8 @@ def open_dataset(
     truth: str | Iterable[str] = (),
     others: str = "all",
     spec: GridSpec | None = None,
+    topic: str | Iterable[str] = (),
+    frame: str | None = None,
 ) -> Dataset:
     """Open a data set as a sequence of frames. No scan is read.
 
@@ -196,7 +207,8 @@ def open_dataset(
         A scan, several scans, a folder of scans (with or without poses), or a data set: KITTI object, tracking, raw
         and odometry recordings, SemanticKITTI, nuScenes, mmdetection3d's info (as JSON), an Argoverse 2 log,
         SUSTechPOINTS, labelled range images, what ``ogm simulate`` made, or a folder of truth grids. What lies in it
-        decides.
+        decides. A log of ROS 1 or ROS 2 (.bag, .db3, .mcap, or a folder of its parts) is one drive: the scans of
+        `topic`, in the order of their headers' stamps, with poses by the transforms or the odometry in it.
     axes, intensity_max, time_unit
         Of files of scans, as for `ogm.io.read_scan`; those of data sets are known.
     sensor_height : float, optional
@@ -224,6 +236,11 @@ def open_dataset(
         simulated data set: another frame may have seen it.
     spec : GridSpec, optional
         Of a folder of truth grids: the cells of states and pictures, which do not state it.
+    topic : str or iterable of str
+        Of a log: the lidars whose scans are taken; by default the only one. Scans of several, with frames in
+        the order of their stamps, need transforms from base_link to each.
+    frame : str, optional
+        Of a log: the fixed frame of the poses; by default map, odom, world, or the root of the transforms.
 
     Raises
     ------
@@ -241,6 +258,7 @@ def open_dataset(
         "reading": {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit},
         **{"sensor_height": sensor_height, "sensor_position": sensor_position, "split": split},
         **{"truth": (truth,) if isinstance(truth, str) else tuple(truth), "others": others, "spec": spec},
+        **{"topic": (topic,) if isinstance(topic, str) else tuple(topic), "frame": frame},
     }
     return Dataset(_opened(options), options)
 
@@ -278,13 +296,17 @@ def _layout(paths: Sequence[Path], options: Mapping[str, Any]) -> Layout | None:
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
     if len(paths) == 1 and (path / "zarr.json").exists():
         return simulated(path, options["split"], options["others"])
+    if is_log(paths):
+        return logs(paths, options["topic"], options["frame"], options["sensor_position"], **options["reading"])
+    if options["topic"] or options["frame"] is not None:
+        raise ValueError(f"topic and frame (--topic, --frame) are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
     if options["split"] is not None:
         raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
     found = (find(path) for find in _LAYOUTS) if len(paths) == 1 else ()
     layout = next((one for one in found if one is not None), None)
     if layout is None and len(paths) == 1 and spec is not None and grid_files(path):
         return truth_grids(path, spec)
-    return layout or scans(paths, **options["reading"])
+    return layout or captures(paths, **options["reading"]) or scans(paths, **options["reading"])
 
 
 def _named_apart(frames: tuple[FrameRef, ...]) -> tuple[FrameRef, ...]:

@@ -13,7 +13,7 @@ from ogm.scan import Boxes, Mount, Scan
 from ogm.state import Truth
 from ogm.truth import Kind
 
-__all__ = ["EGO", "KITTI_EGO", "Footprint", "FrameRef", "HdMap", "Layout", "RawFrame", "kinds_of"]
+__all__ = ["EGO", "KITTI_EGO", "Footprint", "FrameRef", "HdMap", "Layout", "RawFrame", "SensorPlace", "kinds_of"]
 
 Footprint = tuple[float, float, float, float]
 """x_min, x_max, y_min, y_max around the sensor [m], as `Mount.ego_footprint`."""
@@ -51,6 +51,16 @@ class HdMap(NamedTuple):
     ground: Callable[[NDArray[np.float64]], NDArray[np.float64]]  # (N, 3) -> (N,) z of the ground or NaN
 
 
+class SensorPlace(NamedTuple):
+    """How the sensor of a frame is mounted, where a data set has several, or states their height."""
+
+    name: str = ""  # frames of one name share an estimated height
+    origin: tuple[float, float] = (0.0, 0.0)  # x, y in the vehicle frame [m]
+    above_first: float = 0.0  # [m] over the sensor whose height a user gives
+    height: float | None = None  # above ground [m], where it is stated
+    ego_footprint: Footprint | None = None  # in the vehicle frame
+
+
 @dataclass(frozen=True)
 class Layout:
     """What was found at a path. Its functions take the number of a frame, and read when they are called.
@@ -73,6 +83,8 @@ class Layout:
         From where, or how far, labels were made, where truth has to state it.
     sensor_height : function -> float, optional
         Height of the sensor above ground [m], where the data set has more of it than the scan's points.
+    place : function -> SensorPlace, optional
+        Where there are several sensors, or their height is stated.
     mount : function -> Mount, optional
         Where the data set states how the sensor is mounted, and where it was.
     truth : function -> Truth, optional
@@ -105,6 +117,7 @@ class Layout:
     ego_footprint: Footprint | None = EGO
     view: str = ""
     sensor_height: Callable[[int], float] | None = None
+    place: Callable[[int], SensorPlace] | None = None
     mount: Callable[[int], Mount] | None = None
     truth: Callable[[int], Truth] | None = None
     description: str = ""

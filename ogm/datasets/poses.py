@@ -54,6 +54,7 @@ def with_poses(
     ValueError
         If nothing tells which pose belongs to which scan, or the data set states its poses itself.
     """
+    _check_one_sensor(dataset)
     layout = dataset.layout
     if layout.mount is not None:
         raise ValueError(f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)")
@@ -90,6 +91,7 @@ def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0
     """
     from ogm.fusion import odometry
 
+    _check_one_sensor(dataset)
     clock = _clock(dataset, rate)
     stamps = np.full(len(dataset), np.nan)
     taken: list[int] = []
@@ -136,6 +138,12 @@ def _to_flu(poses: Poses, axes: Axes) -> Poses:
     T_flu_file = np.eye(4)
     T_flu_file[:3, :3] = rotation_to_flu(axes)
     return replace(poses, poses=poses.poses @ T_flu_file.T)
+
+
+def _check_one_sensor(dataset: Dataset) -> None:
+    place = dataset.layout.place
+    if place is not None and len({place(n).name for n in range(len(dataset.layout.frames))}) > 1:
+        raise ValueError(f"{dataset.name} has scans of several lidars, poses are of one: choose one topic (--topic)")
 
 
 def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress: Progress) -> Dataset:

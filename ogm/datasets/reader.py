@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import Footprint, Layout, RawFrame
+from ogm.datasets.layout import Footprint, Layout, RawFrame, SensorPlace
 from ogm.files import OgmError
 from ogm.io import estimate_sensor_height, plausible_sensor_height
 from ogm.pose import pose
@@ -64,19 +64,26 @@ class FrameReader:
         """Return how the sensor of a scan is mounted, above the ground below it."""
         if self.layout.mount is not None:
             return self.layout.mount(n)
-        height, place = self.height(n), self.sensor_position
-        return Mount(height, pose(z=height)) if place is None else Mount(height, pose(*place), points_in="vehicle")
+        height, position, place = self.height(n), self.sensor_position, self._place(n)
+        if position is not None:
+            return Mount(height, pose(*position), points_in="vehicle")
+        x, y = place.origin
+        return Mount(height, pose(x, y, height), place.ego_footprint)  # type: ignore[arg-type]
 
     def height(self, n: int) -> float:
         """Return the height of the sensor above ground [m]."""
-        frame = self.layout.frames[n]
-        return self._height(frame.sequence or frame.name)
-
-    def _find_height(self, group: str) -> float:
-        """Return the median over some scans: the vehicle stays the same."""
+        frame, place = self.layout.frames[n], self._place(n)
         if self._given_height is not None:
-            return self._given_height
-        members, layout = self.groups[group], self.layout
+            return self._given_height + place.above_first
+        return self._height(frame.sequence or frame.name, place.name) if place.height is None else place.height
+
+    def _place(self, n: int) -> SensorPlace:
+        return SensorPlace() if self.layout.place is None else self.layout.place(n)
+
+    def _find_height(self, group: str, sensor: str) -> float:
+        """Return the median over some scans: the vehicle stays the same."""
+        layout = self.layout
+        members = [k for k in self.groups[group] if self._place(k).name == sensor]
         heights, failed = [], ""
         for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
             n, known = members[k], layout.sensor_height

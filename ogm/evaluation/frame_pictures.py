@@ -149,12 +149,7 @@ def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float) -> NDArr
     shown = GridSpec(spec.resolution * scale, (-(-nx // scale), -(-ny // scale)), spec.origin)
     points = points.copy()
     points[:, 2] = np.rint((points[:, 2] - ground_z) / LAYER) * LAYER  # fewer colours, half the bytes
-    image = plot.points_panel(points, shown, ground_z=0.0).image
-    nothing = plot.points_panel(points[:0], shown.centered(1.0, 1.0, 1.0)).image[0, 0]
-    for _ in range(2):  # down, then, the picture lying on its side, to the right
-        above = np.concatenate([np.broadcast_to(nothing, image[:1].shape), image[:-1]])
-        image = np.where((image == nothing).all(axis=2, keepdims=True), above, image).swapaxes(0, 1)
-    return image
+    return plot.points_panel(points, shown, ground_z=0.0, width=2).image
 
 
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:

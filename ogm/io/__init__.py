@@ -15,6 +15,7 @@ from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_f
 from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
 from ogm.io.sensor_height import estimate_sensor_height, plausible_sensor_height
 from ogm.io.sustech import read_sustech
+from ogm.io.transforms import StampedTransform, TransformBuffer
 
 __all__ = [
     "AXES",
@@ -28,6 +29,8 @@ __all__ = [
     "LabelledPoints",
     "NuScenes",
     "Poses",
+    "StampedTransform",
+    "TransformBuffer",
     "describe",
     "estimate_sensor_height",
     "plausible_sensor_height",

@@ -136,7 +136,7 @@ def times_from_stamp(
 
 
 def _known_unit(raw: np.ndarray, unit: float | None, path: Path | str) -> float:
-    """Return what times count in [s]; raise where nobody gave it and they last too long for the usual one."""
+    """Return what times count in [s]; raise where it is not given and they last too long for the usual one."""
     if unit is not None:
         return unit
     guess = 1e-9 if raw.dtype.kind in "iu" else 1.0

@@ -76,17 +76,11 @@ def scan_from_table(
 
     # Points are the rows with a finite position and a distance, whatever else they lack.
     moved = origin is not None or not np.array_equal(rotation, np.eye(3))
-    short = not moved and all(columns[name].dtype.newbyteorder("=") == np.float32 for name in POSITION)
-    xyz = np.empty((3, len(columns["x"])), np.float32 if short else np.float64)
-    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
-        for row, name in zip(xyz, POSITION, strict=True):
-            row[:] = columns[name]
-    returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
+    xyz, returned = _positions([columns[name] for name in POSITION], exact=moved)
     kept: np.ndarray | slice = slice(None)
     dropped = returned.size - int(np.count_nonzero(returned))
     if dropped:
         kept = returned
-        xyz[:, ~returned] = 0.0
         log.info("%s: %d of %d rows hold no point and are dropped", where, dropped, returned.size)
 
     # From the file's coordinates to x forward, y left, z up.
@@ -129,6 +123,19 @@ def scan_from_table(
         rcs=check_whole(known(RCS), "radar cross sections", where),
     )
     return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
+
+
+def _positions(columns: list[NDArray], exact: bool) -> tuple[NDArray, NDArray[np.bool_]]:
+    """Return x, y, z as (3, N), float64 if `exact` or a column is not float32, 0 where there is no point; and where."""
+    short = not exact and all(column.dtype.newbyteorder("=") == np.float32 for column in columns)
+    xyz = np.empty((3, len(columns[0])), np.float32 if short else np.float64)
+    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
+        for row, column in zip(xyz, columns, strict=True):
+            row[:] = column
+    returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
+    if not returned.all():
+        xyz[:, ~returned] = 0.0
+    return xyz, returned
 
 
 def check_scales(intensity_max: float | None, time_unit: float | None) -> None:

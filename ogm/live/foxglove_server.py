@@ -124,7 +124,7 @@ def _is_free(host: str, port: int) -> bool:
 def _ground_height(frame: Frame) -> float:
     """Return the height of the ground below the sensor in map coordinates [m]."""
     below = inverse(frame.mount.T_vehicle_sensor) @ np.append(frame.mount.ground_point, 1.0)
-    return float((frame.T_map_sensor @ below)[2])  # type: ignore[operator]
+    return float((frame.T_map_sensor @ below)[2])
 
 
 def _transforms(frame: Frame, sensor: str, stamp: float) -> Any:

@@ -58,11 +58,7 @@ def frame_bytes(scan: Scan, T_map_sensor: ArrayLike) -> bytes:  # noqa: N803
 
 
 def receive_frames(
-    listener: socket.socket,
-    mount: Mount,
-    *,
-    stop: Event | None = None,
-    on_end: Callable[[str], object] = _log.warning,
+    listener: socket.socket, mount: Mount, *, stop: Event | None = None, on_end: Callable[[str], object] = _log.warning
 ) -> Iterator[Frame]:
     """Yield the frames that come over a TCP connection, one connection at a time.
 

@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pyarrow.dataset  # noqa: F401  its first import is not memory that a file takes
 import pytest
 
 import ogm.io.formats.feather

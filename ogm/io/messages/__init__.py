@@ -5,6 +5,7 @@ messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialis
 `fill_message` copies them into messages of rclpy and rospy.
 """
 
+from ogm.io.messages.captures import scans_from_pcap
 from ogm.io.messages.clouds import point_cloud2, scan_from_point_cloud2
 from ogm.io.messages.fill import fill_message
 from ogm.io.messages.foxglove import foxglove_grid, grid_from_foxglove_grid
@@ -20,7 +21,7 @@ from ogm.io.messages.poses import (
     transforms_from_tf,
 )
 from ogm.io.messages.radars import scan_from_radar_scan
-from ogm.io.messages.velodyne import VELODYNE_MODELS, scan_from_velodyne_scan, scans_from_pcap
+from ogm.io.messages.velodyne import VELODYNE_MODELS, scan_from_velodyne_scan
 from ogm.io.transforms import StampedTransform
 
 __all__ = [

@@ -139,22 +139,23 @@ def layers_from_grid_map(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]
         If sizes contradict each other.
     """
     where, info = _describe(message), message.info
-    cells = (float(info.length_x) / float(info.resolution or 1), float(info.length_y) / float(info.resolution or 1))
-    if not np.isfinite(cells).all() or len(message.layers) != len(message.data):
+    side = float(info.resolution)
+    cells = (float(info.length_x) / side, float(info.length_y) / side) if side > 0 else (0.0, 0.0)
+    if not np.isfinite(cells).all() or min(cells) < 0.5 or len(message.layers) != len(message.data):
         raise OgmError(
-            f"{where} has {len(message.layers)} names for {len(message.data)} layers, and {cells[0]:g} x {cells[1]:g} "
-            "cells: it is damaged"
+            f"{where} has {len(message.layers)} names for {len(message.data)} layers, and {info.length_x:g} x "
+            f"{info.length_y:g} m in cells of {side:g} m: it is damaged"
         )
     shape = (round(cells[0]), round(cells[1]))
     middle = transform_of_pose(info.pose, where)
-    corner = middle @ pose(-shape[0] * float(info.resolution) / 2, -shape[1] * float(info.resolution) / 2)
+    corner = middle @ pose(-shape[0] * side / 2, -shape[1] * side / 2)
     origin, T = split_corner(corner)
     start = int(message.outer_start_index), int(message.inner_start_index)
     layers = {
         str(name): _matrix(layer, shape, f"layer {name} of {where}", start)
         for name, layer in zip(message.layers, message.data, strict=True)
     }
-    return LayeredGrid(spec_of(info.resolution, shape, origin, where), layers), T
+    return LayeredGrid(spec_of(side, shape, origin, where), layers), T
 
 
 def _matrix(layer: Any, shape: tuple[int, int], where: str, start: tuple[int, int]) -> NDArray[np.float32]:

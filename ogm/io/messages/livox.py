@@ -72,7 +72,7 @@ def _from_object(message: Any) -> _CustomMsg:
 
 
 def _from_bytes(data: memoryview) -> _CustomMsg:
-    """View a message as CDR or as ROS 1: the lengths fit one of the two."""
+    """View a message as CDR or as ROS 1: its lengths fit one of the two, and only CDR ends a text with a zero."""
     for read in (_from_cdr, _from_ros1):
         try:
             return read(data)
@@ -90,11 +90,11 @@ def _from_cdr(data: memoryview) -> _CustomMsg:
         raise IndexError
     order, body = "><"[data[1]], data[4:]
     sec, nanosec, length = struct.unpack_from(f"{order}iII", body)
-    frame = bytes(body[12 : 12 + length]).rstrip(b"\0")
+    frame, end = bytes(body[12 : 11 + length]), body[11 + length]
     at = -(-(12 + length) // 8) * 8
     timebase, number, count = struct.unpack_from(f"{order}QI4xI", body, at)
     first = at + 20
-    if number > count or not 0 <= len(body) - (first + 20 * count - (count > 0)) < 4:
+    if (length and end) or number > count or not 0 <= len(body) - (first + 20 * count - (count > 0)) < 4:
         raise IndexError
     return _message(body[first:], (sec, nanosec, frame, timebase, count), order, 20)
 
@@ -105,7 +105,7 @@ def _from_ros1(data: memoryview) -> _CustomMsg:
     frame = bytes(data[16 : 16 + length])
     timebase, number, count = struct.unpack_from("<QI4xI", data, 16 + length)
     first = 36 + length
-    if number > count or len(data) != first + _SIZE * count:
+    if b"\0" in frame or number > count or len(data) != first + _SIZE * count:
         raise IndexError
     return _message(data[first:], (sec, nanosec, frame, timebase, count), "<", _SIZE)
 

@@ -1,9 +1,8 @@
-"""Raw packets of Velodyne sensors, in ``velodyne_msgs/VelodyneScan`` or a capture (``.pcap``), to scans."""
+"""Packets of Velodyne sensors, as in ``velodyne_msgs/VelodyneScan``, to scans."""
 
-import logging
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,9 +18,7 @@ from ogm.io.reading import optional
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 
-__all__ = ["VELODYNE_MODELS", "scan_from_velodyne_scan", "scans_from_pcap"]
-
-log = logging.getLogger(__name__)
+__all__ = ["PACKET_BYTES", "VELODYNE_MODELS", "Packet", "VelodyneDecoder", "scan_from_velodyne_scan"]
 
 VELODYNE_MODELS = {
     "VLP-16": "VLP16",
@@ -39,15 +36,24 @@ VELODYNE_MODELS = {
 }
 """Names of models, and what `velodyne_decoder.Model` names them. An HDL-64E needs its calibration file besides."""
 
-_BYTES = 1206  # of a data packet
+PACKET_BYTES = 1206  # of a packet of data
 _RETURNS = (0x37, 0x38, 0x39, 0x3B)  # strongest, last, both, both with confidence: the last byte but one
 _PRODUCTS = {0x21: "HDL-32E", 0x22: "VLP-16", 0x24: "Puck Hi-Res", 0x28: "VLP-32C", 0xA1: "VLS-128"}  # the last byte
 _SAME_CLOCK = 10.0  # [s] between the stamps of a message and its packets
-_MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500
 _COLUMNS = ("x", "y", "z", "intensity", "time", "column", "ring")  # of velodyne_decoder
 
 
-class _Packet(NamedTuple):
+class Packet(NamedTuple):
+    """A packet of data.
+
+    Attributes
+    ----------
+    stamp : float
+        [s]
+    data : bytes
+        1206 of them.
+    """
+
     stamp: float
     data: bytes
 
@@ -87,83 +93,28 @@ def scan_from_velodyne_scan(
         If velodyne-decoder is missing.
     """
     where = describe_message(message, "VelodyneScan")
-    packets = [_Packet(stamp_seconds(one.stamp), as_bytes(one.data, where).tobytes()) for one in message.packets]
-    if not packets or any(len(packet.data) != _BYTES for packet in packets):
-        raise OgmError(f"{where} has {len(packets)} packets, wanted some, of {_BYTES} bytes each: it is damaged")
-    decoder = _Decoder(packets, model, calibration, where)
+    packets = [Packet(stamp_seconds(one.stamp), as_bytes(one.data, where).tobytes()) for one in message.packets]
+    if not packets or any(len(packet.data) != PACKET_BYTES for packet in packets):
+        raise OgmError(f"{where} has {len(packets)} packets, wanted some, of {PACKET_BYTES} bytes each: it is damaged")
+    decoder = VelodyneDecoder(packets, model, calibration, where)
     return decoder.scan(packets, stamp_seconds(message.header.stamp), no_returns, where)
 
 
-def scans_from_pcap(
-    path: str | os.PathLike[str],
-    model: str | None = None,
-    *,
-    source: str | None = None,
-    calibration: str | os.PathLike[str] | None = None,
-    no_returns: bool = True,
-) -> Iterator[Scan]:
-    """Read the scans of a network capture, one whole turn of the sensor after the other.
-
-    A turn begins where the first packet begins. What is left at the end and is no whole turn is left out, and so is
-    a packet that is cut off.
+class VelodyneDecoder:
+    """`velodyne_decoder` for one sensor.
 
     Parameters
     ----------
-    path : path
-        A ``.pcap`` or ``.pcapng``. Packets of other lengths than a Velodyne's data are left out.
-    model, calibration, no_returns
+    packets : sequence of Packet
+        Some of its packets, which may name the model.
+    model, calibration
         As for `scan_from_velodyne_scan`.
-    source : str, optional
-        Address and port of the sensor, such as ``192.168.1.201:2368``, where several are in the capture.
-
-    Yields
-    ------
-    Scan
-        Its stamp is that of the capture.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    OgmError
-        If it is no capture, has no packets of a Velodyne, or of several sensors and `source` is not given, or nothing
-        tells the model.
-    ImportError
-        If velodyne-decoder is missing.
+    where : str
+        What they are of, for errors.
     """
-    path = Path(path)
-    decoder: _Decoder | None = None
-    turn: list[_Packet] = []
-    advance, before, step = 0, None, 0  # [1/100 degree]
-    for packet in _captured(path, source):
-        azimuth = int.from_bytes(packet.data[2:4], "little")
-        if before is not None:
-            step = (azimuth - before) % 36000
-            advance += step
-        before = azimuth
-        if advance >= 36000 or len(turn) >= _MOST:
-            decoder = decoder or _Decoder(turn, model, calibration, str(path))
-            yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
-            turn, advance = [], 0
-        turn.append(packet)
-    if not turn:
-        raise OgmError(
-            f"{path} has no packets of {_BYTES} bytes{f' from {source}' if source else ''}, as Velodynes send"
-        )
-    if advance + step >= 36000:
-        decoder = decoder or _Decoder(turn, model, calibration, str(path))
-        yield decoder.scan(turn, turn[0].stamp, no_returns, str(path))
-    elif decoder is None:
-        raise OgmError(f"{path} has no whole turn of the sensor, only {advance / 100:g} degrees")
-    else:
-        log.info("%s: %g degrees at the end are no whole turn and are left out", path, advance / 100)
-
-
-class _Decoder:
-    """`velodyne_decoder` for one sensor."""
 
     def __init__(
-        self, packets: Sequence[_Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
+        self, packets: Sequence[Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
     ) -> None:
         self.library = optional("velodyne_decoder", Path(where), "ros")
         name = _model_of(packets, where) if model is None else _known_model(model)
@@ -179,7 +130,7 @@ class _Decoder:
             model=kind, min_range=0.0, max_range=1000.0, timestamp_first_packet=True, **options
         )
 
-    def scan(self, packets: Sequence[_Packet], stamp: float, no_returns: bool, where: str) -> Scan:
+    def scan(self, packets: Sequence[Packet], stamp: float, no_returns: bool, where: str) -> Scan:
         """Return the scan of some packets; its times count from `stamp`."""
         library = self.library
         try:
@@ -207,7 +158,7 @@ def _directions(columns: dict[str, NDArray]) -> NDArray[np.float32] | None:
     return directions_without_return(x, y, z, np.any(xyz != 0, axis=0))
 
 
-def _model_of(packets: Sequence[_Packet], where: str) -> str:
+def _model_of(packets: Sequence[Packet], where: str) -> str:
     """Return the model that the factory bytes at the end of all packets name."""
     ends = {packet.data[-2:] for packet in packets}
     known = {_PRODUCTS.get(end[1]) for end in ends if end[0] in _RETURNS}
@@ -226,45 +177,3 @@ def _known_model(model: str) -> str:
     if plain not in names:
         raise ValueError(f"there is no model {model!r}: give one of {', '.join(VELODYNE_MODELS)}")
     return names[plain]
-
-
-def _captured(path: Path, source: str | None) -> Iterator[_Packet]:
-    """Read the data packets of one sensor."""
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
-    dpkt = optional("dpkt", path, "ros")
-    found = source
-    with open(path, "rb") as file:
-        try:
-            packets = dpkt.pcap.UniversalReader(file)
-            linux = packets.datalink() == dpkt.pcap.DLT_LINUX_SLL
-        except (ValueError, dpkt.Error) as error:
-            raise OgmError(f"{path} is no network capture ({error}): is its name right?") from error
-        layer = dpkt.sll.SLL if linux else dpkt.ethernet.Ethernet
-        try:
-            for stamp, raw in packets:
-                data, sender = _payload(layer, raw, dpkt)
-                if data is None or len(data) != _BYTES or (source is not None and sender != source):
-                    continue
-                found = found or sender
-                if sender != found:
-                    raise OgmError(f"{path} has packets of several sensors, {found} and {sender}: give one as source")
-                yield _Packet(float(stamp), data)
-        except dpkt.Error as error:
-            log.warning("%s is cut short: %s", path, error)
-
-
-def _payload(layer: Any, raw: bytes, dpkt: Any) -> tuple[bytes | None, str]:
-    """Return the innermost bytes of a packet of the network, and who sent them."""
-    try:
-        packet = layer(raw)
-    except dpkt.Error:
-        return None, ""
-    address, port = "", 0
-    while hasattr(packet, "data"):
-        if isinstance(packet, dpkt.ip.IP):
-            address = ".".join(map(str, packet.src))
-        elif isinstance(packet, dpkt.udp.UDP):
-            port = packet.dport
-        packet = packet.data
-    return bytes(packet), f"{address}:{port}"

@@ -1,0 +1,49 @@
+"""``ogm view``: a grid or a map as one page for the browser."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Option
+
+from ogm.cli.console import print_facts, report_errors
+
+GridFile = Annotated[Path, Argument(help="Grid or map, of `ogm` or of another program.")]
+Out = Annotated[Path | None, Option("--out", help="Page (.html). [default: ./NAME.html]")]
+Open = Annotated[bool, Option("--open", help="Show it in the browser.")]
+Title = Annotated[str | None, Option(help="Title of the page. [default: the name of the file]")]
+Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
+Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
+Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
+
+
+@report_errors
+def view(
+    grid: GridFile,
+    out_path: Out = None,
+    open_it: Open = False,
+    title: Title = None,
+    length: Length = None,
+    width: Width = None,
+    resolution: Resolution = 0.16,
+) -> None:
+    """Write one HTML page that shows a grid: zoom, layers, values under the pointer, a scale.
+
+    The page needs no other file and no network, and works with 100 million cells and more. Its layers are belief, free,
+    occupied, unknown, probability and state.
+    """
+    import webbrowser
+
+    from ogm.grid import GridSpec
+    from ogm.io.grids import read_grid
+    from ogm.viewer import write_view
+
+    if (length is None) != (width is None):
+        raise ValueError("give both --length and --width [m], or none of them")
+    area: dict[str, Any] = {"area": None if length is None else GridSpec.centered(length, width, resolution)}
+    path = Path(f"{grid.stem}.html") if out_path is None else out_path
+    found = read_grid(grid, **area)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_view(path, found, title=title or grid.name)
+    print_facts({"page": str(path), "cells": str(found.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})
+    if open_it and not webbrowser.open(path.resolve().as_uri()):
+        raise OSError(f"no browser could be started; open {path} in one")

@@ -1,0 +1,217 @@
+"""Where the sensors of a log were: its transforms, or its odometry, from a fixed frame to the frames of the scans."""
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.logs import LogReader
+from ogm.io.logs.reader import MessageHead, MessageRef
+from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
+from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
+
+__all__ = ["LogTransforms"]
+
+_TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+_ODOMETRY = "nav_msgs/msg/Odometry"
+_FIXED = ("map", "odom", "world")  # the first that a chain of transforms joins with the sensor, one of which changes
+_VEHICLE = "base_link"
+
+
+class LogTransforms:
+    """The transforms of a log, all of which are read first: one may be recorded after the scan that needs it.
+
+    Odometry is read where transforms alone do not lead from a fixed frame to a sensor.
+
+    Parameters
+    ----------
+    log : LogReader
+    scans : iterable of str
+        Topics whose headers are read on the way, for a packed log is then unpacked once.
+
+    Attributes
+    ----------
+    buffer : TransformBuffer
+    source : str
+        Where poses come from, in words.
+    heads : list of (MessageRef, MessageHead)
+        Of the scans.
+    lost : list of str
+        Why messages could not be read.
+    """
+
+    def __init__(self, log: LogReader, scans: Iterable[str] = ()) -> None:
+        self.buffer, self.source = TransformBuffer(), "transforms"
+        self._log = log
+        self._odometry = sorted(self._of_type(_ODOMETRY), key=lambda name: -log.topics[name].count)
+        self.heads: list[tuple[MessageRef, MessageHead]] = []
+        self.lost: list[str] = []
+        known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
+        for ref in log.refs([*scans, *known]):
+            try:
+                topic = log.topic_of(ref)
+                if topic in known:
+                    self._add(transforms_from_tf(log.message(ref).decode()), known[topic])
+                else:
+                    self.heads.append((ref, log.head(ref)))
+            except OgmError as error:
+                self.lost.append(str(error))
+
+    def fixed_frame(self, sensor: str, wanted: str | None = None, preferred: str | None = None) -> str | None:
+        """Return the frame that poses of a sensor are given in; None if there is none.
+
+        Parameters
+        ----------
+        sensor : str
+            Its frame.
+        wanted : str, optional
+            By default map, odom, world, or the root of the transforms: the first that leads to the sensor over a
+            transform that is not static.
+        preferred : str, optional
+            That of another sensor: then this one, or none.
+
+        Raises
+        ------
+        OgmError
+            If the wanted frame is not there, or no transforms join it with the sensor.
+        """
+        if wanted is not None:
+            return self._wanted(sensor, wanted.lstrip("/"))
+        if preferred is not None:
+            return self._joined([preferred], sensor)
+        while True:
+            candidates = [frame for name in _FIXED for frame in self._named(name)]
+            for frame in [*candidates, self._root(sensor)]:
+                if self._is_moving(frame, sensor):
+                    return frame
+            if not self._read_odometry():
+                return None
+
+    def vehicle_frame(self, sensor: str) -> str | None:
+        """Return the frame base_link, or that of a namespace, where transforms join it with a sensor."""
+        return self._joined(self._named(_VEHICLE), sensor)
+
+    def floor_frame(self, sensor: str) -> str | None:
+        """Return the frame base_footprint, on the ground, where transforms join it with a sensor."""
+        return self._joined(self._named("base_footprint"), sensor)
+
+    def lookup(
+        self, target: str, source: str, stamps: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], dict[int, str]]:
+        """Return where a frame was in another at some times.
+
+        Parameters
+        ----------
+        target, source : str
+            Names of frames.
+        stamps : (K,) float
+            [s].
+
+        Returns
+        -------
+        T_target_source : (K, 4, 4) float64
+            NaN where it is not known.
+        reasons : dict of int to str
+            Why not, by the number of the stamp.
+        """
+        T, reasons = np.full((len(stamps), 4, 4), np.nan), {}
+        first, last = self.buffer.covers(target, source)
+        inside = (stamps >= first) & (stamps <= last)
+        try:
+            T[inside] = self.buffer.lookup(target, source, stamps[inside])
+        except ExtrapolationError:  # there is a gap
+            inside[:] = False
+        for k in np.flatnonzero(~inside):
+            try:
+                T[k] = self.buffer.lookup(target, source, stamps[k])
+            except ExtrapolationError as error:
+                reasons[int(k)] = str(error)
+        return T, reasons
+
+    def missing(self, sensor: str, topic: str) -> str:
+        """Return which transforms lack for poses of a sensor, in words."""
+        frames = ", ".join(self.buffer.frames)
+        if not frames:
+            return "the log has no transforms (/tf, /tf_static) and no odometry"
+        if sensor not in self.buffer.frames:
+            return f"no transform leads to {sensor or 'a frame without name'}, the frame of {topic}; there are {frames}"
+        root = self._root(sensor)
+        fixed = [frame for name in _FIXED for frame in self._named(name)]
+        if root == sensor or not self._joined([root], sensor):
+            return f"no transform leads from another frame to {sensor}, the frame of {topic}; there are {frames}"
+        lacking = f"from {' or '.join(fixed) if fixed else 'a fixed frame (map, odom, world)'} to {root}"
+        return f"the transforms from {root} to {sensor}, the frame of {topic}, are static; one {lacking} is missing"
+
+    def missing_vehicle(self, sensors: Iterable[str]) -> str:
+        """Return from which sensors no transform leads to base_link, in words."""
+        lone = [sensor for sensor in sensors if self.vehicle_frame(sensor) is None]
+        return f"no transform leads from {_VEHICLE} to {', '.join(lone)}"
+
+    def chain(self, target: str, sensor: str) -> str:
+        """Return the frames from one to another, in words."""
+        frames, parents = [sensor], self._parents()
+        while frames[-1] != target and frames[-1] in parents and parents[frames[-1]] not in frames:
+            frames.append(parents[frames[-1]])
+        return " <- ".join(reversed(frames)) if frames[-1] == target else f"{target} ... {sensor}"
+
+    def _wanted(self, sensor: str, frame: str) -> str:
+        while True:
+            try:
+                self.buffer.covers(frame, sensor)
+                return frame
+            except TransformError as error:
+                if not self._read_odometry():
+                    raise OgmError(f"frame (--frame) {frame} has no use: {error}") from error
+
+    def _is_moving(self, frame: str, sensor: str) -> bool:
+        """Tell whether transforms join two frames, one of which is not static."""
+        return self._joined([frame], sensor) is not None and math.isfinite(self.buffer.covers(frame, sensor)[0])
+
+    def _joined(self, frames: Iterable[str], sensor: str) -> str | None:
+        """Return the first of some frames that transforms join with a sensor."""
+        for frame in frames:
+            try:
+                self.buffer.covers(frame, sensor)
+            except TransformError:
+                continue
+            return frame
+        return None
+
+    def _named(self, name: str) -> list[str]:
+        """Return the frames of a name, also those of a namespace: robot1/base_link."""
+        return [frame for frame in self.buffer.frames if frame == name or frame.endswith(f"/{name}")]
+
+    def _parents(self) -> dict[str, str]:
+        return {child: parent for parent, child in self.buffer.pairs}
+
+    def _root(self, sensor: str) -> str:
+        """Return the frame above all others."""
+        parents, frame, passed = self._parents(), sensor, {sensor}
+        while frame in parents and parents[frame] not in passed:
+            frame = parents[frame]
+            passed.add(frame)
+        return frame
+
+    def _read_odometry(self) -> bool:
+        """Add the poses of the next topic of odometry; return whether there is one."""
+        if not self._odometry:
+            return False
+        name = self._odometry.pop(0)
+        self.source = f"odometry ({name})"
+        for ref in self._log.refs([name]):
+            try:
+                found = transform_from_odometry(self._log.message(ref).decode())
+                self._add([found if found.child else found._replace(child=_VEHICLE)])
+            except OgmError as error:
+                self.lost.append(str(error))
+        return True
+
+    def _of_type(self, *types: str) -> list[str]:
+        """Return the topics of some types."""
+        return [name for name, facts in self._log.topics.items() if facts.type in types]
+
+    def _add(self, transforms: Iterable[StampedTransform], static: bool = False) -> None:
+        for transform in transforms:
+            self.buffer.add(transform, static)

@@ -1,0 +1,14 @@
+"""Logs: ROS 1 bags, ROS 2 bags and MCAP, read without ROS, whole or cut, and written.
+
+>>> from ogm.io.logs import open_log
+>>> with open_log("drive.mcap") as log:                           # doctest: +SKIP
+...     print(log.topics)
+...     for message in log.messages(["/points"]):
+...         cloud = message.decode()
+"""
+
+from ogm.io.logs.opening import LOG_ENDINGS, open_log
+from ogm.io.logs.reader import LogMessage, LogReader, TopicFacts
+from ogm.io.logs.writer import LogWriter
+
+__all__ = ["LOG_ENDINGS", "LogMessage", "LogReader", "LogWriter", "TopicFacts", "open_log"]

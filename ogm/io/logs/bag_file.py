@@ -1,0 +1,233 @@
+"""ROS 1 bags of version 2.0, whole or cut: their records are walked from the beginning.
+
+Other readers need the index at the end of a bag, which a recording that was stopped does not have.
+"""
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.logs.chunks import LIMIT, Chunk, Chunks
+from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
+
+__all__ = ["BAG_MAGIC", "BagFile"]
+
+BAG_MAGIC = b"#ROSBAG V"
+_VERSION = BAG_MAGIC + b"2.0\n"
+_MESSAGE, _FILE_HEADER, _INDEX, _CHUNK, _, _CONNECTION = (bytes([op]) for op in range(2, 8))
+_BEGINNING = 4096  # [byte] that are read at once: a header, and the message if it is short
+_HEADER_LIMIT = 2**16  # [byte] of a record's header; the definitions of types stand in the data
+_UINT = struct.Struct("<I")
+
+Header = dict[str, bytes]
+
+
+class BagFile:
+    """A ROS 1 bag; see `LogFile`.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OgmError
+        If it is of another version, or encrypted.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._file = path, RandomAccess(path)
+        self.channels: dict[int, Channel] = {}
+        self.warnings: list[str] = []
+        self._chunks = Chunks(self._file)
+        self._parts: dict[int, list[NDArray[np.int64]]] = {}
+        self._encrypted = False
+        self._noted = 0  # chunks whose messages are in the index
+        with open(path, "rb") as stream:
+            start = stream.read(len(_VERSION))
+            if start != _VERSION:
+                raise OgmError(f"{path} begins with {start!r}, wanted {_VERSION!r}, as ROS 1 bags do since 2010")
+            try:
+                self._walk(stream)
+                self._find_channels()
+            except (struct.error, ValueError, KeyError) as error:
+                self.warnings.append(f"{path} is damaged ({error}): only the messages before are read")
+        if self._encrypted:
+            raise OgmError(f"{path} is encrypted: decrypt it first, with `rosbag decrypt`")
+        self.index = {number: rows for number, rows in index_of(self._parts).items() if number in self.channels}
+        self.format = f"ROS 1 bag ({self._chunks.packings})" if self._chunks.packings else "ROS 1 bag"
+
+    def read(self, place: Place, size: int | None = None) -> bytes | memoryview:
+        """Return the message at a place, or its first bytes."""
+        number, offset = place
+        chunk = self._chunks[number]
+        if chunk.packing:
+            data = memoryview(self._chunks.data(number, offset + _BEGINNING))[offset:]
+            space = chunk.size - offset
+        else:
+            data = memoryview(self._file.read(chunk.start + offset, _BEGINNING))
+            space = chunk.stored - offset
+        header, start, length = _record(data)
+        if header["op"] != _MESSAGE or length > min(space - start, LIMIT):
+            raise OgmError("there is no whole message at its place: the file is damaged")
+        wanted = length if size is None else min(size, length)
+        if start + wanted > len(data) and not chunk.packing:
+            return self._file.read(chunk.start + offset + start, wanted)
+        if start + wanted > len(data):
+            data = memoryview(self._chunks.data(number, offset + start + wanted))[offset:]
+        return data[start : start + wanted]
+
+    def _walk(self, stream: BinaryIO) -> None:
+        """Go from record to record, over the contents of chunks."""
+        pending: list[tuple[int, bytes]] = []  # channels and index records of the last chunk
+        position, index, size = stream.tell(), 0, self._file.size
+        cut: Chunk | None = None
+        while position < size:
+            stream.seek(position)
+            try:
+                header, body, length = _record(_head(stream))
+            except OgmError:
+                break
+            op, end = header["op"], position + body + length
+            if op == _CHUNK:
+                cut = _chunk(header, position + body, length)
+            if end > size:
+                break
+            stream.seek(position + body)
+            if op == _INDEX:
+                pending.append((_number(header, "conn"), stream.read(length)))
+            else:
+                self._note_chunk(pending)
+                pending = []
+            if op == _CHUNK and cut is not None:
+                self._chunks.append(cut)
+            elif op == _CONNECTION:
+                self._define(header, stream.read(length))
+            elif op == _FILE_HEADER:
+                index = _number(header, "index_pos", 8)
+                self._encrypted = bool(header.get("encryptor"))
+            position, cut = end, None
+        whole = position == size
+        self._note_chunk(pending if whole else [])  # some index records of the last chunk may be missing
+        if not whole or not 0 < index <= size:
+            self.warnings.append(
+                f"{self.path} is cut or damaged at byte {position} of {size}: only the messages before are read. Was "
+                "it recorded, or copied, to its end?"
+            )
+        if cut is not None:
+            self._rescue(cut)
+
+    def _rescue(self, chunk: Chunk) -> None:
+        """Take what is whole from a cut chunk."""
+        try:
+            self._chunks.append_cut(chunk)
+        except OgmError:
+            return
+        self._note_chunk([])
+
+    def _note_chunk(self, records: list[tuple[int, bytes]]) -> None:
+        """Note the messages of the last chunk: by its index records, or, without any, by its contents."""
+        number = len(self._chunks) - 1
+        if number < self._noted:
+            return
+        self._noted = number + 1
+        if not records:
+            self._look_into(number, messages=True)
+        for channel, record in records:
+            sec, nanosec, offset = np.frombuffer(record, "<u4").reshape(-1, 3).T.astype(np.int64)
+            self._note(channel, np.column_stack([sec * 10**9 + nanosec, np.full_like(sec, number), offset]))
+
+    def _look_into(self, number: int, *, messages: bool) -> None:
+        """Take the connections of a chunk, and its messages."""
+        try:
+            data = memoryview(self._chunks.data(number))
+        except OgmError as error:
+            self.warnings.append(f"{self.path}: {error}; its messages are lost")
+            return
+        position = 0
+        while position < len(data):
+            try:
+                header, body, length = _record(data[position:])
+            except OgmError:
+                return
+            end = position + body + length
+            if end > len(data):
+                return
+            if header["op"] == _MESSAGE and messages:
+                sec, nanosec = struct.unpack("<II", header["time"])
+                self._note(_number(header, "conn"), np.array([[sec * 10**9 + nanosec, number, position]]))
+            elif header["op"] == _CONNECTION:
+                self._define(header, data[position + body : end])
+            position = end
+
+    def _note(self, channel: int, rows: NDArray[np.int64]) -> None:
+        if len(rows):
+            self._parts.setdefault(channel, []).append(rows)
+
+    def _define(self, header: Header, data: bytes | memoryview) -> None:
+        """Take a connection."""
+        number = _number(header, "conn")
+        if number not in self.channels:
+            facts = _fields(memoryview(data))
+            topic, name, text = (
+                found.decode("utf-8", "replace")
+                for found in (header.get("topic", b""), facts.get("type", b""), facts.get("message_definition", b""))
+            )
+            self.channels[number] = Channel(topic, ros2_name(name), "ros1", text, "ros1msg")
+
+    def _find_channels(self) -> None:
+        """Look into chunks for connections that went with the end of the file."""
+        first = sorted({int(rows[0][0, 1]) for number, rows in self._parts.items() if number not in self.channels})
+        for number in (*first, *range(len(self._chunks))):
+            if self._parts.keys() <= self.channels.keys():
+                return
+            self._look_into(number, messages=False)
+        for number in self._parts.keys() - self.channels.keys():
+            count = sum(map(len, self._parts[number]))
+            self.warnings.append(f"{self.path}: {count} messages are of connection {number}, which is nowhere defined")
+
+
+def _head(stream: BinaryIO) -> memoryview:
+    """Read a record up to its data."""
+    size = stream.read(_UINT.size)
+    rest = _UINT.unpack(size)[0] if len(size) == _UINT.size else 0
+    return memoryview(size + stream.read(min(rest, _HEADER_LIMIT) + _UINT.size))
+
+
+def _record(data: memoryview) -> tuple[Header, int, int]:
+    """Return the header of a record, where its data begin, and their length; raise if it is cut or damaged."""
+    size = _UINT.unpack_from(data)[0] if len(data) >= _UINT.size else 0
+    start = 2 * _UINT.size + size
+    header = _fields(data[_UINT.size : _UINT.size + size]) if 0 < size <= _HEADER_LIMIT and start <= len(data) else {}
+    if len(header.get("op", b"")) != 1:
+        raise OgmError("there is no whole record")
+    return header, start, _UINT.unpack_from(data, start - _UINT.size)[0]
+
+
+def _fields(data: memoryview) -> Header:
+    """Return the fields of a header; those of a damaged one that can be read."""
+    found, position = {}, 0
+    while position + _UINT.size <= len(data):
+        end = position + _UINT.size + _UINT.unpack_from(data, position)[0]
+        name, _, value = bytes(data[position + _UINT.size : end]).partition(b"=")
+        found[name.decode("ascii", "replace")] = value
+        position = end
+    return found
+
+
+def _number(header: Header, name: str, size: int = 4) -> int:
+    """Return an integer of a header; raise if it has none."""
+    value = header.get(name, b"")
+    if len(value) != size:
+        raise OgmError(f"a record has no {name} of {size} bytes: the bag is damaged")
+    return int.from_bytes(value, "little")
+
+
+def _chunk(header: Header, start: int, stored: int) -> Chunk:
+    packing = header.get("compression", b"").decode("ascii", "replace")
+    size = _number(header, "size") if packing != "none" else stored
+    return Chunk(start, stored, size, "" if packing == "none" else packing)

@@ -1,0 +1,140 @@
+"""ROS 2 bags in SQLite (.db3), whole or cut, with or without definitions of their types."""
+
+import os
+import sqlite3
+import threading
+import weakref
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.logs.chunks import LIMIT
+from ogm.io.logs.files import Channel, Place
+from ogm.io.reading import optional
+
+__all__ = ["DB3_MAGIC", "Db3File"]
+
+DB3_MAGIC = b"SQLite format 3\0"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_INDEX = (
+    "SELECT topic_id, timestamp, id FROM messages WHERE typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer'"
+)
+_ROWS = 10_000  # of the index that become one array
+
+
+class Db3File:
+    """A ROS 2 bag in SQLite; see `LogFile`.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    OgmError
+        If it is no such file, or so damaged that nothing can be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.warnings: list[str] = []
+        self._process, self._lock = -1, threading.Lock()
+        try:
+            self.channels = self._read_channels()
+        except sqlite3.Error as error:
+            raise OgmError(
+                f"{path} is no ROS 2 bag that can be read ({error}), wanted an SQLite file with the tables topics and "
+                "messages: is it whole?"
+            ) from error
+        self._read_index()
+        self._check_size()
+        self.format = "ROS 2 bag (SQLite)"
+
+    def read(self, place: Place, size: int | None = None) -> bytes:
+        """Return the message at a place, or its first bytes."""
+        try:
+            with self._lock, self._connection().blobopen("messages", "data", place[0], readonly=True) as blob:
+                if len(blob) > LIMIT:
+                    raise OgmError(f"it has {len(blob)} bytes: the file is damaged")
+                packed = blob.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
+                blob.seek(0)
+                data = blob.read() if size is None or packed else blob.read(size)
+        except sqlite3.Error as error:
+            raise OgmError(f"it cannot be read: {error}") from error
+        if packed:
+            data = _unpacked(data)
+        return data if size is None else data[:size]
+
+    def _connection(self) -> sqlite3.Connection:
+        """Return the connection of this process: a forked one must not use its parent's."""
+        if self._process != os.getpid():
+            # A log beside the file holds messages that it lacks; without one, nothing needs to be locked.
+            unwritten = self.path.with_name(f"{self.path.name}-wal")
+            mode = "mode=ro" if unwritten.is_file() and unwritten.stat().st_size else "immutable=1"
+            self._open = sqlite3.connect(f"file:{quote(str(self.path))}?{mode}", uri=True, check_same_thread=False)
+            self._open.execute("PRAGMA writable_schema=ON")  # reads what there is of a cut file; nothing is written
+            weakref.finalize(self, self._open.close)
+            self._process = os.getpid()
+        return self._open
+
+    def _read_channels(self) -> dict[int, Channel]:
+        connection = self._connection()
+        rows = connection.execute("SELECT id, name, type, serialization_format FROM topics").fetchall()
+        definitions = {}
+        if connection.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
+            found = connection.execute(
+                "SELECT topic_type, encoded_message_definition, encoding FROM message_definitions"
+            )
+            definitions = {name: (str(text or ""), str(form or "")) for name, text, form in found}
+        return {
+            number: Channel(str(topic), str(name), encoding or "cdr", *definitions.get(name, ("", "")))
+            for number, topic, name, encoding in rows
+        }
+
+    def _read_index(self) -> None:
+        """Collect topics, times and row numbers of all messages, without their data."""
+        rows: list[NDArray[np.int64]] = []
+        part: list[tuple[int, int, int]] = []
+        try:
+            cursor = self._connection().execute(_INDEX)
+            for row in cursor:
+                part.append(row)
+                if len(part) == _ROWS:
+                    rows.append(np.array(part, np.int64))
+                    part = []
+        except sqlite3.Error as error:
+            self._warn(str(error))
+        table = np.concatenate([*rows, np.array(part, np.int64).reshape(-1, 3)])
+        self.index = {}
+        for number in self.channels:
+            mine = table[table[:, 0] == number]
+            if len(mine):
+                self.index[number] = np.column_stack([mine[:, 1:], np.zeros(len(mine), np.int64)])
+
+    def _check_size(self) -> None:
+        """Warn where the file has fewer pages than it states: SQLite takes what a cut page lacks for zeros."""
+        with open(self.path, "rb") as file:
+            head = file.read(100)
+        page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
+        wanted, size = (65536 if page == 1 else page) * pages, self.path.stat().st_size
+        if size < wanted and head[24:28] == head[92:96] and not self.warnings:
+            self._warn(f"{size} of {wanted} bytes")
+
+    def _warn(self, why: str) -> None:
+        self.warnings.append(
+            f"{self.path} is cut or damaged ({why}): only the messages that can be found are read. Was it recorded, or "
+            "copied, to its end?"
+        )
+
+
+def _unpacked(data: bytes) -> bytes:
+    """Unpack a message that was packed by itself (compression_mode: message)."""
+    zstandard = optional("zstandard", Path("a packed message"), "ros")
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
+            return bytes(reader.read(LIMIT))
+    except zstandard.ZstdError as error:
+        raise OgmError(f"it is damaged: {error}") from error

@@ -1,0 +1,205 @@
+"""MCAP files, whole or cut: their records are walked from the beginning, so that no index at the end is needed.
+
+The `mcap` package reads a file without its end from start to end only, and stops at the first damaged chunk. Here every
+whole chunk is found, a message is read by its place, and opening a file that is not packed reads no points.
+"""
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.logs.chunks import LIMIT, Chunk, Chunks
+from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
+
+__all__ = ["MCAP_MAGIC", "McapFile"]
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+_FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(2, 8)
+_RECORD = struct.Struct("<BQ")  # opcode, length
+_SENT = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time
+_HEAD = _RECORD.size + _SENT.size
+_TIMES = struct.Struct("<QQQI")  # of a chunk: first and last log time, unpacked size, checksum
+_CHUNK_HEAD = _RECORD.size + _TIMES.size + 16  # at least, with the name of its packing
+_UNCHUNKED = -1
+_SMALL = 4096  # [byte] shorter messages of a chunk that is not packed are read without its checksum
+
+
+class McapFile:
+    """An MCAP file; see `LogFile`.
+
+    Parameters
+    ----------
+    path : Path
+        It begins with `MCAP_MAGIC`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._file = path, RandomAccess(path)
+        self.channels: dict[int, Channel] = {}
+        self.warnings: list[str] = []
+        self._schemas: dict[int, list[str]] = {}
+        self._chunks = Chunks(self._file)
+        self._parts: dict[int, list[NDArray[np.int64]]] = {}
+        self._noted = 0  # chunks whose messages are in the index
+        with open(path, "rb") as stream:
+            try:
+                self._walk(stream)
+                self._find_channels()
+            except (struct.error, ValueError, IndexError) as error:
+                self.warnings.append(f"{path} is damaged ({error}): only the messages before are read")
+        self.index = {number: rows for number, rows in index_of(self._parts).items() if number in self.channels}
+        self.format = f"MCAP ({self._chunks.packings})" if self._chunks.packings else "MCAP"
+
+    def read(self, place: Place, size: int | None = None) -> bytes | memoryview:
+        """Return the message at a place, or its first bytes."""
+        number, offset = place
+        if number == _UNCHUNKED:
+            return self._read_stored(offset, self._file.size, size)
+        chunk = self._chunks[number]
+        if not chunk.packing and not self._chunks.is_kept(number):
+            start, end = chunk.start + offset, chunk.start + chunk.stored
+            if size is not None or _RECORD.unpack(self._file.read(start, _RECORD.size))[1] < _SMALL:
+                return self._read_stored(start, end, size)
+        start = offset + _HEAD
+        head = self._chunks.data(number, start)[offset : offset + _RECORD.size]
+        length = self._length(head, chunk.size - offset)
+        end = start + (length if size is None else min(size, length))
+        return memoryview(self._chunks.data(number, end))[start:end]
+
+    def _read_stored(self, offset: int, end: int, size: int | None) -> bytes:
+        """Return a message that is not packed."""
+        length = self._length(self._file.read(offset, _RECORD.size), end - offset)
+        return self._file.read(offset + _HEAD, length if size is None else min(size, length))
+
+    @staticmethod
+    def _length(head: bytes, space: int) -> int:
+        """Return the length of a message by the head of its record; there is space for so many bytes."""
+        opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
+        if opcode != _MESSAGE or not _SENT.size <= length <= min(LIMIT, space - _RECORD.size):
+            raise OgmError("there is no whole message at its place: the file is damaged")
+        return length - _SENT.size
+
+    def _walk(self, stream: BinaryIO) -> None:
+        """Go from record to record, over the contents of chunks."""
+        pending: list[bytes] = []  # index records of the last chunk
+        position, opcode = len(MCAP_MAGIC), 0
+        while opcode != _FOOTER:
+            stream.seek(position)
+            head = stream.read(_RECORD.size)
+            opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
+            end = position + _RECORD.size + length
+            if end > self._file.size or not opcode:
+                self._note_chunk([])  # some of its index records may be missing
+                self._rescue(stream, position, opcode)
+                return
+            if opcode == _MESSAGE_INDEX:
+                pending.append(stream.read(length))
+            else:
+                self._note_chunk(pending)
+                pending = []
+            if opcode == _CHUNK:
+                self._chunks.append(_chunk(stream))
+            elif opcode == _MESSAGE:
+                number, _, time, _ = _SENT.unpack(stream.read(_SENT.size))
+                self._note(number, np.array([[time, _UNCHUNKED, position]]))
+            elif opcode in (_SCHEMA, _CHANNEL):
+                self._define(opcode, stream.read(length))
+            position = end
+
+    def _rescue(self, stream: BinaryIO, position: int, opcode: int) -> None:
+        """Take what is whole from the end of a cut file."""
+        size = self._file.size
+        damaged = not opcode and position < size - _RECORD.size
+        self.warnings.append(
+            f"{self.path} is {'damaged' if damaged else 'cut'} at byte {position} of {size}: only the messages before "
+            "are read. Was it recorded, or copied, to its end?"
+        )
+        if opcode == _CHUNK and size - position > _CHUNK_HEAD:
+            try:
+                self._chunks.append_cut(_chunk(stream))
+            except OgmError:
+                return
+            self._note_chunk([])
+
+    def _note_chunk(self, records: list[bytes]) -> None:
+        """Note the messages of the last chunk: by its index records, or, without any, by its contents."""
+        number = len(self._chunks) - 1
+        if number < self._noted:
+            return
+        self._noted = number + 1
+        if not records:
+            self._look_into(number, messages=True)
+        for record in records:
+            (channel, _), pairs = struct.unpack_from("<HI", record), np.frombuffer(record, "<i8", offset=6)
+            rows = np.full((len(pairs) // 2, 3), number, np.int64)
+            rows[:, 0], rows[:, 2] = pairs[0::2], pairs[1::2]
+            self._note(channel, rows)
+
+    def _look_into(self, number: int, *, messages: bool) -> None:
+        """Take the schemas and channels of a chunk, and its messages."""
+        try:
+            data = self._chunks.data(number)
+        except OgmError as error:
+            self.warnings.append(f"{self.path}: {error}; its messages are lost")
+            return
+        position = 0
+        while position + _RECORD.size <= len(data):
+            opcode, length = _RECORD.unpack_from(data, position)
+            body, end = position + _RECORD.size, position + _RECORD.size + length
+            if end > len(data):
+                return
+            if opcode == _MESSAGE and messages and length >= _SENT.size:
+                channel, _, time, _ = _SENT.unpack_from(data, body)
+                self._note(channel, np.array([[time, number, position]]))
+            elif opcode in (_SCHEMA, _CHANNEL):
+                self._define(opcode, data[body:end])
+            position = end
+
+    def _note(self, channel: int, rows: NDArray[np.int64]) -> None:
+        if len(rows):
+            self._parts.setdefault(channel, []).append(rows)
+
+    def _define(self, opcode: int, record: bytes) -> None:
+        """Take a schema or a channel."""
+        number = struct.unpack_from("<H", record)[0]
+        if opcode == _SCHEMA:
+            self._schemas.setdefault(number, _strings(record, 2, 3))
+        elif number not in self.channels:
+            name, form, text = self._schemas.get(struct.unpack_from("<H", record, 2)[0], ["", "", ""])
+            topic, encoding = _strings(record, 4, 2)
+            name = ros2_name(name) if encoding in ("cdr", "ros1") else name
+            self.channels[number] = Channel(topic, name, encoding, text, form)
+
+    def _find_channels(self) -> None:
+        """Look into chunks for channels that the end of the file does not repeat, or that went with it."""
+        first = sorted({int(rows[0][0, 1]) for number, rows in self._parts.items() if number not in self.channels})
+        for number in (*first, *range(len(self._chunks))):
+            if self._parts.keys() <= self.channels.keys():
+                return
+            if number != _UNCHUNKED:
+                self._look_into(number, messages=False)
+        for number in self._parts.keys() - self.channels.keys():
+            count = sum(map(len, self._parts[number]))
+            self.warnings.append(f"{self.path}: {count} messages are of channel {number}, which is nowhere defined")
+
+
+def _chunk(stream: BinaryIO) -> Chunk:
+    """Read the head of a chunk."""
+    _, _, size, checksum = _TIMES.unpack(stream.read(_TIMES.size))
+    packing = stream.read(min(struct.unpack("<I", stream.read(4))[0], 32)).decode("ascii", "replace")
+    stored = struct.unpack("<Q", stream.read(8))[0]
+    return Chunk(stream.tell(), stored, size, packing, checksum)
+
+
+def _strings(record: bytes, position: int, count: int) -> list[str]:
+    """Return the texts from a position on, each after its length."""
+    found = []
+    for _ in range(count):
+        length = struct.unpack_from("<I", record, position)[0]
+        found.append(record[position + 4 : position + 4 + length].decode("utf-8", "replace"))
+        position += 4 + length
+    return found

@@ -1,0 +1,254 @@
+"""Messages of a log, by topic and in the order of their log times, or by their places."""
+
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from ogm.files import OgmError
+from ogm.io.logs.definitions import decode
+from ogm.io.logs.files import Channel, LogFile
+
+__all__ = ["LogMessage", "LogReader", "MessageHead", "MessageRef", "TopicFacts"]
+
+_HEAD = 512  # [byte] in which the header of a message ends, if its frame has a name of usual length
+
+
+@dataclass(frozen=True)
+class TopicFacts:
+    """What a log has of a topic.
+
+    Attributes
+    ----------
+    type : str
+        As in ROS 2: sensor_msgs/msg/PointCloud2.
+    count : int
+        Of messages.
+    rate : float
+        Mean of messages per second, by log time [Hz]; NaN for fewer than two.
+    first, last : float
+        Log times [s].
+    """
+
+    type: str
+    count: int
+    rate: float
+    first: float
+    last: float
+
+
+class MessageRef(NamedTuple):
+    """Where a message lies: file, channel, log time [ns] and its place there."""
+
+    file: int
+    channel: int
+    log_time: int
+    place: tuple[int, int]
+
+
+class MessageHead(NamedTuple):
+    """The header of a message."""
+
+    time: int  # its stamp [ns]
+    stamp: float  # the same [s]
+    frame: str
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """A message as it stands in a log.
+
+    Attributes
+    ----------
+    topic, type : str
+    log_time : float
+        When it was recorded [s]: later than the measurement, whose time is the header's stamp.
+    raw : bytes or memoryview
+        Serialised: CDR (ROS 2) or as in ROS 1.
+    channel : Channel
+        With encoding and definition.
+    """
+
+    topic: str
+    type: str
+    log_time: float
+    raw: bytes | memoryview
+    channel: Channel
+
+    def decode(self) -> Any:
+        """Return the message as an object with its field names; arrays are numpy's.
+
+        Raises
+        ------
+        OgmError
+            If it is no ROS message, its type is not known, or it is damaged.
+        """
+        try:
+            return decode(self.channel, self.raw)
+        except OgmError as error:
+            raise OgmError(f"a message of {self.topic} cannot be read: {error}") from error
+
+
+class LogReader:
+    """Reads a log; `open_log` makes one. A context manager.
+
+    Opening it makes an index of all messages, 24 bytes each; no message is read for that, unless the file is cut.
+    Threads may share a reader.
+
+    Attributes
+    ----------
+    topics : dict of str to TopicFacts
+    format : str
+        In words.
+    warnings : list of str
+        What is damaged or missing; reading may add some.
+    """
+
+    def __init__(self, paths: Sequence[Path], files: Sequence[LogFile]) -> None:
+        self.paths, self._files = tuple(paths), list(files)
+        self.format = ", ".join(dict.fromkeys(file.format for file in self._files))
+        self.warnings = [warning for file in self._files for warning in file.warnings]
+        self.topics = self._topics()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the files; nothing more can be read."""
+        self._files = []
+
+    def refs(self, topics: Iterable[str] | None = None, start: float | None = None) -> list[MessageRef]:
+        """Return where messages lie, in the order of their log time; see `messages`."""
+        parts = []
+        wanted = None if topics is None else self._known(topics)
+        for n, file in enumerate(self._files):
+            for number, rows in file.index.items():
+                if wanted is None or file.channels[number].topic in wanted:
+                    ids = np.full((len(rows), 2), (n, number), np.int64)
+                    parts.append(np.column_stack([ids, rows]))
+        if not parts:
+            return []
+        table = np.concatenate(parts)
+        table = table[np.argsort(table[:, 2], kind="stable")]
+        if start is not None:
+            table = table[table[:, 2] >= round(start * 1e9)]
+        return [MessageRef(n, number, time, (a, b)) for n, number, time, a, b in table.tolist()]
+
+    def messages(self, topics: Iterable[str] | None = None, start: float | None = None) -> Iterator[LogMessage]:
+        """Yield messages in the order of their log time, one in memory at a time.
+
+        Damaged ones are left out; `warnings` then states how many.
+
+        Parameters
+        ----------
+        topics : iterable of str, optional
+            All by default.
+        start : float, optional
+            Log time from which on messages are yielded [s].
+
+        Raises
+        ------
+        OgmError
+            If there is no such topic; the error lists those that there are.
+        """
+        lost: dict[str, int] = {}
+        for ref in self.refs(topics, start):
+            try:
+                message = self.message(ref)
+            except OgmError as error:
+                lost[str(error)] = lost.get(str(error), 0) + 1
+                continue
+            yield message
+        self.warnings += [f"{count} messages cannot be read: {error}" for error, count in lost.items()]
+
+    def message(self, ref: MessageRef) -> LogMessage:
+        """Read one message.
+
+        Raises
+        ------
+        OgmError
+            If it is damaged.
+        """
+        channel, raw = self._read(ref)
+        return LogMessage(channel.topic, channel.type, _seconds(ref.log_time), raw, channel)
+
+    def head(self, ref: MessageRef) -> MessageHead:
+        """Read the header of a message that begins with a std_msgs/Header, and no more of it.
+
+        Raises
+        ------
+        OgmError
+            If it is damaged.
+        """
+        channel, raw = self._read(ref, _HEAD)
+        try:
+            return _head(channel, raw)
+        except (struct.error, UnicodeDecodeError) as error:
+            where = f"{self.paths[ref.file]}: a message of {channel.topic} ({channel.type})"
+            raise OgmError(f"{where} begins with no header that can be read: {error}") from error
+
+    def topic_of(self, ref: MessageRef) -> str:
+        """Return the topic of a message."""
+        return self._files[ref.file].channels[ref.channel].topic
+
+    def _read(self, ref: MessageRef, size: int | None = None) -> tuple[Channel, bytes | memoryview]:
+        if not self._files:
+            raise ValueError("the log is closed: read it inside of the with block")
+        file = self._files[ref.file]
+        channel = file.channels[ref.channel]
+        try:
+            return channel, file.read(ref.place, size)
+        except OgmError as error:
+            raise OgmError(f"{self.paths[ref.file]}: a message of {channel.topic} is lost, {error}") from error
+
+    def _known(self, topics: Iterable[str]) -> set[str]:
+        wanted = {topics} if isinstance(topics, str) else set(topics)
+        for topic in sorted(wanted - self.topics.keys()):
+            there = ", ".join(f"{name} ({facts.type})" for name, facts in self.topics.items())
+            raise OgmError(f"{self.paths[0]} has no topic {topic}; there are {there or 'none'}")
+        return wanted
+
+    def _topics(self) -> dict[str, TopicFacts]:
+        found: dict[str, tuple[str, list[Any]]] = {}
+        for file in self._files:
+            for number, channel in file.channels.items():
+                times = file.index.get(number, np.empty((0, 3), np.int64))[:, 0]
+                name, parts = found.setdefault(channel.topic, (channel.type, []))
+                parts.append(times)
+                if name != channel.type:
+                    self.warnings.append(f"topic {channel.topic} has two types, {name} and {channel.type}")
+        topics = {}
+        for topic in sorted(found):
+            name, parts = found[topic]
+            times = np.concatenate(parts)
+            first, last = (_seconds(int(t)) for t in (times.min(), times.max())) if len(times) else (np.nan, np.nan)
+            rate = (len(times) - 1) / (last - first) if last > first else np.nan
+            topics[topic] = TopicFacts(name, len(times), rate, first, last)
+        return topics
+
+
+def _seconds(nanoseconds: int) -> float:
+    """Return a time as `ogm.io.messages.stamp_seconds` does: 0.3 s stay 0.3 s."""
+    return nanoseconds // 10**9 + nanoseconds % 10**9 * 1e-9
+
+
+def _head(channel: Channel, raw: bytes | memoryview) -> MessageHead:
+    """Read stamp and frame from the first bytes of a message."""
+    if channel.encoding == "ros1":
+        sec, nanosec, length = struct.unpack_from("<III", raw, 4)  # after a sequence number
+        start, end = 16, 16 + length
+    elif channel.encoding == "cdr":
+        order = "<" if raw[1] & 1 else ">"
+        sec, nanosec, length = struct.unpack_from(f"{order}iII", raw, 4)
+        start, end = 16, 16 + length - 1  # without the 0 at its end
+    else:
+        raise OgmError(f"{channel.topic} is {channel.encoding or 'of no encoding'}, wanted ROS messages")
+    if length > _HEAD - 16:
+        raise struct.error(f"its frame has a name of {length} bytes")
+    return MessageHead(sec * 10**9 + nanosec, sec + nanosec * 1e-9, bytes(raw[start:end]).decode().lstrip("/"))

@@ -1,0 +1,231 @@
+"""`LogWriter`: messages to an MCAP, a ROS 2 bag or a ROS 1 bag, which appears when it is whole."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+from ogm.files import OgmError, atomic_write
+from ogm.io.logs.definitions import message_types
+from ogm.io.logs.opening import LOG_ENDINGS
+from ogm.io.messages.plain import ros_stamp
+from ogm.io.reading import optional
+
+__all__ = ["LogWriter"]
+
+_FOREVER = {"sec": 9223372036, "nsec": 854775807}
+_TRANSIENT_LOCAL = (  # what a topic that is kept for late subscribers has in a ROS 2 log
+    "- history: 1\n  depth: 100\n  reliability: 1\n  durability: 1\n  deadline: {0}\n  lifespan: {0}\n"
+    "  liveliness: 1\n  liveliness_lease_duration: {0}\n  avoid_ros_namespace_conventions: false"
+).format("{{sec: {sec}, nsec: {nsec}}}".format(**_FOREVER))
+
+Write = Callable[[str, str, Any, int], None]
+
+
+class LogWriter:
+    """Writes a log: ``.mcap`` (ROS 2), ``.db3`` (ROS 2, one file that needs no metadata.yaml) or ``.bag`` (ROS 1).
+
+    A context manager: the file appears under its name at the end of the ``with`` block; an error inside of it leaves
+    what was there before.
+
+    Parameters
+    ----------
+    path : path
+        Its folder must exist.
+    compression : {"", "zstd"}
+        Of the chunks of an MCAP. ROS 1 bags are not packed, for other readers refuse packed ones of this writer.
+
+    Raises
+    ------
+    ValueError
+        If the ending is another one, or compression is for another ending.
+    FileNotFoundError
+        If there is no such folder.
+
+    Examples
+    --------
+    >>> with LogWriter("map.mcap") as log:                                                # doctest: +SKIP
+    ...     log.write("/map", "nav_msgs/msg/OccupancyGrid", occupancy_grid(grid, frame_id="map"), stamp)
+    """
+
+    def __init__(self, path: str | os.PathLike[str], compression: str = "") -> None:
+        self.path, self._compression = Path(path), compression
+        ending = self.path.suffix.lower()
+        if ending not in LOG_ENDINGS:
+            raise ValueError(f"cannot write a log to {path}: name it {', '.join(LOG_ENDINGS)}")
+        if compression not in ("", "zstd") or (compression and ending != ".mcap"):
+            raise ValueError(f"compression must be '', or 'zstd' for .mcap, got {compression!r} for {path}")
+        if not self.path.parent.is_dir():
+            raise FileNotFoundError(f"cannot write {path}: there is no folder {self.path.parent}; create it first")
+        if self.path.is_dir():
+            raise IsADirectoryError(f"cannot write {path}: it is a folder; give a file name")
+        self._ending, self._stack = ending, ExitStack()
+        self._write: Write | None = None
+
+    def __enter__(self) -> Self:
+        begin = {".mcap": self._begin_mcap, ".db3": self._begin_db3, ".bag": self._begin_bag}[self._ending]
+        with ExitStack() as stack:
+            self._write = begin(stack)
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, *error: Any) -> bool | None:
+        self._write = None
+        return self._stack.__exit__(*error)
+
+    def write(self, topic: str, type: str, message: Any, stamp: float) -> None:
+        """Write a message.
+
+        Parameters
+        ----------
+        topic : str
+        type : str
+            As in ROS 2, such as nav_msgs/msg/OccupancyGrid, also in ROS 1 bags; or that of a Foxglove schema, such as
+            foxglove.Grid, in MCAP.
+        message : object
+            With the field names of the type, and numpy arrays where it has arrays of numbers: of `ogm.io.messages`, of
+            `LogMessage.decode` or of rosbags. What ROS 1 has besides (``seq``) is added. For a Foxglove schema, the
+            message of foxglove-sdk.
+        stamp : float
+            Its log time [s].
+
+        Raises
+        ------
+        OgmError
+            If the type is not known, or the message does not fit it.
+        """
+        if self._write is None:
+            raise ValueError(f"{self.path} is not open for writing: write inside of the with block")
+        at = ros_stamp(stamp)
+        self._write(topic, type, message, at.sec * 10**9 + at.nanosec)
+
+    def _serialized(self, topic: str, name: str, message: Any, ros: int) -> memoryview:
+        """Return the bytes of a message."""
+        store = message_types(ros)
+        try:
+            if name not in store.fielddefs:
+                raise OgmError("its type is not known")
+            if ros == 1:
+                return store.serialize_ros1(_for_ros1(message, name, store), name)
+            return store.serialize_cdr(message, name)
+        except Exception as error:  # of generated code: whatever does not fit
+            raise OgmError(f"{self.path}: a message for {topic} ({name}) cannot be written: {error}") from error
+
+    def _begin_mcap(self, stack: ExitStack) -> Write:
+        optional("mcap", self.path, "ros", "written")
+        from mcap.writer import CompressionType, Writer
+
+        packing = CompressionType.ZSTD if self._compression else CompressionType.NONE
+        writer = Writer(stack.enter_context(atomic_write(self.path)), compression=packing)
+        writer.start(profile="ros2", library="ogm")
+        stack.push(lambda kind, *_: writer.finish() if kind is None else None)
+        schemas: dict[str, int] = {}
+        channels: dict[tuple[str, str], int] = {}
+
+        def write(topic: str, name: str, message: Any, time: int) -> None:
+            ros = not hasattr(message, "get_schema")
+            data = self._serialized(topic, name, message, 2) if ros else message.encode()
+            if name not in schemas:
+                form, text = ("ros2msg", _definition(name)) if ros else ("protobuf", message.get_schema().data)
+                schemas[name] = writer.register_schema(name, form, text)
+            if (topic, name) not in channels:
+                facts = {"offered_qos_profiles": _TRANSIENT_LOCAL if _is_latched(topic, name) else ""} if ros else {}
+                encoding = "cdr" if ros else "protobuf"
+                channels[topic, name] = writer.register_channel(topic, encoding, schemas[name], facts)
+            writer.add_message(channels[topic, name], time, bytes(data), time)
+
+        return write
+
+    def _begin_db3(self, stack: ExitStack) -> Write:
+        optional("rosbags", self.path, "ros", "written")
+        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.rosbag2.metadata import parse_qos
+
+        folder = self._temporary(stack) / self.path.stem
+        self._move_at_end(stack, folder / f"{folder.name}.db3")
+        writer = stack.enter_context(Writer(folder, version=8, storage_plugin=StoragePlugin.SQLITE3))
+        connections: dict[tuple[str, str], Any] = {}
+
+        def write(topic: str, name: str, message: Any, time: int) -> None:
+            data = self._serialized(topic, name, message, 2)
+            if (topic, name) not in connections:
+                qos = parse_qos(_TRANSIENT_LOCAL) if _is_latched(topic, name) else []
+                connections[topic, name] = writer.add_connection(
+                    topic, name, typestore=message_types(2), offered_qos_profiles=qos
+                )
+            writer.write(connections[topic, name], time, data)
+
+        return write
+
+    def _begin_bag(self, stack: ExitStack) -> Write:
+        optional("rosbags", self.path, "ros", "written")
+        from rosbags.rosbag1 import Writer
+
+        path = self._temporary(stack) / self.path.name
+        self._move_at_end(stack, path)
+        writer = stack.enter_context(Writer(path))
+        connections: dict[tuple[str, str], Any] = {}
+
+        def write(topic: str, name: str, message: Any, time: int) -> None:
+            data = self._serialized(topic, name, message, 1)
+            if (topic, name) not in connections:
+                latching = int(_is_latched(topic, name))
+                connections[topic, name] = writer.add_connection(
+                    topic, name, typestore=message_types(1), latching=latching
+                )
+            writer.write(connections[topic, name], time, data)
+
+        return write
+
+    def _temporary(self, stack: ExitStack) -> Path:
+        """Make a folder beside the file, which is removed at the end."""
+        folder = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", suffix=".tmp", dir=self.path.parent))
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        return folder
+
+    def _move_at_end(self, stack: ExitStack, written: Path) -> None:
+        """Give a file its name when all of it is written."""
+
+        def move(kind: Any, *_: object) -> None:
+            if kind is None:
+                with open(written, "rb") as file:
+                    os.fsync(file.fileno())
+                os.replace(written, self.path)
+
+        stack.push(move)
+
+
+def _is_latched(topic: str, name: str) -> bool:
+    """Tell whether late subscribers get what was sent before, as those of static transforms and maps expect."""
+    return topic == "/tf_static" or name == "nav_msgs/msg/OccupancyGrid"
+
+
+def _definition(name: str) -> bytes:
+    """Return the definition of a ROS 2 type, with those of its parts."""
+    text: str = message_types(2).generate_msgdef(name, ros_version=2)[0]
+    return text.encode()
+
+
+def _for_ros1(message: Any, name: str, store: Any, header: Any = None) -> Any:
+    """Return a message with what ROS 1 has besides: numbers of headers, and the header inside of a GridMap's info."""
+    from rosbags.interfaces import Nodetype
+
+    header = getattr(message, "header", header)
+    fields: dict[str, Any] = {}
+    for field, (kind, inner) in store.fielddefs[name][1]:
+        if name == "std_msgs/msg/Header" and field == "seq":
+            fields[field] = getattr(message, field, 0)
+            continue
+        value = getattr(message, field, header) if field == "header" else getattr(message, field)
+        if value is None:
+            raise OgmError(f"it has no {field}")
+        if kind == Nodetype.NAME:
+            value = _for_ros1(value, inner, store, header)
+        elif kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) and inner[0][0] == Nodetype.NAME:
+            value = [_for_ros1(one, inner[0][1], store, header) for one in value]
+        fields[field] = value
+    return SimpleNamespace(**fields)

@@ -1,0 +1,158 @@
+"""How notebooks show grids, scans and data sets: a small picture and a table of facts.
+
+`EvidentialGrid`, `LayeredGrid`, `Scan` and `Dataset` call these from ``_repr_png_`` and ``_repr_html_``.
+"""
+
+from base64 import b64encode
+from collections.abc import Callable, Mapping, Sequence
+from html import escape
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from ogm import plot
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.scan import Scan
+
+__all__ = ["facts_html", "grid_html", "grid_png", "layers_html", "layers_png", "scan_html", "scan_png"]
+
+LONGEST, SHORTEST = 520, 260  # [px] along the longer side of a panel
+PANELS, GAP = 4, 6  # of layers side by side; [px] between them
+STRIP = 1024  # rows that are shrunk at once; even
+NEAREST, FURTHEST = 5.0, 60.0  # [m] around the sensor that are shown, by where 98 % of the points are
+
+
+def grid_png(grid: EvidentialGrid) -> bytes:
+    """Return a picture of belief: green free, red occupied, black unknown."""
+    mass, spec = _shrunk(grid.spec, lambda rows: mass_to_bytes(grid.mass[rows]), halve_mass)
+    shares = np.divide(mass, FULL, dtype=np.float32)
+    return _png([plot.mass_panel(EvidentialGrid.trusted(spec, shares))])
+
+
+def grid_html(grid: EvidentialGrid) -> str:
+    """Return the picture of a grid, its cells and how much of it is free, occupied and unknown."""
+    free, occupied = (float(one.mean()) for one in (grid.free, grid.occupied))
+    shares = {"free": free, "occupied": occupied, "unknown": max(0.0, 1 - free - occupied)}
+    facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
+    text = "belief: green free, red occupied, black unknown; x, forward, is up"
+    return _html("EvidentialGrid", _spec_facts(grid.spec) | facts, grid_png(grid), text)
+
+
+def layers_png(layers: LayeredGrid) -> bytes:
+    """Return a picture of the first layers, side by side; none (no bytes) where there are none."""
+    return _png(_layer_panels(layers))
+
+
+def layers_html(layers: LayeredGrid) -> str:
+    """Return the picture of some layers, and what numbers they hold."""
+    facts = _spec_facts(layers.spec)
+    for name, layer in layers.layers.items():
+        low, high = (f"{number:.4g}" for number in Steps.of(layer)[:2])
+        known = 1 - np.count_nonzero(np.isnan(layer)) / layer.size
+        facts[name] = f"{low} … {high}" + (f", {100 * known:.1f} % of the cells" if known < 1 else "")
+    titles = ", ".join(panel.title for panel in _layer_panels(layers))
+    return _html("LayeredGrid", facts, layers_png(layers), f"{titles}; x, forward, is up")
+
+
+def scan_png(scan: Scan) -> bytes:
+    """Return a picture of the points around the sensor, by height."""
+    xyz = scan.points[np.isfinite(scan.points[:, :3]).all(axis=1), :3]
+    reach = float(np.quantile(np.abs(xyz[:, :2]).max(axis=1), 0.98)) if len(xyz) else NEAREST
+    half = min(max(1.05 * reach, NEAREST), FURTHEST)
+    spec = GridSpec(2 * half / 200, (200, 200), (-half, -half))
+    return _png([plot.points_panel(xyz, spec)])
+
+
+def scan_html(scan: Scan) -> str:
+    """Return the picture of a scan, its extent and its columns."""
+    columns = [name for name in ("time", "ring", "doppler", "rcs") if getattr(scan, name) is not None]
+    facts = {"sensor": scan.sensor} if scan.sensor else {}
+    facts["points"] = f"{len(scan)}"
+    if scan.stamp is not None:
+        facts["stamp"] = f"{scan.stamp:.3f} s"
+    xyz = scan.points[np.isfinite(scan.points[:, :3]).all(axis=1)]
+    for name, values in zip(("x", "y", "z"), xyz.T, strict=False):
+        if len(xyz):
+            facts[name] = f"{values.min():.1f} … {values.max():.1f} m"
+    facts["columns"] = ", ".join(["x, y, z, intensity", *columns])
+    if scan.no_returns is not None:
+        facts["beams without echo"] = f"{len(scan.no_returns)}"
+    return _html("Scan", facts, scan_png(scan), "points by height, red the highest; x, forward, is up")
+
+
+def facts_html(title: str, facts: Mapping[str, str]) -> str:
+    """Return names and values as a table."""
+    left = 'style="text-align:left;padding-right:1em"'
+    lines = ((escape(name), escape(value)) for name, value in facts.items())
+    rows = "".join(f"<tr><th {left}>{name}</th><td {left}>{value}</td></tr>" for name, value in lines)
+    return f'<table><caption style="text-align:left;font-weight:bold">{escape(title)}</caption>{rows}</table>'
+
+
+def _html(title: str, facts: Mapping[str, str], png: bytes, text: str) -> str:
+    image = (
+        f'<img src="data:image/png;base64,{b64encode(png).decode()}" alt="{escape(text)}" title="{escape(text)}" '
+        'style="max-height:320px;max-width:100%">'
+        if png
+        else ""
+    )
+    style = "display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start"
+    return f'<div style="{style}">{image}{facts_html(title, facts)}</div>'
+
+
+def _spec_facts(spec: GridSpec) -> dict[str, str]:
+    x0, x1, y0, y1 = spec.extent
+    cells = f"{spec.shape[0]} x {spec.shape[1]} of {spec.resolution:g} m"
+    return {"cells": cells, "x": f"{x0:g} … {x1:g} m", "y": f"{y0:g} … {y1:g} m"}
+
+
+def _layer_panels(layers: LayeredGrid) -> list[plot.Panel]:
+    """Return panels of the first layers; those that belong together in one."""
+    names, panels = list(layers.layers), []
+    for pair, panel in ((plot.VELOCITY_LAYERS, plot.velocity_panel), (plot.CONFLICT_LAYERS, plot.conflict_panel)):
+        if set(pair) <= set(names):
+            names = [name for name in names if name not in pair]
+            panels.append(panel(_small(layers, pair)))
+    panels += [plot.layer_panel(_small(layers, (name,)), name) for name in names[: max(0, PANELS - len(panels))]]
+    return panels
+
+
+def _small(layers: LayeredGrid, names: Sequence[str]) -> LayeredGrid:
+    """Return some layers at the resolution of the picture."""
+    steps = Steps.of(*(layers[name] for name in names), symmetric=len(names) > 1)
+
+    def rows(of: slice) -> NDArray[np.uint8]:
+        return np.stack([steps.to_bytes(layers[name][of]) for name in names], axis=-1)
+
+    cells, spec = _shrunk(layers.spec, rows, lambda cells: halve_numbers(cells, steps))
+    numbers = steps.numbers.astype(np.float32)[cells]
+    return LayeredGrid(spec, {name: numbers[..., k] for k, name in enumerate(names)})
+
+
+def _shrunk(
+    spec: GridSpec, rows: Callable[[slice], NDArray[np.uint8]], halve: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+) -> tuple[NDArray[np.uint8], GridSpec]:
+    """Return bytes at half the resolution, and half of that, until they fit into the picture, with their cells."""
+    large = max(spec.shape) > LONGEST
+    strips = (rows(slice(start, start + STRIP)) for start in range(0, spec.shape[0], STRIP))
+    cells = np.concatenate([halve(strip) if large else strip for strip in strips])
+    factor = 2 if large else 1
+    while max(cells.shape) > LONGEST:
+        cells, factor = halve(cells), 2 * factor
+    return cells, GridSpec(spec.resolution * factor, cells.shape[:2], spec.origin)
+
+
+def _png(panels: Sequence[plot.Panel]) -> bytes:
+    """Return panels side by side as PNG; small ones larger."""
+    if not panels:
+        return b""
+    images = []
+    for panel in panels:
+        times = max(1, SHORTEST // max(panel.image.shape))
+        images += [panel.image.repeat(times, axis=0).repeat(times, axis=1)]
+        images += [np.full((len(images[-1]), GAP, 3), 255, np.uint8)]
+    file = BytesIO()
+    Image.fromarray(np.concatenate(images[:-1], axis=1)).save(file, "PNG")
+    return file.getvalue()

@@ -1,0 +1,136 @@
+"""Smaller pictures of large grids: numbers as bytes, and levels of half the resolution that keep what is occupied.
+
+A level is made from the one before. A block of 2 x 2 cells has
+
+* masses: those of its most occupied cell, if that cell is predicted occupied (`ogm.state.predict_state`), else the mean
+  of its cells. So a cell that is occupied is occupied at every level;
+* other numbers: those of the cell that is furthest from zero, which for a velocity is the fastest cell; no value only
+  where none of its cells has one.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["FULL", "Steps", "halve_mass", "halve_numbers", "mass_to_bytes"]
+
+FULL = 255  # the byte of a mass of 1
+
+
+def mass_to_bytes(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Return masses in steps of 1/255: free and occupied are at most half a step off, unknown one step.
+
+    Parameters
+    ----------
+    mass : (..., 2) float array
+        Masses of free and occupied.
+
+    Returns
+    -------
+    (..., 2) uint8
+        Their sum is at most 255.
+    """
+    steps = np.rint(mass * np.float32(FULL)).astype(np.uint8)
+    free, occupied = steps[..., 0], steps[..., 1]
+    np.minimum(free, FULL - occupied, out=free)  # both of (0.5, 0.5) are rounded up
+    return steps
+
+
+def halve_mass(mass: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return masses at half the resolution; where a cell was predicted occupied, its block is.
+
+    Parameters
+    ----------
+    mass : (rows, columns, 2) uint8
+        As `mass_to_bytes` gives them. At a far border of odd length, blocks have fewer cells.
+
+    Returns
+    -------
+    (rows / 2, columns / 2, 2) uint8
+        Rounded up.
+    """
+    cells = _blocks(mass)
+    total = np.zeros((*cells[0].shape[:2], 2), np.uint16)
+    most = np.zeros((*cells[0].shape[:2], 2), np.uint8)
+    for cell in cells:
+        total += cell
+        free, occupied = cell[..., 0], cell[..., 1]
+        rest = FULL - occupied  # of free and unknown: bytes cannot overflow
+        better = (occupied >= free) & (occupied > rest - free) & (occupied > most[..., 1])
+        np.copyto(most, cell, where=better[..., None])
+    mean = (total >> 2).astype(np.uint8)
+    np.copyto(mean, most, where=most[..., 1:] > 0)
+    return mean
+
+
+class Steps(NamedTuple):
+    """Numbers as bytes: 0 for no value (NaN), 1 to 255 in equal steps from `low` to `high`."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, *layers: NDArray[np.floating], symmetric: bool = False) -> "Steps":
+        """Return steps that hold all finite numbers of some layers; infinite ones become the ends."""
+        low, high = np.inf, -np.inf
+        for layer in layers:
+            for strip in np.array_split(layer, max(1, layer.size >> 22)):
+                finite = strip[np.isfinite(strip)]
+                low, high = (min(low, finite.min(initial=np.inf)), max(high, finite.max(initial=-np.inf)))
+        if low > high:
+            low = high = 0.0
+        if symmetric:
+            high = max(-low, high)
+            low = -high
+        return cls(float(low), float(high))
+
+    @property
+    def step(self) -> float:
+        """Difference of two neighbouring bytes; numbers are at most half of it off."""
+        return (self.high - self.low) / 254
+
+    def to_bytes(self, numbers: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """Return numbers as bytes."""
+        steps = (np.clip(numbers, self.low, self.high, dtype=np.float64) - self.low) / (self.step or 1.0)
+        return np.where(np.isnan(steps), 0, 1 + np.rint(np.nan_to_num(steps))).astype(np.uint8)
+
+    @property
+    def numbers(self) -> NDArray[np.float64]:
+        """The numbers that the 256 bytes stand for; NaN first."""
+        return np.concatenate([[np.nan], self.low + self.step * np.arange(255)])
+
+
+def halve_numbers(values: NDArray[np.uint8], steps: Steps) -> NDArray[np.uint8]:
+    """Return numbers at half the resolution: those of the cell of each block that is furthest from zero.
+
+    Parameters
+    ----------
+    values : (rows, columns, K) uint8
+        K numbers of each cell that belong together, such as the parts of a velocity.
+    steps : Steps
+        What the bytes stand for.
+
+    Returns
+    -------
+    (rows / 2, columns / 2, K) uint8
+        Rounded up.
+    """
+    size = np.nan_to_num(steps.numbers, nan=-1.0) ** 2  # of each byte
+    size[0] = -1.0
+    cells = _blocks(values)
+    furthest, best = cells[0].copy(), size[cells[0]].sum(axis=-1)
+    for cell in cells[1:]:
+        distance = size[cell].sum(axis=-1)
+        better = distance > best
+        np.copyto(furthest, cell, where=better[..., None])
+        np.copyto(best, distance, where=better)
+    return furthest
+
+
+def _blocks(cells: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], ...]:
+    """Return the four cells of each block of 2 x 2, each (rows / 2, columns / 2, ...); the far border is repeated."""
+    odd = [(0, size % 2) for size in cells.shape[:2]]
+    if any(more for _, more in odd):
+        cells = np.pad(cells, [*odd, (0, 0)], mode="edge")
+    return cells[::2, ::2], cells[::2, 1::2], cells[1::2, ::2], cells[1::2, 1::2]

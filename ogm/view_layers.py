@@ -1,0 +1,108 @@
+"""What the page of `ogm.viewer` can show: each layer as tables of colours, taken from the panels of `ogm.plot`."""
+
+from base64 import b64encode
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm import plot
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.overview import FULL, Steps
+
+__all__ = ["Layer", "conflict_layer", "mass_layers", "number_layer", "velocity_layer"]
+
+Layer = dict[str, Any]
+_SHADES = 24  # of the bar that shows a continuous scale
+
+
+def mass_layers(stored: int) -> list[Layer]:
+    """Return the layers of an evidential grid.
+
+    Parameters
+    ----------
+    stored : int
+        Number of its masses among what the page stores.
+    """
+    mass = np.arange(FULL + 1) / FULL
+    none = np.zeros_like(mass)
+    free, occupied = plot.mass_panel(_masses(mass, none)), plot.mass_panel(_masses(none, mass))
+    unknown = plot.unknown_panel(_masses(1 - mass, none))
+    probability = np.arange(2 * FULL + 1) / (2 * FULL)  # occupied + unknown / 2: half steps
+    grey = plot.probability_panel(_masses(1 - probability, probability))
+    state = plot.mass_panel(_masses(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))  # in the order of CellState
+    both, scale = [[stored, 0], [stored, 1]], ["0", "0.5", "1"]
+    return [
+        _layer("belief", "sum", both, [free, occupied], "mixed by the masses of the cell", swatches=plot.LEGEND),
+        _layer("free", "sum", both[:1], [free], "mass of free", scale),
+        _layer("occupied", "sum", both[1:], [occupied], "mass of occupied", scale),
+        _layer("unknown", "unknown", both, [unknown], "mass of unknown: 1 − free − occupied", scale),
+        _layer("probability", "probability", both, [grey], "of occupied: occupied + unknown / 2", scale),
+        _layer("state", "state", both, [state], "the greatest of the three masses", swatches=plot.LEGEND),
+    ]
+
+
+def number_layer(stored: int, name: str, steps: Steps) -> Layer:
+    """Return a layer that shows one number of each cell."""
+    panel = plot.layer_panel(_cells({name: steps.numbers}), name)
+    *scale, _ = panel.legend
+    return _layer(name, "sum", [[stored, 0]], [panel], "", scale, {"no value": plot.NO_VALUE})
+
+
+def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:
+    """Return the layer that shows both kinds of conflict, by where each is stored and in which steps."""
+    panels = []
+    for name, (_, steps) in zip(plot.CONFLICT_LAYERS, stored, strict=True):
+        numbers = {other: np.zeros(FULL + 1) for other in plot.CONFLICT_LAYERS}
+        panels.append(plot.conflict_panel(_cells(numbers | {name: np.nan_to_num(steps.numbers)})))
+    text = "of scans and map: what was free is occupied, or what was occupied is free"
+    return _layer("conflict", "sum", [[place, 0] for place, _ in stored], panels, text, swatches=panels[0].legend)
+
+
+def velocity_layer(stored: int, steps: Steps) -> Layer:
+    """Return the layer that shows velocities: the direction by colour, the speed by brightness."""
+    heading = np.arange(256) * (2 * np.pi / 256)
+    panel = plot.velocity_panel(
+        _cells(dict(zip(plot.VELOCITY_LAYERS, (np.cos(heading), np.sin(heading)), strict=True)))
+    )
+    text = f"direction by colour, speed by brightness, up to {steps.high:.3g} m/s"
+    layer = _layer("velocity", "velocity", [[stored, 0], [stored, 1]], [panel], text, swatches=panel.legend)
+    return layer | {"fastest": steps.high}
+
+
+def _layer(
+    name: str,
+    paint: str,
+    of: list[list[int]],
+    tables: Sequence[plot.Panel],
+    text: str,
+    scale: Sequence[str] = (),
+    swatches: dict[str, tuple[float, float, float]] | None = None,
+) -> Layer:
+    """Return a layer: how the page paints which stored numbers, by which tables of colours, and what they mean."""
+    colours = [panel.image[0, ::-1] for panel in tables]  # in the order of the bytes
+    shades = colours[0][np.linspace(len(colours[0]) > 1, len(colours[0]) - 1, _SHADES).astype(int)]
+    return {
+        "name": name,
+        "paint": paint,
+        "of": of,
+        "tables": [b64encode(one.tobytes()).decode() for one in colours],
+        "text": text,
+        "scale": list(scale),
+        "shades": [one.tolist() for one in shades] if scale else [],
+        "swatches": [[key, [round(255 * part) for part in colour]] for key, colour in (swatches or {}).items()],
+    }
+
+
+def _cells(numbers: dict[str, NDArray[np.float64]]) -> LayeredGrid:
+    """Return a row of cells, one for each byte."""
+    count = len(next(iter(numbers.values())))
+    spec = GridSpec(1.0, (1, count), (0.0, 0.0))
+    return LayeredGrid(spec, {name: layer[None].astype(np.float32) for name, layer in numbers.items()})
+
+
+def _masses(free: NDArray[np.float64], occupied: NDArray[np.float64]) -> EvidentialGrid:
+    """Return a row of cells, one for each byte."""
+    mass = np.stack([free, occupied], axis=-1)[None].astype(np.float32)
+    return EvidentialGrid(GridSpec(1.0, mass.shape[:2], (0.0, 0.0)), mass)

@@ -1,0 +1,170 @@
+"""A grid as one HTML page that needs no other file and no network, for any number of cells.
+
+The page holds the numbers of the cells as bytes, in tiles of 512 x 512 cells: at full resolution, and at levels of half
+the resolution each (`ogm.overview`). Tiles are deflated and stand in the page as base64; the browser unpacks those that
+are on the screen. Tiles without any number are left out.
+"""
+
+import json
+import os
+import zlib
+from base64 import b64encode
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from datetime import datetime
+from functools import partial
+from importlib import resources
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from ogm.files import atomic_write
+from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
+from ogm.view_layers import Layer, conflict_layer, mass_layers, number_layer, velocity_layer
+
+__all__ = ["TILE", "write_view"]
+
+TILE = 512  # [cells] along a side; even, so that no block of 2 x 2 cells lies in two tiles
+ROUGHEST = 64  # [cells] along the longer side of the last level: on any screen, a cell of it is wider than a pixel
+_TILES = "<!-- tiles -->"  # where they stand in the page
+
+
+class _Stored(NamedTuple):
+    """Numbers that are stored together, K of each cell."""
+
+    names: Sequence[str]
+    rows: Callable[[slice], NDArray[np.uint8]]  # (rows, columns, K) of some rows from the front
+    halve: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]
+    first: int  # the byte that stands for `low`; smaller ones are no value
+    low: float
+    step: float
+
+
+def write_view(
+    path: str | os.PathLike[str],
+    grid: EvidentialGrid | LayeredGrid,
+    layers: LayeredGrid | None = None,
+    *,
+    title: str = "",
+) -> None:
+    """Write a page that shows a grid from above: zoom, layers, and the values under the pointer.
+
+    Parameters
+    ----------
+    path : path
+        The page (.html). Its folder must exist.
+    grid : EvidentialGrid or LayeredGrid
+        Of an evidential grid, the page shows belief, free, occupied, unknown, probability and state. Of a layered grid,
+        it shows every layer; ``free_to_occupied`` and ``occupied_to_free`` together as conflict, ``velocity_x`` and
+        ``velocity_y`` together as velocity.
+    layers : LayeredGrid, optional
+        More layers, on the cells of an evidential grid.
+    title : str
+
+    Raises
+    ------
+    ValueError
+        If the name does not end in ``.html``, `layers` has other cells than `grid`, or there is no layer.
+
+    Notes
+    -----
+    Masses are stored in steps of 1/255: free and occupied are at most 0.002 off, unknown 0.004. Other layers are stored
+    in 254 steps from their lowest to their highest number. The values under the pointer are those of the cell, at every
+    zoom; the page states the steps.
+    """
+    if not str(path).lower().endswith(".html"):
+        raise ValueError(f"a page is written as .html, got {path}")
+    if layers is not None and layers.spec != grid.spec:
+        raise ValueError(f"layers must have the cells of the grid, {grid.spec}, got {layers.spec}")
+    stored: list[_Stored] = []
+    shown: list[Layer] = []
+    if isinstance(grid, EvidentialGrid):
+        stored.append(_Stored(("free", "occupied"), partial(_mass_rows, grid), halve_mass, 0, 0.0, 1 / FULL))
+        shown += mass_layers(0)
+    else:
+        layers = grid
+    if layers is not None:
+        _add_layers(layers, stored, shown)
+    if not shown:
+        raise ValueError("there is nothing to show: the grid has no layers")
+    facts = {"title": title or "grid", "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
+    facts |= {
+        "roughest": ROUGHEST,
+        "resolution": grid.spec.resolution,
+        "shape": grid.spec.shape,
+        "origin": grid.spec.origin,
+    }
+    with atomic_write(path) as file, ThreadPoolExecutor(os.cpu_count()) as pool:
+        _write_page(file, facts, stored, pool)
+
+
+def _add_layers(layers: LayeredGrid, stored: list[_Stored], shown: list[Layer]) -> None:
+    """Store the layers of a grid, and show those that belong together as one."""
+    names = list(layers.layers)
+    if set(VELOCITY_LAYERS) <= set(names):
+        names = [name for name in names if name not in VELOCITY_LAYERS]
+        steps = Steps.of(*(layers[name] for name in VELOCITY_LAYERS), symmetric=True)
+        shown.append(velocity_layer(len(stored), steps))
+        stored.append(_numbers(layers, VELOCITY_LAYERS, steps))
+    found = {name: (len(stored) + k, Steps.of(layers[name])) for k, name in enumerate(names)}
+    stored += [_numbers(layers, (name,), steps) for name, (_, steps) in found.items()]
+    if set(CONFLICT_LAYERS) <= set(names):
+        shown.append(conflict_layer([found.pop(name) for name in CONFLICT_LAYERS]))
+    shown += [number_layer(place, name, steps) for name, (place, steps) in found.items()]
+
+
+def _numbers(layers: LayeredGrid, names: Sequence[str], steps: Steps) -> _Stored:
+    def rows(of: slice) -> NDArray[np.uint8]:
+        return np.stack([steps.to_bytes(upright(layers[name])[of]) for name in names], axis=-1)
+
+    return _Stored(names, rows, partial(halve_numbers, steps=steps), 1, steps.low, steps.step)
+
+
+def _mass_rows(grid: EvidentialGrid, of: slice) -> NDArray[np.uint8]:
+    return mass_to_bytes(upright(grid.mass)[of])
+
+
+def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored], pool: Executor) -> None:
+    """Write the page from top to bottom; the tiles go to the file as they are made."""
+    parts = resources.files("ogm") / "data"
+    code = {name: Markup((parts / f"view.{name}").read_text("utf-8")) for name in ("css", "js")}  # noqa: S704
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    head, tail = (environment.from_string(one) for one in (parts / "view.html").read_text("utf-8").split(_TILES))
+    file.write(head.render(**code, **facts).encode("utf-8", "replace"))
+    facts["stored"] = [{"names": one.names, "first": one.first, "low": one.low, "step": one.step} for one in stored]
+    for number, one in enumerate(stored):
+        totals = np.zeros(len(one.names))
+        for level, row, tiles in _strips(one, facts["shape"]):
+            if level == 0:
+                totals += sum(tile.sum(axis=(0, 1), dtype=np.float64) for tile in tiles)
+            for column, packed in enumerate(pool.map(_packed, tiles)):
+                if packed:
+                    file.write(b'<script type="text/plain" id="%d/%d/%d/%d">' % (number, level, row, column))
+                    file.write(packed + b"</script>\n")
+        facts["stored"][number]["means"] = list(totals / (np.prod(facts["shape"]) * FULL))
+    text = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    file.write(tail.render(**code, data=Markup(text)).encode("utf-8", "replace"))  # noqa: S704
+
+
+def _strips(stored: _Stored, shape: tuple[int, int]) -> Iterator[tuple[int, int, list[NDArray[np.uint8]]]]:
+    """Yield level, row and tiles of every row of tiles: of all cells, then of every level."""
+    strips, level, size = (stored.rows(slice(start, start + TILE)) for start in range(0, shape[0], TILE)), 0, max(shape)
+    while True:
+        smaller = []
+        for row, strip in enumerate(strips):
+            yield level, row, [strip[:, start : start + TILE] for start in range(0, strip.shape[1], TILE)]
+            smaller.append(stored.halve(strip))
+        if size <= ROUGHEST:
+            return
+        cells, level, size = np.concatenate(smaller), level + 1, -(-size // 2)
+        strips = (cells[start : start + TILE] for start in range(0, len(cells), TILE))
+
+
+def _packed(tile: NDArray[np.uint8]) -> bytes:
+    """Return a tile, one of its K numbers after the other, deflated, as base64; nothing for a tile of zeros."""
+    return b64encode(zlib.compress(np.moveaxis(tile, -1, 0).tobytes())) if tile.any() else b""

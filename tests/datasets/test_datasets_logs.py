@@ -1,0 +1,538 @@
+"""Logs as data sets: scans by the stamps of their headers, poses by transforms or odometry, one lidar or several."""
+
+import copy
+import json
+import pickle
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from ogm.cli import app
+from ogm.datasets import Dataset, open_dataset, with_odometry, with_poses
+from ogm.files import OgmError
+from ogm.fusion import covering_window, fuse, make_mapper
+from ogm.geometric import RayISM
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import read_poses, read_scan, write_poses
+from ogm.io.logs import LogWriter
+from ogm.io.logs.files import RandomAccess
+from ogm.io.messages import StampedTransform, point_cloud2, ros_stamp, tf_message
+from ogm.pose import Trajectory, inverse, pose, transform_points
+from ogm.scan import PerMount, Scan
+
+CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
+ENDINGS = [".mcap", ".db3", ".bag"]
+START, STEP, FRAMES = 1_700_000_000.0, 1 / 8, 5  # [s]: multiples of 2**-4, which stamps hold exactly
+STAMPS = START + STEP * np.arange(FRAMES)
+HEIGHT, WALL = 1.7, 12.0  # [m]
+MAP_BASE = np.array([pose(0.5 * k, 0.1 * k, yaw=0.03 * k) for k in range(FRAMES)])
+T_BASE_LIDAR = pose(0.8, -0.1, 1.2, roll=0.01, pitch=0.05, yaw=0.4)  # base_link is 0.5 m above ground
+SPEC = GridSpec.centered(24, 16, 0.5)
+
+Row = tuple[str, str, Any, float]
+
+
+def world() -> np.ndarray:
+    """Ground, and a wall across the way; x, y, z on the map, whose z is that of base_link."""
+    rng = np.random.default_rng(0)
+    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
+    ground[:, 0] = np.minimum(ground[:, 0], WALL)
+    ground[:, 2], wall[:, 0] = 1.2 - HEIGHT, WALL
+    wall[:, 2] = rng.uniform(1.2 - HEIGHT, 1.2, len(wall))
+    points = np.concatenate([ground, wall])
+    points[:, 3] = rng.uniform(0, 1, len(points))
+    return points
+
+
+def seen_from(T_map_sensor: np.ndarray) -> Scan:
+    return Scan(transform_points(inverse(T_map_sensor), world()).astype(np.float32))
+
+
+def cloud(T: np.ndarray, stamp: float, frame: str = "lidar", topic: str = "/points", late: float = 0.3) -> Row:
+    """Return what a sensor at a place sees, recorded some time later."""
+    return topic, CLOUD, point_cloud2(seen_from(T), frame_id=frame, stamp=stamp), stamp + late
+
+
+def moved(parent: str, child: str, stamp: float, T: np.ndarray, late: float = 0.5) -> Row:
+    return "/tf", TF, tf_message([StampedTransform(parent, child, stamp, T)]), stamp + late
+
+
+def fixed(parent: str, child: str, T: np.ndarray) -> Row:
+    return "/tf_static", TF, tf_message([StampedTransform(parent, child, 0.0, T)]), START
+
+
+def odometry(stamp: float, T: np.ndarray, child: str = "base_link") -> Row:
+    (placed,) = tf_message([StampedTransform("odom", "base_link", stamp, T)]).transforms
+    x = placed.transform
+    position = SimpleNamespace(**vars(x.translation))
+    zero = SimpleNamespace(x=0.0, y=0.0, z=0.0)
+    message = SimpleNamespace(
+        header=SimpleNamespace(seq=0, stamp=ros_stamp(stamp), frame_id="odom"),
+        child_frame_id=child,
+        pose=SimpleNamespace(pose=SimpleNamespace(position=position, orientation=x.rotation), covariance=np.zeros(36)),
+        twist=SimpleNamespace(twist=SimpleNamespace(linear=zero, angular=zero), covariance=np.zeros(36)),
+    )
+    return "/odom", ODOMETRY, message, stamp
+
+
+def drive() -> list[Row]:
+    """One lidar that is mounted askew; its transforms are recorded after the scans that need them."""
+    rows = [fixed("base_link", "lidar", T_BASE_LIDAR)]
+    for stamp, T in zip(STAMPS, MAP_BASE, strict=True):
+        rows += [cloud(T @ T_BASE_LIDAR, stamp), moved("map", "base_link", stamp, T)]
+    return rows
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Callable[..., Path]:
+    """Give a function that writes messages to a log, in the order of their log times."""
+
+    def write(rows: Iterable[Row], name: str = "drive.mcap", compression: str = "") -> Path:
+        with LogWriter(tmp_path / name, compression) as writer:
+            for row in sorted(rows, key=lambda row: row[3]):
+                writer.write(*row)
+        return tmp_path / name
+
+    return write
+
+
+def on_map(dataset: Dataset, n: int) -> np.ndarray:
+    frame = dataset[n]
+    assert frame.T_map_sensor is not None
+    return transform_points(frame.T_map_sensor, frame.scan.points.astype(np.float64))
+
+
+# --- One lidar ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [f"drive{ending}" for ending in ENDINGS])
+def test_points_come_back_to_their_places_on_the_map(log: Callable[..., Path], name: str) -> None:
+    dataset = open_dataset(log(drive(), name))
+    assert [frame.stamp for frame in dataset] == STAMPS.tolist()  # of the headers, not of the log
+    assert [frame.name for frame in dataset] == [f"{int(stamp * 16) * 10**9 // 16}" for stamp in STAMPS]
+    assert {frame.sequence for frame in dataset} == {"drive"}
+    for n in range(FRAMES):
+        assert np.abs(on_map(dataset, n) - world()).max() < 1e-4
+        assert dataset[n].scan.stamp == STAMPS[n]
+    assert dataset.facts["frame"] == "map"
+    assert dataset.facts["poses"] == "5 of 5 scans, by transforms (map <- base_link <- lidar)"
+
+
+def test_points_are_turned_to_the_axes_of_the_vehicle(log: Callable[..., Path]) -> None:
+    """So that the wall stands across the way, the ground is level, and its height is found."""
+    dataset = open_dataset(log(drive()))
+    frame = dataset[0]
+    level = frame.scan.points[frame.scan.points[:, 0] < 5, 2]
+    assert np.ptp(level) < 1e-5
+    assert frame.mount.sensor_height == pytest.approx(HEIGHT, abs=1e-3)
+    assert np.array_equal(frame.mount.T_vehicle_sensor, pose(z=frame.mount.sensor_height))
+    assert np.allclose(frame.T_map_sensor[:3, :3], np.eye(3), atol=1e-12)
+    with pytest.raises(ValueError, match="state the axes"):
+        open_dataset(log(drive()), axes="nuscenes")
+
+
+def test_without_base_link_points_have_their_own_axes(log: Callable[..., Path]) -> None:
+    rows = [cloud(T, stamp) for stamp, T in zip(STAMPS, MAP_BASE, strict=True)]
+    rows += [moved("world", "lidar", stamp, T) for stamp, T in zip(STAMPS, MAP_BASE, strict=True)]
+    path = log(rows)
+    assert np.array_equal(open_dataset(path)[1].scan.points, seen_from(MAP_BASE[1]).points)
+    turned = open_dataset(path, axes=("+y", "-x", "+z"))
+    assert np.array_equal(turned[1].scan.points[:, 0], seen_from(MAP_BASE[1]).points[:, 1])
+    assert np.abs(on_map(turned, 1) - world()).max() < 1e-4
+
+
+def test_the_stamps_of_headers_give_the_order(log: Callable[..., Path]) -> None:
+    rows = [cloud(T, stamp, late=0.3 + k % 2) for k, (stamp, T) in enumerate(zip(STAMPS, MAP_BASE, strict=True))]
+    assert [frame.stamp for frame in open_dataset(log(rows))] == STAMPS.tolist()
+
+
+def test_poses_are_interpolated_and_not_extrapolated(log: Callable[..., Path]) -> None:
+    rows = [fixed("base_link", "lidar", np.eye(4))]
+    rows += [cloud(pose(k), stamp) for k, stamp in enumerate(STAMPS)]
+    rows += [moved("map", "base_link", stamp, pose(8 * (stamp - START))) for stamp in (START + 0.0625, START + 0.4375)]
+    dataset = open_dataset(log(rows))
+    known = [frame.T_map_sensor is not None for frame in dataset]
+    assert known == [False, True, True, True, False]
+    assert [frame.T_map_sensor[0, 3] for frame in dataset[1:4]] == pytest.approx([1, 2, 3])
+    assert dataset.facts["poses"].startswith("3 of 5 scans, by transforms")
+    assert "2 of /points: the transform from base_link to map needs extrapolation by 0.0625 s" in dataset.facts["poses"]
+
+
+@pytest.mark.parametrize(("wanted", "x"), [(None, 7.0), ("odom", 2.0), ("/map", 7.0), ("earth", 107.0)])
+def test_the_fixed_frame_is_map_unless_another_is_wanted(
+    log: Callable[..., Path], wanted: str | None, x: float
+) -> None:
+    rows = [fixed("earth", "map", pose(100.0)), fixed("base_link", "lidar", np.eye(4)), cloud(np.eye(4), START)]
+    for stamp in (START - 1, START + 1):
+        rows += [moved("map", "odom", stamp, pose(5.0)), moved("odom", "base_link", stamp, pose(2.0))]
+    (frame,) = open_dataset(log(rows), frame=wanted)
+    assert frame.T_map_sensor[0, 3] == pytest.approx(x)
+
+
+def test_the_root_is_the_fixed_frame_where_none_has_a_known_name(log: Callable[..., Path]) -> None:
+    rows = [cloud(np.eye(4), START), *(moved("hall", "lidar", t, pose(3.0)) for t in (START - 1, START + 1))]
+    dataset = open_dataset(log(rows))
+    assert dataset.facts["frame"] == "hall"
+    with pytest.raises(OgmError, match=r"frame \(--frame\) moon has no use: there is no frame 'moon'; there are hall"):
+        open_dataset(log(rows), frame="moon")
+
+
+def test_odometry_serves_where_transforms_do_not(log: Callable[..., Path]) -> None:
+    rows = [fixed("base_link", "lidar", T_BASE_LIDAR)]
+    rows += [cloud(T @ T_BASE_LIDAR, stamp) for stamp, T in zip(STAMPS, MAP_BASE, strict=True)]
+    rows += [
+        odometry(stamp, T, child) for stamp, T, child in zip(STAMPS, MAP_BASE, ["base_link", ""] * 3, strict=False)
+    ]
+    dataset = open_dataset(log(rows))
+    assert np.abs(on_map(dataset, 4) - world()).max() < 1e-4
+    assert dataset.facts["poses"] == "5 of 5 scans, by odometry (/odom) (odom <- base_link <- lidar)"
+    both = [*rows, *(moved("map", "base_link", stamp, T) for stamp, T in zip(STAMPS, MAP_BASE, strict=True))]
+    assert open_dataset(log(both)).facts["frame"] == "map"
+    assert open_dataset(log(both), frame="odom").facts["frame"] == "odom"
+
+
+@pytest.mark.parametrize(
+    ("rows", "missing"),
+    [
+        ([], "no transforms (/tf, /tf_static) and no odometry"),
+        ([fixed("base_link", "lidar", np.eye(4))], "one from a fixed frame (map, odom, world) to base_link is missing"),
+        ([moved("map", "base_link", START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are"),
+        ([odometry(START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are odom, base_link"),
+    ],
+)
+def test_without_poses_the_missing_transform_is_named(
+    log: Callable[..., Path], rows: list[Row], missing: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = log([*rows, cloud(np.eye(4), START), cloud(np.eye(4), START + STEP)])
+    dataset = open_dataset(path)
+    assert all(frame.T_map_sensor is None for frame in dataset)
+    assert missing in dataset.facts["poses"]
+    with pytest.raises(SystemExit) as stop:
+        app(["fuse", str(path), "--sensor-height", "1.7"])
+    assert stop.value.code == 2
+    words = " ".join(capsys.readouterr().err.split())
+    assert missing in words
+    assert "--odometry kiss-icp" in words
+
+
+def test_a_static_map_counts_where_it_is_wanted(log: Callable[..., Path]) -> None:
+    path = log([fixed("map", "lidar", pose(4.0)), cloud(np.eye(4), START)])
+    assert open_dataset(path)[0].T_map_sensor is None
+    assert open_dataset(path, frame="map")[0].T_map_sensor[0, 3] == 4.0
+
+
+def test_heights_of_base_footprint_are_taken_as_they_are(log: Callable[..., Path]) -> None:
+    """Also those of small robots, which an estimate may not have."""
+    low = pose(0.2, 0, 0.1)
+    rows = [*drive(), fixed("base_footprint", "base_link", pose(z=0.2))]
+    rows[0] = fixed("base_link", "lidar", low)
+    path = log(rows)
+    assert open_dataset(path)[0].mount.sensor_height == pytest.approx(0.3)
+    assert open_dataset(path, sensor_height=0.4)[0].mount.sensor_height == 0.4
+
+
+def test_points_in_the_vehicle_frame_need_the_sensor_position(log: Callable[..., Path]) -> None:
+    rows = [cloud(T, stamp, "base_link") for stamp, T in zip(STAMPS, MAP_BASE, strict=True)]
+    rows += [moved("map", "base_link", stamp, T) for stamp, T in zip(STAMPS, MAP_BASE, strict=True)]
+    dataset = open_dataset(log(rows), sensor_position=(0.8, 0.0, 1.2))
+    frame = dataset[2]
+    assert frame.mount.points_in == "vehicle"
+    assert frame.mount.sensor_height == pytest.approx(HEIGHT, abs=1e-3)
+    assert np.allclose(frame.T_map_sensor, MAP_BASE[2] @ pose(0.8, 0.0, 1.2))
+    assert np.abs(transform_points(MAP_BASE[2], frame.scan.points.astype(float)) - world()).max() < 1e-4
+
+
+def test_headers_without_stamps_are_reported(log: Callable[..., Path]) -> None:
+    rows = [
+        ("/points", CLOUD, point_cloud2(seen_from(np.eye(4)), frame_id="lidar", stamp=0.0), START + k) for k in (0, 1)
+    ]
+    dataset = open_dataset(log(rows))
+    assert [frame.stamp for frame in dataset] == [None, None]
+    assert len({frame.name for frame in dataset}) == 2
+    assert "2 headers have no stamp" in dataset.facts["poses"]
+
+
+# --- Topics ------------------------------------------------------------------------------------------
+
+
+def test_topics_are_listed_where_one_must_be_chosen(log: Callable[..., Path]) -> None:
+    two = log(
+        [cloud(np.eye(4), START, topic="/front"), cloud(np.eye(4), START, topic="/rear"), odometry(START, np.eye(4))]
+    )
+    with pytest.raises(OgmError, match=r"several topics with lidar scans, /front \(sens.*\), /rear .*--topic"):
+        open_dataset(two)
+    assert len(open_dataset(two, topic="/rear")) == 1
+    with pytest.raises(OgmError, match=r"has no topic /side; with lidar scans there are /front .*/odom"):
+        open_dataset(two, topic="/side")
+    with pytest.raises(OgmError, match="topic /odom of .* has 1 messages of nav_msgs/msg/Odometry"):
+        open_dataset(two, topic="/odom")
+    with pytest.raises(OgmError, match=r"has no scans of a lidar .* its topics are /odom \(nav_msgs"):
+        open_dataset(log([odometry(START, np.eye(4))], "odometry.mcap"))
+
+
+def test_topic_and_frame_are_for_logs(tmp_path: Path) -> None:
+    seen_from(np.eye(4)).points.tofile(tmp_path / "000.bin")
+    for options in ({"topic": "/points"}, {"frame": "map"}):
+        with pytest.raises(ValueError, match=r"topic and frame \(--topic, --frame\) are for logs"):
+            open_dataset(tmp_path, **options)
+
+
+# --- Several lidars ----------------------------------------------------------------------------------
+
+FRONT, REAR = pose(3.0, 0.5, 0.2, yaw=0.3), pose(-1.0, 0.0, 1.2, yaw=np.pi, pitch=0.1)
+
+
+def two_lidars() -> list[Row]:
+    rows = [fixed("base_link", "front", FRONT), fixed("base_link", "rear", REAR)]
+    for stamp, T in zip(STAMPS, MAP_BASE, strict=True):
+        rows += [cloud(T @ FRONT, stamp, "front", "/front/points"), cloud(T @ REAR, stamp, "rear", "/rear/points")]
+        rows.append(moved("map", "base_link", stamp, T))
+    return rows
+
+
+def test_several_lidars_have_their_own_mounts_and_origins(log: Callable[..., Path]) -> None:
+    dataset = open_dataset(log(two_lidars()), topic=["/front/points", "/rear/points"])
+    assert len(dataset) == 2 * FRAMES
+    assert [frame.stamp for frame in dataset] == np.repeat(STAMPS, 2).tolist()
+    assert len({frame.name for frame in dataset}) == 2 * FRAMES
+    for n in range(2 * FRAMES):
+        assert np.abs(on_map(dataset, n) - world()).max() < 1e-4
+        frame = dataset[n]
+        T_base_sensor = FRONT if frame.scan.sensor == "front" else REAR
+        assert np.allclose(frame.mount.origin[:2], T_base_sensor[:2, 3])
+        assert frame.mount.sensor_height == pytest.approx(T_base_sensor[2, 3] + HEIGHT - 1.2, abs=1e-2)
+        assert np.allclose(frame.mount.ego_footprint, (1 - 2.5, 1 + 2.5, 0.25 - 1.1, 0.25 + 1.1))
+        T_map_vehicle = frame.T_map_sensor @ inverse(frame.mount.T_vehicle_sensor)
+        assert np.allclose(T_map_vehicle[:2, 3], MAP_BASE[n // 2][:2, 3])  # one vehicle
+    given = open_dataset(log(two_lidars()), topic=["/front/points", "/rear/points"], sensor_height=0.8)
+    heights = {frame.scan.sensor: frame.mount.sensor_height for frame in given}
+    assert heights == pytest.approx({"front": 0.8, "rear": 1.8})  # that of the first topic; the other by transforms
+
+
+def test_several_lidars_are_fused_into_one_map(log: Callable[..., Path]) -> None:
+    """The wall lies where it is, and no scan is taken for a jump of the pose."""
+    dataset = open_dataset(log(two_lidars()), topic=["/rear/points", "/front/points"])
+    model = PerMount(lambda mount: RayISM(SPEC, mount))
+    poses = np.array([frame.T_map_sensor for frame in dataset])
+    mapper = make_mapper("cautious", covering_window(SPEC, poses), None, "fixed")
+    steps = list(fuse(dataset, model, mapper))
+    assert all(step.error is None and not step.restart for step in steps)
+    grid = mapper.grid
+    x = grid.spec.origin[0] + grid.spec.resolution * (np.argmax(grid.occupied.sum(axis=1)) + 0.5)
+    assert x == pytest.approx(WALL, abs=grid.spec.resolution)
+
+
+def test_several_lidars_need_base_link(log: Callable[..., Path]) -> None:
+    rows = [*two_lidars()[1:]]
+    with pytest.raises(OgmError, match="no transform leads from base_link to front.*choose one topic"):
+        open_dataset(log(rows), topic=["/front/points", "/rear/points"])
+
+
+def test_odometry_and_truth_are_for_one_lidar(log: Callable[..., Path], tmp_path: Path) -> None:
+    dataset = open_dataset(log(two_lidars()), topic=["/front/points", "/rear/points"])
+    with pytest.raises(ValueError, match="several lidars"):
+        with_odometry(dataset)
+    write_poses(tmp_path / "poses.txt", Trajectory(STAMPS, MAP_BASE))
+    with pytest.raises(ValueError, match="several lidars"):
+        with_poses(dataset, tmp_path / "poses.txt")
+    with pytest.raises(OgmError, match="truth is not made of the scans of several lidars"):
+        _ = dataset[0].truth
+    assert not dataset.motion_distorted
+
+
+# --- Access ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "compression"), [(f"a{one}", "") for one in ENDINGS] + [("a.mcap", "zstd")])
+def test_frames_are_read_in_any_order_by_any_thread_and_after_pickling(
+    log: Callable[..., Path], name: str, compression: str
+) -> None:
+    dataset = open_dataset(log(drive(), name, compression))
+    wanted = [frame.scan.points for frame in dataset]
+    order = [4, 0, 3, 3, 1, 2, 0]
+    again = open_dataset(log(drive(), name, compression))
+    with ThreadPoolExecutor(4) as pool:
+        for n, points in zip(order, pool.map(lambda n: again[n].scan.points, order), strict=True):
+            assert np.array_equal(points, wanted[n])
+    for one in (pickle.loads(pickle.dumps(dataset[1:])), copy.copy(dataset)[1:]):
+        assert np.array_equal(one[0].scan.points, wanted[1])
+        assert np.array_equal(one[0].T_map_sensor, dataset[1].T_map_sensor)
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".bag"])
+def test_opening_reads_no_points_and_a_frame_no_others(
+    log: Callable[..., Path], ending: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    large = Scan(np.tile(seen_from(np.eye(4)).points, (4, 1)))  # larger than a chunk
+    rows = [("/points", CLOUD, point_cloud2(large, frame_id="lidar", stamp=stamp), stamp) for stamp in STAMPS]
+    path = log([*rows, *(moved("map", "lidar", stamp, np.eye(4)) for stamp in STAMPS)], f"a{ending}")
+    count = 0
+
+    def read(file: RandomAccess, start: int, size: int, plain: Any = RandomAccess.read) -> bytes:
+        nonlocal count
+        data: bytes = plain(file, start, size)
+        count += len(data)
+        return data
+
+    monkeypatch.setattr(RandomAccess, "read", read)
+    dataset, size = open_dataset(path), path.stat().st_size
+    assert count < 0.05 * size
+    count = 0
+    _ = dataset[3].scan
+    assert count < 1.1 * size / FRAMES + 4096
+
+
+def test_a_damaged_scan_is_skipped(log: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
+    path = log(drive())
+    data = path.read_bytes()
+    path.write_bytes(data[: int(0.7 * len(data))])
+    dataset = open_dataset(path)
+    assert 2 <= len(dataset) < FRAMES
+    assert f"{path} is cut at byte" in caplog.text
+    assert np.abs(on_map(dataset, 0) - world()).max() < 1e-4
+
+
+# --- Commands ----------------------------------------------------------------------------------------
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> tuple[str, int]:
+    """Run a command; return what it prints, in one line, and its exit code."""
+    code = 0
+    try:
+        app([str(word) for word in words], standalone_mode=False)
+    except SystemExit as stop:
+        code = int(stop.code or 0)
+    printed = capsys.readouterr()
+    return " ".join((printed.out + printed.err).split()), code
+
+
+def test_info_shows_what_a_log_holds_and_what_lacks(
+    log: Callable[..., Path], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "300")
+    text, _ = run(capsys, "info", log([*drive(), odometry(START, np.eye(4))]))
+    for part in (
+        "format MCAP",
+        "/points sensor_msgs/msg/PointCloud2, 5 messages, 8.0 Hz",
+        "/odom nav_msgs/msg/Odometry, 1 message /",
+        "2023-11-14 22:13:20 UTC",
+        "base_link <- lidar (static), map <- base_link",
+        "poses of /points 5 of 5 scans, by transforms (map <- base_link <- lidar)",
+    ):
+        assert part in text
+    text, _ = run(capsys, "info", log(two_lidars()[1:], "two.bag"))
+    assert "poses of /front/points none; no transform leads to front" in text
+    assert "poses of /rear/points 5 of 5 scans" in text
+
+
+def test_maps_of_a_log_are_evaluated_against_what_its_scans_agree_on(
+    log: Callable[..., Path], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path, out = log(drive()), tmp_path / "report"
+    text, code = run(capsys, "map", path, "--topic", "/points", "--out", tmp_path / "grids", "--frame", "map")
+    assert (code, len(list((tmp_path / "grids").iterdir()))) == (0, FRAMES)
+    assert "sensor height 1.70 m, estimated" in text
+    text, code = run(capsys, "evaluate", path, "--grids", tmp_path / "grids", "--topic", "/points", "--out", out)
+    assert code == 0, text
+    assert (out / "report.html").exists()
+    record = json.loads((out / "report.json").read_text())
+    assert [frame["stamp"] for frame in record["frames"]] == STAMPS.tolist()
+
+
+# --- Real recordings ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def kitti(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path], Path]:
+    """Give a function that makes logs of six scans of KITTI with transforms, and a folder with the files."""
+    folder = tmp_path_factory.mktemp("kitti")
+
+    def make(drive: Path) -> Path:
+        if (folder / "files").exists():
+            return folder
+        files = sorted(drive.glob("*.pcd.xz"))[:6]
+        (folder / "files").mkdir()
+        lines = (drive / "derived" / "poses_lidar_gicp.txt").read_text().splitlines()
+        (folder / "poses.txt").write_text("\n".join(line for line in lines if line[0] != "#")[:6000])
+        poses, stamps = read_poses(folder / "poses.txt").poses[:6], 6 + 0.1 * np.arange(6)  # by the files' numbers
+        T_base_lidar = pose(z=1.73)
+        rows = [("/tf_static", TF, tf_message([StampedTransform("base_link", "velodyne", 0.0, T_base_lidar)]), 6.0)]
+        for file, T, stamp in zip(files, poses, stamps, strict=True):
+            (folder / "files" / file.name).symlink_to(file)
+            placed = tf_message([StampedTransform("map", "base_link", stamp, T @ inverse(T_base_lidar))])
+            rows.append(
+                ("/velodyne_points", CLOUD, point_cloud2(read_scan(file), frame_id="velodyne", stamp=stamp), stamp)
+            )
+            rows.append(("/tf", TF, placed, stamp))
+        for name in ("drive.mcap", "zstd.mcap", "drive.db3", "drive.bag"):
+            with LogWriter(folder / name, "zstd" if name == "zstd.mcap" else "") as writer:
+                for row in rows:
+                    writer.write(*row)
+        return folder
+
+    return make
+
+
+@pytest.mark.parametrize("name", ["drive.mcap", "zstd.mcap", "drive.db3", "drive.bag"])
+def test_fuse_makes_of_a_log_the_map_of_the_files(
+    real: Callable[[str], Path], kitti: Callable[[Path], Path], name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = kitti(real("kitti_raw_0005"))
+    of_files, of_log = folder / "files.npz", folder / f"{name}.npz"
+    if not of_files.exists():
+        run(capsys, "fuse", folder / "files", "--poses", folder / "poses.txt", "--out", of_files)
+    text, code = run(capsys, "fuse", folder / name, "--out", of_log)
+    assert code == 0, text
+    assert "6 of 6 scans, by transforms (map <- base_link <- velodyne)" in text
+    one, other = EvidentialGrid.load(of_files), EvidentialGrid.load(of_log)
+    assert one.spec == other.spec
+    assert np.array_equal(one.mass, other.mass)  # bit for bit
+    assert (one.occupied > 0.5).sum() > 1000
+
+
+@pytest.mark.parametrize(
+    ("folder", "near", "far"), [("vlp16", 0.01, 0.03), ("vlp32", 0.01, 0.03), ("vls128", 0.02, 0.1)]
+)
+def test_packets_decode_to_the_clouds_of_the_driver(
+    real: Callable[[str], Path], folder: str, near: float, far: float
+) -> None:
+    """As far as the other interpolation of azimuths allows: one of the scans is the driver's cloud."""
+    pytest.importorskip("velodyne_decoder")
+    (path,) = real("nebula_apache2").glob(f"{folder}/*/*.db3")
+    (cloud_file,) = real("nebula_apache2").glob(f"{folder}/*.pcd")
+    dataset, driver = open_dataset(path, sensor_height=1.9), read_scan(cloud_file).points[:, :3]
+    assert len(dataset) in (4, 5)
+    assert dataset.facts["topics"] == [name for name in dataset.facts["topics"] if name.endswith("velodyne_packets")]
+    apart = []
+    for frame in dataset:
+        distance, _ = cKDTree(frame.scan.points[:, :3]).query(driver)
+        apart.append((np.quantile(distance, 0.5), np.quantile(distance, 0.9), len(frame.scan)))
+    median, most, count = min(apart)
+    assert median < near
+    assert most < far
+    assert count == pytest.approx(len(driver), rel=0.01)
+    whole = open_dataset(path.parent, sensor_height=1.9)  # the folder, with its metadata.yaml
+    assert [frame.name for frame in whole] == [frame.name for frame in dataset]
+
+
+def test_captures_are_data_sets(real: Callable[[str], Path], capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("velodyne_decoder")
+    path = real("velodyne_pcap/sample_velodyne_hdl32.pcap")
+    dataset = open_dataset(path)
+    assert len(dataset) == 2
+    last, first = dataset[1].scan, dataset[0].scan  # backwards, too
+    assert (first.stamp, last.stamp) == tuple(frame.stamp for frame in dataset)
+    assert 0.08 < last.stamp - first.stamp < 0.12
+    assert len(first) > 50_000
+    assert dataset[0].mount.sensor_height == pytest.approx(2.07, abs=0.1)
+    turned = open_dataset(path, axes=("+y", "-x", "+z"))[0].scan
+    assert np.array_equal(turned.points[:, 1], -first.points[:, 0])
+    assert "network capture" in run(capsys, "info", path)[0]
+    with pytest.raises(ValueError, match="known units"):
+        open_dataset(path, time_unit=1e-9)

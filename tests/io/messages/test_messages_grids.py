@@ -1,0 +1,305 @@
+"""Grids as messages: an L-shaped obstacle must arrive where it is, through every format and reader."""
+
+import io
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from ogm.files import OgmError
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.messages import (
+    foxglove_grid,
+    grid_from_foxglove_grid,
+    grid_from_grid_map,
+    grid_from_occupancy_grid,
+    grid_map,
+    layers_from_grid_map,
+    mass_from_occupancy,
+    occupancy_grid,
+    occupancy_values,
+)
+from ogm.pose import pose
+from ogm.state import CellState, predict_state
+
+OCCUPANCY, GRID_MAP = "nav_msgs/msg/OccupancyGrid", "grid_map_msgs/msg/GridMap"
+SPEC = GridSpec(0.16, (9, 6), (-0.5, 2.25))
+TURNED = pose(10.0, -20.0, 0.5, yaw=0.6)
+
+
+def ell() -> EvidentialGrid:
+    """An L: five cells along x at the right edge, three along y at its near end; some free, the rest unknown."""
+    mass = np.zeros((9, 6, 2), np.float32)
+    mass[2:7, 0, 1] = 0.9
+    mass[2, 0:3, 1] = 0.9
+    mass[4:8, 2:5, 0] = 0.7
+    mass[4:8, 2:5, 1] = 0.1
+    return EvidentialGrid(SPEC, mass)
+
+
+def corners(T):
+    """Position in the frame of the middle of each cell, (9, 6, 2)."""
+    x, y = np.broadcast_arrays(*SPEC.cell_centers)
+    return (np.stack([x, y, 0 * x, 1 + 0 * x], -1) @ T.T)[..., :2]
+
+
+@pytest.mark.parametrize("T", [np.eye(4), TURNED])
+def test_occupancy_grid_by_every_reader(T, sent, by_mcap, ros1_class, stores):
+    grid = ell()
+    plain = occupancy_grid(grid, frame_id="map", stamp=3.5, T_frame_grid=T)
+    ros1 = ros1_class(OCCUPANCY)().deserialize(bytes(stores[1].serialize_ros1(plain, OCCUPANCY)))
+    for arrived in (sent(plain, OCCUPANCY, 1), sent(plain, OCCUPANCY, 2), by_mcap(plain, OCCUPANCY), ros1):
+        info, data = arrived.info, np.array(arrived.data)
+        assert (info.width, info.height, arrived.header.frame_id) == (9, 6, "map")
+        assert info.resolution == pytest.approx(0.16)
+        # As map_server and rviz read it: cell (i, j) of the data is i to the x and j to the y of the origin.
+        q = info.origin.orientation
+        yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+        for n, value in enumerate(data):
+            i, j = n % info.width, n // info.width
+            right, up = (i + 0.5) * 0.16, (j + 0.5) * 0.16
+            x = info.origin.position.x + right * np.cos(yaw) - up * np.sin(yaw)
+            y = info.origin.position.y + right * np.sin(yaw) + up * np.cos(yaw)
+            np.testing.assert_allclose([x, y], corners(T)[i, j], atol=1e-6)
+            cell = grid.mass[i, j]
+            assert value == (95 if cell[1] > 0.5 else 20 if cell[0] > 0.5 else -1)
+        back, T_back = grid_from_occupancy_grid(arrived)
+        assert back.spec.resolution == 0.16
+        assert back.spec.shape == SPEC.shape
+        np.testing.assert_array_equal(occupancy_values(back), occupancy_values(grid))
+        if T is TURNED:
+            assert np.abs(T_back[:3, 3] - [0, 0, 0.5]).max() < 1e-9
+            x, y = back.spec.cell_centers
+            there = np.stack(np.broadcast_arrays(x, y, 0.0, 1.0), -1) @ T_back.T
+            np.testing.assert_allclose(there[..., :2], corners(T), atol=1e-9)
+        else:
+            assert back.spec == SPEC
+            assert np.array_equal(T_back, np.eye(4))
+
+
+def test_occupancy_of_every_value():
+    values = np.arange(-128, 128)[None].astype(np.int16)
+    mass = mass_from_occupancy(values)
+    grid = EvidentialGrid(GridSpec(1.0, (1, 256), (0, 0)), mass)
+    expected = np.where((values >= 0) & (values <= 100), values, -1)
+    np.testing.assert_array_equal(occupancy_values(grid), expected)
+
+
+@given(arrays.arrays(np.float32, (4, 3, 2), elements=st.floats(0, 0.5, width=32)))
+def test_occupancy_values_follow_the_predicted_state(mass):
+    grid = EvidentialGrid(GridSpec(0.1, (4, 3), (0, 0)), mass)
+    values, state = occupancy_values(grid), predict_state(mass)
+    assert values.dtype == np.int8
+    assert ((values == -1) == (state == CellState.UNKNOWN)).all()
+    assert (values[state == CellState.FREE] <= 50).all()
+    assert (values[state == CellState.OCCUPIED] >= 50).all()
+
+
+def as_occupancy_grid(message, layer):
+    """Follow grid_map's own converter to OccupancyGrid: middle to corner, memory of the matrix back to front."""
+    matrix = message.data[list(message.layers).index(layer)]
+    info = message.info
+    corner = info.pose.position.x - info.length_x / 2, info.pose.position.y - info.length_y / 2
+    sizes = {one.label: one.size for one in matrix.layout.dim}
+    return corner, (sizes["row_index"], sizes["column_index"]), np.array(matrix.data)[::-1]
+
+
+def test_grid_map_by_every_reader(sent, by_mcap, ros1_class, stores):
+    grid = ell()
+    conflict = np.full(SPEC.shape, np.nan)
+    conflict[3, 1] = 0.25
+    plain = grid_map(grid, frame_id="odom", stamp=3.5, layers={"conflict": conflict})
+    ros1 = ros1_class(GRID_MAP)().deserialize(bytes(stores[1].serialize_ros1(plain, GRID_MAP)))
+    for arrived in (sent(plain, GRID_MAP, 1), sent(plain, GRID_MAP, 2), by_mcap(plain, GRID_MAP), ros1):
+        assert list(arrived.layers) == ["free", "occupied", "unknown", "conflict"]
+        header = getattr(arrived, "header", None) or arrived.info.header
+        assert header.frame_id == "odom"
+        for layer, wanted in (("occupied", grid.occupied), ("free", grid.free), ("conflict", conflict)):
+            corner, (width, height), data = as_occupancy_grid(arrived, layer)
+            assert (width, height) == SPEC.shape
+            np.testing.assert_allclose(corner, SPEC.origin, atol=1e-12)
+            np.testing.assert_array_equal(data.reshape(height, width), wanted.astype(np.float32).T)
+        first = arrived.data[0].layout.dim[0]
+        assert (first.label, first.size, first.stride) == ("column_index", 6, 54)
+        back, T = grid_from_grid_map(arrived)
+        assert back.spec == SPEC
+        assert back == grid
+        assert np.array_equal(T, np.eye(4))
+        layers, _ = layers_from_grid_map(arrived)
+        np.testing.assert_array_equal(layers["conflict"], conflict.astype(np.float32))
+
+
+def test_grid_map_cell_by_cell_as_its_core_indexes():
+    """The position of index (i, j): middle of the map, plus half its length less half a cell, less (i, j) cells."""
+    grid = ell()
+    arrived = grid_map(grid, frame_id="map", T_frame_grid=pose(5.0, 7.0))
+    rows, info = SPEC.shape[0], arrived.info
+    for n, value in enumerate(arrived.data[1].data):
+        i, j = n % rows, n // rows
+        x = info.pose.position.x + info.length_x / 2 - 0.08 - 0.16 * i
+        y = info.pose.position.y + info.length_y / 2 - 0.08 - 0.16 * j
+        assert grid.at(x - 5.0, y - 7.0).occupied == value
+
+
+def test_grid_map_as_a_ring_buffer_and_by_rows():
+    grid = ell()
+    arrived = grid_map(grid, frame_id="map")
+    for layer in arrived.data:
+        matrix = np.roll(layer.data.reshape(9, 6, order="F"), (4, 5), axis=(0, 1))
+        layer.data = matrix.reshape(-1)
+        layer.layout = SimpleNamespace(data_offset=0, dim=[SimpleNamespace(label="row_index", size=9, stride=54)])
+    arrived.outer_start_index, arrived.inner_start_index = 4, 5
+    assert grid_from_grid_map(arrived)[0] == grid
+
+
+def test_grid_map_turned(caplog):
+    back, T = grid_from_grid_map(grid_map(ell(), frame_id="map", T_frame_grid=TURNED))
+    assert "drops the rotation" in caplog.text
+    x, y = back.spec.cell_centers
+    there = np.stack(np.broadcast_arrays(x, y, 0.0, 1.0), -1) @ T.T
+    np.testing.assert_allclose(there[..., :2], corners(TURNED), atol=1e-9)
+    assert T[2, 3] == pytest.approx(0.5)
+
+
+def decoded_by_protobuf(grid):
+    """Write a message to an MCAP file by foxglove-sdk, and read it by mcap-protobuf-support."""
+    foxglove = pytest.importorskip("foxglove")
+    decoder = pytest.importorskip("mcap_protobuf.decoder")
+    from mcap.reader import make_reader
+
+    file, context = io.BytesIO(), foxglove.Context()
+    with foxglove.open_mcap(file, context=context, allow_overwrite=True):
+        foxglove.channels.GridChannel("/map", context=context).log(grid, log_time=1)
+    file.seek(0)
+    ((schema, *_, message),) = make_reader(file, decoder_factories=[decoder.DecoderFactory()]).iter_decoded_messages()
+    assert schema.name == "foxglove.Grid"
+    return message
+
+
+@pytest.mark.parametrize("T", [np.eye(4), TURNED])
+def test_foxglove_grid(T):
+    pytest.importorskip("foxglove")
+    grid = ell()
+    conflict = np.arange(54).reshape(9, 6) / 64
+    message = decoded_by_protobuf(
+        foxglove_grid(grid, frame_id="map", stamp=3.5, T_frame_grid=T, layers={"conflict": conflict})
+    )
+    assert message.frame_id == "map"
+    assert (message.timestamp.seconds, message.timestamp.nanos) == (3, 500_000_000)
+    kinds = {7: "f4", 1: "u1"}
+    q, p = message.pose.orientation, message.pose.position
+    yaw = 2 * np.arctan2(q.z, q.w)
+    for field in message.fields:
+        for i, j in np.ndindex(9, 6):
+            offset = j * message.row_stride + i * message.cell_stride + field.offset
+            value = np.frombuffer(message.data, "<" + kinds[field.type], 1, offset)[0]
+            layer = {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown, "conflict": conflict}
+            colour = {"red": grid.occupied, "green": grid.free, "blue": 0 * grid.free, "alpha": 1 - grid.unknown}
+            if field.name in layer:
+                assert value == np.float32(layer[field.name][i, j])
+            else:
+                assert value == np.rint(255 * colour[field.name][i, j])
+    for i, j in np.ndindex(9, 6):
+        right, up = (i + 0.5) * message.cell_size.x, (j + 0.5) * message.cell_size.y
+        x, y = p.x + right * np.cos(yaw) - up * np.sin(yaw), p.y + right * np.sin(yaw) + up * np.cos(yaw)
+        np.testing.assert_allclose([x, y], corners(T)[i, j], atol=1e-9)
+    back, T_back = grid_from_foxglove_grid(message)
+    np.testing.assert_array_equal(back.mass, grid.mass)
+    if T is not TURNED:
+        assert back.spec == SPEC
+        assert np.array_equal(T_back, np.eye(4))
+
+
+def test_names_of_layers_are_not_taken_twice():
+    with pytest.raises(ValueError, match="'free' is the grid's own"):
+        grid_map(ell(), frame_id="map", layers={"free": ell().free})
+    with pytest.raises(ValueError, match="shape"):
+        grid_map(ell(), frame_id="map", layers={"height": np.zeros((6, 9))})
+    pytest.importorskip("foxglove")
+    with pytest.raises(ValueError, match="'alpha' is the grid's own"):
+        foxglove_grid(ell(), frame_id="map", layers={"alpha": ell().free})
+
+
+def broken_occupancy(**changes):
+    message = occupancy_grid(ell(), frame_id="map")
+    for name, value in changes.items():
+        setattr(message if name == "data" else message.info, name, value)
+    return message
+
+
+@pytest.mark.parametrize(
+    ("changes", "error"),
+    [
+        ({"width": 8}, "54 values of int8, wanted int8 for 8 x 6 cells"),
+        ({"width": 0, "height": 0, "data": np.zeros(0, np.int8)}, "0 x 0 cells"),
+        ({"data": np.zeros(54)}, "float64"),
+        ({"resolution": 0.0}, "has no cells: resolution must be positive"),
+        ({"origin": SimpleNamespace(position=SimpleNamespace(x=np.nan, y=0.0, z=0.0),
+                                    orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0))}, "finite position"),
+    ],
+)  # fmt: skip
+def test_occupancy_grids_that_are_none(changes, error):
+    with pytest.raises(OgmError, match=error):
+        grid_from_occupancy_grid(broken_occupancy(**changes))
+
+
+def test_an_origin_whose_rotation_was_not_set():
+    message = occupancy_grid(ell(), frame_id="map")
+    message.info.origin.orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=0.0)
+    assert grid_from_occupancy_grid(message)[0].spec == SPEC
+
+
+def test_grid_maps_that_are_none():
+    message = grid_map(ell(), frame_id="map")
+    message.layers[0] = "elevation"
+    with pytest.raises(
+        OgmError, match="GridMap of map at 0.000000 s has no layer free, only elevation, occupied, unknown"
+    ):
+        grid_from_grid_map(message)
+    message = grid_map(ell(), frame_id="map")
+    message.data.pop()
+    with pytest.raises(OgmError, match="3 names for 2 layers"):
+        layers_from_grid_map(message)
+    message = grid_map(ell(), frame_id="map")
+    message.data[1].data = message.data[1].data[:-1]
+    with pytest.raises(OgmError, match="layer occupied of GridMap .* has 53 values, wanted 9 x 6"):
+        grid_from_grid_map(message)
+    message = grid_map(ell(), frame_id="map")
+    message.data[1].data = message.data[1].data + 1
+    with pytest.raises(OgmError, match="layers that are no masses"):
+        grid_from_grid_map(message)
+    message = grid_map(ell(), frame_id="map")
+    message.info.resolution = 0.0
+    with pytest.raises(OgmError, match="1.44 x 0.96 m in cells of 0 m"):
+        layers_from_grid_map(message)
+
+
+def plain_foxglove(**changes):
+    numbers = ell().mass.transpose(1, 0, 2).copy()
+    fields = [SimpleNamespace(name=name, offset=4 * k, type=7) for k, name in enumerate(("free", "occupied"))]
+    identity = SimpleNamespace(position=SimpleNamespace(x=-0.5, y=2.25, z=0.0),
+                               orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0))  # fmt: skip
+    message = SimpleNamespace(
+        frame_id="map", pose=identity, column_count=9, cell_size=SimpleNamespace(x=0.16, y=0.16), row_stride=72,
+        cell_stride=8, fields=fields, data=numbers.tobytes(),
+    )  # fmt: skip
+    vars(message).update(changes)
+    return message
+
+
+def test_foxglove_grids_of_others():
+    assert grid_from_foxglove_grid(plain_foxglove())[0] == ell()
+    for changes, error in (
+        ({"fields": plain_foxglove().fields[:1]}, "no field occupied, only free"),
+        ({"cell_size": SimpleNamespace(x=0.1, y=0.2)}, "wanted squares"),
+        ({"column_count": 10}, "wanted rows of 72 bytes with 10 cells of 8"),
+        ({"row_stride": 0}, "rows of 0 bytes"),
+        ({"data": bytes(71)}, "71 bytes"),
+        ({"cell_stride": 4}, "no float of its cells"),
+        ({"data": np.full(108, 0.9, "f4").tobytes()}, "no masses"),
+    ):
+        with pytest.raises(OgmError, match=error):
+            grid_from_foxglove_grid(plain_foxglove(**changes))
