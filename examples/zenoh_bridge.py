@@ -13,6 +13,7 @@ from threading import Event
 from typing import Any
 
 import zenoh
+import zenoh.ext
 from rosbags.typesys import Stores, get_typestore
 
 from ogm import Frame, GridSpec, Mount
@@ -29,7 +30,11 @@ PATIENCE = 0.2  # [s] for which a cloud waits for its transform
 def frames(session: zenoh.Session, mount: Mount, map_frame: str, stop: Event) -> Iterator[Frame]:
     """Yield the newest cloud with its pose, again and again."""
     clouds = session.declare_subscriber("points", zenoh.handlers.RingChannel(1))
-    tf, tf_static = (session.declare_subscriber(key, zenoh.handlers.FifoChannel(1000)) for key in ("tf", "tf_static"))
+    tf = session.declare_subscriber("tf", zenoh.handlers.FifoChannel(1000))
+    earlier = zenoh.ext.HistoryConfig(detect_late_publishers=True)  # static transforms are sent once
+    tf_static = zenoh.ext.declare_advanced_subscriber(
+        session, "tf_static", zenoh.handlers.FifoChannel(1000), history=earlier
+    )
     transforms = TransformBuffer(keep=10.0)
 
     def pose_of(cloud: Any, stamp: float) -> Any:
@@ -41,7 +46,7 @@ def frames(session: zenoh.Session, mount: Mount, map_frame: str, stop: Event) ->
                     for transform in transforms_from_tf(message):
                         transforms.add(transform, static=subscriber is tf_static)
             try:
-                return transforms.lookup(map_frame, cloud.header.frame_id, stamp)
+                return transforms.lookup(map_frame, cloud.header.frame_id.lstrip("/"), stamp)
             except ExtrapolationError as error:
                 if error.seconds <= 0 or time.monotonic() > until:
                     raise
