@@ -88,14 +88,8 @@ def test_a_drive_plays_to_its_end(drive: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int) -> None:
     command = [sys.executable, "-m", "ogm.cli", "serve", str(drive), "--port", "0", *map(str, SMALL)]
-    with subprocess.Popen(
-        command,
-        cwd=ROOT,
-        env={**os.environ, "COLUMNS": "200"},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
+    pipes: dict = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, cwd=ROOT, env={**os.environ, "COLUMNS": "200"}, **pipes) as process:
         try:
             assert process.stdout is not None
             port = next(int(found[1]) for line in process.stdout if (found := re.search(r"ws://127.0.0.1:(\d+)", line)))
@@ -121,20 +115,24 @@ def test_a_viewer_sees_the_map_until_a_signal_stops_it(drive: Path, number: int)
 @pytest.mark.parametrize("suffix", [".mcap", ".db3"])
 def test_a_log_plays(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"drive{suffix}"
+    lidars = {"front": pose(z=HEIGHT)}
+    if suffix == ".db3":
+        lidars["rear"] = pose(-1.0, 0.0, HEIGHT, yaw=np.pi)
     with LogWriter(path) as log:
-        mounted = StampedTransform("base_link", "lidar", 100.0, pose(z=HEIGHT))
-        log.write("/tf_static", "tf2_msgs/msg/TFMessage", tf_message([mounted]), 100.0)
+        mounted = [StampedTransform("base_link", name, 100.0, T) for name, T in lidars.items()]
+        log.write("/tf_static", "tf2_msgs/msg/TFMessage", tf_message(mounted), 100.0)
         for k in range(6):
-            stamp, T = 100.0 + 0.1 * k, pose_at(k) @ pose(z=-HEIGHT)
-            log.write(
-                "/tf", "tf2_msgs/msg/TFMessage", tf_message([StampedTransform("odom", "base_link", stamp, T)]), stamp
-            )
-            cloud = point_cloud2(Scan(scan_at(pose_at(k))), frame_id="lidar", stamp=stamp)
-            log.write("/points", "sensor_msgs/msg/PointCloud2", cloud, stamp)
-    result = serve(path, "--topic", "/points", "--frame", "odom", "--port", 0, *SMALL[2:])
+            stamp, T_odom_base = 100.0 + 0.1 * k, pose_at(k) @ pose(z=-HEIGHT)
+            moved = StampedTransform("odom", "base_link", stamp, T_odom_base)
+            log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message([moved]), stamp)
+            for name, T in lidars.items():
+                cloud = point_cloud2(Scan(scan_at(T_odom_base @ T)), frame_id=name, stamp=stamp)
+                log.write(f"/{name}", "sensor_msgs/msg/PointCloud2", cloud, stamp)
+    topics = [word for name in lidars for word in ("--topic", f"/{name}")]
+    result = serve(path, *topics, "--frame", "odom", "--port", 0, *SMALL[2:])
     assert result.exit_code == 0, result.stderr
     mapped, dropped, failed = counts(result.stdout)
-    assert (mapped + dropped, failed) == (6, 0)
+    assert (mapped + dropped, failed) == (6 * len(lidars), 0)
     assert mapped >= 3
 
 

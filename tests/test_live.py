@@ -175,6 +175,7 @@ def deaf_viewer(publisher: FoxglovePublisher) -> socket.socket:
         b"GET / HTTP/1.1\r\nHost: x\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
         b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n"
     )
+    assert viewer.recv(1000).startswith(b"HTTP/1.1 101")
     text = json.dumps({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": publisher._map.id()}]}).encode()
     viewer.sendall(bytes([0x81, 0x80 | len(text)]) + bytes(4) + text)  # a text, "masked" by zeros
     return viewer
@@ -490,7 +491,9 @@ WRONG = {
     b"GET / HTTP/1.1\r\nHost: localhost\r\n\r\n" + bytes(200): r"a message begins with b'GET ', wanted b'OGM1'",
     changed(4, struct.pack("<I", stream.MAX_POINTS + 1)): "announces 4194305 points, allowed are 4194304",
     changed(4, b"\xff" * 4): "announces 4294967295 points",
-    changed(8, struct.pack("<d", math.nan)): "not finite",
+    changed(8, struct.pack("<d", math.nan)): "the stamp nan s, wanted 0 to",
+    changed(8, struct.pack("<d", 1.7e18)): r"the stamp 1.7e\+18 s, wanted 0 to",
+    changed(40, struct.pack("<d", math.inf)): "a pose that is not finite",
     changed(16, struct.pack("<d", 2.0)): "scan 1 of .*: T_map_sensor must be rigid",
     changed(112, struct.pack("<f", 1e7)): "coordinates up to 1e",
     changed(124, struct.pack("<f", 200.0)): "intensities up to 200",

@@ -23,7 +23,7 @@ PATIENCE = 2.0  # [s] for which closing waits for the port to be free
 
 
 class FoxglovePublisher:
-    """A server for viewers; called with what `ogm.fusion.fuse` yields, it sends the map as of then.
+    """A server for viewers; each step of `ogm.fusion.fuse` that it is given goes to them, with the map as of then.
 
     Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/points`` (foxglove.PointCloud, in the
     sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map, vehicle, sensor). What no viewer has subscribed to is

@@ -12,8 +12,8 @@ __all__ = ["NewestFrames"]
 class NewestFrames:
     """Frames on their way from the thread that reads to the one that maps; at most one of each sensor waits.
 
-    However slow the mapping is, a frame waits no longer than one frame of every sensor takes. Sensors are told
-    apart by `Scan.sensor`.
+    However slow the mapping is, a frame waits no longer than one frame of every sensor takes. `Scan.sensor` names the
+    sensor.
 
     Attributes
     ----------

@@ -81,8 +81,8 @@ def serve(
     mapper : EvidentialMapper or BinaryBayesMapper
         Updated in place.
     publish : function
-        ``publish(step, mapper)``, called after every frame that was fused, in the thread that maps: a
-        `FoxglovePublisher`, or what sends the map elsewhere.
+        Called with a step of `ogm.fusion.fuse` and the mapper after every frame that was fused, in the thread that
+        maps: a `FoxglovePublisher`, or what sends the map elsewhere.
     rate : float, optional
         Play recorded frames at their stamps, this many times as fast; by default each is available when the iterable
         gives it.

@@ -7,7 +7,7 @@ bytes    type         what
 =======  ===========  =============================================================================
 0-3      4 bytes      ``OGM1``
 4-7      uint32       N, the number of points, at most 4,194,304
-8-15     float64      stamp [s]
+8-15     float64      stamp [s], from 0 to 2**31
 16-111   12 float64   T_map_sensor, its first three rows, row by row [m]
 112-     4 N float32  x, y, z [m] in the sensor's frame, intensity [0, 1], point by point
 =======  ===========  =============================================================================
@@ -37,6 +37,7 @@ __all__ = ["frame_bytes", "receive_frames"]
 MAGIC = b"OGM1"
 HEADER = struct.Struct("<4sI13d")
 MAX_POINTS = 2**22
+LATEST = 2**31  # [s] from which on ROS and Foxglove have no stamps
 POLL = 0.1  # [s] after which `stop` is looked at while nothing comes
 _COLUMNS = ("x", "y", "z", "intensity")
 
@@ -49,10 +50,10 @@ def frame_bytes(scan: Scan, T_map_sensor: ArrayLike) -> bytes:  # noqa: N803
     Raises
     ------
     ValueError
-        If the scan has no stamp or too many points, or the pose is not rigid.
+        If the scan has no such stamp or too many points, or the pose is not rigid.
     """
-    if scan.stamp is None or len(scan) > MAX_POINTS:
-        raise ValueError(f"a message needs a stamp and at most {MAX_POINTS} points, got {scan!r}")
+    if scan.stamp is None or not 0 <= scan.stamp < LATEST or len(scan) > MAX_POINTS:
+        raise ValueError(f"a message needs a stamp from 0 to 2**31 s and at most {MAX_POINTS} points, got {scan!r}")
     rows = check_pose(T_map_sensor, "T_map_sensor")[:3].ravel()
     return HEADER.pack(MAGIC, len(scan), scan.stamp, *rows) + scan.points.astype("<f4").tobytes()
 
@@ -158,8 +159,8 @@ class _Connection:
             raise OgmError(f"a message begins with {magic!r}, wanted {MAGIC!r}: see ogm.live.stream for the format")
         if count > MAX_POINTS:
             raise OgmError(f"a message announces {count} points, allowed are {MAX_POINTS}")
-        if not all(map(math.isfinite, numbers)):
-            raise OgmError("a message has a stamp or a pose that is not finite")
+        if not (0 <= numbers[0] < LATEST and all(map(math.isfinite, numbers))):
+            raise OgmError(f"a message has the stamp {numbers[0]} s, wanted 0 to 2**31 s, or a pose that is not finite")
         self._points = np.empty(4 * count, "<f4")
         if count:
             self._target, self._filled = memoryview(self._points.data).cast("B"), 0
