@@ -1,5 +1,6 @@
 """``ogm serve``: a drive at its own pace, or scans from a socket, as a live map for Foxglove and others."""
 
+import logging
 import signal
 import socket
 from collections.abc import Iterable, Iterator
@@ -117,6 +118,7 @@ def serve(
             _print("taking scans at {}:{}".format(*listener.getsockname()))
         with first_call():
             warm_up(model, mapper, example)
+        logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
         publisher = stack.enter_context(FoxglovePublisher(host, port))
         out.print(f"serving /map, /points and /tf at {publisher.url}; Ctrl-C stops")
         stack.enter_context(_terminable())
