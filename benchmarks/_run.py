@@ -38,6 +38,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PICTURES = ROOT / "benchmarks" / "results", ROOT / "docs" / "pictures"
 DATA = Path(os.environ.get("OGM_DATA", ROOT.parent / "shared" / "data" / "real"))  # see benchmarks/README.md
 PACKAGES = (
+    *("rosbags", "mcap", "mcap-ros2-support"),
     *("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "shapely", "torch"),
     *("pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp"),
 )

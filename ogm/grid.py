@@ -1,6 +1,7 @@
 """Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`."""
 
 import os
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ _FORMAT = "ogm.EvidentialGrid/1"
 _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
     zipfile.BadZipFile,
     zlib.error,
+    tokenize.TokenError,
     EOFError,
     KeyError,
     IndexError,
@@ -327,7 +329,7 @@ class EvidentialGrid:
         The archive holds ``mass`` (nx, ny, 2) float32, ``resolution`` and ``origin`` [m], and the texts
         ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
         """
-        if not str(path).endswith(".npz"):
+        if not str(path).lower().endswith(".npz"):
             raise ValueError(f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture")
         with atomic_write(path) as file:
             np.savez_compressed(

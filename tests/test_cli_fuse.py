@@ -1,6 +1,7 @@
 """``ogm fuse``, as a person uses it: a small drive between four walls."""
 
 import importlib
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
+from ogm.viewer import write_view
 
 FUSE = importlib.import_module("ogm.cli.fuse_command")
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
@@ -374,6 +376,7 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "--out writes .npz"),
         (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "--movie writes .gif or .webp or .png"),
         (("{scans}", "--poses", "{poses}", "--picture", "{folder}/x.png", "--movie", "{folder}/x.png"), "both write"),
+        (("{scans}", "--poses", "{poses}", "--page", "{folder}/x.htm"), "--page writes .html"),
         (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
         (("{scans}", "--calib", "{poses}"), "--calib belongs to --poses"),
@@ -488,6 +491,24 @@ def test_outputs_may_lie_in_new_folders_and_extents_follow_the_resolution(
     result = ogm("fuse", scans, "--poses", poses, *words)
     assert result.exit_code == 0, result.output
     assert EvidentialGrid.load(out).spec.resolution == 0.7
+
+
+def test_a_page_shows_the_map_and_its_conflict(scans: Path, poses: Path, tmp_path: Path) -> None:
+    """The page holds what `write_view` makes of the map that is saved beside it; the Bayes filter has no conflict."""
+    for rule, has_conflict in (("cautious", True), ("bayes", False)):
+        page, grid = tmp_path / f"{rule}.html", tmp_path / f"{rule}.npz"
+        words = ("--rule", rule, "--page", page, "--out", grid, *SMALL)
+        result = ogm("fuse", scans, "--poses", poses, *words)
+        assert result.exit_code == 0, result.output
+        assert f"page {page}" in result.output
+        write_view(tmp_path / "alone.html", EvidentialGrid.load(grid))
+        masses = [
+            dict(re.findall(r'<script type="text/plain" id="(0/[^"]*)">([^<]+)<', one.read_text()))
+            for one in (page, tmp_path / "alone.html")
+        ]
+        assert masses[0] == masses[1]
+        assert masses[0]
+        assert ("free_to_occupied" in page.read_text()) == has_conflict
 
 
 def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(scans: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo, map, fuse, serve, simulate, train, calibrate, evaluate, export, info, view``."""
+"""Commands: ``ogm demo, map, fuse, serve, convert, simulate, train, calibrate, evaluate, export, info, view``."""
 
 import logging
 import sys
@@ -9,6 +9,7 @@ import typer
 import ogm
 from ogm.cli.calibrate_command import calibrate_command
 from ogm.cli.console import out
+from ogm.cli.convert_command import convert
 from ogm.cli.evaluate_command import evaluate
 from ogm.cli.fuse_command import fuse
 from ogm.cli.info_command import info
@@ -35,6 +36,7 @@ app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --
     fuse
 )
 app.command(epilog="Example:  ogm serve drive.mcap --rate 1.0 --port 8765 --ism ray")(serve)
+app.command(epilog="Example:  ogm convert map.npz map.yaml")(convert)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)
 app.command("calibrate", epilog="Example:  ogm calibrate data/ --ism ray --out ray.json")(calibrate_command)

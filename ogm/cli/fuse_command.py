@@ -14,14 +14,17 @@ from typer import Argument, Option
 from ogm.cli import options
 from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
 from ogm.cli.options import File
+from ogm.io.grids import MAP_ENDINGS, GridLog, check_grid_output, write_grid
+from ogm.io.logs import LOG_ENDINGS
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
 
 ENDINGS = {  # of what each option writes
-    "--out": (".npz",),
+    "--out": MAP_ENDINGS,
     "--picture": (".png",),
     "--movie": (".gif", ".webp", ".png"),
+    "--page": (".html",),
     "--save-poses": (".csv", ".txt", ".tum"),
 }
 
@@ -47,8 +50,20 @@ HalfLife = Annotated[float | None, Option(help="Time in which belief halves [s],
 Window = Annotated[
     str, Option(help="rolling: follows the vehicle. fixed: covers the drive (--half-life inf keeps it).")
 ]
-Out = Annotated[File, Option("--out", help="Map (.npz); its folder is made if need be. [default: map.npz]")]
+Out = Annotated[
+    File,
+    Option(
+        "--out",
+        help="Map: .npz, .yaml (map_server), .tif, .nc, .zarr, .png (masses as colours), or .mcap, .db3, .bag with the "
+        "map and pose after each scan; its folder is made if need be. [default: map.npz]",
+    ),
+]
+Message = Annotated[
+    str | None,
+    Option(help="In logs: occupancy-grid, or with masses grid-map or foxglove-grid. [default: occupancy-grid]"),
+]
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
+Page = Annotated[File, Option(help="Page for a browser: the map and its conflict, zoom, values of each cell (.html).")]
 MovieFile = Annotated[File, Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")]
 
 
@@ -78,8 +93,10 @@ def fuse(
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
     out_path: Out = None,
+    message: Message = None,
     picture: Picture = None,
     movie: MovieFile = None,
+    page: Page = None,
 ) -> None:
     """Fuse the scans of a drive into one map.
 
@@ -101,12 +118,15 @@ def fuse(
     from ogm.grid import GridSpec
     from ogm.movie import open_movie
     from ogm.scan import PerMount
+    from ogm.viewer import write_view
 
-    if out_path is None and picture is None and movie is None:
+    if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
     _check_poses(poses, calib, odometry, save_poses, first)
-    outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses}
-    _prepare_outputs(outputs)
+    outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses, "--page": page}
+    _prepare_outputs(outputs, scans)
+    if message is not None:
+        check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
     model = PerMount(model_factory(ism, spec))
     make_mapper(rule, spec, half_life, window)  # type: ignore[arg-type]  # refuses what is no choice, before any work
@@ -127,22 +147,26 @@ def fuse(
     cells = rolling_window(spec) if window == "rolling" else covering_window(spec, np.array(known))
     mapper = make_mapper(rule, cells, half_life, window)  # type: ignore[arg-type]
 
-    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or Path("map.npz"))
+    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or page or Path("map.npz"))
     times = (dataset.trajectory or True) if deskew else False
     steps = fused(dataset, model, mapper, deskew=times, on_error=run.report)
     titles = ("points by height", *run.titles)
-    with open_movie(movie, spec, titles, run.ground_z) if movie else nullcontext() as film:
-        code = run.map_all(steps, film)
+    is_log = out_path is not None and out_path.suffix.lower() in LOG_ENDINGS
+    log = GridLog(out_path, message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
+    with open_movie(movie, spec, titles, run.ground_z) if movie else nullcontext() as film, log as maps:
+        code = run.map_all(steps, film, maps)
         if run.last is None:
             raise (typer.Exit(code) if code == 130 else ValueError("no scan could be mapped; nothing is written"))
-        if out_path is not None:
-            mapper.grid.save(out_path)
+        if out_path is not None and not is_log:
+            write_grid(out_path, run.placed)
         if save_poses is not None:
             run.save_poses(save_poses)
         if picture is not None:
             run.save_picture(picture)
+        if page is not None:
+            write_view(page, mapper.grid, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
     print_facts(run.facts())
-    written = zip(("map", "picture", "movie", "poses"), outputs.values(), strict=True)
+    written = zip(("map", "picture", "movie", "poses", "page"), outputs.values(), strict=True)
     out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)
     if code:
         raise typer.Exit(code)
@@ -163,7 +187,7 @@ def _check_poses(
             raise ValueError(f"--save-poses would overwrite {path}; give another name")
 
 
-def _prepare_outputs(wanted: dict[str, Path | None]) -> None:
+def _prepare_outputs(wanted: dict[str, Path | None], inputs: list[Path]) -> None:
     """Make the folders of all outputs, and see that they can be written, before hours of work."""
     used: dict[Path, str] = {}
     for option, path in wanted.items():
@@ -171,8 +195,12 @@ def _prepare_outputs(wanted: dict[str, Path | None]) -> None:
             continue
         if path.suffix.lower() not in ENDINGS[option]:
             raise ValueError(f"{option} writes {' or '.join(ENDINGS[option])}, got {path}")
-        if path.is_dir():
+        if option == "--out":
+            check_grid_output(path)
+        if path.is_dir() and path.suffix.lower() != ".zarr":
             raise ValueError(f"{option} {path} is a folder; give a file name")
+        if path.resolve() in (one.resolve() for one in inputs):
+            raise ValueError(f"{option} would take the place of {path}, which is read; give another name")
         other = used.setdefault(path.resolve(), option)
         if other != option:
             raise ValueError(f"{other} and {option} would both write {path}; give two names")

@@ -7,6 +7,7 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import track
 
 from ogm import plot
@@ -14,10 +15,11 @@ from ogm.cli.console import one_line, stderr
 from ogm.datasets import Dataset, frame_numbers
 from ogm.fusion import EvidentialMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import write_poses
+from ogm.io import GridLog, PlacedGrid, write_poses
+from ogm.io.messages import StampedTransform
 from ogm.movie import Movie
 from ogm.plot import Panel
-from ogm.pose import Trajectory
+from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Frame
 
 __all__ = ["FusionRun"]
@@ -66,7 +68,7 @@ class FusionRun:
         other = "conflict" if hasattr(self.mapper, "conflict") else "map, probability"
         return f"measurement ({model})", f"map ({rule}{fading})", other
 
-    def map_all(self, steps: Iterator[FusionStep], film: Movie | None) -> int:
+    def map_all(self, steps: Iterator[FusionStep], film: Movie | None, maps: GridLog | None = None) -> int:
         """Map all scans; return the exit code: 0, 2 after skipped scans or an error, 130 after Ctrl-C."""
         steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
         try:
@@ -74,6 +76,8 @@ class FusionRun:
                 if step.grid is None:
                     continue
                 self.note(k, step)
+                if maps is not None:
+                    self.record(maps)
                 if film is not None:
                     panels, line = self.panels()
                     film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
@@ -103,14 +107,35 @@ class FusionRun:
             why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
             stderr.print(f"ogm: {step.frame.name}: {why}", markup=False)
         elif self.last is not None:
-            here, before = step.frame, self.last.frame
-            metres = math.dist(here.T_map_sensor[:2, 3], before.T_map_sensor[:2, 3])  # type: ignore[index]
-            seconds = (here.stamp or 0.0) - (before.stamp or 0.0)
+            metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
+            seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
             self.path += metres
             self.speed = metres / seconds if seconds > 0 else math.nan
         self.taken.append(k)
         self.seconds.append(step.seconds)
         self.last = step
+
+    @property
+    def placed(self) -> PlacedGrid:
+        """The map, in the frame of the poses, at the height of the ground under the vehicle."""
+        assert self.last is not None
+        T, mount = self.T_map_vehicle, self.last.frame.mount
+        ground_z = float((T @ (*mount.ground_point, 1.0))[2])
+        frame = self.dataset.facts.get("frame") or "map"  # that of a log's poses
+        return PlacedGrid(self.mapper.grid, pose(z=ground_z), frame, self.mapper.stamp)
+
+    @property
+    def T_map_vehicle(self) -> NDArray[np.float64]:  # noqa: N802
+        """Where the vehicle was at the last scan, (4, 4)."""
+        assert self.last is not None
+        assert self.last.frame.T_map_sensor is not None
+        return self.last.frame.T_map_sensor @ inverse(self.last.frame.mount.T_vehicle_sensor)
+
+    def record(self, maps: GridLog) -> None:
+        """Write the map after the last scan to a log, and the pose of the vehicle."""
+        assert self.last is not None
+        placed, stamp = self.placed, self.last.frame.stamp or 0.0
+        maps.write(placed, [StampedTransform(placed.frame_id, "vehicle", stamp, self.T_map_vehicle)])
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
         """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""

@@ -15,6 +15,7 @@ from rich.text import Text
 
 from ogm.cli import options
 from ogm.cli.console import distinct, first_call, one_line, out, report_errors, stderr, ticked
+from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
@@ -81,7 +82,12 @@ def map_(
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
     out_path: Annotated[
-        Path | None, typer.Option("--out", help="Grid file (.npz), or a folder; made if need be. [default: ./NAME.npz]")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Grid file (.npz, .yaml of map_server, .tif, .nc, .zarr, .png of masses as colours), or a folder of "
+            ".npz files; made if need be. [default: ./NAME.npz]",
+        ),
     ] = None,
     picture: Annotated[Path | None, typer.Option(help="Picture (.png), or a folder. [default: ./NAME.png]")] = None,
     length: options.Length = None,
@@ -111,8 +117,12 @@ def map_(
         raise ValueError("two scans share a name, and so would their outputs; map them one after the other")
     if out_path is None and picture is None:
         out_path, picture = Path(), Path()
-    grids = _outputs(out_path, names, ".npz", "--out")
-    pictures = _outputs(picture, names, ".png", "--picture")
+    grids = _outputs(out_path, names, MAP_ENDINGS, "--out")
+    pictures = _outputs(picture, names, (".png",), "--picture")
+    if grids[0] is not None:
+        check_grid_output(grids[0])
+        if grids[0] == pictures[0]:
+            raise ValueError(f"--out and --picture would both write {grids[0]}; give two names")
     table, failed, heights, warm = _table(), [], set(), False
     outputs = zip(dataset, distinct(names), grids, pictures, strict=True)
     for frame, short, grid_path, picture_path in ticked(outputs, "mapping"):
@@ -123,7 +133,7 @@ def map_(
                 warm = True
             grid, seconds = _timed(partial(run_model, model, frame))
             if grid_path is not None:
-                grid.save(grid_path)
+                write_grid(grid_path, PlacedGrid(grid, frame_id="vehicle", stamp=frame.stamp))
             if picture_path is not None:
                 cloud = plot.points_panel(frame.scan.points, grid.spec, frame.name)
                 plot.save_picture(picture_path, cloud, grid, titles=["", ism])
@@ -187,16 +197,20 @@ def _timed(call: "Callable[[], EvidentialGrid]", repeats: int = 1) -> tuple["Evi
     return grid, statistics.median(seconds)
 
 
-def _outputs(path: Path | None, names: list[str], suffix: str, option: str) -> list[Path | None]:
-    """Return where each output goes: into a folder, or to a file for a single scan; folders are made."""
+def _outputs(path: Path | None, names: list[str], endings: tuple[str, ...], option: str) -> list[Path | None]:
+    """Return where each output goes: to a file for a single scan, or into a folder, with the first ending.
+
+    Folders are made.
+    """
     if path is None:
         return [None] * len(names)
-    if path.suffix.lower() == suffix and not path.is_dir():
+    ending = path.suffix.lower()
+    if ending in endings and (ending == ".zarr" or not path.is_dir()):
         if len(names) > 1:
             raise ValueError(f"{option} {path} is one file for {len(names)} scans; give a folder")
         path.parent.mkdir(parents=True, exist_ok=True)
         return [path]
     if path.suffix and not path.is_dir():
-        raise ValueError(f"{option} writes {suffix} files, got {path}; give a name that ends in {suffix}, or a folder")
+        raise ValueError(f"{option} {path}: give a name that ends in {', '.join(endings)}, or a folder")
     path.mkdir(parents=True, exist_ok=True)
-    return [path / f"{name}{suffix}" for name in names]
+    return [path / f"{name}{endings[0]}" for name in names]

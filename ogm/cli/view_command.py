@@ -1,7 +1,7 @@
 """``ogm view``: a grid or a map as one page for the browser."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Argument, Option
 
@@ -39,9 +39,9 @@ def view(
 
     if (length is None) != (width is None):
         raise ValueError("give both --length and --width [m], or none of them")
-    area: dict[str, Any] = {"area": None if length is None else GridSpec.centered(length, width, resolution)}
+    area = None if length is None else GridSpec.centered(length, width, resolution)
     path = Path(f"{grid.stem}.html") if out_path is None else out_path
-    found = read_grid(grid, **area)
+    found = read_grid(grid, area)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_view(path, found, title=title or grid.name)
     print_facts({"page": str(path), "cells": str(found.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})

@@ -208,7 +208,8 @@ def open_dataset(
         and odometry recordings, SemanticKITTI, nuScenes, mmdetection3d's info (as JSON), an Argoverse 2 log,
         SUSTechPOINTS, labelled range images, what ``ogm simulate`` made, or a folder of truth grids. What lies in it
         decides. A log of ROS 1 or ROS 2 (.bag, .db3, .mcap, or a folder of its parts) is one drive: the scans of
-        `topic`, in the order of their headers' stamps, with poses by the transforms or the odometry in it.
+        `topic`, in the order of their headers' stamps, with poses by the transforms or the odometry in it. A
+        capture of a Velodyne (.pcap) is one drive without poses.
     axes, intensity_max, time_unit
         Of files of scans, as for `ogm.io.read_scan`; those of data sets are known.
     sensor_height : float, optional

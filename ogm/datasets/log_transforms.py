@@ -17,7 +17,7 @@ __all__ = ["LogTransforms"]
 _TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ODOMETRY = "nav_msgs/msg/Odometry"
 _FIXED = ("map", "odom", "world")  # the first that a chain of transforms joins with the sensor, one of which changes
-_VEHICLE = "base_link"
+_VEHICLE, _FLOOR = "base_link", "base_footprint"  # never fixed, though ROS 1 sends their mounts as if they moved
 
 
 class LogTransforms:
@@ -49,7 +49,7 @@ class LogTransforms:
         self.heads: list[tuple[MessageRef, MessageHead]] = []
         self.lost: list[str] = []
         known = {name: name.rstrip("/").endswith("tf_static") for name in self._of_type(*_TRANSFORMS)}
-        for ref in log.refs([*scans, *known]):
+        for ref in log.iter_refs([*scans, *known]):
             try:
                 topic = log.topic_of(ref)
                 if topic in known:
@@ -83,8 +83,9 @@ class LogTransforms:
             return self._joined([preferred], sensor)
         while True:
             candidates = [frame for name in _FIXED for frame in self._named(name)]
+            vehicle = self._named(_VEHICLE) + self._named(_FLOOR)
             for frame in [*candidates, self._root(sensor)]:
-                if self._is_moving(frame, sensor):
+                if frame not in vehicle and self._is_moving(frame, sensor):
                     return frame
             if not self._read_odometry():
                 return None
@@ -95,7 +96,7 @@ class LogTransforms:
 
     def floor_frame(self, sensor: str) -> str | None:
         """Return the frame base_footprint, on the ground, where transforms join it with a sensor."""
-        return self._joined(self._named("base_footprint"), sensor)
+        return self._joined(self._named(_FLOOR), sensor)
 
     def lookup(
         self, target: str, source: str, stamps: NDArray[np.float64]
@@ -142,7 +143,7 @@ class LogTransforms:
         if root == sensor or not self._joined([root], sensor):
             return f"no transform leads from another frame to {sensor}, the frame of {topic}; there are {frames}"
         lacking = f"from {' or '.join(fixed) if fixed else 'a fixed frame (map, odom, world)'} to {root}"
-        return f"the transforms from {root} to {sensor}, the frame of {topic}, are static; one {lacking} is missing"
+        return f"transforms lead from {root} to {sensor}, the frame of {topic}; one {lacking} is missing"
 
     def missing_vehicle(self, sensors: Iterable[str]) -> str:
         """Return from which sensors no transform leads to base_link, in words."""
@@ -200,7 +201,7 @@ class LogTransforms:
             return False
         name = self._odometry.pop(0)
         self.source = f"odometry ({name})"
-        for ref in self._log.refs([name]):
+        for ref in self._log.iter_refs([name]):
             try:
                 found = transform_from_odometry(self._log.message(ref).decode())
                 self._add([found if found.child else found._replace(child=_VEHICLE)])

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ogm.datasets.layout import Layout, RawFrame
 from ogm.datasets.log_scans import CLOUD, LIDAR_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
+from ogm.datasets.paths import ending_of
 from ogm.files import OgmError
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
@@ -30,9 +31,10 @@ _LABELS = "poses of the scans (transforms or odometry in the log)"
 
 
 def is_log(paths: Sequence[Path]) -> bool:
-    """Tell whether paths are logs by their names: files, or one folder that holds some."""
+    """Tell whether paths are logs by their names: files, or one folder of such, without scans and other folders."""
     if len(paths) == 1 and paths[0].is_dir():
-        return bool(log_files(paths[0]))
+        other = any(one.is_dir() or ending_of(one) for one in paths[0].iterdir())
+        return not other and bool(log_files(paths[0]))
     return bool(paths) and all(path.suffix.lower() in LOG_ENDINGS for path in paths)
 
 

@@ -1,10 +1,11 @@
-"""Point clouds, poses and labels in: any supported file to metres, x forward, y left, z up.
+"""Point clouds, poses and labels in: any supported file to metres, x forward, y left, z up. Grids both ways.
 
 A new format of point clouds goes to `ogm.io.formats`; the labels of a data set are read by the module of its name.
 """
 
 from ogm.io.argoverse2 import read_argoverse2
 from ogm.io.axes import AXES, Axes
+from ogm.io.grids import GridLog, PlacedGrid, from_xarray, read_grid, read_placed_grid, to_xarray, write_grid
 from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.labels import LabelledPoints
 from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
@@ -26,21 +27,26 @@ __all__ = [
     "SEMANTIC_KITTI_TRAINING",
     "Axes",
     "FileFacts",
+    "GridLog",
     "LabelledPoints",
     "NuScenes",
+    "PlacedGrid",
     "Poses",
     "StampedTransform",
     "TransformBuffer",
     "describe",
     "estimate_sensor_height",
+    "from_xarray",
     "plausible_sensor_height",
     "read_argoverse2",
     "read_calibration",
+    "read_grid",
     "read_kitti_objects",
     "read_kitti_stamps",
     "read_kitti_tracks",
     "read_mmdet3d",
     "read_nuscenes",
+    "read_placed_grid",
     "read_points",
     "read_poses",
     "read_range_image",
@@ -48,5 +54,7 @@ __all__ = [
     "read_scan_file",
     "read_semantic_kitti",
     "read_sustech",
+    "to_xarray",
+    "write_grid",
     "write_poses",
 ]

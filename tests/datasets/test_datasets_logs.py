@@ -202,6 +202,10 @@ def test_odometry_serves_where_transforms_do_not(log: Callable[..., Path]) -> No
     [
         ([], "no transforms (/tf, /tf_static) and no odometry"),
         ([fixed("base_link", "lidar", np.eye(4))], "one from a fixed frame (map, odom, world) to base_link is missing"),
+        (
+            [moved("base_link", "lidar", START + k, np.eye(4)) for k in (-1, 1)],
+            "one from a fixed frame (map, odom, world) to base_link is missing",
+        ),
         ([moved("map", "base_link", START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are"),
         ([odometry(START, np.eye(4))], "no transform leads to lidar, the frame of /points; there are odom, base_link"),
     ],
@@ -276,8 +280,10 @@ def test_topics_are_listed_where_one_must_be_chosen(log: Callable[..., Path]) ->
         open_dataset(log([odometry(START, np.eye(4))], "odometry.mcap"))
 
 
-def test_topic_and_frame_are_for_logs(tmp_path: Path) -> None:
+def test_topic_and_frame_are_for_logs(tmp_path: Path, log: Callable[..., Path]) -> None:
     seen_from(np.eye(4)).points.tofile(tmp_path / "000.bin")
+    log(drive())  # in a folder of scans, which is no log for that
+    assert len(open_dataset(tmp_path)) == 1
     for options in ({"topic": "/points"}, {"frame": "map"}):
         with pytest.raises(ValueError, match=r"topic and frame \(--topic, --frame\) are for logs"):
             open_dataset(tmp_path, **options)
@@ -388,7 +394,22 @@ def test_opening_reads_no_points_and_a_frame_no_others(
     assert count < 1.1 * size / FRAMES + 4096
 
 
-def test_a_damaged_scan_is_skipped(log: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
+def test_a_damaged_scan_alone_cannot_be_read(log: Callable[..., Path]) -> None:
+    path = log([row for k, row in enumerate(drive()) if k < 8], compression="zstd")  # in two chunks
+    data = bytearray(path.read_bytes())
+    data[600_000:600_100] = bytes(100)
+    path.write_bytes(data)
+    dataset, failed = open_dataset(path), []
+    for frame in dataset:
+        try:
+            _ = frame.scan
+        except OgmError as error:
+            failed.append(str(error))
+    assert 0 < len(failed) < len(dataset)
+    assert all(error.count(str(path)) == 1 and "the chunk at byte" in error for error in failed)
+
+
+def test_of_a_cut_log_the_whole_scans_are_read(log: Callable[..., Path], caplog: pytest.LogCaptureFixture) -> None:
     path = log(drive())
     data = path.read_bytes()
     path.write_bytes(data[: int(0.7 * len(data))])

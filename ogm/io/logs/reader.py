@@ -14,6 +14,7 @@ from ogm.io.logs.files import Channel, LogFile
 
 __all__ = ["LogMessage", "LogReader", "MessageHead", "MessageRef", "TopicFacts"]
 
+_ROWS = 10_000  # of the index that become objects at once
 _HEAD = 512  # [byte] in which the header of a message ends, if its frame has a name of usual length
 
 
@@ -124,21 +125,25 @@ class LogReader:
         self._files = []
 
     def refs(self, topics: Iterable[str] | None = None, start: float | None = None) -> list[MessageRef]:
-        """Return where messages lie, in the order of their log time; see `messages`."""
-        parts = []
+        """Return where messages lie, in the order of their log times; see `messages`."""
+        return list(self.iter_refs(topics, start))
+
+    def iter_refs(self, topics: Iterable[str] | None = None, start: float | None = None) -> Iterator[MessageRef]:
+        """Yield where messages lie, in the order of their log times; see `messages`."""
+        parts = [np.empty((0, 5), np.int64)]
         wanted = None if topics is None else self._known(topics)
         for n, file in enumerate(self._files):
             for number, rows in file.index.items():
                 if wanted is None or file.channels[number].topic in wanted:
                     ids = np.full((len(rows), 2), (n, number), np.int64)
                     parts.append(np.column_stack([ids, rows]))
-        if not parts:
-            return []
         table = np.concatenate(parts)
         table = table[np.argsort(table[:, 2], kind="stable")]
         if start is not None:
             table = table[table[:, 2] >= round(start * 1e9)]
-        return [MessageRef(n, number, time, (a, b)) for n, number, time, a, b in table.tolist()]
+        for first in range(0, len(table), _ROWS):
+            for n, number, time, a, b in table[first : first + _ROWS].tolist():
+                yield MessageRef(n, number, time, (a, b))
 
     def messages(self, topics: Iterable[str] | None = None, start: float | None = None) -> Iterator[LogMessage]:
         """Yield messages in the order of their log time, one in memory at a time.
@@ -158,7 +163,7 @@ class LogReader:
             If there is no such topic; the error lists those that there are.
         """
         lost: dict[str, int] = {}
-        for ref in self.refs(topics, start):
+        for ref in self.iter_refs(topics, start):
             try:
                 message = self.message(ref)
             except OgmError as error:

@@ -1,0 +1,91 @@
+"""``ogm convert``: a map from one format of files to another."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from typer import Argument, Option
+
+from ogm.cli.console import print_facts, report_errors
+
+if TYPE_CHECKING:
+    from ogm.grid import GridSpec
+
+GridFile = Annotated[
+    Path, Argument(help="Map or grid: .npz, .yaml (map_server), .tif, .nc, .zarr, .mcap, .db3, .bag, .png, .npy.")
+]
+OutFile = Annotated[Path, Argument(help="File to write, by its ending; its folder is made if need be.")]
+Mode = Annotated[
+    str | None, Option(help="Of .yaml: trinary, scale or raw (exact values of 0 ... 100). [default: trinary]")
+]
+Crs = Annotated[
+    str | None, Option(help="Coordinate reference system of OUT (.tif, .nc, .zarr), in metres, such as EPSG:25832.")
+]
+Pose = Annotated[
+    tuple[float, float, float] | None,
+    Option(help="Where GRID's frame lies in that of OUT: x y [m] and yaw [rad].", metavar="X Y YAW"),
+]
+Message = Annotated[
+    str | None,
+    Option(help="Of .mcap, .db3, .bag: occupancy-grid, or with masses grid-map or foxglove-grid. [default: the first]"),
+]
+Topic = Annotated[str | None, Option(help="Of a GRID in a log. [default: the one with grids, or /map]")]
+Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
+Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
+Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
+
+
+@report_errors
+def convert(
+    grid: GridFile,
+    out: OutFile,
+    mode: Mode = None,
+    crs: Crs = None,
+    pose: Pose = None,
+    message: Message = None,
+    topic: Topic = None,
+    length: Length = None,
+    width: Width = None,
+    resolution: Resolution = 0.16,
+) -> None:
+    """Write a map in another format.
+
+    Formats that hold masses (.npz, .tif, .nc, .zarr, grid-map and foxglove-grid in logs) are exact; map_server and
+    occupancy-grid hold a state or a value per cell, a .png the masses in steps of 1/255. All but .npz and .png can hold
+    a turn of the map. Of a log with several maps, the last is taken.
+    """
+    from dataclasses import replace
+
+    from ogm.io.grids import check_grid_output, read_placed_grid, write_grid
+    from ogm.pose import pose as pose_of
+
+    check_grid_output(out, mode=mode, message=message, crs=crs)  # type: ignore[arg-type]
+    same = (grid.with_suffix(".png") if grid.suffix.lower() in (".yaml", ".yml") else grid).resolve()
+    if out.resolve() in (grid.resolve(), same):
+        raise ValueError(f"{out} would take the place of {grid} or of its image; give another name")
+    placed = read_placed_grid(grid, _area(length, width, resolution), topic=topic)
+    if pose is not None:
+        placed = replace(placed, T_frame_grid=pose_of(*pose[:2], yaw=pose[2]) @ placed.T_frame_grid)
+    if crs is not None:
+        placed = replace(placed, crs=crs)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_grid(out, placed, mode=mode, message=message)  # type: ignore[arg-type]
+    spec, (x, y, yaw) = placed.grid.spec, placed.corner
+    shares = (f"{name} {100 * getattr(placed.grid, name).mean():.1f} %" for name in ("free", "occupied", "unknown"))
+    facts = {
+        "map": str(out),
+        "cells": f"{spec.shape[0]} x {spec.shape[1]} of {spec.resolution:g} m",
+        "corner": f"x {x:.10g} m, y {y:.10g} m" + (f", turned by {yaw:.6g} rad" if yaw else ""),
+        "masses": ", ".join(shares),
+    }
+    print_facts(facts | ({"crs": placed.crs} if placed.crs else {}))
+
+
+def _area(length: float | None, width: float | None, resolution: float) -> "GridSpec | None":
+    """Return the area of a file that does not hold it; none where none is given."""
+    from ogm.grid import GridSpec
+
+    if length is None and width is None:
+        return None
+    if length is None or width is None:
+        raise ValueError("give both --length and --width [m], or none of them")
+    return GridSpec.centered(length, width, resolution)

@@ -1,0 +1,194 @@
+"""Grid files of all formats, by the ending of their names."""
+
+import os
+import warnings
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from ogm.files import OgmError
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
+from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
+from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
+from ogm.io.grids.pictures import read_array, read_picture, write_picture
+from ogm.io.grids.placed import PlacedGrid
+from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
+from ogm.io.logs import LOG_ENDINGS
+from ogm.io.reading import optional
+
+__all__ = ["GRID_ENDINGS", "MAP_ENDINGS", "check_grid_output", "read_grid", "read_placed_grid", "write_grid"]
+
+GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
+_YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
+MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of what `write_grid` writes
+
+
+def write_grid(
+    path: str | os.PathLike[str],
+    grid: EvidentialGrid | PlacedGrid,
+    *,
+    mode: MapMode | None = None,
+    message: GridMessage | None = None,
+) -> None:
+    """Write a grid in the format that the ending of the path names. Files are whole or not there.
+
+    Parameters
+    ----------
+    path : path
+        ``.npz`` (exact, `EvidentialGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an image beside it), ``.tif``
+        (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red 255 times the mass of
+        occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on ``/map``; of a drive:
+        `GridLog`).
+    grid : EvidentialGrid or PlacedGrid
+        With its place in a frame, a stamp and a coordinate reference system, as far as the format holds them.
+    mode : {"trinary", "scale", "raw"}, optional
+        Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
+        grey levels and transparency, or as it is.
+    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
+        Of logs, see `GridLog`; by default the first.
+
+    Raises
+    ------
+    ValueError
+        If no format has that ending, an option is given for another, the grid is tilted, or turned where the format
+        holds no turn, or a ``.zarr`` folder exists that is no grid.
+    ImportError
+        If the package of the format is missing.
+    OSError
+        If the folder is missing or cannot be written.
+
+    Examples
+    --------
+    >>> write_grid("map.yaml", mapper.grid)                                        # doctest: +SKIP
+    >>> write_grid("map.tif", PlacedGrid(mapper.grid, pose(x, y, yaw=yaw), crs="EPSG:25832"))  # doctest: +SKIP
+    """
+    path = Path(path)
+    placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
+    check_grid_output(path, mode=mode, message=message, crs=placed.crs)
+    ending = path.suffix.lower()
+    if ending in _YAML:
+        write_map_server(path, placed, mode or "trinary")
+    elif ending in _TIFF:
+        write_geotiff(path, placed)
+    elif ending in _SCIENTIFIC:
+        write_scientific(path, placed)
+    elif ending in LOG_ENDINGS:
+        with GridLog(path, message or "occupancy-grid") as log:
+            log.write(placed)
+    elif ending == ".png":
+        write_picture(path, placed.upright)
+    else:
+        placed.upright.save(path)
+
+
+def check_grid_output(
+    path: str | os.PathLike[str],
+    *,
+    mode: MapMode | None = None,
+    message: GridMessage | None = None,
+    crs: str | None = None,
+) -> None:
+    """Raise what `write_grid` would raise for a path and options, before hours of work: ValueError, ImportError.
+
+    Parameters
+    ----------
+    path : path
+    mode : {"trinary", "scale", "raw"}, optional
+    message : {"occupancy-grid", "grid-map", "foxglove-grid"}, optional
+    crs : str, optional
+        Of the `PlacedGrid`.
+    """
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in MAP_ENDINGS:
+        raise ValueError(f"a grid is written as {', '.join(MAP_ENDINGS)}, got {path}")
+    if mode is not None and (ending not in _YAML or mode not in get_args(MapMode)):
+        raise ValueError(f"mode must be one of {', '.join(get_args(MapMode))}, for .yaml files alone; got {mode!r}")
+    if message is not None and ending not in LOG_ENDINGS:
+        raise ValueError(f"message is for {', '.join(LOG_ENDINGS)} alone, got {message!r} for {path}")
+    if ending in LOG_ENDINGS:
+        check_logged(path, message or "occupancy-grid")
+    elif ending in _TIFF:
+        optional("rasterio", path, "geo", "written")
+    elif ending in _SCIENTIFIC:
+        check_scientific(path)
+    if crs is not None and ending in _TIFF + _SCIENTIFIC:
+        check_crs(crs, path)
+
+
+def read_grid(
+    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
+) -> EvidentialGrid:
+    """Read a grid of belief masses, in the coordinates of the frame that it was written in.
+
+    Parameters
+    ----------
+    path : path
+        What `write_grid` writes, and other programs' files of these formats: ``.yaml`` of map_server, whose occupancy
+        values become masses without unknown, but for cells that are unknown; ``.tif``, ``.nc`` and ``.zarr`` with bands
+        or variables free and occupied; ``.mcap``, ``.db3`` and ``.bag`` with OccupancyGrid, GridMap or foxglove.Grid,
+        of which the last counts; ``.png`` as the paper's released code exports it: red 255 times the mass of
+        occupied, green that of free, row 0 the front, column 0 the left; ``.npy`` with masses of free and occupied,
+        (nx, ny, 2) float, index (0, 0) behind on the right, as everywhere in `ogm`.
+    area : GridSpec, optional
+        Area of ``.npy`` and ``.png``, which do not hold it; their cells may be coarser or finer.
+    topic : str, optional
+        Of logs; by default the one with grids, or ``/map`` if there are several.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If it is damaged, of another kind, holds no masses, cells that are no squares (on that area), or a grid that is
+        turned: see `read_placed_grid`.
+    ImportError
+        If the package of the format is missing.
+    """
+    placed = read_placed_grid(path, area, topic=topic)
+    try:
+        return placed.upright
+    except ValueError as error:
+        raise OgmError(f"{path}: {error}") from error
+
+
+def read_placed_grid(
+    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
+) -> PlacedGrid:
+    """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`."""
+    path = Path(path)
+    ending = path.suffix.lower()
+    if ending not in (*MAP_ENDINGS, ".npy"):
+        raise OgmError(f"{path} is no grid that can be read; wanted {', '.join((*MAP_ENDINGS, '.npy'))}")
+    if topic is not None and ending not in LOG_ENDINGS:
+        raise ValueError(f"topic is for {', '.join(LOG_ENDINGS)} alone, got {topic!r} for {path}")
+    if not path.exists():
+        raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
+    if path.is_dir() != (ending == ".zarr") or not (path.is_file() or path.is_dir()):
+        raise OgmError(f"{path} is a {'folder' if path.is_dir() else 'file or a device'}, which a {ending} is not")
+    if ending in (".npy", ".png") and area is None:
+        raise OgmError(f"{path} does not hold its area: give it (a GridSpec; --length and --width [m])")
+    try:
+        # what is damaged may hold any number, and libraries warn of what is refused below
+        with np.errstate(all="ignore"), warnings.catch_warnings(action="ignore"):
+            return _read(path, area, topic)
+    except ValueError as error:
+        message = str(error)
+        raise OgmError(message if str(path) in message else f"{path}: {message}") from error
+
+
+def _read(path: Path, area: GridSpec | None, topic: str | None) -> PlacedGrid:
+    ending = path.suffix.lower()
+    if ending in LOG_ENDINGS:
+        return read_logged(path, topic)
+    if ending in _YAML:
+        return read_map_server(path)
+    if ending in _TIFF:
+        return read_geotiff(path)
+    if ending in _SCIENTIFIC:
+        return read_scientific(path)
+    if area is None or ending == ".npz":
+        return PlacedGrid(EvidentialGrid.load(path))
+    return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))

@@ -1,0 +1,167 @@
+"""Grids in logs (``.mcap``, ``.db3``, ``.bag``): one map, or those of a whole drive with its poses, for viewers."""
+
+import logging
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal, Self, get_args
+
+from ogm.files import OgmError
+from ogm.io.grids.placed import PlacedGrid
+from ogm.io.grids.protobuf import decode_foxglove_grid
+from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
+from ogm.io.messages import (
+    StampedTransform,
+    foxglove_grid,
+    grid_from_foxglove_grid,
+    grid_from_grid_map,
+    grid_from_occupancy_grid,
+    grid_map,
+    occupancy_grid,
+    stamp_seconds,
+    tf_message,
+)
+from ogm.io.reading import optional
+
+__all__ = ["GridLog", "GridMessage", "check_logged", "read_logged"]
+
+_log = logging.getLogger(__name__)
+
+GridMessage = Literal["occupancy-grid", "grid-map", "foxglove-grid"]
+_TYPES = {
+    "occupancy-grid": "nav_msgs/msg/OccupancyGrid",
+    "grid-map": "grid_map_msgs/msg/GridMap",
+    "foxglove-grid": "foxglove.Grid",
+}
+_MAKERS = {"occupancy-grid": occupancy_grid, "grid-map": grid_map, "foxglove-grid": foxglove_grid}
+_READERS = {
+    "nav_msgs/msg/OccupancyGrid": grid_from_occupancy_grid,
+    "grid_map_msgs/msg/GridMap": grid_from_grid_map,
+    "foxglove.Grid": grid_from_foxglove_grid,
+    "foxglove_msgs/msg/Grid": grid_from_foxglove_grid,
+}
+
+
+class GridLog:
+    """Writes grids to a log, with the poses under which they were made. A context manager.
+
+    The file appears under its name at the end of the ``with`` block.
+
+    Parameters
+    ----------
+    path : path
+        ``.mcap``, ``.db3`` or ``.bag``. Its folder must exist.
+    message : {"occupancy-grid", "grid-map", "foxglove-grid"}
+        ``nav_msgs/OccupancyGrid``, which every viewer and planner reads, has one number per cell.
+        ``grid_map_msgs/GridMap`` has the masses, for RViz with grid_map's plug-in. ``foxglove.Grid`` has the masses and
+        colours, in MCAP alone.
+    topic : str
+        Of the grids; transforms go to ``/tf``.
+
+    Raises
+    ------
+    ValueError
+        If there is no such message, or the log cannot hold it.
+    ImportError
+        If a package is missing.
+
+    Examples
+    --------
+    >>> with GridLog("maps.mcap") as log:                                                     # doctest: +SKIP
+    ...     for step in fuse(dataset, ism, mapper):
+    ...         log.write(PlacedGrid(mapper.grid, stamp=mapper.stamp))
+    """
+
+    def __init__(self, path: str | os.PathLike[str], message: GridMessage = "occupancy-grid", topic: str = "/map"):
+        path = Path(path)
+        check_logged(path, message)
+        self.message, self.topic = message, topic
+        self._log = LogWriter(path, "zstd" if path.suffix.lower() == ".mcap" else "")
+
+    def __enter__(self) -> Self:
+        self._log.__enter__()
+        return self
+
+    def __exit__(self, *error: Any) -> bool | None:
+        return self._log.__exit__(*error)
+
+    def write(self, placed: PlacedGrid, transforms: Iterable[StampedTransform] = ()) -> None:
+        """Write a grid at its stamp (at 0 s without one), and transforms before it.
+
+        Parameters
+        ----------
+        placed : PlacedGrid
+        transforms : iterable of StampedTransform
+            Such as the pose of the vehicle.
+        """
+        transforms, stamp = list(transforms), placed.stamp or 0.0
+        if transforms:
+            self._log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message(transforms), stamp)
+        made = _MAKERS[self.message](
+            placed.grid, frame_id=placed.frame_id, stamp=stamp, T_frame_grid=placed.T_frame_grid
+        )
+        self._log.write(self.topic, _TYPES[self.message], made, stamp)
+
+
+def check_logged(path: Path, message: str) -> None:
+    """Raise if a log cannot hold a message, or a package is missing."""
+    if message not in get_args(GridMessage):
+        raise ValueError(f"message must be one of {', '.join(get_args(GridMessage))}, got {message!r}")
+    if message == "foxglove-grid":
+        if path.suffix.lower() != ".mcap":
+            raise ValueError(f"foxglove-grid is for .mcap files alone, got {path}; grid-map has the masses too")
+        optional("foxglove", path, "live", "written")
+    for package in ("rosbags", "mcap"):
+        optional(package, path, "ros", "written")
+
+
+def read_logged(path: Path, topic: str | None = None) -> PlacedGrid:
+    """Read the last grid of a log.
+
+    Parameters
+    ----------
+    path : Path
+    topic : str, optional
+        By default the one with grids, or ``/map`` if there are several.
+    """
+    try:
+        with open_log(path) as log:
+            topic = topic or _topic(log, path)
+            refs = log.refs([topic])
+            if not refs:
+                raise OgmError(f"{path} has no message of {topic}: was it recorded to its end?")
+            message = log.message(refs[-1])
+            for warning in log.warnings:
+                _log.warning("%s", warning)
+        if message.type not in _READERS:
+            raise OgmError(f"{topic} of {path} has messages of {message.type}, wanted {', '.join(_READERS)}")
+        return _placed(message)
+    except (OgmError, AttributeError, TypeError, SyntaxError) as error:  # a log defines its own types
+        if isinstance(error, OgmError) and str(path) in str(error):
+            raise
+        raise OgmError(f"{path}: the last message of {topic} is damaged: {error}") from error
+
+
+def _topic(log: LogReader, path: Path) -> str:
+    """Return the topic that has grids."""
+    found = [name for name, facts in log.topics.items() if facts.type in _READERS and facts.count]
+    if len(found) == 1:
+        return found[0]
+    if "/map" in found:
+        return "/map"
+    if found:
+        raise OgmError(f"{path} has grids of {', '.join(found)}: give one as topic (--topic)")
+    there = ", ".join(f"{name} ({facts.type})" for name, facts in log.topics.items())
+    raise OgmError(f"{path} has no grids ({', '.join(_READERS)}), only {there or 'nothing'}: make them by ogm fuse")
+
+
+def _placed(message: LogMessage) -> PlacedGrid:
+    """Return the grid of a message."""
+    made = decode_foxglove_grid(bytes(message.raw)) if message.type == "foxglove.Grid" else message.decode()
+    grid, T = _READERS[message.type](made)
+    if hasattr(made, "timestamp"):
+        frame, stamp = str(made.frame_id), stamp_seconds(made.timestamp)
+    else:
+        header = made.header if hasattr(made, "header") else made.info.header
+        frame, stamp = str(header.frame_id), stamp_seconds(header.stamp)
+    return PlacedGrid(grid, T, frame.lstrip("/"), stamp or None)

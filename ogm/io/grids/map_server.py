@@ -1,0 +1,214 @@
+"""Maps of ROS's map_server: a YAML file, and an image whose row 0 is the top, the greatest y.
+
+Rules of nav2's loader (``nav2_map_server/src/map_io.cpp``): ``p = (255 - grey) / 255``, or ``grey / 255`` if negated.
+trinary: occupied above ``occupied_thresh``, free below ``free_thresh``, else unknown (later versions count p at a
+threshold as known). scale: the same thresholds, linear in between, transparent is unknown. raw: the grey is the value,
+unknown above 100.
+"""
+
+import os
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError, atomic_write
+from ogm.io.grids.paths import reason
+from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
+from ogm.io.messages import mass_from_occupancy, occupancy_values
+from ogm.state import predict_state
+
+__all__ = ["MapMode", "read_map_server", "write_map_server"]
+
+MapMode = Literal["trinary", "scale", "raw"]
+_GREYS = np.array([205, 254, 0], np.uint8)  # of CellState.UNKNOWN, FREE, OCCUPIED
+_THRESHOLDS = {  # occupied, free. Grey 205 is p = 0.19608: with map_saver's 0.25 unknown would load as free
+    "trinary": (0.65, 0.196),
+    "scale": (1.0, 0.0),  # with which the values 0 ... 100 load exactly
+    "raw": (0.65, 0.196),
+}
+_FORMATS = ("PNG", "PPM", "BMP", "JPEG")  # PPM: also PGM and PBM
+_NUMBERS = ("resolution", "occupied_thresh", "free_thresh")
+_NO, _YES = ("0", "false", "no", "False"), ("1", "true", "yes", "True")
+_MAX_TEXT = 2**16  # [byte] of a YAML file, which has seven short lines
+
+
+class _Header(NamedTuple):
+    """The values of the YAML file."""
+
+    image: Path
+    mode: MapMode
+    resolution: float
+    corner: Corner
+    negate: bool
+    occupied: float
+    free: float
+
+
+def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") -> None:
+    """Write a map for map_server: ``NAME.yaml`` with ``NAME.pgm``, or ``NAME-scale.png`` in mode scale, with alpha.
+
+    Both files are written whole beside their names; then an old YAML file is removed, and the image and the YAML file
+    get their names, in this order. A crash in between leaves no YAML file, hence no map, but never a wrong one.
+    """
+    import yaml
+    from PIL import Image
+
+    x, y, yaw = placed.corner
+    pixels, ending = _pixels(placed, mode)
+    image_path = path.with_name(f"{path.stem}{ending}")
+    occupied, free = _THRESHOLDS[mode]
+    values = {
+        "image": image_path.name,
+        "mode": mode,
+        "resolution": placed.grid.spec.resolution,
+        "origin": [x, y, yaw],
+        "negate": 0,
+        "occupied_thresh": occupied,
+        "free_thresh": free,
+    }
+    with atomic_write(path) as file:
+        file.write(yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True).encode())
+        with atomic_write(image_path) as image_file:
+            Image.fromarray(pixels).save(image_file, "PNG" if ending.endswith("png") else "PPM")
+            for one in (file, image_file):  # so that a full disk is noticed while the old map is whole
+                one.flush()
+                os.fsync(one.fileno())
+            path.unlink(missing_ok=True)
+
+
+def _pixels(placed: PlacedGrid, mode: MapMode) -> tuple[NDArray[np.uint8], str]:
+    """Return rows of pixels from the top, (ny, nx) or with alpha (ny, nx, 2), and what ends the name of their image."""
+    if mode == "trinary":
+        return _rows(_GREYS[predict_state(placed.grid.mass)]), ".pgm"
+    values = _rows(occupancy_values(placed.grid))
+    if mode == "raw":
+        return np.where(values < 0, np.uint8(255), values.astype(np.uint8)), ".pgm"
+    grey = np.rint(2.55 * (100 - np.maximum(values, 0).astype(np.float32))).astype(np.uint8)
+    alpha = np.where(values < 0, np.uint8(0), np.uint8(255))
+    return np.stack([grey, alpha], axis=-1), "-scale.png"  # NAME.png may be a picture of the map
+
+
+def _rows(cells: NDArray) -> NDArray:
+    """Turn cells (nx, ny) into rows from the greatest y down, (ny, nx), and back."""
+    return np.ascontiguousarray(cells.T[::-1])
+
+
+def read_map_server(path: Path) -> PlacedGrid:
+    """Read a map of map_server. Values become masses as `ogm.io.messages.mass_from_occupancy` makes them."""
+    header = _header(path)
+    values = np.ascontiguousarray(_values(header)[::-1].T)
+    return placed_at(mass_from_occupancy(values), header.resolution, header.corner)
+
+
+def _header(path: Path) -> _Header:
+    """Read the YAML file."""
+    import yaml
+
+    with open(path, "rb") as file:
+        text = file.read(_MAX_TEXT + 1)
+    if len(text) > _MAX_TEXT:
+        raise OgmError(f"{path} has more than {_MAX_TEXT} bytes, wanted the YAML file of a map: seven lines")
+    try:
+        values = yaml.load(text, yaml.BaseLoader)  # leaves scalars as text: no merge keys, which can fill the memory
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        problem = getattr(error, "problem", None) or type(error).__name__
+        raise OgmError(f"{path} is no YAML ({problem}): is it cut short, or wrongly named?") from error
+    if not isinstance(values, dict):
+        raise OgmError(f"{path} holds a {type(values).__name__}, wanted the keys image, resolution, origin, ...")
+    mode = values.get("mode", "trinary")
+    if mode not in get_args(MapMode):
+        raise OgmError(f"{path}: mode must be one of {', '.join(get_args(MapMode))}, got {_brief(mode)}")
+    origin = values.get("origin")
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise OgmError(f"{path}: origin must be three numbers, [x, y, yaw], got {_brief(origin)}")
+    resolution, occupied, free = (_number(values.get(key), key, path) for key in _NUMBERS)
+    if resolution <= 0:
+        raise OgmError(f"{path}: resolution must be above 0 m, got {resolution:g}")
+    corner = Corner(*(_number(one, "origin", path) for one in origin))
+    if mode == "scale" and not occupied > free:
+        raise OgmError(f"{path}: occupied_thresh must be above free_thresh, got {occupied:g} and {free:g}")
+    negate = values.get("negate", "0")
+    if negate not in _NO + _YES:
+        raise OgmError(f"{path}: negate must be 0 or 1, got {_brief(negate)}")
+    return _Header(_image_path(path, values.get("image")), mode, resolution, corner, negate in _YES, occupied, free)
+
+
+def _number(text: Any, key: str, path: Path) -> float:
+    """Return a finite number."""
+    try:
+        number = float(text) if isinstance(text, str) else np.nan
+    except ValueError:
+        number = np.nan
+    if not np.isfinite(number):
+        raise OgmError(f"{path}: {key} must be a finite number, got {_brief(text)}")
+    return number
+
+
+def _brief(value: Any) -> str:
+    """Return a value of a file for an error; of one that holds others only the type, as it may be huge."""
+    return repr(value)[:40] if isinstance(value, str | None) else type(value).__name__
+
+
+def _image_path(path: Path, name: Any) -> Path:
+    """Return the path of the image, which must not leave the folder of the YAML file."""
+    if not isinstance(name, str) or not name or "\0" in name:
+        raise OgmError(f"{path}: image must be the name of a file, got {_brief(name)}")
+    folder = Path(os.path.abspath(path.parent))
+    image = Path(os.path.abspath(folder / name))
+    if not image.is_relative_to(folder):
+        raise OgmError(
+            f"{path}: image {_brief(name)} lies outside the folder of the file; copy it there and give its name alone"
+        )
+    if not image.is_file():
+        raise OgmError(f"{path}: there is no image {_brief(name)} beside it; copy it there")
+    return image
+
+
+def _values(header: _Header) -> NDArray[np.int8]:
+    """Return the occupancy value of every pixel, (rows, columns): 0 ... 100, or -1."""
+    channels, highest = _channels(header.image)
+    alpha = channels[-1] if len(channels) in (2, 4) else None
+    colours = list(channels) if alpha is None else list(channels[:-1])
+    if alpha is not None and header.mode == "trinary":  # the loader averages it in
+        colours = [*colours * (3 // len(colours)), alpha]
+    total = colours[0].astype(np.uint16)
+    for one in colours[1:]:
+        total += one
+    values = _value_table(header, len(colours) * highest)[total]
+    if alpha is not None and header.mode == "scale":
+        values[alpha < highest] = -1
+    return values
+
+
+def _value_table(header: _Header, white: int) -> NDArray[np.int8]:
+    """Return the value for every brightness 0 ... `white`."""
+    shade = np.arange(white + 1) / white
+    if header.mode == "raw":
+        value = np.floor(255 * shade + 0.5)
+        return np.where(value <= 100, value, -1).astype(np.int8)
+    p = shade if header.negate else 1 - shade
+    if header.mode == "scale":
+        between = np.rint((p - header.free) / (header.occupied - header.free) * 100)
+    else:
+        between = np.full_like(p, -1)
+    return np.where(p > header.occupied, 100, np.where(p < header.free, 0, between)).astype(np.int8)
+
+
+def _channels(path: Path) -> tuple[tuple[NDArray[Any], ...], int]:
+    """Return the channels of an image (grey, grey and alpha, RGB or RGBA), and the number that means white."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path, formats=_FORMATS) as image:
+            if image.mode.startswith("I"):  # 16 bit
+                return (np.asarray(image).clip(0, 65535),), 65535
+            if image.mode not in ("L", "LA", "RGB", "RGBA"):
+                alpha = "transparency" in image.info or image.mode == "PA"
+                image = image.convert("RGBA" if alpha else "RGB")
+            return tuple(np.asarray(band) for band in image.split()), 255
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
+        raise OgmError(
+            f"{path} is damaged or no image ({reason(error, path)}), wanted {', '.join(_FORMATS)}"
+        ) from error

@@ -1,0 +1,133 @@
+"""A grid and its place in the frame of a file: what map files hold besides the cells."""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.messages.occupancy import split_corner
+from ogm.pose import check_pose, pose
+
+__all__ = ["Corner", "PlacedGrid", "nanometres", "placed_at"]
+
+_MAX_TILT = 1e-3  # [rad] within which a frame counts as level: at 100 m the projected cells are off by 0.05 mm
+_NO_TURN = 1e-9  # [rad]
+
+
+class Corner(NamedTuple):
+    """Place of a grid on the plane: the outer corner of cell (0, 0), and the direction of x.
+
+    Attributes
+    ----------
+    x, y : float
+        [m]
+    yaw : float
+        [rad]
+    """
+
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedGrid:
+    """A grid in a frame, as map files hold it.
+
+    Parameters
+    ----------
+    grid : EvidentialGrid
+    T_frame_grid : (4, 4) array
+        Takes the coordinates of ``grid.spec`` to the frame [m]. By default they are those of the frame.
+    frame_id : str
+        Name of the frame, for messages.
+    stamp : float, optional
+        Time of the grid [s].
+    crs : str, optional
+        Coordinate reference system of the frame, for GeoTIFF, NetCDF and Zarr: ``"EPSG:25832"``, or WKT. Projected, in
+        metres.
+
+    Raises
+    ------
+    ValueError
+        If the transform is not rigid, or the stamp not finite.
+    """
+
+    grid: EvidentialGrid
+    T_frame_grid: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    frame_id: str = "map"
+    stamp: float | None = None
+    crs: str | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "T_frame_grid", check_pose(self.T_frame_grid, "T_frame_grid"))
+        if self.stamp is not None and not math.isfinite(self.stamp):
+            raise ValueError(f"stamp must be finite [s], got {self.stamp}")
+
+    @property
+    def corner(self) -> Corner:
+        """Where the outer corner of cell (0, 0) lies, and where x points; height is left out.
+
+        Raises
+        ------
+        ValueError
+            If the grid is tilted in its frame, which no map file can hold.
+        """
+        T, (x, y) = self.T_frame_grid, self.grid.spec.origin
+        if math.hypot(T[2, 0], T[2, 1]) > _MAX_TILT or T[2, 2] < 0:
+            tilt = math.degrees(math.acos(min(max(T[2, 2], -1), 1)))
+            raise ValueError(
+                f"the grid is tilted by {tilt:.3g} degrees in frame {self.frame_id!r}; a map file holds a turn about "
+                "the vertical alone: give a T_frame_grid without roll and pitch"
+            )
+        yaw = math.atan2(T[1, 0], T[0, 0])
+        corner = T[:2, :2] @ (x, y) + T[:2, 3]
+        return Corner(float(corner[0]), float(corner[1]), 0.0 if abs(yaw) < _NO_TURN else yaw)
+
+    @property
+    def upright(self) -> EvidentialGrid:
+        """The grid with the frame's own coordinates: its origin is moved.
+
+        Raises
+        ------
+        ValueError
+            If it is turned or tilted in the frame.
+        """
+        corner = self.corner
+        if corner.yaw:
+            raise ValueError(
+                f"the grid is turned by {math.degrees(corner.yaw):.6g} degrees in frame {self.frame_id!r}, which cells "
+                "along x and y cannot hold: write .yaml, .tif or .nc and read it by ogm.io.read_placed_grid, or "
+                "resample it (ogm.fusion.warp)"
+            )
+        if not self.T_frame_grid[:2, 3].any():
+            return self.grid
+        spec = replace(self.grid.spec, origin=(corner.x, corner.y))
+        return EvidentialGrid.trusted(spec, self.grid.mass)
+
+
+def placed_at(mass: NDArray[np.float32], resolution: float, corner: Corner, **facts: Any) -> PlacedGrid:
+    """Return the grid of a file.
+
+    Parameters
+    ----------
+    mass : (nx, ny, 2) float array
+    resolution : float
+        [m]
+    corner : Corner
+        Its place becomes the origin of the grid, its yaw `T_frame_grid`.
+    **facts
+        Further attributes of `PlacedGrid`.
+    """
+    if not np.isfinite(corner).all():
+        raise ValueError(f"origin must be finite numbers (x, y, yaw) [m, rad], got {tuple(corner)}")
+    origin, T = split_corner(pose(corner.x, corner.y, yaw=corner.yaw))
+    return PlacedGrid(EvidentialGrid(GridSpec(resolution, mass.shape[:2], origin), mass), T, **facts)
+
+
+def nanometres(metres: float) -> float:
+    """Round a length that was computed from others, so that 0.30000000000000004 m is 0.3 m again."""
+    return round(metres, 9)

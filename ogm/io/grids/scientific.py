@@ -1,0 +1,262 @@
+"""Grids as `xarray.Dataset`: NetCDF files by the CF conventions, and Zarr folders."""
+
+import json
+import math
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ogm.files import OgmError
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.grids.paths import reason, whole_path
+from ogm.io.grids.placed import PlacedGrid, nanometres
+from ogm.io.reading import optional
+from ogm.pose import pose
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+__all__ = ["check_scientific", "from_xarray", "read_scientific", "to_xarray", "write_scientific"]
+
+_FORMAT = "ogm.EvidentialGrid/1"
+_LAYERS = {
+    "free": "belief mass of free",
+    "occupied": "belief mass of occupied",
+    "unknown": "belief mass of unknown, 1 - free - occupied",
+}
+_CHUNK = 1024  # [cells] side of a chunk
+_SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
+_READ_ERRORS = (OSError, ValueError, KeyError, TypeError, RuntimeError, IndexError, AttributeError, MemoryError)
+
+
+def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
+    """Return a grid as an `xarray.Dataset` by the CF conventions.
+
+    Parameters
+    ----------
+    grid : EvidentialGrid or PlacedGrid
+
+    Returns
+    -------
+    xarray.Dataset
+        Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied; coordinates
+        ``x`` and ``y`` of the cells' centres [m], increasing. Attributes ``resolution`` [m], ``frame_id`` and, if
+        known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates are those of the frame; where the grid is
+        turned or tilted in it, they are the grid's own, and the attribute ``T_frame_grid`` has the 16 numbers of the
+        transform, row by row. With a `crs`, ``spatial_ref`` is the grid mapping (or, where the grid is turned, the
+        attribute ``crs_wkt``).
+
+    Raises
+    ------
+    ImportError
+        If xarray is missing, or for a `crs` rasterio.
+    """
+    xarray = optional("xarray", Path("an xarray.Dataset"), "geo", "made")
+    placed = grid if isinstance(grid, PlacedGrid) else PlacedGrid(grid)
+    T = placed.T_frame_grid
+    level = np.allclose(T[:3, :3], np.eye(3), rtol=0, atol=1e-9)
+    cells = placed.upright if level else placed.grid
+    facts: dict[str, Any] = {
+        "Conventions": "CF-1.11",
+        "title": "Evidential occupancy grid",
+        "format": _FORMAT,
+        "resolution": cells.spec.resolution,
+        "frame_id": placed.frame_id,
+    }
+    if placed.stamp is not None:
+        facts["stamp"] = placed.stamp
+    if not level:
+        facts["T_frame_grid"] = T.ravel().tolist()
+    elif T[2, 3]:
+        facts["height"] = float(T[2, 3])
+    of_layers: dict[str, Any] = {"units": "1", "valid_min": np.float32(0), "valid_max": np.float32(1)}
+    coordinates: dict[str, Any] = {}
+    for axis, centres in zip(("y", "x"), (cells.spec.cell_centers[1], cells.spec.cell_centers[0]), strict=True):
+        of_axis = {"units": "m", "axis": axis.upper(), "long_name": f"{axis} of the cells' centres"}
+        if level:
+            of_axis["standard_name"] = f"projection_{axis}_coordinate"
+        coordinates[axis] = (axis, centres.ravel(), of_axis)
+    if placed.crs is not None:
+        from ogm.io.grids.geotiff import check_crs
+
+        wkt = check_crs(placed.crs, Path("a grid with a crs")).to_wkt(version="WKT2_2019")
+        if level:
+            coordinates["spatial_ref"] = ((), np.int32(0), {"crs_wkt": wkt})
+            of_layers["grid_mapping"] = "spatial_ref"
+        else:
+            facts["crs_wkt"] = wkt
+    layers = {
+        name: (("y", "x"), getattr(cells, name).T, of_layers | {"long_name": text}) for name, text in _LAYERS.items()
+    }
+    return xarray.Dataset(layers, coordinates, facts)
+
+
+def from_xarray(dataset: "Dataset") -> PlacedGrid:
+    """Return the grid of an `xarray.Dataset` that has what `to_xarray` gives it; parts and coarser ones of it too.
+
+    Parameters
+    ----------
+    dataset : xarray.Dataset
+        With variables ``free`` and ``occupied`` of dims y and x in any order, masses in [0, 1], NaN is unknown; and
+        coordinates ``x`` and ``y`` of the cells' centres in equal steps [m], one number of metres for both.
+
+    Raises
+    ------
+    OgmError
+        If something is missing, of another shape, or no mass.
+    """
+    missing = [name for name in ("free", "occupied") if name not in dataset.data_vars]
+    if missing:
+        got = ", ".join(map(str, dataset.data_vars))[:80]
+        raise OgmError(f"the dataset must have variables free and occupied, got {got or 'none'}")
+    layers = dataset[["free", "occupied"]]
+    for name in ("free", "occupied"):
+        layer = layers[name]
+        if set(layer.dims) != {"x", "y"} or layer.dtype.kind != "f":
+            raise OgmError(f"{name} must be float of dims (y, x), got {layer.dtype} of {layer.dims}")
+    nx, ny = int(layers.sizes["x"]), int(layers.sizes["y"])
+    try:
+        GridSpec(1.0, (nx, ny), (0.0, 0.0))  # not too many cells, before they are read
+        _check_chunks(layers)
+        stated = float(dataset.attrs.get("resolution", "nan"))
+        x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
+        resolution = x.step or y.step or stated
+        if not resolution > 0:
+            raise OgmError("a dataset of one cell must state its resolution [m]")
+        if not math.isclose(resolution, y.step or resolution, rel_tol=_SAME_STEP):
+            raise OgmError(f"cells must be squares, got steps of {x.step:g} m in x and {y.step:g} m in y")
+        mass = np.empty((nx, ny, 2), np.float32)
+        for k, name in enumerate(("free", "occupied")):
+            read = layers[name].to_numpy()
+            mass[..., k] = read if layers[name].dims == ("x", "y") else read.T
+        mass[np.isnan(mass)] = 0
+        mass = mass[:: -1 if x.decreases else 1, :: -1 if y.decreases else 1]
+        origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
+        spec = GridSpec(resolution, (nx, ny), origin)
+        lifted = pose(z=float(dataset.attrs.get("height", 0.0)))
+        T = np.asarray(dataset.attrs.get("T_frame_grid", lifted), np.float64)
+        stamp, crs = dataset.attrs.get("stamp"), _crs(dataset)
+        return PlacedGrid(
+            EvidentialGrid(spec, np.ascontiguousarray(mass)),
+            T.reshape(4, 4) if T.size == 16 else T,
+            str(dataset.attrs.get("frame_id", "map"))[:256],
+            None if stamp is None else float(stamp),
+            crs,
+        )
+    except (ValueError, TypeError) as error:
+        raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
+
+
+class _Axis(NamedTuple):
+    """The least coordinate of an axis and its step [m] (None for one cell), and whether it decreases."""
+
+    first: float
+    step: float | None
+    decreases: bool
+
+
+def _axis(dataset: "Dataset", axis: str, stated: float) -> _Axis:
+    """Read a coordinate; its step is the resolution that the dataset states if they are the same but for rounding."""
+    if axis not in dataset.coords:
+        raise OgmError(f"the dataset must have a coordinate {axis}, the cells' centres [m]")
+    centres = np.asarray(dataset[axis].to_numpy(), np.float64)
+    if not np.isfinite(centres).all():
+        raise OgmError(f"{axis} must be finite, the cells' centres [m]")
+    count, decreases = len(centres), bool(centres[0] > centres[-1])
+    if count == 1:
+        return _Axis(float(centres[0]), None, False)
+    if decreases:
+        centres = centres[::-1]
+    step = float(centres[-1] - centres[0]) / (count - 1)
+    if math.isclose(step, stated, rel_tol=_SAME_STEP):
+        step = stated
+    even = centres[0] + step * np.arange(count)
+    if not (step > 0 and np.allclose(centres, even, rtol=0, atol=max(1e-3 * step, 1e-9 * abs(centres[0])))):
+        raise OgmError(
+            f"{axis} must have equal steps [m], got {np.diff(centres).min():g} to {np.diff(centres).max():g}"
+        )
+    return _Axis(float(centres[0]), step, decreases)
+
+
+def _crs(dataset: "Dataset") -> str | None:
+    """Return the coordinate reference system, as short as it can be written."""
+    place = dataset.coords.get("spatial_ref")
+    attributes = dataset.attrs if place is None else place.attrs
+    wkt = attributes.get("crs_wkt", attributes.get("spatial_ref"))  # the latter by GDAL
+    if wkt is None:
+        return None
+    if find_spec("rasterio") is None:
+        return str(wkt)
+    from rasterio.crs import CRS
+    from rasterio.errors import CRSError
+
+    try:
+        return str(CRS.from_wkt(str(wkt)).to_string())
+    except CRSError:
+        return None
+
+
+def _check_chunks(layers: "Dataset") -> None:
+    """Refuse chunks that are larger than any grid: a file of a few bytes can promise them."""
+    for layer in layers.data_vars.values():
+        chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or ()
+        if math.prod(max(int(one), 1) for one in chunks) > 2**28:
+            raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
+
+
+def write_scientific(path: Path, placed: PlacedGrid) -> None:
+    """Write NetCDF-4 (``.nc``) or Zarr 3 (``.zarr``)."""
+    check_scientific(path)
+    dataset = to_xarray(placed)
+    with whole_path(path) as temporary:
+        chunks = tuple(min(one, _CHUNK) for one in placed.grid.spec.shape[::-1])
+        if path.suffix.lower() == ".zarr":
+            encoding: dict[str, dict[str, Any]] = {name: {"chunks": chunks} for name in _LAYERS}
+            dataset.to_zarr(temporary, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+            return
+        packed = {"zlib": True, "complevel": 1, "_FillValue": np.float32(np.nan), "chunksizes": chunks}
+        encoding = dict.fromkeys(_LAYERS, packed) | dict.fromkeys(("x", "y"), {"_FillValue": None})
+        dataset.to_netcdf(temporary, format="NETCDF4", engine="netcdf4", encoding=encoding)
+
+
+def read_scientific(path: Path) -> PlacedGrid:
+    """Read NetCDF (``.nc``) or Zarr 3 (``.zarr``)."""
+    xarray = _need(path, "read")
+    try:
+        if path.suffix.lower() == ".zarr":
+            # format 3 alone: the filters of format 2 can unpickle
+            opened = xarray.open_zarr(path, zarr_format=3, consolidated=False, chunks=None, decode_times=False)
+        else:
+            opened = xarray.open_dataset(path, engine="netcdf4", decode_times=False)
+        with opened as dataset:
+            return from_xarray(dataset)
+    except _READ_ERRORS as error:
+        if isinstance(error, OgmError | PermissionError):
+            raise
+        raise OgmError(f"{path} is damaged or no {path.suffix} file: {reason(error, path)}") from error
+
+
+def check_scientific(path: Path) -> None:
+    """Raise if a package is missing, or if a Zarr folder would take the place of one that is no grid of ours."""
+    _need(path, "written")
+    if path.suffix.lower() != ".zarr" or not path.exists():
+        return
+    try:
+        ours = json.loads((path / "zarr.json").read_bytes())["attributes"]["format"] == _FORMAT
+    except (OSError, ValueError, KeyError, TypeError):
+        ours = False
+    if not ours:
+        raise ValueError(f"{path} exists and is no grid of ogm; it is not replaced, give another name")
+
+
+def _need(path: Path, verb: str) -> Any:
+    """Return xarray; raise if it or the package of the format is missing."""
+    xarray = optional("xarray", path, "geo", verb)
+    for_format = "zarr" if path.suffix.lower() == ".zarr" else "netCDF4"
+    if find_spec(for_format) is None:
+        raise ImportError(
+            f'{path} cannot be {verb} without the package {for_format}: pip install "ogm-toolkit[geo]"', name=for_format
+        )
+    return xarray

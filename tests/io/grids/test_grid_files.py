@@ -1,0 +1,202 @@
+"""What holds for grid files of every format."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ogm.files import OgmError
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, read_grid, read_placed_grid, write_grid
+from ogm.io.grids.paths import whole_path
+from ogm.pose import pose
+from ogm.state import predict_state
+
+for package in ("rasterio", "xarray", "netCDF4", "zarr", "rosbags", "yaml"):
+    pytest.importorskip(package)
+
+SPEC = GridSpec(0.1, (7, 4), (-0.35, 12.2))
+EVERY = pytest.mark.parametrize("ending", MAP_ENDINGS)
+EXACT = (".npz", ".tif", ".tiff", ".nc", ".zarr")
+
+
+def grid(seed: int = 0) -> EvidentialGrid:
+    mass = np.random.default_rng(seed).dirichlet((1, 1, 1), SPEC.shape)[..., :2].astype(np.float32)
+    mass[0] = 0
+    return EvidentialGrid(SPEC, mass)
+
+
+@EVERY
+def test_cells_states_and_unknown_come_back(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / f"a map{ending.upper()}"
+    write_grid(str(path), grid())
+    again = read_grid(str(path), SPEC)
+    assert again.spec.shape == SPEC.shape
+    assert again.spec.resolution == pytest.approx(SPEC.resolution, rel=1e-12)
+    assert again.spec.origin == pytest.approx(SPEC.origin, abs=1e-12)
+    assert (again.mass[0] == 0).all()
+    assert np.array_equal(predict_state(again.mass), predict_state(grid().mass))
+    if ending in EXACT:
+        assert again == grid()
+
+
+@EVERY
+def test_a_shift_of_the_frame_moves_the_origin(tmp_path: Path, ending: str) -> None:
+    write_grid(tmp_path / f"m{ending}", PlacedGrid(grid(), pose(100.5, -7.25, 1.5)))
+    area = GridSpec(0.1, (7, 4), (100.15, 4.95))
+    assert read_grid(tmp_path / f"m{ending}", area).spec.origin == pytest.approx(area.origin)
+
+
+@EVERY
+def test_a_turn_is_kept_or_refused(tmp_path: Path, ending: str) -> None:
+    placed = PlacedGrid(grid(), pose(3.0, 4.0, yaw=-2.0))
+    path = tmp_path / f"m{ending}"
+    if ending in (".npz", ".png"):
+        with pytest.raises(ValueError, match="turned by -114.592 degrees"):
+            write_grid(path, placed)
+        assert not list(tmp_path.iterdir())
+        return
+    write_grid(path, placed)
+    assert read_placed_grid(path).corner == pytest.approx(placed.corner, abs=1e-8)
+    with pytest.raises(OgmError, match=rf"m\{ending}: the grid is turned by -114.592 degrees"):
+        read_grid(path)
+
+
+@EVERY
+def test_an_error_while_writing_leaves_the_old_map_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    path = tmp_path / f"m{ending}"
+    write_grid(path, grid())
+    before, files = read_grid(path, SPEC), sorted(tmp_path.rglob("*"))
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    if ending == ".zarr":
+        import xarray
+
+        monkeypatch.setattr(xarray.Dataset, "to_zarr", full)
+    else:
+        monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        write_grid(path, grid(1))
+    monkeypatch.undo()
+    assert sorted(tmp_path.rglob("*")) == files
+    assert read_grid(path, SPEC) == before
+
+
+def test_a_folder_is_put_back_if_its_replacement_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "m.zarr"
+    write_grid(path, grid())
+    real, calls = os.replace, []
+
+    def fails(source: Path, target: Path) -> None:
+        calls.append(target)
+        if len(calls) == 2:
+            raise OSError(5, "Input/output error")
+        real(source, target)
+
+    monkeypatch.setattr(os, "replace", fails)
+    with pytest.raises(OSError, match="Input/output"):
+        write_grid(path, grid(1))
+    monkeypatch.undo()
+    assert read_grid(path) == grid()
+    assert [one.name for one in tmp_path.iterdir()] == ["m.zarr"]
+
+
+@EVERY
+def test_missing_folders_and_wrong_kinds_of_paths(tmp_path: Path, ending: str) -> None:
+    with pytest.raises(OSError, match="none"):
+        write_grid(tmp_path / "none" / f"m{ending}", grid())
+    with pytest.raises(FileNotFoundError, match=rf"there is no file .*m\{ending}"):
+        read_grid(tmp_path / f"m{ending}", SPEC)
+    path = tmp_path / f"other{ending}"
+    path.write_text("x") if ending == ".zarr" else path.mkdir()
+    with pytest.raises(OgmError, match=rf"other\{ending} is a f"):
+        read_grid(path, SPEC)
+    with pytest.raises((OSError, ValueError), match="other"):
+        write_grid(path, grid())
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+@EVERY
+@pytest.mark.parametrize(
+    "content", [b"", b"x", b"\x00" * 5000, b"\x89HDF\r\n\x1a\n" + bytes(200), b"II*\x00\xff\xff\xff\xff"]
+)
+def test_what_is_no_grid_is_refused_by_its_name(tmp_path: Path, ending: str, content: bytes) -> None:
+    path = tmp_path / f"m{ending}"
+    if ending == ".zarr":
+        path.mkdir()
+        (path / "zarr.json").write_bytes(content)
+    else:
+        path.write_bytes(content)
+    with pytest.raises(OgmError) as caught:
+        read_grid(path, SPEC)
+    assert str(caught.value).count(path.name) == 1
+
+
+@pytest.mark.parametrize("name", ["pipe.yaml", "pipe.tif", "pipe.bag"])
+def test_pipes_are_not_read(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(OgmError, match="device"):
+        read_grid(tmp_path / name)
+
+
+def test_other_endings_and_options_of_other_formats_are_refused(tmp_path: Path) -> None:
+    for path in ("m", "m.txt", "m.npy", "m.pgm"):
+        with pytest.raises(ValueError, match=r"a grid is written as \.npz"):
+            check_grid_output(tmp_path / path)
+    with pytest.raises(ValueError, match=r"mode must be one of trinary, scale, raw, for \.yaml"):
+        check_grid_output(tmp_path / "m.tif", mode="raw")
+    with pytest.raises(OgmError, match="no grid that can be read"):
+        read_grid(tmp_path / "m.txt")
+    write_grid(tmp_path / "m.png", grid())
+    with pytest.raises(OgmError, match="does not hold its area"):
+        read_grid(tmp_path / "m.png")
+
+
+def test_places_that_are_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="T_frame_grid must be rigid"):
+        PlacedGrid(grid(), np.diag([2.0, 1, 1, 1]))
+    with pytest.raises(ValueError, match="stamp must be finite"):
+        PlacedGrid(grid(), stamp=float("nan"))
+    with pytest.raises(ValueError, match="tilted by 180 degrees"):
+        _ = PlacedGrid(grid(), pose(roll=np.pi)).corner
+
+
+def test_a_path_is_whole_or_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "m.x"
+    with whole_path(path) as temporary:
+        temporary.write_text("new")
+        assert temporary.suffix == ".x"
+        assert not path.exists()
+    assert path.read_text() == "new"
+
+
+@EVERY
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # rasterio's log of texts that are none
+def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> None:
+    """Cut files and changed bytes, most of them in the headers."""
+    path, rng = tmp_path / f"m{ending}", np.random.default_rng(11)
+    write_grid(path, PlacedGrid(grid(), crs="EPSG:25832"))
+    files = [one for one in (path, path.with_suffix(".pgm"), *path.rglob("*")) if one.is_file()]
+    whole = [one.read_bytes() for one in files]
+    refused = 0
+    for _ in range(80):
+        k = int(rng.integers(len(files)))
+        data = bytearray(whole[k])
+        if rng.integers(4):
+            for place in rng.integers(min(len(data), 600), size=4):
+                data[place] = rng.integers(256)
+        else:
+            del data[int(rng.integers(len(data))) :]
+        files[k].write_bytes(data)
+        try:
+            read_grid(path, SPEC)
+        except OgmError as error:
+            refused += str(path.name) in str(error)
+        files[k].write_bytes(whole[k])
+    assert refused > 20
+    assert read_grid(path, SPEC).spec.shape == SPEC.shape

@@ -1,0 +1,278 @@
+"""Grids in logs, read by other libraries: mcap-ros2-support, mcap-protobuf-support, rosbags, Debian's rosbag."""
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ogm.files import OgmError
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
+from ogm.io.logs import LogWriter, open_log
+from ogm.io.messages import StampedTransform, occupancy_grid, occupancy_values
+from ogm.pose import pose
+
+pytest.importorskip("rosbags")
+SPEC = GridSpec(0.25, (9, 5), (-1.75, 2.5))
+T = pose(12.0, -3.0, 0.5, yaw=0.6)
+ENDINGS = (".mcap", ".db3", ".bag")
+
+
+def l_shape() -> EvidentialGrid:
+    mass = np.random.default_rng(0).dirichlet((1, 1, 1), SPEC.shape)[..., :2].astype(np.float32)
+    mass[2:8, 1] = 0.05, 0.9
+    mass[7, 1:4] = 0.05, 0.9
+    mass[0] = 0
+    return EvidentialGrid(SPEC, mass)
+
+
+def looked_up(grid: PlacedGrid) -> list[tuple[float, float, int, int]]:
+    """Return x, y in the frame of the message, and the cell that lies there."""
+    xs, ys = grid.grid.spec.cell_centers
+    found = []
+    for ix, iy in np.ndindex(grid.grid.spec.shape):
+        x, y, *_ = grid.T_frame_grid @ (xs[ix, 0], ys[0, iy], 0, 1)
+        found.append((x, y, ix, iy))
+    return found
+
+
+def occupancy_at(message: Any, x: float, y: float) -> int:
+    """Look a value up as a ROS node does, from position and quaternion of the origin."""
+    origin, info = message.info.origin, message.info
+    yaw = 2 * np.arctan2(origin.orientation.z, origin.orientation.w)
+    dx, dy = x - origin.position.x, y - origin.position.y
+    column = int((np.cos(yaw) * dx + np.sin(yaw) * dy) // info.resolution)
+    row = int((np.cos(yaw) * dy - np.sin(yaw) * dx) // info.resolution)
+    return int(message.data[row * info.width + column])
+
+
+def by_ros2(path: Path) -> dict[str, list[Any]]:
+    """Read an MCAP by mcap-ros2-support, a db3 by rosbags."""
+    found: dict[str, list[Any]] = {}
+    if path.suffix == ".mcap":
+        reader = pytest.importorskip("mcap_ros2.reader")
+        for one in reader.read_ros2_messages(str(path)):
+            found.setdefault(one.channel.topic, []).append((one.ros_msg, one.log_time_ns))
+        return found
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
+        for connection, time, raw in reader.messages():
+            found.setdefault(connection.topic, []).append((reader.deserialize(raw, connection.msgtype), time))
+    return found
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("message", ["occupancy-grid", "grid-map", "foxglove-grid"])
+def test_a_grid_comes_back(tmp_path: Path, ending: str, message: str) -> None:
+    path, placed = tmp_path / f"map{ending}", PlacedGrid(l_shape(), pose(z=0.5), "odom", 12.5)
+    if message == "foxglove-grid":
+        pytest.importorskip("foxglove")
+    if message == "foxglove-grid" and ending != ".mcap":
+        with pytest.raises(ValueError, match=r"for \.mcap files alone"):
+            write_grid(path, placed, message=message)
+        return
+    write_grid(path, placed, message=message)
+    again = read_placed_grid(path)
+    assert (again.frame_id, again.stamp, again.grid.spec) == ("odom", 12.5, SPEC)
+    np.testing.assert_allclose(again.T_frame_grid, pose(z=0.5), atol=1e-12)
+    if message == "occupancy-grid":
+        assert np.array_equal(occupancy_values(again.grid), occupancy_values(l_shape()))
+    else:
+        assert np.array_equal(again.grid.mass, l_shape().mass)
+    assert np.array_equal(read_grid(path).mass, again.grid.mass)
+    assert [one.name for one in tmp_path.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".db3"])
+def test_ros_2_finds_every_cell_where_it_is(tmp_path: Path, ending: str) -> None:
+    path, placed = tmp_path / f"map{ending}", PlacedGrid(l_shape(), T, "odom", 1_700_000_000.25)
+    with GridLog(path) as log:
+        log.write(placed, [StampedTransform("odom", "base_link", 1_700_000_000.25, T)])
+    topics = by_ros2(path)
+    ((message, time),) = topics["/map"]
+    assert (message.header.frame_id, message.header.stamp.sec, message.header.stamp.nanosec) == (
+        "odom", 1_700_000_000, 250_000_000,
+    )  # fmt: skip
+    assert time == 1_700_000_000_250_000_000
+    assert message.info.origin.position.z == pytest.approx(0.5)
+    for x, y, ix, iy in looked_up(placed):
+        assert occupancy_at(message, x, y) == occupancy_values(placed.grid)[ix, iy]
+    ((tf, _),) = topics["/tf"]
+    assert tf.transforms[0].child_frame_id == "base_link"
+    assert tf.transforms[0].transform.translation.y == -3.0
+
+
+def test_debians_rosbag_finds_every_cell_where_it_is(tmp_path: Path) -> None:
+    path, placed = tmp_path / "map.bag", PlacedGrid(l_shape(), T, "odom", 12.5)
+    with GridLog(path) as log:
+        log.write(placed, [StampedTransform("odom", "base_link", 12.5, T)])
+    code = (
+        "import rosbag, sys\n"
+        f"for topic, message, t in rosbag.Bag({str(path)!r}).read_messages():\n"
+        "    if topic == '/map':\n"
+        "        o = message.info.origin\n"
+        "        print(topic, t.to_nsec(), message.header.frame_id, message.info.width, message.info.height,\n"
+        "              message.info.resolution, o.position.x, o.position.y, o.orientation.z, o.orientation.w,\n"
+        "              *message.data)\n"
+        "    else:\n"
+        "        print(topic, message.transforms[0].child_frame_id)\n"
+    )
+    done = subprocess.run(["/usr/bin/python3", "-c", code], capture_output=True, text=True, check=False)
+    if "No module named" in done.stderr or done.returncode == 127:
+        pytest.skip("Debian's rosbag is not installed (python3-rosbag)")
+    assert done.returncode == 0, done.stderr
+    tf, line = done.stdout.splitlines()
+    assert tf.split() == ["/tf", "base_link"]
+    topic, time, frame, width, height, resolution, x0, y0, z, w, *data = line.split()
+    assert (topic, time, frame, width, height, float(resolution)) == ("/map", "12500000000", "odom", "9", "5", 0.25)
+    yaw = 2 * np.arctan2(float(z), float(w))
+    for x, y, ix, iy in looked_up(placed):
+        dx, dy = x - float(x0), y - float(y0)
+        column = int((np.cos(yaw) * dx + np.sin(yaw) * dy) // 0.25)
+        row = int((np.cos(yaw) * dy - np.sin(yaw) * dx) // 0.25)
+        assert int(data[row * 9 + column]) == occupancy_values(placed.grid)[ix, iy]
+
+
+def test_the_masses_of_a_foxglove_grid_through_protobuf(tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap_protobuf.reader")
+    pytest.importorskip("foxglove")
+    path, placed = tmp_path / "map.mcap", PlacedGrid(l_shape(), T, "odom", 12.5)
+    write_grid(path, placed, message="foxglove-grid")
+    (one,) = list(reader.read_protobuf_messages(str(path)))
+    grid = one.proto_msg
+    cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.row_stride)
+    offsets = {field.name: field.offset for field in grid.fields}
+    yaw = 2 * np.arctan2(grid.pose.orientation.z, grid.pose.orientation.w)
+    for x, y, ix, iy in looked_up(placed):
+        dx, dy = x - grid.pose.position.x, y - grid.pose.position.y
+        column = int((np.cos(yaw) * dx + np.sin(yaw) * dy) // grid.cell_size.x)
+        row = int((np.cos(yaw) * dy - np.sin(yaw) * dx) // grid.cell_size.y)
+        cell = cells[row, column * grid.cell_stride :][: grid.cell_stride].tobytes()
+        for name, value in zip(("free", "occupied"), placed.grid.mass[ix, iy], strict=True):
+            assert np.frombuffer(cell, "<f4", 1, offsets[name])[0] == value
+    again = read_placed_grid(path)
+    assert again.corner == pytest.approx(placed.corner, abs=1e-9)
+    assert np.array_equal(again.grid.mass, placed.grid.mass)
+
+
+def test_the_last_map_of_a_topic_is_read(tmp_path: Path) -> None:
+    grids = [EvidentialGrid(GridSpec(0.5, (2, 3), (k, 0)), np.full((2, 3, 2), 0.1 * k, np.float32)) for k in range(4)]
+    with GridLog(tmp_path / "maps.mcap", "grid-map") as log:
+        for k, grid in enumerate(grids):
+            log.write(PlacedGrid(grid, stamp=k))
+    assert read_grid(tmp_path / "maps.mcap") == grids[-1]
+    with open_log(tmp_path / "maps.mcap") as log:
+        assert log.topics["/map"].count == 4
+        assert log.topics["/map"].rate == pytest.approx(1.0)
+
+
+def test_several_topics_ask_for_one(tmp_path: Path) -> None:
+    def write(*topics: str) -> Path:
+        with LogWriter(tmp_path / "maps.bag") as log:
+            for k, topic in enumerate(topics):
+                grid = EvidentialGrid.vacuous(GridSpec(1.0, (k + 1, 1), (0, 0)))
+                log.write(topic, "nav_msgs/msg/OccupancyGrid", occupancy_grid(grid, frame_id="/map"), 1.0)
+        return tmp_path / "maps.bag"
+
+    path = write("/costmap", "/map")
+    assert read_grid(path).spec.shape == (2, 1)
+    assert read_placed_grid(path, topic="/costmap").grid.spec.shape == (1, 1)
+    assert read_placed_grid(path).frame_id == "map"
+    with pytest.raises(OgmError, match=r"maps\.bag has no topic /x; there are /costmap"):
+        read_grid(path, topic="/x")
+    with pytest.raises(OgmError, match="has grids of /a, /b: give one as topic"):
+        read_grid(write("/a", "/b"))
+    with pytest.raises(ValueError, match=r"topic is for \.mcap"):
+        read_grid(tmp_path / "maps.npz", topic="/a")
+
+
+def test_logs_without_grids_and_damaged_ones_are_refused(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "tf.mcap") as log:
+        log.write("/tf", "tf2_msgs/msg/TFMessage", log_transform(), 1.0)
+    with pytest.raises(OgmError, match=r"tf\.mcap has no grids .* only /tf \(tf2_msgs/msg/TFMessage\)"):
+        read_grid(tmp_path / "tf.mcap")
+    with pytest.raises(OgmError, match="has messages of tf2_msgs/msg/TFMessage"):
+        read_grid(tmp_path / "tf.mcap", topic="/tf")
+    (tmp_path / "x.mcap").write_bytes(b"x")
+    with pytest.raises(OgmError, match=r"x\.mcap is no log"):
+        read_grid(tmp_path / "x.mcap")
+
+
+def log_transform() -> Any:
+    from ogm.io.messages import tf_message
+
+    return tf_message([StampedTransform("map", "base_link", 1.0, T)])
+
+
+def test_a_cut_log_gives_the_last_whole_map(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rng = np.random.default_rng(0)
+    with GridLog(tmp_path / "maps.mcap", "grid-map") as log:
+        for k in range(9):
+            mass = rng.dirichlet((1, 1, 1), (300, 200))[..., :2].astype(np.float32)
+            log.write(PlacedGrid(EvidentialGrid(GridSpec(1.0, (300, 200), (k, 0)), mass), stamp=k))
+    data = (tmp_path / "maps.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    grid = read_grid(tmp_path / "cut.mcap")
+    assert 0 < grid.spec.origin[0] < 8
+    assert "cut.mcap" in caplog.text
+
+
+@pytest.mark.parametrize("damage", ["cut", "huge", "wire", "empty", "name", "float"])
+def test_a_damaged_foxglove_grid_is_refused(tmp_path: Path, damage: str) -> None:
+    writer = pytest.importorskip("mcap.writer")
+    foxglove = pytest.importorskip("foxglove")
+    from ogm.io.messages import foxglove_grid
+
+    good = bytes(foxglove_grid(l_shape(), frame_id="map").encode())
+    assert foxglove
+    bad = {
+        "cut": good[: len(good) // 2],
+        "huge": good[:-3] + b"\x48\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff\xff",
+        "wire": b"\x0b" + good,
+        "empty": b"",
+        "name": b"\x12\x02\xff\xfe" + b"",
+        "float": b"\x20\x01" + good,
+    }[damage]
+    with open(tmp_path / "m.mcap", "wb") as file:
+        out = writer.Writer(file)
+        out.start()
+        schema = out.register_schema("foxglove.Grid", "protobuf", b"")
+        channel = out.register_channel("/map", "protobuf", schema)
+        out.add_message(channel, 1, bad, 1)
+        out.finish()
+    if damage == "float":  # a field of another wire type in front of the right one: the last counts
+        assert read_grid(tmp_path / "m.mcap") == l_shape()
+        return
+    with pytest.raises(OgmError, match=r"m\.mcap"):
+        read_grid(tmp_path / "m.mcap")
+
+
+def test_an_error_inside_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "maps.mcap"
+    write_grid(path, l_shape())
+    before = path.read_bytes()
+
+    def stopped() -> None:
+        with GridLog(path) as log:
+            log.write(PlacedGrid(l_shape()))
+            raise RuntimeError("half-way")
+
+    with pytest.raises(RuntimeError, match="half-way"):
+        stopped()
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["maps.mcap"]
+
+
+def test_options_are_checked_before_the_work(tmp_path: Path) -> None:
+    for path, message, text in (
+        ("m.mcap", "map", "message must be one of occupancy-grid, grid-map, foxglove-grid"),
+        ("m.npz", "grid-map", r"message is for \.mcap"),
+        ("m.db3", "foxglove-grid", r"for \.mcap files alone"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            write_grid(tmp_path / path, l_shape(), message=message)
+    assert not list(tmp_path.iterdir())

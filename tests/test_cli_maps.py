@@ -1,0 +1,248 @@
+"""``ogm convert``, and maps of every format from ``ogm map`` and ``ogm fuse``."""
+
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import Result
+from typer.testing import CliRunner
+
+from ogm.cli import app
+from ogm.geometric import RayISM
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.io import PlacedGrid, read_grid, read_placed_grid, write_grid, write_poses
+from ogm.io.logs import open_log
+from ogm.io.messages import grid_from_occupancy_grid, occupancy_values, transforms_from_tf
+from ogm.pose import Trajectory, inverse, pose, transform_points
+from ogm.state import predict_state
+
+HEIGHT, FRAMES, WALL = 1.7, 4, 10.0
+SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
+POSES = np.array([pose(0.7 * k, 0.05 * k, 0.1 * k, yaw=0.02 * k) for k in range(FRAMES)])
+STAMPS = 1_700_000_000 + np.arange(FRAMES) / 10
+SPEC = GridSpec(0.25, (9, 5), (-1.75, 2.5))
+
+
+def ogm(*words: object) -> Result:
+    """Run a command in this process."""
+    result = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": "200"})
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def grid() -> EvidentialGrid:
+    mass = np.random.default_rng(1).dirichlet((1, 1, 1), SPEC.shape)[..., :2].astype(np.float32)
+    mass[2:8, 1] = 0.05, 0.9
+    mass[0] = 0
+    return EvidentialGrid(SPEC, mass)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four scans of a plane and a wall across the way, and their poses."""
+    folder, rng = tmp_path_factory.mktemp("drive"), np.random.default_rng(0)
+    ground, wall = rng.uniform(-20, 20, (20_000, 4)), rng.uniform(-12, 12, (4000, 4))
+    ground[:, 0], ground[:, 2] = np.minimum(ground[:, 0], WALL), -HEIGHT
+    wall[:, 0], wall[:, 2] = WALL + 0.25, rng.uniform(-HEIGHT, 0.5, len(wall))
+    world = np.concatenate([ground, wall])
+    world[:, 3] = 0.5
+    for k, T in enumerate(POSES):
+        transform_points(inverse(T), world).astype(np.float32).tofile(folder / f"{k}.bin")
+    write_poses(folder / "poses.csv", Trajectory(STAMPS, POSES), np.arange(FRAMES))
+    return folder
+
+
+def fused(drive: Path, out: Path, *words: object) -> Result:
+    given = ("--poses", drive / "poses.csv", "--sensor-height", HEIGHT, *SMALL)
+    return ogm("fuse", drive, *given, "--out", out, *words)
+
+
+def test_a_chain_of_conversions_brings_the_same_masses_back(tmp_path: Path) -> None:
+    write_grid(tmp_path / "0.npz", grid())
+    endings = ("tif", "nc", "zarr", "npz")
+    for k, ending in enumerate(endings):
+        before = next(tmp_path.glob(f"{k}.*"))
+        result = ogm("convert", before, tmp_path / f"{k + 1}.{ending}")
+        assert result.exit_code == 0, result.output
+        assert "9 x 5 of 0.25 m" in result.output
+    assert read_grid(tmp_path / "4.npz") == grid()
+
+
+def test_a_pose_and_a_system_place_the_map_on_earth(tmp_path: Path) -> None:
+    write_grid(tmp_path / "m.npz", grid())
+    words = ("--crs", "EPSG:25832", "--pose", 367000, 5600000, -0.5)
+    assert ogm("convert", tmp_path / "m.npz", tmp_path / "new" / "m.tif", *words).exit_code == 0
+    placed = read_placed_grid(tmp_path / "new" / "m.tif")
+    wanted = PlacedGrid(grid(), pose(367000, 5600000, yaw=-0.5)).corner
+    assert placed.crs == "EPSG:25832"
+    assert placed.corner == pytest.approx(wanted, abs=1e-8)
+    result = ogm("convert", tmp_path / "new" / "m.tif", tmp_path / "back.npz")
+    assert result.exit_code == 2
+    assert "turned by" in result.output
+    assert ogm("convert", tmp_path / "new" / "m.tif", tmp_path / "m.yaml", "--mode", "raw").exit_code == 0
+    assert read_placed_grid(tmp_path / "m.yaml").corner == pytest.approx(wanted, abs=1e-8)
+
+
+def test_pictures_need_their_extent(tmp_path: Path) -> None:
+    write_grid(tmp_path / "m.png", grid())
+    assert "--length and --width" in ogm("convert", tmp_path / "m.png", tmp_path / "m.npz").output
+    assert "both" in ogm("convert", tmp_path / "m.png", tmp_path / "m.npz", "--length", 4).output
+    words = ("--length", 2.25, "--width", 1.25, "--resolution", 0.25)
+    assert ogm("convert", tmp_path / "m.png", tmp_path / "m.npz", *words).exit_code == 0
+    again = read_grid(tmp_path / "m.npz")
+    assert again.spec == GridSpec.centered(2.25, 1.25, 0.25)
+    np.testing.assert_allclose(again.mass, grid().mass, atol=1 / 255)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("m.npz", "x.txt"), "a grid is written as .npz, .yaml"),
+        (("m.npz", "m.npz"), "would take the place of"),
+        (("m.yaml", "m.png"), "would take the place of"),
+        (("none.npz", "x.tif"), "there is no file"),
+        (("m.txt", "x.tif"), "no grid that can be read"),
+        (("m.npz", "x.tif", "--mode", "raw"), "mode must be"),
+        (("m.npz", "x.yaml", "--mode", "grey"), "mode must be"),
+        (("m.npz", "x.tif", "--message", "grid-map"), "message is for"),
+        (("m.npz", "x.tif", "--topic", "/map"), "topic is for"),
+        (("m.npz", "x.tif", "--crs", "EPSG:4326"), "not in metres on a plane"),
+        (("m.npz", "."), "a grid is written as"),
+        (("m.npz", "m.yaml/x.tif"), "m.yaml"),
+    ],
+)
+def test_wrong_words_are_one_line_and_exit_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("m.npz", "m.yaml"):
+        write_grid(name, grid())
+    before = sorted(tmp_path.iterdir())
+    result = ogm("convert", *words)
+    assert result.exit_code == 2, result.output
+    assert message in result.output
+    assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1, result.output
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("name", ["rasterio", "xarray", "netCDF4", "zarr", "rosbags", "foxglove"])
+def test_a_missing_package_is_named_with_the_line_that_installs_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, drive: Path, name: str
+) -> None:
+    """Before the work: the scans of the drive are not read."""
+    real_import, real_find = importlib.import_module, importlib.util.find_spec
+
+    def missing(module: str, *more: object, **named: object) -> object:
+        if module.split(".")[0] == name:
+            raise ImportError(f"No module named {module!r}")
+        return real_import(module, *more, **named)
+
+    scientific = importlib.import_module("ogm.io.grids.scientific")
+    monkeypatch.setattr(importlib, "import_module", missing)
+    monkeypatch.setattr(scientific, "find_spec", lambda module: None if module == name else real_find(module))
+    monkeypatch.setattr(RayISM, "__call__", None)
+    ending = {"rasterio": "tif", "zarr": "zarr", "rosbags": "bag", "foxglove": "mcap"}.get(name, "nc")
+    words = ("--message", "foxglove-grid") if name == "foxglove" else ()
+    result = fused(drive, tmp_path / f"m.{ending}", *words)
+    assert result.exit_code == 2
+    assert f"m.{ending} cannot be written without the package {name}: pip install" in result.output
+    assert not list(tmp_path.iterdir())
+
+
+def test_all_formats_hold_the_map_of_the_drive(drive: Path, tmp_path: Path) -> None:
+    assert fused(drive, tmp_path / "m.npz").exit_code == 0
+    wanted = EvidentialGrid.load(tmp_path / "m.npz")
+    assert wanted.at(WALL + 0.25, 1.0).occupied > 0.7
+    for ending in ("tif", "nc", "zarr", "yaml", "png", "mcap", "db3", "bag"):
+        result = fused(drive, tmp_path / f"m.{ending}")
+        assert result.exit_code == 0, result.output
+        assert f"m.{ending}" in result.output
+        again = read_grid(tmp_path / f"m.{ending}", wanted.spec)
+        assert again.spec.shape == wanted.spec.shape
+        assert again.spec.origin == pytest.approx(wanted.spec.origin)
+        if ending in ("tif", "nc", "zarr"):
+            assert np.array_equal(again.mass, wanted.mass)
+        elif ending == "png":
+            np.testing.assert_allclose(again.mass, wanted.mass, atol=1 / 255)
+        else:
+            assert np.array_equal(predict_state(again.mass), predict_state(wanted.mass))
+    assert result.output.count("mapped") == 1
+
+
+@pytest.mark.parametrize("ending", ["mcap", "db3", "bag"])
+def test_a_log_has_the_map_and_the_pose_after_each_scan(drive: Path, tmp_path: Path, ending: str) -> None:
+    assert fused(drive, tmp_path / f"m.{ending}").exit_code == 0
+    assert fused(drive, tmp_path / "m.npz").exit_code == 0
+    with open_log(tmp_path / f"m.{ending}") as log:
+        messages = list(log.messages())
+        assert log.topics["/map"].type == "nav_msgs/msg/OccupancyGrid"
+    assert [one.topic for one in messages] == ["/tf", "/map"] * FRAMES
+    assert [one.log_time for one in messages[::2]] == pytest.approx(STAMPS, abs=1e-6)
+    for k, (tf, map_) in enumerate(zip(messages[::2], messages[1::2], strict=True)):
+        (one,) = transforms_from_tf(tf.decode())
+        assert (one.parent, one.child, one.stamp) == ("map", "vehicle", pytest.approx(STAMPS[k], abs=1e-6))
+        np.testing.assert_allclose(one.T_parent_child, POSES[k] @ pose(z=-HEIGHT), atol=1e-9)  # on the ground
+        message = map_.decode()
+        made, T = grid_from_occupancy_grid(message)
+        assert message.header.frame_id == "map"
+        assert T[2, 3] == pytest.approx(0.1 * k - HEIGHT)
+        assert made.spec.contains(*POSES[k][:2, 3])
+    wanted = EvidentialGrid.load(tmp_path / "m.npz")
+    assert np.array_equal(occupancy_values(made), occupancy_values(wanted))
+
+
+def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, calls = RayISM.__call__, []
+
+    def interrupted(*arguments: object) -> EvidentialGrid:
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(RayISM, "__call__", interrupted)
+    assert fused(drive, tmp_path / "m.mcap", "--message", "grid-map").exit_code == 130
+    with open_log(tmp_path / "m.mcap") as log:
+        assert log.topics["/map"].count == 2
+        assert log.topics["/map"].type == "grid_map_msgs/msg/GridMap"
+    assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
+
+
+def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "data.zarr").mkdir()
+    result = fused(drive, tmp_path / "data.zarr")
+    assert result.exit_code == 2
+    assert "is no grid of ogm" in result.output
+    result = ogm("fuse", drive / "0.bin", drive / "m.bag", "--out", drive / "m.bag", *SMALL)
+    assert result.exit_code == 2
+    assert "which is read" in result.output
+    result = fused(drive, tmp_path / "m.png", "--picture", tmp_path / "m.png")
+    assert "both write" in result.output
+    result = fused(drive, tmp_path / "m.npz", "--message", "grid-map")
+    assert "message is for" in result.output
+
+
+@pytest.mark.parametrize("ending", ["yaml", "tif", "nc", "zarr", "png", "mcap"])
+def test_a_scan_is_mapped_to_every_format(drive: Path, tmp_path: Path, ending: str) -> None:
+    words = ("--sensor-height", HEIGHT, *SMALL)
+    for _ in range(2):  # the second time over the first
+        result = ogm("map", drive / "0.bin", "--out", tmp_path / f"m.{ending}", *words)
+        assert result.exit_code == 0, result.output
+    assert ogm("map", drive / "0.bin", "--out", tmp_path / "m.npz", *words).exit_code == 0
+    wanted = EvidentialGrid.load(tmp_path / "m.npz")
+    again = read_grid(tmp_path / f"m.{ending}", wanted.spec)
+    assert again.spec.shape == wanted.spec.shape
+    if ending in ("tif", "nc", "zarr"):
+        assert again == wanted
+    if ending == "mcap":
+        assert read_placed_grid(tmp_path / "m.mcap").frame_id == "vehicle"
+
+
+def test_convert_starts_without_the_heavy_packages() -> None:
+    code = "import sys, ogm.cli; print(*{name.split('.')[0] for name in sys.modules})"
+    loaded = set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
+    assert not loaded & {"rasterio", "xarray", "netCDF4", "zarr", "rosbags", "mcap", "foxglove", "PIL", "yaml", "scipy"}
