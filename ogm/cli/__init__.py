@@ -1,4 +1,4 @@
-"""The command line: ``ogm demo, map, fuse, convert, simulate, train, calibrate, evaluate, export, info, view``."""
+"""Commands: ``ogm demo, map, fuse, serve, convert, simulate, train, calibrate, evaluate, export, info, view``."""
 
 import logging
 import sys
@@ -14,6 +14,7 @@ from ogm.cli.evaluate_command import evaluate
 from ogm.cli.fuse_command import fuse
 from ogm.cli.info_command import info
 from ogm.cli.map_command import demo, map_
+from ogm.cli.serve_command import serve
 from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
 from ogm.cli.view_command import view
@@ -34,6 +35,7 @@ app.command("map", epilog="Example:  ogm map scan.pcd --ism ray --out scan.npz -
 app.command(epilog="Example:  ogm fuse drive/ --poses poses.txt --out map.npz --picture map.png --movie drive.gif")(
     fuse
 )
+app.command(epilog="Example:  ogm serve drive.mcap --rate 1.0 --port 8765 --ism ray")(serve)
 app.command(epilog="Example:  ogm convert map.npz map.yaml")(convert)
 app.command(epilog="Example:  ogm simulate data/ --samples 20 --seed 1")(simulate)
 app.command("train", epilog="Example:  ogm train data/ --model lite --out runs/lite")(train_command)

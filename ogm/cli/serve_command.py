@@ -1,0 +1,175 @@
+"""``ogm serve``: a drive at its own pace, or scans from a socket, as a live map for Foxglove and others."""
+
+import logging
+import signal
+import socket
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from threading import Event
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer import Argument, Option
+
+from ogm.cli import options
+from ogm.cli.console import first_call, one_line, out, report_errors, stderr
+from ogm.cli.fuse_command import (
+    Calibration,
+    Drive,
+    First,
+    HalfLife,
+    Model,
+    Odometry,
+    Poses,
+    Rule,
+    _check_poses,
+    _drive,
+    _posed,
+)
+
+if TYPE_CHECKING:
+    from ogm.datasets import Dataset
+    from ogm.scan import Frame
+
+SCAN_RATE = 10.0  # [Hz] of scans without stamps
+
+ScanPaths = Annotated[
+    list[Path] | None, Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")
+]
+Listen = Annotated[
+    str | None,
+    Option(help="Take scans and poses from a TCP connection instead; see docs/live.md.", metavar="[HOST:]PORT"),
+]
+Rate = Annotated[float | None, Option(help="Speed of the clock: 2 plays twice as fast. [default: 1]")]
+Duration = Annotated[float | None, Option(help="Stop after this time [s]. [default: at the end, or Ctrl-C]")]
+Port = Annotated[int, Option(help="Port of the Foxglove WebSocket; 0 takes any free one.")]
+Host = Annotated[str, Option(help="Address of the server. Others than the loopback's show the map to the network.")]
+Every = Annotated[float, Option(help="Print counts and latencies this often [s].")]
+
+
+@report_errors
+def serve(
+    scans: ScanPaths = None,
+    listen: Listen = None,
+    rate: Rate = None,
+    duration: Duration = None,
+    host: Host = "127.0.0.1",
+    port: Port = 8765,
+    report_every: Every = 5.0,
+    poses: Poses = None,
+    calib: Calibration = None,
+    odometry: Odometry = None,
+    sequence: Drive = None,
+    topic: options.Topic = None,
+    fixed_frame: options.FixedFrame = None,
+    first: First = None,
+    ism: Model = "ray",
+    axes: options.Axes = "flu",
+    sensor_height: options.SensorHeight = None,
+    sensor_position: options.SensorPosition = None,
+    intensity_max: options.IntensityMax = None,
+    time_unit: options.TimeUnit = None,
+    rule: Rule = "cautious",
+    half_life: HalfLife = None,
+    length: options.Length = None,
+    width: options.Width = None,
+    resolution: options.Resolution = 0.16,
+) -> None:
+    """Map a drive while it plays, and show the map live.
+
+    Viewers of the Foxglove WebSocket (Foxglove, Lichtblick) connect to the printed address, and find the map with all
+    its masses (/map), the scans (/points) and the poses (/tf). The map never falls behind: where a scan takes longer
+    to map than the next one to come, the newest is mapped, and those between are dropped and counted. Latency is the
+    time from when a scan is available to when its map is handed to the server. Ctrl-C stops.
+
+    --listen takes scans with poses from a driver instead of a recording, in the sensor's frame, and needs
+    --sensor-height.
+    """
+    from ogm.datasets import open_dataset
+    from ogm.evaluation.models import model_factory
+    from ogm.fusion import make_mapper, rolling_window
+    from ogm.grid import GridSpec
+    from ogm.live import FoxglovePublisher, receive_frames, warm_up
+    from ogm.live import serve as served
+    from ogm.scan import Mount, PerMount
+
+    if (scans is None) == (listen is None):
+        raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
+    spec, stop = GridSpec.centered(length, width, resolution), Event()
+    model, mapper = PerMount(model_factory(ism, spec)), make_mapper(rule, rolling_window(spec), half_life)
+    frames: Iterable[Frame]
+    with ExitStack() as stack:
+        if scans is not None:
+            _check_poses(poses, calib, odometry, None, first)
+            reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
+            placed = {"sensor_height": sensor_height, "sensor_position": sensor_position}
+            log = {"topic": topic or (), "frame": fixed_frame}
+            split = "sequences" if (scans[0] / "zarr.json").exists() else None
+            dataset = open_dataset(scans, **reading, **placed, **log, split=split)  # type: ignore[arg-type]
+            dataset = _posed(_drive(dataset, sequence, sensor_height), poses, calib, odometry, SCAN_RATE, first)
+            frames, example, speed = dataset, _example(dataset), 1.0 if rate is None else rate
+        else:
+            if sensor_height is None or rate is not None:
+                raise ValueError("--listen needs --sensor-height [m], and takes scans as they come, without --rate")
+            listener = stack.enter_context(_listener(str(listen)))
+            frames = receive_frames(listener, Mount(sensor_height), stop=stop, on_end=_print)
+            example, speed = None, None
+            _print("taking scans at {}:{}".format(*listener.getsockname()))
+        with first_call():
+            warm_up(model, mapper, example)
+        logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
+        publisher = stack.enter_context(FoxglovePublisher(host, port))
+        out.print(f"serving /map, /points and /tf at {publisher.url}; Ctrl-C stops")
+        stack.enter_context(_terminable())
+        report = served(
+            frames,
+            model,
+            mapper,
+            publisher,
+            rate=speed,
+            duration=duration,
+            stop=stop,
+            on_error=lambda frame, error: _print(f"{frame.name} is skipped: {one_line(error)}"),
+            on_report=_print,
+            report_every=report_every,
+        )
+    out.print(str(report), soft_wrap=True)
+    if report.failed:
+        raise typer.Exit(2)
+
+
+def _example(dataset: "Dataset") -> "Frame | None":
+    """Return a frame for the kernels to be compiled with: one of the first that have a pose and can be read."""
+    for n in [n for n, ref in enumerate(dataset.refs) if ref.T_map_sensor is not None][:5]:
+        frame = dataset[n]
+        with suppress(ValueError, TypeError, OSError):
+            if len(frame.scan) and frame.mount:
+                return frame
+    return None
+
+
+def _print(line: object) -> None:
+    """Print a line about the run, apart from its result."""
+    stderr.print(f"ogm: {line}", markup=False)
+
+
+def _listener(place: str) -> socket.socket:
+    """Return a socket that listens at ``[HOST:]PORT``."""
+    host, _, port = place.rpartition(":")
+    if not port.isdecimal() or int(port) >= 2**16:
+        raise ValueError(f"--listen must be PORT or HOST:PORT, from 0 (any free port) to 65535, got {place}")
+    try:
+        return socket.create_server((host or "127.0.0.1", int(port)))
+    except OSError as error:
+        raise OSError(f"--listen cannot listen at {place}: {one_line(error)}") from error
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM stop the run as Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

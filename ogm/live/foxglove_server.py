@@ -1,0 +1,180 @@
+"""Map, scan and poses over the Foxglove WebSocket, for Foxglove, Lichtblick and whatever speaks its protocol."""
+
+import socket
+import time
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ogm.fusion import FusionStep, Mapper
+from ogm.io.messages import foxglove_grid, ros_stamp
+from ogm.io.messages.poses import pose_message
+from ogm.io.reading import optional
+from ogm.pose import inverse, pose
+from ogm.scan import Frame
+
+__all__ = ["FoxglovePublisher"]
+
+MAP, VEHICLE, SENSOR = "map", "vehicle", "sensor"  # frames of coordinates
+BACKLOG = 12  # messages that wait for a slow viewer, the oldest of which is dropped: some 40 MB
+PATIENCE = 2.0  # [s] for which closing waits for the port to be free
+
+
+class FoxglovePublisher:
+    """A server for viewers; each step of `ogm.fusion.fuse` that it is given goes to them, with the map as of then.
+
+    Topics are ``/map`` (foxglove.Grid, on the ground below the sensor), ``/points`` (foxglove.PointCloud, in the
+    sensor's frame) and ``/tf`` (foxglove.FrameTransforms: map, vehicle, sensor). What no viewer has subscribed to is
+    not even made. A viewer that is too slow misses messages, and holds up nothing.
+
+    Parameters
+    ----------
+    host : str
+        Address to listen on. There is no password: addresses other than the loopback's show the map to everybody who
+        can reach them.
+    port : int
+        0 takes any free one.
+    name : str
+        Of the server, for viewers.
+
+    Raises
+    ------
+    OSError
+        If the address cannot be listened on.
+    ImportError
+        If foxglove-sdk is not installed.
+
+    Examples
+    --------
+    >>> with FoxglovePublisher(port=0) as publisher:                           # doctest: +SKIP
+    ...     for step in fuse(frames, ism, mapper):
+    ...         publisher(step, mapper)
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 8765, *, name: str = "ogm") -> None:
+        modules = "foxglove", "foxglove.channels"
+        foxglove, channels = (optional(name, Path("a map"), "live", "served") for name in modules)
+        if not 0 <= port < 2**16:
+            raise ValueError(f"port must be from 0 (any free one) to 65535, got {port}")
+        context = self._context = foxglove.Context()  # kept: the server does not hold it
+        try:
+            self._server = foxglove.start_server(
+                name=name, host=host, port=port, context=context, message_backlog_size=BACKLOG
+            )
+        except RuntimeError as error:
+            raise OSError(f"cannot serve at {host}:{port}: {error}; give another port, 0 for any free one") from error
+        self.host, self.port = host, int(self._server.port)
+        self._map = channels.GridChannel("/map", context=context)
+        self._points = channels.PointCloudChannel("/points", context=context)
+        self._tf = channels.FrameTransformsChannel("/tf", context=context)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def url(self) -> str:
+        """Where viewers connect to."""
+        return f"ws://{self.host}:{self.port}"
+
+    def close(self) -> None:
+        """End all connections and free the port."""
+        for channel in (self._map, self._points, self._tf):
+            channel.close()
+        self._server.stop()  # returns before the port is free
+        until = time.monotonic() + PATIENCE
+        while not _is_free(self.host, self.port) and time.monotonic() < until:
+            time.sleep(0.002)
+
+    def __call__(self, step: FusionStep, mapper: Mapper) -> None:
+        """Send a fused frame and the map to all viewers.
+
+        Parameters
+        ----------
+        step : FusionStep
+            With a grid, just fused into `mapper`.
+        mapper : EvidentialMapper or BinaryBayesMapper
+        """
+        frame = step.frame
+        stamp = time.time() if frame.stamp is None else frame.stamp
+        when = round(stamp * 1e9)  # [ns]
+        sensor = frame.scan.sensor or SENSOR
+        if self._tf.has_sinks():
+            self._tf.log(_transforms(frame, sensor, stamp), log_time=when)
+        if self._points.has_sinks():
+            self._points.log(_cloud(frame, sensor, stamp), log_time=when)
+        if self._map.has_sinks():
+            T = pose(z=_ground_height(frame))
+            self._map.log(foxglove_grid(mapper.grid, frame_id=MAP, stamp=stamp, T_frame_grid=T), log_time=when)
+
+
+def _is_free(host: str, port: int) -> bool:
+    """Tell whether an address can be listened on."""
+    try:
+        socket.create_server((host, port), family=socket.AF_INET6 if ":" in host else socket.AF_INET).close()
+    except OSError:
+        return False
+    return True
+
+
+def _ground_height(frame: Frame) -> float:
+    """Return the height of the ground below the sensor in map coordinates [m]."""
+    below = inverse(frame.mount.T_vehicle_sensor) @ np.append(frame.mount.ground_point, 1.0)
+    return float((frame.T_map_sensor @ below)[2])
+
+
+def _transforms(frame: Frame, sensor: str, stamp: float) -> Any:
+    """Return where vehicle and sensor are."""
+    from foxglove.messages import FrameTransforms
+
+    T_vehicle_sensor = frame.mount.T_vehicle_sensor
+    T_map_vehicle = frame.T_map_sensor @ inverse(T_vehicle_sensor)  # type: ignore[operator]
+    placed = ((MAP, VEHICLE, T_map_vehicle), (VEHICLE, sensor, T_vehicle_sensor))
+    return FrameTransforms(transforms=[_transform(*one, stamp) for one in placed])
+
+
+def _transform(parent: str, child: str, T: ArrayLike, stamp: float) -> Any:
+    from foxglove.messages import FrameTransform, Quaternion, Vector3
+
+    placed = pose_message(T)
+    return FrameTransform(
+        timestamp=_timestamp(stamp),
+        parent_frame_id=parent,
+        child_frame_id=child,
+        translation=Vector3(**vars(placed.position)),
+        rotation=Quaternion(**vars(placed.orientation)),
+    )
+
+
+def _cloud(frame: Frame, sensor: str, stamp: float) -> Any:
+    """Return the points of a frame, in the frame that they come in."""
+    from foxglove.messages import (
+        PackedElementField,
+        PackedElementFieldNumericType,
+        PointCloud,
+        Pose,
+        Quaternion,
+        Vector3,
+    )
+
+    names = ("x", "y", "z", "intensity")
+    kind = PackedElementFieldNumericType.Float32
+    return PointCloud(
+        timestamp=_timestamp(stamp),
+        frame_id=VEHICLE if frame.mount.points_in == "vehicle" else sensor,
+        pose=Pose(position=Vector3(x=0, y=0, z=0), orientation=Quaternion(x=0, y=0, z=0, w=1)),
+        point_stride=16,
+        fields=[PackedElementField(name=name, offset=4 * k, type=kind) for k, name in enumerate(names)],
+        data=np.ascontiguousarray(frame.scan.points, "<f4").tobytes(),
+    )
+
+
+def _timestamp(stamp: float) -> Any:
+    from foxglove.messages import Timestamp
+
+    when = ros_stamp(stamp)
+    return Timestamp(when.sec, when.nanosec)

@@ -1,0 +1,102 @@
+"""Frames become available: as they come, or at their stamps."""
+
+import math
+import time
+from collections.abc import Iterable
+from threading import Event
+
+from ogm.files import OgmError
+from ogm.fusion.pipeline import OnError
+from ogm.live.newest import NewestFrames
+from ogm.scan import Frame
+
+__all__ = ["play", "read_ahead"]
+
+LEAD = 0.2  # [s] from the start, or a new sequence, to its first frame, which must be read first
+LATE = 0.05  # [s] after which frames that are due are dropped unread, until one is not due yet
+BACK = 1.0  # [s] by which stamps may go back without being a new recording
+_UNREADABLE = (ValueError, TypeError, OSError)
+
+
+def read_ahead(frames: Iterable[Frame], newest: NewestFrames, stop: Event, on_error: OnError) -> None:
+    """Pass frames on as they come, until they end or `stop` is set.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+    newest : NewestFrames
+        What takes them.
+    stop : Event
+    on_error : function
+        Called with every frame that cannot be read, and its error.
+    """
+    for frame in frames:
+        due = time.monotonic()
+        if stop.is_set():
+            return
+        if _read(frame, on_error):
+            newest.put(frame, due)
+
+
+def play(frames: Iterable[Frame], rate: float, newest: NewestFrames, stop: Event, on_error: OnError) -> None:
+    """Pass frames on at their stamps, until they end or `stop` is set.
+
+    Each is read before it is due. When reading falls behind, frames that are overdue are dropped unread.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        With stamps; their scans are read on demand.
+    rate : float
+        Speed of the clock: 2 plays twice as fast.
+    newest, stop, on_error
+        As for `read_ahead`.
+
+    Raises
+    ------
+    OgmError
+        If a frame has no stamp.
+    """
+    clock, catching_up = _Clock(rate), False
+    for frame in frames:
+        due = clock.due(frame)
+        late = time.monotonic() - due
+        catching_up = late > (0.0 if catching_up else LATE)
+        if catching_up:
+            newest.drop()
+            continue
+        readable = _read(frame, on_error)
+        if stop.wait(max(due - time.monotonic(), 0.0)):
+            return
+        if readable:
+            newest.put(frame, due)
+
+
+class _Clock:
+    """When frames are due; every sequence begins anew."""
+
+    def __init__(self, rate: float) -> None:
+        if not 0 < rate < math.inf:
+            raise ValueError(f"rate must be above 0 and finite, 1 for real time, got {rate}")
+        self.rate = rate
+        self.sequence: str | None = None
+        self.origin = self.start = self.last = 0.0  # stamp of the first frame, when it is due, and the last stamp
+
+    def due(self, frame: Frame) -> float:
+        """Return when a frame is due, by `time.monotonic` [s]."""
+        if frame.stamp is None:
+            raise OgmError(f"{frame.name} has no stamp, so that it cannot be played at its time: give times or poses")
+        if frame.sequence != self.sequence or frame.stamp < self.last - BACK:
+            self.sequence, self.origin, self.start = frame.sequence, frame.stamp, time.monotonic() + LEAD
+        self.last = frame.stamp
+        return self.start + (frame.stamp - self.origin) / self.rate
+
+
+def _read(frame: Frame, on_error: OnError) -> bool:
+    """Read scan and mount of a frame here, not in the mapping thread; return whether they can be read."""
+    try:
+        frame.scan, frame.mount  # noqa: B018
+    except _UNREADABLE as error:
+        on_error(frame, error)
+        return False
+    return True

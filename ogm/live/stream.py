@@ -1,0 +1,193 @@
+"""Scans and poses over a TCP connection: fixed binary messages that a driver in any language can write.
+
+A message is a header of 112 bytes and the points, all little-endian:
+
+=======  ===========  =============================================================================
+bytes    type         what
+=======  ===========  =============================================================================
+0-3      4 bytes      ``OGM1``
+4-7      uint32       N, the number of points, at most 4,194,304
+8-15     float64      stamp [s], from 0 to 2**31
+16-111   12 float64   T_map_sensor, its first three rows, row by row [m]
+112-     4 N float32  x, y, z [m] in the sensor's frame, intensity [0, 1], point by point
+=======  ===========  =============================================================================
+
+Nothing in it is code, a name or a path, and its length is known from the header, so that a receiver needs no parser.
+"""
+
+import logging
+import math
+import select
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from threading import Event
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ogm.files import OgmError
+from ogm.io.formats.table import Table
+from ogm.io.scan_table import scan_from_table
+from ogm.pose import check_pose
+from ogm.scan import Frame, Mount, Scan
+
+__all__ = ["frame_bytes", "receive_frames"]
+
+MAGIC = b"OGM1"
+HEADER = struct.Struct("<4sI13d")
+MAX_POINTS = 2**22
+LATEST = 2**31  # [s] from which on ROS and Foxglove have no stamps
+POLL = 0.1  # [s] after which `stop` is looked at while nothing comes
+_COLUMNS = ("x", "y", "z", "intensity")
+
+_log = logging.getLogger(__name__)
+
+
+def frame_bytes(scan: Scan, T_map_sensor: ArrayLike) -> bytes:  # noqa: N803
+    """Return a scan and its pose as a message for `receive_frames`; only points and stamp are kept.
+
+    Raises
+    ------
+    ValueError
+        If the scan has no such stamp or too many points, or the pose is not rigid.
+    """
+    if scan.stamp is None or not 0 <= scan.stamp < LATEST or len(scan) > MAX_POINTS:
+        raise ValueError(f"a message needs a stamp from 0 to 2**31 s and at most {MAX_POINTS} points, got {scan!r}")
+    rows = check_pose(T_map_sensor, "T_map_sensor")[:3].ravel()
+    return HEADER.pack(MAGIC, len(scan), scan.stamp, *rows) + scan.points.astype("<f4").tobytes()
+
+
+def receive_frames(
+    listener: socket.socket, mount: Mount, *, stop: Event | None = None, on_end: Callable[[str], object] = _log.warning
+) -> Iterator[Frame]:
+    """Yield the frames that come over a TCP connection, one connection at a time.
+
+    A new connection replaces the one before, so that a driver that was restarted need not wait. A message that is
+    wrong ends its connection alone. Whoever can connect is trusted to send points: listen on the loopback address, or
+    on a network of your own.
+
+    Parameters
+    ----------
+    listener : socket
+        Of ``socket.create_server(("127.0.0.1", 9000))``; stays open.
+    mount : Mount
+        Of the sensor.
+    stop : Event, optional
+        Set from anywhere, it ends the iteration within 0.1 s.
+    on_end : function
+        Called with a line whenever a connection ends; by default it is logged.
+
+    Yields
+    ------
+    Frame
+        With scan, stamp and pose; rows without a point (0, 0, 0 or not finite) are dropped.
+    """
+    stop, count = stop or Event(), 0
+    listener.setblocking(False)
+    connection: _Connection | None = None
+    try:
+        while not stop.is_set():
+            sockets = [listener] if connection is None else [listener, connection.socket]
+            ready = select.select(sockets, [], [], POLL)[0]
+            if listener in ready:
+                accepted = _accept(listener)
+                if accepted is not None:
+                    if connection is not None:
+                        on_end(connection.end("replaced by a new one"))
+                    connection = accepted
+            elif ready and connection is not None:
+                try:
+                    message = connection.receive()
+                except (OgmError, OSError) as error:
+                    on_end(connection.end(str(error)))
+                    connection = None
+                    continue
+                if message is not None:
+                    scan, T = message
+                    count += 1
+                    yield Frame(
+                        scan, mount, None, None, T_map_sensor=T, stamp=scan.stamp, name=f"scan {count}", sequence="live"
+                    )
+    finally:
+        if connection is not None:
+            connection.end("")
+
+
+class _Connection:
+    """A sender, and the part of its message that has come."""
+
+    def __init__(self, connection: socket.socket, address: tuple[str, int]) -> None:
+        connection.setblocking(False)
+        self.socket, self.name, self.scans = connection, f"{address[0]}:{address[1]}", 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Wait for a header."""
+        self._header, self._points = bytearray(HEADER.size), np.empty(0, "<f4")
+        self._target, self._filled = memoryview(self._header), 0
+
+    def receive(self) -> tuple[Scan, np.ndarray] | None:
+        """Take what has come; return scan and pose of a message that is whole.
+
+        Raises
+        ------
+        OgmError
+            If the message is wrong, or the connection has ended.
+        OSError
+            If the connection is broken.
+        """
+        try:
+            size = self.socket.recv_into(self._target[self._filled :])
+        except BlockingIOError:
+            return None
+        if not size:
+            cut = self._filled or self._points.size
+            raise OgmError("it ended in the middle of a message" if cut else "closed by the sender")
+        self._filled += size
+        if self._filled < len(self._target):
+            return None
+        if not self._points.size:
+            self._check_header()
+            if self._points.size:
+                return None
+        return self._message()
+
+    def _check_header(self) -> None:
+        magic, count, *numbers = HEADER.unpack(self._header)
+        if magic != MAGIC:
+            raise OgmError(f"a message begins with {magic!r}, wanted {MAGIC!r}: see ogm.live.stream for the format")
+        if count > MAX_POINTS:
+            raise OgmError(f"a message announces {count} points, allowed are {MAX_POINTS}")
+        if not (0 <= numbers[0] < LATEST and all(map(math.isfinite, numbers))):
+            raise OgmError(f"a message has the stamp {numbers[0]} s, wanted 0 to 2**31 s, or a pose that is not finite")
+        self._points = np.empty(4 * count, "<f4")
+        if count:
+            self._target, self._filled = memoryview(self._points.data).cast("B"), 0
+
+    def _message(self) -> tuple[Scan, np.ndarray]:
+        """Return scan and pose, and wait for the next header."""
+        _, _, stamp, *rows = HEADER.unpack(self._header)
+        where = f"scan {self.scans + 1} of {self.name}"
+        try:
+            T = check_pose(np.append(np.reshape(rows, (3, 4)), [[0, 0, 0, 1]], axis=0), "T_map_sensor")
+        except ValueError as error:
+            raise OgmError(f"{where}: {error}") from error
+        columns = dict(zip(_COLUMNS, self._points.reshape(-1, 4).T, strict=True))
+        scan = scan_from_table(Table("message", columns, None, 1.0), where, stamp=stamp)[0]
+        self.scans += 1
+        self._begin()
+        return scan, T
+
+    def end(self, why: str) -> str:
+        """Close the connection; return a line about it."""
+        self.socket.close()
+        return f"connection from {self.name} ended after {self.scans} scans: {why}"
+
+
+def _accept(listener: socket.socket) -> _Connection | None:
+    """Return a new connection; None if it has been given up already."""
+    try:
+        return _Connection(*listener.accept())
+    except (BlockingIOError, ConnectionError):
+        return None
