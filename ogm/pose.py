@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Trajectory", "check_pose", "inverse", "pose", "transform_points"]
+__all__ = ["Trajectory", "check_pose", "inverse", "pose", "rotate", "transform_points"]
 
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 _TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
@@ -100,8 +100,26 @@ def transform_points(T: ArrayLike, points: NDArray) -> NDArray:
     if points.ndim != 2 or points.shape[1] < 3:
         raise ValueError(f"points must have shape (N, 3 or more), got {points.shape}")
     result = points.copy()
-    result[:, :3] = points[:, :3] @ array[:3, :3].T + array[:3, 3]
+    result[:, :3] = (rotate(array[:3, :3], points[:, :3].T) + array[:3, 3:]).T
     return result
+
+
+def rotate(R: NDArray[np.float64], xyz: NDArray) -> NDArray[np.float64]:
+    """Return ``R @ xyz``, computed by one core.
+
+    BLAS spreads products of this shape over threads, whose waiting costs ten times what the product does.
+
+    Parameters
+    ----------
+    R : (3, 3) array
+    xyz : (3, N) float array
+        Points or directions, as rows of x, y and z.
+
+    Returns
+    -------
+    (3, N) float64
+    """
+    return np.einsum("ij,jn->in", R, np.ascontiguousarray(xyz, np.float64))
 
 
 def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:

@@ -1,24 +1,20 @@
 """``ogm fuse``: the scans of a drive to one map that remembers and forgets."""
 
 import tempfile
-from collections.abc import Iterable
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
 import typer
-from rich.progress import track
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
+from ogm.cli.console import one_line, out, print_facts, report_errors
+from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
 from ogm.io.grids import MAP_ENDINGS, GridLog, check_grid_output, write_grid
 from ogm.io.logs import LOG_ENDINGS
-
-if TYPE_CHECKING:
-    from ogm.datasets import Dataset
 
 ENDINGS = {  # of what each option writes
     "--out": MAP_ENDINGS,
@@ -122,7 +118,7 @@ def fuse(
 
     if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
-    _check_poses(poses, calib, odometry, save_poses, first)
+    check_pose_options(poses, calib, odometry, save_poses, first)
     outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses, "--page": page}
     _prepare_outputs(outputs, scans)
     if message is not None:
@@ -139,15 +135,16 @@ def fuse(
         "frame": fixed_frame,
     }
     dataset = open_dataset(scans, **reading, **placed, split=split)  # type: ignore[arg-type]
-    dataset = _drive(dataset, sequence, sensor_height)
+    dataset = pick_drive(dataset, sequence, sensor_height)
     if deskew and not dataset.motion_distorted:
         raise ValueError("leave out --deskew: the points of this data set are not (or not all) distorted by motion")
-    dataset = _posed(dataset, poses, calib, odometry, rate, first)
+    dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     cells = rolling_window(spec) if window == "rolling" else covering_window(spec, np.array(known))
     mapper = make_mapper(rule, cells, half_life, window)  # type: ignore[arg-type]
 
-    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), out_path or picture or movie or page or Path("map.npz"))
+    base = out_path or picture or movie or page or Path("map.npz")
+    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), base)
     times = (dataset.trajectory or True) if deskew else False
     steps = fused(dataset, model, mapper, deskew=times, on_error=run.report)
     titles = ("points by height", *run.titles)
@@ -170,21 +167,6 @@ def fuse(
     out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)
     if code:
         raise typer.Exit(code)
-
-
-def _check_poses(
-    poses: Path | None, calib: Path | None, odometry: str | None, save_poses: Path | None, first: int | None
-) -> None:
-    """Refuse options of poses that exclude each other."""
-    if poses is not None and odometry is not None:
-        raise ValueError("--poses and --odometry exclude each other; give one")
-    if calib is not None and poses is None:
-        raise ValueError("--calib belongs to --poses, which is missing")
-    if first is not None and first < 1:
-        raise ValueError(f"--first must be at least 1, got {first}")
-    for path in filter(None, (poses, calib)):
-        if save_poses is not None and save_poses.resolve() == path.resolve():
-            raise ValueError(f"--save-poses would overwrite {path}; give another name")
 
 
 def _prepare_outputs(wanted: dict[str, Path | None], inputs: list[Path]) -> None:
@@ -210,49 +192,3 @@ def _prepare_outputs(wanted: dict[str, Path | None], inputs: list[Path]) -> None
                 pass
         except OSError as error:
             raise OSError(f"{option} cannot write into {path.parent}: {one_line(error)}") from error
-
-
-def _drive(dataset: "Dataset", sequence: str | None, sensor_height: float | None) -> "Dataset":
-    """Return one drive of a data set, and print the height of its sensor."""
-    drives = dataset.sequences
-    if drives:
-        names = list(drives)
-        wanted = names[0] if sequence is None else sequence
-        number = int(wanted) if wanted.isdecimal() else len(names)
-        found = [one for one in (wanted, f"sequence {wanted}", *names[number : number + 1]) if one in drives]
-        if not found:
-            raise ValueError(f"--sequence must be one of {', '.join(drives)}, got {sequence}")
-        if sequence is None and len(drives) > 1:
-            out.print(f"drive: {names[0]}, the first of {len(drives)}; --sequence picks another", markup=False)
-        dataset = dataset.select(drives[found[0]])
-    elif sequence is not None:
-        raise ValueError(f"--sequence picks one of several drives, of which {dataset.name} has none")
-    height, layout = dataset[0].mount.sensor_height, dataset.reader.layout
-    if sensor_height is None and layout.mount is None:
-        how = "stated by the data set" if layout.sensor_height else "estimated from up to five scans"
-        out.print(f"sensor height {height:.2f} m, {how}; --sensor-height sets it", soft_wrap=True)
-    return dataset
-
-
-def _posed(
-    dataset: "Dataset", poses: Path | None, calib: Path | None, odometry: str | None, rate: float, first: int | None
-) -> "Dataset":
-    """Return the first scans of a drive with their poses: its own, those of a file, or estimated ones."""
-    from ogm.datasets import with_odometry, with_poses
-
-    def ticked(numbers: Iterable[int]) -> Iterable[int]:
-        return track(list(numbers), odometry or "reading stamps", console=stderr, transient=True)
-
-    if odometry is not None:
-        dataset = with_odometry(dataset[:first], odometry, rate, ticked)
-    elif poses is not None:
-        dataset = with_poses(dataset, poses, calib, rate, ticked)
-    known, how = sum(ref.T_map_sensor is not None for ref in dataset.refs), dataset.facts.get("poses")
-    if not known:
-        raise ValueError(
-            f"where were the scans taken? {f'Poses: {how}. ' if how else ''}Give --poses FILE (KITTI, KITTI-360, TUM), "
-            "or estimate the poses with --odometry kiss-icp"
-        )
-    how = how or f"{known} of {len(dataset)} scans, of the data set"
-    out.print(f"poses: {how}", markup=False, soft_wrap=True)
-    return dataset[:first]

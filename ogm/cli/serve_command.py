@@ -14,19 +14,8 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import first_call, one_line, out, report_errors, stderr
-from ogm.cli.fuse_command import (
-    Calibration,
-    Drive,
-    First,
-    HalfLife,
-    Model,
-    Odometry,
-    Poses,
-    Rule,
-    _check_poses,
-    _drive,
-    _posed,
-)
+from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
+from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -101,13 +90,15 @@ def serve(
     frames: Iterable[Frame]
     with ExitStack() as stack:
         if scans is not None:
-            _check_poses(poses, calib, odometry, None, first)
+            check_pose_options(poses, calib, odometry, None, first)
             reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
             placed = {"sensor_height": sensor_height, "sensor_position": sensor_position}
             log = {"topic": topic or (), "frame": fixed_frame}
             split = "sequences" if (scans[0] / "zarr.json").exists() else None
             dataset = open_dataset(scans, **reading, **placed, **log, split=split)  # type: ignore[arg-type]
-            dataset = _posed(_drive(dataset, sequence, sensor_height), poses, calib, odometry, SCAN_RATE, first)
+            dataset = with_known_poses(
+                pick_drive(dataset, sequence, sensor_height), poses, calib, odometry, SCAN_RATE, first
+            )
             frames, example, speed = dataset, _example(dataset), 1.0 if rate is None else rate
         else:
             if sensor_height is None or rate is not None:

@@ -20,7 +20,7 @@ from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS, LogMessage, open_log
 from ogm.io.logs.opening import log_files
 from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_velodyne_scan
-from ogm.pose import pose
+from ogm.pose import pose, rotate
 from ogm.scan import Scan
 
 __all__ = ["describe_log", "is_log", "logs", "turn_scan"]
@@ -189,8 +189,8 @@ def turn_scan(scan: Scan, R: NDArray[np.float64]) -> Scan:
     if np.array_equal(R, np.eye(3)):
         return scan
     points = scan.points.copy()
-    points[:, :3] = points[:, :3] @ R.T.astype(np.float32)
-    no_returns = None if scan.no_returns is None else scan.no_returns @ R.T.astype(np.float32)
+    points[:, :3] = rotate(R, points[:, :3].T).T
+    no_returns = None if scan.no_returns is None else rotate(R, scan.no_returns.T).T.astype(np.float32)
     return replace(scan, points=points, no_returns=no_returns)
 
 

@@ -15,6 +15,7 @@ from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
 from ogm.geometric.kernels.rays import sort_rays
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
+from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["RayISM"]
@@ -163,7 +164,7 @@ def _no_return_directions(scan: Scan, mount: Mount) -> NDArray[np.float32]:
     if scan.no_returns is None:
         return np.empty((0, 3), np.float32)
     directions = scan.no_returns[np.isfinite(scan.no_returns).all(axis=1)]
-    return directions @ mount.T_vehicle_points[:3, :3].astype(np.float32).T
+    return np.ascontiguousarray(rotate(mount.T_vehicle_points[:3, :3], directions.T).T, np.float32)
 
 
 def _checked_height(height: NDArray, spec: GridSpec) -> NDArray[np.float32]:

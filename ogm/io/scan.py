@@ -123,7 +123,8 @@ def read_scan_file(
     table = parse(data, inner)
     if table.format == "nuScenes" and np.array_equal(rotation, np.eye(3)):
         log.warning('%s: nuScenes files have x right and y forward; axes="nuscenes" turns them', path)
-    return scan_from_table(table, inner, axes, origin=shift, intensity_max=intensity_max, time_unit=time_unit)
+    moved = shift if shift.any() else None
+    return scan_from_table(table, inner, axes, origin=moved, intensity_max=intensity_max, time_unit=time_unit)
 
 
 def describe(scan: Scan, file: FileFacts) -> dict[str, str]:

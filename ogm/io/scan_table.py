@@ -13,6 +13,7 @@ from ogm.io.columns import check_rings, check_whole, scale_intensities, split_ti
 from ogm.io.formats.table import DOPPLER, INTENSITY, POSITION, RCS, RING, TIME, Table, plain
 from ogm.io.labels import REACH
 from ogm.io.no_returns import directions_without_return
+from ogm.pose import rotate
 from ogm.scan import Scan
 
 __all__ = ["FileFacts", "check_scales", "scan_from_table"]
@@ -85,7 +86,7 @@ def scan_from_table(
 
     # From the file's coordinates to x forward, y left, z up.
     if moved:
-        xyz = rotation @ (xyz - (0.0 if origin is None else origin[:, None]))
+        xyz = rotate(rotation, xyz if origin is None else xyz - origin[:, None])
     no_returns = None
     if table.shape is not None:
         x, y, z = xyz.reshape(3, *table.shape)
