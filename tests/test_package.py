@@ -73,7 +73,7 @@ def test_every_public_name_is_documented() -> None:
         "movie",
         "metrics",
     )
-    for package in (*packages, "deep", "fusion", "datasets", "evaluation"):
+    for package in (*packages, "deep", "fusion", "live", "datasets", "evaluation"):
         module = importlib.import_module(f"ogm.{package}")
         for name in module.__all__:
             value = getattr(module, name)
