@@ -4,10 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from ogm.simulation.patterns import PATTERNS
 
 __all__ = ["LIDARS", "LidarSpec", "hd_directions"]
 
@@ -196,47 +197,7 @@ def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
     return tuple(map(math.radians, degrees))
 
 
-def _evenly(low: float, high: float, layers: int) -> list[float]:
-    return np.linspace(low, high, layers).tolist()
-
-
-# Velodyne VLP-32C user manual: closer layers around the horizon, four columns of lasers.
-_VLP_32C = (
-    *(-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667),
-    *(-2.333, -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333),
-    *(3.333, 4.667, 7.0, 10.333, 15.0),
-)
-_VLP_32C_OFFSETS = (
-    *(-1.4, 1.4, -1.4, 1.4, -1.4, 1.4, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4),
-    *(1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -1.4, 1.4, -1.4, 1.4, -1.4, 1.4),
-)
-# A second one 0.119 m below the first and upside down, as on the cars of Argoverse 2: its elevations and
-# offsets change their signs. In order of elevation, the upper sensor first where both have the same.
-_UPPER = [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
-_PAIR = sorted(_UPPER + [(-e, 1, -a) for e, _, a in _UPPER])
-# Velodyne VLS-128 (Alpha Prime): 0.11 degrees apart between -6.5 and +4.83.
-_VLS_128 = (
-    *(-25.0, -19.582, -16.042, -13.565, -11.742, -10.346, -9.244, -8.352, -7.65, -7.15, -6.85, -6.65, -6.5),
-    *(round(-6.39 + 0.11 * k, 2) for k in range(103)),
-    *(4.98, 5.18, 5.43, 5.73, 6.08, 6.48, 6.98, 7.58, 8.43, 9.7, 11.75, 15.0),
-)
-
-# Elevations and azimuth offsets [deg], the step between columns [rad], and what differs from the defaults.
-_MODELS: dict[str, tuple[Sequence[float], Sequence[float], float, dict[str, Any]]] = {
-    "vlp-32c": (_VLP_32C, _VLP_32C_OFFSETS, math.radians(0.2), {}),
-    "dual-vlp-32c": ([e for e, _, _ in _PAIR], [a for _, _, a in _PAIR], math.radians(0.2),
-        {"origins": tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR), "height": 2.0}),
-    "hdl-32e": (_evenly(-30.67, 10.67, 32), [0.0] * 32, 2 * math.pi / 1085,
-        {"rate": 20.0, "range_max": 100.0, "reach": 165.0, "range_noise": 0.004, "range_step": 0.002}),
-    "hdl-64e": ([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)], [-3.5, 3.5] * 32, 2 * math.pi / 2083,
-        {"range_min": 0.9, "range_max": 120.0, "reach": 180.0, "range_noise": 0.008, "range_step": 0.002,
-         "divergence": 0.002, "height": 1.73}),
-    "vls-128": (_VLS_128, [0.0] * 128, math.radians(0.2), {"range_max": 245.0, "reach": 305.0, "range_noise": 0.008}),
-    "os1-64": (_evenly(-22.5, 22.5, 64), [3.16, 1.05, -1.05, -3.16] * 16, 2 * math.pi / 1024,
-        {"range_max": 120.0, "reach": 165.0, "range_noise": 0.012, "range_step": 0.003, "divergence": 0.0023}),
-}  # fmt: skip
-
 LIDARS = {
     name: LidarSpec(name, _radians(elevations), _radians(offsets), step, **others)
-    for name, (elevations, offsets, step, others) in _MODELS.items()
+    for name, (elevations, offsets, step, others) in PATTERNS.items()
 }
