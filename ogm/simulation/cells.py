@@ -92,6 +92,23 @@ def _steps_along(z: NDArray[np.float32]) -> NDArray[np.float64]:
     return rise
 
 
+def steep_cells(
+    z: NDArray[np.float32], resolution: float, steepest: float
+) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return the cells whose ground rises more than `steepest`, and how far it rises over three cells [m].
+
+    The slope of a cell is the lesser of those over three and over seven cells, so that a kerb is no slope.
+    """
+    slopes = []
+    for reach in (1, 3):
+        change = np.zeros((2, *z.shape), np.float32)
+        change[0, reach:-reach] = z[2 * reach :] - z[: -2 * reach]
+        change[1, :, reach:-reach] = z[:, 2 * reach :] - z[:, : -2 * reach]
+        slopes.append(np.hypot(*np.nan_to_num(change)) / (2 * reach * resolution))
+    slope = np.minimum(*slopes)
+    return slope > steepest, (3 * resolution * slope).astype(np.float32)
+
+
 class Aim(NamedTuple):
     """Points of a cell that rays are aimed at.
 

@@ -57,6 +57,11 @@ class LidarSpec:
         Where the beams of each layer start in the sensor frame [m]; empty for (0, 0, 0).
     unit : int
         Which sensor of this kind: another one has other fixed errors and gains.
+    elevation_errors : tuple of float
+        How much higher than `elevations` each layer really points [rad], while its points are reported there; empty
+        for not at all.
+    range_errors : tuple of float
+        Fixed error of each layer's range [m], instead of one drawn by `range_bias` and `unit`; empty for that.
 
     Raises
     ------
@@ -82,16 +87,18 @@ class LidarSpec:
     height: float = 1.9
     origins: tuple[tuple[float, float, float], ...] = ()
     unit: int = 0
+    elevation_errors: tuple[float, ...] = ()
+    range_errors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         layers = len(self.elevations)
-        for name in ("elevations", "azimuth_offsets", "origins"):
+        for name in ("elevations", "azimuth_offsets", "origins", "elevation_errors", "range_errors"):
             values = getattr(self, name)
             if not isinstance(values, tuple):
                 raise TypeError(
                     f"{self.name}: {name} must be a tuple, one entry per layer, got {type(values).__name__}"
                 )
-            if len(values) != layers and (values or name != "origins"):
+            if len(values) != layers and (values or name in ("elevations", "azimuth_offsets")):
                 raise ValueError(f"{self.name}: {len(values)} {name} for {layers} layers")
             if not np.isfinite(np.hstack((0.0, *values))).all():
                 raise ValueError(f"{self.name}: {name} hold NaN or inf: {values}")
@@ -144,11 +151,18 @@ class LidarSpec:
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Fixed range error [m] and gain of each layer of this unit, (layers,) each."""
         draws = np.random.default_rng([self.unit, self.layers]).standard_normal((2, self.layers))
-        return self.range_bias * draws[0], np.exp(self.gain_spread * draws[1])
+        bias = np.array(self.range_errors) if self.range_errors else self.range_bias * draws[0]
+        return bias, np.exp(self.gain_spread * draws[1])
 
     def directions(self) -> NDArray[np.float32]:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
         return _shared_rays(self.elevations, self.azimuth_offsets, self.azimuth_step)
+
+    def aims(self) -> NDArray[np.float32]:
+        """Return where the beams really point: `directions` but for `elevation_errors`; read-only too."""
+        errors = self.elevation_errors or (0.0,) * self.layers
+        real = tuple(a + b for a, b in zip(self.elevations, errors, strict=True))
+        return _shared_rays(real, self.azimuth_offsets, self.azimuth_step)
 
 
 @lru_cache(maxsize=2)
