@@ -92,20 +92,21 @@ def _steps_along(z: NDArray[np.float32]) -> NDArray[np.float64]:
     return rise
 
 
-def steep_cells(
-    z: NDArray[np.float32], resolution: float, steepest: float
-) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-    """Return the cells whose ground rises more than `steepest`, and how far it rises over three cells [m].
+def steep_cells(below: Below, steepest: float) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return the cells whose ground rises or falls more than `steepest`, and how far it does over three cells [m].
 
-    The slope of a cell is the lesser of those over three and over seven cells, so that a kerb is no slope.
+    The slope is that against the horizon, however the sensor is tilted. A cell's is the lesser of those over three and
+    over five cells, so that a kerb is none.
     """
+    z, resolution, (a, b, c) = below.z, below.spec.resolution, below.T_world_sensor[2, :3]
     slopes = []
-    for reach in (1, 3):
+    for reach in (1, 2):
         change = np.zeros((2, *z.shape), np.float32)
         change[0, reach:-reach] = z[2 * reach :] - z[: -2 * reach]
         change[1, :, reach:-reach] = z[:, 2 * reach :] - z[:, : -2 * reach]
-        slopes.append(np.hypot(*np.nan_to_num(change)) / (2 * reach * resolution))
-    slope = np.minimum(*slopes)
+        dx, dy = change / np.float32(2 * reach * resolution)
+        slopes.append(np.hypot(dx + a / c, dy + b / c))
+    slope = np.nan_to_num(np.minimum(*slopes))
     return slope > steepest, (3 * resolution * slope).astype(np.float32)
 
 

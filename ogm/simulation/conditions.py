@@ -17,7 +17,6 @@ __all__ = ["Conditions", "draw_conditions", "layer_errors"]
 Mask = NDArray[np.bool_]
 DUST_REACH = 40.0  # [m] from the sensor, within which there are clouds of dust
 FAST = 3.0  # [m/s] what drives faster raises dust
-WHOLE = 0.1  # share of the columns that no loss takes
 
 
 class Conditions(NamedTuple):

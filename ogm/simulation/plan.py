@@ -7,14 +7,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.simulation.mounts import MOUNTS, LidarMount
+from ogm.simulation.mounts import MOUNTS, LidarMount, only
 from ogm.simulation.recipe import RECIPES, Recipe
 from ogm.simulation.sensors import LIDARS
 
-__all__ = [
-    *("MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "count_towns", "draw_mount", "moment", "only"),
-    *("sample_rng", "town_number"),
-]
+__all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "count_towns", "draw_mount", "moment", "only", "sample_rng"]
 
 SPLITS = ("training", "validation", "test", "sequences")
 RUN = 10  # samples of one drive before the next one's turn: one shard

@@ -161,7 +161,7 @@ class _Observer:
         self.scene, self.below, self.salt, self.view = scene, below, salt, limits.view
         self._rise, self._steep = below.rise, None
         if limits.steepest < np.inf:
-            self._steep, climb = steep_cells(below.z, below.spec.resolution, limits.steepest)
+            self._steep, climb = steep_cells(below, limits.steepest)
             self._rise = np.where(self._steep, np.maximum(climb, below.rise), below.rise)
         self.seen = np.zeros(below.spec.shape, np.uint8)
         self.highest = np.zeros(below.spec.shape, np.float32)  # [m] of the obstacle hits in each cell

@@ -64,7 +64,7 @@ class Field(NamedTuple):
 
 # Shares of what grows on banks, and on the land behind them.
 COVERS = {"bare": 0.3, "high grass": 0.4, "bushes": 0.3}
-USES = {"ploughed": 0.24, "crops": 0.14, "meadow": 0.2, "scrub": 0.2, "wood": 0.22}
+USES = {"ploughed": 0.18, "crops": 0.14, "meadow": 0.26, "scrub": 0.2, "wood": 0.22}
 _KINDS = {"ditch": 0.3, "rise": 0.22, "fall": 0.2, "ditch and rise": 0.2, "level": 0.08}
 _SURFACES = {"ploughed": M.SOIL, "crops": M.SOIL, "wood": M.SOIL}
 

@@ -47,18 +47,18 @@ def crops(shape: Polygon, height_at: HeightAt, rng: Generator, *, tall: float) -
 
 
 def furrows(shape: Polygon, height_at: HeightAt, rng: Generator) -> Mesh:
-    """Plough a field: ridges 0.06 to 0.2 m high and 0.5 to 0.9 m apart, of the material SOIL."""
+    """Plough a field: ridges 0.03 to 0.12 m high and 0.5 to 0.9 m apart, crumbled, of the material SOIL."""
     ways, middle = _axes(shape, rng)
-    gap, high = 0.5 * rng.uniform(0.5, 0.9), rng.uniform(0.06, 0.2)
+    gap, high = 0.5 * rng.uniform(0.5, 0.9), rng.uniform(0.03, 0.12)
     half = 0.5 * float(np.hypot(*np.ptp(np.array(shape.bounds).reshape(2, 2), axis=0)))
-    across, along = np.arange(-half, half, gap), np.arange(-half, half, 2.5)
+    across, along = np.arange(-half, half, gap), np.arange(-half, half, 0.8)
     u, v = np.meshgrid(across, along, indexing="ij")
     x, y = (middle + np.stack([u.ravel(), v.ravel()], axis=1) @ ways).T
     inside = shapely.contains_xy(shape, x, y).reshape(u.shape)
     z = np.zeros(u.shape)
     z.flat[inside.ravel()] = height_at(x[inside.ravel()], y[inside.ravel()])
     ridge = (np.arange(len(across)) % 2 == 1)[:, None]
-    z += 0.02 + ridge * high * rng.uniform(0.6, 1.0, u.shape)
+    z += 0.02 + high * (0.7 * ridge + 0.3) * rng.uniform(0.2, 1.0, u.shape)
     points = np.stack([x.reshape(u.shape), y.reshape(u.shape), z], axis=-1)
     corners = np.stack([points[:-1, :-1], points[1:, :-1], points[1:, 1:], points[:-1, 1:]], axis=2)
     whole = inside[:-1, :-1] & inside[1:, :-1] & inside[1:, 1:] & inside[:-1, 1:]
