@@ -32,7 +32,8 @@ class Conditions(NamedTuple):
     hidden : (layers, columns) bool
         Beams that see nothing but what is right before the sensor: without echo, if they are measured.
     dust : (P, 5) float64
-        Clouds of dust: x, y, z in the sensor's frame, radius [m], extinction [1/m].
+        Balls of dust: x, y, z in the sensor's frame, radius [m], extinction in their middle [1/m], which falls to
+        nothing at their surface.
     """
 
     weather: Weather
@@ -88,7 +89,7 @@ def _log_uniform(pair: tuple[float, float], rng: Generator) -> float:
 
 
 def _weather(skies: Skies, movers: Floats, rng: Generator) -> tuple[Weather, Floats]:
-    """Draw one kind of weather at most, and clouds of dust: half of them behind what moves, if anything does."""
+    """Draw one kind of weather at most; clouds of dust, half of them behind what moves, are of several balls each."""
     kind = float(rng.random())
     ends = np.cumsum([skies.fog, skies.rain, skies.wet, skies.dust])
     clear, none = Weather(), np.zeros((0, 5))
@@ -102,20 +103,23 @@ def _weather(skies: Skies, movers: Floats, rng: Generator) -> tuple[Weather, Flo
         return clear, none
     extinction = _log_uniform(skies.dust_extinction, rng)
     count = int(rng.integers(1, skies.dust_clouds + 1))
-    dust = np.empty((count, 5))
+    dust = []
     speed = np.hypot(*movers[:, 3:].T) if len(movers) else np.zeros(0)
     fast = movers[(speed > FAST) & (np.hypot(*movers[:, :2].T) < DUST_REACH)]
     ground = float(np.median(movers[:, 2])) if len(movers) else -2.0
-    for cloud in dust:
+    for _ in range(count):
         radius = _log_uniform(skies.dust_radius, rng)
         angle, away = rng.uniform(0, FULL_TURN), DUST_REACH * math.sqrt(rng.random())
         at = np.array([away * math.cos(angle), away * math.sin(angle), ground])
         if len(fast) and rng.random() < 0.5:
             mover = fast[int(rng.integers(len(fast)))]
             at = mover[:3] - np.append(mover[3:], 0.0) * rng.uniform(0.2, 1.5)
-        cloud[:3] = at + [0.0, 0.0, rng.uniform(0.0, 0.7) * radius]
-        cloud[3:] = radius, extinction * rng.uniform(0.5, 1.0)
-    return clear._replace(dust=extinction), dust
+        balls = np.empty((int(rng.integers(4, 9)), 5))
+        balls[:, :3] = at + radius * rng.normal(0.0, 1.0, (len(balls), 3)) * [0.6, 0.6, 0.3]
+        balls[:, 3] = radius * rng.uniform(0.4, 0.9, len(balls))
+        balls[:, 4] = extinction * rng.uniform(0.3, 1.0, len(balls))
+        dust.append(balls)
+    return clear._replace(dust=extinction), np.concatenate(dust)
 
 
 def _within(azimuth: Floats, middle: float, width: float) -> Mask:

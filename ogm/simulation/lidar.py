@@ -90,7 +90,7 @@ def scan(
     reflect(rays, T, hits, _optics(weather.wet), paint.astype(np.int64), strength)
     if dust is not None and len(dust):
         scattered = np.zeros(len(rays), np.bool_)
-        beams_in_dust(hits.distance, strength, rays, dust, rng.random((len(rays), 2), np.float32), scattered)
+        beams_in_dust(hits.distance, strength, rays, dust, rng.random((len(rays), 3), np.float32), scattered)
         hits.material[scattered], hits.object[scattered], hits.cosine[scattered] = NOTHING, STATIC, 1
     columns: Any = (np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
     image = RangeImage(*columns)

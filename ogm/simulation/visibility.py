@@ -94,15 +94,17 @@ def in_view(directions: NDArray, view: View) -> NDArray:
 
 
 @kernel
-def _enter_and_leave(dx: float, dy: float, dz: float, cloud: NDArray, far: float) -> tuple[float, float]:
-    """Return where a ray from the origin enters and leaves a cloud [m], neither beyond `far`; equal if it misses."""
-    along = dx * cloud[0] + dy * cloud[1] + dz * cloud[2]
-    apart = cloud[0] ** 2 + cloud[1] ** 2 + cloud[2] ** 2 - along * along
-    inside = cloud[3] ** 2 - apart
+def _meet(direction: NDArray, ball: NDArray, far: float) -> tuple[float, float, float]:
+    """Return where a ray from the origin enters and leaves a ball of dust [m] before `far`, and the optical depth."""
+    along = direction[0] * ball[0] + direction[1] * ball[1] + direction[2] * ball[2]
+    apart = ball[0] ** 2 + ball[1] ** 2 + ball[2] ** 2 - along * along
+    inside = ball[3] ** 2 - apart
     if inside <= 0:
-        return 0.0, 0.0
+        return 0.0, 0.0, 0.0
     half = math.sqrt(inside)
-    return min(max(along - half, 0.0), far), min(max(along + half, 0.0), far)
+    start, stop = min(max(along - half, 0.0), far), min(max(along + half, 0.0), far)
+    # extinction falls as 1 - (r / radius)^2: its integral along the whole chord, and the share that is passed
+    return start, stop, ball[4] * 4 / 3 * half**3 / ball[3] ** 2 * (stop - start) / (2 * half)
 
 
 @kernel
@@ -114,8 +116,7 @@ def lose_sight(distance: NDArray, directions: NDArray, view: View) -> None:
             continue
         depth = view.extinction * d
         for k in range(len(view.dust)):
-            start, stop = _enter_and_leave(directions[i, 0], directions[i, 1], directions[i, 2], view.dust[k], d)
-            depth += view.dust[k, 4] * (stop - start)
+            depth += _meet(directions[i], view.dust[k], d)[2]
         if not view.near <= d <= view.far or math.exp(-2 * depth) < (d / view.reach) ** 2:
             distance[i] = math.inf
 
@@ -133,7 +134,7 @@ def beams_in_dust(
     directions : (N, 3) float32
         In the sensor's frame.
     dust : (P, 5) float64
-    draws : (N, 2) float32
+    draws : (N, 3) float32
         In [0, 1).
     scattered : (N,) bool
         Set where the return comes from dust.
@@ -141,14 +142,11 @@ def beams_in_dust(
     for i in range(len(distance)):
         wanted, depth, nearest = -math.log(1.0 - draws[i, 0]), 0.0, math.inf
         for k in range(len(dust)):
-            start, stop = _enter_and_leave(
-                directions[i, 0], directions[i, 1], directions[i, 2], dust[k], min(1.0 * distance[i], 1e3)
-            )
-            if stop <= start:
+            start, stop, through = _meet(directions[i], dust[k], min(1.0 * distance[i], 1e3))
+            if through <= 0:
                 continue
-            through = dust[k, 4] * (stop - start)
-            if through > wanted:  # a thin shell of grains that returns enough by itself
-                nearest = min(nearest, start + wanted / dust[k, 4])
+            if depth + through > wanted:
+                nearest = min(nearest, start + (stop - start) * draws[i, 2])
             depth += through
         if nearest < math.inf and draws[i, 1] < 0.7:
             distance[i], strength[i], scattered[i] = nearest, 2.0 + 18.0 * draws[i, 1], True
