@@ -30,6 +30,13 @@ def simulate(
     samples: Annotated[
         int | None, typer.Option(help="Training samples, from --drives in turn. [default: 10000]")
     ] = None,
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults and weather; it sets all but seed, "
+            "sizes and truth. [default: the paper's recipe]"
+        ),
+    ] = None,
     seed: Annotated[int | None, typer.Option(help="Random seed. [default: 1]")] = None,
     validation: Annotated[
         int | None, typer.Option(help="Samples of other traffic in the same town. [default: samples / 10]")
@@ -93,7 +100,7 @@ def simulate(
     from ogm.simulation.plan import DatasetPlan, only
 
     before = None if path is None else _plan_of(path, resume)
-    if before is None and samples is not None:
+    if before is None and recipe is None and samples is not None:
         validation = samples // 10 if validation is None else validation
         test = samples // 100 if test is None else test
     options = {
@@ -113,7 +120,8 @@ def simulate(
         "town_size": town_size,
     }
     chosen = {name: value for name, value in options.items() if value is not None}
-    plan = replace(before or DatasetPlan(), **chosen)  # type: ignore[arg-type]
+    begun = before or DatasetPlan()
+    plan = replace(begun, **chosen) if recipe is None else DatasetPlan.of_recipe(recipe, **chosen)  # type: ignore[arg-type]
     if before is not None:
         plan = plan.grown(before)
     if preview is not None:

@@ -45,8 +45,8 @@ class Hits(NamedTuple):
         """Return the hits of `count` rays, of which these are those of `index`; the others hit nothing."""
         whole = Hits.allocate(count)
         whole.distance[:], whole.material[:], whole.object[:], whole.cosine[:] = np.inf, 255, -1, 0
-        for mine, theirs in zip(whole, self, strict=True):
-            mine[index] = theirs
+        for k in range(len(self)):
+            whole[k][index] = self[k]
         return whole
 
 

@@ -133,6 +133,25 @@ class DatasetPlan:
         return dict(zip(SPLITS, counts, strict=True))
 
     @classmethod
+    def of_recipe(cls, name: str, *, samples: int | None = None, **chosen: Any) -> "DatasetPlan":
+        """Make the plan of a recipe, by default of its usual size: a twentieth as many samples for validation, no test.
+
+        Parameters
+        ----------
+        name : str
+            In `ogm.simulation.recipe.RECIPES`.
+        samples : int, optional
+            Of training.
+        **chosen
+            Other sizes, the seed, the truth: parameters of `DatasetPlan`.
+        """
+        if name not in RECIPES:
+            raise ValueError(f"there is no recipe {name!r}; there is {', '.join(RECIPES)}")
+        usual = RECIPES[name].samples if samples is None else samples
+        sizes: dict[str, Any] = {"samples": usual, "validation": usual // 20, "test": 0}
+        return cls(**(sizes | chosen), recipe=name)
+
+    @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
         """Make from what `dataclasses.asdict` returned, or from what JSON made of it; also by an older version."""
         known = {field.name for field in fields(cls)}

@@ -48,7 +48,7 @@ class Country:
         Level ground beside the road [m].
     """
 
-    share: tuple[float, float] = (0.35, 0.85)
+    share: tuple[float, float] = (0.1, 0.7)
     slope: tuple[float, float] = (0.2, 1.0)
     bank: tuple[float, float] = (0.6, 3.0)
     ditch: tuple[float, float] = (0.4, 1.4)
@@ -117,8 +117,8 @@ class Recipe:
 
     Parameters
     ----------
-    samples, validation : int
-        Usual size. A test is made from towns of its own, as the validation is.
+    samples : int
+        Usual size of the training. Validation and test are made from towns of their own.
     mounts : tuple of LidarMount
     country : Country
         Of every town.
@@ -142,7 +142,6 @@ class Recipe:
     """
 
     samples: int
-    validation: int
     mounts: tuple[LidarMount, ...]
     country: Country
     town_size: float
@@ -167,7 +166,6 @@ _DEGREE = math.pi / 180
 
 GEN2 = Recipe(
     samples=4800,
-    validation=240,
     mounts=(
         LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
         LidarMount("hdl-32e", 0.10, _ROOF, _MIDDLE, _SLIGHT),
@@ -199,7 +197,7 @@ GEN2 = Recipe(
         sector=0.25, sector_width=(60 * _DEGREE, 270 * _DEGREE),
         blocked=0.15, blocked_views=3, blocked_width=(5 * _DEGREE, 60 * _DEGREE),
         lost=0.15, lost_packets=(0.005, 0.25), packet=(1, 16),
-        dead=0.12, dead_layers=(0.02, 0.3),
+        dead=0.12, dead_layers=(0.02, 0.2),
     ),
     skies=Skies(
         fog=0.07, visibility=(12.0, 400.0), rain=0.06, rate=(0.5, 60.0), wet=0.05,

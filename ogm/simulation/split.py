@@ -102,7 +102,8 @@ class Split(Sequence[SimulatedSample]):
         arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
         weather = Weather(value["rain"], value["fog"], value["wet"], value.get("dust", 0.0))
         facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
-        return SimulatedSample(beams, *arrays, **facts, measured=measured)
+        facts["measured"] = measured
+        return SimulatedSample(beams, *arrays, **facts)
 
     @property
     def facts(self) -> NDArray[np.float64]:

@@ -137,7 +137,8 @@ def build_town(seed: int, size: float = 480.0, country: Country | None = None) -
 def _streets(seed: int, size: float, country: Country | None) -> tuple[StreetNetwork, Draft, list[tuple[int, ...]]]:
     """Draw streets until round trips both ways are found, as at the first try nearly always."""
     for attempt in range(ATTEMPTS):
-        rural = country and partial(settle, country=country, rng=np.random.default_rng([seed, 6, attempt]))
+        rng = np.random.default_rng([seed, 6, attempt])
+        rural = None if country is None else partial(settle, country=country, rng=rng)
         network = make_network(size, np.random.default_rng([seed, 0, attempt]), rural)
         draft = make_lanes(network)
         shows = [_sight(network, draft, k) for k in range(len(draft.lanes))]
