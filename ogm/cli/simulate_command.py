@@ -33,7 +33,7 @@ def simulate(
     recipe: Annotated[
         str | None,
         typer.Option(
-            help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults and weather; it sets all but seed, "
+            help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults, weather; sets all but seed, "
             "sizes and truth. [default: the paper's recipe]"
         ),
     ] = None,

@@ -182,10 +182,10 @@ GEN2 = Recipe(
         LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
         LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
         LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
-        # High up as on a truck or a bus, and tilted as on a robot, a tractor or a drone's mast.
-        LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.1),
-        LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.12),
-        LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.12),
+        # High up as on a truck or a bus, and tilted.
+        LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+        LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+        LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
         LidarMount("pandar64", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
     ),
     country=Country(),
