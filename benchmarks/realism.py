@@ -349,17 +349,17 @@ def main() -> None:
         print("nothing to compare with: benchmarks/README.md names the recordings that are needed, and where")
         return
     fake: dict[str, list[Sweep]] = {sensor: [] for sensor in sensors}
-    truths = []
+    truths: list[NDArray[np.uint8]] = []
+    seen: dict[str, NDArray[np.uint8]] = {}  # states of the cells around a sweep, by its name
     if options.store is None:
         record["places"], scans = [list(place) for place in where], simulated(sensors, where)
     else:
         record["data set"], scans = options.store.name, stored(options.store, sensors)
-    states: dict[str, NDArray[np.uint8]] = {}
     for sensor, sweep, state in scans:
         fake[sensor].append(sweep)
         if state is not None:
             truths.append(state)
-            states[sweep.name] = state
+            seen[sweep.name] = state
 
     record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep in sweeps] for sensor, sweeps in fake.items()}
     for sensor, ours in made.items():
@@ -384,12 +384,8 @@ def main() -> None:
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
     reach = [one["nearest obstacle, sectors of 1 deg, p50 [m]"] for one in made[first]]
     chosen = int(np.argsort(reach)[len(reach) // 2])
-    shown = {
-        "simulated": (
-            fake[first][chosen],
-            truths[chosen] if options.store is None else states[fake[first][chosen].name],
-        )
-    }
+    typical = fake[first][chosen]
+    shown = {"simulated": (typical, truths[chosen] if options.store is None else seen[typical.name])}
     sweeps = {"simulated": fake[first], "real": real[first]}
     picture(record, first, sweeps, shown, options.picture)
     picture(record, first, sweeps, shown | {"real": (real[first][0], label)}, SIDE_BY_SIDE)
