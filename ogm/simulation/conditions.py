@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.mounts import FULL_TURN
-from ogm.simulation.recipe import Faults, Recipe, Skies
+from ogm.simulation.recipe import DataRecipe, Faults, Skies
 from ogm.simulation.sample import Beams, Weather
 
-__all__ = ["Conditions", "draw_conditions", "layer_errors"]
+__all__ = ["Conditions", "draw_conditions", "draw_weather", "layer_errors"]
 
 Mask = NDArray[np.bool_]
 DUST_REACH = 40.0  # [m] from the sensor, within which there are clouds of dust
@@ -49,7 +49,7 @@ class Conditions(NamedTuple):
         return self.measured & ~self.hidden
 
 
-def layer_errors(recipe: Recipe, lidar: str, layers: int, unit: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def layer_errors(recipe: DataRecipe, lidar: str, layers: int, unit: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the errors of each layer of one unit of a lidar: elevation [rad], range [m]."""
     size = recipe.calibration_of(lidar)
     rng = np.random.default_rng([unit, layers, 1])
@@ -58,18 +58,30 @@ def layer_errors(recipe: Recipe, lidar: str, layers: int, unit: int) -> tuple[tu
     return tuple((offset + size.elevation * elevation).tolist()), tuple((size.range * distance).tolist())
 
 
-def draw_conditions(recipe: Recipe, beams: Beams, view: float, movers: Floats, rng: Generator) -> Conditions:
+def draw_weather(bad: float, rng: Generator) -> Weather:
+    """Draw the weather without a recipe: clear, or, in a share `bad` of the scans, rain, fog or a road still wet."""
+    drawn, kind, strength = rng.random(3)
+    if drawn >= bad:
+        return Weather()
+    if kind < 0.4:
+        return Weather(rain=float(1 + 24 * strength), wet=1.0)
+    if kind < 0.7:
+        return Weather(fog=float(40 * 10**strength))
+    return Weather(wet=float(strength))
+
+
+def draw_conditions(recipe: DataRecipe, beams: Beams, view: float, movers: Floats, rng: Generator) -> Conditions:
     """Draw how a scan is taken.
 
     Parameters
     ----------
-    recipe : Recipe
+    recipe : DataRecipe
     beams : Beams
         Of the lidar.
     view : float
         `LidarMount.view` [rad].
     movers : (K, 5) float64
-        What moves nearby: x, y, z of its foot [m] and its velocity along x and y [m/s], in the sensor's frame.
+        What moves nearby: x, y, z of its lowest point [m] and its velocity along x and y [m/s], in the sensor's frame.
     rng : Generator
     """
     in_motion, intensity = rng.random() < recipe.in_motion, rng.random() >= recipe.no_intensity

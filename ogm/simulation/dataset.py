@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from ogm.pose import inverse, pose, transform_points
 from ogm.scan import Boxes
 from ogm.simulation.arrays import Floats
-from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
+from ogm.simulation.conditions import Conditions, draw_conditions, draw_weather, layer_errors
 from ogm.simulation.plan import SEQUENCE, DatasetPlan, draw_mount, moment, sample_rng
-from ogm.simulation.recipe import RECIPES, Country, Recipe
+from ogm.simulation.recipe import RECIPES, Country, DataRecipe
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
+from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, workers_that_fit
 from ogm.state import Truth
@@ -33,7 +33,7 @@ from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 try:
     from ogm.simulation.cells import measure_ground
-    from ogm.simulation.lidar import CLEAR, Weather, air_of, scan
+    from ogm.simulation.lidar import air_of, scan
     from ogm.simulation.scene import Scene
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
     from ogm.simulation.town import Town, build_town
@@ -178,7 +178,7 @@ def _condition_rng(plan: DatasetPlan, split: str, index: int) -> Generator:
     return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 2)
 
 
-def _by_recipe(here: SceneSetup, recipe: Recipe, view: float, rng: Generator) -> SceneSetup:
+def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator) -> SceneSetup:
     """Give the sensor the errors of its unit, and the scan its conditions."""
     spec = here.spec
     elevation, distance = layer_errors(recipe, spec.name, spec.layers, spec.unit)
@@ -207,7 +207,7 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     at, here = moment(plan, split, index), set_up(plan, split, index, threads)
     rng = sample_rng(plan, split, index, 1)
     chosen = here.conditions
-    weather = _weather(plan, rng) if chosen is None else chosen.weather
+    weather = draw_weather(plan.bad_weather, rng) if chosen is None else chosen.weather
     speed, turn = here.state.ego_velocity, here.state.ego_yaw_rate
     if not (rng.random() < plan.in_motion if chosen is None else chosen.in_motion):
         speed, turn = np.zeros(3), 0.0
@@ -280,26 +280,6 @@ def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
     return rows[order[distance[order] < LISTED]]
-
-
-def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
-    """Draw the weather: clear, or, in a share of the samples, rain, fog or a road that is still wet."""
-    bad, kind, strength = rng.random(3)
-    if bad >= plan.bad_weather:
-        return CLEAR
-    if kind < 0.4:
-        return CLEAR._replace(rain=float(1 + 24 * strength), wet=1.0)
-    if kind < 0.7:
-        return CLEAR._replace(fog=float(40 * 10**strength))
-    return CLEAR._replace(wet=float(strength))
-
-
-@lru_cache(maxsize=64)
-def beams_of(spec: LidarSpec) -> Beams:
-    """Return what turns a lidar's range images into points, without the simulator."""
-    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
-    origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
-    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:

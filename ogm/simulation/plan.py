@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ogm.simulation.mounts import MOUNTS, LidarMount, only
-from ogm.simulation.recipe import RECIPES, Recipe
+from ogm.simulation.recipe import RECIPES, DataRecipe
 from ogm.simulation.sensors import LIDARS
 
 __all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "count_towns", "draw_mount", "moment", "only", "sample_rng"]
@@ -236,7 +236,7 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
     return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
 
 
-def _recipe_moment(plan: DatasetPlan, recipe: Recipe, split: str, index: int) -> Moment:
+def _recipe_moment(plan: DatasetPlan, recipe: DataRecipe, split: str, index: int) -> Moment:
     """Return a drive for every ten samples, and a new town after so many drives; every split has its own towns."""
     number = SPLITS.index(split)
     scenario, sample = divmod(index, SEQUENCE if split == "sequences" else RUN)
@@ -247,7 +247,7 @@ def _recipe_moment(plan: DatasetPlan, recipe: Recipe, split: str, index: int) ->
     return Moment(town, traffic, scenario % 2 == 0, scenario, float(time))
 
 
-def town_number(recipe: Recipe, split: str, scenario: int) -> int:
+def town_number(recipe: DataRecipe, split: str, scenario: int) -> int:
     """Return which of a recipe's towns a drive goes through, counted from 0 in each split."""
     if split == "sequences":
         return scenario

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 
 from ogm.simulation.mounts import LidarMount
 
-__all__ = ["GEN2", "RECIPES", "Calibration", "Country", "Faults", "Recipe", "Skies"]
+__all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", "Skies"]
 
 
 @dataclass(frozen=True)
-class Calibration:
+class LayerErrors:
     """How far the layers of a lidar are from where its data sheet has them; the same in all scans of one unit.
 
     Parameters
@@ -112,7 +112,7 @@ class Skies:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class DataRecipe:
     """All that the samples of a data set are drawn by, but for the seed and their number.
 
     Parameters
@@ -136,9 +136,9 @@ class Recipe:
         Share of the scans without intensities: all are 0.
     steepest : float
         Ground that rises or falls more than this (height over run) counts as an obstacle.
-    calibration : Calibration
+    calibration : LayerErrors
         Of lidars that `calibrations` does not name.
-    calibrations : tuple of (name, Calibration)
+    calibrations : tuple of (name, LayerErrors)
     """
 
     samples: int
@@ -153,10 +153,10 @@ class Recipe:
     in_motion: float
     no_intensity: float
     steepest: float
-    calibration: Calibration
-    calibrations: tuple[tuple[str, Calibration], ...] = field(default=())
+    calibration: LayerErrors
+    calibrations: tuple[tuple[str, LayerErrors], ...] = field(default=())
 
-    def calibration_of(self, lidar: str) -> Calibration:
+    def calibration_of(self, lidar: str) -> LayerErrors:
         """Return the errors of a kind of lidar."""
         return dict(self.calibrations).get(lidar, self.calibration)
 
@@ -164,7 +164,7 @@ class Recipe:
 _ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
 _DEGREE = math.pi / 180
 
-GEN2 = Recipe(
+GEN2 = DataRecipe(
     samples=4800,
     mounts=(
         LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
@@ -206,13 +206,13 @@ GEN2 = Recipe(
     in_motion=0.5,
     no_intensity=0.5,
     steepest=0.4,
-    calibration=Calibration(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01),
+    calibration=LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01),
     calibrations=(
-        ("hdl-64e", Calibration(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
-        ("hdl-32e", Calibration(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
-        ("os1-64", Calibration(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
-        ("pandar40p", Calibration(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
+        ("hdl-64e", LayerErrors(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
+        ("hdl-32e", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+        ("os1-64", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+        ("pandar40p", LayerErrors(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
     ),
 )  # fmt: skip
 
-RECIPES: dict[str, Recipe] = {"gen2": GEN2}
+RECIPES: dict[str, DataRecipe] = {"gen2": GEN2}

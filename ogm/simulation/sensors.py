@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.simulation.patterns import PATTERNS
+from ogm.simulation.sample import Beams
 
-__all__ = ["LIDARS", "LidarSpec", "hd_directions"]
+__all__ = ["LIDARS", "LidarSpec", "beams_of", "hd_directions"]
 
 _BOUNDS: dict[str, tuple[float, float]] = {  # lowest and highest value of a `LidarSpec`
     "azimuth_step": (1e-4, 0.2), "rate": (0.1, 200), "range_min": (0, 50), "reach": (1, 5000), "range_noise": (0, 1),
@@ -163,6 +164,14 @@ class LidarSpec:
         errors = self.elevation_errors or (0.0,) * self.layers
         real = tuple(a + b for a, b in zip(self.elevations, errors, strict=True))
         return _shared_rays(real, self.azimuth_offsets, self.azimuth_step)
+
+
+@lru_cache(maxsize=64)
+def beams_of(spec: LidarSpec) -> Beams:
+    """Return what turns a lidar's range images into points, without the simulator."""
+    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
+    origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
+    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 @lru_cache(maxsize=2)

@@ -7,7 +7,7 @@ import shapely
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.recipe import Country
 from ogm.simulation.town import Town, build_town
-from ogm.simulation.town.country import COVERS, LEAST, USES, draw_profile, settle
+from ogm.simulation.town.country import COVERS, LEAST, USES, draw_profile, turn_rural
 from ogm.simulation.town.growth import crops, furrows, high_grass
 from ogm.simulation.town.terrain import STEEPEST
 
@@ -65,7 +65,7 @@ def test_part_of_a_town_is_country(town: Town) -> None:
     assert "country" not in [style for _, style in build_town(3, 240.0).districts]
     faces = np.array([[x, y] for x in range(4) for y in range(4)], float) * 90
     for seed in range(20):
-        found = settle(["suburb"] * 16, faces, COUNTRY, np.random.default_rng(seed))
+        found = turn_rural(["suburb"] * 16, faces, COUNTRY, np.random.default_rng(seed))
         assert 11 <= found.count("country") <= 13
 
 

@@ -14,7 +14,7 @@ from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
 from ogm.simulation.mounts import FULL_TURN, LidarMount
 from ogm.simulation.plan import SPLITS, DatasetPlan, draw_mount, moment
-from ogm.simulation.recipe import GEN2, RECIPES, Recipe
+from ogm.simulation.recipe import GEN2, RECIPES, DataRecipe
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.sensors import LIDARS
 from ogm.simulation.store import FORMAT, GAPS, Store
@@ -24,7 +24,7 @@ PLAN = DatasetPlan.of_recipe("gen2", seed=5)
 NO_MOVERS = np.zeros((0, 5))
 
 
-def draw(number: int, lidar: str = "vlp-32c", recipe: Recipe = GEN2, view: float = FULL_TURN) -> Conditions:
+def draw(number: int, lidar: str = "vlp-32c", recipe: DataRecipe = GEN2, view: float = FULL_TURN) -> Conditions:
     return draw_conditions(recipe, beams_of(LIDARS[lidar]), view, NO_MOVERS, np.random.default_rng([7, number]))
 
 
@@ -33,14 +33,14 @@ def azimuths(beams: Beams) -> np.ndarray:
 
 
 @pytest.fixture
-def recipe(monkeypatch: pytest.MonkeyPatch) -> Recipe:
+def recipe(monkeypatch: pytest.MonkeyPatch) -> DataRecipe:
     """The recipe gen2 in small towns, as "gen2"; the last town is kept from test to test."""
     small = replace(GEN2, town_size=240.0)
     monkeypatch.setitem(RECIPES, "gen2", small)
     return small
 
 
-def altered(monkeypatch: pytest.MonkeyPatch, recipe: Recipe, **changes: object) -> DatasetPlan:
+def altered(monkeypatch: pytest.MonkeyPatch, recipe: DataRecipe, **changes: object) -> DatasetPlan:
     """Return a plan of the recipe with other numbers; the towns stay the same."""
     monkeypatch.setitem(RECIPES, "gen2", replace(recipe, **changes))
     return DatasetPlan.of_recipe("gen2", seed=5)
@@ -212,7 +212,7 @@ def outside(sample: SimulatedSample, measured: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def sector(recipe: Recipe, monkeypatch: pytest.MonkeyPatch) -> SimulatedSample:
+def sector(recipe: DataRecipe, monkeypatch: pytest.MonkeyPatch) -> SimulatedSample:
     faults = replace(GEN2.faults, sector=1.0, blocked=0.0, lost=0.0, dead=1.0)
     plan = altered(monkeypatch, recipe, faults=faults, mounts=(LidarMount("hdl-32e", 1.0, (1.8, 2.0)),))
     return make_sample(plan, "training", 3)
@@ -244,7 +244,7 @@ def test_dead_layers_have_no_points_and_no_beams_without_echo(sector: SimulatedS
     assert not dead[near].any()
 
 
-def test_half_of_the_scans_have_no_intensities(recipe: Recipe) -> None:
+def test_half_of_the_scans_have_no_intensities(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5)
     found = []
     for i in range(6):
@@ -256,7 +256,7 @@ def test_half_of_the_scans_have_no_intensities(recipe: Recipe) -> None:
     assert {*found} == {True, False}
 
 
-def test_a_sample_depends_on_plan_and_number_alone(recipe: Recipe) -> None:
+def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5)
     first = make_sample(plan, "training", 7, threads=1)
     make_sample(plan, "training", 15)
@@ -268,7 +268,7 @@ def test_a_sample_depends_on_plan_and_number_alone(recipe: Recipe) -> None:
     np.testing.assert_array_equal(first.truth.height_cm, again.truth.height_cm)
 
 
-def test_both_truths_belong_to_the_same_scan(recipe: Recipe) -> None:
+def test_both_truths_belong_to_the_same_scan(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5, hd_layers=300)
     aimed, hd = (make_sample(replace(plan, truth=truth), "training", 7) for truth in ("aimed", "hd"))
     np.testing.assert_array_equal(aimed.steps, hd.steps)
@@ -279,7 +279,7 @@ def test_both_truths_belong_to_the_same_scan(recipe: Recipe) -> None:
     assert np.mean(a[known] == b[known]) > 0.95
 
 
-def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: Recipe, tmp_path: Path) -> None:
+def test_data_sets_of_recipes_keep_what_was_not_measured(recipe: DataRecipe, tmp_path: Path) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5, samples=3, validation=0)
     store = dataset.simulate(tmp_path / "data", plan, workers=1)
     assert store.format == GAPS

@@ -11,7 +11,7 @@ from shapely import Polygon
 from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh, merge
 from ogm.simulation.recipe import Country
-from ogm.simulation.town.country import CountryBank, lay_fields, settle
+from ogm.simulation.town.country import CountryBank, lay_fields, turn_rural
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
 from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
@@ -138,7 +138,7 @@ def _streets(seed: int, size: float, country: Country | None) -> tuple[StreetNet
     """Draw streets until round trips both ways are found, as at the first try nearly always."""
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, 6, attempt])
-        rural = None if country is None else partial(settle, country=country, rng=rng)
+        rural = None if country is None else partial(turn_rural, country=country, rng=rng)
         network = make_network(size, np.random.default_rng([seed, 0, attempt]), rural)
         draft = make_lanes(network)
         shows = [_sight(network, draft, k) for k in range(len(draft.lanes))]

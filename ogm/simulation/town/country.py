@@ -19,7 +19,7 @@ from ogm.simulation.town.plants import grass_tufts
 from ogm.simulation.town.terrain import Raster, mask, raster
 from ogm.simulation.town.yard import Yard
 
-__all__ = ["CountryBank", "Field", "lay_fields", "plant_fields", "settle"]
+__all__ = ["CountryBank", "CountryField", "lay_fields", "plant_fields", "turn_rural"]
 
 STEP = 2.0  # [m] of the rasters of where a bank holds
 BLEND = 3.0  # [m] over which one bank passes into another
@@ -27,7 +27,7 @@ LEAST = 0.7  # a bank's height varies along the road, down to this share
 VARIES = 12.0  # [m] over which it does
 
 
-class Profile(NamedTuple):
+class BankProfile(NamedTuple):
     """A cross-section beside a road: heights [m] at distances [m] from its edge, linear between them."""
 
     distance: tuple[float, ...]
@@ -39,12 +39,12 @@ class Profile(NamedTuple):
         return self.distance[-1]
 
 
-class Field(NamedTuple):
+class CountryField(NamedTuple):
     """The land of one mesh between streets.
 
     Attributes
     ----------
-    profile : Profile
+    profile : BankProfile
         Its banks and ditches.
     reach : Raster
         Where they hold, 0 to 1.
@@ -54,7 +54,7 @@ class Field(NamedTuple):
         What grows on the two: keys of `COVERS` and `USES`.
     """
 
-    profile: Profile
+    profile: BankProfile
     reach: Raster
     bank: BaseGeometry
     land: BaseGeometry
@@ -69,7 +69,7 @@ _KINDS = {"ditch": 0.3, "rise": 0.22, "fall": 0.2, "ditch and rise": 0.2, "level
 _SURFACES = {"ploughed": M.SOIL, "crops": M.SOIL, "wood": M.SOIL}
 
 
-def settle(styles: Sequence[str], faces: Floats, country: Country, rng: Generator) -> tuple[str, ...]:
+def turn_rural(styles: Sequence[str], faces: Floats, country: Country, rng: Generator) -> tuple[str, ...]:
     """Return the districts of a town whose outer part, on one side, is country."""
     count = round(len(styles) * rng.uniform(*country.share))
     angle = rng.uniform(0, 2 * np.pi)
@@ -80,7 +80,7 @@ def settle(styles: Sequence[str], faces: Floats, country: Country, rng: Generato
     return tuple(result)
 
 
-def draw_profile(country: Country, rng: Generator) -> Profile:
+def draw_profile(country: Country, rng: Generator) -> BankProfile:
     """Draw banks and ditches as steep as `Country.slope` allows, wherever `LEAST` lowers them too."""
     low, high = country.slope
 
@@ -107,10 +107,10 @@ def draw_profile(country: Country, rng: Generator) -> Profile:
     elif kind in ("rise", "fall"):
         go(float(rng.uniform(*country.bank)) * (1.0 if kind == "rise" else -1.0))
     level(1.0)
-    return Profile(tuple(distance), tuple(height))
+    return BankProfile(tuple(distance), tuple(height))
 
 
-def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Generator) -> list[Field]:
+def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Generator) -> list[CountryField]:
     """Draw the fields of a town, all but what is `built`; adds surfaces and lines to cut the ground to the plan."""
     styles, faces = plan.network.grid.styles, plan.network.grid.faces
     frame = shapely.box(*(np.array([-1, -1, 1, 1]) * plan.size / 2))
@@ -134,14 +134,14 @@ def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Gen
             edge = shapely.boundary(plan.corridor.buffer(away, quad_segs=3).simplify(0.05))
             plan.lines.append(shapely.intersection(edge, cell.buffer(3 * BLEND)))
         plan.pave(land, _SURFACES.get(use, M.GRASS))
-        fields.append(Field(profile, reach, bank, land, cover, use))
+        fields.append(CountryField(profile, reach, bank, land, cover, use))
     return fields
 
 
 class CountryBank:
     """Height of the land over the road's level, with the banks and ditches of fields."""
 
-    def __init__(self, bank: HeightAt, fields: Sequence[Field], plan: TownLayout, rng: Generator) -> None:
+    def __init__(self, bank: HeightAt, fields: Sequence[CountryField], plan: TownLayout, rng: Generator) -> None:
         self.bank, self.fields = bank, fields
         rings = shapely.get_parts(shapely.boundary(plan.corridor))
         pairs = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, rings)]
@@ -165,7 +165,7 @@ class CountryBank:
         return z
 
 
-def plant_fields(fields: Sequence[Field], yard: Yard) -> None:
+def plant_fields(fields: Sequence[CountryField], yard: Yard) -> None:
     """Let grow what grows on the fields and on their banks."""
     rng = yard.rng
     for field in fields:

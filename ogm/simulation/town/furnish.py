@@ -16,7 +16,7 @@ from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import fences, plants, structures
 from ogm.simulation.town import furniture as f
 from ogm.simulation.town.buildings import building
-from ogm.simulation.town.country import Field, plant_fields
+from ogm.simulation.town.country import CountryField, plant_fields
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.lots import Lot
 from ogm.simulation.town.network import Street
@@ -43,7 +43,7 @@ PIECES: dict[str, Wanted] = {
 
 
 def furnish(
-    plan: TownLayout, lots: list[Lot], height: Raster, rng: Generator, fields: Sequence[Field] = ()
+    plan: TownLayout, lots: list[Lot], height: Raster, rng: Generator, fields: Sequence[CountryField] = ()
 ) -> list[Mesh]:
     """Return everything that stands on the ground of a town."""
     yard = Yard(plan, [house for lot in lots for house in lot.houses], height, rng)
