@@ -177,7 +177,7 @@ class _Observer:
             hits = self.scene.cast(T, part, salt=self.salt, number=self._number + start)
             kinds = KINDS[hits.material]
             if self.view is not None:
-                lose_sight(hits.distance, part, self.view)
+                lose_sight(hits.distance, part, kinds == Kind.GROUND, self.view)
             if self._steep is not None:
                 _steep_is_step(kinds, hits.distance, part, self._steep, (spec.resolution, *spec.origin))
             observe_rays(self.seen, self.highest, hits.distance, part, kinds, ground, self._rise, spec)

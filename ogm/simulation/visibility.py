@@ -11,6 +11,8 @@ from ogm.jit import kernel
 __all__ = ["View", "beams_in_dust", "in_view", "lose_sight", "make_view"]
 
 BINS = 3600  # of azimuth
+# Shares of what a white target sends back: of grass or gravel at grazing incidence, of a bright wall or leaf head-on.
+BRIGHT_GROUND, BRIGHT_WALL = 0.1, 0.3
 
 
 class View(NamedTuple):
@@ -108,16 +110,21 @@ def _meet(direction: NDArray, ball: NDArray, far: float) -> tuple[float, float, 
 
 
 @kernel
-def lose_sight(distance: NDArray, directions: NDArray, view: View) -> None:
-    """Set the distance of hits (N,) to inf where not even a matt white target would be seen, head-on."""
+def lose_sight(distance: NDArray, directions: NDArray, ground: NDArray, view: View) -> None:
+    """Set the distance of hits (N,) to inf where the lidar would see no bright surface.
+
+    Hits of `ground` (N,) bool are seen as far as bright ground is at grazing incidence, all others as far as a bright
+    wall is, head-on.
+    """
     for i in range(len(distance)):
         d = 1.0 * distance[i]
         if not d < math.inf:
             continue
         depth = view.extinction * d
+        sent_back = BRIGHT_GROUND if ground[i] else BRIGHT_WALL
         for k in range(len(view.dust)):
             depth += _meet(directions[i], view.dust[k], d)[2]
-        if not view.near <= d <= view.far or math.exp(-2 * depth) < (d / view.reach) ** 2:
+        if not view.near <= d <= view.far or sent_back * math.exp(-2 * depth) < (d / view.reach) ** 2:
             distance[i] = math.inf
 
 

@@ -72,12 +72,14 @@ def test_a_part_sees_where_its_beams_are() -> None:
 
 
 @pytest.mark.parametrize("extinction", [0.0, 0.02, 0.1])
-def test_sight_ends_where_a_white_target_is_lost(extinction: float) -> None:
+def test_sight_ends_where_a_bright_wall_or_bright_ground_is_lost(extinction: float) -> None:
     distance = np.linspace(0.3, 250, 5000).astype(np.float32)
     rays = np.tile(np.float32([1, 0, 0]), (5000, 1))
-    wanted = (distance >= 0.7) & (distance <= 200) & (np.exp(-2 * extinction * distance) >= (distance / 185) ** 2)
-    lose_sight(distance, rays, view(air=extinction))
-    np.testing.assert_array_equal(np.isfinite(distance), wanted)
+    for ground, sent_back in ((False, 0.3), (True, 0.1)):
+        found, returned = distance.copy(), sent_back * np.exp(-2 * extinction * distance)
+        wanted = (distance >= 0.7) & (distance <= 200) & (returned >= (distance / 185) ** 2)
+        lose_sight(found, rays, np.full(5000, ground), view(air=extinction))
+        np.testing.assert_array_equal(np.isfinite(found), wanted)
 
 
 def test_dust_hides_as_its_optical_depth_has_it() -> None:
@@ -90,9 +92,9 @@ def test_dust_hides_as_its_optical_depth_has_it() -> None:
     away = np.linalg.norm(points - ball[0, :3], axis=2)
     depth = np.trapezoid(0.5 * np.clip(1 - (away / 2.0) ** 2, 0, None), along, axis=1)
     distance = np.full(3000, far, np.float32)
-    lose_sight(distance, rays, view(dust=ball, reach=60.0))
-    wanted = np.exp(-2 * depth) >= (far / 60.0) ** 2
-    clear = np.abs(np.exp(-2 * depth) - (far / 60.0) ** 2) > 0.003
+    lose_sight(distance, rays, np.zeros(3000, bool), view(dust=ball, reach=60.0))
+    wanted = 0.3 * np.exp(-2 * depth) >= (far / 60.0) ** 2
+    clear = np.abs(0.3 * np.exp(-2 * depth) - (far / 60.0) ** 2) > 0.001
     np.testing.assert_array_equal(np.isfinite(distance)[clear], wanted[clear])
     assert 0 < wanted.mean() < 1
     # Beams: returns come from within the ball, the others are dimmed by the depth.
@@ -120,7 +122,7 @@ def test_truth_stays_unknown_where_no_ray_could_tell() -> None:
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     for limits, dark in (
         (Limits(view(ahead)), np.abs(turn) > 0.53),
-        (Limits(view(air=0.3)), radius > 9.9),
+        (Limits(view(air=0.3)), radius > 7.0),
         (Limits(view(dust=cloud)), (radius > 9.0) & (np.abs(turn) < 0.1)),
     ):
         aimed = aimed_truth(scene, below, FIELD, limits=limits).state
