@@ -69,6 +69,12 @@ def test_part_of_a_town_is_country(town: Town) -> None:
         assert 11 <= found.count("country") <= 13
 
 
+def test_a_town_without_country_is_as_ever() -> None:
+    one, other = build_town(3, 240.0, Country(share=(0.0, 0.0))), build_town(3, 240.0)
+    np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
+    np.testing.assert_array_equal(one.mesh.material, other.mesh.material)
+
+
 def test_nothing_that_grows_stands_on_a_lane(town: Town) -> None:
     corners = town.mesh.vertices[town.mesh.triangles[np.isin(town.mesh.material, (Material.FOLIAGE, Material.BARK))]]
     low = corners[(corners[..., 2] - town.ground_height(*corners[..., :2].reshape(-1, 2).T).reshape(-1, 3)).min(1) < 2]

@@ -112,7 +112,8 @@ def build_town(seed: int, size: float = 480.0, country: Country | None = None) -
     if country is not None:
         rng = np.random.default_rng([int(seed), 7])
         fields = lay_fields(plan, shapely.union_all([lot.shape for lot in lots]), country, rng)
-        terrain = terrain._replace(bank=CountryBank(terrain.bank, fields, plan, rng))
+        if fields:
+            terrain = terrain._replace(bank=CountryBank(terrain.bank, fields, plan, rng))
     ground, kerbs = cover(plan, terrain)
     raster = height_raster(surface(ground), extent, HEIGHT_STEP)
     things = furnish(plan, lots, raster, draws[5], fields)
