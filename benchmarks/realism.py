@@ -1,6 +1,9 @@
 """Simulated scans beside real ones: the same statistics of both, and truth beside a published label.
 
-    python benchmarks/realism.py [--towns N] [--quick]
+    python benchmarks/realism.py [--towns N] [--quick] [--store FOLDER]
+
+With --store, the samples of a data set that `ogm simulate --recipe` made take the place of scans simulated here: those
+in clear weather with all beams measured. Its figures belong into files of their own (--out, --picture).
 
 Needs recordings that cannot be shipped; benchmarks/README.md names them and where they go. Writes
 benchmarks/results/realism.json, benchmarks/results/realism.md (the tables) and docs/pictures/realism.png. The same
@@ -26,9 +29,10 @@ from ogm import Scan, read_scan
 from ogm.io import estimate_sensor_height, read_argoverse2
 from ogm.pose import inverse, pose
 from ogm.simulation.cells import measure_ground
-from ogm.simulation.lidar import scan, to_points
+from ogm.simulation.lidar import Weather, scan, to_points
 from ogm.simulation.scene import EGO, Scene
 from ogm.simulation.sensors import LIDARS, LidarSpec
+from ogm.simulation.store import Store
 from ogm.simulation.survey import Known, aimed_truth
 from ogm.simulation.town import Town, build_town
 from ogm.simulation.traffic import Traffic, ego_vehicle
@@ -37,6 +41,8 @@ from ogm.truth import boxes_seen_from
 
 SIDE_BY_SIDE = ROOT / "runs" / "realism" / "side_by_side.png"
 FIRING = 55.296e-6  # [s] VLP-32C: from one firing of a laser to its next
+EGO_REACH = np.array([2.6, 1.05, 1.7])  # [m] from the middle of the ego vehicle's footprint, where its returns lie
+STORED = {"pandar40": "pandar40p"}  # names in data sets
 COLOURS = ("#1b7837", "#2c5f9e")  # of simulated and real sweeps
 
 
@@ -144,6 +150,27 @@ def simulated(
             kept = points[other], layer[other], column[other], np.degrees(spec.elevations)
             ego = int(np.count_nonzero(~other))
             yield name, Sweep(f"town {place.seed}", *kept, image.range.shape[1], height, ego), cells
+
+
+def stored(
+    path: Path, sensors: Mapping[str, tuple[LidarSpec, float]]
+) -> Iterator[tuple[str, Sweep, NDArray[np.uint8]]]:
+    """Return the intact scans in clear weather of a data set, with the true states of the cells around them."""
+    names = {STORED.get(spec.name, spec.name): name for name, (spec, _) in sensors.items()}
+    store = Store.open(path)
+    for split in ("training", "validation", "test"):
+        for k in store[split].finished:
+            sample = store[split][int(k)]
+            whole = sample.measured is None or sample.measured.all()
+            if sample.lidar not in names or not whole or sample.weather != Weather():
+                continue
+            T = sample.T_vehicle_sensor
+            own = (np.abs(sample.points[:, :3] @ T[:3, :3].T + T[:3, 3]) < EGO_REACH).all(axis=1)
+            points = sample.points[~own] * np.float32([1, 1, 1, 255])
+            kept = points, sample.ring[~own].astype(int), sample.column[~own], np.degrees(sample.beams.elevation)
+            facts = {"ego": int(own.sum()), "calibrated": bool(sample.intensities.any())}
+            sweep = Sweep(f"{split} {k}", *kept, sample.beams.columns, float(T[2, 3]), **facts)
+            yield names[sample.lidar], sweep, sample.truth.crop(SPEC).state
 
 
 PUBLISHED = {"free": (25, 36), "occupied": (0.9, 2.5), "unknown": (63, 74)}  # [%] of labels that were published
@@ -304,6 +331,7 @@ def main() -> None:
     parser.add_argument("--towns", type=int, default=4, help="towns to scan in (default 4)")
     parser.add_argument("--each", type=int, default=10, help="places in each town (default 10)")
     parser.add_argument("--quick", action="store_true", help="one town, two places")
+    parser.add_argument("--store", type=Path, help="data set whose scans are compared (default: simulate some)")
     parser.add_argument("--out", type=Path, default=RESULTS / "realism.json", help="where the figures go")
     parser.add_argument("--picture", type=Path, default=PICTURES / "realism.png", help="where the picture goes")
     options = parser.parse_args()
@@ -313,7 +341,6 @@ def main() -> None:
     where = [Place(seed, bool(n % 2), 25.0 + 13.0 * n) for seed in range(1, towns + 1) for n in range(each)]
 
     record = environment()
-    record["places"] = [list(place) for place in where]
     real = {sensor: list(reader()) for sensor, (_, _, reader) in GROUPS.items()}
     for sensor in (sensor for sensor, sweeps in real.items() if not sweeps):
         print(f"left out: {sensor}: no recording of it under {DATA}")
@@ -322,14 +349,23 @@ def main() -> None:
         print("nothing to compare with: benchmarks/README.md names the recordings that are needed, and where")
         return
     fake: dict[str, list[Sweep]] = {sensor: [] for sensor in sensors}
-    truths = []
-    for sensor, sweep, state in simulated(sensors, where):
+    truths: list[NDArray[np.uint8]] = []
+    seen: dict[str, NDArray[np.uint8]] = {}  # states of the cells around a sweep, by its name
+    if options.store is None:
+        record["places"], scans = [list(place) for place in where], simulated(sensors, where)
+    else:
+        record["data set"], scans = options.store.name, stored(options.store, sensors)
+    for sensor, sweep, state in scans:
         fake[sensor].append(sweep)
         if state is not None:
             truths.append(state)
+            seen[sweep.name] = state
 
     record["sensors"], made = {}, {sensor: [statistics(sweep) for sweep in sweeps] for sensor, sweeps in fake.items()}
     for sensor, ours in made.items():
+        if not ours:
+            print(f"left out: {sensor}: no intact scan of it in {options.store}")
+            continue
         sets: dict[str, list[dict[str, float]]] = {}
         for sweep in real[sensor]:
             sets.setdefault(sweep.name, []).append(statistics(sweep))
@@ -344,11 +380,12 @@ def main() -> None:
     print(text)
     write_json(options.out, record)
     options.out.with_suffix(".md").write_text(text)
-    first = next(iter(sensors))
+    first = next(sensor for sensor in sensors if made[sensor])
     # The scan in the picture is a typical one: its distance to obstacles is the median of all.
     reach = [one["nearest obstacle, sectors of 1 deg, p50 [m]"] for one in made[first]]
     chosen = int(np.argsort(reach)[len(reach) // 2])
-    shown = {"simulated": (fake[first][chosen], truths[chosen])}
+    typical = fake[first][chosen]
+    shown = {"simulated": (typical, truths[chosen] if options.store is None else seen[typical.name])}
     sweeps = {"simulated": fake[first], "real": real[first]}
     picture(record, first, sweeps, shown, options.picture)
     picture(record, first, sweeps, shown | {"real": (real[first][0], label)}, SIDE_BY_SIDE)

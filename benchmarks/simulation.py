@@ -91,6 +91,28 @@ def cost(plan: DatasetPlan, moments: int, repeats: int, folder: Path) -> dict[st
     }
 
 
+def recipe_cost(name: str, samples: int) -> dict[str, Any]:
+    """Return the processor time of samples of a recipe and of the default, on one core, and of a town of the recipe."""
+    plans = {"default": DatasetPlan(), name: DatasetPlan.of_recipe(name, seed=18)}
+    seconds: dict[str, list[float]] = {one: [] for one in plans}
+    towns: list[float] = []
+    for one, plan in plans.items():
+        for number in range(2):
+            start = time.process_time()
+            make_sample(plan, "training", 0 if one == "default" else 70 * number, 1)  # the town, and kernels
+            if one == name:
+                towns.append(time.process_time() - start)
+            for k in range(1, samples // 2 + 1):
+                start = time.process_time()
+                make_sample(plan, "training", k + (70 * number if one == name else 10 * number), 1)
+                seconds[one].append(time.process_time() - start)
+    median = {one: round(statistics.median(values), 3) for one, values in seconds.items()}
+    return {"seconds, median": median, "times the default": round(median[name] / median["default"], 3)} | {
+        "seconds of a town with its first sample": round(towns[-1], 2),
+        "samples each": samples,
+    }
+
+
 def made(workers: int, cores: int, plan: DatasetPlan, folder: str) -> tuple[float, float]:
     """Return samples per second once the towns stand, and bytes per sample."""
     os.sched_setaffinity(0, set(sorted(os.sched_getaffinity(0))[:cores]))
@@ -164,12 +186,13 @@ def main() -> None:
     plan = DatasetPlan(mounts=only("vlp-32c"))
     with tempfile.TemporaryDirectory() as folder:
         record["one sample"] = cost(plan, moments, repeats, Path(folder))
+        record["gen2"] = recipe_cost("gen2", 4 * moments)
         record["two workers"] = scaling(DatasetPlan(), samples, Path(folder))
         store = options.store or Path(folder) / "by2"
         record["reading"] = reading(store)
     record["note"] = NOTE
     write_json(options.out, record)
-    for name in ("one sample", "two workers", "reading"):
+    for name in ("one sample", "gen2", "two workers", "reading"):
         print(f"{name}: {record[name]}")
     print(f"wrote {options.out}")
 

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,8 @@ from typer.testing import CliRunner
 
 from ogm.cli import app
 from ogm.simulation import studio
-from ogm.simulation.store import FORMAT, Store
+from ogm.simulation.recipe import RECIPES
+from ogm.simulation.store import FORMAT, GAPS, Store
 
 TINY = ("--samples", 1, "--validation", 1, "--town-size", 240, "--lidar", "hdl-32e")
 
@@ -96,6 +98,9 @@ def test_resume_makes_what_is_missing_and_one_worker_the_same_bytes_as_two(data:
         (("{data}", "--resume", "--lidar", "os1-64"), "begun with mounts = 1 x hdl-32e, got 1 x os1-64"),
         (("{data}", "--resume", "--drives", 24), "begun with drives = 10, got 24"),
         (("{new}", "--samples", 1, "--drives", 3, "--test-towns", 4), "test_towns must be in 1 ... 3"),
+        (("{new}", "--recipe", "gen9"), "there is no recipe 'gen9'; there is gen2"),
+        (("{new}", "--recipe", "gen2", "--lidar", "vlp-16"), "gen2 sets mounts itself, got 1 x vlp-16"),
+        (("{data}", "--resume", "--recipe", "gen2"), "begun with mounts = 1 x hdl-32e"),
         (("{new}", "--samples", 1, "--spacing", 0), "spacing must be in 0.1 ... 100 s"),
         (("{data}", "--resume", "--truth", "hd"), "begun with truth = aimed, got hd"),
         (("{new}", "--resume"), "no data set to go on with"),
@@ -162,6 +167,22 @@ def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:
     assert child.returncode == 130
     assert f"`ogm simulate {tmp_path / 'data'} --resume` goes on" in message.replace("\n", " ")
     assert "Traceback" not in message
+
+
+def test_a_recipe_is_named_in_the_data_set_and_goes_on_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(RECIPES, "gen2", replace(RECIPES["gen2"], town_size=240.0))
+    sizes = ("--samples", 1, "--validation", 0, "--workers", 1)
+    result = ogm("simulate", tmp_path / "data", "--recipe", "gen2", "--seed", 5, *sizes)
+    assert result.exit_code == 0, result.output
+    assert ogm("simulate", tmp_path / "data", "--resume", "--samples", 2, "--workers", 1).exit_code == 0
+    store = Store.open(tmp_path / "data")
+    assert store.format == GAPS
+    assert store.plan["recipe"] == "gen2"
+    assert store["training"].finished.tolist() == [0, 1]
+    assert store["training"][1].measured is not None
+    assert "ogm.samples/4" in ogm("info", tmp_path / "data").output
 
 
 def test_preview_draws_a_sample_and_its_town(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,7 +4,7 @@ import errno
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
@@ -29,6 +29,13 @@ def simulate(
     path: Annotated[Path | None, typer.Argument(help="Folder for the data set: new, or empty.")] = None,
     samples: Annotated[
         int | None, typer.Option(help="Training samples, from --drives in turn. [default: 10000]")
+    ] = None,
+    recipe: Annotated[
+        str | None,
+        typer.Option(
+            help="gen2: 4800 samples in 69 towns with country roads, many lidars, faults, weather; sets all but seed, "
+            "sizes and truth. [default: the paper's recipe]"
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Random seed. [default: 1]")] = None,
     validation: Annotated[
@@ -90,13 +97,11 @@ def simulate(
     A run that was stopped goes on with --resume.
     """
     _check_paths(path, resume, preview, export)
-    from ogm.simulation.plan import DatasetPlan, only
+    from ogm.simulation.plan import only
 
     before = None if path is None else _plan_of(path, resume)
-    if before is None and samples is not None:
-        validation = samples // 10 if validation is None else validation
-        test = samples // 100 if test is None else test
     options = {
+        "recipe": recipe,
         "seed": seed,
         "samples": samples,
         "validation": validation,
@@ -112,10 +117,7 @@ def simulate(
         "spacing": spacing,
         "town_size": town_size,
     }
-    chosen = {name: value for name, value in options.items() if value is not None}
-    plan = replace(before or DatasetPlan(), **chosen)  # type: ignore[arg-type]
-    if before is not None:
-        plan = plan.grown(before)
+    plan = _plan(before, {name: value for name, value in options.items() if value is not None})
     if preview is not None:
         _preview(preview, plan)
     if path is None:
@@ -159,6 +161,19 @@ def _plan_of(path: Path, resume: bool) -> "DatasetPlan | None":
     if resume:
         raise FileNotFoundError(errno.ENOENT, "no data set to go on with; leave out --resume to begin one", str(path))
     return None
+
+
+def _plan(before: "DatasetPlan | None", chosen: dict[str, Any]) -> "DatasetPlan":
+    """Return the plan that was asked for, as a larger one than `before` if there is such."""
+    from ogm.simulation.plan import DatasetPlan
+
+    if "recipe" in chosen:
+        plan = DatasetPlan.of_recipe(chosen.pop("recipe"), **chosen)
+    else:
+        if before is None and "samples" in chosen:
+            chosen = {"validation": chosen["samples"] // 10, "test": chosen["samples"] // 100} | chosen
+        plan = replace(before or DatasetPlan(), **chosen)
+    return plan if before is None else plan.grown(before)
 
 
 def _preview(picture: Path, plan: "DatasetPlan") -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.files import OgmError
 from ogm.scan import Boxes, Mount, Scan
-from ogm.simulation.plan import SEQUENCE
+from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.sample import LABELS, SimulatedSample
 from ogm.simulation.store import FACTS, Store
 from ogm.state import CellState, Truth
@@ -77,8 +77,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
             return one
         return ignore_cells(one, one.state == CellState.UNKNOWN)
 
-    planned = store.plan.get("test_towns" if name == "test" else "towns", 1)  # that drives go through in turn
-    towns = len({int(one) % planned for one in facts[:, FACTS.index("scenario")]})
+    towns = count_towns(store.plan, name, scenarios.tolist())
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
@@ -122,7 +121,7 @@ def _scan(sample: SimulatedSample) -> Scan:
         stamp=sample.stamp,
         time=np.tile(beams.times.astype(np.float64), layers).take(np.flatnonzero(echo)),
         ring=np.repeat(np.arange(layers, dtype=np.uint16), np.count_nonzero(echo, axis=1)),
-        no_returns=beams.directions.reshape(-1, 3).take(np.flatnonzero(~echo), axis=0),
+        no_returns=sample.no_returns,
         sensor=sample.lidar,
     )
 

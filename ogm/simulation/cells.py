@@ -92,6 +92,25 @@ def _steps_along(z: NDArray[np.float32]) -> NDArray[np.float64]:
     return rise
 
 
+def steep_cells(below: Below, steepest: float) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Return the cells whose ground rises or falls more than `steepest`, and how far it does over three cells [m].
+
+    The slope is that against the horizon, however the sensor is tilted. A cell's is the lesser of those over three and
+    over five cells, so that a kerb is none.
+    """
+    z, resolution, (a, b, c) = below.z, below.spec.resolution, below.T_world_sensor[2, :3].astype(np.float32)
+    slopes = []
+    for reach in (1, 2):
+        change = np.zeros((2, *z.shape), np.float32)
+        change[0, reach:-reach] = z[2 * reach :] - z[: -2 * reach]
+        change[1, :, reach:-reach] = z[:, 2 * reach :] - z[:, : -2 * reach]
+        dx, dy = change / np.float32(2 * reach * resolution)
+        up = (c - a * dx - b * dy) ** 2  # of the ground's normal (-dx, -dy, 1)
+        slopes.append(np.sqrt(np.maximum((1 + dx * dx + dy * dy) / np.maximum(up, np.float32(1e-6)) - 1, 0)))
+    slope = np.nan_to_num(np.minimum(*slopes))
+    return slope > steepest, (3 * resolution * slope).astype(np.float32)
+
+
 class Aim(NamedTuple):
     """Points of a cell that rays are aimed at.
 

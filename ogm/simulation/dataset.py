@@ -18,12 +18,14 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from ogm.pose import inverse, pose
+from ogm.pose import inverse, pose, transform_points
 from ogm.scan import Boxes
 from ogm.simulation.arrays import Floats
-from ogm.simulation.plan import DatasetPlan, draw_mount, moment, sample_rng
+from ogm.simulation.conditions import Conditions, draw_conditions, draw_weather, layer_errors
+from ogm.simulation.plan import SEQUENCE, DatasetPlan, draw_mount, moment, sample_rng
+from ogm.simulation.recipe import RECIPES, Country, DataRecipe
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.sensors import LIDARS, LidarSpec, hd_directions
+from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, workers_that_fit
 from ogm.state import Truth
@@ -31,11 +33,12 @@ from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 try:
     from ogm.simulation.cells import measure_ground
-    from ogm.simulation.lidar import CLEAR, Weather, scan
+    from ogm.simulation.lidar import air_of, scan
     from ogm.simulation.scene import Scene
-    from ogm.simulation.survey import Known, aimed_truth, hd_truth
+    from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
     from ogm.simulation.town import Town, build_town
     from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
+    from ogm.simulation.visibility import View, make_view
 except ImportError as error:
     raise ImportError(
         f'the simulator lacks a package ({error}): pip install "ogm-toolkit[sim]"; '
@@ -71,6 +74,10 @@ class SceneSetup(NamedTuple):
         Those in the scene, in the order of its object numbers.
     spec : LidarSpec
     T_vehicle_sensor, T_world_sensor : (4, 4) float64
+    conditions : Conditions, optional
+        What a recipe does to the scan.
+    steepest : float
+        As `ogm.simulation.survey.Limits.steepest`.
     """
 
     world: World
@@ -79,6 +86,8 @@ class SceneSetup(NamedTuple):
     spec: LidarSpec
     T_vehicle_sensor: Floats
     T_world_sensor: Floats
+    conditions: Conditions | None = None
+    steepest: float = np.inf
 
 
 # The last towns and drives are kept: building a town takes seconds, and traffic goes on from where it was.
@@ -87,14 +96,14 @@ _ego_body = lru_cache(maxsize=1)(ego_body)
 
 
 @lru_cache(maxsize=1)
-def _world(seed: int, size: float, threads: int) -> World:
-    town = _town(seed, size)
+def _world(seed: int, size: float, country: Country | None, threads: int) -> World:
+    town = _town(seed, size, country)
     return World(town, Scene(town.mesh, threads=threads), Scene(town.ground, threads=threads))
 
 
 @lru_cache(maxsize=DRIVES_KEPT)
-def _drive(town: int, size: float, seed: int, clockwise: bool) -> Traffic:
-    return Traffic(_town(town, size), seed, clockwise=clockwise)
+def _drive(town: int, size: float, country: Country | None, seed: int, clockwise: bool) -> Traffic:
+    return Traffic(_town(town, size, country), seed, clockwise=clockwise)
 
 
 def simulate(
@@ -151,14 +160,36 @@ def simulate(
 def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SceneSetup:
     """Put everything where it is in a sample's moment; `threads` processor cores cast rays, 0 for all."""
     at = moment(plan, split, index)
-    world = _world(at.town, plan.town_size, threads)
-    state = _drive(at.town, plan.town_size, at.traffic, at.clockwise).at(at.time)
+    recipe = RECIPES.get(plan.recipe)
+    place = (at.town, plan.town_size, recipe and recipe.country)
+    world = _world(*place, threads)
+    state = _drive(*place, at.traffic, at.clockwise).at(at.time)
     near = tuple(one for one in state.objects if np.hypot(*(one.pose - state.ego)[:2, 3]) < REACH)
     world.scene.place([one.mesh.moved(one.pose) for one in near], _ego_body().mesh.moved(state.ego))
     mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
     T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
     spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
-    return SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
+    here = SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
+    return here if recipe is None else _by_recipe(here, recipe, mount.view, _condition_rng(plan, split, index))
+
+
+def _condition_rng(plan: DatasetPlan, split: str, index: int) -> Generator:
+    """Return the random numbers of a scan's conditions; all scans of a sequence have the same."""
+    return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 2)
+
+
+def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator) -> SceneSetup:
+    """Give the sensor the errors of its unit, and the scan its conditions."""
+    spec = here.spec
+    elevation, distance = layer_errors(recipe, spec.name, spec.layers, spec.unit)
+    T = inverse(here.T_world_sensor)
+    movers = [np.r_[transform_points(T, one.pose[None, :3, 3])[0], T[:2, :3] @ one.velocity] for one in here.objects]
+    conditions = draw_conditions(recipe, beams_of(spec), view, np.array(movers).reshape(-1, 5), rng)
+    return here._replace(
+        spec=replace(spec, elevation_errors=elevation, range_errors=distance),
+        conditions=conditions,
+        steepest=recipe.steepest,
+    )
 
 
 def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SimulatedSample:
@@ -175,20 +206,25 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     """
     at, here = moment(plan, split, index), set_up(plan, split, index, threads)
     rng = sample_rng(plan, split, index, 1)
-    weather = _weather(plan, rng)
+    chosen = here.conditions
+    weather = draw_weather(plan.bad_weather, rng) if chosen is None else chosen.weather
     speed, turn = here.state.ego_velocity, here.state.ego_yaw_rate
-    if rng.random() >= plan.in_motion:
+    if not (rng.random() < plan.in_motion if chosen is None else chosen.in_motion):
         speed, turn = np.zeros(3), 0.0
     coats = [(at.traffic << 20) + one.track for one in here.objects]
     place = (here.world.scene, here.spec, here.T_world_sensor)
-    image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats)
+    gaps: Any = {} if chosen is None else {"seeing": chosen.seeing, "dust": chosen.dust}
+    image = scan(*place, rng, velocity=speed, yaw_rate=turn, weather=weather, coats=coats, **gaps)
     returns = np.bincount(image.object[(image.object >= 0) & (image.range > 0)], minlength=len(here.objects))
     steps = np.round(image.range / np.float32(RANGE_STEP)).astype(np.uint16)
     intensities = np.round(image.intensity * 255).astype(np.uint8)
+    if chosen is not None and not chosen.intensity:
+        intensities[:] = 0
     truth = truth_of(plan, here, returns, salt=int(rng.integers(2**31)))
     arrays: Any = (steps, intensities, truth, _listed(here, returns), here.T_world_sensor, here.T_vehicle_sensor)
     motion: Any = (np.asarray(here.state.ego_velocity, np.float64), float(here.state.ego_yaw_rate))
     facts: Any = {"stamp": at.time, "split": split, "index": index, "scenario": at.scenario, "weather": weather}
+    facts["measured"] = chosen and chosen.measured
     return SimulatedSample(beams_of(here.spec), *arrays, *motion, **facts)
 
 
@@ -208,10 +244,20 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *,
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)
     scene, below = here.world.scene, measure_ground(here.world.ground, here.T_world_sensor)
-    known = Known(_boxes(here), returns, ego)
+    known, limits = Known(_boxes(here), returns, ego), Limits(_view(here), here.steepest)
     if plan.truth == "hd":
-        return hd_truth(scene, below, hd_directions(here.spec, plan.hd_layers), known, salt=salt)
-    return aimed_truth(scene, below, (here.spec.elevations[0], here.spec.elevations[-1]), known, salt=salt)
+        return hd_truth(scene, below, hd_directions(here.spec, plan.hd_layers), known, salt=salt, limits=limits)
+    ends = here.spec.elevations[0], here.spec.elevations[-1]
+    return aimed_truth(scene, below, ends, known, salt=salt, limits=limits)
+
+
+def _view(here: SceneSetup) -> View | None:
+    """Return where a scan taken by a recipe can see."""
+    if here.conditions is None:
+        return None
+    spec, chosen = here.spec, here.conditions
+    reach = (spec.range_min, spec.range_max, spec.reach)
+    return make_view(spec.directions(), chosen.seeing, reach, air_of(chosen.weather).extinction, chosen.dust)
 
 
 def _boxes(here: SceneSetup) -> Boxes:
@@ -234,26 +280,6 @@ def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
     return rows[order[distance[order] < LISTED]]
-
-
-def _weather(plan: DatasetPlan, rng: Generator) -> Weather:
-    """Draw the weather: clear, or, in a share of the samples, rain, fog or a road that is still wet."""
-    bad, kind, strength = rng.random(3)
-    if bad >= plan.bad_weather:
-        return CLEAR
-    if kind < 0.4:
-        return CLEAR._replace(rain=float(1 + 24 * strength), wet=1.0)
-    if kind < 0.7:
-        return CLEAR._replace(fog=float(40 * 10**strength))
-    return CLEAR._replace(wet=float(strength))
-
-
-@lru_cache(maxsize=64)
-def beams_of(spec: LidarSpec) -> Beams:
-    """Return what turns a lidar's range images into points, without the simulator."""
-    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
-    origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
-    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:

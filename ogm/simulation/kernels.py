@@ -41,6 +41,14 @@ class Hits(NamedTuple):
         columns: Any = (column[start:stop] for column in self)
         return Hits(*columns)
 
+    def spread(self, index: NDArray[np.intp], count: int) -> "Hits":
+        """Return the hits of `count` rays, of which these are those of `index`; the others hit nothing."""
+        whole = Hits.allocate(count)
+        whole.distance[:], whole.material[:], whole.object[:], whole.cosine[:] = np.inf, 255, -1, 0
+        for k in range(len(self)):
+            whole[k][index] = self[k]
+        return whole
+
 
 class Answer(NamedTuple):
     """What Open3D returns for n rays, and what its triangles are.

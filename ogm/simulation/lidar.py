@@ -12,10 +12,11 @@ from ogm.simulation.arrays import Floats
 from ogm.simulation.echo import Air, Device, RangeImage, receive, reflect
 from ogm.simulation.materials import GROUND, Material, table
 from ogm.simulation.sample import Weather
-from ogm.simulation.scene import NOTHING, Scene
+from ogm.simulation.scene import NOTHING, STATIC, Scene
 from ogm.simulation.sensors import LidarSpec
+from ogm.simulation.visibility import beams_in_dust
 
-__all__ = ["CLEAR", "RangeImage", "Weather", "scan", "to_points"]
+__all__ = ["CLEAR", "RangeImage", "Weather", "air_of", "scan", "to_points"]
 
 
 CLEAR = Weather()
@@ -33,6 +34,8 @@ def scan(
     yaw_rate: float = 0.0,
     weather: Weather = CLEAR,
     coats: ArrayLike | None = None,
+    seeing: NDArray[np.bool_] | None = None,
+    dust: Floats | None = None,
 ) -> RangeImage:
     """Simulate one turn of a lidar.
 
@@ -52,6 +55,10 @@ def scan(
     coats : (K,) integers, optional
         One for each moving thing of the scene: the same number is the same paint, in any scan. By default
         their places in the list.
+    seeing : (layers, columns) bool, optional
+        Beams that may return anything; by default all.
+    dust : (P, 5) float64, optional
+        Clouds of dust, as in `ogm.simulation.conditions.Conditions`.
 
     Returns
     -------
@@ -67,19 +74,30 @@ def scan(
     if motion.shape != (3,) or not np.isfinite(motion).all() or not np.isfinite(yaw_rate):
         raise ValueError(f"velocity must be three finite numbers and yaw_rate one, got {velocity!r}, {yaw_rate}")
     seed = int(rng.integers(2**62))
-    rays = spec.directions().reshape(-1, 3)
-    if spec.origins or motion.any() or yaw_rate:
-        hits = scene.cast(*_moving_rays(spec, T, motion, yaw_rate), salt=seed % 2**31)
+    rays = spec.aims().reshape(-1, 3)
+    moving = spec.origins or motion.any() or yaw_rate
+    origins, directions = _moving_rays(spec, T, motion, yaw_rate) if moving else (T, rays)
+    if seeing is None:
+        hits = scene.cast(origins, directions, salt=seed % 2**31)
     else:
-        hits = scene.cast(T, rays, salt=seed % 2**31)
+        index = np.flatnonzero(seeing)
+        starts = origins[index] if moving else origins
+        hits = scene.cast(starts, directions[index], salt=seed % 2**31).spread(index, len(rays))
     paint = np.arange(scene.things) if coats is None else np.asarray(coats)
     if paint.shape != (scene.things,) or (paint.size and paint.dtype.kind not in "iu"):
         raise ValueError(f"coats must be one integer for each of the {scene.things} things in the scene, got {coats!r}")
     strength = np.empty(len(rays), np.float32)
     reflect(rays, T, hits, _optics(weather.wet), paint.astype(np.int64), strength)
+    if dust is not None and len(dust):
+        scattered = np.zeros(len(rays), np.bool_)
+        beams_in_dust(hits.distance, strength, rays, dust, rng.random((len(rays), 3), np.float32), scattered)
+        hits.material[scattered], hits.object[scattered], hits.cosine[scattered] = NOTHING, STATIC, 1
     columns: Any = (np.empty(len(rays), dtype) for dtype in ("f4", "f4", "i4", "u1"))
     image = RangeImage(*columns)
-    receive(hits, strength, _device(spec), _air(weather), _STEADY, seed, image)
+    receive(hits, strength, _device(spec), air_of(weather), _STEADY, seed, image)
+    if seeing is not None:  # drops right before the sensor, and light from beside the edge
+        blind = ~seeing.ravel()
+        image.range[blind], image.intensity[blind], image.object[blind], image.material[blind] = 0, 0, STATIC, NOTHING
     columns = (column.reshape(spec.shape) for column in image)
     return RangeImage(*columns)
 
@@ -98,7 +116,7 @@ def _moving_rays(
     place = T[:3, 3] + velocity * spec.times[:, None]
     starts = np.array(spec.origins or np.zeros((spec.layers, 3)))
     origins = np.einsum("aij,lj->lai", rotation, starts) + place
-    directions = np.einsum("aij,laj->lai", rotation.astype(np.float32), spec.directions())
+    directions = np.einsum("aij,laj->lai", rotation.astype(np.float32), spec.aims())
     return origins.reshape(-1, 3).astype(np.float32), directions.reshape(-1, 3).astype(np.float32)
 
 
@@ -135,7 +153,7 @@ def _optics(wet: float) -> NDArray[np.float32]:
     return optics
 
 
-def _air(weather: Weather) -> Air:
+def air_of(weather: Weather) -> Air:
     """Return what the weather makes of the air.
 
     Extinction: Koschmieder's law for fog, a power law of the rate for rain (order of magnitude of published

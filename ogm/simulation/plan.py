@@ -1,15 +1,17 @@
 """What a data set shall hold: `DatasetPlan`, and which drive each of its samples is taken from."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ogm.simulation.mounts import MOUNTS, LidarMount, only
+from ogm.simulation.recipe import RECIPES, DataRecipe
 from ogm.simulation.sensors import LIDARS
 
-__all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "draw_mount", "moment", "only", "sample_rng"]
+__all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "count_towns", "draw_mount", "moment", "only", "sample_rng"]
 
 SPLITS = ("training", "validation", "test", "sequences")
 RUN = 10  # samples of one drive before the next one's turn: one shard
@@ -20,64 +22,9 @@ BOUNDS = {  # of numbers of a `DatasetPlan`, and their unit
     "town_size": (240.0, 1000.0, " m"),
     "bad_weather": (0, 1, ", a share of the samples"), "in_motion": (0, 1, ", a share of the samples"),
 }  # fmt: skip
-ADDED = {"drives", "test_towns", "spacing"}  # settings that older data sets lack; their defaults are what those did
+# settings that older data sets lack; their defaults are what those did
+ADDED = {"drives", "test_towns", "spacing", "recipe"}
 SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
-
-
-@dataclass(frozen=True)
-class LidarMount:
-    """A lidar, how it is mounted, and how often.
-
-    Parameters
-    ----------
-    lidar : str
-        Name in `ogm.simulation.sensors.LIDARS`.
-    share : float
-        Share of the samples taken with it, relative to that of the other mounts.
-    height : (float, float), optional
-        Lowest and highest mounting height above the ground [m]; drawn anew for each sample (each sequence). By
-        default the lidar's usual height.
-    forward : (float, float)
-        The same along the vehicle's x axis, from the middle of its footprint [m].
-    tilt : float
-        Largest roll and pitch of the mounting [rad], drawn likewise.
-    """
-
-    lidar: str
-    share: float = 1.0
-    height: tuple[float, float] | None = None
-    forward: tuple[float, float] = (0.0, 0.0)
-    tilt: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.height is not None:
-            object.__setattr__(self, "height", tuple(map(float, self.height)))
-        object.__setattr__(self, "forward", tuple(map(float, self.forward)))
-        if not (self.share > 0 and math.isfinite(self.share)):
-            raise ValueError(f"the share of {self.lidar} must be positive, got {self.share}")
-        for name, pair, low, high in (("height", self.height, 0.3, 5.0), ("forward", self.forward, -3.0, 3.0)):
-            if pair is not None and (len(pair) != 2 or not low <= pair[0] <= pair[1] <= high):
-                raise ValueError(
-                    f"{name} of {self.lidar} must be two numbers, rising, in {low} ... {high} m, got {pair}"
-                )
-        if not 0 <= self.tilt <= 0.2:
-            raise ValueError(f"tilt of {self.lidar} must be in 0 ... 0.2 rad, got {self.tilt}")
-
-
-# Four samples in five as in the paper; the others so that a network can be trained for more than one car.
-MOUNTS = (
-    LidarMount("vlp-32c", 0.80),
-    LidarMount("vlp-32c", 0.05, (1.7, 2.4), (-0.4, 0.4), 0.03),
-    LidarMount("hdl-32e", 0.05, (1.7, 2.2), (-0.4, 0.4), 0.03),
-    LidarMount("hdl-64e", 0.04, (1.7, 2.1), (-0.4, 0.4), 0.03),
-    LidarMount("os1-64", 0.04, (1.7, 2.2), (-0.4, 0.4), 0.03),
-    LidarMount("vls-128", 0.02, (1.7, 2.2), (-0.4, 0.4), 0.03),
-)
-
-
-def only(lidar: str) -> tuple[LidarMount, ...]:
-    """Return the mounts of a data set that has one lidar, mounted as the paper's: mid-roof and level."""
-    return (LidarMount(lidar),)
 
 
 @dataclass(frozen=True)
@@ -116,6 +63,9 @@ class DatasetPlan:
         Towns that the drives of the test go through in turn.
     spacing : float
         Time from one sample of a drive to its next one [s]. Of `sequences` it is always 0.1 s.
+    recipe : str
+        Name in `ogm.simulation.recipe.RECIPES`, or "" for none. A recipe sets mounts, towns, drives, spacing, weather
+        and motion; only the seed, the numbers of samples and the truth are left to choose.
     """
 
     seed: int = 1
@@ -133,6 +83,7 @@ class DatasetPlan:
     drives: int = 10
     test_towns: int = 1
     spacing: float = 1.0
+    recipe: str = ""
 
     def __post_init__(self) -> None:
         whole = ("seed", "samples", "validation", "test", "sequences", "towns", "hd_layers", "drives", "test_towns")
@@ -142,6 +93,7 @@ class DatasetPlan:
                 raise ValueError(f"{name} must be a whole number from 0 on, got {value!r}")
             object.__setattr__(self, name, int(value))
         object.__setattr__(self, "mounts", tuple(self.mounts))
+        self._follow_recipe()
         object.__setattr__(self, "town_size", float(self.town_size))
         object.__setattr__(self, "spacing", float(self.spacing))
         if not sum(self.counts.values()):
@@ -155,11 +107,49 @@ class DatasetPlan:
             if not low <= getattr(self, name) <= high:
                 raise ValueError(f"{name} must be in {low:g} ... {high:g}{unit}, got {getattr(self, name)}")
 
+    def _follow_recipe(self) -> None:
+        """Take over what the recipe sets, and refuse other values."""
+        if not self.recipe:
+            return
+        if self.recipe not in RECIPES:
+            raise ValueError(f"there is no recipe {self.recipe!r}; there is {', '.join(RECIPES)}")
+        given = RECIPES[self.recipe]
+        skies = given.skies
+        bad = skies.fog + skies.rain + skies.wet + skies.dust
+        wanted = {"mounts": given.mounts, "town_size": given.town_size, "spacing": given.spacing}
+        wanted |= {"in_motion": given.in_motion, "bad_weather": bad}
+        usual = {one.name: one.default for one in fields(self)}
+        for name in (*wanted, "towns", "test_towns", "drives"):
+            value = wanted.get(name, usual[name])
+            if getattr(self, name) not in (usual[name], value):
+                got = _short(getattr(self, name))
+                raise ValueError(f"the recipe {self.recipe} sets {name} itself, got {got}; leave the option out")
+            object.__setattr__(self, name, value)
+
     @property
     def counts(self) -> dict[str, int]:
         """Samples of each split."""
         counts = (self.samples, self.validation, self.test, SEQUENCE * self.sequences)
         return dict(zip(SPLITS, counts, strict=True))
+
+    @classmethod
+    def of_recipe(cls, name: str, *, samples: int | None = None, **chosen: Any) -> "DatasetPlan":
+        """Make the plan of a recipe, by default of its usual size: a twentieth as many samples for validation, no test.
+
+        Parameters
+        ----------
+        name : str
+            In `ogm.simulation.recipe.RECIPES`.
+        samples : int, optional
+            Of training.
+        **chosen
+            Other sizes, the seed, the truth: parameters of `DatasetPlan`.
+        """
+        if name not in RECIPES:
+            raise ValueError(f"there is no recipe {name!r}; there is {', '.join(RECIPES)}")
+        usual = RECIPES[name].samples if samples is None else samples
+        sizes: dict[str, Any] = {"samples": usual, "validation": usual // 20, "test": 0}
+        return cls(**(sizes | chosen), recipe=name)
 
     @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
@@ -227,6 +217,8 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
     if index < 0:
         raise ValueError(f"samples are counted from 0, got {index}")
     number = SPLITS.index(split)
+    if plan.recipe:
+        return _recipe_moment(plan, RECIPES[plan.recipe], split, index)
     if split == "sequences":
         scenario, frame = divmod(index, SEQUENCE)
         time = WARM_UP + 0.1 * frame
@@ -242,6 +234,32 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
     towns = plan.test_towns if test and plan.test_towns > 1 else plan.towns
     way = scenario + (scenario // towns if towns % 2 == 0 else 0)
     return Moment(town, _integer(plan.seed, 2, number, scenario), way % 2 == 0, scenario, float(time))
+
+
+def _recipe_moment(plan: DatasetPlan, recipe: DataRecipe, split: str, index: int) -> Moment:
+    """Return a drive for every ten samples, and a new town after so many drives; every split has its own towns."""
+    number = SPLITS.index(split)
+    scenario, sample = divmod(index, SEQUENCE if split == "sequences" else RUN)
+    town = _integer(plan.seed, 4, number, town_number(recipe, split, scenario))
+    traffic = _integer(plan.seed, 5, number, scenario)
+    begin = WARM_UP + traffic % 400 / 10
+    time = begin + (0.1 if split == "sequences" else recipe.spacing) * sample
+    return Moment(town, traffic, scenario % 2 == 0, scenario, float(time))
+
+
+def town_number(recipe: DataRecipe, split: str, scenario: int) -> int:
+    """Return which of a recipe's towns a drive goes through, counted from 0 in each split."""
+    if split == "sequences":
+        return scenario
+    return scenario * RUN // (recipe.town_samples if split == "training" else recipe.town_others)
+
+
+def count_towns(plan: Mapping[str, Any], split: str, scenarios: Iterable[int]) -> int:
+    """Return how many towns some drives of a split go through, by a plan as a data set keeps it."""
+    if name := plan.get("recipe"):
+        return len({town_number(RECIPES[name], split, one) for one in scenarios})
+    planned = plan.get("test_towns" if split == "test" else "towns", 1)
+    return len({one % planned for one in scenarios})
 
 
 def draw_mount(plan: DatasetPlan, split: str, index: int) -> tuple[LidarMount, tuple[float, float, float, float]]:

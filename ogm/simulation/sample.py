@@ -38,11 +38,14 @@ class Weather(NamedTuple):
         Meteorological visibility [m], inf for clear air.
     wet : float
         How wet the ground is, from 0, dry, to 1: asphalt as `ogm.simulation.materials.Material.WET_ASPHALT`.
+    dust : float
+        Extinction of the densest cloud of dust [1/m].
     """
 
     rain: float = 0.0
     fog: float = float("inf")
     wet: float = 0.0
+    dust: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -146,6 +149,8 @@ class SimulatedSample:
     scenario : int
         Number of the drive within the part: the same streets and traffic for all its samples.
     weather : Weather
+    measured : (layers, columns) bool, optional
+        Beams that were fired and reported; None for all. The others are neither points nor beams without echo.
     """
 
     beams: Beams
@@ -162,6 +167,7 @@ class SimulatedSample:
     index: int
     scenario: int
     weather: Weather = Weather()
+    measured: NDArray[np.bool_] | None = None
 
     @property
     def lidar(self) -> str:
@@ -177,6 +183,12 @@ class SimulatedSample:
         result[:, :3] = self.beams.origins[layer] + distance[:, None] * self.beams.directions[layer, column]
         result[:, 3] = self.intensities[layer, column] * np.float32(1 / 255)
         return result
+
+    @property
+    def no_returns(self) -> NDArray[np.float32]:
+        """Unit directions of the beams that were measured and gave no return, (M, 3) float32."""
+        silent = self.steps == 0
+        return self.beams.directions[silent if self.measured is None else silent & self.measured]
 
     @property
     def ring(self) -> NDArray[np.uint16]:

@@ -4,12 +4,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["LIDARS", "LidarSpec", "hd_directions"]
+from ogm.simulation.patterns import PATTERNS
+from ogm.simulation.sample import Beams
+
+__all__ = ["LIDARS", "LidarSpec", "beams_of", "hd_directions"]
 
 _BOUNDS: dict[str, tuple[float, float]] = {  # lowest and highest value of a `LidarSpec`
     "azimuth_step": (1e-4, 0.2), "rate": (0.1, 200), "range_min": (0, 50), "reach": (1, 5000), "range_noise": (0, 1),
@@ -56,6 +58,11 @@ class LidarSpec:
         Where the beams of each layer start in the sensor frame [m]; empty for (0, 0, 0).
     unit : int
         Which sensor of this kind: another one has other fixed errors and gains.
+    elevation_errors : tuple of float
+        How much higher than `elevations` each layer really points [rad], while its points are reported there; empty
+        for not at all.
+    range_errors : tuple of float
+        Fixed error of each layer's range [m], instead of one drawn by `range_bias` and `unit`; empty for that.
 
     Raises
     ------
@@ -81,16 +88,18 @@ class LidarSpec:
     height: float = 1.9
     origins: tuple[tuple[float, float, float], ...] = ()
     unit: int = 0
+    elevation_errors: tuple[float, ...] = ()
+    range_errors: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         layers = len(self.elevations)
-        for name in ("elevations", "azimuth_offsets", "origins"):
+        for name in ("elevations", "azimuth_offsets", "origins", "elevation_errors", "range_errors"):
             values = getattr(self, name)
             if not isinstance(values, tuple):
                 raise TypeError(
                     f"{self.name}: {name} must be a tuple, one entry per layer, got {type(values).__name__}"
                 )
-            if len(values) != layers and (values or name != "origins"):
+            if len(values) != layers and (values or name in ("elevations", "azimuth_offsets")):
                 raise ValueError(f"{self.name}: {len(values)} {name} for {layers} layers")
             if not np.isfinite(np.hstack((0.0, *values))).all():
                 raise ValueError(f"{self.name}: {name} hold NaN or inf: {values}")
@@ -143,11 +152,26 @@ class LidarSpec:
     def errors(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Fixed range error [m] and gain of each layer of this unit, (layers,) each."""
         draws = np.random.default_rng([self.unit, self.layers]).standard_normal((2, self.layers))
-        return self.range_bias * draws[0], np.exp(self.gain_spread * draws[1])
+        bias = np.array(self.range_errors) if self.range_errors else self.range_bias * draws[0]
+        return bias, np.exp(self.gain_spread * draws[1])
 
     def directions(self) -> NDArray[np.float32]:
         """Return unit vectors in the sensor frame (layers, azimuths, 3); shared, hence read-only."""
         return _shared_rays(self.elevations, self.azimuth_offsets, self.azimuth_step)
+
+    def aims(self) -> NDArray[np.float32]:
+        """Return where the beams really point: `directions` but for `elevation_errors`; read-only too."""
+        errors = self.elevation_errors or (0.0,) * self.layers
+        real = tuple(a + b for a, b in zip(self.elevations, errors, strict=True))
+        return _shared_rays(real, self.azimuth_offsets, self.azimuth_step)
+
+
+@lru_cache(maxsize=64)
+def beams_of(spec: LidarSpec) -> Beams:
+    """Return what turns a lidar's range images into points, without the simulator."""
+    azimuth = tuple(spec.first_azimuth + offset for offset in spec.azimuth_offsets)
+    origin = spec.origins or ((0.0, 0.0, 0.0),) * spec.layers
+    return Beams(spec.name, spec.elevations, azimuth, -spec.azimuth_step, spec.azimuths, spec.rate, origin)
 
 
 @lru_cache(maxsize=2)
@@ -196,47 +220,7 @@ def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
     return tuple(map(math.radians, degrees))
 
 
-def _evenly(low: float, high: float, layers: int) -> list[float]:
-    return np.linspace(low, high, layers).tolist()
-
-
-# Velodyne VLP-32C user manual: closer layers around the horizon, four columns of lasers.
-_VLP_32C = (
-    *(-25.0, -15.639, -11.31, -8.843, -7.254, -6.148, -5.333, -4.667, -4.0, -3.667, -3.333, -3.0, -2.667),
-    *(-2.333, -2.0, -1.667, -1.333, -1.0, -0.667, -0.333, 0.0, 0.333, 0.667, 1.0, 1.333, 1.667, 2.333),
-    *(3.333, 4.667, 7.0, 10.333, 15.0),
-)
-_VLP_32C_OFFSETS = (
-    *(-1.4, 1.4, -1.4, 1.4, -1.4, 1.4, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4),
-    *(1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -4.2, -1.4, 1.4, 4.2, -1.4, 1.4, -1.4, 1.4, -1.4, 1.4),
-)
-# A second one 0.119 m below the first and upside down, as on the cars of Argoverse 2: its elevations and
-# offsets change their signs. In order of elevation, the upper sensor first where both have the same.
-_UPPER = [(e, 0, a) for e, a in zip(_VLP_32C, _VLP_32C_OFFSETS, strict=True)]
-_PAIR = sorted(_UPPER + [(-e, 1, -a) for e, _, a in _UPPER])
-# Velodyne VLS-128 (Alpha Prime): 0.11 degrees apart between -6.5 and +4.83.
-_VLS_128 = (
-    *(-25.0, -19.582, -16.042, -13.565, -11.742, -10.346, -9.244, -8.352, -7.65, -7.15, -6.85, -6.65, -6.5),
-    *(round(-6.39 + 0.11 * k, 2) for k in range(103)),
-    *(4.98, 5.18, 5.43, 5.73, 6.08, 6.48, 6.98, 7.58, 8.43, 9.7, 11.75, 15.0),
-)
-
-# Elevations and azimuth offsets [deg], the step between columns [rad], and what differs from the defaults.
-_MODELS: dict[str, tuple[Sequence[float], Sequence[float], float, dict[str, Any]]] = {
-    "vlp-32c": (_VLP_32C, _VLP_32C_OFFSETS, math.radians(0.2), {}),
-    "dual-vlp-32c": ([e for e, _, _ in _PAIR], [a for _, _, a in _PAIR], math.radians(0.2),
-        {"origins": tuple((0.0, 0.0, -0.119 * lower) for _, lower, _ in _PAIR), "height": 2.0}),
-    "hdl-32e": (_evenly(-30.67, 10.67, 32), [0.0] * 32, 2 * math.pi / 1085,
-        {"rate": 20.0, "range_max": 100.0, "reach": 165.0, "range_noise": 0.004, "range_step": 0.002}),
-    "hdl-64e": ([*_evenly(-24.33, -8.83, 32), *_evenly(-8.33, 2.0, 32)], [-3.5, 3.5] * 32, 2 * math.pi / 2083,
-        {"range_min": 0.9, "range_max": 120.0, "reach": 180.0, "range_noise": 0.008, "range_step": 0.002,
-         "divergence": 0.002, "height": 1.73}),
-    "vls-128": (_VLS_128, [0.0] * 128, math.radians(0.2), {"range_max": 245.0, "reach": 305.0, "range_noise": 0.008}),
-    "os1-64": (_evenly(-22.5, 22.5, 64), [3.16, 1.05, -1.05, -3.16] * 16, 2 * math.pi / 1024,
-        {"range_max": 120.0, "reach": 165.0, "range_noise": 0.012, "range_step": 0.003, "divergence": 0.0023}),
-}  # fmt: skip
-
 LIDARS = {
     name: LidarSpec(name, _radians(elevations), _radians(offsets), step, **others)
-    for name, (elevations, offsets, step, others) in _MODELS.items()
+    for name, (elevations, offsets, step, others) in PATTERNS.items()
 }

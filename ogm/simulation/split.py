@@ -22,6 +22,7 @@ FACTS = (
     *_POSES,
     *("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "rain", "fog", "wet"),
 )
+UNMEASURED = 65535  # range of a beam that was not measured, in data sets that may have such
 
 
 class Damaged(OgmError):
@@ -32,11 +33,15 @@ class Split(Sequence[SimulatedSample]):
     """The samples of one part of a data set.
 
     ``split[i]`` reads sample i; ``len(split)`` is the number planned, of which `finished` can be read. May be
-    pickled and used by several processes at once. Old data sets have no `heights`.
+    pickled and used by several processes at once. Old data sets have no `heights`; only those of recipes have `gaps`:
+    beams that were not measured, and one more fact.
     """
 
-    def __init__(self, path: Path, name: str, count: int, beams: Sequence[Beams], heights: bool = True) -> None:
-        self.path, self.name, self.beams, self.heights = path, name, tuple(beams), heights
+    def __init__(
+        self, path: Path, name: str, count: int, beams: Sequence[Beams], *, heights: bool = True, gaps: bool = False
+    ) -> None:
+        self.path, self.name, self.beams, self.heights, self.gaps = path, name, tuple(beams), heights, gaps
+        self.columns = facts_of(gaps)
         self._count = count
         self._arrays: dict[str, Any] = {}
         self._small: dict[tuple[str, int], NDArray[Any]] = {}
@@ -77,7 +82,7 @@ class Split(Sequence[SimulatedSample]):
             raise ValueError(
                 f"sample {i} of {self.name} has not been made yet: go on with `ogm simulate {self.path} --resume`"
             )
-        value = dict(zip(FACTS, row.tolist(), strict=True))
+        value = dict(zip(self.columns, row.tolist(), strict=True))
         lidar, count = value["lidar"], value["objects"]
         if not (0 <= lidar < len(self.beams) and 0 <= count <= OBJECTS and np.isfinite(value["scenario"])):
             raise self._damaged("facts", i, "it has impossible numbers")
@@ -87,20 +92,24 @@ class Split(Sequence[SimulatedSample]):
         poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
         rows = self._shard("objects", i // SHARD)[i % SHARD, : int(count)]
         image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
+        measured = image[0] != UNMEASURED if self.gaps else None
+        if measured is not None:
+            image[0] = np.where(measured, image[0], np.uint16(0))
         heights = self._read("heights", i) if self.heights else None
         truth = Truth(TRUTH_SPEC, self._read("truth", i), heights if heights is not None and heights.any() else None)
         objects = unstructured_to_structured(rows, OBJECT)
         velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
         arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
-        weather = Weather(value["rain"], value["fog"], value["wet"])
+        weather = Weather(value["rain"], value["fog"], value["wet"], value.get("dust", 0.0))
         facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
+        facts["measured"] = measured
         return SimulatedSample(beams, *arrays, **facts)
 
     @property
     def facts(self) -> NDArray[np.float64]:
-        """What is known of every sample beside its arrays, (n, columns `FACTS`); zeros where it is not made."""
+        """What is known of every sample beside its arrays, (n, `columns`); zeros where it is not made."""
         shards = [self._shard("facts", shard) for shard in range(-(-len(self) // SHARD))]
-        return np.concatenate([np.zeros((0, len(FACTS))), *shards])
+        return np.concatenate([np.zeros((0, len(self.columns))), *shards])
 
     @property
     def finished(self) -> NDArray[np.int64]:
@@ -121,7 +130,7 @@ class Split(Sequence[SimulatedSample]):
         """Open an array, once, and check that it is as `_grow` makes it."""
         if name not in self._arrays:
             path = self.path / self.name / name
-            array, (shape, kind) = open_array(path), array_layout(self.beams)[name]
+            array, (shape, kind) = open_array(path), array_layout(self.beams, self.gaps)[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
                 raise not_whole(f"{path} holds {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
             self._arrays[name] = array
@@ -131,7 +140,7 @@ class Split(Sequence[SimulatedSample]):
         array, first = self._array(name), index if isinstance(index, int) else index.start
         if not shard_file(self.path / self.name, name, first // SHARD).exists():
             if name == "facts":
-                return np.zeros((index.stop - first, len(FACTS)))  # not made yet
+                return np.zeros((index.stop - first, len(self.columns)))  # not made yet
             raise self._damaged(name, first, "a file is missing")
         try:
             return array[index]
@@ -146,7 +155,12 @@ class Split(Sequence[SimulatedSample]):
         )
 
 
-def array_layout(beams: Sequence[Beams]) -> dict[str, tuple[tuple[int, ...], str]]:
+def facts_of(gaps: bool) -> tuple[str, ...]:
+    """Return the columns of the facts, with or without what only data sets of recipes have."""
+    return (*FACTS, "dust") if gaps else FACTS
+
+
+def array_layout(beams: Sequence[Beams], gaps: bool = False) -> dict[str, tuple[tuple[int, ...], str]]:
     """Return the shape and the type of a sample in each array, with space for the lidar that has most rays."""
     rays = max((one.shape[0] * one.shape[1] for one in beams), default=0)
     return {
@@ -155,7 +169,7 @@ def array_layout(beams: Sequence[Beams]) -> dict[str, tuple[tuple[int, ...], str
         "truth": (TRUTH_SPEC.shape, "uint8"),
         "heights": (TRUTH_SPEC.shape, "uint8"),
         "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
-        "facts": ((len(FACTS),), "float64"),
+        "facts": ((len(facts_of(gaps)),), "float64"),
     }
 
 

@@ -23,6 +23,9 @@ Layout of a split, for n samples:
     Columns named by the split's attribute ``facts``: poses, velocities, the lidar's number, weather. A shard's
     facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
 
+Data sets of recipes have the format ogm.samples/4: a range of 65535 steps is a beam that was not measured, neither a
+point nor a beam without echo, and the facts have one more column, dust.
+
 The attributes of the root group hold the format, the plan that the samples were made by, the lidars, and the
 versions of the libraries that made them; no date and no machine, so that the same plan gives the same bytes.
 """
@@ -37,15 +40,29 @@ from typing import Any
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
+from numpy.typing import NDArray
 
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.split import FACTS, OBJECTS, SHARD, Damaged, Split, array_layout, load_zarr, open_array, shard_file
+from ogm.simulation.split import (
+    FACTS,
+    OBJECTS,
+    SHARD,
+    UNMEASURED,
+    Damaged,
+    Split,
+    array_layout,
+    facts_of,
+    load_zarr,
+    open_array,
+    shard_file,
+)
 from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
 
 FORMAT = "ogm.samples/3"
 OLDER = "ogm.samples/2"  # without heights: is read, but not written
+GAPS = "ogm.samples/4"  # of recipes: some beams were not measured
 BEGUN = "ogm.samples/begun"  # format of a data set until all its arrays are created
 MOST = 1_000_000  # samples of a split
 _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four times as long
@@ -89,9 +106,9 @@ class Store:
             raise FileNotFoundError(
                 f"{path} holds no data set yet: making it was stopped at once; `ogm simulate {path}` begins again"
             )
-        if found not in (FORMAT, OLDER):
+        if found not in (FORMAT, GAPS, OLDER):
             raise ValueError(
-                f"{path} has the format {found}, this version of ogm reads {FORMAT}; "
+                f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}; "
                 "make the data set anew, or use the version that made it"
             )
         try:
@@ -146,7 +163,7 @@ class Store:
             raise ValueError(f"{path} is a file; give a new or empty folder")
         if cls.exists(path):
             before = cls.open(path)
-            if before.format != FORMAT:
+            if before.format == OLDER:
                 raise ValueError(
                     f"{path} has the format {before.format}, which this version of ogm reads but does not write: give "
                     "a new folder, or use the version that made it"
@@ -166,17 +183,25 @@ class Store:
                 raise ValueError(f"{path} holds other files; give a new or empty folder")
             path.mkdir(parents=True, exist_ok=True)
             root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
+        gaps = bool(plan.get("recipe"))
         for name, count in counts.items():
-            _grow(root, name, count, beams)
+            _grow(root, name, count, beams, gaps)
         # Last: until then it is no data set, and is begun again.
-        made = {"format": FORMAT, "plan": dict(plan), "splits": counts, "lidars": [asdict(one) for one in beams]}
+        made = {
+            "format": GAPS if gaps else FORMAT,
+            "plan": dict(plan),
+            "splits": counts,
+            "lidars": [asdict(one) for one in beams],
+        }
         root.attrs.put(made | {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)})
         return cls.open(path)
 
     def __getitem__(self, split: str) -> Split:
         if split not in self.counts:
             raise KeyError(f"{self.path} has no split {split!r}; it has {', '.join(self.counts)}")
-        return Split(self.path, split, self.counts[split], self.beams, heights=self.format == FORMAT)
+        return Split(
+            self.path, split, self.counts[split], self.beams, heights=self.format != OLDER, gaps=self.format == GAPS
+        )
 
     def write(self, split: str, shard: int, samples: Sequence[SimulatedSample]) -> int:
         """Write one shard: samples ``shard * SHARD`` and those that follow, all that the split has of it.
@@ -199,17 +224,18 @@ class Store:
         if [one.index for one in samples] != list(range(first, first + wanted)):
             raise ValueError(f"shard {shard} of {split} wants samples {first} to {first + wanted - 1}")
         numbers = {one: k for k, one in enumerate(self.beams)}
-        layout = array_layout(self.beams)
+        gaps = self.format == GAPS
+        layout = array_layout(self.beams, gaps)
         columns = {array: np.zeros((wanted, *shape), kind) for array, (shape, kind) in layout.items()}
         for k, one in enumerate(samples):
             rows = one.objects[:OBJECTS]
-            columns["steps"][k, : one.steps.size] = one.steps.ravel()
+            columns["steps"][k, : one.steps.size] = self._steps(one).ravel()
             columns["intensities"][k, : one.steps.size] = np.where(one.steps > 0, one.intensities, 0).ravel()
             columns["truth"][k] = one.truth.state
             if one.truth.height_cm is not None:
                 columns["heights"][k] = one.truth.height_cm
             columns["objects"][k, : len(rows)] = structured_to_unstructured(rows, np.float32)
-            columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))
+            columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))[: layout["facts"][0][0]]
         files = [shard_file(self.path / split, name, shard) for name in columns]
         for file in reversed(files):  # the facts first: until they are written again, the shard is not made
             file.unlink(missing_ok=True)
@@ -217,6 +243,14 @@ class Store:
             with load_zarr().config.set({"array.write_empty_chunks": True}):
                 open_array(self.path / split / name, "r+")[first : first + wanted] = values
         return sum(file.stat().st_size for file in files)
+
+    def _steps(self, sample: SimulatedSample) -> NDArray[np.uint16]:
+        """Return a range image as it is kept."""
+        if sample.measured is None:
+            return sample.steps
+        if self.format != GAPS:
+            raise ValueError(f"{self.path} has the format {self.format}, which keeps no beams that were not measured")
+        return np.where(sample.measured, sample.steps, np.uint16(UNMEASURED))
 
     def sweep(self) -> None:
         """Remove what a killed writer left behind. No process may be writing."""
@@ -254,12 +288,12 @@ def _counts(splits: Mapping[str, int]) -> dict[str, int]:
     return dict(splits)
 
 
-def _grow(root: Any, name: str, count: int, beams: Sequence[Beams]) -> None:
+def _grow(root: Any, name: str, count: int, beams: Sequence[Beams], gaps: bool) -> None:
     """Make the arrays of a split, or lengthen them."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
     group = root.require_group(name)
-    for array, (shape, kind) in array_layout(beams).items():
+    for array, (shape, kind) in array_layout(beams, gaps).items():
         if array in group:
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))
@@ -276,7 +310,7 @@ def _grow(root: Any, name: str, count: int, beams: Sequence[Beams]) -> None:
             filters=None,
             fill_value=0,
         )
-    group.attrs.put({"facts": list(FACTS), "objects": list(OBJECT.names or ())})
+    group.attrs.put({"facts": list(facts_of(gaps)), "objects": list(OBJECT.names or ())})
 
 
 def _facts(sample: SimulatedSample, lidar: int, objects: int) -> list[float]:

@@ -13,15 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import binary_dilation
 
+from ogm.jit import kernel
 from ogm.scan import Boxes
-from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions
+from ogm.simulation.cells import AIMS, Aim, Below, aimed_directions, steep_cells
 from ogm.simulation.materials import GROUND, Material
 from ogm.simulation.scene import Scene
+from ogm.simulation.visibility import View, in_view, lose_sight
 from ogm.state import Truth
 from ogm.truth import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, finalize_truth
 from ogm.truth.rays import observe_rays
 
-__all__ = ["KINDS", "Known", "aimed_truth", "hd_truth"]
+__all__ = ["KINDS", "Known", "Limits", "aimed_truth", "hd_truth"]
 
 BATCH = 2**19  # rays per call: their hits stay small, however many rays there are
 
@@ -50,8 +52,32 @@ class Known(NamedTuple):
 _NOTHING = Known()
 
 
+class Limits(NamedTuple):
+    """What is asked beyond geometry: where the scan can see at all, and which ground is too steep to drive on.
+
+    Attributes
+    ----------
+    view : View, optional
+        Cells that no ray of the scan could tell stay unknown.
+    steepest : float
+        Ground that rises or falls more (height over run) counts as an obstacle as high as it rises over three cells.
+    """
+
+    view: View | None = None
+    steepest: float = np.inf
+
+
+UNLIMITED = Limits()
+
+
 def hd_truth(
-    scene: Scene, below: Below, directions: NDArray[np.float32], known: Known = _NOTHING, *, salt: int = 0
+    scene: Scene,
+    below: Below,
+    directions: NDArray[np.float32],
+    known: Known = _NOTHING,
+    *,
+    salt: int = 0,
+    limits: Limits = UNLIMITED,
 ) -> Truth:
     """Observe the truth with an HD lidar.
 
@@ -69,14 +95,21 @@ def hd_truth(
     known : Known
     salt : int
         Decides which rays pass through glass, as in `Scene.cast`.
+    limits : Limits
     """
-    observer = _Observer(scene, below, salt)
+    observer = _Observer(scene, below, salt, limits)
     observer.cast(directions.reshape(-1, 3))
     return observer.truth(known)
 
 
 def aimed_truth(
-    scene: Scene, below: Below, elevations: tuple[float, float], known: Known = _NOTHING, *, salt: int = 0
+    scene: Scene,
+    below: Below,
+    elevations: tuple[float, float],
+    known: Known = _NOTHING,
+    *,
+    salt: int = 0,
+    limits: Limits = UNLIMITED,
 ) -> Truth:
     """Observe the truth with rays aimed at every cell.
 
@@ -93,7 +126,7 @@ def aimed_truth(
     """
     if not -np.pi / 2 <= elevations[0] < elevations[1] <= np.pi / 2:
         raise ValueError(f"elevations must be the lowest and the highest [rad], got {elevations}")
-    observer = _Observer(scene, below, salt)
+    observer = _Observer(scene, below, salt, limits)
     seen, spec = observer.seen, below.spec
 
     def cast(aim: Aim, chosen: NDArray[np.bool_], z: NDArray[np.float32] = below.z) -> None:
@@ -124,20 +157,30 @@ def _with_neighbours(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 class _Observer:
     """Casts rays from one pose and notes the cells that they find ground or obstacles in."""
 
-    def __init__(self, scene: Scene, below: Below, salt: int) -> None:
-        self.scene, self.below, self.salt = scene, below, salt
+    def __init__(self, scene: Scene, below: Below, salt: int, limits: Limits) -> None:
+        self.scene, self.below, self.salt, self.view = scene, below, salt, limits.view
+        self._rise, self._steep = below.rise, None
+        if limits.steepest < np.inf:
+            self._steep, climb = steep_cells(below, limits.steepest)
+            self._rise = np.where(self._steep, np.maximum(climb, below.rise), below.rise)
         self.seen = np.zeros(below.spec.shape, np.uint8)
         self.highest = np.zeros(below.spec.shape, np.float32)  # [m] of the obstacle hits in each cell
         self._number = 0  # rays so far
 
     def cast(self, directions: NDArray[np.float32]) -> None:
         """Cast rays (N, 3), batch by batch."""
-        _, ground, rise, spec, T = self.below
+        _, ground, _, spec, T = self.below
+        if self.view is not None:
+            directions = directions[in_view(directions, self.view)]
         for start in range(0, len(directions), BATCH):
             part = directions[start : start + BATCH]
             hits = self.scene.cast(T, part, salt=self.salt, number=self._number + start)
-            found = hits.distance, part, KINDS[hits.material]
-            observe_rays(self.seen, self.highest, *found, ground, rise, spec)
+            kinds = KINDS[hits.material]
+            if self.view is not None:
+                lose_sight(hits.distance, part, kinds == Kind.GROUND, self.view)
+            if self._steep is not None:
+                _steep_is_step(kinds, hits.distance, part, self._steep, (spec.resolution, *spec.origin))
+            observe_rays(self.seen, self.highest, hits.distance, part, kinds, ground, self._rise, spec)
         self._number += len(directions)
 
     def truth(self, known: Known) -> Truth:
@@ -147,3 +190,17 @@ class _Observer:
         return finalize_truth(
             self.seen, spec, boxes=boxes, returns=returns, unobserved=ego, beyond=beyond, highest=self.highest
         )
+
+
+@kernel
+def _steep_is_step(kinds, distance, directions, steep, grid):  # type: ignore[no-untyped-def]
+    """Turn hits of ground (N,) in steep cells into hits of a step."""
+    resolution, x0, y0 = grid
+    for i in range(len(kinds)):
+        d = np.float64(distance[i])
+        if kinds[i] != 0 or not d < 1e6:  # Kind.GROUND
+            continue
+        u = (d * directions[i, 0] - x0) / resolution
+        v = (d * directions[i, 1] - y0) / resolution
+        if u >= 0 and v >= 0 and u < steep.shape[0] and v < steep.shape[1] and steep[int(u), int(v)]:
+            kinds[i] = 3  # Kind.STEP

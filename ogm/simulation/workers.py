@@ -169,7 +169,7 @@ class _Work(NamedTuple):
             sample = self._sample(job, first)
             seconds = time.perf_counter() - start
             with tempfile.TemporaryDirectory() as folder:
-                trial = Store.create(Path(folder) / "trial", {}, {job.split: first + 1}, beams, {})
+                trial = Store.create(Path(folder) / "trial", asdict(self.plan), {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
             rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
             shares = [mount.share for mount in self.plan.mounts]

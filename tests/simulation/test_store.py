@@ -16,7 +16,7 @@ import pytest
 from ogm.simulation import store as store_module
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import OBJECTS
-from ogm.simulation.store import FORMAT, OLDER, SHARD, Damaged, Store
+from ogm.simulation.store import FORMAT, GAPS, OLDER, SHARD, Damaged, Store
 
 Make = Callable[..., SimulatedSample]
 
@@ -58,6 +58,31 @@ def test_data_sets_without_heights_are_read_but_do_not_grow(store: Store, beams:
     np.testing.assert_array_equal(old.state, new.state)
     with pytest.raises(ValueError, match="format ogm.samples/2, which .* does not write: give a new folder"):
         Store.create(store.path, {"seed": 7}, {"training": 23, "validation": 4}, beams, {"ogm": "0"})
+
+
+def test_data_sets_of_recipes_keep_which_beams_were_measured(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make
+) -> None:
+    store = Store.create(tmp_path / "data", {"recipe": "gen2"}, {"training": 3}, beams, {})
+    made = []
+    for i in range(3):
+        one = make_sample(None, "training", i)
+        measured = np.random.default_rng(i).random(one.steps.shape) < (0.6, 1.0, 0.0)[i]
+        steps = np.minimum(np.where(measured, one.steps, 0), 65534).astype(np.uint16)
+        intensities = np.where(steps > 0, one.intensities, 0).astype(np.uint8)
+        weather = one.weather._replace(dust=0.1 * i)
+        made.append(replace(one, steps=steps, intensities=intensities, measured=measured, weather=weather))
+    store.write("training", 0, made)
+    again = Store.open(store.path)
+    assert again.format == GAPS
+    for one, other in zip(again["training"], made, strict=True):
+        assert_same(one, other)
+        np.testing.assert_array_equal(one.measured, other.measured)
+        assert other.measured is not None
+        assert len(one.points) + len(one.no_returns) == other.measured.sum()
+    assert again["training"].facts.shape == (3, 37)
+    grown = Store.create(store.path, {"recipe": "gen2"}, {"training": 5}, beams, {})
+    assert_same(grown["training"][2], made[2])
 
 
 def test_heights_that_are_not_known_are_not_zero(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> None:
@@ -187,10 +212,10 @@ def test_what_a_killed_create_left_is_begun_again(
     path = tmp_path / "begun"
     grow = store_module._grow
 
-    def killed(root: object, name: str, count: int, beams: tuple) -> None:
+    def killed(root: object, name: str, *arguments: object) -> None:
         if name == "test":
             raise KeyboardInterrupt
-        grow(root, name, count, beams)
+        grow(root, name, *arguments)
 
     monkeypatch.setattr(store_module, "_grow", killed)
     with pytest.raises(KeyboardInterrupt):

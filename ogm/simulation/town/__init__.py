@@ -1,13 +1,17 @@
 """Towns, drawn by a seed: streets and lanes, ground with hills and kerbs, houses, trees and street furniture."""
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
 from shapely import Polygon
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.mesh import Mesh, merge
+from ogm.simulation.recipe import Country
+from ogm.simulation.town.country import CountryBank, lay_fields, turn_rural
 from ogm.simulation.town.furnish import furnish
 from ogm.simulation.town.ground import cover, height_raster, surface
 from ogm.simulation.town.lanes import RING, Draft, Lane, make_lanes
@@ -17,7 +21,7 @@ from ogm.simulation.town.network import StreetNetwork, make_network
 from ogm.simulation.town.terrain import Raster, make_terrain, raised
 from ogm.simulation.town.trips import SHORTEST, round_trip
 
-__all__ = ["Lane", "Town", "build_town"]
+__all__ = ["Country", "Lane", "Town", "build_town"]
 
 HEIGHT_STEP = 0.25  # [m] of the raster of ground heights
 ATTEMPTS = 20  # draws of streets
@@ -76,7 +80,7 @@ class Town:
         return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
 
 
-def build_town(seed: int, size: float = 480.0) -> Town:
+def build_town(seed: int, size: float = 480.0, country: Country | None = None) -> Town:
     """Build the town that belongs to a seed.
 
     Parameters
@@ -86,6 +90,8 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     size : float
         Edge of the square that the streets fill [m], 240 to 1000; the ground reaches 25 m beyond it, and from
         every lane at least 50 m.
+    country : Country, optional
+        Numbers of the country that part of the town is turned to: banks, ditches and fields instead of houses.
 
     Raises
     ------
@@ -98,14 +104,19 @@ def build_town(seed: int, size: float = 480.0) -> Town:
         raise ValueError(f"size must be {SMALLEST:g} to {LARGEST:g} m (space for streets), got {size!r}")
     size = float(size)
     draws = [np.random.default_rng([int(seed), k]) for k in range(6)]
-    network, draft, loops = _streets(int(seed), size)
+    network, draft, loops = _streets(int(seed), size, country)
     extent = size + 2 * APRON
     plan = make_plan(extent, network, draft, draws[1])
     lots = fill_blocks(plan, draws[4])
-    terrain = make_terrain(plan, draws[2])
+    terrain, fields = make_terrain(plan, draws[2]), []
+    if country is not None:
+        rng = np.random.default_rng([int(seed), 7])
+        fields = lay_fields(plan, shapely.union_all([lot.shape for lot in lots]), country, rng)
+        if fields:
+            terrain = terrain._replace(bank=CountryBank(terrain.bank, fields, plan, rng))
     ground, kerbs = cover(plan, terrain)
     raster = height_raster(surface(ground), extent, HEIGHT_STEP)
-    things = furnish(plan, lots, raster, draws[5])
+    things = furnish(plan, lots, raster, draws[5], fields)
     bays = np.array([(*b.at, b.yaw, b.length, b.width) for b in plan.bays]).reshape(-1, 5)
     return Town(
         seed=int(seed),
@@ -124,10 +135,12 @@ def build_town(seed: int, size: float = 480.0) -> Town:
     )
 
 
-def _streets(seed: int, size: float) -> tuple[StreetNetwork, Draft, list[tuple[int, ...]]]:
+def _streets(seed: int, size: float, country: Country | None) -> tuple[StreetNetwork, Draft, list[tuple[int, ...]]]:
     """Draw streets until round trips both ways are found, as at the first try nearly always."""
     for attempt in range(ATTEMPTS):
-        network = make_network(size, np.random.default_rng([seed, 0, attempt]))
+        rng = np.random.default_rng([seed, 6, attempt])
+        rural = None if country is None else partial(turn_rural, country=country, rng=rng)
+        network = make_network(size, np.random.default_rng([seed, 0, attempt]), rural)
         draft = make_lanes(network)
         shows = [_sight(network, draft, k) for k in range(len(draft.lanes))]
         worth = [_worth(show) for show in shows]
@@ -144,6 +157,8 @@ def _streets(seed: int, size: float) -> tuple[StreetNetwork, Draft, list[tuple[i
 def _worth(show: str) -> float:
     """Return the worth of a metre of a trip: most streets of a trip run between houses."""
     kind, _, district = show.partition(" ")
+    if kind == "country":
+        return 1.4
     if kind == "arterial" or district in ("industrial", "park"):
         return 0.1
     return 1.4 if district == "centre" else 1.0

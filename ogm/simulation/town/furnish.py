@@ -1,5 +1,6 @@
 """Stand houses, trees and street furniture on the ground."""
 
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
@@ -7,6 +8,7 @@ import shapely
 import shapely.ops
 from numpy.random import Generator
 from shapely import LineString
+from shapely.geometry.base import BaseGeometry
 
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
@@ -14,6 +16,7 @@ from ogm.simulation.mesh import Mesh
 from ogm.simulation.town import fences, plants, structures
 from ogm.simulation.town import furniture as f
 from ogm.simulation.town.buildings import building
+from ogm.simulation.town.country import CountryField, plant_fields
 from ogm.simulation.town.layout import TownLayout
 from ogm.simulation.town.lots import Lot
 from ogm.simulation.town.network import Street
@@ -39,7 +42,9 @@ PIECES: dict[str, Wanted] = {
 }  # fmt: skip
 
 
-def furnish(plan: TownLayout, lots: list[Lot], height: Raster, rng: Generator) -> list[Mesh]:
+def furnish(
+    plan: TownLayout, lots: list[Lot], height: Raster, rng: Generator, fields: Sequence[CountryField] = ()
+) -> list[Mesh]:
     """Return everything that stands on the ground of a town."""
     yard = Yard(plan, [house for lot in lots for house in lot.houses], height, rng)
     for lot in lots:
@@ -51,7 +56,8 @@ def furnish(plan: TownLayout, lots: list[Lot], height: Raster, rng: Generator) -
     for lot in lots:
         _lot(lot, yard)
     _islands(plan, yard)
-    _woods(plan, lots, yard)
+    _woods(plan, [lot.shape for lot in lots] + [field.land for field in fields], yard)
+    plant_fields(fields, yard)
     return yard.meshes
 
 
@@ -90,6 +96,11 @@ def _stand(
 def _trees_and_lamps(yard: Yard, street: Street, side: int, begin: float, end: float) -> None:
     """Stand trees in the verge, or in pits in a wide sidewalk, and lamps."""
     profile, rng = street.profile, yard.rng
+    if profile.kind == "country":
+        if rng.random() < 0.3:
+            for at in np.arange(begin + 3, end - 3, rng.uniform(8, 20)):
+                _stand(yard, street, side, lambda _: yard.pick(yard.tall), at, 0.7, 0.4, rng.uniform(0, 6))
+        return
     behind = profile.verge / 2 if profile.verge > 0 else 0.9
     walk = profile.sidewalk[0 if side < 0 else 1]
     if profile.verge > 0 or (walk >= 2.4 and rng.random() < 0.6):
@@ -106,6 +117,8 @@ def _trees_and_lamps(yard: Yard, street: Street, side: int, begin: float, end: f
 def _pieces_beside(street: Street, walk: float, busy: bool, yard: Yard) -> list[tuple[Maker, float, float, float]]:
     """Return pieces beside a street: how many for 100 m, how far behind the kerb, radius [m]."""
     verge, centre = street.profile.verge, street.district == "centre"
+    if street.profile.kind == "country":
+        return [(f.sign, 1.0, 0.4, 0.2), (lambda _: yard.pick(yard.bushes), 1.0, 1.0, 0.4)]
     back = verge + walk - 0.45
     return [
         (f.sign, 2.0, 0.5, 0.2),
@@ -132,7 +145,7 @@ def _rows(yard: Yard, street: Street, side: int, begin: float, end: float) -> No
         bollard = f.bollard(rng)
         for at in np.arange(start, min(end, start + rng.uniform(8, 30)), rng.uniform(1.4, 2.2)):
             _stand(yard, street, side, lambda _: bollard, at, 0.35, 0.1)
-    if profile.kind == "arterial" and end - begin > 40 and rng.random() < 0.6:
+    if profile.kind in ("arterial", "country") and end - begin > 40 and rng.random() < 0.6:
         start = rng.uniform(begin + 4, end - 30)
         way = np.arange(start, min(start + rng.uniform(16, 60), end - 2), 2.0)
         edge = profile.right if side < 0 else profile.left
@@ -268,9 +281,9 @@ def _islands(plan: TownLayout, yard: Yard) -> None:
         yard.pieces(island.buffer(-0.3), PIECES["island"])
 
 
-def _woods(plan: TownLayout, lots: list[Lot], yard: Yard) -> None:
+def _woods(plan: TownLayout, taken: list[BaseGeometry], yard: Yard) -> None:
     """Plant what is left of the blocks."""
-    used = shapely.union_all([lot.shape for lot in lots]).buffer(0.5)
+    used = shapely.union_all(taken).buffer(0.5)
     rest = shapely.union_all([block.shape for block in plan.blocks]).difference(used)
     inner = shapely.box(*(np.array([-1, -1, 1, 1]) * (plan.size / 2 - 30.0)))
     near = shapely.intersection(rest, inner)

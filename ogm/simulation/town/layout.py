@@ -214,6 +214,8 @@ def _verges(plan: TownLayout, k: int, street: Street) -> None:
     if profile.verge <= 0 or end - start < 6:
         return
     for right, left in ((-profile.right - profile.verge, -profile.right), (profile.left, profile.left + profile.verge)):
+        if profile.kind == "country":  # no sidewalk, grass up to the road
+            right, left = right - (right < 0) * profile.sidewalk[0], left + (right > 0) * profile.sidewalk[1]
         band = shapely.difference(street.band(start, end, right, left).buffer(0), plan.road)
         plan.pave(band, M.GRASS if profile.kind != "industrial" else M.SOIL)
 

@@ -76,7 +76,7 @@ def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:
             continue
         ground = {"centre": M.PAVING, "suburb": M.GRASS, "industrial": M.WORN_ASPHALT}
         if _inside(plan, block):
-            plan.pave(block.shape, ground[block.style])
+            plan.pave(block.shape, ground.get(block.style, M.GRASS))
             if block.style == "centre":  # courts behind the houses
                 plan.pave(block.shape.buffer(-22.0), M.GRAVEL if rng.random() < 0.3 else M.GRASS)
         lots += _along(plan, block, k == square, rng)
@@ -98,6 +98,8 @@ def _along(plan: TownLayout, block: Block, square: bool, rng: Generator) -> list
         middle = (a + b) / 2
         near = int(np.argmin(shapely.distance(streets, shapely.points(middle))))
         style = network.grid.district(middle)
+        if style == "country":
+            continue
         street = network.streets[near]
         if style == "park":
             style = "suburb"

@@ -1,5 +1,6 @@
 """The street network in the plane: crossings on a curved grid, streets between them, what each street is like."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
 from ogm.simulation.town.graph import MARGIN, Grid, bent_grid, broad_line, chains_of, dead_ends, grid_edges, thinned
 
+Rural = Callable[[tuple[str, ...], Floats], tuple[str, ...]]  # of districts and the middles of their meshes
 SPACING = 96.0  # [m] between parallel streets, about
 
 
@@ -64,6 +66,7 @@ _FIELDS = (
     Profile("narrow", 1, 0, 3.3, 8.3, 0.0, 0.0, (2.1, 2.1), 0.0, (1.8, 2.0), M.WORN_ASPHALT, 0.11),
     Profile("industrial", 1, 1, 3.6, 13.9, 0.0, 0.0, (2.6, 0.0), 1.4, (1.8, 1.5), M.WORN_ASPHALT, 0.15),
     Profile("lane", 1, 1, 2.8, 5.6, 0.0, 0.0, (0.0, 2.0), 0.0, (1.5, 1.5), M.ASPHALT, 0.08),
+    Profile("country", 1, 1, 3.1, 16.7, 0.0, 0.0, (0.0, 0.0), 0.8, (0.7, 0.7), M.ASPHALT, 0.02),
 )
 PROFILES = {profile.kind: profile for profile in _FIELDS}
 
@@ -129,8 +132,8 @@ class StreetNetwork(NamedTuple):
     heads: list[int]  # nodes at which a dead end has space to turn
 
 
-def make_network(size: float, rng: Generator) -> StreetNetwork:
-    """Draw the streets of a town of `size` metres."""
+def make_network(size: float, rng: Generator, rural: Rural | None = None) -> StreetNetwork:
+    """Draw the streets of a town of `size` metres; `rural` turns some of its districts to country."""
     n = max(3, int((size - 2 * MARGIN) // SPACING) + 1)
     nodes = bent_grid(n, size, rng)
     edges = grid_edges(n)
@@ -138,6 +141,8 @@ def make_network(size: float, rng: Generator) -> StreetNetwork:
     at = nodes.reshape(n, n, 2)
     faces = (at[:-1, :-1] + at[1:, :-1] + at[:-1, 1:] + at[1:, 1:]).reshape(-1, 2) / 4
     styles = _districts(n - 1, faces, rng)
+    if rural is not None:
+        styles = rural(styles, faces)
     # A broad road, a roundabout, a dead end.
     broad = broad_line(n, int(rng.integers(4)))
     inner = [i * n + j for i in range(1, n - 1) for j in range(1, n - 1)]
@@ -198,6 +203,7 @@ _CHOICES = {
     "suburb": ["residential", "residential", "residential", "narrow", "green", "avenue"],
     "industrial": ["industrial"],
     "park": ["green", "avenue"],
+    "country": ["country"],
 }
 
 

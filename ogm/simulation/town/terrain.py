@@ -19,7 +19,8 @@ CROWN = 0.025  # slope across a road, from its middle to the kerbs
 CROWN_REACH = 4.0  # [m] farther from the kerb the road is level
 FIELD = 0.5  # [m] step of the rasters that heights are made of
 DROPPED = 0.02  # [m] height of a kerb that is let down
-UNEVEN = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4}  # [m] of the land in a district
+# [m] of the land in a district
+UNEVEN = {"centre": 0.1, "suburb": 0.5, "industrial": 0.15, "park": 1.4, "country": 0.9}
 STEEPEST = 0.068  # steepest grade of the hills; crown and bumps come on top
 
 
@@ -59,7 +60,7 @@ class Terrain(NamedTuple):
     waves: Floats  # (W, 4) wave numbers along x and y [rad/m], phase, amplitude [m]
     bowls: Floats  # (B, 4) x, y, radius, height of dips (< 0) and humps [m]
     crown: Raster
-    bank: Raster
+    bank: HeightAt
     kerb: Raster
 
     def base(self, x: Floats, y: Floats) -> Floats:

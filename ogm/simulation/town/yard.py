@@ -47,7 +47,7 @@ class Yard:
         parked = [bay.outline.buffer(0.25) for bay in plan.bays]
         self.blocked = shapely.union_all([shapely.buffer(h, 0.3) for h in houses] + plan.driveways + parked)
         self._walked = shapely.union_all([LineString(line) for line in plan.walkways])
-        self._half = size / 2
+        self.size, self._half = size, size / 2
         shapely.prepare(self.blocked)
         shapely.prepare(self._walked)
         self._places = np.zeros((0, 3))

@@ -1,0 +1,189 @@
+"""What a recipe does to a single scan: weather, motion, and beams that are missing."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from ogm.simulation.arrays import Floats
+from ogm.simulation.mounts import FULL_TURN
+from ogm.simulation.recipe import DataRecipe, Faults, Skies
+from ogm.simulation.sample import Beams, Weather
+
+__all__ = ["Conditions", "draw_conditions", "draw_weather", "layer_errors"]
+
+Mask = NDArray[np.bool_]
+DUST_REACH = 40.0  # [m] from the sensor, within which there are clouds of dust
+FAST = 3.0  # [m/s] what drives faster raises dust
+
+
+class Conditions(NamedTuple):
+    """How one scan is taken.
+
+    Attributes
+    ----------
+    weather : Weather
+    in_motion, intensity : bool
+        Whether the ego motion distorts it; whether it has intensities.
+    measured : (layers, columns) bool
+        Beams that were fired and reported: each gives a point or is a beam without echo.
+    hidden : (layers, columns) bool
+        Beams that see nothing but what is right before the sensor: without echo, if they are measured.
+    dust : (P, 5) float64
+        Balls of dust: x, y, z in the sensor's frame, radius [m], extinction in their middle [1/m], which falls to
+        nothing at their surface.
+    """
+
+    weather: Weather
+    in_motion: bool
+    intensity: bool
+    measured: Mask
+    hidden: Mask
+    dust: Floats
+
+    @property
+    def seeing(self) -> Mask:
+        """Beams that can see what is around."""
+        return self.measured & ~self.hidden
+
+
+def layer_errors(recipe: DataRecipe, lidar: str, layers: int, unit: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the errors of each layer of one unit of a lidar: elevation [rad], range [m]."""
+    size = recipe.calibration_of(lidar)
+    rng = np.random.default_rng([unit, layers, 1])
+    offset = rng.uniform(-size.offset, size.offset)
+    elevation, distance = np.clip(rng.standard_normal((2, layers)), -2, 2)
+    return tuple((offset + size.elevation * elevation).tolist()), tuple((size.range * distance).tolist())
+
+
+def draw_weather(bad: float, rng: Generator) -> Weather:
+    """Draw the weather without a recipe: clear, or, in a share `bad` of the scans, rain, fog or a road still wet."""
+    drawn, kind, strength = rng.random(3)
+    if drawn >= bad:
+        return Weather()
+    if kind < 0.4:
+        return Weather(rain=float(1 + 24 * strength), wet=1.0)
+    if kind < 0.7:
+        return Weather(fog=float(40 * 10**strength))
+    return Weather(wet=float(strength))
+
+
+def draw_conditions(recipe: DataRecipe, beams: Beams, view: float, movers: Floats, rng: Generator) -> Conditions:
+    """Draw how a scan is taken.
+
+    Parameters
+    ----------
+    recipe : DataRecipe
+    beams : Beams
+        Of the lidar.
+    view : float
+        `LidarMount.view` [rad].
+    movers : (K, 5) float64
+        What moves nearby: x, y, z of its lowest point [m] and its velocity along x and y [m/s], in the sensor's frame.
+    rng : Generator
+    """
+    in_motion, intensity = rng.random() < recipe.in_motion, rng.random() >= recipe.no_intensity
+    weather, dust = _weather(recipe.skies, movers, rng)
+    azimuth = np.array(beams.azimuth)[:, None] + beams.step * np.arange(beams.columns)
+    measured = _sector(recipe.faults, azimuth, view, rng)
+    hidden, left_out = _blocked(recipe.faults, azimuth, np.array(beams.elevation), rng)
+    measured &= ~_lost(recipe.faults, beams.columns, rng)
+    measured &= ~_dead(recipe.faults, len(beams.elevation), rng)[:, None]
+    if left_out:
+        measured &= ~hidden
+    return Conditions(weather, bool(in_motion), bool(intensity), measured, hidden, dust)
+
+
+def _log_uniform(pair: tuple[float, float], rng: Generator) -> float:
+    return float(np.exp(rng.uniform(*np.log(pair))))
+
+
+def _weather(skies: Skies, movers: Floats, rng: Generator) -> tuple[Weather, Floats]:
+    """Draw one kind of weather at most; clouds of dust, half of them behind what moves, are of several balls each."""
+    kind = float(rng.random())
+    ends = np.cumsum([skies.fog, skies.rain, skies.wet, skies.dust])
+    clear, none = Weather(), np.zeros((0, 5))
+    if kind < ends[0]:
+        return clear._replace(fog=_log_uniform(skies.visibility, rng)), none
+    if kind < ends[1]:
+        return clear._replace(rain=_log_uniform(skies.rate, rng), wet=1.0), none
+    if kind < ends[2]:
+        return clear._replace(wet=float(rng.uniform(0.2, 1.0))), none
+    if kind >= ends[3]:
+        return clear, none
+    extinction = _log_uniform(skies.dust_extinction, rng)
+    count = int(rng.integers(1, skies.dust_clouds + 1))
+    dust = []
+    speed = np.hypot(*movers[:, 3:].T) if len(movers) else np.zeros(0)
+    fast = movers[(speed > FAST) & (np.hypot(*movers[:, :2].T) < DUST_REACH)]
+    ground = float(np.median(movers[:, 2])) if len(movers) else -2.0
+    for _ in range(count):
+        radius = _log_uniform(skies.dust_radius, rng)
+        angle, away = rng.uniform(0, FULL_TURN), DUST_REACH * math.sqrt(rng.random())
+        at = np.array([away * math.cos(angle), away * math.sin(angle), ground])
+        if len(fast) and rng.random() < 0.5:
+            mover = fast[int(rng.integers(len(fast)))]
+            at = mover[:3] - np.append(mover[3:], 0.0) * rng.uniform(0.2, 1.5)
+        balls = np.empty((int(rng.integers(4, 9)), 5))
+        balls[:, :3] = at + radius * rng.normal(0.0, 1.0, (len(balls), 3)) * [0.6, 0.6, 0.3]
+        balls[:, 3] = radius * rng.uniform(0.4, 0.9, len(balls))
+        balls[:, 4] = extinction * rng.uniform(0.3, 1.0, len(balls))
+        dust.append(balls)
+    return clear._replace(dust=extinction), np.concatenate(dust)
+
+
+def _within(azimuth: Floats, middle: float, width: float) -> Mask:
+    """Return which azimuths lie in a sector [rad]."""
+    return np.asarray(np.abs((azimuth - middle + math.pi) % FULL_TURN - math.pi) <= width / 2)
+
+
+def _sector(faults: Faults, azimuth: Floats, view: float, rng: Generator) -> Mask:
+    """Draw which beams lie in the sector that is fired; half of the sectors look ahead."""
+    cut, ahead = rng.random() < faults.sector, rng.random() < 0.5
+    width, middle = rng.uniform(*faults.sector_width), rng.uniform(-math.pi, math.pi)
+    if view < FULL_TURN:
+        return _within(azimuth, 0.0, view)
+    return _within(azimuth, 0.0 if ahead else middle, width) if cut else np.ones(azimuth.shape, bool)
+
+
+def _blocked(faults: Faults, azimuth: Floats, elevation: Floats, rng: Generator) -> tuple[Mask, bool]:
+    """Draw which beams are hidden, and whether the driver leaves them out."""
+    hidden, left_out = np.zeros(azimuth.shape, bool), rng.random() < 0.5
+    if rng.random() >= faults.blocked:
+        return hidden, False
+    for _ in range(int(rng.integers(1, faults.blocked_views + 1))):
+        columns = _within(azimuth, rng.uniform(-math.pi, math.pi), _log_uniform(faults.blocked_width, rng))
+        top = rng.uniform(elevation[0], min(elevation[-1], 0.1)) if rng.random() < 0.5 else math.inf
+        hidden |= columns & (elevation <= top)[:, None]
+    return hidden, bool(left_out)
+
+
+def _lost(faults: Faults, columns: int, rng: Generator) -> Mask:
+    """Draw the columns whose packets are lost, (columns,): scattered, or one after the other."""
+    if rng.random() >= faults.lost:
+        return np.zeros(columns, bool)
+    packet = int(rng.integers(faults.packet[0], faults.packet[1] + 1))
+    count = -(-columns // packet)
+    lost = np.zeros(count, bool)
+    wanted = max(1, round(count * _log_uniform(faults.lost_packets, rng)))
+    if rng.random() < 0.5:
+        lost[rng.choice(count, wanted, replace=False)] = True
+    else:
+        lost[(int(rng.integers(count)) + np.arange(wanted)) % count] = True
+    return np.repeat(lost, packet)[:columns]
+
+
+def _dead(faults: Faults, layers: int, rng: Generator) -> Mask:
+    """Draw the layers that are dead, (layers,): scattered, or neighbours."""
+    dead = np.zeros(layers, bool)
+    if rng.random() >= faults.dead:
+        return dead
+    wanted = max(1, round(layers * _log_uniform(faults.dead_layers, rng)))
+    if rng.random() < 0.5:
+        dead[rng.choice(layers, wanted, replace=False)] = True
+    else:
+        first = int(rng.integers(layers - wanted + 1))
+        dead[first : first + wanted] = True
+    return dead

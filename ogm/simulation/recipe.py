@@ -1,0 +1,218 @@
+"""Recipes of data sets: frozen sets of numbers, by name.
+
+The default of `DatasetPlan` is the paper's recipe: clear weather, intact sensors. ``gen2`` holds what a sensor model
+meets beside that and must not be wrong about: other lidars and mounts, calibration errors, sectors, blocked views, lost
+packets, dead layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+from ogm.simulation.mounts import LidarMount
+
+__all__ = ["GEN2", "RECIPES", "LayerErrors", "Country", "Faults", "DataRecipe", "Skies"]
+
+
+@dataclass(frozen=True)
+class LayerErrors:
+    """How far the layers of a lidar are from where its data sheet has them; the same in all scans of one unit.
+
+    Parameters
+    ----------
+    elevation : float
+        Standard deviation of the error of each layer's elevation [rad], none beyond twice that.
+    offset : float
+        Largest error that all layers have in common [rad].
+    range : float
+        Standard deviation of the error of each layer's range [m], none beyond twice that.
+    """
+
+    elevation: float
+    offset: float
+    range: float
+
+
+@dataclass(frozen=True)
+class Country:
+    """The country around a town; pairs are the smallest and the largest.
+
+    Parameters
+    ----------
+    share
+        Of the meshes between streets that are country.
+    slope
+        Of banks and of the sides of ditches: height over run.
+    bank, ditch
+        Height of banks and depth of ditches [m].
+    shoulder
+        Level ground beside the road [m].
+    """
+
+    share: tuple[float, float] = (0.1, 0.7)
+    slope: tuple[float, float] = (0.2, 1.0)
+    bank: tuple[float, float] = (0.6, 3.0)
+    ditch: tuple[float, float] = (0.4, 1.4)
+    shoulder: tuple[float, float] = (0.3, 2.0)
+
+
+@dataclass(frozen=True)
+class Faults:
+    """Shares of the scans in which beams are missing, and how many; pairs are the smallest and the largest.
+
+    Parameters
+    ----------
+    sector, sector_width
+        Only a sector is fired or reported; its width [rad].
+    blocked, blocked_views, blocked_width
+        Something hides up to so many views, each so wide [rad]: half of them at all elevations, the others from
+        below. In half of such scans the driver leaves those beams out, in the others they come without echo.
+    lost, lost_packets, packet
+        Packets are lost, such a share of them; columns in a packet.
+    dead, dead_layers
+        Layers are dead, such a share of them.
+    """
+
+    sector: float
+    sector_width: tuple[float, float]
+    blocked: float
+    blocked_views: int
+    blocked_width: tuple[float, float]
+    lost: float
+    lost_packets: tuple[float, float]
+    packet: tuple[int, int]
+    dead: float
+    dead_layers: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Skies:
+    """Shares of the scans in bad weather, and how strong it is; all strengths are drawn by their logarithms.
+
+    Parameters
+    ----------
+    fog, visibility
+        Fog of such a meteorological visibility [m].
+    rain, rate
+        Rain of such a rate [mm/h], on wet roads.
+    wet
+        Roads that are still wet.
+    dust, dust_extinction, dust_clouds, dust_radius
+        So many clouds of dust at most, their extinction [1/m] and radius [m].
+    """
+
+    fog: float
+    visibility: tuple[float, float]
+    rain: float
+    rate: tuple[float, float]
+    wet: float
+    dust: float
+    dust_extinction: tuple[float, float]
+    dust_clouds: int
+    dust_radius: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class DataRecipe:
+    """All that the samples of a data set are drawn by, but for the seed and their number.
+
+    Parameters
+    ----------
+    samples : int
+        Usual size of the training. Validation and test are made from towns of their own.
+    mounts : tuple of LidarMount
+    country : Country
+        Of every town.
+    town_size : float
+        Side of the towns [m].
+    town_samples, town_others : int
+        Samples after which a new town begins: of training; of validation and test. Multiples of ten.
+    spacing : float
+        Time between the samples of a drive [s]; a new drive begins every ten samples.
+    faults : Faults
+    skies : Skies
+    in_motion : float
+        Share of the scans that the ego motion distorts.
+    no_intensity : float
+        Share of the scans without intensities: all are 0.
+    steepest : float
+        Ground that rises or falls more than this (height over run) counts as an obstacle.
+    calibration : LayerErrors
+        Of lidars that `calibrations` does not name.
+    calibrations : tuple of (name, LayerErrors)
+    """
+
+    samples: int
+    mounts: tuple[LidarMount, ...]
+    country: Country
+    town_size: float
+    town_samples: int
+    town_others: int
+    spacing: float
+    faults: Faults
+    skies: Skies
+    in_motion: float
+    no_intensity: float
+    steepest: float
+    calibration: LayerErrors
+    calibrations: tuple[tuple[str, LayerErrors], ...] = field(default=())
+
+    def calibration_of(self, lidar: str) -> LayerErrors:
+        """Return the errors of a kind of lidar."""
+        return dict(self.calibrations).get(lidar, self.calibration)
+
+
+_ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
+_DEGREE = math.pi / 180
+
+GEN2 = DataRecipe(
+    samples=4800,
+    mounts=(
+        LidarMount("vlp-32c", 0.08, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("hdl-32e", 0.10, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("hdl-64e", 0.10, (1.65, 2.1), _MIDDLE, _SLIGHT),
+        LidarMount("vls-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("os1-64", 0.08, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("os1-128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("vlp-16", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("xt32", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("pandar40p", 0.07, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("pandar64", 0.05, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("ot128", 0.06, _ROOF, _MIDDLE, _SLIGHT),
+        LidarMount("qt128", 0.04, (1.65, 2.2), _MIDDLE, _SLIGHT),
+        LidarMount("dual-vlp-32c", 0.04, (1.8, 2.4), _MIDDLE, _SLIGHT),
+        LidarMount("at128", 0.05, (1.6, 2.1), (0.2, 0.9), _SLIGHT, 120 * _DEGREE),
+        LidarMount("at128", 0.01, (0.5, 1.0), (2.5, 2.7), _SLIGHT, 120 * _DEGREE),  # at the bumper
+        # High up as on a truck or a bus, and tilted.
+        LidarMount("vlp-32c", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+        LidarMount("os1-64", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+        LidarMount("vlp-16", 0.02, (1.6, 3.0), (-1.0, 1.0), 0.08),
+        LidarMount("pandar64", 0.02, (2.4, 3.4), (-1.0, 1.0), 0.08),
+    ),
+    country=Country(),
+    town_size=400.0,
+    town_samples=70,
+    town_others=40,
+    spacing=8.0,
+    faults=Faults(
+        sector=0.25, sector_width=(60 * _DEGREE, 270 * _DEGREE),
+        blocked=0.15, blocked_views=3, blocked_width=(5 * _DEGREE, 60 * _DEGREE),
+        lost=0.15, lost_packets=(0.005, 0.25), packet=(1, 16),
+        dead=0.12, dead_layers=(0.02, 0.2),
+    ),
+    skies=Skies(
+        fog=0.07, visibility=(12.0, 400.0), rain=0.06, rate=(0.5, 60.0), wet=0.05,
+        dust=0.06, dust_extinction=(0.02, 0.8), dust_clouds=8, dust_radius=(0.8, 6.0),
+    ),
+    in_motion=0.5,
+    no_intensity=0.5,
+    steepest=0.4,
+    calibration=LayerErrors(elevation=0.02 * _DEGREE, offset=0.05 * _DEGREE, range=0.01),
+    calibrations=(
+        ("hdl-64e", LayerErrors(elevation=0.1 * _DEGREE, offset=0.2 * _DEGREE, range=0.025)),
+        ("hdl-32e", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+        ("os1-64", LayerErrors(elevation=0.04 * _DEGREE, offset=0.1 * _DEGREE, range=0.015)),
+        ("pandar40p", LayerErrors(elevation=0.04 * _DEGREE, offset=0.15 * _DEGREE, range=0.015)),
+    ),
+)  # fmt: skip
+
+RECIPES: dict[str, DataRecipe] = {"gen2": GEN2}

@@ -1,0 +1,218 @@
+"""The country between streets: banks and ditches beside the road, and what grows on the land behind them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from numpy.random import Generator
+from scipy.ndimage import gaussian_filter
+from shapely.geometry.base import BaseGeometry
+
+from ogm.simulation.arrays import Floats, HeightAt
+from ogm.simulation.materials import Material as M
+from ogm.simulation.recipe import Country
+from ogm.simulation.town import growth
+from ogm.simulation.town.layout import TownLayout
+from ogm.simulation.town.overlay import area, polygons
+from ogm.simulation.town.plants import grass_tufts
+from ogm.simulation.town.terrain import Raster, mask, raster
+from ogm.simulation.town.yard import Yard
+
+__all__ = ["CountryBank", "CountryField", "lay_fields", "plant_fields", "turn_rural"]
+
+STEP = 2.0  # [m] of the rasters of where a bank holds
+BLEND = 3.0  # [m] over which one bank passes into another
+LEAST = 0.7  # a bank's height varies along the road, down to this share
+VARIES = 12.0  # [m] over which it does
+
+
+class BankProfile(NamedTuple):
+    """A cross-section beside a road: heights [m] at distances [m] from its edge, linear between them."""
+
+    distance: tuple[float, ...]
+    height: tuple[float, ...]
+
+    @property
+    def width(self) -> float:
+        """How far from the road the land is level again [m]."""
+        return self.distance[-1]
+
+
+class CountryField(NamedTuple):
+    """The land of one mesh between streets.
+
+    Attributes
+    ----------
+    profile : BankProfile
+        Its banks and ditches.
+    reach : Raster
+        Where they hold, 0 to 1.
+    bank, land : shapely geometry
+        The strip of the profile, and what lies behind it.
+    cover, use : str
+        What grows on the two: keys of `COVERS` and `USES`.
+    """
+
+    profile: BankProfile
+    reach: Raster
+    bank: BaseGeometry
+    land: BaseGeometry
+    cover: str
+    use: str
+
+
+# Shares of what grows on banks, and on the land behind them.
+COVERS = {"bare": 0.3, "high grass": 0.4, "bushes": 0.3}
+USES = {"ploughed": 0.18, "crops": 0.14, "meadow": 0.26, "scrub": 0.2, "wood": 0.22}
+_KINDS = {"ditch": 0.3, "rise": 0.22, "fall": 0.2, "ditch and rise": 0.2, "level": 0.08}
+_SURFACES = {"ploughed": M.SOIL, "crops": M.SOIL, "wood": M.SOIL}
+
+
+def turn_rural(styles: Sequence[str], faces: Floats, country: Country, rng: Generator) -> tuple[str, ...]:
+    """Return the districts of a town whose outer part, on one side, is country."""
+    count = round(len(styles) * rng.uniform(*country.share))
+    angle = rng.uniform(0, 2 * np.pi)
+    far = faces @ [np.cos(angle), np.sin(angle)] + rng.normal(0, 0.15 * np.ptp(faces), len(faces))
+    result = list(styles)
+    for k in np.argsort(-far, kind="stable")[:count].tolist():
+        result[k] = "country"
+    return tuple(result)
+
+
+def draw_profile(country: Country, rng: Generator) -> BankProfile:
+    """Draw banks and ditches as steep as `Country.slope` allows, wherever `LEAST` lowers them too."""
+    low, high = country.slope
+
+    def slope() -> float:
+        return float(np.exp(rng.uniform(np.log(low / LEAST), np.log(high))))
+
+    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    distance, height = [float(rng.uniform(*country.shoulder))], [0.0]
+
+    def go(change: float) -> None:
+        """Rise or fall as far, at a slope of its own."""
+        distance.append(distance[-1] + abs(change) / slope())
+        height.append(height[-1] + change)
+
+    def level(width: float) -> None:
+        distance.append(distance[-1] + width)
+        height.append(height[-1])
+
+    if kind.startswith("ditch"):
+        depth = float(rng.uniform(*country.ditch))
+        go(-depth)
+        level(rng.uniform(0.3, 1.2))
+        go(depth + (float(rng.uniform(*country.bank)) if kind == "ditch and rise" else 0.0))
+    elif kind in ("rise", "fall"):
+        go(float(rng.uniform(*country.bank)) * (1.0 if kind == "rise" else -1.0))
+    level(1.0)
+    return BankProfile(tuple(distance), tuple(height))
+
+
+def lay_fields(plan: TownLayout, built: BaseGeometry, country: Country, rng: Generator) -> list[CountryField]:
+    """Draw the fields of a town, all but what is `built`; adds surfaces and lines to cut the ground to the plan."""
+    styles, faces = plan.network.grid.styles, plan.network.grid.faces
+    frame = shapely.box(*(np.array([-1, -1, 1, 1]) * plan.size / 2))
+    cells = shapely.get_parts(shapely.voronoi_polygons(shapely.MultiPoint(faces), extend_to=frame))
+    free = shapely.difference(area(shapely.union_all([b.shape for b in plan.blocks])), built.buffer(1.0))
+    open_land = mask(free.buffer(STEP), plan.size, STEP)
+    fields = []
+    for k, style in enumerate(styles):
+        if style != "country":
+            continue
+        cell = cells[int(np.argmax(shapely.contains_xy(cells, *faces[k])))]
+        profile = draw_profile(country, rng)
+        inside = (mask(shapely.intersection(cell, frame), plan.size, STEP) & open_land).astype(float)
+        reach = raster(gaussian_filter(inside, BLEND / STEP), STEP, plan.size)
+        near = plan.corridor.buffer(profile.width, quad_segs=4)
+        ours = area(shapely.intersection(free, shapely.intersection(cell, frame)))
+        land = area(shapely.difference(ours, near)).buffer(-0.3)
+        bank = area(shapely.intersection(ours, near)).difference(plan.corridor.buffer(0.3))
+        cover, use = (str(rng.choice(list(of), p=list(of.values()))) for of in (COVERS, USES))
+        for away in profile.distance:
+            edge = shapely.boundary(plan.corridor.buffer(away, quad_segs=3).simplify(0.05))
+            plan.lines.append(shapely.intersection(edge, cell.buffer(3 * BLEND)))
+        plan.pave(land, _SURFACES.get(use, M.GRASS))
+        fields.append(CountryField(profile, reach, bank, land, cover, use))
+    return fields
+
+
+class CountryBank:
+    """Height of the land over the road's level, with the banks and ditches of fields."""
+
+    def __init__(self, bank: HeightAt, fields: Sequence[CountryField], plan: TownLayout, rng: Generator) -> None:
+        self.bank, self.fields = bank, fields
+        rings = shapely.get_parts(shapely.boundary(plan.corridor))
+        pairs = [np.stack([c[:-1], c[1:]], axis=1) for c in map(shapely.get_coordinates, rings)]
+        self._edge = shapely.STRtree(shapely.linestrings(np.concatenate(pairs)))
+        count = int(plan.size // STEP) + 2
+        noise = gaussian_filter(rng.standard_normal((count, count)), VARIES / STEP)
+        share = LEAST + (1 - LEAST) * np.clip(0.5 + 0.5 * noise / noise.std(), 0, 1)
+        self._share = raster(share, STEP, plan.size)
+
+    def __call__(self, x: Floats, y: Floats) -> Floats:
+        """Return heights [m]."""
+        z = np.asarray(self.bank(x, y), np.float64).copy()
+        reach = np.stack([field.reach(x, y) for field in self.fields])
+        (near,) = np.nonzero(reach.max(axis=0) > 1e-3)
+        points = shapely.points(x[near], y[near])
+        index, away = self._edge.query_nearest(points, return_distance=True, all_matches=False)
+        distance = np.zeros(len(near))
+        distance[index[0]] = away
+        for field, share in zip(self.fields, reach[:, near], strict=True):
+            z[near] += share * self._share(x[near], y[near]) * np.interp(distance, *field.profile)
+        return z
+
+
+def plant_fields(fields: Sequence[CountryField], yard: Yard) -> None:
+    """Let grow what grows on the fields and on their banks."""
+    rng = yard.rng
+    for field in fields:
+        if field.cover == "high grass":
+            yard.meshes.append(growth.high_grass(field.bank, yard.height, rng, density=rng.uniform(1.5, 4.0)))
+        elif field.cover == "bushes":
+            yard.scatter(field.bank, yard.bushes, rng.uniform(5, 15), 0.4)
+        else:
+            _tufts(field.bank, yard, 1.0)
+        _PLANT[field.use](field.land, yard)
+
+
+def _tufts(shape: BaseGeometry, yard: Yard, density: float) -> None:
+    for part in polygons(shape):
+        yard.meshes.append(grass_tufts(part, yard.height, yard.rng, density=density))
+
+
+def _ploughed(land: BaseGeometry, yard: Yard) -> None:
+    for part in polygons(land):
+        yard.meshes.append(growth.furrows(part, yard.height, yard.rng))
+
+
+def _crops(land: BaseGeometry, yard: Yard) -> None:
+    tall = yard.rng.uniform(0.35, 1.3)
+    for part in polygons(land):
+        yard.meshes.append(growth.crops(part, yard.height, yard.rng, tall=tall))
+
+
+def _meadow(land: BaseGeometry, yard: Yard) -> None:
+    if yard.rng.random() < 0.5:
+        yard.meshes.append(growth.high_grass(land, yard.height, yard.rng, density=yard.rng.uniform(0.8, 2.5)))
+    else:
+        _tufts(land, yard, 0.6)
+    yard.scatter(land, yard.trees, 500, 1.5)
+
+
+def _scrub(land: BaseGeometry, yard: Yard) -> None:
+    yard.scatter(land, yard.bushes, yard.rng.uniform(8, 25), 0.5)
+    yard.scatter(land, yard.trees, 180, 1.0)
+    yard.meshes.append(growth.high_grass(land, yard.height, yard.rng, density=0.8))
+
+
+def _wood(land: BaseGeometry, yard: Yard) -> None:
+    near = land.intersection(shapely.box(*(np.array([-1, -1, 1, 1]) * 0.45 * yard.size)))
+    yard.scatter(near, yard.trees, yard.rng.uniform(12, 22), 0.8)
+    yard.scatter(near, yard.bushes, yard.rng.uniform(20, 50), 0.6)
+    _tufts(near, yard, 0.3)
+
+
+_PLANT = {"ploughed": _ploughed, "crops": _crops, "meadow": _meadow, "scrub": _scrub, "wood": _wood}
