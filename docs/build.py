@@ -368,6 +368,32 @@ def fusion_speed() -> str:
     return table(["one core, 512 x 352 cells", "time [ms]", "x copy"], rows)
 
 
+def logs() -> str:
+    """Return what it costs to open, read and map a log, per scan."""
+    found = record("logs")
+    formats = ("MCAP", "MCAP, zstd", "db3", "bag")
+    ways = {
+        "ogm, open": "open: place, time and pose of every scan",
+        "ogm, read": "**read to `Scan`**",
+        "rosbags, read": "`rosbags`, to an (N, 4) array",
+        "mcap-ros2-support, read": "`mcap-ros2-support`, to an (N, 4) array",
+        "ogm, RayISM, map, written": "**open, read, `RayISM`, map, map written to an MCAP**",
+    }
+    times = found["times per scan [ms]"]
+    rows = [
+        [title, *(f"{times[key]:.1f}" if (key := f"{way}: {name}") in times else "" for name in formats)]
+        for way, title in ways.items()
+    ]
+    return table([f"one core, {found['points']:,} points; [ms] per scan", *formats], rows)
+
+
+def live() -> str:
+    """Return whether `ogm serve` keeps up."""
+    found = record("live")["verdicts"]
+    rows = [[one["what"], f"{one['got']:.3g} {one['unit']}".strip(), f"{one['wanted']:g}"] for one in found]
+    return table(["`ogm serve`, a viewer receives all", "measured", "at most"], rows)
+
+
 def truth_modes() -> str:
     """Return what both truth modes of the simulator find."""
     modes = record("truth_modes")["against the reference"]
@@ -453,6 +479,8 @@ def results() -> str:
         ),
         section("Maps over time, a real drive", "fusion_real", fusion_real()),
         section("Time of a map update", "fusion_speed", fusion_speed()),
+        section("Time of logs", "logs", logs()),
+        section("Live, 10 minutes at 10 Hz", "live", live()),
         section("Truth of the simulator", "truth_modes", truth_modes()),
         section("Cost of simulated samples", "simulation", simulation()),
     ]  # fmt: skip
