@@ -449,6 +449,7 @@ function draw() {
   for (const m of methods) {
     const box = node("div", { class: "tile" }, node("h3", { title: m.name }, swatch(m), node("span", {}, m.name)));
     if (pictures?.[`mass ${m.k}`]) box.append(picture(pictures[`mass ${m.k}`], `masses of ${m.name} in ${name}`, "masses"));
+    if (pictures?.[`motion ${m.k}`]) box.append(picture(pictures[`motion ${m.k}`], `motion in ${m.name} in ${name}`, "motion"));
     if (pictures?.[`error ${m.k}`]) box.append(picture(pictures[`error ${m.k}`], `errors of ${m.name} in ${name}`, "errors"));
     box.append(node("dl", {}, ...numbers.map(metric => {
       const v = D.perFrame[metric][m.k][frame];

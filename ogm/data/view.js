@@ -78,13 +78,22 @@ function painter(layer) {
       return first[at] * light | (first[at + 1] * light) << 8 | (first[at + 2] * light) << 16;
     };
   }
+  if (layer.paint === "motion") {  // white free, grey unknown, black static, in colour the heading of what moves
+    const [moves, number] = [NUMBERS[layer.of[2][0]], NUMBERS[layer.of[3][0]]];
+    return (free, occupied, dynamic, a, b) => {
+      const grey = free + (255 - free - occupied) / 2, share = moves[dynamic] || 0, known = !Number.isNaN(number[a]);
+      const at = 3 * (Math.round(Math.atan2(number[b], number[a]) / Math.PI * 128) & 255);
+      const mix = k => Math.min(255, Math.round(grey + (known ? share * first[at + k] : 0)));
+      return mix(0) | mix(1) << 8 | mix(2) << 16;
+    };
+  }
   const index = INDEX[layer.paint];
   if (index) return (a, b) => { const at = 3 * index(a, b); return first[at] | first[at + 1] << 8 | first[at + 2] << 16; };
   const sum = (at, to, k) => Math.min(255, first[3 * at + k] + second[3 * to + k]);
   return second ? (a, b) => sum(a, b, 0) | sum(a, b, 1) << 8 | sum(a, b, 2) << 16
     : a => first[3 * a] | first[3 * a + 1] << 8 | first[3 * a + 2] << 16;
 }
-for (const layer of D.layers) { layer.colour = painter(layer); layer.nothing = layer.colour(0, 0); }
+for (const layer of D.layers) { layer.colour = painter(layer); layer.nothing = layer.colour(0, 0, 0, 0, 0); }
 const style = colour => `rgb(${colour & 255} ${colour >> 8 & 255} ${colour >> 16 & 255})`;
 
 const keyOf = (layer, level, row, column) => `${D.layers.indexOf(layer)}/${level}/${row}/${column}`;
@@ -97,9 +106,11 @@ function picture(layer, level, row, column, mayPaint) {
   if (parts.includes(undefined) || !mayPaint) return undefined;
   if (parts.every(part => part === NOTHING)) { pictures.put(key, null); return null; }
   const width = sizeOf(COLUMNS, level, column), height = sizeOf(ROWS, level, row), count = width * height;
-  const [a, b] = layer.of.map(([, k], part) => parts[part] === NOTHING ? new Uint8Array(count) : parts[part].subarray(k * count, (k + 1) * count));
+  const cells = layer.of.map(([, k], part) => parts[part] === NOTHING ? new Uint8Array(count) : parts[part].subarray(k * count, (k + 1) * count));
   const image = new ImageData(width, height), out = new Uint32Array(image.data.buffer), colour = layer.colour;
-  if (b) for (let i = 0; i < count; i++) out[i] = colour(a[i], b[i]) | 0xff000000;
+  const [a, b, c, d, e] = cells;
+  if (e) for (let i = 0; i < count; i++) out[i] = colour(a[i], b[i], c[i], d[i], e[i]) | 0xff000000;
+  else if (b) for (let i = 0; i < count; i++) out[i] = colour(a[i], b[i]) | 0xff000000;
   else for (let i = 0; i < count; i++) out[i] = colour(a[i]) | 0xff000000;
   const made = document.createElement("canvas");
   made.width = width;
@@ -205,6 +216,10 @@ function decorate(x, y, w, h, [left, right, front, back]) {
     context.fill();
     context.stroke();
   }
+  for (const [ax, ay, dx, dy] of layer.arrows || []) {
+    const column = COLUMNS - (ay - Y0) / RES, row = ROWS - (ax - X0) / RES;
+    arrow(toX(column), toY(row), toX(column - dy / RES), toY(row - dx / RES), unit);
+  }
   const at = place();
   if (!at) return;
   const cell = [Math.round(toX(Math.floor(at.u))), Math.round(toY(Math.floor(at.v))), Math.round(scale), Math.round(scale)];
@@ -220,6 +235,25 @@ function decorate(x, y, w, h, [left, right, front, back]) {
     context.beginPath();
     context.moveTo(px - arm, py); context.lineTo(px + arm, py); context.moveTo(px, py - arm); context.lineTo(px, py + arm);
     context.stroke();
+  }
+}
+
+function arrow(x0, y0, x1, y1, unit) {
+  const length = Math.hypot(x1 - x0, y1 - y0), head = Math.min(length, 9 * unit);
+  if (length === 0) return;
+  const [ux, uy] = [(x1 - x0) / length, (y1 - y0) / length], [nx, ny] = [x1 - ux * head, y1 - uy * head];
+  for (const [colour, wide] of [["#fff", 4.5], ["#000", 2]]) {
+    context.strokeStyle = context.fillStyle = colour;
+    context.lineWidth = wide * unit;
+    context.beginPath();
+    context.moveTo(x0, y0); context.lineTo(nx, ny);
+    context.stroke();
+    context.beginPath();
+    context.moveTo(x1, y1); context.lineTo(nx - 0.45 * head * uy, ny + 0.45 * head * ux); context.lineTo(nx + 0.45 * head * uy, ny - 0.45 * head * ux);
+    context.closePath();
+    context.lineWidth = (wide - 2) * unit;
+    if (wide > 2) context.stroke();
+    context.fill();
   }
 }
 

@@ -1,12 +1,33 @@
-"""Deep inverse sensor models: pillars, network, losses, training, and the trained model as `DeepISM`."""
+"""Deep inverse sensor models: pillars, network, losses, training, and the trained model as `DeepISM`.
 
-try:
-    from ogm.deep.ism import DeepISM
+`DeepISM` runs exported networks without torch. All else that is named here needs torch and is loaded on first use.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+from ogm.deep.ism import DeepISM
+
+if TYPE_CHECKING:
     from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork
-except ImportError as error:
-    raise ImportError(
-        f'the deep models lack a package ({error}): pip install "ogm-toolkit[deep]"; '
-        "on a machine without an NVIDIA GPU install PyTorch's CPU build first"
-    ) from error
 
 __all__ = ["LITE", "PAPER", "DeepISM", "NetworkConfig", "PillarNetwork"]
+
+
+def __getattr__(name: str) -> object:
+    """Load a name of `ogm.deep.network` on first use."""
+    if name not in __all__:
+        raise AttributeError(f"module 'ogm.deep' has no attribute {name!r}")
+    try:
+        value = getattr(importlib.import_module("ogm.deep.network"), name)
+    except ImportError as error:
+        raise ImportError(
+            f'networks to train lack a package ({error}): pip install "ogm-toolkit[train]"; '
+            "on a machine without an NVIDIA GPU install PyTorch's CPU build first"
+        ) from error
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -16,14 +16,11 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from ogm.deep.description import FORMAT, grid_of, read_description
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.files import OgmError, atomic_write
-from ogm.grid import GridSpec
 
 __all__ = ["FORMAT", "load_network", "save_network"]
-
-FORMAT = "ogm.network/1"
-_MAX_DESCRIPTION = 2**20  # [bytes]
 
 
 def save_network(path: str | os.PathLike[str], network: PillarNetwork, facts: Mapping[str, Any]) -> Path:
@@ -81,34 +78,19 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
     for file in (path, beside):
         if not file.is_file():
             raise FileNotFoundError(f"{file} is not there: `ogm train` writes two files, {path.name} and {beside.name}")
-    description = _read_description(beside)
+    description = read_description(beside)
     try:
         config = NetworkConfig.from_dict(description["network"])
         _check_config(config)
-        place = description["spec"]
-        spec = GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"]))
+        spec = grid_of(description)
         with torch.device("meta"):  # its names and shapes, without memory for them
             wanted = PillarNetwork(config, spec).state_dict()
-    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError) as error:
         raise OgmError(f"{beside} describes no network that can be made: {error}") from error
     weights = _read_weights(path, wanted)
     network = PillarNetwork(config, spec)
     network.load_state_dict(weights)
     return network.eval(), description
-
-
-def _read_description(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > _MAX_DESCRIPTION:
-            raise ValueError(f"it has {path.stat().st_size} bytes")
-        description = json.loads(path.read_bytes())
-        found = description["format"]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise OgmError(f"{path} is no description of a network ({error!r})") from error
-    if found != FORMAT:
-        raise OgmError(f"{path} has the format {found!r}, this version of ogm reads {FORMAT}")
-    _check_ranges(description.get("seen", {}), path)
-    return description
 
 
 def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -131,16 +113,6 @@ def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]
         if not torch.isfinite(value).all() or (name.endswith("running_var") and (value < 0).any()):
             raise OgmError(f"{path} has variances below 0, or weights that are NaN or infinite, in {name}")
     return weights
-
-
-def _check_ranges(ranges: object, path: Path) -> None:
-    """Refuse impossible ranges of the training data: `DeepISM` compares scans with them."""
-    good = isinstance(ranges, dict) and set(ranges) <= {"height", "points", "intensity"}
-    for pair in ranges.values() if isinstance(ranges, dict) else ():
-        numbers = isinstance(pair, list) and len(pair) == 2 and all(type(n) in (int, float) for n in pair)
-        good = good and numbers and -math.inf < pair[0] <= pair[1] < math.inf
-    if not good:
-        raise OgmError(f"{path} has impossible ranges of the training data under 'seen': {ranges}")
 
 
 def _check_config(config: NetworkConfig) -> None:

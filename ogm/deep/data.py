@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch.utils.data import Dataset, Sampler
 
-from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, to_ground_frame
+from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masses, to_ground_frame
 from ogm.grid import GridSpec
 from ogm.jit import kernel
-from ogm.scan import Frame
+from ogm.scan import Frame, Scan
 
 __all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "EpochSampler", "PillarDataset", "augment", "training_ranges"]
 
@@ -103,6 +103,8 @@ class PillarDataset(Dataset[Batch]):
     seed : int
     most_pillars, most_points : int
         If above 0, the paper's limits; see `ogm.deep.pillars.cap_pillars`.
+    rays : bool
+        Whether the network takes the masses of rays.
     """
 
     frames: Sequence[Frame]
@@ -112,6 +114,7 @@ class PillarDataset(Dataset[Batch]):
     seed: int = 0
     most_pillars: int = 0
     most_points: int = 0
+    rays: bool = False
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -121,9 +124,11 @@ class PillarDataset(Dataset[Batch]):
         epoch, i = key if isinstance(key, tuple) else (0, key)
         rng = np.random.default_rng((self.seed, epoch, i))
         frame = self.frames[i]
-        points, state = augment(frame, self.spec, self.augmentation, rng)
+        scan, height, state = augment(frame, self.spec, self.augmentation, rng)
         _, ego_footprint = to_ground_frame(frame.mount)
-        pillars = pillarize(points, self.spec, self.z_range, ego_footprint)
+        pillars = pillarize(scan.points, self.spec, self.z_range, ego_footprint)
+        if self.rays:
+            pillars = pillars._replace(rays=ray_masses(scan, self.spec, height, ego_footprint))
         if self.most_pillars or self.most_points:
             size = len(pillars.features)
             pillars = cap_pillars(pillars, rng, self.most_pillars or size, self.most_points or size)
@@ -176,7 +181,7 @@ class EpochSampler(Sampler[tuple[int, int]]):
 
 def augment(
     frame: Frame, spec: GridSpec, augmentation: Augmentation, rng: np.random.Generator
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+) -> tuple[Scan, float, NDArray[np.uint8]]:
     """Change a frame as another drive, another sensor or another calibration would.
 
     Turning and mirroring change points and truth alike; all else changes the points alone.
@@ -193,8 +198,11 @@ def augment(
 
     Returns
     -------
-    points : (N, 4) float32
-        x, y [m] around the sensor, z above the ground under it [m], intensity [0, 1].
+    scan : Scan
+        Points with x, y [m] around the sensor, z above the ground under it [m], intensity [0, 1]; and the directions of
+        beams without echo.
+    height : float
+        Of the sensor, which is at x = y = 0, above the ground [m].
     state : (nx, ny) uint8
         The truth on `spec`.
 
@@ -231,7 +239,9 @@ def augment(
     matrix[:2, 3] = matrix[:2, :2] @ T[:2, 3]
     matrix[2] = *(T[2, :3] + (-pitch, roll, 0)), height
     _disturb(points, errors, matrix.astype(np.float32), np.float32(gain))
-    return points, (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
+    no_returns = None if scan.no_returns is None else scan.no_returns @ matrix[:, :3].T.astype(np.float32)
+    changed = Scan(points, no_returns=no_returns)
+    return changed, height, (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
 
 
 @kernel

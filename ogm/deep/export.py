@@ -1,41 +1,49 @@
-"""A network as one ONNX file, from the points' features to belief masses, for use without torch.
+"""A network as one ONNX file, from the feature map to belief masses, for use without torch.
 
-The file holds the network with its normalisation folded in, for one scan at a time and any number of points::
+`ogm.deep.onnx_engine.OnnxEngine` runs it, and so does whatever else runs ONNX. The file holds the network with its
+normalisation folded in, for one scan at a time and any grid whose sides are multiples of ``multiple`` cells. What comes
+before it, a linear layer and a maximum over the points of a pillar, is in its metadata::
 
-    import onnxruntime
-    session = onnxruntime.InferenceSession("ogm.onnx")
-    (mass,) = session.run(["mass"], {"features": features, "cells": cells})
+    feature_map[0, ix, iy, c] = max over the points of the cell of max(0, features @ weight[:, c] + bias[c])
 
-The file describes the three arrays itself, in the documentation of its inputs and outputs and in its metadata:
-``format``, ``spec``, ``z_range``, ``network``, ``features``, ``cells`` and ``mass``.
+The metadata describes every array: ``format``, ``input`` (JSON: weight, bias, rays, z_range, multiple),
+``description`` (JSON of the weights: spec, network, recipe, ...), ``weights`` (their SHA-256), ``features``,
+``feature_map``, ``sensor_coords`` and ``mass``.
 """
 
 import importlib
 import json
 import os
 import warnings
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
+from torch.nn.functional import pixel_shuffle
 
+from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
 from ogm.deep.network import PillarNetwork, fused
-from ogm.deep.pillars import FEATURES, Pillars
-from ogm.files import OgmError, atomic_write
+from ogm.deep.onnx_file import FORMAT, OPERATIONS, weights_sum
+from ogm.deep.points import FEATURES
+from ogm.files import atomic_write
 
-__all__ = ["FORMAT", "export_onnx", "onnx_inputs", "run_onnx"]
+__all__ = ["export_onnx"]
 
-FORMAT = "ogm.network.onnx/1"
-_OPSET = 18  # the first whose scatter knows a maximum
-_PIP = 'pip install "ogm-toolkit[onnx]"'
+_OPSET = 18
+_PIP = 'pip install "ogm-toolkit[train]"'
 
 
-def export_onnx(network: PillarNetwork, path: str | os.PathLike[str]) -> dict[str, str]:
+def export_onnx(
+    network: PillarNetwork,
+    path: str | os.PathLike[str],
+    *,
+    description: Mapping[str, Any] | None = None,
+    weights: str | os.PathLike[str] | None = None,
+) -> dict[str, str]:
     """Write a network as ONNX.
 
     Parameters
@@ -44,6 +52,10 @@ def export_onnx(network: PillarNetwork, path: str | os.PathLike[str]) -> dict[st
         As `ogm.deep.checkpoint.load_network` returns it.
     path : path
         Of the file, ending in ``.onnx``; it appears when it is whole.
+    description : mapping, optional
+        Of the weights; `ogm.deep.DeepISM` needs its entry ``seen`` to notice scans unlike the training data.
+    weights : path, optional
+        The file that the network was loaded from. Its checksum is noted, by which old exports of a run are recognised.
 
     Returns
     -------
@@ -59,93 +71,36 @@ def export_onnx(network: PillarNetwork, path: str | os.PathLike[str]) -> dict[st
 
     Notes
     -----
-    The file's inputs are ``features`` (N, 9) float32 and ``cells`` (N,) int64, its output is ``mass`` (nx, ny, 2)
-    float32. In place of the maximum over segments, which ONNX lacks, the points' features are scattered onto a
-    feature map of zeros by their maximum. The features come from a ReLU, so this is the same, and needs no order of
-    the points.
+    The same weights give the same bytes with the same versions of torch, onnx and onnxscript. The softplus of the head
+    is written as ``max(x, 0) + ln(1 + exp(-|x|))``, whose parts the runtimes have vectorised.
     """
     path = Path(path)
     if path.suffix != ".onnx":
         raise ValueError(f"an ONNX file is named .onnx, got {path}")
     _package("onnxscript")  # torch needs it
     onnx = _package("onnx")
+    facts = {"format": DESCRIPTION_FORMAT, **(description or {})}
+    facts |= {"network": asdict(network.config), "spec": asdict(network.spec)}
+    metadata = {"description": json.dumps(facts), "weights": weights_sum(weights) if weights is not None else ""}
     with atomic_write(path) as file:
-        model = _model(network)
+        model = _model(network, metadata)
         onnx.checker.check_model(model, full_check=True)
-        size = file.write(model.SerializeToString())
-    spec = network.spec
+        if odd := {node.op_type for node in model.graph.node} - OPERATIONS:
+            raise RuntimeError(f"this version of torch wrote operations that ogm does not run: {sorted(odd)}")
+        size = file.write(model.SerializeToString(deterministic=True))
+    nx, ny = network.spec.shape
+    coords = {"sensor_coords": f"(1, 4, {nx // 4}, {ny // 4}) float32"} if network.config.bearings else {}
     return {
-        "features": f"(points, {FEATURES}) float32",
-        "cells": "(points,) int64",
-        "mass": f"({spec.shape[0]}, {spec.shape[1]}, 2) float32: free, occupied",
-        "grid": f"{spec.length:g} x {spec.width:g} m, cells of {spec.resolution:g} m",
+        "feature_map": f"(1, {nx}, {ny}, {_channels(network)}) float32, from (points, {FEATURES})",
+        **coords,
+        "mass": f"({nx}, {ny}, 2) float32: free, occupied",
+        "grid": f"{network.spec.length:g} x {network.spec.width:g} m, cells of {network.spec.resolution:g} m",
         "size": f"{size / 1e6:.1f} MB, opset {_OPSET}",
     }
 
 
-def onnx_inputs(pillars: Pillars) -> dict[str, NDArray[Any]]:
-    """Return what an exported network takes, from one scan's pillars.
-
-    Parameters
-    ----------
-    pillars : Pillars
-        Of one scan, from `ogm.deep.pillars.pillarize` with the spec and the heights of the network.
-
-    Returns
-    -------
-    dict
-        ``features`` (N, 9) float32 and ``cells`` (N,) int64.
-    """
-    if pillars.batch != 1:
-        raise ValueError(f"an exported network takes one scan at a time, got a batch of {pillars.batch}")
-    cells = torch.repeat_interleave(pillars.cells, pillars.lengths)
-    return {"features": pillars.features.cpu().numpy(), "cells": cells.cpu().numpy()}
-
-
-def run_onnx(path: str | os.PathLike[str], pillars: Pillars) -> NDArray[np.float32]:
-    """Run an exported network once, by ONNX Runtime on the CPU.
-
-    It opens the file at each call. For many scans keep a session, as in the docstring of this module.
-
-    Parameters
-    ----------
-    path : path
-        Of a file that `export_onnx` wrote.
-    pillars : Pillars
-        Of one scan.
-
-    Returns
-    -------
-    (nx, ny, 2) float32 array
-        Belief masses free, occupied.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    OgmError
-        If the file is damaged or of another kind.
-    ValueError
-        If the pillars are of more than one scan.
-    ImportError
-        If ONNX Runtime is absent; the message holds the pip command that adds it.
-    """
-    path = Path(path)
-    runtime = _package("onnxruntime")
-    if not path.is_file():
-        raise FileNotFoundError(f"{path} is not there; `ogm export` writes such files")
-    try:
-        session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    except Exception as error:  # its errors have no other parent
-        raise OgmError(f"{path} is no whole ONNX file: {error}") from error
-    if (found := session.get_modelmeta().custom_metadata_map.get("format")) != FORMAT:
-        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}")
-    (mass,) = session.run(["mass"], onnx_inputs(pillars))
-    return mass
-
-
 class _Masses(nn.Module):
-    """From the points to belief masses, of operations that ONNX has."""
+    """From the feature map to belief masses, of operations that ONNX has."""
 
     def __init__(self, network: PillarNetwork) -> None:
         super().__init__()
@@ -153,35 +108,45 @@ class _Masses(nn.Module):
             raise ValueError("the network is fused already: give the one that load_network returns")
         self.network = fused(network).cpu()
 
-    def forward(self, features: torch.Tensor, cells: torch.Tensor) -> torch.Tensor:
-        nx, ny = self.network.spec.shape
-        x = torch.relu(self.network.pillar.linear(features))  # the features' scale is in the fused weights
-        feature_map = x.new_zeros(nx * ny, x.shape[1])
-        feature_map = feature_map.scatter_reduce(0, cells[:, None].expand(-1, x.shape[1]), x, "amax")
-        evidence = self.network.evidence(feature_map.view(1, nx, ny, -1).permute(0, 3, 1, 2))[0]
-        return evidence / (evidence.sum(-1, keepdim=True) + 2)  # Sec. II: b = e / S
+    def forward(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
+        x = self.network.quarters(feature_map.permute(0, 3, 1, 2), sensor_coords)
+        e = torch.relu(x)
+        if self.network.config.evidence == "softplus":
+            e = torch.relu(e + torch.log(1 + torch.exp(-torch.abs(x))))  # OpenVINO's ln(1) is -1e-6
+        e = pixel_shuffle(e, 2)
+        free, occupied = e.split(1, dim=1)
+        return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
 
 
-def _model(network: PillarNetwork) -> Any:
+def _model(network: PillarNetwork, metadata: dict[str, str]) -> Any:
     """Return the ONNX model, with its documentation and without what torch notes of the machine."""
-    points = torch.export.Dim("points")
+    masses = _Masses(network).eval()
+    kx, ky = torch.export.Dim("nx"), torch.export.Dim("ny")  # in units of the multiple
+    multiple, channels = network.config.stride, _channels(network)
+    nx, ny = 4 * multiple, 2 * multiple
+    inputs: dict[str, torch.Tensor] = {"feature_map": torch.zeros(1, nx, ny, channels)}
+    shapes: dict[str, dict[int, Any]] = {"feature_map": {1: multiple * kx, 2: multiple * ky}}
+    if network.config.bearings:
+        inputs["sensor_coords"] = torch.zeros(1, 4, nx // 4, ny // 4)
+        shapes["sensor_coords"] = {2: multiple // 4 * kx, 3: multiple // 4 * ky}
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", r"`isinstance\(treespec, LeafSpec\)` is deprecated", FutureWarning
         )  # torch's own
-        warnings.filterwarnings("ignore", "# The axis name: points will not be used", UserWarning)
+        warnings.filterwarnings("ignore", "# The axis name: .* will not be used", UserWarning)
         program = torch.onnx.export(
-            _Masses(network).eval(),
-            (torch.zeros(7, FEATURES), torch.arange(7)),  # any number but 0 and 1, which torch takes as fixed
+            masses,
+            tuple(inputs.values()),
             dynamo=True,
             verbose=False,
             opset_version=_OPSET,
-            input_names=["features", "cells"],
+            input_names=[*inputs],
             output_names=["mass"],
-            dynamic_shapes={"features": {0: points}, "cells": {0: points}},
+            dynamic_shapes=shapes,
         )
     model = program.model_proto
-    graph, metadata = model.graph, _metadata(network)
+    graph = model.graph
+    metadata = _documentation(network) | _input(masses.network) | metadata
     del model.metadata_props[:], graph.metadata_props[:]
     for part in (*graph.node, *graph.value_info, *graph.initializer, *graph.input, *graph.output):
         del part.metadata_props[:]  # paths of the machine, among others
@@ -191,22 +156,50 @@ def _model(network: PillarNetwork) -> Any:
     return model
 
 
-def _metadata(network: PillarNetwork) -> dict[str, str]:
-    """Return the metadata of a file: what the network is, and what its inputs and outputs mean."""
+def _input(network: PillarNetwork) -> dict[str, str]:
+    """Return the metadata from which the feature map is made; of a fused network."""
+    linear = network.pillar.linear
+    numbers = {
+        "weight": [[float(f"{value:.9g}") for value in row] for row in linear.weight.detach().T.tolist()],
+        "bias": [float(f"{value:.9g}") for value in linear.bias.detach().tolist()],
+        "rays": _has_rays(network),
+        "z_range": list(network.config.z_range),
+        "multiple": network.config.stride,
+    }
+    return {"input": json.dumps(numbers)}
+
+
+def _channels(network: PillarNetwork) -> int:
+    """Return the channels of the feature map: the inputs of the first convolution."""
+    first = network.blocks[0][0][0]
+    return int(getattr(first, "conv", first).in_channels)
+
+
+def _has_rays(network: PillarNetwork) -> bool:
+    return _channels(network) == network.config.pillar + 2
+
+
+def _documentation(network: PillarNetwork) -> dict[str, str]:
+    """Return the metadata that explain the arrays."""
     spec, (nx, ny), (low, high) = network.spec, network.spec.shape, network.config.z_range
-    numbers = {"spec": asdict(spec), "z_range": [low, high], "network": asdict(network.config)}
     return {
         "format": FORMAT,
-        **{name: json.dumps(value) for name, value in numbers.items()},
         "features": (
             "Of each point: x, y, z [m], intensity [0, 1]; x, y, z less the mean of all points in the point's cell "
             "[m]; x, y less the center of the cell [m]. x is forward, y left, z up; x = y = 0 at the sensor, z = 0 "
             f"on the ground below it. Only points with {low} <= z < {high}, on the grid, finite, and not of the ego "
-            "vehicle; in any order."
+            f"vehicle. The cell: ix = floor((x - ({spec.origin[0]})) / {spec.resolution}) in 0 ... {nx - 1}, "
+            f"iy = floor((y - ({spec.origin[1]})) / {spec.resolution}) in 0 ... {ny - 1}; other grids of the same "
+            f"resolution may be given, of whole multiples of {network.config.stride} cells."
         ),
-        "cells": (
-            f"The cell of each point: ix * {ny} + iy, where ix = floor((x - ({spec.origin[0]})) / {spec.resolution}) "
-            f"in 0 ... {nx - 1} and iy = floor((y - ({spec.origin[1]})) / {spec.resolution}) in 0 ... {ny - 1}."
+        "feature_map": (
+            "[0, ix, iy, c]: of the points in the cell the largest max(0, features @ weight[:, c] + bias[c]), with "
+            "weight and bias from the metadata 'input'; 0 where no point is. If its 'rays' is true, two more channels: "
+            "the masses free and occupied of ogm.geometric.RayISM."
+        ),
+        "sensor_coords": (
+            "[0, k, ix // 4, iy // 4]: of each 4 x 4 cells r / 40 m, ln(r / 10 m), x / r and y / r, with x, y and "
+            "r = sqrt(x**2 + y**2), at least one cell's side, of their middle. Wanted by networks with bearings."
         ),
         "mass": (
             "Belief masses of each cell, [ix, iy, state]: free, then occupied. Unknown is 1 less both. "

@@ -2,27 +2,25 @@
 
 import logging
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from importlib.resources import as_file, files
-from pathlib import Path
-from typing import Any, Self
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from ogm.deep.checkpoint import load_network
-from ogm.deep.network import PillarNetwork, fused
-from ogm.deep.pillars import Pillars, collate, pillarize, pillarize_torch, to_ground_frame
+from ogm.deep.engines import load_engine
+from ogm.deep.points import to_ground_frame
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.scan import Mount, Scan, as_scan
 
-__all__ = ["SHIPPED", "DeepISM", "weights_of"]
+if TYPE_CHECKING:
+    from ogm.deep.engines import Engine
+    from ogm.deep.network import PillarNetwork
+    from ogm.scan import InverseSensorModel
+
+__all__ = ["DeepISM"]
 
 _log = logging.getLogger(__name__)
-
-SHIPPED = ("lite",)  # weights in the package
 
 
 class DeepISM:
@@ -35,30 +33,29 @@ class DeepISM:
 
     Parameters
     ----------
-    network : PillarNetwork
-        As `ogm.deep.checkpoint.load_network` returns it.
+    network : OnnxEngine, TorchEngine, or PillarNetwork
+        What computes, as `ogm.deep.engines.load_engine` returns it; or a network as `ogm.deep.checkpoint.load_network`
+        returns it, for torch.
     spec : GridSpec, optional
         The grid to fill, in the vehicle frame. By default the grid of the training, around the sensor. Another needs
         the same resolution; far beyond the extent of the training the network extrapolates.
     mount : Mount, optional
         Where the sensor is mounted; by default 1.9 m above ground. Returns from the ego footprint are dropped, and its
         cells are unknown.
-    device : str or torch.device
-        Where the network runs: ``"cpu"`` or ``"cuda"``.
-    compile : bool
-        Make the network faster by ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
     description : mapping, optional
-        The JSON of the weights; its entry ``seen`` holds the ranges of the training data.
+        The JSON of the weights; its entry ``seen`` holds the ranges of the training data. By default the engine's.
 
     Attributes
     ----------
     spec : GridSpec
         The grid that the model fills, in the vehicle frame.
+    engine : OnnxEngine or TorchEngine
+        On the same cells, around the sensor.
 
     Raises
     ------
     TypeError, ValueError
-        If `mount` is no `Mount`, the network cannot fill `spec`, or there is no such device.
+        If `mount` is no `Mount`, or the network cannot fill `spec`.
 
     Notes
     -----
@@ -74,29 +71,25 @@ class DeepISM:
 
     def __init__(
         self,
-        network: PillarNetwork,
+        network: "Engine | PillarNetwork",
         spec: GridSpec | None = None,
         mount: Mount | None = None,
         *,
-        device: str | torch.device = "cpu",
-        compile: bool = False,
         description: Mapping[str, Any] | None = None,
     ) -> None:
         self.mount = mount = Mount(1.9) if mount is None else mount
         if not isinstance(mount, Mount):
             raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
-        self.device = _device(device)
-        self.description = dict(description or {})
+        engine: Any = network if hasattr(network, "masses") else _of_torch(network)
+        self.description = dict(engine.description if description is None else description)
         self._T, self._ego_footprint = to_ground_frame(mount)
         x, y = (float(value) for value in mount.origin[:2])
-        default = _moved(network.spec, x, y)
+        default = _moved(engine.spec, x, y)
         self.spec = default if spec is None else spec
-        # The same cells around the sensor
-        self._sensor_spec = network.spec if self.spec == default else _moved(self.spec, -x, -y)
-        if self._sensor_spec != network.spec:
-            network = network.on(self._sensor_spec)
-        self.network = fused(network).to(self.device)
-        self._evidence = torch.compile(self.network.evidence) if compile else self.network.evidence
+        if self.spec != default:  # the same cells around the sensor
+            engine = engine.on(_moved(self.spec, -x, -y))
+        self.engine = engine
+        self._rays = _ray_model(self.spec, mount) if engine.rays else None
         self._ego_cells = _cells_of(self.spec, mount.ego_footprint)
         ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf)}
         ranges |= self.description.get("seen", {})
@@ -112,28 +105,39 @@ class DeepISM:
         *,
         spec: GridSpec | None = None,
         mount: Mount | None = None,
-        device: str | torch.device = "cpu",
+        engine: str | None = None,
+        precision: str = "float32",
+        threads: int | None = None,
+        device: Any = "cpu",
         compile: bool = False,
     ) -> Self:
-        """Load weights: those that come with the package by name, or a file or a run that `ogm train` wrote.
+        """Load weights: those that come with the package by name, or what `ogm train` or `ogm export` wrote.
 
         Parameters
         ----------
         source : "lite", or path
-            A ``.safetensors`` file with its ``.json`` beside it, or a run's folder, for its best weights.
-        spec, mount, device, compile
+            A ``.safetensors`` file with its ``.json`` beside it, or a run's folder, for its best weights, or an
+            exported network, ``.onnx``.
+        spec, mount
             As of the class.
+        engine : "onnxruntime", "openvino" or "torch", optional
+            What computes. By default ONNX Runtime for what is exported, as ``"lite"`` is; else torch.
+        precision : "float32" or "bfloat16"
+            What the convolutions are computed in; ONNX Runtime knows float32 alone.
+        threads : int, optional
+            Of ONNX Runtime and OpenVINO. By default ``OMP_NUM_THREADS``, or the cores of the process.
+        device : str or torch.device
+            Where torch runs: ``"cpu"`` or ``"cuda"``.
+        compile : bool
+            Make torch faster by ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
 
         Raises
         ------
-        FileNotFoundError
-            If there are no such weights.
-        OgmError
-            If the files are damaged or of another kind.
+        FileNotFoundError, OgmError, ValueError, ImportError
+            As of `ogm.deep.engines.load_engine`.
         """
-        with weights_of(source) as path:
-            network, description = load_network(path)
-        return cls(network, spec, mount, device=device, compile=compile, description=description)
+        options: dict[str, Any] = {"precision": precision, "threads": threads, "device": device, "compile": compile}
+        return cls(load_engine(source, engine=engine, **options), spec, mount)
 
     def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
         """Map one scan to its evidential grid.
@@ -145,22 +149,21 @@ class DeepISM:
         """
         return self.batch([scan])[0]
 
-    @torch.inference_mode()
     def batch(self, scans: Sequence[Scan | NDArray[np.float32]]) -> list[EvidentialGrid]:
         """Map some scans at once, which is faster on an accelerator."""
         if not scans:
             return []
-        nx, ny = self._sensor_spec.shape
-        pillars = [self._pillars(as_scan(scan).points) for scan in scans]
-        evidence = self._evidence(self.network.feature_map(collate(pillars, nx * ny)))
-        mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
+        given = [as_scan(scan) for scan in scans]
+        pillars = [self._pillars(scan.points) for scan in given]
+        rays = None if self._rays is None else [self._rays(scan).mass for scan in given]
+        mass = self.engine.masses(pillars, rays)
         # The network was not trained on cells under the ego vehicle, nor on scans without points: unknown
         mass[:, *self._ego_cells] = 0
         mass[[self._has_too_few(one) for one in pillars]] = 0
-        return [EvidentialGrid.trusted(self.spec, one) for one in mass.cpu().numpy()]
+        return [EvidentialGrid.trusted(self.spec, one) for one in mass]
 
-    def _pillars(self, points: NDArray[np.float32]) -> Pillars:
-        """Normalise a scan as the training data was."""
+    def _pillars(self, points: NDArray[np.float32]) -> Any:
+        """Normalise a scan as the training data was: SortedPoints or Pillars, as the engine takes them."""
         most = self._point_range[1]
         if len(points) > 1.2 * most:
             points = points[np.isfinite(points).all(axis=1)]
@@ -168,20 +171,15 @@ class DeepISM:
             text = f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that"
             self._warn("points", text)
             points = points[np.random.default_rng(0).random(len(points)) < most / len(points)]
-        options = self._sensor_spec, self.network.config.z_range, self._ego_footprint
-        if self.device.type == "cpu":
-            pillars = pillarize(points, *options, self._T)
-        else:
-            T = torch.from_numpy(self._T).float().to(self.device)
-            pillars = pillarize_torch(torch.tensor(points, device=self.device), *options, T)
+        pillars: Any = self.engine.pillars(points, self._ego_footprint, self._T)
         self._compare(pillars)
         return pillars
 
-    def _has_too_few(self, pillars: Pillars) -> bool:
+    def _has_too_few(self, pillars: Any) -> bool:
         """Return whether a scan has a tenth of the fewest points of the training, or less."""
         return len(pillars.features) <= 0.1 * self._point_range[0]
 
-    def _compare(self, pillars: Pillars) -> None:
+    def _compare(self, pillars: Any) -> None:
         """Compare a scan with those of the training; leave out intensities of another calibration."""
         features = pillars.features
         if self._has_too_few(pillars):
@@ -200,7 +198,8 @@ class DeepISM:
         near = features[:: max(1, len(features) // 2000), :3]
         near = near[(near[:, :2] ** 2).sum(1) < 15**2]
         if len(near) > 100:
-            lowest = float(near[:, 2].kthvalue(len(near) // 10 + 1)[0])
+            z = near[:, 2].cpu().numpy() if hasattr(near, "cpu") else near[:, 2]
+            lowest = float(np.partition(z, len(z) // 10)[len(z) // 10])
             if abs(lowest) > 0.5:
                 text = (
                     f"the ground near the sensor seems to lie at {lowest:+.1f} m instead of 0: is sensor_height right?"
@@ -214,28 +213,6 @@ class DeepISM:
             _log.warning("unlike the training data: %s", text)
 
 
-@contextmanager
-def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
-    """Return the file of weights that a name, a run's folder, or a file stands for.
-
-    Raises
-    ------
-    FileNotFoundError
-        If `source` is none of them.
-    """
-    if str(source) in SHIPPED:
-        with as_file(files("ogm") / "data") as folder:
-            yield folder / f"{source}.safetensors"
-        return
-    path = Path(source)
-    if path.is_dir():
-        path /= "best.safetensors"
-    elif path.suffix != ".safetensors":
-        known = f"{' or '.join(map(repr, SHIPPED))}, or the .safetensors file or the folder that `ogm train` wrote"
-        raise FileNotFoundError(f"there are no weights {str(source)!r}: give {known}")
-    yield path
-
-
 def _moved(spec: GridSpec, x: float, y: float) -> GridSpec:
     return GridSpec(spec.resolution, spec.shape, (spec.origin[0] + x, spec.origin[1] + y))
 
@@ -247,11 +224,13 @@ def _cells_of(spec: GridSpec, box: tuple[float, float, float, float]) -> tuple[s
     return slice(max(x0, 0), max(x1 + more, 0)), slice(max(y0, 0), max(y1 + more, 0))
 
 
-def _device(name: str | torch.device) -> torch.device:
-    try:
-        device = torch.empty(0, device=name).device
-    except (RuntimeError, AssertionError, NotImplementedError) as error:
-        raise ValueError(f"there is no device {str(name)!r} here ({error}); use cpu") from error
-    if device.type not in ("cpu", "cuda"):
-        raise ValueError(f"the network runs on cpu and cuda, got {str(name)!r}")
-    return device
+def _ray_model(spec: GridSpec, mount: Mount) -> "InverseSensorModel":
+    from ogm.geometric import RayISM
+
+    return RayISM(spec, mount)
+
+
+def _of_torch(network: Any) -> "Engine":
+    from ogm.deep.torch_engine import TorchEngine
+
+    return TorchEngine(network)

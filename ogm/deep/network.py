@@ -11,15 +11,17 @@ import copy
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 import torch
 from torch import nn
 from torch.nn.functional import batch_norm, conv2d, interpolate, pixel_shuffle, relu, softplus
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
+from ogm.deep.network_grid import check_resolution, check_sides, sensor_coords
 from ogm.deep.pillars import FEATURES, Pillars
 from ogm.grid import GridSpec
 
-__all__ = ["LITE", "PAPER", "NetworkConfig", "PillarNetwork", "fused"]
+__all__ = ["LITE", "PAPER", "NetworkConfig", "PillarNetwork", "copy_weights", "fused"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class NetworkConfig:
         Channels of each scale when they are concatenated.
     bearings : bool
         Give the network, at every cell, the distance and the direction of the sensor.
+    rays : bool
+        Give the network, at every cell, the masses of `ogm.geometric.RayISM`: where the scan measured at all.
     evidence : "softplus" or "relu"
         Activation of the head. ReLU is the paper's; it leaves cells without gradient.
     dropout : float
@@ -54,6 +58,7 @@ class NetworkConfig:
     join: Literal["concatenate", "add"]
     up: int = 128
     bearings: bool = False
+    rays: bool = False
     evidence: Literal["softplus", "relu"] = "softplus"
     dropout: float = 0.0
     scale: tuple[float, ...] = (1.0,) * FEATURES
@@ -93,20 +98,14 @@ class PillarNetwork(nn.Module):
 
     def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
         super().__init__()
-        if any(n % config.stride for n in spec.shape):
-            nx, ny = (-(-n // config.stride) * config.stride for n in spec.shape)
-            length, width = nx * spec.resolution, ny * spec.resolution
-            raise ValueError(
-                f"both sides of the network's grid must be multiples of {config.stride} cells, got {spec.shape}; "
-                f"use ({nx}, {ny}) cells, length {length:g} m and width {width:g} m"
-            )
+        check_sides(spec, config.stride)
         if config.bearings and len(config.blocks) < 2:
             raise ValueError(f"bearings join at the second block, got {len(config.blocks)} block")
         self.config, self.spec = config, spec
         channels = [size for size, _ in config.blocks]
         self.pillar = PillarFeatures(config.pillar, config.scale)
         self.bearings = nn.Conv2d(4, channels[1], 1) if config.bearings else None
-        pairs = zip([config.pillar, *channels], config.blocks, strict=False)
+        pairs = zip([config.pillar + 2 * config.rays, *channels], config.blocks, strict=False)
         self.blocks = nn.ModuleList(_block(before, *block, config.dropout) for before, block in pairs)
         added = config.join == "add"
         self.join = AddNeck(channels) if added else ConcatenateNeck(channels, config.up)
@@ -115,7 +114,8 @@ class PillarNetwork(nn.Module):
         if config.evidence == "softplus":  # begin near the usual: much free, little occupied
             self.head.bias.data[:] = torch.tensor([2.0] * 4 + [-1.0] * 4)
         if config.bearings:
-            self.register_buffer("sensor_coords", _sensor_coords(spec), persistent=False)
+            coords = torch.from_numpy(sensor_coords(spec)).contiguous(memory_format=torch.channels_last)
+            self.register_buffer("sensor_coords", coords, persistent=False)
 
     def on(self, spec: GridSpec) -> "PillarNetwork":
         """Return the same network for another grid of the same resolution.
@@ -125,9 +125,7 @@ class PillarNetwork(nn.Module):
         ValueError
             If the resolution differs, or the cells cannot be halved as often as the network does.
         """
-        if spec.resolution != self.spec.resolution:
-            cells = f"cells of {self.spec.resolution} m, got {spec.resolution} m"
-            raise ValueError(f"the network was trained on {cells}; train another, or use that resolution")
+        check_resolution(spec, self.spec)
         network = PillarNetwork(self.config, spec)
         network.load_state_dict(self.state_dict())
         return network.train(self.training)
@@ -137,26 +135,41 @@ class PillarNetwork(nn.Module):
         return self.evidence(self.feature_map(pillars))
 
     def feature_map(self, pillars: Pillars) -> torch.Tensor:
-        """Return the pillars' features on the grid, (batch, channels, nx, ny); 0 where no point is."""
+        """Return the pillars' features on the grid, (batch, channels, nx, ny); 0 where no point is.
+
+        The masses of rays, if the network takes them, are the last two channels.
+        """
         nx, ny = self.spec.shape
-        features = self.pillar(pillars.features, pillars.lengths)
-        x = features.new_zeros(pillars.batch * nx * ny, features.shape[1])
-        x.index_copy_(0, pillars.cells, features)
+        features, width = self.pillar(pillars.features, pillars.lengths), self.config.pillar
+        x = features.new_zeros(pillars.batch * nx * ny, width + 2 * self.config.rays)
+        x[:, :width].index_copy_(0, pillars.cells, features)
+        if self.config.rays:
+            if pillars.rays is None:
+                raise ValueError("this network takes the masses of rays too: give Pillars with rays")
+            x[:, width:] = pillars.rays.reshape(-1, 2)
         return x.view(pillars.batch, nx, ny, -1).permute(0, 3, 1, 2)  # in memory: channels last
 
     def evidence(self, feature_map: torch.Tensor) -> torch.Tensor:
         """Return evidence (batch, nx, ny, 2) from the feature map."""
+        x = pixel_shuffle(self.quarters(feature_map), 2)
+        x = x.permute(0, 2, 3, 1).float()  # the one change from channels first to states last
+        return softplus(x) if self.config.evidence == "softplus" else relu(x)
+
+    def quarters(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the head's values before their activation, (batch, 2 * 4, nx / 2, ny / 2).
+
+        Its channels are the states, and of each the four cells of a 2 x 2 square. The coordinates of the sensor are
+        those of the network's grid unless others are given.
+        """
         scales = []
         x = feature_map
         for k, block in enumerate(self.blocks):
             x = block[0](x)
             if k == 1 and self.bearings is not None:
-                x = x + self.bearings(self.sensor_coords)
+                x = x + self.bearings(self.sensor_coords if sensor_coords is None else sensor_coords)
             x = block[1:](x)
             scales.append(x)
-        x = pixel_shuffle(self._head(self.join(scales)), 2)
-        x = x.permute(0, 2, 3, 1).float()  # the one change from channels first to states last
-        return softplus(x) if self.config.evidence == "softplus" else relu(x)
+        return self._head(self.join(scales))
 
     def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
         """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
@@ -174,7 +187,8 @@ class PillarFeatures(nn.Module):
         super().__init__()
         self.linear = nn.Linear(FEATURES, channels, bias=False)
         self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01)
-        self.register_buffer("scale", 1 / torch.tensor(scale), persistent=False)
+        inverse = np.float32(1) / np.array(scale, np.float32)  # torch would load its compiler on the device meta
+        self.register_buffer("scale", torch.from_numpy(inverse), persistent=False)
 
     def forward(self, features: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
         """Return (P, channels) from (N, 9) features of points sorted by pillar, and the pillars' lengths."""
@@ -256,15 +270,6 @@ def _block(before: int, after: int, count: int, dropout: float) -> nn.Sequential
     return nn.Sequential(*layers)
 
 
-def _sensor_coords(spec: GridSpec) -> torch.Tensor:
-    """Return polar coordinates of each 4 x 4 cells, (1, 4, nx / 4, ny / 4): r / 40 m, ln(r / 10 m), cos, sin."""
-    x, y = (torch.from_numpy(axis).float() for axis in spec.cell_centers)
-    x, y = x.view(-1, 4, 1).mean(1), y.view(1, -1, 4).mean(2)
-    r = torch.sqrt(x**2 + y**2).clamp(min=spec.resolution)
-    coords = torch.stack([r / 40, torch.log(r / 10), x / r, y / r])
-    return coords[None].contiguous(memory_format=torch.channels_last)
-
-
 def fused(network: PillarNetwork) -> PillarNetwork:
     """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
     result = copy.deepcopy(network).eval()
@@ -280,6 +285,27 @@ def fused(network: PillarNetwork) -> PillarNetwork:
     pillar.linear.weight.data *= pillar.scale
     pillar.scale, pillar.norm = None, nn.Identity()
     return result.to(memory_format=torch.channels_last)
+
+
+@torch.no_grad()
+def copy_weights(source: PillarNetwork, target: PillarNetwork) -> None:
+    """Give a network the weights of another of the same layers; channels that only the target has get weights of 0.
+
+    Raises
+    ------
+    ValueError
+        If the layers differ in more than the number of their inputs.
+    """
+    weights = source.state_dict()
+    for name, value in target.state_dict().items():
+        given = weights.get(name)
+        if given is None or given.dim() != value.dim():
+            raise ValueError(f"the networks have other layers: {name} is missing or of another kind")
+        grown = [k for k, (a, b) in enumerate(zip(given.shape, value.shape, strict=True)) if a != b]
+        if grown not in ([], [1]) or any(given.shape[k] > value.shape[k] for k in grown):
+            raise ValueError(f"the networks have other layers: {name} is {tuple(given.shape)}, {tuple(value.shape)}")
+        value.zero_()
+        value[(slice(None), slice(given.shape[1])) if grown else ...] = given
 
 
 def _tuple(value: object) -> object:

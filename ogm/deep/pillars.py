@@ -1,11 +1,9 @@
-"""Points to pillars: the columns of space above the cells of a grid, with the features of the points in them.
+"""Pillars as torch tensors: of one scan, or of the scans of a batch.
 
-Lang et al. 2019, Sec. 2.1, without its padding: points are sorted by cell, and every pillar has the points it has.
-Nothing is cut off unless asked for. `pillarize` is a numba kernel, `pillarize_torch` its slow reference, which runs
-on any device.
+`ogm.deep.points` sorts the points by compiled kernels; `pillarize_torch` is their slow reference, which runs on any
+device.
 """
 
-import logging
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -13,18 +11,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ogm.deep.points import EMPTY, FEATURES, Rectangle, sort_points, to_ground_frame
+from ogm.geometric import RayISM
 from ogm.grid import GridSpec
-from ogm.jit import kernel
-from ogm.pose import check_pose
-from ogm.scan import Mount, as_scan
+from ogm.scan import Mount, Scan
 
-__all__ = ["FEATURES", "Pillars", "cap_pillars", "collate", "pillarize", "pillarize_torch", "to_ground_frame"]
-
-_log = logging.getLogger(__name__)
-
-FEATURES = 9  # x, y, z, intensity; offsets in x, y, z from the pillar's mean; offsets in x, y from the cell's center
-Rectangle = tuple[float, float, float, float]  # x_min, x_max, y_min, y_max [m]
-_EMPTY: Rectangle = (0.0, 0.0, 0.0, 0.0)
+__all__ = [
+    "FEATURES",
+    "Pillars",
+    "cap_pillars",
+    "collate",
+    "pillarize",
+    "pillarize_torch",
+    "ray_masses",
+    "to_ground_frame",
+]
 
 
 class Pillars(NamedTuple):
@@ -41,87 +42,47 @@ class Pillars(NamedTuple):
         The cell of each pillar, ascending: ``(scan * nx + ix) * ny + iy``.
     batch : int
         Number of scans.
+    rays : (batch, nx, ny, 2) float32, optional
+        Masses of free and occupied that `ogm.geometric.RayISM` gives the scan: where it was measured at all.
     """
 
     features: torch.Tensor
     lengths: torch.Tensor
     cells: torch.Tensor
     batch: int = 1
+    rays: torch.Tensor | None = None
 
     def to(self, device: torch.device | str) -> "Pillars":
         """Return the same on another device."""
         features, lengths, cells = (array.to(device, non_blocking=True) for array in self[:3])
-        return Pillars(features, lengths, cells, self.batch)
-
-
-def to_ground_frame(mount: Mount) -> tuple[NDArray[np.float64], Rectangle]:
-    """Return how points come to the frame of pillars, whose origin is on the ground below the sensor.
-
-    Returns
-    -------
-    T : (4, 4) float64
-        Takes points, as they come, to the ground frame; its axes are parallel to the vehicle's.
-    ego_footprint : (x_min, x_max, y_min, y_max)
-        The ego vehicle in the ground frame [m].
-    """
-    x, y, z = (float(value) for value in mount.origin)
-    T = mount.T_vehicle_points.copy()
-    T[:3, 3] += (-x, -y, mount.sensor_height - z)
-    x_min, x_max, y_min, y_max = mount.ego_footprint
-    return T, (x_min - x, x_max - x, y_min - y, y_max - y)
+        rays = None if self.rays is None else self.rays.to(device, non_blocking=True)
+        return Pillars(features, lengths, cells, self.batch, rays)
 
 
 def pillarize(
     points: NDArray[np.floating[Any]],
     spec: GridSpec,
     z_range: tuple[float, float] = (-3.0, 8.0),
-    ego_footprint: Rectangle = _EMPTY,
+    ego_footprint: Rectangle = EMPTY,
     T: NDArray[np.floating[Any]] | None = None,
 ) -> Pillars:
     """Sort the points of a scan into pillars.
 
-    Parameters
-    ----------
-    points : (N, 4) or (N, 3) float array
-        x, y, z [m], intensity [0, 1]; without a fourth column the intensity is 0. Points that are NaN or infinite
-        are left out, and logged.
-    spec : GridSpec
-        The cells; points outside are left out.
-    z_range : (float, float)
-        Heights that are kept, after `T` [m].
-    ego_footprint : (x_min, x_max, y_min, y_max)
-        Points in this rectangle, after `T`, are left out [m].
-    T : (4, 4) array, optional
-        Takes the points to the frame of `spec` with z = 0 on the ground.
+    Parameters and errors are those of `ogm.deep.points.sort_points`.
 
     Returns
     -------
     Pillars
         On the CPU.
-
-    Raises
-    ------
-    TypeError, ValueError
-        If `points` is not a float array of three or four columns, or `T` is not rigid.
     """
-    with np.errstate(over="ignore"):  # what is too far away for float32 becomes infinite, and is left out
-        rows = np.ascontiguousarray(as_scan(points).points)
-    matrix = np.eye(4) if T is None else check_pose(T, "T")
-    grid = spec.resolution, spec.shape, spec.origin
-    limits = tuple(map(float, z_range)), tuple(map(float, ego_footprint))
-    xyz, cell, invalid = _find_cells(rows, matrix[:3].astype(np.float32), *grid, *limits)
-    if invalid:
-        _log.warning("dropped %d of %d points that are NaN or infinite", invalid, len(rows))
-    features, lengths, cells = _sort_by_cell(xyz, rows[:, 3], cell, spec.shape)
-    _add_offsets(features, lengths, cells, *grid)
-    return Pillars(torch.from_numpy(features), torch.from_numpy(lengths), torch.from_numpy(cells))
+    return Pillars(*map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T)))
 
 
 def pillarize_torch(
     points: torch.Tensor,
     spec: GridSpec,
     z_range: tuple[float, float] = (-3.0, 8.0),
-    ego_footprint: Rectangle = _EMPTY,
+    ego_footprint: Rectangle = EMPTY,
     T: torch.Tensor | None = None,
 ) -> Pillars:
     """Do as `pillarize` does, with torch operations on the device of `points`, an (N, 4) float32 tensor."""
@@ -154,12 +115,34 @@ def collate(scans: Sequence[Pillars], cells: int) -> Pillars:
     cells : int
         Cells of the grid, nx * ny.
     """
+    rays = [scan.rays for scan in scans if scan.rays is not None]
     return Pillars(
         torch.cat([scan.features for scan in scans]),
         torch.cat([scan.lengths for scan in scans]),
         torch.cat([scan.cells + cells * number for number, scan in enumerate(scans)]),
         len(scans),
+        torch.cat(rays) if rays else None,
     )
+
+
+def ray_masses(scan: Scan, spec: GridSpec, height: float, ego_footprint: Rectangle) -> torch.Tensor:
+    """Return the masses of free and occupied of `RayISM`, (1, nx, ny, 2) float32, for a scan in the ground frame.
+
+    Parameters
+    ----------
+    scan : Scan
+        In the frame of `to_ground_frame`; beams without echo too.
+    spec : GridSpec
+        The cells, around the sensor.
+    height : float
+        Of the sensor above the ground [m].
+    ego_footprint : (x_min, x_max, y_min, y_max)
+        The ego vehicle [m].
+    """
+    T = np.eye(4)
+    T[2, 3] = height
+    mount = Mount(height, T, ego_footprint, points_in="vehicle")
+    return torch.from_numpy(RayISM(spec, mount)(scan).mass)[None]
 
 
 def cap_pillars(pillars: Pillars, rng: np.random.Generator, most_pillars: int, most_points: int) -> Pillars:
@@ -181,75 +164,5 @@ def cap_pillars(pillars: Pillars, rng: np.random.Generator, most_pillars: int, m
         torch.from_numpy(np.minimum(lengths, most_points)[kept]),
         pillars.cells[torch.from_numpy(kept)],
         pillars.batch,
+        pillars.rays,
     )
-
-
-@kernel
-def _find_cells(points: Any, T: Any, size: float, shape: Any, origin: Any, z_range: Any, ego_footprint: Any) -> Any:
-    """Return the transformed points (N, 3), the cell of each (N,) or -1, and how many are not finite."""
-    cell = np.full(len(points), -1, np.int32)
-    xyz = np.empty((len(points), 3), np.float32)
-    invalid = 0
-    x_min, x_max, y_min, y_max = ego_footprint
-    for i in range(len(points)):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        if not (np.isfinite(px) and np.isfinite(py) and np.isfinite(pz) and np.isfinite(points[i, 3])):
-            invalid += 1
-            continue
-        x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-        y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-        z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-        if not z_range[0] <= z < z_range[1] or (x_min < x < x_max and y_min < y < y_max):
-            continue
-        u, v = np.floor((x - origin[0]) / size), np.floor((y - origin[1]) / size)
-        if u >= 0 and v >= 0 and u < shape[0] and v < shape[1]:
-            cell[i] = int(u) * shape[1] + int(v)
-            xyz[i, 0], xyz[i, 1], xyz[i, 2] = x, y, z
-    return xyz, cell, invalid
-
-
-@kernel
-def _sort_by_cell(xyz: Any, intensity: Any, cell: Any, shape: Any) -> Any:
-    """Return features with their first four columns filled, the pillars' lengths and their cells.
-
-    A counting sort: the order of points within a cell is kept.
-    """
-    count = np.zeros(shape[0] * shape[1], np.int32)
-    for i in range(len(cell)):
-        if cell[i] >= 0:
-            count[cell[i]] += 1
-    pillars = np.count_nonzero(count)
-    lengths, cells = np.empty(pillars, np.int64), np.empty(pillars, np.int64)
-    start, p = 0, 0
-    for c in range(len(count)):
-        if count[c] > 0:
-            lengths[p], cells[p] = count[c], c
-            p += 1
-            count[c], start = start, start + count[c]  # from here on: where the next point of this cell goes
-    features = np.empty((start, 9), np.float32)
-    for i in range(len(cell)):
-        if cell[i] >= 0:
-            row = count[cell[i]]
-            count[cell[i]] += 1
-            features[row, 0], features[row, 1], features[row, 2] = xyz[i, 0], xyz[i, 1], xyz[i, 2]
-            features[row, 3] = intensity[i]
-    return features, lengths, cells
-
-
-@kernel
-def _add_offsets(features: Any, lengths: Any, cells: Any, size: float, shape: Any, origin: Any) -> None:
-    """Fill the other five columns: offsets from the pillar's mean, and from the cell's center."""
-    first = 0
-    for p in range(len(lengths)):
-        last = first + lengths[p]
-        x = origin[0] + (cells[p] // shape[1] + 0.5) * size
-        y = origin[1] + (cells[p] % shape[1] + 0.5) * size
-        for k in range(3):
-            total = 0.0
-            for row in range(first, last):
-                total += features[row, k]
-            for row in range(first, last):
-                features[row, 4 + k] = features[row, k] - total / lengths[p]
-        for row in range(first, last):
-            features[row, 7], features[row, 8] = features[row, 0] - x, features[row, 1] - y
-        first = last

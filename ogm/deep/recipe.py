@@ -93,7 +93,8 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and 
     most_pillars=10_000,
     most_points=100,
 )
-PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
+RAYS_RECIPE = Recipe(replace(LITE, rays=True), epochs=6, batch=4, learning_rate=1e-3)  # begun with `lite`
+PRESETS = {"lite": LITE_RECIPE, "rays": RAYS_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
 
 
 def mean_loss(evidence: Tensor, state: Tensor, recipe: Recipe, epoch: float) -> Tensor:

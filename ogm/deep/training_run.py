@@ -15,7 +15,7 @@ from lightning.fabric import Fabric
 
 from ogm.deep.checkpoint import save_network
 from ogm.deep.data import Batch, PillarDataset
-from ogm.deep.network import PillarNetwork
+from ogm.deep.network import PillarNetwork, copy_weights
 from ogm.deep.recipe import Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.files import OgmError, atomic_write
@@ -39,6 +39,8 @@ class TrainingRun:
         The run's folder.
     training, validation : int
         Numbers of frames.
+    initial : PillarNetwork, optional
+        Network whose weights the training begins with; see `ogm.deep.network.copy_weights`.
 
     Attributes
     ----------
@@ -51,7 +53,14 @@ class TrainingRun:
     """
 
     def __init__(
-        self, fabric: Fabric, recipe: Recipe, spec: GridSpec, out: Path, training: int, validation: int
+        self,
+        fabric: Fabric,
+        recipe: Recipe,
+        spec: GridSpec,
+        out: Path,
+        training: int,
+        validation: int,
+        initial: PillarNetwork | None = None,
     ) -> None:
         self.fabric, self.recipe, self.out = fabric, recipe, out
         self.steps_per_epoch = training // fabric.world_size // recipe.batch
@@ -67,6 +76,8 @@ class TrainingRun:
         }
         torch.manual_seed(recipe.seed)
         self.network = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
+        if initial is not None:
+            copy_weights(initial, self.network)
         average = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
         average.load_state_dict(self.network.state_dict())
         optimizer = torch.optim.AdamW(self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)

@@ -6,6 +6,7 @@ import torch
 
 from ogm.deep import DeepISM, PillarNetwork
 from ogm.deep.checkpoint import save_network
+from ogm.deep.torch_engine import TorchEngine
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 from ogm.scan import InverseSensorModel, Mount
@@ -163,7 +164,7 @@ def test_without_ego_footprint_no_cell_is_blank(network, cloud):
 
 def test_devices_that_are_not_there_are_refused(network):
     with pytest.raises(ValueError, match="use cpu"):
-        DeepISM(network, device="warp")
+        TorchEngine(network, device="warp")
 
 
 def test_weights_are_loaded_from_a_run_or_a_file(network, cloud, tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork, fused
+from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork, copy_weights, fused
 from ogm.deep.pillars import Pillars, collate, pillarize
 from ogm.grid import GridSpec
 
@@ -193,3 +193,22 @@ def test_sensor_coords_are_polar_coordinates() -> None:
 @pytest.mark.parametrize("config", [LITE, PAPER, *SMALL], ids=["lite", "paper", "small lite", "small paper"])
 def test_a_config_survives_json(config: NetworkConfig) -> None:
     assert NetworkConfig.from_dict(json.loads(json.dumps(asdict(config)))) == config
+
+
+def test_a_network_that_takes_rays_begins_as_the_one_without():
+    torch.manual_seed(1)
+    config = NetworkConfig(4, ((8, 1), (8, 1)), join="add")
+    before = PillarNetwork(config, SPEC).eval()
+    after = PillarNetwork(replace(config, rays=True), SPEC).eval()
+    copy_weights(before, after)
+    points = np.random.default_rng(0).uniform(-4, 4, (200, 4)).astype(np.float32)
+    plain = pillarize(np.abs(points), SPEC)
+    rays = torch.rand(1, *SPEC.shape, 2)
+    with torch.no_grad():
+        torch.testing.assert_close(after(plain._replace(rays=rays)), before(plain))
+        after.blocks[0][0][0].weight[:, -2:] = 0.1
+        assert not torch.allclose(after(plain._replace(rays=rays)), before(plain))
+    with pytest.raises(ValueError, match="Pillars with rays"):
+        after(plain)
+    with pytest.raises(ValueError, match="other layers"):
+        copy_weights(after, before)

@@ -10,7 +10,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ogm.deep import pillars as module
+from ogm.deep import points as module
+from ogm.deep.network import NetworkConfig, PillarNetwork, fused
 from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, pillarize_torch
 from ogm.grid import GridSpec
 
@@ -72,6 +73,26 @@ def test_the_kernels_give_the_same_without_the_compiler(monkeypatch: pytest.Monk
     same(fast, pillarize(points, SPEC, Z, EGO))
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("n", [0, 1, 2000])
+def test_the_feature_map_is_the_networks(n: int, compiled: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel of inference against the layers of training: linear, ReLU, the largest of each pillar."""
+    if not compiled:
+        monkeypatch.setattr(module, "_fill_maxima", module._fill_maxima.py_func)
+        n = min(n, 200)
+    torch.manual_seed(0)
+    network = fused(PillarNetwork(NetworkConfig(6, ((8, 1),), join="concatenate", up=8), SPEC))
+    network.pillar.linear.bias.data.uniform_(-1, 1)
+    points = scan(n, size=0.5)
+    with torch.inference_mode():
+        wanted = network.feature_map(pillarize(points, SPEC, Z)).permute(0, 2, 3, 1)
+    weight, bias = (value.detach().numpy() for value in (network.pillar.linear.weight.T, network.pillar.linear.bias))
+    sorted_points = module.sort_points(points, SPEC, Z)
+    found = module.pillar_maxima(sorted_points, np.ascontiguousarray(weight), bias, SPEC.shape, 8)
+    np.testing.assert_allclose(found[..., :6], wanted, rtol=1e-5, atol=1e-5)
+    assert not found[..., 6:].any()  # room for other channels
+
+
 def test_one_point_by_hand() -> None:
     point = np.float32([[0.5, -0.9, 0.3, 0.25]])  # cell: floor(5.62 / 0.16) = 35, floor(1.66 / 0.16) = 10
     pillars = pillarize(point, SPEC)
@@ -85,7 +106,7 @@ def test_one_point_by_hand() -> None:
 def test_every_point_stands_in_its_cell() -> None:
     points = scan(4000)
     pillars = pillarize(points, SPEC, Z)
-    features, lengths, cells, batch = pillars
+    features, lengths, cells, batch = pillars[:4]
     inside = (np.abs(points[:, 0]) < 5.12) & (np.abs(points[:, 1]) < 2.56)
     inside &= (points[:, 2] >= Z[0]) & (points[:, 2] < Z[1])
     assert len(features) == lengths.sum() == inside.sum()
@@ -149,7 +170,7 @@ def test_points_that_are_no_numbers_are_left_out_and_counted(caplog: pytest.LogC
     clean = pillarize(points, SPEC)
     broken = np.repeat(points[:4], 1, axis=0)
     broken[range(4), range(4)] = [np.nan, np.inf, -np.inf, np.nan]
-    with caplog.at_level(logging.WARNING, "ogm.deep.pillars"):
+    with caplog.at_level(logging.WARNING, "ogm.deep.points"):
         same(pillarize(np.concatenate([broken, points]), SPEC), clean)
     assert "dropped 4 of 104 points" in caplog.text
 

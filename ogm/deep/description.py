@@ -1,0 +1,55 @@
+"""The description of weights: NAME.json beside NAME.safetensors, and in an exported network."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from ogm.files import OgmError
+from ogm.grid import GridSpec
+
+__all__ = ["FORMAT", "check_description", "grid_of", "read_description"]
+
+FORMAT = "ogm.network/1"
+_MAX_SIZE = 2**20  # [bytes]
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """Read and check the description of weights.
+
+    Raises
+    ------
+    OgmError
+        If the file is damaged or of another kind.
+    """
+    try:
+        if path.stat().st_size > _MAX_SIZE:
+            raise ValueError(f"it has {path.stat().st_size} bytes")
+        description = json.loads(path.read_bytes())
+        found = description["format"]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise OgmError(f"{path} is no description of a network ({error!r})") from error
+    if found != FORMAT:
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm reads {FORMAT}")
+    try:
+        check_description(description)
+    except ValueError as error:
+        raise OgmError(f"{path} has {error}") from error
+    return description
+
+
+def check_description(description: dict[str, Any]) -> None:
+    """Raise a ValueError if the ranges of the training data are impossible: `DeepISM` compares scans with them."""
+    ranges = description.get("seen", {})
+    good = isinstance(ranges, dict) and set(ranges) <= {"height", "points", "intensity"}
+    for pair in ranges.values() if isinstance(ranges, dict) else ():
+        numbers = isinstance(pair, list) and len(pair) == 2 and all(type(n) in (int, float) for n in pair)
+        good = good and numbers and -math.inf < pair[0] <= pair[1] < math.inf
+    if not good:
+        raise ValueError(f"impossible ranges of the training data under 'seen': {ranges}")
+
+
+def grid_of(description: dict[str, Any]) -> GridSpec:
+    """Return the grid of the training; a ValueError, KeyError or TypeError if there is none."""
+    place = description["spec"]
+    return GridSpec(place["resolution"], tuple(place["shape"]), tuple(place["origin"]))

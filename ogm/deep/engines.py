@@ -1,0 +1,139 @@
+"""Weights by name or by path, and the engine that runs them: ONNX Runtime, OpenVINO or torch."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ogm.files import OgmError
+
+if TYPE_CHECKING:
+    from ogm.deep.onnx_engine import OnnxEngine
+    from ogm.deep.torch_engine import TorchEngine
+
+    Engine = OnnxEngine | TorchEngine
+
+__all__ = ["ENGINES", "SHIPPED", "load_engine", "weights_of"]
+
+SHIPPED = ("lite",)  # weights in the package, also exported
+ENGINES = ("onnxruntime", "openvino", "torch")
+_TORCH = (
+    'pip install "ogm-toolkit[train]" adds it (on a machine without an NVIDIA GPU install PyTorch\'s CPU build first), '
+    "or export the weights where it is: ogm export WEIGHTS --out NAME.onnx"
+)
+
+
+def load_engine(
+    source: str | os.PathLike[str] = "lite",
+    *,
+    engine: str | None = None,
+    precision: str = "float32",
+    threads: int | None = None,
+    device: Any = "cpu",
+    compile: bool = False,
+) -> "Engine":
+    """Return a network that is ready to run.
+
+    Parameters
+    ----------
+    source : "lite", or path
+        Weights that come with the package, a file of weights (``.safetensors``) or a run's folder, for its best ones,
+        or an exported network (``.onnx``).
+    engine : "onnxruntime", "openvino" or "torch", optional
+        What computes. By default ONNX Runtime if the weights are exported, as those that come with the package are;
+        else, and for another `device` or `compile`, torch.
+    precision, threads, device, compile
+        Of `ogm.deep.onnx_engine.OnnxEngine` and of `ogm.deep.torch_engine.TorchEngine`. ``threads`` is not torch's
+        (``torch.set_num_threads``), the last two are torch's alone.
+
+    Returns
+    -------
+    OnnxEngine or TorchEngine
+
+    Raises
+    ------
+    FileNotFoundError
+        If there are no such weights.
+    OgmError
+        If a file is damaged or of another kind, or the exported network is that of other weights.
+    ValueError
+        If there is no such engine, or it lacks an option.
+    ImportError
+        If the engine is not installed; the message holds the pip command that adds it.
+    """
+    if engine is not None and engine not in ENGINES:
+        raise ValueError(f"the engine is {', '.join(ENGINES)}, got {engine!r}")
+    of_torch = compile or str(device) != "cpu"
+    if of_torch and engine not in (None, "torch"):
+        raise ValueError(f"device and compile are torch's, got the engine {engine!r}; leave them out")
+    with weights_of(source) as path:
+        engine = engine or ("torch" if of_torch else _usual(path))
+        if engine != "torch":
+            from ogm.deep.onnx_engine import OnnxEngine
+
+            return OnnxEngine(_exported(path), runtime=engine, precision=precision, threads=threads)
+        if path.suffix == ".onnx":
+            raise OgmError(f"{path} is exported: torch takes weights (.safetensors)")
+        if threads is not None:
+            raise ValueError("threads are not for the engine torch: torch.set_num_threads sets them")
+        load_network, TorchEngine = _of_torch()
+        network, description = load_network(path)
+        return TorchEngine(network, device=device, compile=compile, precision=precision, description=description)
+
+
+@contextmanager
+def weights_of(source: str | os.PathLike[str]) -> Iterator[Path]:
+    """Return the file of weights that a name, a run's folder, or a file stands for.
+
+    Raises
+    ------
+    FileNotFoundError
+        If `source` is none of them.
+    """
+    if str(source) in SHIPPED:
+        with as_file(files("ogm") / "data") as folder:
+            yield folder / f"{source}.safetensors"
+        return
+    path = Path(source)
+    if path.is_dir():
+        path /= "best.safetensors"
+    elif path.suffix not in (".safetensors", ".onnx"):
+        known = (
+            f"{' or '.join(map(repr, SHIPPED))}, the .safetensors file or the folder that `ogm train` wrote, or the "
+            ".onnx file that `ogm export` wrote"
+        )
+        raise FileNotFoundError(f"there are no weights {str(source)!r}: give {known}")
+    yield path
+
+
+def _usual(path: Path) -> str:
+    """Return the engine for weights: torch if they have no exported network beside them that is theirs."""
+    from ogm.deep.onnx_file import exported_from
+
+    beside = path.with_suffix(".onnx")
+    theirs = path.suffix == ".onnx" or (beside.is_file() and (not path.is_file() or exported_from(beside, path)))
+    return "onnxruntime" if theirs else "torch"
+
+
+def _exported(path: Path) -> Path:
+    """Return the exported network of weights, which stands beside them."""
+    from ogm.deep.onnx_file import exported_from
+
+    exported = path.with_suffix(".onnx")
+    way = f"write it by `ogm export {path} --out {exported}`"
+    if path != exported and not exported.is_file():
+        raise FileNotFoundError(f"{exported} is not there, which this engine takes: {way}, or use the engine torch")
+    if path != exported and path.is_file() and not exported_from(exported, path):
+        raise OgmError(f"{exported} was exported from other weights than {path.name}: {way}")
+    return exported
+
+
+def _of_torch() -> tuple[Any, Any]:
+    try:
+        from ogm.deep.checkpoint import load_network
+        from ogm.deep.torch_engine import TorchEngine
+    except ImportError as error:
+        raise ImportError(f"the engine torch lacks a package ({error}): {_TORCH}") from error
+    return load_network, TorchEngine

@@ -1,0 +1,195 @@
+"""An exported network as a file: read and checked before any engine computes with it.
+
+An ONNX file is a program. Only those are let through that `ogm.deep.export` could have written: of its format, with the
+operations of a network, complete in one file. No package for ONNX is needed: what is read here are the first two levels
+of the file's protocol buffers (https://protobuf.dev/programming-guides/encoding, fields of onnx/onnx.proto).
+"""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.deep.description import check_description, grid_of
+from ogm.deep.points import FEATURES
+from ogm.files import OgmError
+from ogm.grid import GridSpec
+
+__all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_onnx", "weights_sum"]
+
+FORMAT = "ogm.network.onnx/2"
+OPERATIONS = frozenset({
+    "Abs", "Add", "Conv", "ConvTranspose", "DepthToSpace", "Div", "Exp", "Gather", "Log", "Neg", "Relu", "Resize",
+    "Split", "Transpose",
+})  # fmt: skip
+_MAX_SIZE = 2**28  # [bytes]
+_MAX_CHANNELS = 4096
+_GRAPH, _FUNCTIONS, _METADATA = 7, 25, 14  # of a model
+_NODE, _INITIALIZER = 1, 5  # of a graph
+_OPERATION, _DOMAIN = 4, 7  # of a node
+_DATA_LOCATION = 14  # of an initializer: 1 if its numbers are in another file
+
+
+@dataclass(frozen=True, eq=False)
+class OnnxFile:
+    """An exported network that was read.
+
+    Attributes
+    ----------
+    data : bytes
+        All of the file.
+    description : dict
+        That of the weights, as in their JSON.
+    spec : GridSpec
+        The grid of the training, around the sensor.
+    z_range : (float, float)
+        Heights above the ground that are kept [m].
+    multiple : int
+        Both sides of a grid must be whole multiples of this many cells.
+    rays : bool
+        Whether the last two channels of the feature map are the masses of `ogm.geometric.RayISM`.
+    weight, bias : (9, C), (C,) float32
+        Of the pillars' linear layer.
+    weights_sum : str
+        SHA-256 of the weights that it was exported from; empty if it was exported from a network in memory.
+    """
+
+    data: bytes = field(repr=False)
+    description: dict[str, Any] = field(repr=False)
+    spec: GridSpec
+    z_range: tuple[float, float]
+    multiple: int
+    rays: bool
+    weight: NDArray[np.float32] = field(repr=False)
+    bias: NDArray[np.float32] = field(repr=False)
+    weights_sum: str
+
+
+def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
+    """Read and check a file that `ogm.deep.export.export_onnx` wrote.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If the file is damaged, of another kind, or holds what no export writes.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path} is not there; `ogm export` writes such files")
+    if path.stat().st_size > _MAX_SIZE:
+        raise OgmError(f"{path} has {path.stat().st_size} bytes, networks have {_MAX_SIZE} at most")
+    data = path.read_bytes()
+    try:
+        metadata = _read_model(data)
+    except (IndexError, ValueError, KeyError, TypeError) as error:
+        raise OgmError(f"{path} is no whole ONNX file of a network: {error}") from error
+    if (found := metadata.get("format")) != FORMAT:
+        way = "; export the weights again" if str(found).startswith("ogm.network.onnx/") else ""
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}{way}")
+    try:
+        numbers = {name: json.loads(metadata[name]) for name in ("description", "input")}
+        return _checked(data, numbers["description"], numbers["input"], metadata.get("weights", ""))
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise OgmError(f"{path} describes no network that can be run: {error!r}") from error
+
+
+def weights_sum(path: str | os.PathLike[str]) -> str:
+    """Return the SHA-256 of a file of weights."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def exported_from(path: Path, weights: Path) -> bool:
+    """Return whether an exported network is that of a file of weights."""
+    return read_onnx(path).weights_sum == weights_sum(weights)
+
+
+def _checked(data: bytes, description: Any, given: Mapping[str, Any], of_weights: str) -> OnnxFile:
+    check_description(description)
+    weight, bias = (np.array(given[name], np.float32) for name in ("weight", "bias"))
+    low, high = map(float, given["z_range"])
+    rays, multiple = given["rays"], given["multiple"]
+    good = (
+        bias.ndim == 1
+        and weight.shape == (FEATURES, len(bias))
+        and np.isfinite(weight).all()
+        and np.isfinite(bias).all()
+        and -np.inf < low < high < np.inf
+        and len(bias) <= _MAX_CHANNELS
+        and type(rays) is bool
+        and type(multiple) is int
+        and 2 <= multiple <= 256
+    )
+    if not good:
+        raise ValueError("a size or a number of its input is out of its limits")
+    return OnnxFile(data, description, grid_of(description), (low, high), multiple, rays, weight, bias, of_weights)
+
+
+def _read_model(data: bytes) -> dict[str, str]:
+    """Return the metadata of a model, all of whose parts are those of an export."""
+    metadata = {}
+    graphs = 0
+    for number, value in _fields(memoryview(data)):
+        if number == _FUNCTIONS:
+            raise ValueError("it defines functions")
+        if number == _GRAPH:
+            graphs += 1
+            _check_graph(value)
+        if number == _METADATA:
+            entry = dict(_fields(value))
+            metadata[_text(entry[1])] = _text(entry[2])
+    if graphs != 1:
+        raise ValueError(f"it has {graphs} graphs")
+    return metadata
+
+
+def _check_graph(graph: memoryview) -> None:
+    for number, value in _fields(graph):
+        if number == _NODE:
+            node = dict(_fields(value))
+            name, domain = _text(node[_OPERATION]), _text(node.get(_DOMAIN, b""))
+            if name not in OPERATIONS or domain not in ("", "ai.onnx"):
+                raise ValueError(f"its operation {domain}.{name} is none of a network's")
+        if number == _INITIALIZER and dict(_fields(value)).get(_DATA_LOCATION, 0) != 0:
+            raise ValueError("it keeps numbers in another file")
+
+
+def _fields(data: memoryview) -> Iterator[tuple[int, Any]]:
+    """Yield the number and the value of every field of a message: an integer, or the bytes of what it holds."""
+    at = 0
+    while at < len(data):
+        key, at = _varint(data, at)
+        number, kind = key >> 3, key & 7
+        if kind == 0:
+            value, at = _varint(data, at)
+            yield number, value
+            continue
+        size, at = _varint(data, at) if kind == 2 else ({1: 8, 5: 4}.get(kind, -1), at)
+        if number == 0 or not 0 <= size <= len(data) - at:
+            raise ValueError(f"byte {at} begins no field of a message")
+        yield number, data[at : at + size]
+        at += size
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    """Return the integer that begins at a byte, of 7 bits per byte, and the place after it."""
+    value = shift = 0
+    while True:
+        byte = data[at]
+        value |= (byte & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if byte < 0x80:
+            return value, at
+        if shift > 63:
+            raise ValueError(f"byte {at} begins no number")
+
+
+def _text(data: Any) -> str:
+    return bytes(data).decode()

@@ -1,0 +1,110 @@
+"""A network as torch has it, ready to run: for weights that were not exported, for accelerators, for comparison."""
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ogm.deep.network import PillarNetwork, fused
+from ogm.deep.pillars import Pillars, collate, pillarize, pillarize_torch
+from ogm.deep.points import Rectangle
+from ogm.grid import GridSpec
+
+__all__ = ["TorchEngine"]
+
+
+class TorchEngine:
+    """A network that is ready to run by torch, on one grid.
+
+    Parameters
+    ----------
+    network : PillarNetwork
+        As `ogm.deep.checkpoint.load_network` returns it.
+    device : str or torch.device
+        Where it runs: ``"cpu"`` or ``"cuda"``.
+    compile : bool
+        Make the network faster by ``torch.compile``. The first call takes half a minute and needs a C++ compiler.
+    precision : "float32" or "bfloat16"
+        The numbers that the convolutions are computed in.
+    description : mapping, optional
+        Of the weights.
+
+    Attributes
+    ----------
+    spec : GridSpec
+        The grid around the sensor; at first that of the network.
+    rays : bool
+        Whether the network takes the masses of `ogm.geometric.RayISM` too.
+    network : PillarNetwork
+        With its normalisation folded in.
+    description : dict
+
+    Raises
+    ------
+    ValueError
+        If there is no such device or precision.
+    """
+
+    def __init__(
+        self,
+        network: PillarNetwork,
+        *,
+        device: str | torch.device = "cpu",
+        compile: bool = False,
+        precision: str = "float32",
+        description: Mapping[str, Any] | None = None,
+    ) -> None:
+        if precision not in ("float32", "bfloat16"):
+            raise ValueError(f"the precision is float32 or bfloat16, got {precision!r}")
+        self.device, self.description = _device(device), dict(description or {})
+        self._dtype, self._compile = getattr(torch, precision), compile
+        self._given, self.rays = network, bool(getattr(network.config, "rays", False))
+        self._prepare(network)
+
+    def _prepare(self, network: PillarNetwork) -> None:
+        self.spec, self.network = network.spec, fused(network).to(self.device)
+        backbone = copy.deepcopy(self.network).to(self._dtype) if self._dtype != torch.float32 else self.network
+        self._evidence: Callable[[torch.Tensor], torch.Tensor] = backbone.evidence
+        if self._compile:
+            self._evidence = torch.compile(backbone.evidence)
+
+    def on(self, spec: GridSpec) -> Self:
+        """Return the same network for another grid; errors as of `PillarNetwork.on`."""
+        other = copy.copy(self)
+        other._prepare(self._given.on(spec))
+        return other
+
+    def pillars(self, points: NDArray[np.float32], ego_footprint: Rectangle, T: NDArray[np.floating[Any]]) -> Pillars:
+        """Sort the points of a scan into the pillars of the grid, on the device."""
+        options = self.spec, self.network.config.z_range, ego_footprint
+        if self.device.type == "cpu":
+            return pillarize(points, *options, T)
+        on_device = torch.from_numpy(T).float().to(self.device)
+        return pillarize_torch(torch.tensor(points, device=self.device), *options, on_device)
+
+    @torch.inference_mode()
+    def masses(
+        self, scans: Sequence[Pillars], rays: Sequence[NDArray[np.float32]] | None = None
+    ) -> NDArray[np.float32]:
+        """Return belief masses (scans, nx, ny, 2): free, occupied; parameters as of `OnnxEngine.masses`."""
+        nx, ny = self.spec.shape
+        pillars: Any = collate(scans, nx * ny)
+        if rays is not None:
+            pillars = pillars._replace(rays=torch.from_numpy(np.stack(rays)).to(self.device))
+        feature_map = self.network.feature_map(pillars)
+        evidence = self._evidence(feature_map.to(self._dtype))
+        mass = evidence / (evidence[..., :1] + evidence[..., 1:] + 2)  # Sec. II: b = e / S
+        return mass.cpu().numpy()
+
+
+def _device(name: str | torch.device) -> torch.device:
+    try:
+        device = torch.empty(0, device=name).device
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        raise ValueError(f"there is no device {str(name)!r} here ({error}); use cpu") from error
+    if device.type not in ("cpu", "cuda"):
+        raise ValueError(f"the network runs on cpu and cuda, got {str(name)!r}")
+    return device

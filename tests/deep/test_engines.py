@@ -1,0 +1,245 @@
+"""Engines: the same grid from each, none of them loaded in vain, and torch only where it is asked for."""
+
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from importlib.resources import as_file, files
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from ogm import Mount, OgmError, read_scan
+from ogm.deep import DeepISM, PillarNetwork
+from ogm.deep.checkpoint import save_network
+from ogm.deep.engines import SHIPPED, load_engine, weights_of
+from ogm.deep.export import export_onnx
+from ogm.deep.network import NetworkConfig
+from ogm.deep.onnx_engine import OnnxEngine, default_threads
+from ogm.deep.onnx_file import read_onnx, weights_sum
+from ogm.deep.torch_engine import TorchEngine
+from ogm.scan import Scan
+
+BOUND, BF16_BOUND = 2e-3, 0.05  # of mass; measured on the shipped scan: 2e-6 and 0.02
+MOUNT = Mount(1.98)
+
+
+@pytest.fixture(scope="module")
+def scan() -> Scan:
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        return read_scan(path, axes=("+y", "-x", "+z"))
+
+
+@pytest.fixture(scope="module")
+def by_torch(scan: Scan) -> np.ndarray:
+    return DeepISM.load("lite", mount=MOUNT, engine="torch")(scan).mass
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_shipped_export_is_that_of_the_shipped_weights(name: str) -> None:
+    """Else `ogm export lite --out ogm/data/lite.onnx` was forgotten."""
+    with weights_of(name) as path:
+        assert read_onnx(path.with_suffix(".onnx")).weights_sum == weights_sum(path)
+
+
+@pytest.mark.parametrize(
+    ("engine", "precision", "bound"),
+    [
+        ("onnxruntime", "float32", BOUND),
+        ("openvino", "float32", BOUND),
+        ("openvino", "bfloat16", BF16_BOUND),
+        ("torch", "bfloat16", BF16_BOUND),
+    ],
+)
+def test_every_engine_gives_the_same_grid(
+    engine: str, precision: str, bound: float, scan: Scan, by_torch: np.ndarray
+) -> None:
+    if engine != "torch":
+        pytest.importorskip(engine, reason=f"the package {engine} is not installed")
+    ism = DeepISM.load("lite", mount=MOUNT, engine=engine, precision=precision)
+    grid = ism(scan)
+    assert np.abs(grid.mass - by_torch).max() <= bound
+    assert grid.at(0.0, 0.0).unknown == 1  # under the ego vehicle
+    assert grid.mass.min() >= 0
+    np.testing.assert_array_equal(ism(scan).mass, grid.mass)
+
+
+def test_mapping_needs_no_torch() -> None:
+    """A process in which nothing of the training can be imported maps a scan by the shipped network."""
+    code = """
+import sys
+for name in ("torch", "lightning", "safetensors", "onnx", "onnxscript", "openvino", "matplotlib"):
+    sys.modules[name] = None
+import numpy as np
+import ogm
+from ogm.deep import DeepISM
+grid = DeepISM.load("lite", mount=ogm.Mount(1.9))(np.random.default_rng(0).uniform(-20, 20, (20000, 3)))
+model = ogm.load_model("lite", grid.spec, ogm.Mount(1.9))
+print(grid.spec.shape, model.engine.spec.shape)
+try:
+    import ogm.deep
+    ogm.deep.PillarNetwork
+except ImportError as error:
+    print(error)
+try:
+    DeepISM.load("lite", engine="torch")
+except ImportError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    shapes, network, engine = done.stdout.strip().splitlines()
+    assert shapes == "(512, 352) (512, 352)"
+    for message in (network, engine):
+        assert 'pip install "ogm-toolkit[train]"' in message
+
+
+def test_loading_loads_nothing_that_it_does_not_need() -> None:
+    code = (
+        "import sys, ogm; from ogm.deep import DeepISM; DeepISM.load('lite', mount=ogm.Mount(1.9)); print(*sys.modules)"
+    )
+    loaded = set(
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    )
+    heavy = {"torch", "lightning", "safetensors", "onnx", "matplotlib", "open3d", "ogm.deep.network", "ogm.geometric"}
+    assert not loaded & heavy
+
+
+@pytest.mark.parametrize("package", ["onnxruntime", "openvino"])
+def test_a_missing_runtime_is_answered_with_the_pip_command(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    extra = {"onnxruntime": "deep"}.get(package, package)
+    with pytest.raises(ImportError, match=rf'pip install "ogm-toolkit\[{extra}\]"'):
+        load_engine("lite", engine=package)
+
+
+def test_threads_may_share_a_model(scan: Scan) -> None:
+    ism = DeepISM.load("lite", mount=MOUNT, threads=2)
+    scans = [Scan(np.ascontiguousarray(scan.points[k::7])) for k in range(4)]
+    alone = [ism(one).mass for one in scans]
+    with ThreadPoolExecutor(4) as pool:
+        together = [grid.mass for grid in pool.map(ism, scans)]
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_batch_is_its_scans_one_by_one(scan: Scan) -> None:
+    ism = DeepISM.load("lite", mount=MOUNT)
+    scans = [Scan(np.ascontiguousarray(scan.points[k::7])) for k in range(2)]
+    for one, together in zip(map(ism, scans), ism.batch(scans), strict=True):
+        np.testing.assert_array_equal(one.mass, together.mass)
+
+
+def test_threads_that_wait_use_no_processor_time(scan: Scan) -> None:
+    ism = DeepISM.load("lite", mount=MOUNT, threads=4)
+    ism(scan)
+    before = time.process_time()
+    time.sleep(0.2)
+    assert time.process_time() - before < 0.05
+
+
+def test_the_default_number_of_threads_is_torchs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    assert default_threads() == 3
+    for odd in ("", "0", "many"):
+        monkeypatch.setenv("OMP_NUM_THREADS", odd)
+        assert default_threads() >= 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"engine": "tensorflow"}, "the engine is onnxruntime, openvino, torch"),
+        ({"engine": "onnxruntime", "device": "cuda"}, "device and compile are torch's"),
+        ({"engine": "onnxruntime", "compile": True}, "device and compile are torch's"),
+        ({"engine": "torch", "threads": 2}, "set_num_threads"),
+        ({"precision": "bfloat16"}, "ONNX Runtime computes in float32"),
+        ({"precision": "int8"}, "float32 or bfloat16"),
+        ({"engine": "torch", "precision": "int8"}, "float32 or bfloat16"),
+        ({"threads": 0}, "at least 1"),
+        ({"device": "warp"}, "use cpu"),
+    ],
+    ids=str,
+)
+def test_options_that_an_engine_lacks_are_refused(options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_engine("lite", **options)
+
+
+def test_grids_that_do_not_suit_the_network_are_refused() -> None:
+    from ogm.grid import GridSpec
+
+    engine = load_engine("lite")
+    with pytest.raises(ValueError, match="cells of 0.16 m"):
+        engine.on(GridSpec.centered(length=10.24, width=10.24, resolution=0.32))
+    with pytest.raises(ValueError, match="multiples of 16 cells"):
+        engine.on(GridSpec.centered(length=9 * 0.16, width=8 * 0.16, resolution=0.16))
+
+
+def test_own_weights_run_by_torch_until_they_are_exported(tiny, small, frames, tmp_path: Path) -> None:
+    """The life of a run's weights: trained, exported, mapped without torch, trained again."""
+    network = PillarNetwork(tiny, small).eval()
+    weights = save_network(tmp_path / "best.safetensors", network, {"seen": {"points": [10, 10**6]}})
+    assert isinstance(load_engine(tmp_path), TorchEngine)
+    with pytest.raises(FileNotFoundError, match="ogm export"):
+        load_engine(tmp_path, engine="onnxruntime")
+    with pytest.raises(FileNotFoundError, match="ogm export"):
+        load_engine(tmp_path / "best.onnx")
+
+    exported = weights.with_suffix(".onnx")
+    export_onnx(network, exported, description={"seen": {"points": [10, 10**6]}}, weights=weights)
+    cloud, mount = frames[0].scan.points, Mount(1.8)
+    wanted = DeepISM.load(tmp_path, mount=mount, engine="torch")(cloud).mass
+    for source in (tmp_path, weights, exported):
+        ism = DeepISM.load(source, mount=mount)
+        assert isinstance(ism.engine, OnnxEngine)
+        assert ism.description["seen"] == {"points": [10, 10**6]}
+        np.testing.assert_allclose(ism(cloud).mass, wanted, atol=1e-5)
+    with pytest.raises(OgmError, match="torch takes weights"):
+        load_engine(exported, engine="torch")
+
+    network.head.bias.data += 1
+    save_network(weights, network, {})
+    assert isinstance(load_engine(tmp_path), TorchEngine)
+    with pytest.raises(OgmError, match="exported from other weights"):
+        load_engine(tmp_path, engine="onnxruntime")
+    assert isinstance(load_engine(exported), OnnxEngine)
+
+
+@pytest.mark.parametrize("engine", ["onnxruntime", "openvino"])
+def test_a_network_that_takes_rays_is_the_same_exported(engine: str, tiny, small, frames, tmp_path: Path) -> None:
+    pytest.importorskip(engine, reason=f"the package {engine} is not installed")
+    network = PillarNetwork(replace(tiny, rays=True), small).eval()
+    weights = save_network(tmp_path / "best.safetensors", network, {})
+    export_onnx(network, tmp_path / "best.onnx", weights=weights)
+    cloud, mount = frames[0].scan.points, Mount(1.8)
+    wanted = DeepISM.load(tmp_path, mount=mount, engine="torch")(cloud).mass
+    found = DeepISM.load(tmp_path, mount=mount, engine=engine)
+    assert found.engine.rays
+    np.testing.assert_allclose(found(cloud).mass, wanted, atol=1e-5)
+    with torch.no_grad():  # the rays are taken
+        network.blocks[0][0][0].weight[:, -2:] = 0
+    save_network(tmp_path / "best.safetensors", network, {})
+    without = DeepISM.load(tmp_path, mount=mount, engine="torch")(cloud).mass
+    assert np.abs(without - wanted).max() > 1e-3
+
+
+def test_commands_map_and_export_without_words_of_torch(small, tmp_path: Path) -> None:
+    from typer.testing import CliRunner
+
+    from ogm.cli import app
+
+    config = NetworkConfig(2, ((2, 1),), join="concatenate", up=2)
+    save_network(tmp_path / "best.safetensors", PillarNetwork(config, small), {})
+    out, grid = tmp_path / "best.onnx", tmp_path / "grid.npz"
+    result = CliRunner().invoke(app, ["export", str(tmp_path), "--out", str(out)])
+    assert result.exit_code == 0, result.output
+    assert read_onnx(out).weights_sum == weights_sum(tmp_path / "best.safetensors")
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        words = ["map", str(path), "--axes", "+y,-x,+z", "--sensor-height", "1.98", "--out", str(grid)]
+        extent = ["--length", f"{small.length}", "--width", f"{small.width}", "--resolution", f"{small.resolution}"]
+        result = CliRunner().invoke(app, [*words, *extent, "--ism", str(out)])
+    assert result.exit_code == 0, result.output
+    assert grid.exists()
