@@ -1,0 +1,272 @@
+"""Several sensor models as one: each maps the scan, and their masses are combined cell by cell.
+
+>>> from ogm import GridSpec, Mount, load_model
+>>> from ogm.combined import CombinedISM
+>>> spec, mount = GridSpec.centered(), Mount(1.9)
+>>> ray, band = (load_model(name, spec, mount) for name in ("ray", "height-band"))
+>>> both = CombinedISM([ray, band], reliability=[1.0, (0.5, 0.8)])
+>>> both.spec == spec
+True
+
+The models see the same scan, so they are not independent, as Dempster's rule assumes: reliabilities below 1, fitted to
+labelled frames, make up for it. ``benchmarks/combined.py`` measures how well the result is calibrated.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.evidence import check_mass, dempster
+from ogm.evidence.kernels import FLOAT32
+from ogm.evidence.kernels import RULES as COMPILED
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.jit import log_compilation, vector
+from ogm.scan import InverseSensorModel, Scan, as_scan
+
+__all__ = ["CombinedISM", "FreeGate", "StateReliability"]
+
+Rule = Callable[..., Any]
+HIT = 0.5  # a cell is a hit where the mass of occupied exceeds this
+
+
+class StateReliability(NamedTuple):
+    """Factors of a model's masses, each in [0, 1]: 1 keeps all, 0 none (Shafer's discounting, per state)."""
+
+    free: float = 1.0
+    occupied: float = 1.0
+
+
+class FreeGate(NamedTuple):
+    """How much of a model's mass of free stays, by the support of the other models.
+
+    The support of a cell is the greatest mass of free that any other model gives it.
+
+    Attributes
+    ----------
+    share : float
+        What stays without support, [0, 1]. With 1 the gate is open everywhere.
+    low, high : float
+        Up to `low` a cell has no support; from `high` on all stays; linear between. 0 <= low < high.
+    """
+
+    share: float
+    low: float = 0.0
+    high: float = 1.0
+
+
+OPEN = FreeGate(1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedISM:
+    """Inverse sensor models on one grid, combined cell by cell.
+
+    Parameters
+    ----------
+    models : sequence of InverseSensorModel
+        At least one; all with the same `spec`.
+    rule : function
+        Combines two masses, ``rule(a, b)``, or a stack, ``rule(stack, axis=0)``: `ogm.evidence.dempster`, `yager`, ...
+        Two models and a rule of `ogm.evidence.kernels.RULES` run as one compiled pass.
+    reliability : float, or one per model
+        Shafer's reliability: a number, or a pair for free and occupied (`StateReliability`).
+    free_gates : sequence of FreeGate or None, optional
+        One per model; None leaves a model's free as it is. By default all do.
+    keep_hits : int, optional
+        Number of the model whose occupied cells stay: where its mass of occupied exceeds 1/2, the free of all others
+        is dropped, so that none can clear the cell. By default there is no such model.
+
+    Raises
+    ------
+    TypeError
+        If a model is no callable with a `spec`, or the rule is no function.
+    ValueError
+        If there is no model, the models fill different grids, or a number is out of its range.
+
+    Notes
+    -----
+    Of each model's masses (f, o) count ``f * reliability.free * gate``, with the gate's share by the other models' raw
+    free, and ``o * reliability.occupied``; what is taken away becomes unknown. The rule combines the results.
+    """
+
+    models: Sequence[InverseSensorModel]
+    rule: Rule = dempster
+    reliability: float | Sequence[float | tuple[float, float]] = 1.0
+    free_gates: Sequence[FreeGate | None] | None = None
+    keep_hits: int | None = None
+    _weights: tuple[tuple[StateReliability, FreeGate], ...] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        models = tuple(self.models)
+        if not models:
+            raise ValueError("models must hold at least one sensor model, got none")
+        for model in models:
+            if not (callable(model) and isinstance(getattr(model, "spec", None), GridSpec)):
+                raise TypeError(f"models must be callables with a .spec, such as RayISM(spec, mount), got {model!r}")
+        for a, b in combinations(models, 2):
+            if a.spec != b.spec:
+                raise ValueError(
+                    f"all models must fill the same grid, got {a.spec} of {type(a).__name__} and {b.spec} of "
+                    f"{type(b).__name__}; make them with one spec"
+                )
+        if not callable(self.rule):
+            raise TypeError(f"rule must be a function of two masses, such as ogm.evidence.dempster, got {self.rule!r}")
+        if self.keep_hits is not None and not 0 <= self.keep_hits < len(models):
+            raise ValueError(f"keep_hits must be the number of a model, 0 to {len(models) - 1}, got {self.keep_hits}")
+        reliability = _checked_reliability(self.reliability, len(models))
+        gates = _checked_gates(self.free_gates, len(models))
+        object.__setattr__(self, "models", models)
+        object.__setattr__(self, "_weights", tuple(zip(reliability, gates, strict=True)))
+
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that every model fills."""
+        return self.models[0].spec
+
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan by every model, and combine their grids.
+
+        Parameters
+        ----------
+        scan : Scan or (N, 4) float32
+            As the models take it.
+        """
+        scan = as_scan(scan)
+        return EvidentialGrid.trusted(self.spec, self.combine([model(scan).mass for model in self.models]))
+
+    def combine(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Combine one mass array per model.
+
+        Parameters
+        ----------
+        masses : sequence of (..., 2) float32
+            Of the same shape, in the order of the models. They are not checked to be masses.
+
+        Returns
+        -------
+        (..., 2) float32
+
+        Raises
+        ------
+        ValueError
+            If their number or shapes do not fit, or an own rule returns no masses.
+        """
+        if len(masses) != len(self.models) or len({mass.shape for mass in masses}) > 1:
+            got = ", ".join(str(mass.shape) for mass in masses)
+            raise ValueError(f"there must be {len(self.models)} mass arrays of one shape, got {got or 'none'}")
+        rule = next((k for k, one in enumerate(COMPILED.values()) if one.arrays is self.rule), None)
+        if rule is None or len(masses) != 2:
+            return self._by_arrays(masses)
+        log_compilation(_combine_two)
+        a, b = (np.ascontiguousarray(mass, np.float32) for mass in masses)
+        out = np.empty_like(a)
+        numbers = [_numbers(*self._weights[k], self.keep_hits == 1 - k) for k in (0, 1)]
+        _combine_two(a.reshape(-1), b.reshape(-1), out.reshape(-1), *numbers, rule)
+        return out
+
+    def _by_arrays(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+        """Combine any number of masses by any rule, in plain arrays: what the kernels must agree with."""
+        left = np.stack(masses).astype(np.float32, copy=True)
+        for k, (reliability, gate) in enumerate(self._weights):
+            others = [mass[..., 0] for n, mass in enumerate(masses) if n != k]
+            if others:
+                support = np.max(others, axis=0)
+                part = np.clip((support - gate.low) / (gate.high - gate.low), 0, 1)
+                left[k, ..., 0] *= gate.share + (1 - gate.share) * part
+            if self.keep_hits is not None and self.keep_hits != k:
+                left[k, ..., 0][masses[self.keep_hits][..., 1] > HIT] = 0
+            left[k] *= np.array(reliability, np.float32)
+        if len(left) == 1:
+            return left[0]
+        combined = np.asarray(self.rule(left, axis=0), np.float32)
+        check_mass(combined, name="the combined mass")
+        return combined
+
+
+def _checked_reliability(given: Any, count: int) -> tuple[StateReliability, ...]:
+    """Return one reliability per model."""
+    each = (given,) * count if isinstance(given, int | float | np.number) else tuple(given)
+    if len(each) != count:
+        raise ValueError(f"reliability must be one number, or one entry for each of {count} models, got {len(each)}")
+    found = []
+    for one in each:
+        pair = StateReliability(*((one, one) if isinstance(one, int | float | np.number) else one))
+        if not all(0 <= value <= 1 for value in pair):
+            raise ValueError(f"reliability must lie in [0, 1], got {tuple(pair)}")
+        found.append(StateReliability(*map(float, pair)))
+    return tuple(found)
+
+
+def _checked_gates(given: Any, count: int) -> tuple[FreeGate, ...]:
+    """Return one gate per model."""
+    each = (None,) * count if given is None else tuple(given)
+    if len(each) != count:
+        raise ValueError(f"free_gates must have one entry for each of {count} models, got {len(each)}")
+    gates = tuple(OPEN if one is None else FreeGate(*map(float, one)) for one in each)
+    for gate in gates:
+        if not (0 <= gate.share <= 1 and 0 <= gate.low < gate.high < np.inf):
+            raise ValueError(f"a gate needs a share in [0, 1] and 0 <= low < high, got {gate}")
+    return gates
+
+
+class _Numbers(NamedTuple):
+    """What a kernel needs of one of two models, in float32; the gate's slope is 1 / (high - low)."""
+
+    free: np.float32
+    occupied: np.float32
+    share: np.float32
+    low: np.float32
+    slope: np.float32
+    most_occupied: np.float32  # of the other model, beyond which this one's free is dropped
+
+
+def _numbers(reliability: StateReliability, gate: FreeGate, other_is_kept: bool) -> _Numbers:
+    slope = 1 / (gate.high - gate.low)
+    return _Numbers(*map(np.float32, (*reliability, gate.share, gate.low, slope, HIT if other_is_kept else 2.0)))
+
+
+@vector
+def _kept(free: Any, other_free: Any, other_occupied: Any, n: Any) -> Any:
+    """Return what counts of a cell's free."""
+    zero, one = np.float32(0), np.float32(1)
+    part = min(max((other_free - n.low) * n.slope, zero), one)
+    left = free * (n.free * (n.share + (one - n.share) * part))
+    return zero if other_occupied > n.most_occupied else left
+
+
+def _combiner(rule: str) -> Any:
+    """Return the loop that combines the flat masses of two models by a rule of `ogm.evidence.kernels`."""
+    cell = COMPILED[rule].cell
+
+    @vector
+    def combine(a: Any, b: Any, out: Any, m: Any, n: Any) -> None:
+        one, half = np.float32(1), np.float32(0.5)
+        for k in range(a.size // 2):
+            f, o, g, p = a[2 * k], a[2 * k + 1], b[2 * k], b[2 * k + 1]
+            first, second = _kept(f, g, p, m), _kept(g, f, o, n)
+            free, occupied, whole = cell(FLOAT32, first, m.occupied * o, second, n.occupied * p)
+            scale = one / max(whole, free + occupied)
+            out[2 * k] = half if whole == 0 else free * scale
+            out[2 * k + 1] = half if whole == 0 else occupied * scale
+
+    return combine
+
+
+_dempster, _yager, _cumulative, _cautious = map(_combiner, COMPILED)
+
+
+@vector
+def _combine_two(a: Any, b: Any, out: Any, m: _Numbers, n: _Numbers, rule: int) -> None:
+    """Combine the flat masses of two models by the rule of a number: its place in `COMPILED`."""
+    if rule == 0:
+        _dempster(a, b, out, m, n)
+    elif rule == 1:
+        _yager(a, b, out, m, n)
+    elif rule == 2:
+        _cumulative(a, b, out, m, n)
+    else:
+        _cautious(a, b, out, m, n)
