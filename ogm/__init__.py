@@ -9,23 +9,26 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ogm.datasets import open_dataset
+    from ogm.dynamic_grid import DynamicGrid
     from ogm.evaluation import evaluate, load_model
     from ogm.files import OgmError
     from ogm.fusion import fuse, map_scans
     from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
     from ogm.io import read_points, read_scan
     from ogm.scan import Boxes, Frame, InverseSensorModel, Mount, Scan
-    from ogm.state import CellState, Truth
+    from ogm.state import CellState, Motion, Truth
 
 __version__ = "0.1.0"
 __all__ = [
     "Boxes",
     "CellState",
+    "DynamicGrid",
     "EvidentialGrid",
     "Frame",
     "GridSpec",
     "InverseSensorModel",
     "LayeredGrid",
+    "Motion",
     "Mount",
     "OgmError",
     "Scan",
@@ -42,11 +45,13 @@ __all__ = [
 _MODULES = {
     "Boxes": "ogm.scan",
     "CellState": "ogm.state",
+    "DynamicGrid": "ogm.dynamic_grid",
     "EvidentialGrid": "ogm.grid",
     "Frame": "ogm.scan",
     "GridSpec": "ogm.grid",
     "InverseSensorModel": "ogm.scan",
     "LayeredGrid": "ogm.grid",
+    "Motion": "ogm.state",
     "Mount": "ogm.scan",
     "OgmError": "ogm.files",
     "Scan": "ogm.scan",

@@ -1,13 +1,17 @@
 """Files that are either whole or not there, and the error for those that are wrong."""
 
+import contextlib
+import errno
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-__all__ = ["OgmError", "atomic_write"]
+__all__ = ["OgmError", "atomic_write", "naming", "temporary_name"]
+
+_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
 
 class OgmError(ValueError):
@@ -41,13 +45,60 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]
         raise FileNotFoundError(f"cannot write {target}: there is no folder {target.parent}; create it first")
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {target}: it is a folder; give a file name")
-    temporary = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
+    with naming(target), _unnamed(target, mode) as (file, name):
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
+        os.replace(name(), target)
+
+
+@contextmanager
+def naming(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Give errors of a full or broken disk the path that is written; the system names none, or a temporary one."""
     try:
-        with open(temporary, mode.replace("w", "x"), encoding=None if "b" in mode else "utf-8") as file:
-            yield file
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, target)
+        yield
+    except OSError as error:
+        temporary = error.filename is None or os.path.basename(str(error.filename)).startswith(_PREFIX)
+        if temporary and (error.errno in _OF_DISK or error.filename is not None):
+            raise type(error)(error.errno, error.strerror, str(path)) from error
+        raise
+
+
+def temporary_name(path: Path, ending: str = ".tmp") -> Path:
+    """Return a free name in the folder of a path, hidden, short whatever the path's name is."""
+    return path.with_name(f"{_PREFIX}{secrets.token_hex(8)}{ending}")
+
+
+_PREFIX = ".ogm-"
+
+
+@contextmanager
+def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO, Callable[[], Path]]]:
+    """Open a temporary file in a folder; give it, and a function that names it and returns the name.
+
+    Where the system can (Linux, most file systems), the file has no name before, so that nothing of it stays when the
+    process is killed.
+    """
+    temporary, encoding = temporary_name(target), None if "b" in mode else "utf-8"
+    try:
+        descriptor = os.open(target.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o666)
+        linked = f"/proc/self/fd/{descriptor}"
+        if not os.path.exists(linked):
+            os.close(descriptor)
+            raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
+    except (OSError, AttributeError):  # no such files here
+        file, name = open(temporary, mode.replace("w", "x"), encoding=encoding), lambda: temporary  # noqa: SIM115
+    else:
+        file = open(descriptor, mode, encoding=encoding)  # noqa: SIM115
+
+        def name() -> Path:
+            os.link(linked, temporary, src_dir_fd=descriptor, follow_symlinks=True)  # with it, Python follows the link
+            return temporary
+
+    try:
+        with file:
+            yield file, name
     except BaseException:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
         raise

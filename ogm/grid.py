@@ -1,9 +1,6 @@
 """Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`."""
 
 import os
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,26 +9,15 @@ from typing import Any, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.archive import open_archive, write_archive
 from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probability, unknown
-from ogm.files import atomic_write
+from ogm.limits import current_limits, too_large
 
-__all__ = ["EvidentialGrid", "GridSpec", "LayeredGrid"]
+__all__ = ["LAYERED_FORMAT", "EvidentialGrid", "GridSpec", "LayeredGrid"]
 
-_FORMAT = "ogm.EvidentialGrid/1"
-_UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
-    EOFError,
-    KeyError,
-    IndexError,
-    TypeError,
-    NotImplementedError,
-    RuntimeError,
-    OSError,
-)
+_FORMAT, LAYERED_FORMAT = "ogm.EvidentialGrid/1", "ogm.LayeredGrid/1"
 _LENGTH, _WIDTH = 81.92, 56.32  # [m] default extent (van Kempen et al. 2021, Sec. V)
-_MAX_CELLS = 2**28  # a grid of 1 GiB of masses; a file that announces more is refused before it is unpacked
+_MAX_CELLS = 2**28  # 2 GiB of masses; a file that announces more is refused before it is unpacked
 
 
 @dataclass(frozen=True)
@@ -62,10 +48,13 @@ class GridSpec:
     origin: tuple[float, float]
 
     def __post_init__(self) -> None:
-        resolution, shape, origin = float(self.resolution), tuple(self.shape), tuple(self.origin)
+        try:
+            resolution, shape, origin = float(self.resolution), tuple(self.shape), tuple(map(float, self.origin))
+        except OverflowError as error:
+            raise ValueError("resolution and origin must be numbers that a float can hold [m]") from error
         if not (resolution > 0 and np.isfinite(resolution)):
             raise ValueError(f"resolution must be positive and finite [m], got {self.resolution}")
-        if len(shape) != 2 or not all(n == int(n) and n > 0 for n in shape):
+        if len(shape) != 2 or not all(0 < n < np.inf and n == int(n) for n in shape):
             raise ValueError(f"shape must be two positive whole numbers (nx, ny), got {self.shape}")
         if shape[0] * shape[1] > _MAX_CELLS:
             raise ValueError(f"shape {self.shape} has more than {_MAX_CELLS} cells; use coarser or fewer cells")
@@ -329,18 +318,15 @@ class EvidentialGrid:
         The archive holds ``mass`` (nx, ny, 2) float32, ``resolution`` and ``origin`` [m], and the texts
         ``format``, ``states`` and ``axes``. Whatever stood at `path` stays whole until the new file is.
         """
-        if not str(path).lower().endswith(".npz"):
-            raise ValueError(f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture")
-        with atomic_write(path) as file:
-            np.savez_compressed(
-                file,
-                format=np.array(_FORMAT),
-                states=np.array(["free", "occupied"]),
-                axes=np.array("[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)"),
-                resolution=np.float64(self.spec.resolution),
-                origin=np.array(self.spec.origin, np.float64),
-                mass=self.mass,
-            )
+        write_archive(
+            path,
+            _FORMAT,
+            states=["free", "occupied"],
+            axes="[ix (x forward), iy (y left), state]; origin is the corner of cell (0, 0)",
+            resolution=self.spec.resolution,
+            origin=self.spec.origin,
+            mass=self.mass,
+        )
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Self:
@@ -353,23 +339,9 @@ class EvidentialGrid:
         ValueError
             If the file is damaged, of another kind or version, or holds masses outside [0, 1].
         """
-        try:
-            with zipfile.ZipFile(path) as archive:
-                size = sum(item.file_size for item in archive.infolist())
-                if size > _MAX_CELLS * 8 + 2**20:
-                    raise ValueError(
-                        f"{path} announces {size} bytes of arrays, more than any grid has; it is not unpacked"
-                    )
-            with np.load(path, allow_pickle=False) as data:
-                if "format" not in data or str(data["format"]) != _FORMAT:
-                    found = str(data["format"]) if "format" in data else f"arrays {sorted(data.files)}"
-                    raise ValueError(f"{path} is not an {_FORMAT} file: found {found}")
-                spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
-                return cls(spec, data["mass"])
-        except _UNREADABLE as error:
-            if isinstance(error, FileNotFoundError | PermissionError | IsADirectoryError):
-                raise
-            raise ValueError(f"{path} is not a whole grid file (.npz): {error}") from error
+        with open_archive(path, _FORMAT) as data:
+            spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
+            return cls(spec, data["mass"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,6 +375,37 @@ class LayeredGrid:
         if name not in self.layers:
             raise KeyError(f"there is no layer {name!r}, only {', '.join(self.layers) or 'none'}")
         return self.layers[name]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write ``layers`` (L, nx, ny) and their ``names`` to an ``.npz`` file, as `EvidentialGrid.save` does."""
+        layers = np.array([*self.layers.values()], np.float32).reshape(len(self.layers), *self.spec.shape)
+        if layers.nbytes > current_limits().grid:  # such a file could not be read again
+            raise too_large(path, layers.nbytes, "grid")
+        write_archive(
+            path,
+            LAYERED_FORMAT,
+            names=np.array([*self.layers], np.str_),
+            axes="[layer, ix (x forward), iy (y left)]; origin is the corner of cell (0, 0)",
+            resolution=self.spec.resolution,
+            origin=self.spec.origin,
+            layers=layers,
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read layers that `save` wrote; errors as those of `EvidentialGrid.load`."""
+        with open_archive(path, LAYERED_FORMAT) as data:
+            spec = GridSpec(float(data["resolution"]), data["layers"].shape[1:], tuple(data["origin"].tolist()))
+            return cls(spec, dict(zip(data["names"].tolist(), data["layers"], strict=True)))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other has the same cells and the same layers; NaN equals NaN."""
+        if not isinstance(other, LayeredGrid):
+            return NotImplemented
+        same = self.spec == other.spec and self.layers.keys() == other.layers.keys()
+        return same and all(np.array_equal(one, other[name], equal_nan=True) for name, one in self.layers.items())
+
+    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return f"LayeredGrid({self.spec}: {', '.join(self.layers)})"

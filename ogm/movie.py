@@ -28,6 +28,7 @@ __all__ = ["Movie", "open_movie"]
 WIDEST, TALLEST, TALLEST_GIF = 1600, 800, 384  # [px] of a frame, of a panel, of a panel of a GIF
 NARROWEST = 232  # [px] of a panel: its title and its legend must fit
 GAP, BAR, TITLE, LEGEND = 8, 32, 22, 26  # [px] between panels; heights of line, titles and legends
+HEAD, WHEEL = 8.0, 34  # [px] length of the head of an arrow, width of the wheel of headings
 BACKGROUND, INK, FAINT = (24, 24, 24), (240, 240, 240), (160, 160, 160)
 SHORTEST, LONGEST, LAST = 0.02, 2.0, 1.0  # [s] for which a frame is shown; the last one at least
 PANELS = 4
@@ -129,10 +130,32 @@ class Movie:
             if one.size != self.panel:
                 way = Image.Resampling.NEAREST if one.size[0] < width else Image.Resampling.BOX
                 one = one.resize(self.panel, way)
+            self._draw_arrows(one, panel)
             frame.paste(one, (left, top))
             self._mark(draw, left, top)
             left += width + GAP
         return frame
+
+    def _draw_arrows(self, image: Image.Image, panel: plot.Panel) -> None:
+        """Draw the boxes and arrows of a panel, and the wheel of its headings, into its picture."""
+        (_, x_max, _, y_max), pixels = panel.spec.extent, self.panel[1] / panel.spec.length  # per metre
+        draw = ImageDraw.Draw(image)
+        for corners in panel.outlines:
+            dots = [tuple(one) for one in (np.array([y_max, x_max]) - corners[:, ::-1]) * pixels]
+            draw.line([*dots, dots[0]], (255, 255, 255), 3)
+            draw.line([*dots, dots[0]], (0, 0, 0), 1)
+        for x, y, dx, dy in panel.arrows:
+            start, way = np.array([y_max - y, x_max - x]) * pixels, -np.array([dy, dx]) * pixels
+            head = way * min(1.0, HEAD / max(math.hypot(*way), 1e-9))
+            tip, neck, side = start + way, start + way - head, 0.45 * head[::-1] * (-1, 1)
+            shaft, triangle = [tuple(start), tuple(neck)], [tuple(one) for one in (tip, neck + side, neck - side)]
+            draw.line(shaft, (255, 255, 255), 4)
+            draw.polygon(triangle, (255, 255, 255), (255, 255, 255), 2)
+            draw.line(shaft, (0, 0, 0), 2)
+            draw.polygon(triangle, (0, 0, 0))
+        if panel.wheel:
+            wheel = Image.fromarray(plot.heading_wheel(WHEEL))
+            image.paste(wheel, (image.width - WHEEL - 4, 4), wheel)
 
     def _mark(self, draw: Any, left: int, top: int) -> None:
         """Draw the vehicle, and into the first panel a scale."""
@@ -159,14 +182,16 @@ def _draw_legend(draw: Any, x: int, y: int, legend: dict[str, tuple[float, float
 @lru_cache
 def palette() -> Image.Image:
     """Return an image with the colours of all panels as its palette: the same for every frame, against flicker."""
-    steps = np.arange(0, 13) / 12
+    steps = np.arange(11) / 10
     green, red = np.array(plot.GREEN), np.array(plot.RED)
     belief = [free * green + occupied * red for free in steps for occupied in steps if free + occupied < 1 + 1e-9]
-    conflict = (np.linspace(plot.BLACK, one, 24) for one in (plot.APPEARED, plot.WENT_AWAY))
-    heights = plot.height_colours(np.linspace(plot.LOWEST, plot.HIGHEST, 64))
+    conflict = (np.linspace(plot.BLACK, one, 16) for one in (plot.APPEARED, plot.WENT_AWAY))
+    heights = plot.height_colours(np.linspace(plot.LOWEST, plot.HIGHEST, 48))
     grey = np.linspace(plot.BLACK, (1, 1, 1), 28)
+    headings = plot.heading_colours(np.arange(24) * np.pi / 12)
+    moving = (headings, 0.75 * headings + 0.25 * 0.5, 0.5 * headings + 0.5 * 0.5)  # mixed with the grey of unknown
     drawn = np.array([BACKGROUND, INK, FAINT]) / 255
-    colours = np.concatenate([belief, *conflict, heights, grey, drawn, np.full((1, 3), 0.08)])
+    colours = np.concatenate([belief, *conflict, heights, grey, *moving, drawn, np.full((1, 3), 0.08)])
     image = Image.new("P", (1, 1))
     image.putpalette(np.round(255 * np.pad(colours, ((0, 256 - len(colours)), (0, 0)))).astype(np.uint8).tobytes())
     return image

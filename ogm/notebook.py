@@ -1,6 +1,6 @@
 """How notebooks show grids, scans and data sets: a small picture and a table of facts.
 
-`EvidentialGrid`, `LayeredGrid`, `Scan` and `Dataset` call these from ``_repr_png_`` and ``_repr_html_``.
+`EvidentialGrid`, `DynamicGrid`, `LayeredGrid`, `Scan` and `Dataset` call these from ``_repr_png_`` and ``_repr_html_``.
 """
 
 from base64 import b64encode
@@ -13,11 +13,22 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ogm import plot
+from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.scan import Scan
 
-__all__ = ["facts_html", "grid_html", "grid_png", "layers_html", "layers_png", "scan_html", "scan_png"]
+__all__ = [
+    "dynamic_html",
+    "dynamic_png",
+    "facts_html",
+    "grid_html",
+    "grid_png",
+    "layers_html",
+    "layers_png",
+    "scan_html",
+    "scan_png",
+]
 
 LONGEST, SHORTEST = 520, 260  # [px] along the longer side of a panel
 PANELS, GAP = 4, 6  # of layers side by side; [px] between them
@@ -39,6 +50,33 @@ def grid_html(grid: EvidentialGrid) -> str:
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
     text = "belief: green free, red occupied, black unknown; x, forward, is up"
     return _html("EvidentialGrid", _spec_facts(grid.spec) | facts, grid_png(grid), text)
+
+
+def dynamic_png(grid: DynamicGrid) -> bytes:
+    """Return a picture of what stands and what moves: `ogm.plot.dynamic_panel` without arrows.
+
+    Where cells are smaller than a pixel, it shows the most occupied one of each pixel.
+    """
+    step = -(-max(grid.spec.shape) // LONGEST)
+    occupied = np.pad(grid.occupied, [(0, -count % step) for count in grid.spec.shape], constant_values=-1)
+    nx, ny = (count // step for count in occupied.shape)
+    most = occupied.reshape(nx, step, ny, step).swapaxes(1, 2).reshape(nx, ny, -1).argmax(axis=-1)
+    at = step * np.arange(nx)[:, None] + most // step, step * np.arange(ny) + most % step
+    spec = GridSpec(grid.spec.resolution * step, most.shape, grid.spec.origin)
+    small = DynamicGrid(spec, grid.mass[at], grid.velocity[at], grid.covariance[at])
+    return _png([plot.dynamic_panel(small, seconds=0.0)])
+
+
+def dynamic_html(grid: DynamicGrid) -> str:
+    """Return the picture of a dynamic grid, its cells, its shares and how fast what moves is."""
+    shares = {name: float(getattr(grid, name).mean()) for name in ("free", "static", "dynamic", "unknown")}
+    facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
+    moving = plot.moving_groups(grid) > 0
+    facts["moving cells"] = f"{np.count_nonzero(moving)}" + (
+        f", median {np.median(grid.speed[moving]):.1f} m/s" if moving.any() else ""
+    )
+    text = "white free, black static, grey unknown, in colour the heading of what moves; x, forward, is up"
+    return _html("DynamicGrid", _spec_facts(grid.spec) | facts, dynamic_png(grid), text)
 
 
 def layers_png(layers: LayeredGrid) -> bytes:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["Trajectory", "check_pose", "inverse", "pose", "rotate", "transform_points"]
+__all__ = ["LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "pose", "rotate", "transform_points"]
 
+LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds, and float64 holds no microseconds
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
 _TOLERANCE = 1e-4  # departure of R'R from the identity that a text file with four decimals still meets
 
@@ -52,10 +53,13 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        If the shape is not (4, 4), a number is not finite, the last row is not (0, 0, 0, 1), or the upper
-        left 3x3 block is not a rotation (scaled, sheared or mirrored).
+        If it is not of real numbers, the shape is not (4, 4), a number is not finite, the last row is not
+        (0, 0, 0, 1), or the upper left 3x3 block is not a rotation (scaled, sheared or mirrored).
     """
-    array = np.asarray(T, dtype=np.float64)
+    given = np.asarray(T)
+    if given.dtype.kind not in "fiu":
+        raise ValueError(f"{name} must be a 4x4 array of real numbers, got {given.dtype} of shape {given.shape}")
+    array = given.astype(np.float64, copy=False)
     if array.shape != (4, 4):
         raise ValueError(f"{name} must be a 4x4 transform, got shape {array.shape}")
     if not np.isfinite(array).all():
@@ -70,6 +74,34 @@ def check_pose(T: ArrayLike, name: str = "pose") -> NDArray[np.float64]:
             f"det R = {np.linalg.det(R):.3g}, allowed are {_TOLERANCE:g} and +1; remove scale, shear and mirror"
         )
     return array
+
+
+def check_stamp(stamp: float, name: str = "stamp") -> float:
+    """Return a time as a float, or raise an error that states why it is none in seconds.
+
+    Parameters
+    ----------
+    stamp : float
+        [s]
+    name : str
+        Its name in the error.
+
+    Raises
+    ------
+    ValueError
+        If it is no real number, not finite, or beyond `LATEST`: then it counts milliseconds or nanoseconds.
+    """
+    if isinstance(stamp, bool | np.bool_) or not isinstance(stamp, int | float | np.integer | np.floating):
+        raise ValueError(f"{name} must be a number of seconds, got {stamp!r} ({type(stamp).__name__})")
+    if not abs(stamp) <= LATEST:
+        way = "divide nanoseconds by 1e9" if stamp == stamp and abs(stamp) < 10**30 else "give a finite time"
+        raise ValueError(f"{name} must be finite, a time in seconds up to {LATEST:g}, got {_short(stamp)}: {way}")
+    return float(stamp)
+
+
+def _short(number: float) -> str:
+    """Return a number for an error; whole ones of Python can have thousands of digits."""
+    return str(number) if abs(number) < 10**30 or number != number else ("-" if number < 0 else "") + "more than 1e30"
 
 
 def inverse(T: ArrayLike) -> NDArray[np.float64]:
@@ -164,6 +196,9 @@ class Trajectory:
     poses: NDArray[np.float64]
 
     def __post_init__(self) -> None:
+        for name in ("stamps", "poses"):
+            if (given := np.asarray(getattr(self, name))).size and given.dtype.kind not in "fiu":
+                raise ValueError(f"{name} must be real numbers, got {given.dtype}")
         t, T = np.array(self.stamps, np.float64), np.array(self.poses, np.float64)
         if t.ndim != 1 or not len(t) or T.shape != (len(t), 4, 4):
             raise ValueError(
@@ -171,6 +206,7 @@ class Trajectory:
             )
         if not np.isfinite(t).all():
             raise ValueError(f"stamps must be finite [s], stamps[{int(np.argmin(np.isfinite(t)))}] is not")
+        check_stamp(float(t[np.argmax(np.abs(t))]), "the greatest of stamps")
         if not (np.diff(t) > 0).all():
             k = int(np.argmin(np.diff(t)))
             raise ValueError(f"stamps must increase, but stamps[{k}]={t[k]} is followed by {t[k + 1]}")

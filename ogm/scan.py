@@ -3,18 +3,16 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Generic, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.pose import check_pose
-from ogm.state import Truth
+from ogm.pose import check_pose, check_stamp
+from ogm.state import OnDemand, Truth
 
 __all__ = ["Boxes", "Frame", "InverseSensorModel", "Mount", "PerMount", "Scan", "as_scan", "run_model"]
-
-T_co = TypeVar("T_co")
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +45,7 @@ class Scan:
     TypeError
         If `points` is no float array.
     ValueError
-        If `points` is not (N, 4) or (N, 3), or a column has not one number per point.
+        If `points` is not (N, 4) or (N, 3), a column has not one number per point, or `stamp` is no time in seconds.
     """
 
     points: NDArray[np.float32]
@@ -61,6 +59,8 @@ class Scan:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", _checked_points(self.points))
+        if self.stamp is not None:
+            object.__setattr__(self, "stamp", check_stamp(self.stamp))
         columns = {"time": np.float64, "ring": np.uint16, "doppler": np.float32, "rcs": np.float32}
         for name, dtype in columns.items():
             if getattr(self, name) is None:
@@ -339,24 +339,6 @@ class Boxes:
         return replace(self, size=self.size + 2 * margin)
 
 
-class _OnDemand(Generic[T_co]):
-    """A field of `Frame` that may be given as a function without arguments: called at the first access."""
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = f"_{name}"
-
-    def __get__(self, frame: Any, owner: type | None = None) -> T_co:
-        if frame is None:
-            raise AttributeError(self.name[1:])  # so that the field has no default
-        value = frame.__dict__[self.name]
-        if callable(value):
-            value = frame.__dict__[self.name] = value()
-        return value
-
-    def __set__(self, frame: Any, value: T_co | Callable[[], T_co]) -> None:
-        frame.__dict__[self.name] = value
-
-
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One scan, where it was taken, and what is known of its truth.
@@ -369,7 +351,7 @@ class Frame:
     scan : Scan
     mount : Mount
     boxes : Boxes or None
-        Labelled objects, in the sensor frame.
+        Labelled objects, in the sensor frame; with velocities where they are stated or the objects can be followed.
     truth : Truth or None
         True states of the cells around the sensor.
     T_map_sensor : (4, 4) float64, optional
@@ -382,10 +364,10 @@ class Frame:
         Frames of one sequence follow each other in time; "" where a frame stands alone.
     """
 
-    scan: _OnDemand[Scan] = _OnDemand()
-    mount: _OnDemand[Mount] = _OnDemand()
-    boxes: _OnDemand[Boxes | None] = _OnDemand()
-    truth: _OnDemand[Truth | None] = _OnDemand()
+    scan: OnDemand[Scan] = OnDemand()
+    mount: OnDemand[Mount] = OnDemand()
+    boxes: OnDemand[Boxes | None] = OnDemand()
+    truth: OnDemand[Truth | None] = OnDemand()
     T_map_sensor: NDArray[np.float64] | None = None
     stamp: float | None = None
     name: str = ""

@@ -1,19 +1,51 @@
 """States of cells: what the truth holds, and what a belief predicts."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["PARTICIPANT", "CellState", "StateShares", "Truth", "predict_state"]
+__all__ = ["PARTICIPANT", "CellState", "Motion", "OnDemand", "StateShares", "Truth", "predict_state"]
 
 PARTICIPANT = 255  # in `Truth.height_cm`: the cell belongs to the box of a traffic participant
 EPS_CELL = 1e-9  # [cells] added so that rounding does not decide where the edges of two grids coincide
+
+T_co = TypeVar("T_co")
+
+
+class OnDemand(Generic[T_co]):
+    """A field of a dataclass that may be given as a function without arguments: called at the first access.
+
+    Parameters
+    ----------
+    default : optional
+        Of the field; without it, the field must be given.
+    """
+
+    def __init__(self, *default: T_co) -> None:
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = f"_{name}"
+
+    def __get__(self, instance: Any, owner: type | None = None) -> T_co:
+        if instance is None:  # dataclasses ask the class for the default
+            if not self.default:
+                raise AttributeError(self.name[1:])
+            return self.default[0]
+        value = instance.__dict__[self.name]
+        if callable(value):
+            value = instance.__dict__[self.name] = value()
+        return value
+
+    def __set__(self, instance: Any, value: T_co | Callable[[], T_co]) -> None:
+        instance.__dict__[self.name] = value
 
 
 class CellState(IntEnum):
@@ -57,6 +89,50 @@ def predict_state(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True, eq=False)
+class Motion:
+    """The true motion of every cell.
+
+    Parameters
+    ----------
+    velocity : (nx, ny, 2) float32
+        Over ground, along the grid's x and y [m/s]: that of the object in the cell, ``v + ω × r``; 0 in cells without
+        an object; NaN in cells about whose motion nothing is known.
+    box : (nx, ny) int16
+        Number of the object in the cell, a row of `Frame.boxes`, which has its class; -1 where there is none.
+
+    Raises
+    ------
+    TypeError
+        If an array has another type.
+    ValueError
+        If the shapes do not agree.
+    """
+
+    velocity: NDArray[np.float32]
+    box: NDArray[np.int16]
+
+    def __post_init__(self) -> None:
+        for name, array, dtype in (("velocity", self.velocity, np.float32), ("box", self.box, np.int16)):
+            if not isinstance(array, np.ndarray) or array.dtype != dtype:
+                got, wanted = getattr(array, "dtype", type(array).__name__), np.dtype(dtype).name
+                raise TypeError(f"{name} must be a {wanted} array, got {got}; convert it with .astype('{wanted}')")
+        if self.box.ndim != 2 or self.velocity.shape != (*self.box.shape, 2):
+            raise ValueError(
+                f"velocity must have shape (nx, ny, 2) and box (nx, ny), got {self.velocity.shape} and {self.box.shape}"
+            )
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Cells whose velocity is known, (nx, ny)."""
+        return np.asarray(~np.isnan(self.velocity).any(axis=-1))
+
+    @property
+    def speed(self) -> NDArray[np.float32]:
+        """Speed of every cell over ground [m/s], (nx, ny) float32; NaN where it is not known."""
+        return np.asarray(np.hypot(self.velocity[..., 0], self.velocity[..., 1]))
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """The true state of every cell, as far as it could be observed.
 
@@ -69,18 +145,22 @@ class Truth:
         Height above ground of the highest obstacle that was hit in each occupied cell [cm], up to the clearance;
         `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None where heights
         are not known.
+    motion : Motion, optional
+        None where the motion of objects is not known. May be given as a function without arguments: it is called at
+        the first access.
 
     Raises
     ------
     TypeError
         If `state` or `height_cm` is not uint8.
     ValueError
-        If their shape does not fit `spec`, or a value is no `CellState`.
+        If their shape or that of `motion` does not fit `spec`, or a value is no `CellState`.
     """
 
     spec: GridSpec
     state: NDArray[np.uint8]
     height_cm: NDArray[np.uint8] | None = None
+    motion: OnDemand[Motion | None] = OnDemand(None)
 
     def __post_init__(self) -> None:
         for name, array in (("state", self.state), ("height_cm", self.height_cm)):
@@ -93,6 +173,16 @@ class Truth:
                 raise ValueError(f"{name} has shape {array.shape}, but the spec has {self.spec.shape} cells")
         if self.state.size and self.state.max() > CellState.IGNORE:
             raise ValueError(f"a state must be 0 unknown, 1 free, 2 occupied or 3 ignore, got {int(self.state.max())}")
+        given = self.__dict__["_motion"]
+        if isinstance(given, Motion) and given.box.shape != self.spec.shape:
+            raise ValueError(f"motion has shape {given.box.shape}, but the spec has {self.spec.shape} cells")
+
+    def __repr__(self) -> str:
+        shares = ", ".join(f"{name} {share:.1%}" for name, share in self.shares()._asdict().items())
+        return f"Truth({self.spec}: {shares})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Truth, (self.spec, self.state, self.height_cm, self.motion)  # motion as arrays, never as a function
 
     @property
     def known(self) -> NDArray[np.bool_]:
@@ -136,8 +226,9 @@ class Truth:
         Returns
         -------
         Truth
-            Each cell has the state of the cell here that its middle comes from. Cells that come from outside
-            are `IGNORE`. `ogm.truth.TRUTH_SPEC` covers the 81.92 m x 56.32 m grid at any yaw.
+            Each cell has the state and the motion of the cell here that its middle comes from; velocities turn with
+            the scene. Cells that come from outside are `IGNORE`, and nothing is known of their motion.
+            `ogm.truth.TRUTH_SPEC` covers the 81.92 m x 56.32 m grid at any yaw.
 
         Raises
         ------
@@ -156,18 +247,37 @@ class Truth:
         at = ix[inside].astype(np.intp), iy[inside].astype(np.intp)
         state = np.full(spec.shape, np.uint8(CellState.IGNORE))
         state[inside] = self.state[at]
-        if self.height_cm is None:
-            return Truth(spec, state)
-        height = np.zeros(spec.shape, np.uint8)
-        height[inside] = self.height_cm[at]
-        return Truth(spec, state, height)
+        height = None
+        if self.height_cm is not None:
+            height = np.zeros(spec.shape, np.uint8)
+            height[inside] = self.height_cm[at]
+
+        def cut(motion: Motion) -> Motion:
+            velocity, box = np.full((*spec.shape, 2), np.float32(np.nan)), np.full(spec.shape, np.int16(-1))
+            vx, vy = motion.velocity[at].T  # no matrix product: BLAS would wait for its threads
+            velocity[inside] = np.stack([c * vx - s * vy, s * vx + c * vy], axis=1)
+            box[inside] = motion.box[at]
+            return Motion(velocity, box)
+
+        return Truth(spec, state, height, self._motion_after(cut))
 
     def mirrored(self) -> "Truth":
-        """Return the scene with left and right exchanged: y becomes -y."""
+        """Return the scene with left and right exchanged: y becomes -y, and so do velocities along it."""
         x, y = self.spec.origin
         spec = GridSpec(self.spec.resolution, self.spec.shape, (x, -(y + self.spec.width)))
         height = None if self.height_cm is None else np.ascontiguousarray(self.height_cm[:, ::-1])
-        return Truth(spec, np.ascontiguousarray(self.state[:, ::-1]), height)
+
+        def mirror(motion: Motion) -> Motion:
+            velocity = motion.velocity[:, ::-1] * np.array([1, -1], np.float32)
+            return Motion(velocity, np.ascontiguousarray(motion.box[:, ::-1]))
+
+        return Truth(spec, np.ascontiguousarray(self.state[:, ::-1]), height, self._motion_after(mirror))
+
+    def _motion_after(self, change: Callable[[Motion], Motion]) -> Callable[[], Motion | None] | None:
+        """Return what changes the motion when it is first asked for, so that it costs nothing before."""
+        if self.__dict__["_motion"] is None:
+            return None
+        return lambda: None if self.motion is None else change(self.motion)
 
 
 def _cells(x: NDArray[np.float64], x0: float, resolution: float) -> NDArray[np.float64]:

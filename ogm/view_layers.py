@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.overview import FULL, Steps
 
-__all__ = ["Layer", "conflict_layer", "mass_layers", "number_layer", "velocity_layer"]
+__all__ = ["Layer", "conflict_layer", "mass_layers", "motion_layer", "number_layer", "velocity_layer"]
 
 Layer = dict[str, Any]
 _SHADES = 24  # of the bar that shows a continuous scale
@@ -60,15 +61,38 @@ def conflict_layer(stored: Sequence[tuple[int, Steps]]) -> Layer:
     return _layer("conflict", "sum", [[place, 0] for place, _ in stored], panels, text, swatches=panels[0].legend)
 
 
+def motion_layer(masses: int, dynamic: int, velocity: int, grid: DynamicGrid) -> Layer:
+    """Return the layer that shows what stands in grey and what moves by its heading, with arrows of moving groups.
+
+    Parameters
+    ----------
+    masses, dynamic, velocity : int
+        Numbers of free and occupied, of dynamic and of both parts of the velocity among what the page stores.
+    grid : DynamicGrid
+        Of which the arrows are.
+    """
+    legend = plot.dynamic_panel(grid, seconds=0.0).legend
+    headings = _headings()
+    text = "mixed by the masses of the cell; an arrow is the way of a moving group in 1 s"
+    of = [[masses, 0], [masses, 1], [dynamic, 0], [velocity, 0], [velocity, 1]]
+    swatches = legend | {name: one for name, one in headings.legend.items() if name != "none"}
+    layer = _layer("motion", "motion", of, [headings], text, swatches=swatches)
+    return layer | {"arrows": plot.moving_arrows(grid).round(3).tolist()}
+
+
 def velocity_layer(stored: int, steps: Steps) -> Layer:
     """Return the layer that shows velocities: the direction by colour, the speed by brightness."""
-    heading = np.arange(256) * (2 * np.pi / 256)
-    panel = plot.velocity_panel(
-        _cells(dict(zip(plot.VELOCITY_LAYERS, (np.cos(heading), np.sin(heading)), strict=True)))
-    )
+    panel = _headings()
     text = f"direction by colour, speed by brightness, up to {steps.high:.3g} m/s"
     layer = _layer("velocity", "velocity", [[stored, 0], [stored, 1]], [panel], text, swatches=panel.legend)
     return layer | {"fastest": steps.high}
+
+
+def _headings() -> plot.Panel:
+    """Return the panel of 256 directions, from forward on."""
+    heading = np.arange(256) * (2 * np.pi / 256)
+    parts = zip(plot.VELOCITY_LAYERS, (np.cos(heading), np.sin(heading)), strict=True)
+    return plot.velocity_panel(_cells(dict(parts)))
 
 
 def _layer(

@@ -21,11 +21,12 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from ogm.dynamic_grid import DynamicGrid
 from ogm.files import atomic_write
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
-from ogm.view_layers import Layer, conflict_layer, mass_layers, number_layer, velocity_layer
+from ogm.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
 
 __all__ = ["TILE", "write_view"]
 
@@ -47,7 +48,7 @@ class _Stored(NamedTuple):
 
 def write_view(
     path: str | os.PathLike[str],
-    grid: EvidentialGrid | LayeredGrid,
+    grid: EvidentialGrid | DynamicGrid | LayeredGrid,
     layers: LayeredGrid | None = None,
     *,
     title: str = "",
@@ -58,12 +59,13 @@ def write_view(
     ----------
     path : path
         The page (.html). Its folder must exist.
-    grid : EvidentialGrid or LayeredGrid
-        Of an evidential grid, the page shows belief, free, occupied, unknown, probability and state. Of a layered grid,
+    grid : EvidentialGrid, DynamicGrid or LayeredGrid
+        Of an evidential grid, the page shows belief, free, occupied, unknown, probability and state; of a dynamic one
+        also motion (`ogm.plot.dynamic_panel`), velocity, speed, static, dynamic and covariances. Of a layered grid,
         it shows every layer; ``free_to_occupied`` and ``occupied_to_free`` together as conflict, ``velocity_x`` and
         ``velocity_y`` together as velocity.
     layers : LayeredGrid, optional
-        More layers, on the cells of an evidential grid.
+        More layers, on the cells of the grid.
     title : str
 
     Raises
@@ -83,13 +85,19 @@ def write_view(
         raise ValueError(f"layers must have the cells of the grid, {grid.spec}, got {layers.spec}")
     stored: list[_Stored] = []
     shown: list[Layer] = []
-    if isinstance(grid, EvidentialGrid):
-        stored.append(_Stored(("free", "occupied"), partial(_mass_rows, grid), halve_mass, 0, 0.0, 1 / FULL))
-        shown += mass_layers(0)
-    else:
+    if isinstance(grid, LayeredGrid):
         layers = grid
+    else:
+        masses = grid.to_evidential() if isinstance(grid, DynamicGrid) else grid
+        stored.append(_Stored(("free", "occupied"), partial(_mass_rows, masses), halve_mass, 0, 0.0, 1 / FULL))
+        shown += mass_layers(0)
+    if isinstance(grid, DynamicGrid):
+        layers = _moving_layers(grid, layers)
     if layers is not None:
         _add_layers(layers, stored, shown)
+    if isinstance(grid, DynamicGrid):
+        place = {name: k for k, one in enumerate(stored) for name in one.names}
+        shown.insert(0, motion_layer(0, place["dynamic"], place["velocity_x"], grid))
     if not shown:
         raise ValueError("there is nothing to show: the grid has no layers")
     facts = {"title": title or "grid", "made": f"{datetime.now():%Y-%m-%d %H:%M}", "tile": TILE, "layers": shown}
@@ -101,6 +109,12 @@ def write_view(
     }
     with atomic_write(path) as file, ThreadPoolExecutor(os.cpu_count()) as pool:
         _write_page(file, facts, stored, pool)
+
+
+def _moving_layers(grid: DynamicGrid, more: LayeredGrid | None) -> LayeredGrid:
+    """Return what a dynamic grid has besides free and occupied, and more layers."""
+    layers = {name: layer for name, layer in grid.to_layers().layers.items() if name not in ("free", "unknown")}
+    return LayeredGrid(grid.spec, {"speed": grid.speed} | layers | dict(more.layers if more else {}))
 
 
 def _add_layers(layers: LayeredGrid, stored: list[_Stored], shown: list[Layer]) -> None:

@@ -1,16 +1,18 @@
 """Output of all commands: consoles, errors, progress, tables."""
 
 import functools
+import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import typer
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
+from rich.text import Text
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -18,8 +20,36 @@ T = TypeVar("T")
 
 COMPILED = 3.0  # [s] a first call that takes longer has compiled kernels
 
-out = Console(highlight=False)
-stderr = Console(stderr=True, highlight=False, soft_wrap=True)
+_CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
+_CONTROL |= {code: f"\\u{code:04x}" for code in (0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A))}
+
+
+def printable(text: str) -> str:
+    """Return a text with control characters written out: names of files may hold some, which steer a terminal.
+
+    Those that turn the direction of writing are among them; what no encoding can hold is written out, too.
+    """
+    return text.translate(_CONTROL).encode("utf-8", "backslashreplace").decode()
+
+
+class SafeConsole(Console):
+    """A console that prints every text `printable`, also in tables."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Return the text as rich has it."""
+        return super().render_str(printable(text), **options)
+
+
+class SafeFormatter(logging.Formatter):
+    """Formats messages of the log as one `printable` text."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return the text of a message."""
+        return printable(super().format(record))
+
+
+out = SafeConsole(highlight=False)
+stderr = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
 def report_errors(command: Callable[P, R]) -> Callable[P, R]:
@@ -30,6 +60,9 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
         try:
             return command(*args, **kwargs)
         except (ValueError, TypeError, OSError, ImportError, MemoryError) as error:
+            if isinstance(error, ImportError) and _is_interrupt(error):
+                stderr.print("ogm: interrupted; nothing was written", markup=False)
+                raise typer.Exit(130) from None
             stderr.print(f"ogm: {one_line(error)}", markup=False)
             raise typer.Exit(2) from None
         except KeyboardInterrupt as interrupt:
@@ -38,6 +71,15 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
             raise typer.Exit(130) from None
 
     return run
+
+
+def _is_interrupt(error: BaseException | None) -> bool:
+    """Return whether an import failed because it was interrupted: packages in C++ make an ImportError of that."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 def one_line(error: BaseException) -> str:

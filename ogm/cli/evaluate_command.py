@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ogm.evaluation.methods import Method
     from ogm.grid import GridSpec
 
-RULES = ("cautious", "dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes")
+RULES = ("cautious", "dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes", "dynamic", "nuss")
 MODELS = ("height-band", "ray", "lite")
 PRINTED = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known",
@@ -59,8 +59,9 @@ def evaluate(
     ism: Annotated[
         list[str] | None,
         typer.Option(
-            help="Models: height-band, height-band-released, ray, lite, weights that `ogm train` wrote (a file or a "
-            "run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, unless --grids are given]",
+            help="Models: height-band, height-band-released, ray, lite, combined, weights that `ogm train` wrote (a "
+            "file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, unless --grids "
+            "are given]",
             metavar="NAME [NAME]...",
         ),
     ] = None,
@@ -149,6 +150,7 @@ def evaluate(
         command = shlex.join(["ogm", *sys.argv[1:]])
         record = write_report(out_folder, result, command=command, pictured=frames)
     _print_tables(record, f"{dataset.name}, {record['extent']}")
+    _print_motion(record)
     written = "   ".join(str(out_folder / name) for name in REPORT_FILES)
     out.print(f"written {written}", markup=False, soft_wrap=True)
 
@@ -232,6 +234,25 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
             counts = (str(one[key]) for key in ("wins", "ties", "losses"))
             table.add_row(record["metrics"][metric]["title"], *counts, _interval(one["ratio"]))
         out.print(table)
+
+
+def _print_motion(record: Mapping[str, Any]) -> None:
+    """Print the motion of all frames' cells together, of methods that make dynamic grids."""
+    from ogm.evaluation.motion import MOTION_HEADLINE
+
+    motion = record["motion"]
+    if motion is None:
+        return
+    out.print("\nMotion of the cells that the scans show as occupied, all frames together", soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    table.add_column("")
+    for name in distinct(list(motion["methods"])):
+        table.add_column(Text(_clean(name)), justify="right", overflow="fold")
+    for metric in MOTION_HEADLINE:
+        values = [one["micro"][metric] for one in motion["methods"].values()]
+        cells = ["no value" if value is None else f"{value:.3f}" for value in values]
+        table.add_row(_heading(motion, metric), *cells)
+    out.print(table)
 
 
 def _clean(text: str) -> str:

@@ -35,14 +35,26 @@ First = Annotated[int | None, Option(help="Map the first so many scans only. [de
 Model = Annotated[
     str,
     Option(
-        help="Sensor model: ray, height-band, lite, weights that `ogm train` wrote, or the .json of `ogm calibrate`."
+        help="Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of "
+        "`ogm calibrate`."
     ),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
 Rule = Annotated[
-    str, Option(help="Combine scans by: cautious, dempster, yager, cumulative, pcr6, averaging, weighted, bayes.")
+    str | None,
+    Option(
+        help="Combine by: cautious, dempster, yager, cumulative, pcr6, averaging, weighted, bayes, dynamic, nuss. "
+        "[default: cautious]"
+    ),
 ]
-HalfLife = Annotated[float | None, Option(help="Time in which belief halves [s], or inf. [default: 2; bayes: inf]")]
+Dynamic = Annotated[
+    bool, Option("--dynamic", help="Tell what moves from what stands, with velocities: --rule dynamic, or nuss.")
+]
+Particles = Annotated[int | None, Option(help="Of a dynamic map: how many carry what moves. [default: 200000]")]
+HalfLife = Annotated[
+    float | None,
+    Option(help="Time in which belief halves [s], or inf; of dynamic maps that in static. [default: 2; bayes: inf]"),
+]
 Window = Annotated[
     str, Option(help="rolling: follows the vehicle. fixed: covers the drive (--half-life inf keeps it).")
 ]
@@ -82,7 +94,9 @@ def fuse(
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
     deskew: Deskew = False,
-    rule: Rule = "cautious",
+    rule: Rule = None,
+    dynamic: Dynamic = False,
+    particles: Particles = None,
     half_life: HalfLife = None,
     window: Window = "rolling",
     length: options.Length = None,
@@ -96,6 +110,10 @@ def fuse(
 ) -> None:
     """Fuse the scans of a drive into one map.
 
+    With --dynamic, the map has belief in static and in dynamic and velocities: in colour the heading of what moves, and
+    an arrow as long as its way in 1 s. --out keeps them in .npz, .tif, .nc, .zarr, and in logs with grid-map or
+    foxglove-grid.
+
     Frames: points lie around the sensor (x forward, y left), measurement grids around the levelled sensor. A pose takes
     its scan to the map, whose axes stay those of the poses; picture and film are along the vehicle's axes. With --axes,
     poses have the files' own axes, as the points have (not what --save-poses wrote). Poses belong to scans by frame
@@ -106,7 +124,7 @@ def fuse(
     After three jumps in a row the map so far is saved as NAME.before-jump-1.npz and begins anew. Ctrl-C, or an error
     half-way through the mapping, writes what there is.
     """
-    from ogm.cli.fuse_run import FusionRun
+    from ogm.cli.fuse_run import FusionRun, check_rule
     from ogm.datasets import open_dataset
     from ogm.evaluation.models import model_factory
     from ogm.fusion import covering_window, make_mapper, rolling_window
@@ -125,7 +143,8 @@ def fuse(
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
     model = PerMount(model_factory(ism, spec))
-    make_mapper(rule, spec, half_life, window)  # type: ignore[arg-type]  # refuses what is no choice, before any work
+    rule, count = check_rule(rule, dynamic, particles)
+    make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]  # refuses what is none, before any work
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
     split = "sequences" if (scans[0] / "zarr.json").exists() else None
     placed = {
@@ -141,7 +160,7 @@ def fuse(
     dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
     known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
     cells = rolling_window(spec) if window == "rolling" else covering_window(spec, np.array(known))
-    mapper = make_mapper(rule, cells, half_life, window)  # type: ignore[arg-type]
+    mapper = make_mapper(rule, cells, half_life, window, count)  # type: ignore[arg-type]
 
     base = out_path or picture or movie or page or Path("map.npz")
     run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), base)
@@ -161,7 +180,7 @@ def fuse(
         if picture is not None:
             run.save_picture(picture)
         if page is not None:
-            write_view(page, mapper.grid, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
+            write_view(page, run.map, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
     print_facts(run.facts())
     written = zip(("map", "picture", "movie", "poses", "page"), outputs.values(), strict=True)
     out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)

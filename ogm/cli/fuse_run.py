@@ -13,16 +13,29 @@ from rich.progress import track
 from ogm import plot
 from ogm.cli.console import one_line, stderr
 from ogm.datasets import Dataset, frame_numbers
-from ogm.fusion import EvidentialMapper, FusionStep, Mapper
+from ogm.dynamic_grid import DynamicGrid
+from ogm.fusion import DYNAMIC, NUSS, BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
 from ogm.movie import Movie
 from ogm.plot import Panel
 from ogm.pose import Trajectory, inverse, pose
-from ogm.scan import Frame
+from ogm.scan import Boxes, Frame
 
-__all__ = ["FusionRun"]
+__all__ = ["FusionRun", "check_rule"]
+
+ARROWS = 1.0  # [s] of the way that an arrow shows
+
+
+def check_rule(rule: str | None, dynamic: bool, particles: int | None) -> tuple[str, int]:
+    """Return rule and number of particles by the options; refuse options that exclude each other."""
+    chosen = rule or (DYNAMIC if dynamic else "cautious")
+    if dynamic and chosen not in (DYNAMIC, NUSS):
+        raise ValueError(f"--dynamic has a filter of its own, {DYNAMIC} or {NUSS}: leave out --rule {rule}")
+    if particles is not None and chosen not in (DYNAMIC, NUSS):
+        raise ValueError("--particles belongs to --dynamic, which is missing")
+    return chosen, 200_000 if particles is None else particles
 
 
 @dataclass
@@ -32,7 +45,7 @@ class FusionRun:
     Parameters
     ----------
     dataset : Dataset
-    mapper : EvidentialMapper or BinaryBayesMapper
+    mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
     spec : GridSpec
         Of picture and film, around the vehicle.
     names : (str, str)
@@ -65,6 +78,8 @@ class FusionRun:
         """Titles of measurement, map and conflict."""
         (model, rule), half_life = self.names, np.ravel(self.mapper.half_life)[0]
         fading = "" if math.isinf(half_life) else f", half-life {half_life:g} s"
+        if isinstance(self.mapper, DynamicMapper):
+            fading = f", arrows: {ARROWS:g} s"
         other = "conflict" if hasattr(self.mapper, "conflict") else "map, probability"
         return f"measurement ({model})", f"map ({rule}{fading})", other
 
@@ -116,13 +131,18 @@ class FusionRun:
         self.last = step
 
     @property
+    def map(self) -> EvidentialGrid | DynamicGrid:
+        """The map, with all that the mapper knows."""
+        return self.mapper.dynamic_grid if isinstance(self.mapper, DynamicMapper) else self.mapper.grid
+
+    @property
     def placed(self) -> PlacedGrid:
         """The map, in the frame of the poses, at the height of the ground under the vehicle."""
         assert self.last is not None
         T, mount = self.T_map_vehicle, self.last.frame.mount
         ground_z = float((T @ (*mount.ground_point, 1.0))[2])
         frame = self.dataset.facts.get("frame") or "map"  # that of a log's poses
-        return PlacedGrid(self.mapper.grid, pose(z=ground_z), frame, self.mapper.stamp)
+        return PlacedGrid(self.map, pose(z=ground_z), frame, self.mapper.stamp)
 
     @property
     def T_map_vehicle(self) -> NDArray[np.float64]:  # noqa: N802
@@ -143,15 +163,27 @@ class FusionRun:
         assert self.last.grid is not None
         view = self.mapper.view(self.spec)
         first, second, third = self.titles
-        if isinstance(self.mapper, EvidentialMapper):
-            other = plot.conflict_panel(self.mapper.conflict_view(self.spec), third)
-        else:
+        if isinstance(self.mapper, BinaryBayesMapper):
             other = plot.probability_panel(view, third)
+        else:
+            other = plot.conflict_panel(self.mapper.conflict_view(self.spec), third)
+        if isinstance(self.mapper, DynamicMapper):
+            shown = plot.dynamic_panel(self.mapper.dynamic_view(self.spec), second, ARROWS, self.objects())
+        else:
+            shown = plot.mass_panel(view, second)
         speed = "" if math.isnan(self.speed) else f"{3.6 * self.speed:.0f} km/h"
         total, name = str(len(self.dataset)), _shortened(self.last.frame.name)
         count = f"{self.taken[-1] + 1:{len(total)}} of {total}"
         line = f"{count}   {name}   {self.elapsed:.1f} s   {speed:>8}   map: {_shares(view)}"
-        return (plot.mass_panel(self.last.grid, first), plot.mass_panel(view, second), other), line
+        return (plot.mass_panel(self.last.grid, first), shown, other), line
+
+    def objects(self) -> Boxes | None:
+        """Return the moving objects that the map follows, in the vehicle's axes; None if it follows none."""
+        find = getattr(self.mapper, "objects", None)
+        if find is None or self.mapper.T_map_vehicle is None:
+            return None
+        boxes: Boxes = find().confirmed.boxes
+        return boxes.moved(inverse(self.mapper.T_map_vehicle))
 
     @property
     def elapsed(self) -> float:
@@ -186,6 +218,10 @@ class FusionRun:
             "path": f"{self.path:.1f} m",
             **{self.names[0]: model, "mapper": mapper, "map": f"{cells}: {_shares(self.mapper.grid)}"},
         }
+        if isinstance(self.mapper, DynamicMapper):
+            groups = plot.moving_groups(self.mapper.dynamic_grid)
+            cells = f"{np.count_nonzero(groups)} cells in {groups.max()} groups"
+            facts["moving"] = f"{cells}, by {self.mapper.particles} particles"
         if self.restarts:
             facts["restarts"] = f"{self.restarts}, after jumps of the pose"
         return facts

@@ -41,7 +41,7 @@ def demo(
     spec = GridSpec.centered()
     table, grids = _table(), {}
     for name, title in DEMO_MODELS.items():
-        if name == LITE and not (find_spec("torch") and find_spec("safetensors")):
+        if name == LITE and not find_spec("onnxruntime"):
             stderr.print('without the learned model: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
             continue
         ism = load_model(name, spec, Mount(DEMO_HEIGHT))
@@ -70,8 +70,8 @@ def map_(
     ism: Annotated[
         str,
         typer.Option(
-            help="Sensor model: ray, height-band, height-band-released, lite, weights that `ogm train` wrote, or the "
-            ".json of `ogm calibrate`."
+            help="Sensor model: ray, height-band, height-band-released, lite, combined, what `ogm train` or "
+            "`ogm export` wrote, or the .json of `ogm calibrate`."
         ),
     ] = "ray",
     axes: options.Axes = "flu",

@@ -59,7 +59,7 @@ def serve(
     sensor_position: options.SensorPosition = None,
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
-    rule: Rule = "cautious",
+    rule: Rule = None,
     half_life: HalfLife = None,
     length: options.Length = None,
     width: options.Width = None,
@@ -86,7 +86,7 @@ def serve(
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
     spec, stop = GridSpec.centered(length, width, resolution), Event()
-    model, mapper = PerMount(model_factory(ism, spec)), make_mapper(rule, rolling_window(spec), half_life)
+    model, mapper = PerMount(model_factory(ism, spec)), make_mapper(rule or "cautious", rolling_window(spec), half_life)
     frames: Iterable[Frame]
     with ExitStack() as stack:
         if scans is not None:

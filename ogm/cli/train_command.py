@@ -1,5 +1,6 @@
 """``ogm train`` and ``ogm export``: a data set to a network's weights, and those to ONNX."""
 
+import importlib
 import logging
 import os
 import warnings
@@ -14,12 +15,14 @@ from ogm.cli.console import out, print_facts, report_errors, stderr
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
+    from ogm.deep.network import PillarNetwork
 
 
 class Preset(StrEnum):
     """Networks and recipes by their names on the command line."""
 
     lite = "lite"
+    rays = "rays"
     paper = "paper"
     published = "published"
 
@@ -40,8 +43,9 @@ def train_command(
     model: Annotated[
         Preset,
         typer.Option(
-            help="lite: small, for CPUs. paper: PointPillars, our recipe. published: the same by the paper's recipe "
-            "(100 epochs, batch 5, squared error, occupied cells x 100, rotation only)."
+            help="lite: small, for CPUs. rays: the same with the masses of RayISM as inputs. paper: PointPillars, "
+            "our recipe. published: the same by the paper's recipe (100 epochs, batch 5, squared error, occupied "
+            "cells x 100, rotation only)."
         ),
     ] = Preset.lite,
     validation: Annotated[
@@ -49,6 +53,9 @@ def train_command(
         typer.Option(help="Data set that the weights are chosen by. [default: the validation split of DATA]"),
     ] = None,
     out_folder: Annotated[Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
+    initial: Annotated[
+        str | None, typer.Option("--init", help="Begin with these weights: lite, a run's folder, a .safetensors file.")
+    ] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where the run in --out stopped.")] = False,
     epochs: Annotated[int | None, typer.Option(help="Passes over all frames.")] = None,
     batch: Annotated[int | None, typer.Option(help="Frames per step and device.")] = None,
@@ -63,7 +70,7 @@ def train_command(
     devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
     nodes: Annotated[int, typer.Option(help="Machines; start the command on each, as Lightning asks.")] = 1,
     precision: Annotated[
-        str | None, typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed on CUDA devices, else 32-true]")
+        str | None, typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed where there is hardware for it]")
     ] = None,
     workers: Annotated[
         int | None, typer.Option(help="Processes that prepare frames. [default: half the cores, 12 at most]")
@@ -74,7 +81,8 @@ def train_command(
     Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and state.pt
     every two minutes, from which --resume goes on.
     """
-    from ogm.deep.recipe import PRESETS  # first: it states what to install if torch is missing
+    _need_torch()
+    from ogm.deep.recipe import PRESETS
     from ogm.deep.training import train
     from ogm.grid import GridSpec
 
@@ -106,6 +114,7 @@ def train_command(
             spec,
             folder,
             recipe,
+            initial=_network(initial),
             resume=resume,
             accelerator=accelerator,
             devices=devices,
@@ -131,17 +140,29 @@ def export_command(
     source: Annotated[str, typer.Argument(help="lite, a run's folder, or a .safetensors file.")] = "lite",
     out_path: Annotated[Path, typer.Option("--out", help="The file to write, .onnx.")] = Path("ogm.onnx"),
 ) -> None:
-    """Write a network as ONNX: the points' features and cells in, belief masses out."""
+    """Write a network as ONNX, which `ogm map --ism FILE.onnx` and other programs run without torch."""
+    _need_torch()
     from ogm.deep.checkpoint import load_network
+    from ogm.deep.engines import weights_of
     from ogm.deep.export import export_onnx
-    from ogm.deep.ism import weights_of
 
     with weights_of(source) as path:
-        network, _ = load_network(path)
-    _quiet()
-    with stderr.status("exporting ..."):
-        facts = export_onnx(network, out_path)
+        network, description = load_network(path)
+        _quiet()
+        with stderr.status("exporting ..."):
+            facts = export_onnx(network, out_path, description=description, weights=path)
     print_facts({"file": str(out_path), **facts})
+
+
+def _network(source: str | None) -> "PillarNetwork | None":
+    """Load the weights that a training begins with."""
+    if source is None:
+        return None
+    from ogm.deep.checkpoint import load_network
+    from ogm.deep.engines import weights_of
+
+    with weights_of(source) as path:
+        return load_network(path)[0]
 
 
 def _open(path: Path, split: str) -> "Dataset":
@@ -166,8 +187,13 @@ def _provenance(part: "Dataset") -> dict[str, Any]:
     return {"name": part.name, "frames": len(part), **facts}
 
 
+def _need_torch() -> None:
+    """Raise an ImportError that holds the pip command if torch is missing."""
+    importlib.import_module("ogm.deep").PillarNetwork  # noqa: B018
+
+
 def _quiet() -> None:
     """Keep the libraries' advice off the screen."""
     warnings.filterwarnings("ignore", module=r"(lightning|torch)(\.|$)")
-    for name in ("lightning", "lightning.fabric", "torch.onnx", "lightning.pytorch"):
+    for name in ("lightning", "lightning.fabric", "torch.onnx", "onnxscript", "lightning.pytorch"):
         logging.getLogger(name).setLevel(logging.ERROR)

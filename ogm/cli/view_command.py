@@ -29,19 +29,20 @@ def view(
     """Write one HTML page that shows a grid: zoom, layers, values under the pointer, a scale.
 
     The page needs no other file and no network, and works with 100 million cells and more. Its layers are belief, free,
-    occupied, unknown, probability and state.
+    occupied, unknown, probability and state; of a dynamic map also what moves and its velocity. Of a layered grid, they
+    are its own.
     """
     import webbrowser
 
     from ogm.grid import GridSpec
-    from ogm.io.grids import read_grid
+    from ogm.io.grids import read_any_grid
     from ogm.viewer import write_view
 
     if (length is None) != (width is None):
         raise ValueError("give both --length and --width [m], or none of them")
     area = None if length is None else GridSpec.centered(length, width, resolution)
     path = Path(f"{grid.stem}.html") if out_path is None else out_path
-    found = read_grid(grid, area)
+    found = read_any_grid(grid, area)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_view(path, found, title=title or grid.name)
     print_facts({"page": str(path), "cells": str(found.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})

@@ -15,6 +15,7 @@ from ogm.datasets.captures import captures
 from ogm.datasets.kitti import kitti_object, kitti_odometry, kitti_raw, kitti_tracking
 from ogm.datasets.layout import FrameRef, Layout
 from ogm.datasets.logs import is_log, logs
+from ogm.datasets.motion import MotionReader
 from ogm.datasets.nuscenes import mmdet3d, nuscenes
 from ogm.datasets.paths import SCAN_ENDINGS
 from ogm.datasets.range_images import range_images
@@ -86,6 +87,7 @@ class Dataset(Sequence[Frame]):
         path = Path(options["path"][0])
         self.layout, self._options, self.trajectory = layout, options, trajectory
         self.reader = FrameReader(layout, path, options["sensor_height"], options["sensor_position"])
+        self._motion = MotionReader(self.reader)
         self._truth: Callable[[int], Truth]
         if layout.truth is not None:
             self._truth, self.description = layout.truth, layout.description
@@ -110,8 +112,13 @@ class Dataset(Sequence[Frame]):
             return self.select(range(*n.indices(len(self))))
         k = self._numbers[n]
         ref, reader = self.layout.frames[k], self.reader
-        scan, mount, boxes = partial(reader.scan, k), partial(reader.mount, k), partial(reader.boxes, k)
-        return Frame(scan, mount, boxes, partial(self._truth, k), **ref._asdict())
+        scan, mount, boxes = partial(reader.scan, k), partial(reader.mount, k), partial(self._motion.boxes, k)
+        return Frame(scan, mount, boxes, partial(self._moving_truth, k), **ref._asdict())
+
+    def _moving_truth(self, k: int) -> Truth:
+        """Return the truth of a frame, whose motion is found when it is first asked for."""
+        truth = self._truth(k)
+        return replace(truth, motion=partial(self._motion.cells, k, truth.spec))
 
     def __repr__(self) -> str:
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"

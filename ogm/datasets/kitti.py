@@ -15,6 +15,7 @@ from ogm.scan import Boxes, Scan
 __all__ = ["kitti_object", "kitti_odometry", "kitti_raw", "kitti_tracking"]
 
 FRONT = "boxes only in the view of the front camera"
+_ANGLE = np.radians(37.0)  # of that view, to either side: a little less than the picture shows
 _BOXES = "boxes of the object recordings (label_2/*.txt beside velodyne/ and calib/)"
 _TRACKS = "boxes of the tracking recordings (label_02*.txt), or poses (poses.txt, derived/poses*.txt)"
 _CLASSES = "classes of SemanticKITTI (labels/*.label), or poses (poses.txt)"
@@ -72,6 +73,7 @@ def kitti_tracking(path: Path) -> Layout | None:
         lambda n: tracks(files[n][0]).get(int(scan_name(files[n][1])), Boxes.empty()),
         ego_footprint=KITTI_EGO,
         view=FRONT,
+        view_angle=_ANGLE,
     )
 
 
@@ -112,6 +114,7 @@ def kitti_raw(path: Path) -> Layout | None:
         (lambda n: tracks().get(int(names[n]), Boxes.empty())) if labels else None,
         ego_footprint=KITTI_EGO,
         view=FRONT if labels else "",
+        view_angle=_ANGLE if labels else None,
         stamped=stamps is not None,
     )
 

@@ -81,6 +81,8 @@ class Layout:
         Returns inside of it are dropped. None keeps all: sensor models drop them by their mount.
     view : str
         From where, or how far, labels were made, where truth has to state it.
+    view_angle : float, optional
+        Objects are labelled up to so far to either side of straight ahead [rad], below π/2. None for all around.
     sensor_height : function -> float, optional
         Height of the sensor above ground [m], where the data set has more of it than the scan's points.
     place : function -> SensorPlace, optional
@@ -116,6 +118,7 @@ class Layout:
     classes: bool = False
     ego_footprint: Footprint | None = EGO
     view: str = ""
+    view_angle: float | None = None
     sensor_height: Callable[[int], float] | None = None
     place: Callable[[int], SensorPlace] | None = None
     mount: Callable[[int], Mount] | None = None

@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
@@ -86,7 +87,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         "simulated data set",
         tuple(frames),
         lambda k: RawFrame(_scan(sample(k))),
-        boxes=lambda k: _boxes(sample(k)),
+        boxes=lambda k: _boxes(part.objects(int(numbers[k]))),
         ego_footprint=None,
         mount=lambda k: Mount(T_vehicle_sensor[k, 2, 3], T_vehicle_sensor[k]),
         truth=truth,
@@ -126,9 +127,7 @@ def _scan(sample: SimulatedSample) -> Scan:
     )
 
 
-def _boxes(sample: SimulatedSample) -> Boxes:
-    objects = sample.objects
-
+def _boxes(objects: NDArray[Any]) -> Boxes:
     def columns(*names: str) -> NDArray[np.float64]:
         return structured_to_unstructured(objects[list(names)], np.float64)
 

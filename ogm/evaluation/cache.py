@@ -3,6 +3,8 @@
 import hashlib
 import json
 import os
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable, Mapping
@@ -13,13 +15,29 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.evaluation.motion import FrameMotion
 from ogm.files import atomic_write
-from ogm.metrics import ConfusionSums
+from ogm.metrics import ConfusionSums, MotionSums, ObjectCells
 
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
 
 _FORMAT = "ogm.frames/1"
-_UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error)
+_UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged frames
+    OSError,
+    ValueError,
+    LookupError,
+    EOFError,
+    ArithmeticError,
+    AttributeError,
+    MemoryError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
 
 
 class FrameResult(NamedTuple):
@@ -33,11 +51,14 @@ class FrameResult(NamedTuple):
         Shares of the cells whose truth is unknown, free, occupied, ignored.
     pictures : dict of str to bytes
         See `ogm.evaluation.frame_pictures.draw_frame`.
+    motion : dict of int to FrameMotion
+        Of methods that make dynamic grids, by their places; empty where the true motion is not known.
     """
 
     sums: tuple[ConfusionSums, ...]
     truth: NDArray[np.float64]
     pictures: dict[str, bytes]
+    motion: dict[int, FrameMotion] = {}
 
 
 class ResultCache:
@@ -84,14 +105,14 @@ class ResultCache:
         return found
 
     def load(self, frame: int) -> FrameResult:
-        """Return a finished frame."""
+        """Return a finished frame; raise one of many errors if its file is missing or damaged, see `missing`."""
         with open(self._path(frame), "rb") as file, np.load(file, allow_pickle=False) as data:
             if str(data["key"]) != self.key:
                 raise ValueError(f"{self._path(frame)} is a frame of another run")
             columns = [data[f"sums {name}"] for name in ConfusionSums._fields]
             pictures = {name[8:]: data[name].tobytes() for name in data.files if name[:8] == "picture "}
             sums = tuple(ConfusionSums(*row) for row in zip(*columns, strict=True))
-            return FrameResult(sums, data["truth"], pictures)
+            return FrameResult(sums, data["truth"], pictures, _read_motion(data))
 
     def save(self, frame: int, result: FrameResult) -> None:
         """Keep a frame, whole or not at all."""
@@ -99,6 +120,9 @@ class ResultCache:
         arrays: dict[str, Any] = {"key": np.array(self.key), "truth": result.truth}
         arrays |= {f"sums {name}": np.stack(column) for name, column in columns}
         arrays |= {f"picture {name}": np.frombuffer(data, np.uint8) for name, data in result.pictures.items()}
+        for k, motion in result.motion.items():
+            arrays |= {f"motion {k} {name}": array for name, array in motion.sums._asdict().items()}
+            arrays |= {f"objects {k} {name}": array for name, array in motion.objects._asdict().items()}
         with atomic_write(self._path(frame)) as file:
             np.savez_compressed(file, **arrays)
 
@@ -109,7 +133,7 @@ class ResultCache:
         note = self.folder / "run.json"
         if not note.exists():
             return {"key": self.key}
-        with suppress(ValueError):  # no JSON
+        with suppress(ValueError, RecursionError):  # no JSON
             found = json.loads(note.read_text())
             if isinstance(found, dict) and found.get("format") == _FORMAT:
                 return found
@@ -120,6 +144,15 @@ class ResultCache:
         facts = {"format": _FORMAT, "key": self.key, "finished": finished, "settings": self.settings}
         with atomic_write(self.folder / "run.json", "w") as file:
             json.dump(facts, file, indent=1)
+
+
+def _read_motion(data: Mapping[str, Any]) -> dict[int, FrameMotion]:
+    """Return the motion of a frame by the places of methods."""
+    found = {}
+    for k in sorted({int(name.split()[1]) for name in data if name.startswith("motion ")}):
+        sums = MotionSums(*(data[f"motion {k} {name}"] for name in MotionSums._fields))
+        found[k] = FrameMotion(sums, ObjectCells(*(data[f"objects {k} {name}"] for name in ObjectCells._fields)))
+    return found
 
 
 def files_state(paths: Iterable[Path], besides: Path | None = None) -> str:

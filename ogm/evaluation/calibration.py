@@ -18,6 +18,7 @@ from ogm.evaluation.likelihood_search import LikelihoodSearch
 from ogm.evaluation.models import default_parameters
 from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
+from ogm.io.reading import decode_json
 from ogm.scan import Frame
 
 __all__ = ["BOUNDS", "FITTED", "Calibration", "calibrate"]
@@ -98,12 +99,12 @@ class Calibration:
             If it is no calibration, or one with a model or parameters that this version does not have.
         """
         try:
-            record = json.loads(Path(path).read_text("utf-8"))
+            record = decode_json(Path(path).read_bytes(), Path(path))
             if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
                 raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote")
             return cls(**record)
-        except (ValueError, TypeError, AttributeError) as error:
-            raise OgmError(f"{path}: {error}") from error
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise OgmError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
 def calibrate(

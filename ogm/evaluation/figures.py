@@ -91,7 +91,7 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
     panels = []
     for key, title in titles.items():
         if key in pictures:
-            with Image.open(io.BytesIO(pictures[key])) as picture:
+            with Image.open(io.BytesIO(pictures[key]), formats=("WEBP",)) as picture:
                 image = np.asarray(picture.convert("RGB"))
             panels.append(Panel(image, result.spec, title, LEGEND if key.startswith("mass") else {}))
     return panels

@@ -10,10 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.datasets.truth_grids import grid_files
+from ogm.dynamic_grid import DynamicGrid
 from ogm.evaluation.models import describe_model, model_factory
-from ogm.fusion import BAYES, Mapper, make_mapper, resample_to, rolling_window, update_map
+from ogm.fusion import BAYES, DynamicMapper, Mapper, make_mapper, resample_to, rolling_window, update_map
+from ogm.fusion.factory import DYNAMIC, NUSS
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
@@ -22,6 +25,7 @@ from ogm.scan import Frame, InverseSensorModel, PerMount, run_model
 __all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "as_methods"]
 
 Model = InverseSensorModel | PerMount
+DETECTION = 0.5  # mass above which a scan shows a cell as occupied
 Measure = Callable[[Model], EvidentialGrid]  # a model's grid of the current frame
 
 
@@ -86,15 +90,20 @@ class FusedMethod:
             Of the model, for the description.
         model : InverseSensorModel or PerMount
         rule : str
-            A name in `ogm.fusion.RULES`, or ``"bayes"``.
+            A name in `ogm.fusion.RULES`, ``"bayes"``, ``"dynamic"`` or ``"nuss"``.
         spec : GridSpec
             The cells of the model's grids.
         """
         window = rolling_window(spec)
-        memory = np.min(make_mapper(rule, window).half_life)  # refuses unknown rules before any work
-        kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
-        decay = "no decay" if np.isinf(memory) else f"half-life {memory:g} s"
-        description = f"The scans of {name} fused over time by {kind}, {decay}."
+        mapper = make_mapper(rule, window)  # refuses unknown rules before any work
+        if isinstance(mapper, DynamicMapper):
+            kind = {DYNAMIC: "a dynamic map", NUSS: "Nuss' filter"}[rule]
+            detail = f"{mapper.particles:,} particles"
+        else:
+            kind = "log-odds (BinaryBayesMapper)" if rule == BAYES else f"the {rule} rule (EvidentialMapper)"
+            memory = np.min(mapper.half_life)
+            detail = "no decay" if np.isinf(memory) else f"half-life {memory:g} s"
+        description = f"The scans of {name} fused over time by {kind}, {detail}."
         return cls(model, lambda: make_mapper(rule, window), description)
 
     def check(self, name: str, frames: Sequence[Frame]) -> None:
@@ -120,6 +129,10 @@ class FusedMethod:
     def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
         """Return the map around the frame that was fused last."""
         return self._mapper.view(spec)
+
+    def dynamic_grid(self, spec: GridSpec) -> DynamicGrid | None:
+        """Return the map around the frame that was fused last with its motion; None if it knows none."""
+        return self._mapper.dynamic_view(spec) if isinstance(self._mapper, DynamicMapper) else None
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
@@ -251,8 +264,19 @@ class MethodRunner:
 
     def grids(self, frame: Frame) -> dict[str, EvidentialGrid]:
         """Return the grid of every method for a frame, on the evaluated cells."""
-        measure = self.update(frame)
-        return {name: one.grid(frame, self.spec, measure) for name, one in self.methods.items()}
+        self._measure = self.update(frame)
+        return {name: one.grid(frame, self.spec, self._measure) for name, one in self.methods.items()}
+
+    def dynamic_grids(self) -> dict[int, tuple[DynamicGrid, NDArray[np.bool_]]]:
+        """Return the dynamic grids of the frame of `grids`, by the places of their methods.
+
+        Each with the cells that the scan shows as occupied: a mass of more than 1/2.
+        """
+        found = {}
+        for place, one in enumerate(self.methods.values()):
+            if isinstance(one, FusedMethod) and (grid := one.dynamic_grid(self.spec)) is not None:
+                found[place] = grid, resample_to(self._measure(one.model), self.spec).occupied > DETECTION
+        return found
 
 
 def _object_state(one: Any) -> str:

@@ -1,4 +1,4 @@
-"""Sensor models by name: geometric ones, also fitted, the network that ogm ships, and weights of ``ogm train``."""
+"""Sensor models by name: geometric ones, also fitted, the network that ogm ships, both combined, and own weights."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -6,24 +6,31 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from ogm.combined import CombinedISM, FreeGate, StateReliability
 from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount
 
 __all__ = [
-    "HEIGHT_BAND", "LITE", "MODELS", "RAY", "RELEASED", "default_parameters", "describe_model", "load_model",
-    "model_class", "model_factory", "short_names",
+    "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RAY", "RELEASED", "default_parameters",
+    "describe_model", "load_model", "model_class", "model_factory", "short_names",
 ]  # fmt: skip
 
 Factory = Callable[[Mount], InverseSensorModel]
 GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
 LITE = "lite"
+COMBINED = "combined"
+COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
+    "reliability": (StateReliability(free=1.0, occupied=0.5), StateReliability(free=0.75, occupied=1.0)),
+    "free_gates": (FreeGate(share=0.0, low=0.66, high=0.69), FreeGate(share=0.8, low=0.0, high=0.13)),
+}
 MODELS = {  # name: description
     RAY: "Rays and local ground (RayISM).",
     HEIGHT_BAND: "The paper's geometric model as its text describes it (HeightBandISM).",
     RELEASED: "The paper's geometric model as its released code has it: 0.32 m cells, evidence 1 at most, mounted "
     "at 1.61 m.",
     LITE: "The network that ogm ships (DeepISM), trained on simulated scans.",
+    COMBINED: "ray and lite, combined cell by cell (CombinedISM).",
 }
 
 
@@ -34,7 +41,7 @@ def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: boo
     ----------
     name : str
         A name in `MODELS`, the path of parameters that ``ogm calibrate`` wrote (``.json``), or that of weights that
-        ``ogm train`` wrote: a ``.safetensors`` file or a run's folder.
+        ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file.
     spec : GridSpec
         The grid to fill. ``height-band-released`` fills cells of twice the side, on the same area.
     mount : Mount
@@ -59,6 +66,9 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     """
     if name == RELEASED:
         return _released(spec)
+    if name == COMBINED:
+        makers = [model_factory(part, spec) for part in (RAY, LITE)]
+        return lambda mount: CombinedISM([make(mount) for make in makers], **COMBINATION)
     if name in GEOMETRIC or _is_fitted(name):
         parameters: dict[str, Any] = {}
         if _is_fitted(name):
@@ -69,17 +79,16 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
         if name == HEIGHT_BAND:
             parameters["drop_ego_returns"] = drop_ego_returns
         return lambda mount: model_class(name)(spec, mount, **parameters)
-    if name != LITE and not Path(name).exists() and Path(name).suffix != ".safetensors":
+    if name != LITE and not Path(name).exists() and Path(name).suffix not in (".safetensors", ".onnx"):
         raise ValueError(
             f"there is no sensor model {name!r}: give {', '.join(MODELS)}, parameters that `ogm calibrate` wrote "
-            "(.json), or weights that `ogm train` wrote (a file or a run's folder)"
+            "(.json), weights that `ogm train` wrote (a file or a run's folder), or what `ogm export` wrote (.onnx)"
         )
-    from ogm.deep.checkpoint import load_network
-    from ogm.deep.ism import DeepISM, weights_of
+    from ogm.deep import DeepISM
+    from ogm.deep.engines import load_engine
 
-    with weights_of(name) as path:
-        network, description = load_network(path)
-    return lambda mount: DeepISM(network, spec, mount, description=description)
+    engine = load_engine(name)
+    return lambda mount: DeepISM(engine, spec, mount)
 
 
 def model_class(name: str) -> Any:
@@ -129,9 +138,9 @@ def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
         numbers = ", ".join(f"{key} {value:g}" for key, value in one.parameters.items())
         facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
         return f"{MODELS[one.model].rstrip('.')}, with {numbers or 'its defaults'}.", facts
-    from ogm.deep.ism import weights_of
+    from ogm.deep.engines import weights_of
 
-    with weights_of(name) as path:
+    with weights_of(LITE if name == COMBINED else name) as path:
         facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
     return MODELS.get(name, "A network (DeepISM) by its weights."), facts
 

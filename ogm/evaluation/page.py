@@ -14,6 +14,8 @@ from markupsafe import Markup
 
 from ogm.evaluation.chart_data import HEADLINE, chart_data, group_metrics
 from ogm.evaluation.frame_pictures import ERRORS, STATES, height_legend
+from ogm.evaluation.motion import MOTION_HEADLINE, group_motion
+from ogm.evaluation.motion_pictures import ARROWS
 from ogm.evaluation.summary import best_value, summarize
 from ogm.evaluation.text import format_number, join_words, pluralize
 from ogm.files import atomic_write
@@ -58,6 +60,8 @@ def write_page(path: str | os.PathLike[str], record: Record, pictures: Pictures,
         found=len(pictures),
         kept=len(kept),
         pictures={number: {name: _url(data) for name, data in kept[number].items()} for number in sorted(kept)},
+        motion_headline=MOTION_HEADLINE,
+        motion_groups=group_motion(record.get("motion")),
         charts=chart_data(record, kept),
         css=Markup((files / "report.css").read_text("utf-8")),  # noqa: S704
         js=Markup((files / "report.js").read_text("utf-8")),  # noqa: S704
@@ -106,6 +110,8 @@ def _legends(pictures: Pictures) -> dict[str, list[tuple[str, tuple[int, int, in
     states = [(name, *shade) for name, shade in STATES.items()]
     found["truth"] = [(name, colour, "" if text == name else text) for name, colour, text in states]
     found["masses"] = [(name, colour, "") for name, colour, _ in states if name != "ignored"]
+    if any(name.startswith("motion") for one in pictures.values() for name in one):
+        found["motion in 1 s"] = [(name, colour, "") for name, colour in ARROWS.items()]
     found["errors"] = [(name, *shade) for name, shade in reversed(ERRORS.items())]
     return found
 

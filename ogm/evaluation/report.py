@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ogm import metrics
 from ogm.evaluation import figures
+from ogm.evaluation.motion import motion_record
 from ogm.evaluation.page import write_page
 from ogm.evaluation.result import Evaluation
 from ogm.evaluation.runner import package_versions
@@ -92,7 +93,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
     """Return all of an evaluation as JSON can hold it: NaN becomes None."""
     spec = result.spec
     record = {
-        "format": "ogm.evaluation/4",
+        "format": "ogm.evaluation/5",
         "versions": package_versions(),
         "machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
         "grid": {"resolution": spec.resolution, "shape": spec.shape, "origin": spec.origin},
@@ -114,6 +115,7 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
             }
             for name, sums in zip(result.methods, result.pooled, strict=True)
         },
+        "motion": motion_record(result.motion),
         "truth per frame": dict(zip(("unknown", "free", "occupied", "ignored"), result.truth.T, strict=True)),
         "paired": {f"{b} against {a}": result.compare(b, a) for a, b in _pairs(result.methods)},
     }
@@ -122,12 +124,17 @@ def evaluation_record(result: Evaluation) -> dict[str, Any]:
 
 def write_csv(path: str | Path, result: Evaluation) -> None:
     """Write every metric of every method in every frame, a row each; a missing value is empty."""
+    motion = result.motion
     with atomic_write(path, "w") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["frame", "method", *METRICS])
+        writer.writerow(["frame", "method", *METRICS, *(motion.values if motion else ())])
         for k, frame in enumerate(result.frames):
             for name in result.methods:
-                cells = ("" if math.isnan(v := result.of(name, metric)[k]) else f"{v:.7g}" for metric in METRICS)
+                row = [result.of(name, metric)[k] for metric in METRICS]
+                if motion:
+                    at = motion.methods.index(name) if name in motion.methods else None
+                    row += [math.nan if at is None else rows[at, k] for rows in motion.values.values()]
+                cells = ("" if math.isnan(value) else f"{value:.7g}" for value in row)
                 writer.writerow([clean(frame.name), clean(name), *cells])
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.cache import ResultCache
+from ogm.evaluation.motion import MotionResult
 from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean_interval
 from ogm.grid import GridSpec
 from ogm.metrics import METRICS, ConfusionSums, score
@@ -49,6 +50,8 @@ class Evaluation:
         Where the frames are kept, with their pictures.
     reused : int
         Frames that were taken from an earlier run.
+    motion : MotionResult, optional
+        Of methods that make dynamic grids, where the true motion of cells is known.
     """
 
     methods: tuple[str, ...]
@@ -62,6 +65,7 @@ class Evaluation:
     numbers: tuple[int, ...] = ()
     cache: ResultCache | None = None
     reused: int = 0
+    motion: MotionResult | None = None
 
     def __str__(self) -> str:
         """Tabulate the means over frames: a row per metric, a column per method."""

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from ogm.evaluation.cache import FrameResult, ResultCache, code_state, files_state
 from ogm.evaluation.frame_pictures import draw_frame
 from ogm.evaluation.methods import Method, MethodRunner, PrecomputedGrids, SingleScanMethod, as_methods
+from ogm.evaluation.motion import MotionCollector, compare_motion
+from ogm.evaluation.motion_pictures import draw_motion
 from ogm.evaluation.result import Evaluation, FrameInfo
 from ogm.grid import GridSpec
-from ogm.metrics import accumulate, distances
+from ogm.metrics import ConfusionSums, accumulate, distances
 from ogm.pose import transform_points
 from ogm.scan import Frame
 
@@ -99,10 +101,21 @@ def evaluate(
             kept = f"{done} of {len(numbers)} frames are finished and kept"
             raise KeyboardInterrupt(f"{kept}: repeat the command to resume") from None
         rows = map(cache.load, numbers)
-    result = Evaluation.from_sums(tuple(used), spec, ((one.sums, one.truth) for one in rows), infos)
+    motion = MotionCollector(tuple(used))
+    result = Evaluation.from_sums(tuple(used), spec, _collecting(rows, infos, motion), infos)
+    result = replace(result, motion=motion.result(result.drives))
     if cache is not None:
         cache.note(finished=True)
     return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
+
+
+def _collecting(
+    rows: Iterable[FrameResult], infos: Iterable[FrameInfo], motion: MotionCollector
+) -> Iterator[tuple[tuple[ConfusionSums, ...], NDArray[np.float64]]]:
+    """Yield sums and true shares of every frame, and collect its motion."""
+    for row, info in zip(rows, infos, strict=True):
+        motion.add(row.motion, info.sequence, info.stamp)
+        yield row.sums, row.truth
 
 
 def package_versions() -> dict[str, str]:
@@ -131,8 +144,16 @@ def _results(
         masses = [grid.mass for grid in runner.grids(frame).values()]
         sums = tuple(accumulate(mass, state, away, truth.height_cm) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
-        points, ground_z = _points(frame) if draw else (None, 0.0)
-        yield number, FrameResult(sums, shares, draw(points, state, masses, spec, ground_z) if draw else {})
+        dynamic = runner.dynamic_grids()
+        moved = truth.motion if dynamic else None
+        motion = {} if moved is None else {k: compare_motion(*one, moved, frame.boxes) for k, one in dynamic.items()}
+        pictures: dict[str, bytes] = {}
+        if draw is not None:
+            points, ground_z = _points(frame)
+            pictures = draw(points, state, masses, spec, ground_z)
+            if moved is not None:
+                pictures |= {f"motion {k}": draw_motion(dynamic[k][0], moved) for k in motion}
+        yield number, FrameResult(sums, shares, pictures, motion)
 
 
 def _points(frame: Frame) -> tuple[NDArray | None, float]:

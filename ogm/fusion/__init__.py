@@ -6,33 +6,44 @@
 """
 
 from ogm.fusion.bayes import BinaryBayesMapper
+from ogm.fusion.dynamic import DynamicMapper
+from ogm.fusion.dynamic_settings import DynamicSettings
 from ogm.fusion.egomotion import EgoMotion
-from ogm.fusion.factory import BAYES, RULES, Mapper, covering_window, make_mapper, rolling_window
+from ogm.fusion.factory import BAYES, DYNAMIC, NUSS, RULES, Mapper, covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import EvidentialMapper
 from ogm.fusion.motion import deskew, extrapolate
+from ogm.fusion.objects import Objects, find_objects
 from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, map_scans, update_map
+from ogm.fusion.prediction import predict_dynamic
 from ogm.fusion.registration import odometry
 from ogm.fusion.resample import coarsen, resample_to, warp
 from ogm.fusion.update_gate import PoseJump
 
 __all__ = [
     "BAYES",
+    "DYNAMIC",
+    "NUSS",
     "RULES",
     "BinaryBayesMapper",
+    "DynamicMapper",
+    "DynamicSettings",
     "EgoMotion",
     "EvidentialMapper",
     "FusionStep",
     "Mapper",
+    "Objects",
     "PoseJump",
     "coarsen",
     "covering_window",
     "deskew",
     "deskew_frame",
     "extrapolate",
+    "find_objects",
     "fuse",
     "make_mapper",
     "map_scans",
     "odometry",
+    "predict_dynamic",
     "resample_to",
     "rolling_window",
     "update_map",

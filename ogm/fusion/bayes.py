@@ -15,6 +15,7 @@ from ogm.fusion import map_access
 from ogm.fusion.kernels import bayes_update, log_odds_of
 from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.map_access import Forget
+from ogm.fusion.map_lock import MapLock, locked
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
@@ -43,6 +44,10 @@ class BinaryBayesMapper:
         Between which the probability is kept; the default is OctoMap's.
     forget, window, max_speed, max_delay
         As for `EvidentialMapper`.
+
+    Notes
+    -----
+    Stamps, poses, jumps and threads are treated as `EvidentialMapper` does.
     """
 
     def __init__(
@@ -65,6 +70,7 @@ class BinaryBayesMapper:
             raise ValueError(f"limits must be two probabilities around 1/2, 0 < low < 0.5 < high < 1, got {limits}")
         self.half_life, self.match, self.limits = float(half_life), match, (float(low), float(high))
         self.forget = check_choice("forget", forget, Forget)
+        self.lock = MapLock()
         self._window = Window(spec, window)
         self._gate = UpdateGate(max_speed, max_delay, needs_stamps=self.half_life != math.inf)
         self._log_odds = np.zeros(spec.shape, np.float32)
@@ -90,12 +96,14 @@ class BinaryBayesMapper:
     scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
+    @locked
     def probability(self) -> NDArray[np.float32]:
         """Probability of occupied, (nx, ny), on the cells of `grid`."""
         p: NDArray[np.float32] = expit(self._window.unrolled(self._log_odds))
         return p
 
     @property
+    @locked
     def grid(self) -> EvidentialGrid:
         """The map as masses: the least committed ones with this probability; unknown is 1 where it is 1/2."""
         p = self.probability

@@ -12,7 +12,7 @@ from scipy.special import gammaincinv
 from ogm.fusion.registration import import_package
 from ogm.pose import Trajectory, check_pose
 
-__all__ = ["EgoMotion", "Motion"]
+__all__ = ["EgoMotion", "EgoStates"]
 
 log = logging.getLogger(__name__)
 
@@ -22,7 +22,7 @@ _LONGEST_GAP = 60.0  # [s] between two measurements, above which a stamp is an e
 _MAX_STEP = 0.25  # [s] of one prediction; longer ones are split, because the noise turns with the vehicle
 
 
-class Motion(NamedTuple):
+class EgoStates(NamedTuple):
     """States of the vehicle over time.
 
     Attributes
@@ -197,11 +197,11 @@ class EgoMotion:
             value = np.array([T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0])])
         return self._measure("pose", stamp, value, deviation, [_X, _Y, _YAW])
 
-    def filtered(self) -> Motion:
+    def filtered(self) -> EgoStates:
         """Return the states at each stamp, from the measurements up to it."""
         return self._motion([node.x for node in self._nodes], [node.P for node in self._nodes])
 
-    def smoothed(self) -> Motion:
+    def smoothed(self) -> EgoStates:
         """Return the states from all measurements, by the smoother of Rauch, Tung and Striebel (Sarkka 2008)."""
         x, P = [self._nodes[-1].x], [self._nodes[-1].P]
         for node, after in zip(self._nodes[-2::-1], self._nodes[:0:-1], strict=True):
@@ -210,10 +210,10 @@ class EgoMotion:
             P.append(_symmetric(node.P + gain @ (P[-1] - after.P_predicted) @ gain.T))
         return self._motion(x[::-1], P[::-1])
 
-    def _motion(self, states: list[NDArray[np.float64]], covariances: list[NDArray[np.float64]]) -> Motion:
+    def _motion(self, states: list[NDArray[np.float64]], covariances: list[NDArray[np.float64]]) -> EgoStates:
         stamps = np.array([node.stamp for node in self._nodes])
         last = np.append(np.diff(stamps) > 0, True)  # of several nodes at one stamp
-        return Motion(stamps[last], np.array(states)[last], np.array(covariances)[last])
+        return EgoStates(stamps[last], np.array(states)[last], np.array(covariances)[last])
 
     def _measure(self, kind: str, stamp: float, value: ArrayLike, deviation: ArrayLike, rows: list[int]) -> bool:
         sigmas, z = _deviations(deviation, len(rows)), np.array(value, np.float64)

@@ -7,13 +7,15 @@ from numpy.typing import NDArray
 
 from ogm import evidence
 from ogm.fusion.bayes import BinaryBayesMapper
+from ogm.fusion.dynamic import DynamicFilter, DynamicMapper
+from ogm.fusion.dynamic_settings import DynamicSettings
 from ogm.fusion.mapper import EvidentialMapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
 
-__all__ = ["BAYES", "RULES", "Mapper", "covering_window", "make_mapper", "rolling_window"]
+__all__ = ["BAYES", "DYNAMIC", "NUSS", "RULES", "Mapper", "covering_window", "make_mapper", "rolling_window"]
 
-Mapper = EvidentialMapper | BinaryBayesMapper
+Mapper = EvidentialMapper | BinaryBayesMapper | DynamicMapper
 RULES = {
     "cautious": evidence.normalized_cautious,
     "dempster": evidence.dempster,
@@ -23,22 +25,27 @@ RULES = {
     "averaging": evidence.averaging,
     "weighted": evidence.weighted,
 }
-BAYES = "bayes"
+BAYES, DYNAMIC, NUSS = "bayes", "dynamic", "nuss"
 _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 
-def make_mapper(rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling") -> Mapper:
+def make_mapper(
+    rule: str, spec: GridSpec, half_life: float | None = None, window: WindowMode = "rolling", particles: int = 200_000
+) -> Mapper:
     """Return a map that fuses by a rule, with defaults else.
 
     Parameters
     ----------
     rule : str
-        A name in `RULES`, or ``"bayes"`` for `BinaryBayesMapper`.
+        A name in `RULES`, ``"bayes"`` for `BinaryBayesMapper`, or ``"dynamic"`` and ``"nuss"`` for `DynamicMapper` with
+        its own filter and with that of Nuss.
     spec : GridSpec
         Its window.
     half_life : float, optional
-        [s]; by default 2, and infinity for ``"bayes"``.
+        [s]; by default 2, and infinity for ``"bayes"``. For dynamic maps that of static, by default their own.
     window : {"rolling", "fixed"}
+    particles : int
+        Of dynamic maps.
 
     Raises
     ------
@@ -47,8 +54,12 @@ def make_mapper(rule: str, spec: GridSpec, half_life: float | None = None, windo
     """
     if rule == BAYES:
         return BinaryBayesMapper(spec, math.inf if half_life is None else half_life, window=window)
+    if rule in (DYNAMIC, NUSS):
+        filter_name: DynamicFilter = "hybrid" if rule == DYNAMIC else "nuss"
+        settings = None if half_life is None else DynamicSettings(static_half_life=half_life)
+        return DynamicMapper(spec, particles, filter=filter_name, window=window, settings=settings)
     if rule not in RULES:
-        raise ValueError(f"there is no rule {rule!r}; there are {', '.join(RULES)}, {BAYES}")
+        raise ValueError(f"there is no rule {rule!r}; there are {', '.join(RULES)}, {BAYES}, {DYNAMIC}, {NUSS}")
     return EvidentialMapper(spec, RULES[rule], 2.0 if half_life is None else half_life, window=window)
 
 

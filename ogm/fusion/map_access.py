@@ -1,6 +1,7 @@
 """What all maps share: how their window and last scan are read, and the view along the vehicle's axes.
 
-`EvidentialMapper` and `BinaryBayesMapper` take these as their own properties and methods.
+`EvidentialMapper`, `BinaryBayesMapper` and `DynamicMapper` take these as their own properties and methods. All of them
+have the map's `lock` while they run.
 """
 
 from typing import Any, Literal
@@ -8,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.fusion.map_lock import locked
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec
 
@@ -17,29 +19,34 @@ Forget = Literal["everywhere", "observed"]
 
 
 @property  # type: ignore[misc]
+@locked
 def spec(self: Any) -> GridSpec:
     """The window's cells now, in map coordinates."""
     return self._window.spec
 
 
 @property  # type: ignore[misc]
+@locked
 def stamp(self: Any) -> float | None:
     """Time of the map [s]: that of the newest scan."""
     return self._gate.stamp
 
 
 @property  # type: ignore[misc]
+@locked
 def T_map_vehicle(self: Any) -> NDArray[np.float64] | None:  # noqa: N802
     """Where the vehicle was at that time, (4, 4)."""
     return self._gate.T_map_vehicle
 
 
 @property  # type: ignore[misc]
+@locked
 def scans(self: Any) -> int:
     """Number of scans in the map."""
     return self._gate.scans
 
 
+@locked
 def update(
     self: Any,
     grid: EvidentialGrid,
@@ -82,6 +89,7 @@ def update(
     self._gate.accept(scan)
 
 
+@locked
 def reset(self: Any) -> None:
     """Forget everything: the next scan begins a new map."""
     for layer in self._layers:
@@ -90,6 +98,7 @@ def reset(self: Any) -> None:
     self._gate.clear()
 
 
+@locked
 def view(
     self: Any,
     spec: GridSpec | None = None,

@@ -16,12 +16,13 @@ from ogm.fusion import map_access
 from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER, YAGER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup, gather
 from ogm.fusion.map_access import Forget
+from ogm.fusion.map_lock import MapLock, locked
 from ogm.fusion.resample import view_layers
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
-__all__ = ["CONFLICT_LAYERS", "EvidentialMapper", "Rule"]
+__all__ = ["CONFLICT_LAYERS", "EvidentialMapper", "Rule", "conflict_grid"]
 
 Rule = Callable[[Any, Any], Any]
 CONFLICT_LAYERS = ("free_to_occupied", "occupied_to_free")
@@ -81,6 +82,9 @@ class EvidentialMapper:
     it, and it changes no conflict layer. An older one, a missing stamp (unless nothing is ever forgotten), a gap of
     more than a day, NaN: ValueError; so is every scan after one whose stamp was wrong by hours, until `reset`. A pose
     jump: `PoseJump`. After an error the map is as it was.
+
+    Threads. One thread may update the map while any number of others read it: each property and method returns a
+    whole state, that before or after an update. What belongs together is read with ``with mapper.lock:``.
     """
 
     def __init__(
@@ -115,6 +119,7 @@ class EvidentialMapper:
         self.min_unknown = float(min_unknown)
         self.conflict_half_life = float(conflict_half_life)
         forgets = not math.inf == self.moving_half_life == min(self.half_life)
+        self.lock = MapLock()
         self._window = Window(spec, window)
         self._gate = UpdateGate(max_speed, max_delay, needs_stamps=forgets)
         self._layers = self._mass, self._conflict = np.zeros((2, *spec.shape, 2), np.float32)
@@ -129,23 +134,26 @@ class EvidentialMapper:
     scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
+    @locked
     def grid(self) -> EvidentialGrid:
         """The map (a copy), in map coordinates, as of the last scan."""
         return EvidentialGrid.trusted(self.spec, self._window.unrolled(self._mass))
 
     @property
+    @locked
     def conflict(self) -> LayeredGrid:
         """Where map and scans contradicted each other of late, [0, 1], on the cells of `grid`.
 
         The layer ``free_to_occupied`` is where the map was free and a scan occupied, ``occupied_to_free`` the reverse:
         the greatest conflict mass, each fading with `conflict_half_life`.
         """
-        return _conflict_grid(self.spec, self._window.unrolled(self._conflict))
+        return conflict_grid(self.spec, self._window.unrolled(self._conflict))
 
+    @locked
     def conflict_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> LayeredGrid:
         """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
         cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        return _conflict_grid(cells, view_layers(self._window.unrolled(self._conflict), self.spec, cells, T))
+        return conflict_grid(cells, view_layers(self._window.unrolled(self._conflict), self.spec, cells, T))
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         mass = np.ascontiguousarray(grid.mass if scan.elapsed >= 0 else self._aged(grid.mass, -scan.elapsed))
@@ -237,7 +245,8 @@ def _bounded(mass: NDArray[np.float32], min_unknown: float) -> NDArray[np.float3
     return mass * np.minimum(1, limit / np.maximum(known, limit)).astype(np.float32)
 
 
-def _conflict_grid(spec: GridSpec, layers: NDArray[np.float32]) -> LayeredGrid:
+def conflict_grid(spec: GridSpec, layers: NDArray[np.float32]) -> LayeredGrid:
+    """Return conflict (nx, ny, 2) as named layers."""
     return LayeredGrid(spec, dict(zip(CONFLICT_LAYERS, np.moveaxis(layers, -1, 0), strict=True)))
 
 

@@ -104,7 +104,7 @@ def fuse(
         In the order of their stamps; each needs `T_map_sensor` and, unless the map never forgets, `stamp`.
     ism : callable with `spec`, or PerMount
         The sensor model: ``ism(scan) -> EvidentialGrid``.
-    mapper : EvidentialMapper or BinaryBayesMapper
+    mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
         Updated in place.
     deskew : bool or Trajectory
         Undo the ego motion during each scan, by the times of its points: with the poses of `frames`, which must then be
@@ -162,7 +162,7 @@ def update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: b
 
     Parameters
     ----------
-    mapper : EvidentialMapper or BinaryBayesMapper
+    mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
     grid : EvidentialGrid
         In the frame's levelled vehicle frame, as sensor models return it.
     frame : Frame

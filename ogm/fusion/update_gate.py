@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.fusion.window import Window, affine_between, overlaps, samples_per_axis
 from ogm.grid import EvidentialGrid
-from ogm.pose import check_pose, inverse
+from ogm.pose import check_pose, check_stamp, inverse
 
 __all__ = ["CheckedScan", "PoseJump", "UpdateGate"]
 
@@ -17,6 +17,9 @@ SLACK = 1.0  # [m] added to the distance that a vehicle may travel between two s
 TURN_RATE, TURN_SLACK = 2 * math.pi, 0.3  # [rad/s], [rad] beyond which a turn is a jump
 LONG_GAP = 60.0  # [s] without a scan after which a warning is logged
 MAX_GAP = 86_400.0  # [s] beyond which stamps are taken to be no seconds
+
+TOLERANCE = 1e-5  # of masses, that rounding in a sensor model can make
+_ONE = np.float32(1).view(np.uint32)
 
 _log = logging.getLogger(__name__)
 
@@ -93,6 +96,14 @@ class UpdateGate:
                 f"a map is updated with an EvidentialGrid, got {type(grid).__name__}; call a sensor model on the "
                 "points first"
             )
+        mass = grid.mass
+        if mass.shape != (*grid.spec.shape, 2) or mass.dtype != np.float32:  # of `EvidentialGrid.trusted`
+            raise ValueError(
+                f"the masses of the grid are {mass.dtype} {mass.shape}, wanted float32 {(*grid.spec.shape, 2)}"
+            )
+        # As whole numbers, floats above 1, below 0 and NaN are all greater than 1: one pass, which costs half of two.
+        if mass.view(np.uint32).max() > _ONE and not (mass.min() >= -TOLERANCE and mass.max() <= 1 + TOLERANCE):
+            raise ValueError(f"the masses of the grid must be in [0, 1], got {mass.min()} to {mass.max()}")
         if not (isinstance(reliability, int | float | np.number) and 0 <= reliability <= 1):
             raise ValueError(f"reliability must be a number in [0, 1], got {reliability!r}")
         T = vehicle = check_pose(T_map_sensor, "T_map_sensor").copy()  # the caller may change its array
@@ -140,10 +151,7 @@ class UpdateGate:
                     "the mapper with half_life=float('inf') and give no stamp at all"
                 )
             return None
-        time = float(stamp)
-        if not math.isfinite(time):
-            raise ValueError(f"stamp must be a finite time [s], got {stamp}")
-        return time
+        return check_stamp(stamp)
 
     def _check_jump(self, vehicle: NDArray[np.float64], time: float) -> None:
         if self.T_map_vehicle is None or self.stamp is None or math.isinf(self.max_speed):

@@ -5,13 +5,21 @@ A new format of point clouds goes to `ogm.io.formats`; the labels of a data set 
 
 from ogm.io.argoverse2 import read_argoverse2
 from ogm.io.axes import AXES, Axes
-from ogm.io.grids import GridLog, PlacedGrid, from_xarray, read_grid, read_placed_grid, to_xarray, write_grid
+from ogm.io.grids import (
+    GridLog,
+    PlacedGrid,
+    from_xarray,
+    read_any_grid,
+    read_grid,
+    read_placed_grid,
+    to_xarray,
+    write_grid,
+)
 from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps, read_kitti_tracks
 from ogm.io.labels import LabelledPoints
 from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
-from ogm.io.reading import BYTE_LIMIT
 from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_file
 from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
 from ogm.io.sensor_height import estimate_sensor_height, plausible_sensor_height
@@ -20,7 +28,6 @@ from ogm.io.transforms import StampedTransform, TransformBuffer
 
 __all__ = [
     "AXES",
-    "BYTE_LIMIT",
     "NUSCENES_ELEVEN",
     "SEMANTIC_KITTI",
     "SEMANTIC_KITTI_MOVING",
@@ -40,6 +47,7 @@ __all__ = [
     "plausible_sensor_height",
     "read_argoverse2",
     "read_calibration",
+    "read_any_grid",
     "read_grid",
     "read_kitti_objects",
     "read_kitti_stamps",

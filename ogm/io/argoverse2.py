@@ -1,6 +1,7 @@
 """Argoverse 2: one log of the sensor data set, with boxes, poses, and a map of the ground (Wilson et al. 2021)."""
 
 import os
+import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
+from ogm.io.formats.feather import check_sizes
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
@@ -217,13 +219,19 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
     pyarrow, ipc = optional("pyarrow", path), optional("pyarrow.ipc", path)
     data = read_bytes(path)[0]
     try:
-        table = ipc.open_file(pyarrow.py_buffer(data)).read_all()
+        buffer = pyarrow.py_buffer(data)
+        schema = ipc.open_file(buffer).schema
+        wanted = [k for k, name in enumerate(schema.names) if name in columns]
+        check_sizes(data, path, schema.types, wanted)
+        table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted or None)).read_all()
         found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names}
-    except (pyarrow.ArrowException, ValueError, OSError, MemoryError) as error:
+    except (pyarrow.ArrowException, ValueError, OSError, MemoryError, struct.error) as error:
+        if isinstance(error, OgmError):
+            raise
         raise OgmError(f"{path} is no readable Feather table, damaged or wrongly named ({error})"[:400]) from error
     missing = [name for name in columns if name not in found]
     if missing:
-        raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(table.column_names)[:200]}")
+        raise OgmError(f"{path} has no column {', '.join(missing)}, only {', '.join(schema.names)[:200]}")
     if "timestamp_ns" in found and found["timestamp_ns"].dtype.kind not in "iu":
         raise OgmError(f"all timestamp_ns of {path} must be whole numbers [ns], got {table['timestamp_ns'].type}")
     return _Table(path, found)

@@ -1,6 +1,8 @@
 """KITTI: boxes of the object and the tracking recordings, calibrations, and times of scans."""
 
 import os
+import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.files import OgmError
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import numbers, read_lines, rigid
-from ogm.pose import check_pose, inverse
+from ogm.pose import LATEST, check_pose, inverse
 from ogm.scan import Boxes
 
 __all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 
 _OBJECT = "type, truncated, occluded, alpha, 4 of the picture's box, height, width, length, x, y, z, rotation_y"
+_ZONE = re.compile(r"[^0-9:.]")  # in the time of a day
 _TO_CAMERA, _RECTIFY = "calib_velo_to_cam.txt", "calib_cam_to_cam.txt"
 
 
@@ -71,14 +74,16 @@ def read_kitti_tracks(path: str | os.PathLike[str], T_camera_sensor: ArrayLike) 
     path = Path(path)
     T = inverse(check_pose(T_camera_sensor, "T_camera_sensor"))
     scans: dict[int, list[tuple[int, list[str], str]]] = {}
+    known: set[tuple[int, int]] = set()
     for n, words in _lines(path, 17, f"scan, track, {_OBJECT}"):
         try:
             scan, track = map(int, words[:2])
         except ValueError as error:
             raise OgmError(f"line {n} of {path} must begin with two whole numbers, got {words[:2]}") from error
         rows = scans.setdefault(scan, [])
-        if track >= 0 and any(one == str(track) for _, _, one in rows):
+        if track >= 0 and (scan, track) in known:
             raise OgmError(f"line {n} of {path} has a second box of track {track} in scan {scan}: drop one")
+        known.add((scan, track))
         rows.append((n, words[2:], str(track) if track >= 0 else ""))
     return {scan: _objects(path, rows, T) for scan, rows in scans.items()}
 
@@ -168,28 +173,29 @@ def read_kitti_stamps(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         try:
             if len(words) == 1:
                 stamp = float(words[0])
+            elif _ZONE.search(words[-1]):  # numpy warns of it, and drops it
+                raise ValueError("a zone")
             else:
                 stamp = np.datetime64("T".join(words), "ns").astype(np.int64) * 1e-9
-            if not np.isfinite(stamp):
-                raise ValueError("not finite")
+            if not abs(stamp) <= LATEST:
+                raise ValueError("not finite, or no seconds")
         except ValueError as error:
             raise OgmError(
-                f"line {n} of {path} must be a time, such as 2011-09-26 13:02:25.964389445 or seconds, got "
-                f"{' '.join(words)[:60]!r}"
+                f"line {n} of {path} must be a time, such as 2011-09-26 13:02:25.964389445, without a zone, or "
+                f"seconds, got {' '.join(words)[:60]!r}"
             ) from error
         stamps.append(stamp)
     return np.array(stamps, np.float64)
 
 
-def _lines(path: Path, columns: int, meaning: str) -> list[tuple[int, list[str]]]:
-    rows = read_lines(path)
-    for n, words in rows:
+def _lines(path: Path, columns: int, meaning: str) -> Iterator[tuple[int, list[str]]]:
+    for n, words in read_lines(path):
         if len(words) not in (columns, columns + 1):
             raise OgmError(
                 f"line {n} of {path} has {len(words)} columns, wanted {columns} ({meaning}), or {columns + 1} with a "
                 "score: it is cut short, or of another kind of label"
             )
-    return rows
+        yield n, words
 
 
 def _objects(path: Path, rows: list[tuple[int, list[str], str]], T: NDArray[np.float64]) -> Boxes:

@@ -4,6 +4,7 @@ import numpy as np
 
 __all__ = ["directions_without_return"]
 
+_MOST = 2**20  # cells of a raster; that of a lidar of 512 lasers has as many, and the search takes 100 bytes for each
 _PER_ROW, _PER_COLUMN = 8, 2  # returns at least, before the angle of a row or a column is believed
 _TOLERANCE = np.radians(1.0)  # [rad] within which 9 of 10 returns must lie on the raster
 _STEP = 8  # every 8th column gives the rows' offsets, where it has enough returns
@@ -27,8 +28,10 @@ def directions_without_return(x: np.ndarray, y: np.ndarray, z: np.ndarray, retur
     -------
     directions : (M, 3) float32 or None
         Unit vectors. None if the raster is no spinning lidar's, seen from the origin: if 1 of 10 returns or
-        more lies over 1 degree off its row's elevation or its column's azimuth.
+        more lies over 1 degree off its row's elevation or its column's azimuth; or if it has more than 2**20 cells.
     """
+    if returned.size > _MOST:
+        return None
     if returned.shape[0] > returned.shape[1]:  # some drivers write a column of lasers after the other
         x, y, z, returned = x.T, y.T, z.T, returned.T
     while True:

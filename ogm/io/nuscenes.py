@@ -149,7 +149,7 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
     path = Path(path)
     if path.suffix == ".pkl":
         raise OgmError(f"{path} is pickled, and nothing is unpickled here: write it as JSON first")
-    content = read_json(path, dict, "mmdetection3d's info: metainfo, data_list")
+    content = read_json(path, dict, "mmdetection3d's info: metainfo, data_list", "tables")
     about = need(content, "metainfo", path)
     if str(need(about, "dataset", f"metainfo of {path}")).lower() != "nuscenes":
         raise OgmError(f"{path} is of {about['dataset']}, wanted nuscenes")
@@ -190,7 +190,7 @@ def _in_order(frames: list[NuScenesFrame]) -> tuple[NuScenesFrame, ...]:
 
 def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
     path = folder / f"{name}.json"
-    rows = read_json(path, list, f"the table {name} of nuScenes: a list of rows with tokens")
+    rows = read_json(path, list, f"the table {name} of nuScenes: a list of rows with tokens", "tables")
     return {str(need(row, "token", f"row {n} of {path}")): row for n, row in enumerate(rows)}
 
 

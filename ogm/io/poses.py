@@ -1,7 +1,10 @@
 """Poses in and out: KITTI, KITTI-360, TUM and a format of our own that explains itself."""
 
 import logging
+import math
 import os
+from array import array
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError, atomic_write
-from ogm.io.reading import from_quaternions, numbers, read_text, rigid
-from ogm.pose import Trajectory, check_pose, inverse
+from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
+from ogm.pose import LATEST, Trajectory, check_pose, inverse
 
 __all__ = ["Poses", "read_poses", "write_poses"]
 
@@ -27,7 +30,6 @@ _WANTED = (
     "8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: the upper three rows of T_map_sensor), 13 (KITTI-360: frame "
     "number and those 12), 16 or 17 (all four rows)"
 )
-_LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds
 _ROUNDED = 2e-3  # departure of R'R from the identity that rounding to three decimals can make
 _CAMERA_SHARE = 0.9  # of the path goes along the frame's own z axis: nothing but a camera drives so
 _CAMERA_PATH = 1.0  # [m] of path before that is an error
@@ -119,18 +121,15 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
         their own z axis) and `T_camera_sensor` is not given. The line is named.
     """
     path = Path(path)
-    lines, header, ours = _rows(path)
-    columns = len(header) if header else len(lines[0][1])
-    if not header and columns not in _KINDS:
-        raise OgmError(f"{lines[0][0]} has {columns} columns, wanted {_WANTED}")
-    where, table = [line for line, _ in lines], np.array([numbers(words, columns, line) for line, words in lines])
+    table, where, header, ours = _rows(path)
+    columns = table.shape[1]
     stamps, counted = None, None
     if header:
         table = table[:, [header.index(name) for name in (*_NAMES, "number") if name in header]]
         counted = _frame_numbers(where, table[:, 8]) if "number" in header else None
     if header or columns == 8:
         stamps = _stamps(where, table[:, 0])
-        poses = from_quaternions(table[:, 1:4], table[:, 4:8], where.__getitem__)
+        poses = from_quaternions(table[:, 1:4], table[:, 4:8], where)
     else:
         if columns in (13, 17):
             counted, table = _frame_numbers(where, table[:, 0]), table[:, 1:]
@@ -188,62 +187,91 @@ def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: A
         file.writelines(separator.join(map(repr, row)) + "\n" for row in rows)
 
 
-def _rows(path: Path) -> tuple[list[tuple[str, list[str]]], list[str], bool]:
-    """Return the rows, each with the line it is in, the header's names ([] if none), and whether it is our format."""
+_Where = Callable[[int], str]  # the place of row k in the file, for errors
+
+
+def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
+    """Return the rows (K, C), where they are, the header's names ([] if none), and whether it is our format."""
     text = read_text(path, f"poses in lines of numbers: {_WANTED}")
     if not text:
         raise OgmError(f"{path} is empty, wanted poses: was it written to its end?")
     csv = path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".csv")
-    lines: list[tuple[str, list[str]]] = []
-    ours = False
-    for n, raw in enumerate(text.splitlines(), start=1):
+    table, lines = array("d"), array("q")
+    header: list[str] = []
+    columns, ours = 0, False
+    for n, raw in text_lines(text):
         content, _, comment = raw.partition("#")
-        if not lines and comment.strip().startswith("ogm.poses/"):
+        if not columns and comment.strip().startswith("ogm.poses/"):
             version = comment.split()[0].rstrip(":")
             if version != _OURS:
                 raise OgmError(f"{path} is {version}, wanted {_OURS}: it comes from a newer release of ogm")
             ours = True
-        if content.strip():
-            fields = content.split(",") if csv else content.split()
-            lines.append((f"line {n} of {path}", [field.strip() for field in fields]))
-    header = lines.pop(0)[1] if csv and lines else []
-    if header and (len(set(header)) != len(header) or set(header) - {"number"} != set(_NAMES)):
-        raise OgmError(
-            f"the header of {path} must be {','.join(_NAMES)} and perhaps number, got {','.join(header)[:200]}"
-        )
+        words = [word.strip() for word in content.split(",")] if csv and content.strip() else content.split()
+        if words and csv and not header:
+            _check_header(words, path)
+            header, columns = words, len(words)
+        elif words:
+            columns = columns or _columns(words, f"line {n} of {path}")
+            _add(table, words, columns, f"line {n} of {path}")
+            lines.append(n)
     if not lines:
         raise OgmError(f"{path} holds no pose, only comments or a header: was it written to its end?")
-    return lines, header, ours
+    rows = np.frombuffer(table, np.float64).reshape(-1, columns)
+    return rows, lambda k: f"line {lines[k]} of {path}", header, ours
 
 
-def _frame_numbers(where: list[str], column: NDArray[np.float64]) -> NDArray[np.int64]:
+def _check_header(names: Sequence[str], path: Path) -> None:
+    if len(set(names)) != len(names) or set(names) - {"number"} != set(_NAMES):
+        raise OgmError(
+            f"the header of {path} must be {','.join(_NAMES)} and perhaps number, got {','.join(names)[:200]}"
+        )
+
+
+def _columns(words: Sequence[str], where: str) -> int:
+    if len(words) not in _KINDS:
+        raise OgmError(f"{where} has {len(words)} columns, wanted {_WANTED}")
+    return len(words)
+
+
+def _add(table: array, words: Sequence[str], columns: int, where: str) -> None:
+    """Add a row of finite numbers to a table."""
+    try:
+        row = [float(word) for word in words]
+    except ValueError:
+        row = []
+    if len(row) != columns or not all(map(math.isfinite, row)):
+        numbers(words, columns, where)  # raises what is wrong with it
+    table.extend(row)
+
+
+def _frame_numbers(where: _Where, column: NDArray[np.float64]) -> NDArray[np.int64]:
     bad = (column != np.floor(column)) | (np.abs(column) > 2**53)
     if bad.any():
         k = int(np.argmax(bad))
-        raise OgmError(f"{where[k]} must have a whole frame number, got {column[k]:g}")
+        raise OgmError(f"{where(k)} must have a whole frame number, got {column[k]:g}")
     _check_increasing(where, column.astype(np.int64), "frame numbers")
     return column.astype(np.int64)
 
 
-def _stamps(where: list[str], stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+def _stamps(where: _Where, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
     k = int(np.argmax(np.abs(stamps)))
-    if np.abs(stamps[k]) > _LATEST:
-        raise OgmError(f"stamps must be seconds, got {stamps[k]:g} in {where[k]}: divide nanoseconds by 1e9")
+    if np.abs(stamps[k]) > LATEST:
+        raise OgmError(f"stamps must be seconds, got {stamps[k]:g} in {where(k)}: divide nanoseconds by 1e9")
     _check_increasing(where, stamps, "stamps")
     return stamps
 
 
-def _check_increasing(where: list[str], column: NDArray[Any], what: str) -> None:
+def _check_increasing(where: _Where, column: NDArray[Any], what: str) -> None:
     stuck = np.diff(column) <= 0
     if stuck.any():
         k = int(np.argmax(stuck))
         raise OgmError(
-            f"{what} must increase, but {where[k]} has {column[k].item()!r} and the next has {column[k + 1].item()!r}: "
+            f"{what} must increase, but {where(k)} has {column[k].item()!r} and the next has {column[k + 1].item()!r}: "
             "sort them, or drop what is double"
         )
 
 
-def _from_matrices(path: Path, where: list[str], table: NDArray[np.float64]) -> NDArray[np.float64]:
+def _from_matrices(path: Path, where: _Where, table: NDArray[np.float64]) -> NDArray[np.float64]:
     """Turn rows of 12 or 16 numbers into poses, with the true rotations nearest to the rounded ones."""
     poses = np.broadcast_to(np.eye(4), (len(table), 4, 4)).copy()
     poses.reshape(len(table), 16)[:, : table.shape[1]] = table
@@ -252,7 +280,7 @@ def _from_matrices(path: Path, where: list[str], table: NDArray[np.float64]) -> 
     bad = (error > _ROUNDED) | (np.linalg.det(R) < 0) | (np.abs(poses[:, 3] - [0, 0, 0, 1]).max(axis=1) > 1e-9)
     if bad.any():
         k = int(np.argmax(bad))
-        rigid(poses[k], f"the pose in {where[k]}")
+        rigid(poses[k], f"the pose in {where(k)}")
     left, _, right = np.linalg.svd(R)
     poses[:, :3, :3] = left @ right
     poses[:, 3] = 0, 0, 0, 1

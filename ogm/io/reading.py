@@ -8,19 +8,21 @@ import lzma
 import math
 import os
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
+from ogm.limits import current_limits, too_large
 from ogm.pose import check_pose
 
-BYTE_LIMIT = 2**30  # [byte] of one unpacked file: 67 M points of 16 bytes
 _UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
 _CHUNK = 2**20  # [byte] unpacked in one step
+_XZ_MEMORY = 2**27  # [byte] that the decoder of .xz may take: "xz -9" makes files that need half of it
+_JSON_SIZES = {b",": 64, b":": 64, b"[": 96, b"{": 256}  # [byte] in Python of what these stand for, at most
 _HEADERS = {
     (1, 0): np.lib.format.read_array_header_1_0,
     (2, 0): np.lib.format.read_array_header_2_0,
@@ -28,19 +30,21 @@ _HEADERS = {
 }
 
 
-def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:
+def read_bytes(path: str | os.PathLike[str], limit: str = "file") -> tuple[bytes, Path]:
     """Read a file, unpacking ``.xz`` and ``.gz`` on the way.
 
     Parameters
     ----------
     path : path
         The file.
+    limit : str
+        Field of `ogm.limits.MemoryLimits` that bounds its unpacked content, so that a small packed file cannot fill the
+        memory. No more than that is unpacked.
 
     Returns
     -------
     data : bytes
-        Its unpacked content: at least 1 byte, at most `BYTE_LIMIT`, so that a small packed file cannot fill
-        the memory.
+        Its unpacked content, at least 1 byte.
     inner : Path
         Its path without ``.xz`` or ``.gz``: its suffix gives the format.
 
@@ -49,7 +53,7 @@ def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is no plain file, empty, damaged, or larger than `BYTE_LIMIT`.
+        If it is no plain file, empty, damaged, or larger than the limit.
     OSError
         If the system does not let it be read.
     """
@@ -58,22 +62,53 @@ def read_bytes(path: str | os.PathLike[str]) -> tuple[bytes, Path]:
         raise FileNotFoundError(f"there is no file {path}: check the name and the folder")
     if not path.is_file():
         raise OgmError(f"{path} is a folder or a device, wanted a file: give the scans one by one")
-    packing = path.suffix.lower()
-    openers: dict[str, Callable[[Path], Any]] = {".xz": lzma.LZMAFile, ".gz": gzip.GzipFile}
-    content = bytearray()
+    packing, most = path.suffix.lower(), getattr(current_limits(), limit)
+    unpack = {".xz": _unpacked_xz, ".gz": _unpacked_gz}.get(packing)
+    parts, size = [], 0
     try:
-        with openers.get(packing, lambda path: open(path, "rb"))(path) as stream:
-            while len(content) <= BYTE_LIMIT and (chunk := stream.read(_CHUNK)):
-                content += chunk
-    except (lzma.LZMAError, gzip.BadGzipFile, zlib.error, EOFError, MemoryError) as error:
+        with open(path, "rb") as file:
+            whole = os.fstat(file.fileno()).st_size
+            if unpack is None and whole > most:
+                raise too_large(path, whole, limit)
+            step = _CHUNK if unpack else max(whole + 1, _CHUNK)
+            for part in unpack(file) if unpack else iter(lambda: file.read(step), b""):
+                parts.append(part)
+                size += len(part)
+                if size > most:
+                    raise too_large(path, None, limit)
+    except (lzma.LZMAError, gzip.BadGzipFile, zlib.error, EOFError) as error:
         raise OgmError(f"{path} is no whole {packing} file ({error}): it is cut short or wrongly named") from error
-    if len(content) > BYTE_LIMIT:
-        raise OgmError(
-            f"{path} holds more than {BYTE_LIMIT} bytes, wanted one scan below that (ogm.io.BYTE_LIMIT): split it"
-        )
-    if not content:
+    if not size:
         raise OgmError(f"{path} holds 0 bytes: was it written to its end?")
-    return bytes(content), path.with_suffix("") if packing in openers else path
+    return parts[0] if len(parts) == 1 else b"".join(parts), path.with_suffix("") if unpack else path
+
+
+def _unpacked_gz(file: IO[bytes]) -> Iterator[bytes]:
+    """Unpack a file of gzip, piece by piece."""
+    with gzip.GzipFile(fileobj=file, mode="rb") as stream:
+        while part := stream.read(_CHUNK):
+            yield part
+
+
+def _unpacked_xz(file: IO[bytes]) -> Iterator[bytes]:
+    """Unpack a file of xz, piece by piece, with bounded memory for the decoder; `lzma.open` does not bound it."""
+    rest = file.read(_CHUNK)
+    while True:
+        decoder = lzma.LZMADecompressor(lzma.FORMAT_AUTO, _XZ_MEMORY)
+        while not decoder.eof:
+            if decoder.needs_input and not rest:
+                rest = file.read(_CHUNK)
+                if not rest:
+                    raise EOFError("the end of its stream is missing")
+            if part := decoder.decompress(rest, _CHUNK):
+                yield part
+            rest = b""
+        rest = (decoder.unused_data or file.read(_CHUNK)).lstrip(b"\0")  # zeros may stand between streams
+        while not rest:
+            more = file.read(_CHUNK)
+            if not more:
+                return
+            rest = more.lstrip(b"\0")
 
 
 def optional(module: str, path: Path, extra: str = "io", verb: str = "read") -> Any:
@@ -98,7 +133,7 @@ def read_text(path: Path, wanted: str) -> str:
     if path.is_file() and not path.stat().st_size:
         return ""
     try:
-        text = read_bytes(path)[0].decode("utf-8-sig")
+        text = read_bytes(path, "lines")[0].decode("utf-8-sig")
     except UnicodeDecodeError:
         text = "\0"
     if "\0" in text:
@@ -106,13 +141,26 @@ def read_text(path: Path, wanted: str) -> str:
     return text
 
 
-def read_lines(path: Path) -> list[tuple[int, list[str]]]:
-    """Read the words of every line that has some, with the number of the line."""
-    text = read_text(path, "lines of words and numbers")
-    return [(n, line.split()) for n, line in enumerate(text.splitlines(), start=1) if line.strip()]
+def read_lines(path: Path) -> Iterator[tuple[int, list[str]]]:
+    """Yield the words of every line that has some, with the number of the line."""
+    for n, line in text_lines(read_text(path, "lines of words and numbers")):
+        if words := line.split():
+            yield n, words
 
 
-def read_json(path: Path, kind: type, wanted: str) -> Any:
+def text_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Yield the lines of a text with their numbers; one at a time, as short strings take 50 bytes each."""
+    start, n = 0, 0
+    while start < len(text):
+        end = text.find("\n", start)
+        end = len(text) if end < 0 else end
+        for line in text[start : end + 1].splitlines():  # also at other ends of lines
+            n += 1
+            yield n, line
+        start = end + 1
+
+
+def read_json(path: Path, kind: type, wanted: str, limit: str = "json") -> Any:
     """Read a JSON file whose outermost value is of a kind, `dict` or `list`.
 
     Parameters
@@ -121,13 +169,16 @@ def read_json(path: Path, kind: type, wanted: str) -> Any:
     kind : type
     wanted : str
         What it should be, in words, for the error.
+    limit : str
+        Field of `ogm.limits.MemoryLimits` that bounds what it becomes in Python.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}, wanted {wanted}: check the name and the folder")
-    packed = path.suffix.lower() in (".xz", ".gz")
-    data = read_bytes(path)[0] if packed else path.read_bytes()  # tables of a data set may be beyond BYTE_LIMIT
+    data = read_bytes(path, limit)[0] if path.stat().st_size else b""
     try:
-        value = json.loads(data)
+        value = decode_json(data, path, limit)
+    except OgmError:
+        raise
     except (ValueError, RecursionError) as error:
         raise OgmError(f"{path} is no JSON ({error}), wanted {wanted}: it is cut short or wrongly named") from error
     if not isinstance(value, kind):
@@ -136,6 +187,14 @@ def read_json(path: Path, kind: type, wanted: str) -> Any:
             "set's, or another file of this one?"
         )
     return value
+
+
+def decode_json(data: bytes, path: Path, limit: str = "json") -> Any:
+    """Return what JSON stands for, if by an estimate from above it is within a limit; errors as of `json.loads`."""
+    size = len(data) + sum(data.count(sign) * each for sign, each in _JSON_SIZES.items())
+    if size > getattr(current_limits(), limit):
+        raise too_large(path, size, limit)
+    return json.loads(data)
 
 
 def need(value: Any, key: str, where: object, kind: type = object) -> Any:

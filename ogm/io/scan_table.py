@@ -20,6 +20,8 @@ __all__ = ["FileFacts", "check_scales", "scan_from_table"]
 
 log = logging.getLogger(__name__)
 
+_BLOCK = 2**18  # rows that are converted at a time
+
 
 class FileFacts(NamedTuple):
     """What a file of a scan holds besides the scan.
@@ -76,30 +78,26 @@ def scan_from_table(
         raise OgmError(f"{where} has the fields {', '.join(fields) or 'none'}, wanted x, y, z among them")
 
     # Points are the rows with a finite position and a distance, whatever else they lack.
-    moved = origin is not None or not np.array_equal(rotation, np.eye(3))
-    xyz, returned = _positions([columns[name] for name in POSITION], exact=moved)
+    # They go from the file's coordinates to x forward, y left, z up.
+    xyz, returned, reach = _positions([columns[name] for name in POSITION], rotation, origin)
     kept: np.ndarray | slice = slice(None)
     dropped = returned.size - int(np.count_nonzero(returned))
     if dropped:
         kept = returned
         log.info("%s: %d of %d rows hold no point and are dropped", where, dropped, returned.size)
-
-    # From the file's coordinates to x forward, y left, z up.
-    if moved:
-        xyz = rotate(rotation, xyz if origin is None else xyz - origin[:, None])
-    no_returns = None
-    if table.shape is not None:
-        x, y, z = xyz.reshape(3, *table.shape)
-        no_returns = directions_without_return(x, y, z, returned.reshape(table.shape))
-    xyz = xyz[:, kept]
-    reach = np.abs(xyz).max(initial=0.0)
     if reach > REACH:
         raise OgmError(
             f"{where} has coordinates up to {reach:.3g} m, wanted at most {REACH:g} m from the sensor: if they are map "
             "coordinates, give the sensor's position as origin; if not, the file is damaged or wrongly named"
         )
+    no_returns = None
+    if table.shape is not None:
+        x, y, z = xyz.reshape(3, *table.shape)
+        no_returns = directions_without_return(x, y, z, returned.reshape(table.shape))
     points = np.zeros((returned.size - dropped, 4), np.float32)
-    points[:, :3] = xyz.T
+    for axis in range(3):
+        points[:, axis] = xyz[axis, kept]
+    del xyz
 
     # What else was measured.
     def known(names: tuple[str, ...]) -> NDArray | None:
@@ -126,17 +124,34 @@ def scan_from_table(
     return scan, FileFacts(dropped, scale, table.format, fields, table.shape)
 
 
-def _positions(columns: list[NDArray], exact: bool) -> tuple[NDArray, NDArray[np.bool_]]:
-    """Return x, y, z as (3, N), float64 if `exact` or a column is not float32, 0 where there is no point; and where."""
-    short = not exact and all(column.dtype.newbyteorder("=") == np.float32 for column in columns)
-    xyz = np.empty((3, len(columns[0])), np.float32 if short else np.float64)
-    with np.errstate(invalid="ignore"):  # of signalling NaN, too, only NaN is left
-        for row, column in zip(xyz, columns, strict=True):
-            row[:] = column
-    returned = np.any(xyz != 0, axis=0) & np.isfinite(xyz).all(axis=0)
-    if not returned.all():
-        xyz[:, ~returned] = 0.0
-    return xyz, returned
+def _positions(
+    columns: list[NDArray], rotation: NDArray[np.float64], origin: NDArray[np.float64] | None
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
+    """Return x, y, z as (3, N) in our axes, 0 or without meaning where there is no point; where; and their reach [m].
+
+    Computed in float64 where something changes but the type, in blocks of `_BLOCK` rows: the whole would take a
+    multiple of the memory of the points.
+    """
+    turned = not np.array_equal(rotation, np.eye(3))
+    short = origin is None and not turned and all(c.dtype.newbyteorder("=") == np.float32 for c in columns)
+    xyz, returned = np.empty((3, len(columns[0])), np.float32), np.empty(len(columns[0]), np.bool_)
+    reach = 0.0
+    for start in range(0, len(returned), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        block = np.empty((3, len(returned[part])), np.float32 if short else np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):  # of signalling NaN only NaN is left; reach is refused
+            for row, column in zip(block, columns, strict=True):
+                row[:] = column[part]
+            there = np.any(block != 0, axis=0) & np.isfinite(block).all(axis=0)
+            if not there.all():
+                block[:, ~there] = 0.0
+            if origin is not None:
+                block -= origin[:, None] * there
+            if turned:
+                block = rotate(rotation, block)
+            reach = max(reach, float(block.max(initial=0.0)), -float(block.min(initial=0.0)))
+            xyz[:, part], returned[part] = block, there
+    return xyz, returned, reach
 
 
 def check_scales(intensity_max: float | None, time_unit: float | None) -> None:

@@ -1,4 +1,4 @@
-"""How good a grid is: metrics of an evidential grid against the true states of its cells.
+"""How good a grid is: metrics of an evidential grid against the true states of its cells, of a dynamic one also motion.
 
 Every metric leaves out the cells that the truth ignores. A metric without a cell is NaN, never 0, and `reasons` gives
 the reason. `METRICS` describes each.
@@ -7,16 +7,23 @@ the reason. `METRICS` describes each.
 >>> scores = score(accumulate(grid.mass, truth.state))               # one frame           # doctest: +SKIP
 >>> counts = accumulate(grid.mass, truth.state, distances(spec))     # curves and ranges   # doctest: +SKIP
 >>> risk_coverage(counts), by_range(counts), reasons(counts)                          # doctest: +SKIP
+>>> score_motion(accumulate_motion(dynamic_grid, truth.motion, scan_occupied))        # doctest: +SKIP
 """
 
 from ogm.metrics.counts import RANGES, ConfusionSums, accumulate
 from ogm.metrics.curves import free_space, intervals, precision_recall, reliability, risk_coverage
+from ogm.metrics.detection_time import Detection, ObjectCells, detection_times, object_cells
 from ogm.metrics.evilog import evilog_kl, evilog_published, evilog_unmixed
+from ogm.metrics.motion import MotionSums, accumulate_motion, moving_score, object_kinds, predicted_moving
+from ogm.metrics.motion_scores import MOTION_METRICS, motion_by_range, motion_curve, score_motion
+from ogm.metrics.prediction import PREDICTION_METRICS, PredictionSums, accumulate_prediction, score_prediction
 from ogm.metrics.ranges import by_range, distances
 from ogm.metrics.scores import METRICS, Metric, reasons, score
 
 __all__ = [
-    "ConfusionSums", "METRICS", "Metric", "RANGES", "accumulate", "by_range", "distances", "evilog_kl",
-    "evilog_published", "evilog_unmixed", "free_space", "intervals", "precision_recall", "reasons", "reliability",
-    "risk_coverage", "score",
+    "ConfusionSums", "Detection", "METRICS", "MOTION_METRICS", "Metric", "MotionSums", "ObjectCells",
+    "PREDICTION_METRICS", "PredictionSums", "RANGES", "accumulate", "accumulate_motion", "accumulate_prediction",
+    "by_range", "detection_times", "distances", "evilog_kl", "evilog_published", "evilog_unmixed", "free_space",
+    "intervals", "motion_by_range", "motion_curve", "moving_score", "object_cells", "object_kinds", "precision_recall",
+    "predicted_moving", "reasons", "reliability", "risk_coverage", "score", "score_motion", "score_prediction",
 ]  # fmt: skip

@@ -17,9 +17,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import atomic_write
+from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
 from ogm.io import read_points
+from ogm.io.images import open_image
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
 
@@ -50,7 +51,7 @@ class PairFolder:
     ------
     FileNotFoundError
         If one of the two folders is missing.
-    ValueError
+    OgmError
         If a cloud has no label or a label no cloud.
     """
 
@@ -59,7 +60,7 @@ class PairFolder:
         self.names = self._stems("input", ".pcd")
         odd = sorted(set(self.names) ^ set(self._stems("label", ".png")))
         if odd:
-            raise ValueError(f"{self.path}: {odd[0]} (and {len(odd) - 1} more) is in input_{part} or label_{part} only")
+            raise OgmError(f"{self.path}: {odd[0]} (and {len(odd) - 1} more) is in input_{part} or label_{part} only")
 
     def _stems(self, kind: str, suffix: str) -> list[str]:
         folder = self.path / f"{kind}_{self.part}"
@@ -152,24 +153,17 @@ def read_label(path: str | os.PathLike[str], spec: GridSpec = PAPER_GRID) -> Tru
     ------
     FileNotFoundError
         If there is none.
-    ValueError
-        If it is no such picture, has another size than `spec`, or a cell is both free and occupied.
+    OgmError
+        If it is no PNG picture, is damaged, has another size than `spec`, or a cell is both free and occupied.
     """
-    from PIL import Image
-
-    try:
-        with Image.open(path) as picture:
-            mode, image = picture.mode, np.asarray(picture)
-    except (FileNotFoundError, PermissionError, IsADirectoryError):
-        raise
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
-        raise ValueError(f"{path} is not a whole picture that can be read: {error}") from error
-    if mode not in ("RGB", "RGBA") or image.shape[:2] != spec.shape:
-        raise ValueError(
-            f"{path} is {mode} of {image.shape[0]} x {image.shape[1]}, wanted RGB of {spec.shape[0]} rows x "
-            f"{spec.shape[1]} columns: green free, blue occupied"
-        )
+    with open_image(path) as picture:
+        if picture.mode not in ("RGB", "RGBA") or (picture.height, picture.width) != spec.shape:
+            raise OgmError(
+                f"{path} is {picture.mode} of {picture.height} x {picture.width}, wanted RGB of {spec.shape[0]} rows x "
+                f"{spec.shape[1]} columns: green free, blue occupied"
+            )
+        image = np.asarray(picture)
     free, occupied = image[::-1, ::-1, 1] > 0, image[::-1, ::-1, 2] > 0
     if both := np.count_nonzero(free & occupied):
-        raise ValueError(f"{path} has {both} cells both free and occupied; in a label a cell is one or neither")
+        raise OgmError(f"{path} has {both} cells both free and occupied; in a label a cell is one or neither")
     return Truth(spec, (free * CellState.FREE + occupied * CellState.OCCUPIED).astype(np.uint8))

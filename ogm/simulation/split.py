@@ -1,5 +1,6 @@
 """Arrays of one part of a data set on disk, and its samples read from them; `ogm.simulation.store` has the layout."""
 
+import math
 import operator
 from collections.abc import Sequence
 from pathlib import Path
@@ -73,6 +74,34 @@ class Split(Sequence[SimulatedSample]):
         """
         if isinstance(index, slice):
             return [self[i] for i in range(*index.indices(len(self)))]
+        i, row = self._row(index)
+        value = dict(zip(self.columns, row.tolist(), strict=True))
+        beams = self.beams[int(value["lidar"])]
+        rays = beams.shape[0] * beams.shape[1]
+        poses = np.tile(np.eye(4), (2, 1, 1))
+        poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
+        image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
+        measured = image[0] != UNMEASURED if self.gaps else None
+        if measured is not None:
+            image[0] = np.where(measured, image[0], np.uint16(0))
+        heights = self._read("heights", i) if self.heights else None
+        truth = Truth(TRUTH_SPEC, self._read("truth", i), heights if heights is not None and heights.any() else None)
+        objects = self.objects(i)
+        velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
+        arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
+        weather = Weather(value["rain"], value["fog"], value["wet"], value.get("dust", 0.0))
+        facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
+        facts["measured"] = measured
+        return SimulatedSample(beams, *arrays, **facts)
+
+    def objects(self, index: int) -> NDArray[Any]:
+        """Read the traffic participants of a sample alone, (K,) of `OBJECT`; errors are those of ``split[index]``."""
+        i, row = self._row(index)
+        count = int(row[self.columns.index("objects")])
+        return unstructured_to_structured(self._shard("objects", i // SHARD)[i % SHARD, :count], OBJECT)
+
+    def _row(self, index: int) -> tuple[int, NDArray[np.float64]]:
+        """Return the number of a sample that is made, counted from 0, and its facts."""
         i = operator.index(index)
         i += len(self) if i < 0 else 0
         if not 0 <= i < len(self):
@@ -82,28 +111,10 @@ class Split(Sequence[SimulatedSample]):
             raise ValueError(
                 f"sample {i} of {self.name} has not been made yet: go on with `ogm simulate {self.path} --resume`"
             )
-        value = dict(zip(self.columns, row.tolist(), strict=True))
-        lidar, count = value["lidar"], value["objects"]
-        if not (0 <= lidar < len(self.beams) and 0 <= count <= OBJECTS and np.isfinite(value["scenario"])):
+        lidar, count, scenario = (row[self.columns.index(name)] for name in ("lidar", "objects", "scenario"))
+        if not (0 <= lidar < len(self.beams) and 0 <= count <= OBJECTS and np.isfinite(scenario)):
             raise self._damaged("facts", i, "it has impossible numbers")
-        beams = self.beams[int(lidar)]
-        rays = beams.shape[0] * beams.shape[1]
-        poses = np.tile(np.eye(4), (2, 1, 1))
-        poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
-        rows = self._shard("objects", i // SHARD)[i % SHARD, : int(count)]
-        image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
-        measured = image[0] != UNMEASURED if self.gaps else None
-        if measured is not None:
-            image[0] = np.where(measured, image[0], np.uint16(0))
-        heights = self._read("heights", i) if self.heights else None
-        truth = Truth(TRUTH_SPEC, self._read("truth", i), heights if heights is not None and heights.any() else None)
-        objects = unstructured_to_structured(rows, OBJECT)
-        velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
-        arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
-        weather = Weather(value["rain"], value["fog"], value["wet"], value.get("dust", 0.0))
-        facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
-        facts["measured"] = measured
-        return SimulatedSample(beams, *arrays, **facts)
+        return i, row
 
     @property
     def facts(self) -> NDArray[np.float64]:
@@ -133,6 +144,8 @@ class Split(Sequence[SimulatedSample]):
             array, (shape, kind) = open_array(path), array_layout(self.beams, self.gaps)[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
                 raise not_whole(f"{path} holds {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
+            if math.prod(array.chunks) > SHARD * math.prod(shape):  # zarr allocates what is claimed
+                raise not_whole(f"{path} has chunks of {array.chunks}, wanted at most {SHARD} samples")
             self._arrays[name] = array
         return self._arrays[name]
 

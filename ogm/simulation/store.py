@@ -30,7 +30,6 @@ The attributes of the root group hold the format, the plan that the samples were
 versions of the libraries that made them; no date and no machine, so that the same plan gives the same bytes.
 """
 
-import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -42,6 +41,8 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
+from ogm.files import OgmError
+from ogm.io.reading import decode_json
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import (
     FACTS,
@@ -89,25 +90,25 @@ class Store:
         ------
         FileNotFoundError
             If there is none.
-        ValueError
+        OgmError
             If the folder holds something else, or a data set of another version.
         """
         path = Path(path)
         try:
-            attributes = json.loads((path / "zarr.json").read_bytes())["attributes"]
+            attributes = decode_json((path / "zarr.json").read_bytes(), path)["attributes"]
             found = attributes["format"]
         except FileNotFoundError:
             raise FileNotFoundError(f"{path} holds no data set; `ogm simulate {path}` makes one") from None
         except NotADirectoryError:
-            raise ValueError(f"{path} is a file; a data set is a folder that `ogm simulate` made") from None
+            raise OgmError(f"{path} is a file; a data set is a folder that `ogm simulate` made") from None
         except (ValueError, KeyError, TypeError, RecursionError) as error:
-            raise ValueError(f"{path} is no data set that `ogm simulate` made ({error!r})") from error
+            raise OgmError(f"{path} is no data set that `ogm simulate` made ({error!r})") from error
         if found == BEGUN:
             raise FileNotFoundError(
                 f"{path} holds no data set yet: making it was stopped at once; `ogm simulate {path}` begins again"
             )
         if found not in (FORMAT, GAPS, OLDER):
-            raise ValueError(
+            raise OgmError(
                 f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}; "
                 "make the data set anew, or use the version that made it"
             )

@@ -30,6 +30,7 @@ from ogm.truth.boxes import (
     truth_from_boxes,
 )
 from ogm.truth.combine import combine_truths, ignore_cells
+from ogm.truth.motion import BoxMotion, motion_of_boxes, track_motion
 from ogm.truth.observe import HEIGHT_LIMITS, OBSTACLE_SEEN, Kind, observe_points
 from ogm.truth.points import TRUTH_SPEC, finalize_truth, height_above_ground, truth_from_points
 from ogm.truth.road import cells_in_areas, truth_from_road
@@ -41,6 +42,7 @@ __all__ = [
     "MIN_RETURNS",
     "OBSTACLE_SEEN",
     "TRUTH_SPEC",
+    "BoxMotion",
     "Kind",
     "boxes_over_points",
     "boxes_seen_from",
@@ -53,8 +55,10 @@ __all__ = [
     "finalize_truth",
     "height_above_ground",
     "ignore_cells",
+    "motion_of_boxes",
     "moving_tracks",
     "observe_points",
+    "track_motion",
     "truth_from_boxes",
     "truth_from_points",
     "truth_from_road",

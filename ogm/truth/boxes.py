@@ -22,6 +22,14 @@ def _covers(boxes: Boxes, k: int, x: NDArray[np.floating], y: NDArray[np.floatin
     return (np.abs(c * px + s * py) <= length / 2) & (np.abs(c * py - s * px) <= width / 2)
 
 
+def cells_around(boxes: Boxes, k: int, spec: GridSpec) -> tuple[slice, slice]:
+    """Return rows and columns of the cells around box k: all that it covers are among them."""
+    (x, y), reach = boxes.center[k, :2], 0.5 * np.hypot(*boxes.size[k, :2]) + spec.resolution
+    window = spec.index(*np.array([[x - reach, x + reach], [y - reach, y + reach]]))
+    rows, columns = (slice(max(first, 0), max(last + 1, 0)) for first, last in window)
+    return rows, columns
+
+
 def cells_in_boxes(boxes: Boxes, spec: GridSpec) -> NDArray[np.bool_]:
     """Return which cells any of some boxes covers.
 
@@ -41,9 +49,7 @@ def cells_in_boxes(boxes: Boxes, spec: GridSpec) -> NDArray[np.bool_]:
     result = np.zeros(spec.shape, bool)
     x, y = spec.cell_centers
     for k, (bx, by) in enumerate(boxes.center[:, :2]):
-        reach = 0.5 * np.hypot(*boxes.size[k, :2]) + spec.resolution
-        window = spec.index(*np.array([[bx - reach, bx + reach], [by - reach, by + reach]]))
-        rows, columns = (slice(max(first, 0), max(last + 1, 0)) for first, last in window)
+        rows, columns = cells_around(boxes, k, spec)
         result[rows, columns] |= _covers(boxes, k, x[rows], y[:, columns])
         if spec.contains(bx, by):
             result[spec.index(bx, by)] = True

@@ -1,7 +1,6 @@
 """One truth of several, and a truth without some cells."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +38,7 @@ def combine_truths(
     Returns
     -------
     Truth
-        Free, occupied or to be ignored.
+        Free, occupied or to be ignored; without heights and motion.
 
     Raises
     ------
@@ -69,5 +68,6 @@ def combine_truths(
 
 
 def ignore_cells(truth: Truth, cells: NDArray[np.bool_]) -> Truth:
-    """Return a truth with some cells, (nx, ny) bool, to be ignored."""
-    return replace(truth, state=np.where(cells, np.uint8(CellState.IGNORE), truth.state))
+    """Return a truth with some cells, (nx, ny) bool, to be ignored. Their motion stays: it is no state."""
+    state = np.where(cells, np.uint8(CellState.IGNORE), truth.state)
+    return Truth(truth.spec, state, truth.height_cm, lambda: truth.motion)

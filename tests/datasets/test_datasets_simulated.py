@@ -26,7 +26,7 @@ BEAMS = Beams(
 
 
 def sample(split: str, index: int) -> SimulatedSample:
-    """Flat ground around a vehicle that goes 0.4 m forward per sample; a car stands ahead."""
+    """Flat ground around a vehicle that goes 0.4 m forward per sample; a car ahead turns by 0.05 rad."""
     z = BEAMS.directions[..., 2].astype(np.float64)
     with np.errstate(divide="ignore"):
         distance = np.where(z < 0, -1.9 / z, np.inf)
@@ -35,7 +35,7 @@ def sample(split: str, index: int) -> SimulatedSample:
     state[200:400], state[400:410] = CellState.FREE, CellState.OCCUPIED
     car = np.zeros(1, OBJECT)
     car[["x", "y", "z", "length", "width", "height"]] = [(9.0, 1.0, -1.1, 4.0, 2.0, 1.5)]
-    car["track"], car["vx"], car["yaw"] = 7, 3.0, 0.25
+    car["track"], car["vx"], car["yaw"] = 7, 3.0, 0.25 + 0.05 * (index - 3)
     return SimulatedSample(
         beams=BEAMS,
         steps=steps,
@@ -128,6 +128,27 @@ def test_frames_hold_all_that_a_sample_holds(store: Path) -> None:
     np.testing.assert_allclose(frame.boxes.center, [[9.0, 1.0, -1.1]], rtol=1e-6)
     np.testing.assert_allclose(frame.boxes.size, [[4.0, 2.0, 1.5]])
     assert (frame.boxes.yaw[0], frame.boxes.velocity.tolist()) == (0.25, [[3.0, 0.0]])
+
+
+def test_cells_of_sequences_have_the_velocity_of_the_box_in_them(store: Path) -> None:
+    """Those of the car turn by 0.5 rad/s, also in the first and the last frame; what has no box stands still."""
+    dataset = open_dataset(store)
+    x, y = TRUTH_SPEC.cell_centers
+    for n in (0, 3, 9, 10):
+        motion = dataset[n].truth.motion
+        under = motion.box == 0
+        assert np.count_nonzero(under) * 0.16**2 == pytest.approx(4.3 * 2.3, abs=0.5)
+        want = np.stack(np.broadcast_arrays(3.0 - 0.5 * (y - 1.0), 0.5 * (x - 9.0)), axis=-1)
+        np.testing.assert_allclose(motion.velocity[under], want[under], atol=1e-4)
+        assert (motion.velocity[~under & motion.known] == 0).all()
+        own = ~motion.known
+        assert own[TRUTH_SPEC.index(0.0, 0.0)]
+        assert np.count_nonzero(own) * 0.16**2 == pytest.approx(5.0 * 2.2, abs=1)
+        assert dataset[n].boxes.label[motion.box[under][0]] == LABELS[0]
+
+
+def test_samples_that_stand_alone_have_no_motion(store: Path) -> None:
+    assert open_dataset(store, split="train")[3].truth.motion is None
 
 
 def test_for_maps_what_a_frame_cannot_see_is_ignored(store: Path) -> None:

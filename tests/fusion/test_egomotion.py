@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ogm.fusion.egomotion import EgoMotion, Motion
+from ogm.fusion.egomotion import EgoMotion, EgoStates
 from ogm.pose import pose
 
 pytest.importorskip("filterpy", reason="no filterpy: pip install ogm-toolkit[track]")
@@ -79,7 +79,7 @@ def run(ego: EgoMotion, measured: list) -> list[bool]:
     return [feed[kind](stamp, value, deviation) for stamp, kind, value, deviation in measured]
 
 
-def errors(drive: Drive, motion: Motion) -> np.ndarray:
+def errors(drive: Drive, motion: EgoStates) -> np.ndarray:
     """Return departures from the truth, with those of the yaw in -pi ... pi."""
     away = motion.states - drive.states[np.searchsorted(drive.stamps, motion.stamps - 1e-6)]
     away[:, 2] = (away[:, 2] + np.pi) % (2 * np.pi) - np.pi

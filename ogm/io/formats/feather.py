@@ -1,20 +1,23 @@
 """Feather tables (Arrow IPC files), the format of Argoverse 2, by `pyarrow`."""
 
+import struct
 from pathlib import Path
+from typing import Any
 
 from ogm.files import OgmError
+from ogm.io.formats.arrow_sizes import unpacked_sizes
 from ogm.io.formats.table import KNOWN, Table, plain, refuse_doubles
-from ogm.io.reading import BYTE_LIMIT, optional
+from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 
-__all__ = ["parse_feather"]
+__all__ = ["check_sizes", "parse_feather"]
 
 
 def parse_feather(data: bytes, path: Path) -> Table:
     """Read a Feather table; an Argoverse 2 sweep has x, y, z, intensity, laser_number, offset_ns.
 
-    Only columns of numbers that have a meaning here are unpacked, and only if all their rows stay within
-    `BYTE_LIMIT`. A file made to do harm can still take much memory, for pyarrow believes the sizes of its
-    buffers.
+    Only columns of numbers that have a meaning here are unpacked, and only if all their rows, and what their buffers
+    claim, stay within the limit for a file.
 
     Parameters
     ----------
@@ -38,15 +41,58 @@ def parse_feather(data: bytes, path: Path) -> Table:
         if not wanted:  # to pyarrow, no fields would mean all
             return Table("Feather", {}, fields=fields)
         rows = dataset.IpcFileFormat().make_fragment(buffer).count_rows(use_threads=False)  # unpacks nothing
-        if rows * width > BYTE_LIMIT:
-            raise OgmError(
-                f"{path} unpacks to {rows} rows of {width} bytes, wanted one scan of at most {BYTE_LIMIT} bytes "
-                "(ogm.io.BYTE_LIMIT): split it"
-            )
+        if rows * width > current_limits().file:
+            raise too_large(path, rows * width, "file")
+        check_sizes(data, path, schema.types, wanted)
         table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted)).read_all()
         columns = {name: table[name].to_numpy() for name in table.column_names}
     except OgmError:
         raise
-    except (pyarrow.ArrowException, ValueError, OSError) as error:
+    except (pyarrow.ArrowException, ValueError, OSError, MemoryError, struct.error) as error:
         raise OgmError(f"{path} is no readable Feather table: it is damaged or wrongly named ({error})") from error
     return Table("Feather", columns, fields=fields)
+
+
+def check_sizes(data: bytes, path: Path, types: list[Any], wanted: list[int]) -> None:
+    """Refuse a table whose buffers claim more than the limit for a file, before pyarrow allocates what they claim.
+
+    Parameters
+    ----------
+    data : bytes
+        The whole file.
+    path : Path
+    types : list of pyarrow.DataType
+        Of all columns.
+    wanted : list of int
+        Columns that will be unpacked.
+
+    Raises
+    ------
+    OgmError
+        If it claims more.
+    ValueError, struct.error
+        If it is damaged.
+    """
+    buffers = [_buffers(one) for one in types]
+    total = 0
+    for sizes in unpacked_sizes(data):
+        if None in buffers or len(sizes) != sum(n for n in buffers if n is not None):  # dictionaries, nested columns
+            total += sum(sizes)
+            continue
+        first = 0
+        for column, count in enumerate(buffers):
+            total += sum(sizes[first : first + (count or 0)]) if column in wanted else 0
+            first += count or 0
+    if total > current_limits().file:
+        raise too_large(path, total, "file")
+
+
+def _buffers(kind: Any) -> int | None:
+    """Return how many buffers a column of a type has; None where that is not known here."""
+    from pyarrow import types
+
+    if types.is_integer(kind) or types.is_floating(kind) or types.is_boolean(kind):
+        return 2
+    if types.is_string(kind) or types.is_large_string(kind) or types.is_binary(kind):
+        return 3
+    return None

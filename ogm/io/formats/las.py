@@ -2,16 +2,20 @@
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.io.formats.table import Table
-from ogm.io.reading import BYTE_LIMIT, optional
+from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 
 __all__ = ["parse_las"]
 
 _FORMAT = 104  # position of the format of the points; its highest bit is set in LAZ
+_AT_ONCE = 2**20  # points
 _RECORD = 54  # [byte] of a variable length record at least
 
 
@@ -29,16 +33,35 @@ def parse_las(data: bytes, path: Path) -> Table:
         decoder = laspy.LazBackend.Lazrs
         with laspy.open(io.BytesIO(data), laz_backend=decoder, read_evlrs=False) as reader:
             header = reader.header
-            space = BYTE_LIMIT if header.are_points_compressed else len(data) - header.offset_to_point_data
-            if header.point_count * header.point_format.size > space:
+            space = current_limits().file if header.are_points_compressed else len(data) - header.offset_to_point_data
+            size = header.point_count * header.point_format.size
+            if size > current_limits().file:
+                raise too_large(path, size, "file")
+            if size > space:
                 raise ValueError(f"its header promises {header.point_count} points, which do not fit in it")
-            record = reader.read_points(-1)
-        names = ["x", "y", "z", "intensity", *({"gps_time"} & set(header.point_format.dimension_names))]
-        with np.errstate(over="ignore", invalid="ignore"):  # such points are dropped later
-            columns = {name: np.asarray(record[name]) for name in names}
+            columns = _columns(reader)
+    except OgmError:
+        raise
     except Exception as error:  # laspy and its decoders let through whatever a damaged file leads them to
         raise OgmError(f"{path} is no readable LAS cloud ({error}): it is damaged or wrongly named") from error
     return Table("LAS", columns)
+
+
+def _columns(reader: Any) -> dict[str, NDArray[Any]]:
+    """Read the points in parts: the records take as much memory as the columns."""
+    count, done = reader.header.point_count, 0
+    has_time = "gps_time" in reader.header.point_format.dimension_names
+    columns = {name: np.empty(count, np.float64) for name in ("x", "y", "z", *(("gps_time",) if has_time else ()))}
+    columns["intensity"] = np.empty(count, np.uint16)
+    while done < count:
+        part = reader.read_points(min(_AT_ONCE, count - done))
+        if not len(part):
+            raise ValueError(f"it has {done} points, its header promises {count}")
+        with np.errstate(over="ignore", invalid="ignore"):  # such points are dropped later
+            for name, column in columns.items():
+                column[done : done + len(part)] = part[name]
+        done += len(part)
+    return columns
 
 
 def _check(data: bytes, path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from ogm.files import OgmError
 from ogm.io.formats.table import Field, Table, binary_columns, check_size, refuse_doubles, text_columns
 from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 
 __all__ = ["parse_pcd"]
 
@@ -141,6 +142,8 @@ def _unpacked(header: _Header, body: memoryview, path: Path) -> dict[str, np.nda
     packed, size = struct.unpack("<II", body[:8])
     needed = sum(field.length for field in header.fields) * header.points
     check_size(8 + packed, header.points, body, path)
+    if needed > current_limits().file:
+        raise too_large(path, needed, "file")
     if size != needed or size > _LZF_EXPANSION * packed or min(field.count for field in header.fields) < 1:
         raise OgmError(
             f"{path} has {packed} bytes that shall unpack to {size}, wanted {needed} for {header.points} "

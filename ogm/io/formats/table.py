@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ogm.files import OgmError
+from ogm.limits import current_limits, too_large
 
 POSITION = ("x", "y", "z")
 INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts
@@ -19,8 +20,6 @@ TIME = ("time", "timestamp", "time_stamp", "t", "offset_ns", "offset_time", "tim
 DOPPLER = ("doppler", "doppler_velocity", "radial_velocity", "range_rate", "velocity")
 RCS = ("rcs", "radar_cross_section")
 KNOWN = frozenset(POSITION + INTENSITY + RING + TIME + DOPPLER + RCS)
-
-TEXT_LIMIT = 2**28  # [byte] of the points of one cloud of text: some 10 M points
 
 
 class Table(NamedTuple):
@@ -121,7 +120,7 @@ def text_columns(fields: list[Field], points: int, body: memoryview, path: Path)
     """Read every field from lines of numbers, one line per point; of several values, the first.
 
     The parameters are those of `binary_columns`. Lines are taken one by one, so that they need not all be in
-    memory; still a number of two letters becomes one of up to eight bytes, so there is `TEXT_LIMIT`.
+    memory; still a number of two letters becomes one of up to eight bytes, so there is a limit of its own for text.
     """
     check_text(body, path)
     per_line = sum(field.count for field in fields)
@@ -155,8 +154,6 @@ def check_size(needed: int, points: int, body: memoryview, path: Path) -> None:
 
 
 def check_text(body: memoryview, path: Path) -> None:
-    """Refuse more text than `TEXT_LIMIT`."""
-    if len(body) > TEXT_LIMIT:
-        raise OgmError(
-            f"{path} holds {len(body)} bytes of text, wanted at most {TEXT_LIMIT}: write it as binary, or split it"
-        )
+    """Refuse more text than the limit allows."""
+    if len(body) > current_limits().text:
+        raise too_large(path, len(body), "text")

@@ -7,18 +7,29 @@ from typing import get_args
 
 import numpy as np
 
+from ogm.archive import stated_format
+from ogm.dynamic_grid import DYNAMIC_FORMAT, DynamicGrid
 from ogm.files import OgmError
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import LAYERED_FORMAT, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
 from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
 from ogm.io.grids.map_server import MapMode, read_map_server, write_map_server
 from ogm.io.grids.pictures import read_array, read_picture, write_picture
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.scientific import check_scientific, read_scientific, write_scientific
+from ogm.io.layers import AnyGrid, evidential
 from ogm.io.logs import LOG_ENDINGS
 from ogm.io.reading import optional
 
-__all__ = ["GRID_ENDINGS", "MAP_ENDINGS", "check_grid_output", "read_grid", "read_placed_grid", "write_grid"]
+__all__ = [
+    "GRID_ENDINGS",
+    "MAP_ENDINGS",
+    "check_grid_output",
+    "read_any_grid",
+    "read_grid",
+    "read_placed_grid",
+    "write_grid",
+]
 
 GRID_ENDINGS = (".npz", ".npy", ".png")  # of files that hold the grid of one frame
 _YAML, _TIFF, _SCIENTIFIC = (".yaml", ".yml"), (".tif", ".tiff"), (".nc", ".zarr")
@@ -27,7 +38,7 @@ MAP_ENDINGS = (".npz", *_YAML, *_TIFF, *_SCIENTIFIC, ".png", *LOG_ENDINGS)  # of
 
 def write_grid(
     path: str | os.PathLike[str],
-    grid: EvidentialGrid | PlacedGrid,
+    grid: AnyGrid | PlacedGrid,
     *,
     mode: MapMode | None = None,
     message: GridMessage | None = None,
@@ -37,12 +48,14 @@ def write_grid(
     Parameters
     ----------
     path : path
-        ``.npz`` (exact, `EvidentialGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an image beside it), ``.tif``
-        (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red 255 times the mass of
-        occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on ``/map``; of a drive:
-        `GridLog`).
-    grid : EvidentialGrid or PlacedGrid
-        With its place in a frame, a stamp and a coordinate reference system, as far as the format holds them.
+        ``.npz`` (exact, `EvidentialGrid.save`, `DynamicGrid.save`), ``.yaml`` (nav2 and ROS map_server, with an image
+        beside it), ``.tif`` (GeoTIFF, cloud-optimised), ``.nc`` (NetCDF-CF), ``.zarr`` (Zarr 3), ``.png`` (red 255
+        times the mass of occupied, green that of free), ``.mcap``, ``.db3``, ``.bag`` (a log with this one grid on
+        ``/map``; of a drive: `GridLog`).
+    grid : EvidentialGrid, DynamicGrid or PlacedGrid
+        Of a `DynamicGrid`, ``.npz``, ``.tif``, ``.nc``, ``.zarr`` and the messages grid-map and foxglove-grid hold all
+        layers, the others free and occupied alone. With its place in a frame, a stamp and a coordinate reference
+        system, as far as the format holds them.
     mode : {"trinary", "scale", "raw"}, optional
         Of ``.yaml``: the state of each cell (default), or its value of 0 ... 100, which is occupied + unknown / 2, by
         grey levels and transparency, or as it is.
@@ -78,7 +91,7 @@ def write_grid(
         with GridLog(path, message or "occupancy-grid") as log:
             log.write(placed)
     elif ending == ".png":
-        write_picture(path, placed.upright)
+        write_picture(path, evidential(placed.upright))
     else:
         placed.upright.save(path)
 
@@ -121,7 +134,7 @@ def check_grid_output(
 def read_grid(
     path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
 ) -> EvidentialGrid:
-    """Read a grid of belief masses, in the coordinates of the frame that it was written in.
+    """Read the masses of free and occupied, in the coordinates of the frame that they were written in.
 
     Parameters
     ----------
@@ -147,6 +160,23 @@ def read_grid(
     ImportError
         If the package of the format is missing.
     """
+    found = read_any_grid(path, area, topic=topic)
+    if isinstance(found, LayeredGrid):
+        raise OgmError(
+            f"{path} holds layers, {', '.join(found.layers) or 'none'}, and no masses: LayeredGrid.load reads it"
+        )
+    return evidential(found)
+
+
+def read_any_grid(
+    path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
+) -> AnyGrid | LayeredGrid:
+    """Read all that a file holds of a grid: a `DynamicGrid` with its velocities, a `LayeredGrid`, else the masses.
+
+    Parameters and errors as for `read_grid`.
+    """
+    if Path(path).suffix.lower() == ".npz" and Path(path).is_file() and stated_format(path) == LAYERED_FORMAT:
+        return LayeredGrid.load(path)
     placed = read_placed_grid(path, area, topic=topic)
     try:
         return placed.upright
@@ -157,7 +187,10 @@ def read_grid(
 def read_placed_grid(
     path: str | os.PathLike[str], area: GridSpec | None = None, *, topic: str | None = None
 ) -> PlacedGrid:
-    """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`."""
+    """Read a grid with its place in a frame, which may be turned. Parameters and errors as for `read_grid`.
+
+    Where a file holds all of a `DynamicGrid`, that is its grid.
+    """
     path = Path(path)
     ending = path.suffix.lower()
     if ending not in (*MAP_ENDINGS, ".npy"):
@@ -190,5 +223,6 @@ def _read(path: Path, area: GridSpec | None, topic: str | None) -> PlacedGrid:
     if ending in _SCIENTIFIC:
         return read_scientific(path)
     if area is None or ending == ".npz":
-        return PlacedGrid(EvidentialGrid.load(path))
+        dynamic = stated_format(path) == DYNAMIC_FORMAT
+        return PlacedGrid(DynamicGrid.load(path) if dynamic else EvidentialGrid.load(path))
     return PlacedGrid(read_array(path, area) if ending == ".npy" else read_picture(path, area))

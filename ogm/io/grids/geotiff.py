@@ -1,21 +1,25 @@
-"""GeoTIFF: a cloud-optimised file with bands free, occupied and unknown, row 0 the top; turned by its GeoTransform."""
+"""GeoTIFF: a cloud-optimised file with a band for each layer, row 0 the top; turned by its GeoTransform."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
+from ogm.io.layers import layers_of, needed_layers
 from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 
 __all__ = ["check_crs", "read_geotiff", "write_geotiff"]
 
-_BANDS = ("free", "occupied", "unknown")
-_COLOURS = ("green", "red", "blue")  # of the bands, where a program shows them as a picture
+_COLOURS = ("green", "red", "blue")  # of the first bands, where a program shows them as a picture
+_CACHE = 2**24  # [byte] of blocks that GDAL keeps; by default a twentieth of the memory
 _SQUARE = 1e-6  # departure of a pixel from a square that rounding can make
 
 
@@ -39,15 +43,15 @@ def check_crs(crs: str, path: Path) -> Any:
 
 
 def write_geotiff(path: Path, placed: PlacedGrid) -> None:
-    """Write a GeoTIFF: three bands of float32, exact. Nodata is NaN, which no cell has: unknown is a mass."""
+    """Write a GeoTIFF: bands of float32, exact. Nodata is NaN, which no mass is: unknown is a mass, too."""
     rasterio = optional("rasterio", path, "geo", "written")
     from rasterio.enums import ColorInterp
 
-    (x, y, yaw), spec = placed.corner, placed.grid.spec
+    (x, y, yaw), spec, layers = placed.corner, placed.grid.spec, layers_of(placed.grid)
     (nx, ny), step_x, step_y = spec.shape, spec.resolution * math.cos(yaw), spec.resolution * math.sin(yaw)
     top = x - ny * step_y, y + ny * step_x
     profile = {
-        "driver": "COG", "width": nx, "height": ny, "count": len(_BANDS), "dtype": "float32", "nodata": math.nan,
+        "driver": "COG", "width": nx, "height": ny, "count": len(layers), "dtype": "float32", "nodata": math.nan,
         "crs": None if placed.crs is None else check_crs(placed.crs, path),
         "transform": rasterio.Affine(step_x, step_y, top[0], step_y, -step_x, top[1]),
         "compress": "DEFLATE", "predictor": "YES", "overview_resampling": "AVERAGE", "bigtiff": "IF_SAFER",
@@ -56,30 +60,39 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
     with whole_path(path) as temporary:
         try:
             with rasterio.open(temporary, "w", **profile) as image:
-                for band, name in enumerate(_BANDS, start=1):
-                    image.write(getattr(placed.grid, name).T[::-1], band)
+                for band, (name, layer) in enumerate(layers.items(), start=1):
+                    image.write(layer.T[::-1], band)
                     image.set_band_description(band, name)
-                image.colorinterp = [ColorInterp[name] for name in _COLOURS]
+                others = [ColorInterp.undefined] * (len(layers) - len(_COLOURS))
+                image.colorinterp = [ColorInterp[name] for name in _COLOURS] + others
                 image.update_tags(**tags)
         except Exception as error:  # rasterio lets GDAL's own errors through
             raise OSError(f"{path} cannot be written: {error}") from error
 
 
 def read_geotiff(path: Path) -> PlacedGrid:
-    """Read a GeoTIFF whose bands have the names free and occupied; nodata is unknown."""
+    """Read a GeoTIFF whose bands have the names free and occupied, or those of `layers_of`; nodata is unknown."""
     rasterio = optional("rasterio", path, "geo")
     try:
-        with rasterio.open(path, driver="GTiff") as image:  # not one of GDAL's formats that name other files
+        with (
+            rasterio.Env(GDAL_CACHEMAX=_CACHE),
+            rasterio.open(path, driver="GTiff") as image,
+        ):  # not one of GDAL's formats that name other files
             GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
             names = list(image.descriptions)
             if not {"free", "occupied"} <= set(names):
                 got = ", ".join(map(str, names))[:80]
                 raise OgmError(f"{path} must have bands with the names free and occupied, got {got or 'none'}")
-            bands = [names.index(name) + 1 for name in ("free", "occupied")]
+            wanted = needed_layers([name for name in names if name])
+            bands = [names.index(name) + 1 for name in wanted]
+            size = 4 * len(bands) * image.width * image.height
+            blocks = [a * b for a, b in image.block_shapes]
+            if max(size, 8 * max(blocks)) > current_limits().grid:
+                raise too_large(path, max(size, 8 * max(blocks)), "grid")
             if any(image.dtypes[band - 1] not in ("float32", "float64") for band in bands):
                 raise OgmError(f"{path} must have bands of float, masses in [0, 1], got {image.dtypes[bands[0] - 1]}")
             resolution, corner, down = _place(image.transform, image.height, path)
-            rows = image.read(bands, out_dtype="float32", masked=True).filled(0)
+            rows = _bands(image, bands, wanted)
             tags, crs = image.tags(), None if image.crs is None else image.crs.to_string()
     except OgmError:
         raise
@@ -87,10 +100,20 @@ def read_geotiff(path: Path) -> PlacedGrid:
         raise OgmError(f"{path} is damaged or no GeoTIFF: {reason(error, path)}") from error
     if crs is not None:
         check_crs(crs, path)
-    mass = np.ascontiguousarray(np.moveaxis(rows[:, ::-1] if down else rows, 0, -1).swapaxes(0, 1))
+    layers = {name: (rows[k, ::-1] if down else rows[k]).T for k, name in enumerate(wanted)}
     return placed_at(
-        mass, resolution, corner, frame_id=tags.get("frame_id", "map"), stamp=_stamp(tags.get("stamp")), crs=crs
+        layers, resolution, corner, frame_id=tags.get("frame_id", "map"), stamp=_stamp(tags.get("stamp")), crs=crs
     )
+
+
+def _bands(image: Any, bands: list[int], names: Sequence[str]) -> NDArray[np.float32]:
+    """Read bands one by one, with what stands for nodata: unknown is a mass, too."""
+    rows = np.empty((len(bands), image.height, image.width), np.float32)
+    for row, band, name in zip(rows, bands, names, strict=True):
+        read = image.read(band, out_dtype="float32", masked=True)
+        row[:] = read.data
+        row[read.mask] = np.nan if name.startswith("velocity") else 0.0
+    return rows
 
 
 def _place(transform: Any, rows: int, path: Path) -> tuple[float, Corner, bool]:

@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
@@ -33,7 +33,11 @@ _TYPES = {
     "grid-map": "grid_map_msgs/msg/GridMap",
     "foxglove-grid": "foxglove.Grid",
 }
-_MAKERS = {"occupancy-grid": occupancy_grid, "grid-map": grid_map, "foxglove-grid": foxglove_grid}
+_MAKERS: dict[str, Callable[..., Any]] = {
+    "occupancy-grid": occupancy_grid,
+    "grid-map": grid_map,
+    "foxglove-grid": foxglove_grid,
+}
 _READERS = {
     "nav_msgs/msg/OccupancyGrid": grid_from_occupancy_grid,
     "grid_map_msgs/msg/GridMap": grid_from_grid_map,
@@ -98,7 +102,10 @@ class GridLog:
         if transforms:
             self._log.write("/tf", "tf2_msgs/msg/TFMessage", tf_message(transforms), stamp)
         made = _MAKERS[self.message](
-            placed.grid, frame_id=placed.frame_id, stamp=stamp, T_frame_grid=placed.T_frame_grid
+            placed.evidential if self.message == "occupancy-grid" else placed.grid,
+            frame_id=placed.frame_id,
+            stamp=stamp,
+            T_frame_grid=placed.T_frame_grid,
         )
         self._log.write(self.topic, _TYPES[self.message], made, stamp)
 

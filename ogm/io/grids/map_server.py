@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError, atomic_write
-from ogm.io.grids.paths import reason
+from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
+from ogm.io.images import open_image
 from ogm.io.messages import mass_from_occupancy, occupancy_values
 from ogm.state import predict_state
 
@@ -81,8 +82,8 @@ def write_map_server(path: Path, placed: PlacedGrid, mode: MapMode = "trinary") 
 def _pixels(placed: PlacedGrid, mode: MapMode) -> tuple[NDArray[np.uint8], str]:
     """Return rows of pixels from the top, (ny, nx) or with alpha (ny, nx, 2), and what ends the name of their image."""
     if mode == "trinary":
-        return _rows(_GREYS[predict_state(placed.grid.mass)]), ".pgm"
-    values = _rows(occupancy_values(placed.grid))
+        return _rows(_GREYS[predict_state(placed.evidential.mass)]), ".pgm"
+    values = _rows(occupancy_values(placed.evidential))
     if mode == "raw":
         return np.where(values < 0, np.uint8(255), values.astype(np.uint8)), ".pgm"
     grey = np.rint(2.55 * (100 - np.maximum(values, 0).astype(np.float32))).astype(np.uint8)
@@ -99,7 +100,8 @@ def read_map_server(path: Path) -> PlacedGrid:
     """Read a map of map_server. Values become masses as `ogm.io.messages.mass_from_occupancy` makes them."""
     header = _header(path)
     values = np.ascontiguousarray(_values(header)[::-1].T)
-    return placed_at(mass_from_occupancy(values), header.resolution, header.corner)
+    mass = mass_from_occupancy(values)
+    return placed_at({"free": mass[..., 0], "occupied": mass[..., 1]}, header.resolution, header.corner)
 
 
 def _header(path: Path) -> _Header:
@@ -198,17 +200,11 @@ def _value_table(header: _Header, white: int) -> NDArray[np.int8]:
 
 def _channels(path: Path) -> tuple[tuple[NDArray[Any], ...], int]:
     """Return the channels of an image (grey, grey and alpha, RGB or RGBA), and the number that means white."""
-    from PIL import Image, UnidentifiedImageError
-
-    try:
-        with Image.open(path, formats=_FORMATS) as image:
-            if image.mode.startswith("I"):  # 16 bit
-                return (np.asarray(image).clip(0, 65535),), 65535
-            if image.mode not in ("L", "LA", "RGB", "RGBA"):
-                alpha = "transparency" in image.info or image.mode == "PA"
-                image = image.convert("RGBA" if alpha else "RGB")
-            return tuple(np.asarray(band) for band in image.split()), 255
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
-        raise OgmError(
-            f"{path} is damaged or no image ({reason(error, path)}), wanted {', '.join(_FORMATS)}"
-        ) from error
+    with open_image(path, _FORMATS) as image:
+        GridSpec(1.0, (image.width, image.height), (0.0, 0.0))  # not too many cells, before they are unpacked
+        if image.mode.startswith("I"):  # 16 bit
+            return (np.asarray(image).clip(0, 65535),), 65535
+        if image.mode not in ("L", "LA", "RGB", "RGBA"):
+            alpha = "transparency" in image.info or image.mode == "PA"
+            image = image.convert("RGBA" if alpha else "RGB")
+        return tuple(np.asarray(band) for band in image.split()), 255

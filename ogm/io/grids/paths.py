@@ -1,11 +1,12 @@
 """Files and folders that libraries write by name and that are either whole or not there; reasons of their errors."""
 
 import os
-import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from ogm.files import naming, temporary_name
 
 __all__ = ["reason", "whole_path"]
 
@@ -19,18 +20,18 @@ def whole_path(path: Path) -> Iterator[Path]:
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}; create it first")
-    token = secrets.token_hex(4)
-    temporary, old = (path.with_name(f".{path.stem}.{token}.{what}{path.suffix}") for what in ("tmp", "old"))
+    temporary, old = (temporary_name(path, f".{what}{path.suffix}") for what in ("tmp", "old"))
     try:
-        yield temporary
-        if temporary.is_dir():
-            if path.is_dir():
-                os.replace(path, old)
-        else:
-            with open(temporary, "rb") as file:
-                os.fsync(file.fileno())
-        os.replace(temporary, path)
-        shutil.rmtree(old, ignore_errors=True)
+        with naming(path):
+            yield temporary
+            if temporary.is_dir():
+                if path.is_dir():
+                    os.replace(path, old)
+            else:
+                with open(temporary, "rb") as file:
+                    os.fsync(file.fileno())
+            os.replace(temporary, path)
+            shutil.rmtree(old, ignore_errors=True)
     except BaseException:
         if temporary.is_dir():
             shutil.rmtree(temporary, ignore_errors=True)

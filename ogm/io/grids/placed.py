@@ -1,15 +1,18 @@
 """A grid and its place in the frame of a file: what map files hold besides the cells."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.dynamic_grid import DynamicGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.io.layers import AnyGrid, evidential, grid_from_layers
 from ogm.io.messages.occupancy import split_corner
-from ogm.pose import check_pose, pose
+from ogm.pose import check_pose, check_stamp, pose
 
 __all__ = ["Corner", "PlacedGrid", "nanometres", "placed_at"]
 
@@ -39,7 +42,8 @@ class PlacedGrid:
 
     Parameters
     ----------
-    grid : EvidentialGrid
+    grid : EvidentialGrid or DynamicGrid
+        Velocities are along the grid's own axes, also where it is turned in the frame.
     T_frame_grid : (4, 4) array
         Takes the coordinates of ``grid.spec`` to the frame [m]. By default they are those of the frame.
     frame_id : str
@@ -56,7 +60,7 @@ class PlacedGrid:
         If the transform is not rigid, or the stamp not finite.
     """
 
-    grid: EvidentialGrid
+    grid: AnyGrid
     T_frame_grid: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
     frame_id: str = "map"
     stamp: float | None = None
@@ -64,8 +68,8 @@ class PlacedGrid:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "T_frame_grid", check_pose(self.T_frame_grid, "T_frame_grid"))
-        if self.stamp is not None and not math.isfinite(self.stamp):
-            raise ValueError(f"stamp must be finite [s], got {self.stamp}")
+        if self.stamp is not None:
+            object.__setattr__(self, "stamp", check_stamp(self.stamp))
 
     @property
     def corner(self) -> Corner:
@@ -88,7 +92,12 @@ class PlacedGrid:
         return Corner(float(corner[0]), float(corner[1]), 0.0 if abs(yaw) < _NO_TURN else yaw)
 
     @property
-    def upright(self) -> EvidentialGrid:
+    def evidential(self) -> EvidentialGrid:
+        """The masses of free and occupied alone, in the grid's own coordinates."""
+        return evidential(self.grid)
+
+    @property
+    def upright(self) -> AnyGrid:
         """The grid with the frame's own coordinates: its origin is moved.
 
         Raises
@@ -106,15 +115,18 @@ class PlacedGrid:
         if not self.T_frame_grid[:2, 3].any():
             return self.grid
         spec = replace(self.grid.spec, origin=(corner.x, corner.y))
+        if isinstance(self.grid, DynamicGrid):
+            return replace(self.grid, spec=spec)
         return EvidentialGrid.trusted(spec, self.grid.mass)
 
 
-def placed_at(mass: NDArray[np.float32], resolution: float, corner: Corner, **facts: Any) -> PlacedGrid:
+def placed_at(layers: Mapping[str, NDArray[np.float32]], resolution: float, corner: Corner, **facts: Any) -> PlacedGrid:
     """Return the grid of a file.
 
     Parameters
     ----------
-    mass : (nx, ny, 2) float array
+    layers : mapping of str to (nx, ny) float array
+        See `ogm.io.layers.grid_from_layers`.
     resolution : float
         [m]
     corner : Corner
@@ -125,7 +137,8 @@ def placed_at(mass: NDArray[np.float32], resolution: float, corner: Corner, **fa
     if not np.isfinite(corner).all():
         raise ValueError(f"origin must be finite numbers (x, y, yaw) [m, rad], got {tuple(corner)}")
     origin, T = split_corner(pose(corner.x, corner.y, yaw=corner.yaw))
-    return PlacedGrid(EvidentialGrid(GridSpec(resolution, mass.shape[:2], origin), mass), T, **facts)
+    spec = GridSpec(resolution, next(iter(layers.values())).shape, origin)
+    return PlacedGrid(grid_from_layers(LayeredGrid(spec, layers)), T, **facts)
 
 
 def nanometres(metres: float) -> float:

@@ -7,16 +7,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.files import OgmError
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
+from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 from ogm.pose import pose
 
 if TYPE_CHECKING:
-    from xarray import Dataset
+    from xarray import DataArray, Dataset
 
 __all__ = ["check_scientific", "from_xarray", "read_scientific", "to_xarray", "write_scientific"]
 
@@ -25,28 +28,36 @@ _LAYERS = {
     "free": "belief mass of free",
     "occupied": "belief mass of occupied",
     "unknown": "belief mass of unknown, 1 - free - occupied",
+    "static": "belief mass of occupied by something static",
+    "dynamic": "belief mass of occupied by something dynamic",
+    "velocity_x": "mean velocity over ground of what is dynamic, along x of the grid",
+    "velocity_y": "mean velocity over ground of what is dynamic, along y of the grid",
+    "velocity_covariance_xx": "variance of velocity_x",
+    "velocity_covariance_xy": "covariance of velocity_x and velocity_y",
+    "velocity_covariance_yy": "variance of velocity_y",
 }
 _CHUNK = 1024  # [cells] side of a chunk
+_STRIP = 2**18  # cells that are read at once, at least
 _SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
 _READ_ERRORS = (OSError, ValueError, KeyError, TypeError, RuntimeError, IndexError, AttributeError, MemoryError)
 
 
-def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
+def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
     """Return a grid as an `xarray.Dataset` by the CF conventions.
 
     Parameters
     ----------
-    grid : EvidentialGrid or PlacedGrid
+    grid : EvidentialGrid, DynamicGrid or PlacedGrid
 
     Returns
     -------
     xarray.Dataset
-        Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied; coordinates
-        ``x`` and ``y`` of the cells' centres [m], increasing. Attributes ``resolution`` [m], ``frame_id`` and, if
-        known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates are those of the frame; where the grid is
-        turned or tilted in it, they are the grid's own, and the attribute ``T_frame_grid`` has the 16 numbers of the
-        transform, row by row. With a `crs`, ``spatial_ref`` is the grid mapping (or, where the grid is turned, the
-        attribute ``crs_wkt``).
+        Variables ``free``, ``occupied`` and ``unknown`` of dims (y, x), float32 in [0, 1], not copied, and of a
+        `DynamicGrid` its further layers; coordinates ``x`` and ``y`` of the cells' centres [m], increasing. Attributes
+        ``resolution`` [m], ``frame_id`` and, if known, ``stamp`` [s] and ``height`` in the frame [m]. The coordinates
+        are those of the frame; where the grid is turned or tilted in it, they are the grid's own, and the attribute
+        ``T_frame_grid`` has the 16 numbers of the transform, row by row. With a `crs`, ``spatial_ref`` is the grid
+        mapping (or, where the grid is turned, the attribute ``crs_wkt``).
 
     Raises
     ------
@@ -71,7 +82,7 @@ def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
         facts["T_frame_grid"] = T.ravel().tolist()
     elif T[2, 3]:
         facts["height"] = float(T[2, 3])
-    of_layers: dict[str, Any] = {"units": "1", "valid_min": np.float32(0), "valid_max": np.float32(1)}
+    of_layers: dict[str, Any] = {}
     coordinates: dict[str, Any] = {}
     for axis, centres in zip(("y", "x"), (cells.spec.cell_centers[1], cells.spec.cell_centers[0]), strict=True):
         of_axis = {"units": "m", "axis": axis.upper(), "long_name": f"{axis} of the cells' centres"}
@@ -87,10 +98,15 @@ def to_xarray(grid: EvidentialGrid | PlacedGrid) -> "Dataset":
             of_layers["grid_mapping"] = "spatial_ref"
         else:
             facts["crs_wkt"] = wkt
-    layers = {
-        name: (("y", "x"), getattr(cells, name).T, of_layers | {"long_name": text}) for name, text in _LAYERS.items()
-    }
+    layers = {name: (("y", "x"), layer.T, of_layers | _described(name)) for name, layer in layers_of(cells).items()}
     return xarray.Dataset(layers, coordinates, facts)
+
+
+def _described(name: str) -> dict[str, Any]:
+    """Return the attributes of a layer."""
+    if name.startswith("velocity"):
+        return {"units": "m2 s-2" if "covariance" in name else "m s-1", "long_name": _LAYERS[name]}
+    return {"units": "1", "valid_min": np.float32(0), "valid_max": np.float32(1), "long_name": _LAYERS[name]}
 
 
 def from_xarray(dataset: "Dataset") -> PlacedGrid:
@@ -99,7 +115,8 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
     Parameters
     ----------
     dataset : xarray.Dataset
-        With variables ``free`` and ``occupied`` of dims y and x in any order, masses in [0, 1], NaN is unknown; and
+        With variables ``free`` and ``occupied`` of dims y and x in any order, masses in [0, 1], NaN is unknown; for a
+        `DynamicGrid`, with all variables that `to_xarray` makes of one but unknown. And with
         coordinates ``x`` and ``y`` of the cells' centres in equal steps [m], one number of metres for both.
 
     Raises
@@ -107,18 +124,22 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
     OgmError
         If something is missing, of another shape, or no mass.
     """
-    missing = [name for name in ("free", "occupied") if name not in dataset.data_vars]
-    if missing:
+    try:
+        names = needed_layers([str(name) for name in dataset.data_vars])
+    except KeyError as error:
         got = ", ".join(map(str, dataset.data_vars))[:80]
-        raise OgmError(f"the dataset must have variables free and occupied, got {got or 'none'}")
-    layers = dataset[["free", "occupied"]]
-    for name in ("free", "occupied"):
+        raise OgmError(f"the dataset must have variables free and occupied, got {got or 'none'}") from error
+    layers = dataset[list(names)]
+    for name in names:
         layer = layers[name]
         if set(layer.dims) != {"x", "y"} or layer.dtype.kind != "f":
             raise OgmError(f"{name} must be float of dims (y, x), got {layer.dtype} of {layer.dims}")
     nx, ny = int(layers.sizes["x"]), int(layers.sizes["y"])
     try:
         GridSpec(1.0, (nx, ny), (0.0, 0.0))  # not too many cells, before they are read
+        size = sum(layers[name].dtype.itemsize for name in names) * nx * ny
+        if size > current_limits().grid:
+            raise too_large("the dataset", size, "grid")
         _check_chunks(layers)
         stated = float(dataset.attrs.get("resolution", "nan"))
         x, y = _axis(dataset, "x", stated), _axis(dataset, "y", stated)
@@ -127,19 +148,15 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
             raise OgmError("a dataset of one cell must state its resolution [m]")
         if not math.isclose(resolution, y.step or resolution, rel_tol=_SAME_STEP):
             raise OgmError(f"cells must be squares, got steps of {x.step:g} m in x and {y.step:g} m in y")
-        mass = np.empty((nx, ny, 2), np.float32)
-        for k, name in enumerate(("free", "occupied")):
-            read = layers[name].to_numpy()
-            mass[..., k] = read if layers[name].dims == ("x", "y") else read.T
-        mass[np.isnan(mass)] = 0
-        mass = mass[:: -1 if x.decreases else 1, :: -1 if y.decreases else 1]
+        order = slice(None, None, -1 if x.decreases else 1), slice(None, None, -1 if y.decreases else 1)
+        read = {name: _values(layers[name])[order] for name in names}
         origin = nanometres(x.first - resolution / 2), nanometres(y.first - resolution / 2)
         spec = GridSpec(resolution, (nx, ny), origin)
         lifted = pose(z=float(dataset.attrs.get("height", 0.0)))
         T = np.asarray(dataset.attrs.get("T_frame_grid", lifted), np.float64)
         stamp, crs = dataset.attrs.get("stamp"), _crs(dataset)
         return PlacedGrid(
-            EvidentialGrid(spec, np.ascontiguousarray(mass)),
+            grid_from_layers(LayeredGrid(spec, read), nan_is_unknown=True),
             T.reshape(4, 4) if T.size == 16 else T,
             str(dataset.attrs.get("frame_id", "map"))[:256],
             None if stamp is None else float(stamp),
@@ -147,6 +164,20 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
         )
     except (ValueError, TypeError) as error:
         raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
+
+
+def _values(layer: "DataArray") -> NDArray[np.floating[Any]]:
+    """Read a layer, (nx, ny), in strips along its first axis: Zarr takes a multiple of the memory of what it reads."""
+    along, across = layer.dims
+    chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or (1, 1)
+    wanted = max(_STRIP // layer.sizes[across], 1)
+    step = -(-wanted // max(int(chunks[0]), 1)) * max(int(chunks[0]), 1)
+    values = np.empty((layer.sizes["x"], layer.sizes["y"]), layer.dtype)
+    for start in range(0, layer.sizes[along], step):
+        strip = slice(start, start + step)
+        place = (strip, slice(None)) if along == "x" else (slice(None), strip)
+        values[place] = layer.isel({along: strip}).transpose("x", "y").to_numpy()
+    return values
 
 
 class _Axis(NamedTuple):
@@ -202,7 +233,7 @@ def _check_chunks(layers: "Dataset") -> None:
     """Refuse chunks that are larger than any grid: a file of a few bytes can promise them."""
     for layer in layers.data_vars.values():
         chunks = layer.encoding.get("chunks") or layer.encoding.get("chunksizes") or ()
-        if math.prod(max(int(one), 1) for one in chunks) > 2**28:
+        if layer.dtype.itemsize * math.prod(max(int(one), 1) for one in chunks) > current_limits().grid:
             raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
 
 
@@ -213,11 +244,11 @@ def write_scientific(path: Path, placed: PlacedGrid) -> None:
     with whole_path(path) as temporary:
         chunks = tuple(min(one, _CHUNK) for one in placed.grid.spec.shape[::-1])
         if path.suffix.lower() == ".zarr":
-            encoding: dict[str, dict[str, Any]] = {name: {"chunks": chunks} for name in _LAYERS}
+            encoding: dict[str, dict[str, Any]] = {str(name): {"chunks": chunks} for name in dataset.data_vars}
             dataset.to_zarr(temporary, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
             return
         packed = {"zlib": True, "complevel": 1, "_FillValue": np.float32(np.nan), "chunksizes": chunks}
-        encoding = dict.fromkeys(_LAYERS, packed) | dict.fromkeys(("x", "y"), {"_FillValue": None})
+        encoding = dict.fromkeys(map(str, dataset.data_vars), packed) | dict.fromkeys(("x", "y"), {"_FillValue": None})
         dataset.to_netcdf(temporary, format="NETCDF4", engine="netcdf4", encoding=encoding)
 
 
@@ -227,9 +258,10 @@ def read_scientific(path: Path) -> PlacedGrid:
     try:
         if path.suffix.lower() == ".zarr":
             # format 3 alone: the filters of format 2 can unpickle
-            opened = xarray.open_zarr(path, zarr_format=3, consolidated=False, chunks=None, decode_times=False)
+            zarr = {"engine": "zarr", "zarr_format": 3, "consolidated": False}
+            opened = xarray.open_dataset(path, **zarr, decode_times=False, cache=False)
         else:
-            opened = xarray.open_dataset(path, engine="netcdf4", decode_times=False)
+            opened = xarray.open_dataset(path, engine="netcdf4", decode_times=False, cache=False)
         with opened as dataset:
             return from_xarray(dataset)
     except _READ_ERRORS as error:

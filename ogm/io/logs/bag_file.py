@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
-from ogm.io.logs.chunks import LIMIT, Chunk, Chunks
+from ogm.io.logs.chunks import Chunk, Chunks
 from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
+from ogm.limits import current_limits
 
 __all__ = ["BAG_MAGIC", "BagFile"]
 
@@ -72,7 +73,7 @@ class BagFile:
             data = memoryview(self._file.read(chunk.start + offset, _BEGINNING))
             space = chunk.stored - offset
         header, start, length = _record(data)
-        if header["op"] != _MESSAGE or length > min(space - start, LIMIT):
+        if header["op"] != _MESSAGE or length > min(space - start, current_limits().file):
             raise OgmError("there is no whole message at its place: the file is damaged")
         wanted = length if size is None else min(size, length)
         if start + wanted > len(data) and not chunk.packing:

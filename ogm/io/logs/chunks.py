@@ -5,18 +5,19 @@ import zlib
 from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ogm.files import OgmError
 from ogm.io.logs.files import RandomAccess
 from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 
-__all__ = ["LIMIT", "Chunk", "Chunks"]
+__all__ = ["Chunk", "Chunks", "unpack_zstd"]
 
-LIMIT = 2**30  # [byte] of one message or one chunk: what is larger is taken for damage
 _BEGINNING = 2**18  # [byte] that are unpacked at least: blocks of zstd have half of it
 _PACKED = Path("a packed log")
-_KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan
+_KEPT = 4  # unpacked chunks in memory: some 1 MB each, or one scan; fewer where they are beyond the limit for a file
+_PIECE = 2**22  # [byte] that are unpacked in one step: no library allocates what a damaged chunk claims
 
 
 class Chunk(NamedTuple):
@@ -73,7 +74,7 @@ class Chunks:
 
     def append_cut(self, chunk: Chunk) -> None:
         """Add a chunk of which the file has the beginning only, as far as that can be unpacked."""
-        stored = min(self._file.size - chunk.start, LIMIT)
+        stored = min(self._file.size - chunk.start, current_limits().file)
         data = _unpack(self._file.read(chunk.start, stored), chunk)
         self._all.append(chunk._replace(stored=stored, size=len(data), checksum=0))
 
@@ -102,10 +103,15 @@ class Chunks:
             limit = max(wanted, 2 * len(kept), _BEGINNING)
             data = self._beginning(chunk, limit) if chunk.packing and limit < chunk.size / 2 else b""
             self._unpacked[number] = data if len(data) >= wanted else self._whole(chunk)
-            if len(self._unpacked) > _KEPT:
-                self._unpacked.popitem(last=False)
+            self._forget()
         self._unpacked.move_to_end(number)
         return self._unpacked[number]
+
+    def _forget(self) -> None:
+        """Drop the chunks that were used longest ago, but never the one that was read last."""
+        total = sum(map(len, self._unpacked.values()))
+        while len(self._unpacked) > _KEPT or (total > current_limits().file and len(self._unpacked) > 1):
+            total -= len(self._unpacked.popitem(last=False)[1])
 
     def _beginning(self, chunk: Chunk, limit: int) -> bytes:
         stored = self._file.read(chunk.start, min(chunk.stored, limit + _BEGINNING))
@@ -113,8 +119,8 @@ class Chunks:
 
     def _whole(self, chunk: Chunk) -> bytes:
         where = f"the chunk at byte {chunk.start}"
-        if max(chunk.size, chunk.stored) > LIMIT:
-            raise OgmError(f"{where} is damaged: it has more than {LIMIT} bytes")
+        if max(chunk.size, chunk.stored) > current_limits().file:
+            raise too_large(where, max(chunk.size, chunk.stored), "file")
         data = _unpack(self._file.read(chunk.start, chunk.stored), chunk)
         if len(data) != chunk.size:
             raise OgmError(f"{where} is damaged: {len(data)} of its {chunk.size} bytes can be unpacked")
@@ -125,7 +131,7 @@ class Chunks:
 
 def _unpack(stored: bytes, chunk: Chunk) -> bytes:
     """Unpack the bytes of a chunk, or their beginning where the rest is cut off."""
-    limit = min(chunk.size, LIMIT)
+    limit = min(chunk.size, current_limits().file)
     if chunk.packing not in _UNPACK:
         raise OgmError(f"the chunk at byte {chunk.start} is packed by {chunk.packing!r}, known are zstd, lz4 and bz2")
     try:
@@ -136,20 +142,40 @@ def _unpack(stored: bytes, chunk: Chunk) -> bytes:
         raise OgmError(f"the chunk at byte {chunk.start} is damaged: {error}") from error
 
 
-def _zstd(stored: bytes, limit: int) -> bytes:
+def unpack_zstd(stored: bytes, limit: int) -> bytes:
+    """Return what bytes packed by zstd hold, up to a limit [byte]."""
     zstandard = optional("zstandard", _PACKED, "ros")
     with zstandard.ZstdDecompressor().stream_reader(stored) as reader:
-        return bytes(reader.read(limit))
+        return _in_pieces(reader.read, limit)
 
 
 def _lz4(stored: bytes, limit: int) -> bytes:
     frame = optional("lz4.frame", _PACKED, "ros")
-    return bytes(frame.LZ4FrameDecompressor().decompress(stored, limit))
+    return _of_decoder(frame.LZ4FrameDecompressor(), stored, limit)
+
+
+def _of_decoder(decoder: Any, stored: bytes, limit: int) -> bytes:
+    """Unpack by a decoder that has the interface of `bz2.BZ2Decompressor`."""
+    rest = [stored]
+
+    def read(size: int) -> bytes:
+        return b"" if decoder.eof else decoder.decompress(rest.pop() if rest else b"", size)
+
+    return _in_pieces(read, limit)
+
+
+def _in_pieces(read: Callable[[int], bytes], limit: int) -> bytes:
+    """Return what a function reads, up to a limit, piece by piece."""
+    pieces, size = [], 0
+    while size < limit and (piece := read(min(_PIECE, limit - size))):
+        pieces.append(piece)
+        size += len(piece)
+    return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
 _UNPACK: dict[str, Callable[[bytes, int], bytes]] = {
     "": lambda stored, limit: stored[:limit],
-    "zstd": _zstd,
+    "zstd": unpack_zstd,
     "lz4": _lz4,
-    "bz2": lambda stored, limit: bz2.BZ2Decompressor().decompress(stored, limit),
+    "bz2": lambda stored, limit: _of_decoder(bz2.BZ2Decompressor(), stored, limit),
 }

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
-from ogm.io.logs.chunks import LIMIT
+from ogm.io.logs.chunks import unpack_zstd
 from ogm.io.logs.files import Channel, Place
 from ogm.io.reading import optional
+from ogm.limits import current_limits, too_large
 
 __all__ = ["DB3_MAGIC", "Db3File"]
 
@@ -57,8 +58,8 @@ class Db3File:
         """Return the message at a place, or its first bytes."""
         try:
             with self._lock, self._connection().blobopen("messages", "data", place[0], readonly=True) as blob:
-                if len(blob) > LIMIT:
-                    raise OgmError(f"it has {len(blob)} bytes: the file is damaged")
+                if len(blob) > current_limits().file:
+                    raise too_large("it", len(blob), "file")
                 packed = blob.read(len(_ZSTD_MAGIC)) == _ZSTD_MAGIC
                 blob.seek(0)
                 data = blob.read() if size is None or packed else blob.read(size)
@@ -134,7 +135,9 @@ def _unpacked(data: bytes) -> bytes:
     """Unpack a message that was packed by itself (compression_mode: message)."""
     zstandard = optional("zstandard", Path("a packed message"), "ros")
     try:
-        with zstandard.ZstdDecompressor().stream_reader(data) as reader:
-            return bytes(reader.read(LIMIT))
+        content = unpack_zstd(data, current_limits().file + 1)
     except zstandard.ZstdError as error:
         raise OgmError(f"it is damaged: {error}") from error
+    if len(content) > current_limits().file:
+        raise too_large("it", None, "file")
+    return content

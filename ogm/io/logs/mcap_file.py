@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
-from ogm.io.logs.chunks import LIMIT, Chunk, Chunks
+from ogm.io.logs.chunks import Chunk, Chunks
 from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
+from ogm.limits import current_limits
 
 __all__ = ["MCAP_MAGIC", "McapFile"]
 
@@ -79,7 +80,7 @@ class McapFile:
     def _length(head: bytes, space: int) -> int:
         """Return the length of a message by the head of its record; there is space for so many bytes."""
         opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
-        if opcode != _MESSAGE or not _SENT.size <= length <= min(LIMIT, space - _RECORD.size):
+        if opcode != _MESSAGE or not _SENT.size <= length <= min(current_limits().file, space - _RECORD.size):
             raise OgmError("there is no whole message at its place: the file is damaged")
         return length - _SENT.size
 

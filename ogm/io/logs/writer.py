@@ -183,7 +183,7 @@ class LogWriter:
 
     def _temporary(self, stack: ExitStack) -> Path:
         """Make a folder beside the file, which is removed at the end."""
-        folder = Path(tempfile.mkdtemp(prefix=f".{self.path.name}.", suffix=".tmp", dir=self.path.parent))
+        folder = Path(tempfile.mkdtemp(prefix=".ogm-", suffix=".tmp", dir=self.path.parent))
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
         return folder
 

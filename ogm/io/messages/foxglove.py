@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError
-from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.grid import LayeredGrid
+from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
 from ogm.io.messages.plain import as_bytes, ros_stamp
 from ogm.io.messages.poses import pose_message, transform_of_pose
@@ -21,7 +22,7 @@ _TYPES = {1: "u1", 2: "i1", 3: "u2", 4: "i2", 5: "u4", 6: "i4", 7: "f4", 8: "f8"
 
 
 def foxglove_grid(
-    grid: EvidentialGrid,
+    grid: AnyGrid,
     *,
     frame_id: str,
     stamp: float | None = None,
@@ -34,7 +35,8 @@ def foxglove_grid(
 
     Parameters
     ----------
-    grid : EvidentialGrid
+    grid : EvidentialGrid or DynamicGrid
+        The latter with all its layers; velocities are along the grid's axes.
     frame_id : str
     stamp : float, optional
         [s]; 0 by default.
@@ -56,7 +58,7 @@ def foxglove_grid(
     """
     library = optional("foxglove.messages", Path("foxglove.Grid"), "live", "made")
     nx, ny = grid.spec.shape
-    named: dict[str, NDArray] = {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown}
+    named: dict[str, NDArray] = {**layers_of(grid)}
     for name, layer in LayeredGrid(grid.spec, layers or {}).layers.items():
         if name in named or name in _COLOURS:
             raise ValueError(f"the field {name!r} is the grid's own: give another name")
@@ -92,7 +94,7 @@ def foxglove_grid(
     )
 
 
-def grid_from_foxglove_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.float64]]:
+def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
     """Return the grid of a decoded ``foxglove.Grid`` with the fields free and occupied, and where it lies.
 
     Parameters
@@ -102,7 +104,8 @@ def grid_from_foxglove_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.fl
 
     Returns
     -------
-    grid : EvidentialGrid
+    grid : EvidentialGrid, or DynamicGrid where there are all of its fields
+        Cells that have no value (NaN) are unknown.
     T_frame_grid : (4, 4) float64
         Turns and lifts the grid; identity if the message does neither.
 
@@ -113,12 +116,13 @@ def grid_from_foxglove_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.fl
     """
     where = f"Grid of {message.frame_id or 'no frame'}"
     fields = {field.name: field for field in message.fields}
-    missing = {"free", "occupied"} - fields.keys()
-    if missing:
+    try:
+        names = needed_layers(fields)
+    except KeyError as error:
         raise OgmError(
-            f"{where} has no field {' and '.join(sorted(missing))}, only {', '.join(fields) or 'none'}: it holds no "
-            "masses of free and occupied"
-        )
+            f"{where} has no field {error.args[0]}, only {', '.join(fields) or 'none'}: it holds no masses of free and "
+            "occupied"
+        ) from error
     data, side = as_bytes(message.data, where), message.cell_size.x
     nx, row, cell = int(message.column_count), int(message.row_stride), int(message.cell_stride)
     if side != message.cell_size.y:
@@ -126,14 +130,14 @@ def grid_from_foxglove_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.fl
     ny = len(data) // row if row > 0 else 0
     if min(nx, ny, cell) < 1 or nx * cell > row or ny * row != len(data):
         raise OgmError(f"{where} has {len(data)} bytes, wanted rows of {row} bytes with {nx} cells of {cell}")
-    mass = np.empty((nx, ny, 2), np.float32)
-    for k, name in enumerate(("free", "occupied")):
+    layers = {}
+    for name in names:
         kind, offset = np.dtype("<" + _TYPES.get(int(fields[name].type), "V0")), int(fields[name].offset)
         if kind.kind != "f" or offset + kind.itemsize > cell:
             raise OgmError(f"{where} has a field {name} that is no float of its cells: it is damaged")
-        mass[..., k] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
+        layers[name] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
     origin, T = split_corner(transform_of_pose(message.pose, where))
     try:
-        return EvidentialGrid(spec_of(side, (nx, ny), origin, where), mass), T
+        return grid_from_layers(LayeredGrid(spec_of(side, (nx, ny), origin, where), layers)), T
     except ValueError as error:
         raise OgmError(f"{where} has fields that are no masses: {error}") from error

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError
-from ogm.grid import EvidentialGrid, LayeredGrid
+from ogm.grid import LayeredGrid
+from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
 from ogm.io.messages.plain import describe_message, header
 from ogm.io.messages.poses import pose_message, transform_of_pose
@@ -23,7 +24,7 @@ _LABELS = ("column_index", "row_index")  # of an Eigen matrix in the order of it
 
 
 def grid_map(
-    grid: EvidentialGrid,
+    grid: AnyGrid,
     *,
     frame_id: str,
     stamp: float | None = None,
@@ -34,7 +35,8 @@ def grid_map(
 
     Parameters
     ----------
-    grid : EvidentialGrid
+    grid : EvidentialGrid or DynamicGrid
+        The latter with all its layers; velocities are along the grid's axes.
     frame_id : str
         Frame of the header.
     stamp : float, optional
@@ -56,7 +58,7 @@ def grid_map(
     grid_map has no rotation: its converter drops that of ``info.pose``, which other readers may use. Where the grid is
     turned in `frame_id`, give it a frame of its own, joined by tf.
     """
-    (nx, ny), named = grid.spec.shape, {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown}
+    (nx, ny), named = grid.spec.shape, layers_of(grid)
     for name, layer in LayeredGrid(grid.spec, layers or {}).layers.items():
         if name in named:
             raise ValueError(f"the layer {name!r} is the grid's own: give another name")
@@ -92,12 +94,12 @@ def grid_map(
     )
 
 
-def grid_from_grid_map(message: Any) -> tuple[EvidentialGrid, NDArray[np.float64]]:
+def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
     """Return the grid of a ``grid_map_msgs/GridMap`` that has the layers free and occupied, and where it lies.
 
     Returns
     -------
-    grid : EvidentialGrid
+    grid : EvidentialGrid, or DynamicGrid where there are all of its layers
         Cells that have no value (NaN) are unknown.
     T_frame_grid : (4, 4) float64
         Turns and lifts the grid; identity if the message does neither.
@@ -108,17 +110,16 @@ def grid_from_grid_map(message: Any) -> tuple[EvidentialGrid, NDArray[np.float64
         If a layer is missing, sizes contradict each other, or numbers are no masses.
     """
     where = _describe(message)
-    missing = {"free", "occupied"} - set(message.layers)
-    if missing:
-        raise OgmError(
-            f"{where} has no layer {' and '.join(sorted(missing))}, only {', '.join(message.layers) or 'none'}: "
-            "it holds no masses of free and occupied; layers_from_grid_map returns what it holds"
-        )
-    layered, T = layers_from_grid_map(message)
-    mass = np.stack([layered["free"], layered["occupied"]], axis=-1)
-    mass[np.isnan(mass).any(axis=-1)] = 0.0
     try:
-        return EvidentialGrid(layered.spec, mass), T
+        needed_layers(message.layers)
+    except KeyError as error:
+        raise OgmError(
+            f"{where} has no layer {error.args[0]}, only {', '.join(message.layers) or 'none'}: it holds no masses of "
+            "free and occupied; layers_from_grid_map returns what it holds"
+        ) from error
+    layered, T = layers_from_grid_map(message)
+    try:
+        return grid_from_layers(layered, nan_is_unknown=True), T
     except ValueError as error:
         raise OgmError(f"{where} has layers that are no masses: {error}") from error
 

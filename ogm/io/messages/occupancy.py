@@ -42,6 +42,9 @@ def mass_from_occupancy(values: NDArray[Any]) -> NDArray[np.float32]:
     All of the mass is on free and occupied, none on unknown; values that are not from 0 to 100 are unknown. Taken back
     by `occupancy_values`, they are the same.
     """
+    if values.dtype == np.int8:  # those of messages and images
+        table = mass_from_occupancy(np.arange(256, dtype=np.uint8).view(np.int8).astype(np.int16))
+        return table[values.view(np.uint8)]
     percent = values.astype(np.float64)
     known = (percent >= 0) & (percent <= 100)
     mass = np.stack([1 - percent / 100, percent / 100], axis=-1)

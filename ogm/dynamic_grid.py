@@ -1,0 +1,196 @@
+"""`DynamicGrid`: belief in free, static and dynamic for every cell, and the velocity of what is dynamic."""
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.archive import open_archive, write_archive
+from ogm.evidence import check_mass
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+
+__all__ = ["DYNAMIC_FORMAT", "DynamicGrid"]
+
+DYNAMIC_FORMAT = "ogm.DynamicGrid/1"
+_COVARIANCE = {"velocity_covariance_xx": (0, 0), "velocity_covariance_xy": (0, 1), "velocity_covariance_yy": (1, 1)}
+
+
+@dataclass(frozen=True, eq=False)
+class DynamicGrid:
+    """Belief masses of free, static and dynamic, and the velocity of dynamic cells.
+
+    Parameters
+    ----------
+    spec : GridSpec
+    mass : (nx, ny, 3) float array
+        Masses of free, of occupied by something static and of occupied by something dynamic, in [0, 1]; their sum is at
+        most 1, and what is missing to 1 is the mass of unknown. Kept as float32.
+    velocity : (nx, ny, 2) float array
+        Mean velocity over ground of what is dynamic, along the grid's x and y [m/s]; NaN where dynamic is 0.
+    covariance : (nx, ny, 2, 2) float array
+        Of that velocity [m²/s²]; NaN as `velocity`.
+
+    Raises
+    ------
+    TypeError
+        If an array is not of floats.
+    ValueError
+        If a shape does not fit `spec`, or masses are NaN, negative, or part of a sum above 1 by more than 1e-6.
+    """
+
+    spec: GridSpec
+    mass: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+    covariance: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        for name, last in (("mass", (3,)), ("velocity", (2,)), ("covariance", (2, 2))):
+            array = np.asarray(getattr(self, name))
+            if array.dtype.kind != "f":
+                raise TypeError(f"{name} must be a float array, got dtype {array.dtype}")
+            wanted = (*self.spec.shape, *last)
+            if array.shape != wanted:
+                raise ValueError(f"{name} must have shape {wanted} for this spec, got {array.shape}")
+            object.__setattr__(self, name, array.astype(np.float32, copy=False))
+        check_mass(self.mass[..., :2])
+        check_mass(np.stack([self.free, self.occupied], axis=-1))
+        check_mass(np.stack([self.dynamic, self.static], axis=-1))
+
+    @classmethod
+    def trusted(
+        cls, spec: GridSpec, mass: NDArray[np.float32], velocity: NDArray[np.float32], covariance: NDArray[np.float32]
+    ) -> "DynamicGrid":
+        """Make a grid without checking its arrays: for kernels whose results are masses by construction.
+
+        Parameters as in the constructor; arrays must be float32 of the right shapes and are not copied.
+        """
+        grid = object.__new__(cls)
+        for name, value in {"spec": spec, "mass": mass, "velocity": velocity, "covariance": covariance}.items():
+            object.__setattr__(grid, name, value)
+        return grid
+
+    @property
+    def free(self) -> NDArray[np.float32]:
+        """Mass of free, (nx, ny) in [0, 1]."""
+        return self.mass[..., 0]
+
+    @property
+    def static(self) -> NDArray[np.float32]:
+        """Mass of occupied by something static, (nx, ny) in [0, 1]."""
+        return self.mass[..., 1]
+
+    @property
+    def dynamic(self) -> NDArray[np.float32]:
+        """Mass of occupied by something dynamic, (nx, ny) in [0, 1]."""
+        return self.mass[..., 2]
+
+    @cached_property
+    def occupied(self) -> NDArray[np.float32]:
+        """Mass of occupied, (nx, ny) in [0, 1]: static + dynamic."""
+        return self.static + self.dynamic
+
+    @cached_property
+    def unknown(self) -> NDArray[np.float32]:
+        """Mass of the whole frame, (nx, ny) in [0, 1]: what the others leave of 1."""
+        return np.maximum(1 - self.free - self.occupied, 0)
+
+    @cached_property
+    def speed(self) -> NDArray[np.float32]:
+        """Length of `velocity`, (nx, ny) [m/s]."""
+        return np.hypot(self.velocity[..., 0], self.velocity[..., 1])
+
+    @cached_property
+    def heading(self) -> NDArray[np.float32]:
+        """Direction of `velocity`, (nx, ny), counter-clockwise from the grid's x axis [rad], in (-π, π]."""
+        return np.arctan2(self.velocity[..., 1], self.velocity[..., 0])
+
+    def to_evidential(self) -> EvidentialGrid:
+        """Return the masses of free and occupied alone."""
+        return EvidentialGrid(self.spec, np.stack([self.free, self.occupied], axis=-1))
+
+    def to_layers(self) -> LayeredGrid:
+        """Return masses and velocities as named layers, for viewers and files of layers."""
+        layers = {"free": self.free, "static": self.static, "dynamic": self.dynamic, "unknown": self.unknown}
+        layers |= {"velocity_x": self.velocity[..., 0], "velocity_y": self.velocity[..., 1]}
+        layers |= {name: self.covariance[..., i, j] for name, (i, j) in _COVARIANCE.items()}
+        return LayeredGrid(self.spec, layers)
+
+    @classmethod
+    def from_layers(cls, layers: LayeredGrid) -> Self:
+        """Return the grid that `to_layers` made layers of; unknown and further layers are not needed.
+
+        Raises
+        ------
+        KeyError
+            If a layer is missing.
+        ValueError
+            As the constructor.
+        """
+        mass = np.stack([layers[name] for name in ("free", "static", "dynamic")], axis=-1)
+        velocity = np.stack([layers[name] for name in ("velocity_x", "velocity_y")], axis=-1)
+        covariance = np.empty((*layers.spec.shape, 2, 2), np.float32)
+        for name, (i, j) in _COVARIANCE.items():
+            covariance[..., i, j] = covariance[..., j, i] = layers[name]
+        return cls(layers.spec, mass, velocity, covariance)
+
+    def __repr__(self) -> str:
+        shares = (
+            f"{name} {float(getattr(self, name).mean()):.1%}" for name in ("free", "static", "dynamic", "unknown")
+        )
+        return f"DynamicGrid({self.spec}: {', '.join(shares)})"
+
+    def _repr_png_(self) -> bytes:
+        from ogm.notebook import dynamic_png
+
+        return dynamic_png(self)
+
+    def _repr_html_(self) -> str:
+        from ogm.notebook import dynamic_html
+
+        return dynamic_html(self)
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other has the same cells, masses, velocities and covariances; NaN equals NaN."""
+        if not isinstance(other, DynamicGrid):
+            return NotImplemented
+        return self.spec == other.spec and all(
+            np.array_equal(getattr(self, name), getattr(other, name), equal_nan=True)
+            for name in ("mass", "velocity", "covariance")
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the grid, lossless and in one step, to an ``.npz`` file that explains itself.
+
+        The archive holds ``mass``, ``velocity`` and ``covariance``, and else what `EvidentialGrid.save` writes.
+        """
+        write_archive(
+            path,
+            DYNAMIC_FORMAT,
+            states=["free", "static", "dynamic"],
+            axes="[ix (x forward), iy (y left), state, or x and y]; origin is the corner of cell (0, 0)",
+            resolution=self.spec.resolution,
+            origin=self.spec.origin,
+            mass=self.mass,
+            velocity=self.velocity,
+            covariance=self.covariance,
+        )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a grid that `save` wrote. Nothing is unpickled.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        OgmError
+            If the file is damaged, of another kind or version, or holds masses outside [0, 1].
+        """
+        with open_archive(path, DYNAMIC_FORMAT) as data:
+            spec = GridSpec(float(data["resolution"]), data["mass"].shape[:2], tuple(data["origin"].tolist()))
+            return cls(spec, data["mass"], data["velocity"], data["covariance"])

@@ -1,0 +1,169 @@
+"""Motion in an evaluation: what is kept of a frame, and the result of all of them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.dynamic_grid import DynamicGrid
+from ogm.evaluation.statistics import Interval, mean_interval
+from ogm.metrics import (
+    MOTION_METRICS,
+    Detection,
+    MotionSums,
+    ObjectCells,
+    accumulate_motion,
+    detection_times,
+    distances,
+    motion_by_range,
+    motion_curve,
+    object_cells,
+    predicted_moving,
+    score_motion,
+)  # fmt: skip
+from ogm.scan import Boxes
+from ogm.state import Motion
+
+__all__ = [
+    "MOTION_HEADLINE",
+    "FrameMotion",
+    "MotionCollector",
+    "MotionResult",
+    "compare_motion",
+    "group_motion",
+    "motion_record",
+]
+
+MOTION_HEADLINE = (
+    "motion_ap", "motion_iou", "motion_precision", "motion_recall", "static_moving", "velocity_rmse", "velocity_median",
+    "heading_median", "inside_95", "moving_occupied", "moving_free",
+)  # fmt: skip
+POINTS = 200  # of a curve, at most
+
+
+class FrameMotion(NamedTuple):
+    """What is kept of a dynamic grid in one frame: sums over cells, and the objects that the scan shows."""
+
+    sums: MotionSums
+    objects: ObjectCells
+
+
+@dataclass(frozen=True, eq=False)
+class MotionResult:
+    """Motion of all evaluated frames, of the methods that make dynamic grids.
+
+    Parameters
+    ----------
+    methods : tuple of str
+    values : dict of str to (methods, frames) float64
+        Each metric of `ogm.metrics.MOTION_METRICS`; NaN where a frame has no value.
+    pooled : tuple of MotionSums
+        Of every method, the sums over all frames.
+    detections : tuple of list of Detection
+        Of every method, of the objects of all sequences.
+    drives : list of str
+        Of every frame.
+    """
+
+    methods: tuple[str, ...]
+    values: dict[str, NDArray[np.float64]]
+    pooled: tuple[MotionSums, ...]
+    detections: tuple[list[Detection], ...]
+    drives: list[str]
+
+    def interval(self, method: str, metric: str) -> Interval:
+        """Return a metric's mean over frames with its 95 % interval over drives."""
+        return mean_interval(self.values[metric][self.methods.index(method)], self.drives)
+
+
+class MotionCollector:
+    """Collects the motion of frame after frame.
+
+    Parameters
+    ----------
+    methods : sequence of str
+        All methods of the evaluation.
+    """
+
+    def __init__(self, methods: Sequence[str]) -> None:
+        self._names = tuple(methods)
+        self._rows: list[dict[int, dict[str, float]]] = []
+        self._pooled: dict[int, MotionSums] = {}
+        self._objects: dict[int, dict[str, list[tuple[float, ObjectCells]]]] = {}
+
+    def add(self, motion: Mapping[int, FrameMotion], sequence: str, stamp: float | None) -> None:
+        """Take a frame in: what was kept of it, by the places of the methods."""
+        self._rows.append({k: score_motion(one.sums) for k, one in motion.items()})
+        for k, one in motion.items():
+            self._pooled[k] = self._pooled[k].plus(one.sums) if k in self._pooled else one.sums
+            if stamp is not None:
+                self._objects.setdefault(k, {}).setdefault(sequence, []).append((stamp, one.objects))
+
+    def result(self, drives: list[str]) -> MotionResult | None:
+        """Return the motion of all frames; None if no method made a dynamic grid or no frame has true motion."""
+        if not self._pooled:
+            return None
+        nothing = dict.fromkeys(MOTION_METRICS, np.nan)
+        places = sorted(self._pooled)
+        values = {m: np.array([[row.get(k, nothing)[m] for row in self._rows] for k in places]) for m in MOTION_METRICS}
+        times = tuple(
+            [found for frames in self._objects.get(k, {}).values() for found in detection_times(frames)] for k in places
+        )
+        pooled = tuple(self._pooled[k] for k in places)
+        return MotionResult(tuple(self._names[k] for k in places), values, pooled, times, drives)
+
+
+def compare_motion(grid: DynamicGrid, occupied: NDArray[np.bool_], motion: Motion, boxes: Boxes | None) -> FrameMotion:
+    """Compare a dynamic grid with the true motion of a frame.
+
+    Parameters
+    ----------
+    grid : DynamicGrid
+        In the axes of the truth.
+    occupied : (nx, ny) bool
+        Cells that the scan shows as occupied.
+    motion : Motion
+        On the same cells.
+    boxes : Boxes, optional
+        Those that `motion.box` counts.
+    """
+    boxes = Boxes.empty() if boxes is None else boxes
+    moving = predicted_moving(grid)
+    sums = accumulate_motion(grid, motion, occupied, boxes.label, distances(grid.spec), moving)
+    return FrameMotion(sums, object_cells(motion, occupied, moving, boxes.track))
+
+
+def motion_record(result: MotionResult | None) -> dict[str, Any] | None:
+    """Return the motion of an evaluation for its record."""
+    if result is None:
+        return None
+    methods = {}
+    for name, sums, found in zip(result.methods, result.pooled, result.detections, strict=True):
+        seconds = [one.seconds for one in found]
+        recall, precision, threshold = motion_curve(sums)
+        thin = np.linspace(0, len(recall) - 1, min(len(recall), POINTS)).astype(int)
+        methods[name] = {
+            "macro": {metric: result.interval(name, metric) for metric in MOTION_METRICS},
+            "micro": score_motion(sums),
+            "cells": {"moving": sums.cells[0, 0], "static": sums.cells[-1, 0]},
+            "time to detect": {
+                "objects": len(seconds),
+                "median": float(np.median(seconds)) if seconds else None,
+                "never": int(np.isinf(seconds).sum()),
+            },
+            "by range": motion_by_range(sums),
+            "curve": {"recall": recall[thin], "precision": precision[thin], "threshold": threshold[thin]},
+            "per frame": {metric: rows[result.methods.index(name)] for metric, rows in result.values.items()},
+        }
+    return {"metrics": MOTION_METRICS, "methods": methods}
+
+
+def group_motion(record: Mapping[str, Any] | None) -> list[list[str]]:
+    """Return the names of the metrics that are not in the headline, by the group of cells that they are of."""
+    found: dict[str, list[str]] = {}
+    for name in record["metrics"] if record else ():
+        if name not in MOTION_HEADLINE:
+            found.setdefault(name.partition("_")[0], []).append(name)
+    return list(found.values())

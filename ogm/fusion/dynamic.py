@@ -1,0 +1,306 @@
+"""The dynamic map: belief masses of free, static and dynamic, and velocities, from scans of a moving vehicle.
+
+Static occupancy is a mass of the cell, as in `EvidentialMapper`; what is dynamic is carried by particles; both compete
+in one Dempster update. A static cell is predicted exactly by its own mass, and only roughly by particles, whose copies
+leave it and die where scans measure free. Where something moves on, static is measured free and its particles survive.
+
+Sources: Nuss et al., "A random finite set approach for dynamic occupancy grid maps with real-time application" (2018);
+static mass beside particles: Nègre, Rummelhard and Laugier, "Hybrid sampling Bayesian occupancy filter" (2014);
+Tanzmeister and Wollherr, "Evidential grid-based tracking and mapping" (2017).
+"""
+
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.dynamic_grid import DynamicGrid
+from ogm.fusion import map_access
+from ogm.fusion.dynamic_beliefs import beliefs, grid_of, turned
+from ogm.fusion.dynamic_cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
+from ogm.fusion.dynamic_settings import DynamicSettings
+from ogm.fusion.hashed_noise import NORMALS, scan_key
+from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
+from ogm.fusion.lookup import ScanLookup
+from ogm.fusion.map_lock import MapLock, locked
+from ogm.fusion.mapper import conflict_grid
+from ogm.fusion.measured_velocities import SCAN_AGES, matched_velocities
+from ogm.fusion.object_tracker import ObjectTracker
+from ogm.fusion.objects import Objects, find_objects
+from ogm.fusion.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
+from ogm.fusion.prediction import predict_dynamic
+from ogm.fusion.resample import view_layers
+from ogm.fusion.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
+from ogm.fusion.scan_history import ScanHistory
+from ogm.fusion.threads import Threads, spans
+from ogm.fusion.update_gate import CheckedScan, UpdateGate
+from ogm.fusion.window import Window, WindowMode, check_choice
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+
+__all__ = ["DynamicFilter", "DynamicMapper"]
+
+DynamicFilter = Literal["hybrid", "nuss"]
+MAX_PARTICLES = 2**25  # 1.2 GB
+
+
+class DynamicMapper:
+    """A map of free, static and dynamic belief masses with velocities, which fuses scan after scan.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The window: relative to the vehicle if it rolls, in map coordinates if it is fixed.
+    particles : int
+        How many carry the belief in dynamic, from 1 to 2**25.
+    filter : {"hybrid", "nuss"}
+        "nuss": all that is occupied is carried by particles, as Nuss et al. do, and static is 0.
+    matching : bool, optional
+        Whether velocities of groups of occupied cells are measured, by matching them with earlier scans. By default
+        the hybrid filter does.
+    window, max_speed, max_delay
+        As for `EvidentialMapper`.
+    seed : int
+        Of the random numbers. Results are identical for one seed, with any number of threads.
+    threads : int
+        That an update uses.
+    settings : DynamicSettings, optional
+        The numbers of the model.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or a name is none of the choices.
+
+    Notes
+    -----
+    Stamps, poses, jumps and threads that read are treated as `EvidentialMapper` does; every scan needs a stamp. A scan
+    of the same moment ages and moves nothing. A late scan moves and makes no particles: it counts as much as ageing
+    would have left of it, in cells that hold more free or static than dynamic. After an error the map is as it was.
+    """
+
+    def __init__(
+        self,
+        spec: GridSpec,
+        particles: int = 200_000,
+        *,
+        filter: DynamicFilter = "hybrid",  # noqa: A002
+        matching: bool | None = None,
+        window: WindowMode = "rolling",
+        max_speed: float = 70.0,
+        max_delay: float = 0.5,
+        seed: int = 0,
+        threads: int = 1,
+        settings: DynamicSettings | None = None,
+    ) -> None:
+        if not 1 <= particles <= MAX_PARTICLES or particles != int(particles):
+            raise ValueError(
+                f"particles must be a whole number from 1 to {MAX_PARTICLES} (1.2 GB), got {particles}; a map without "
+                "particles, and so without anything dynamic, is EvidentialMapper"
+            )
+        if not threads >= 1 or threads != int(threads):
+            raise ValueError(f"threads must be a whole number of at least 1, got {threads}")
+        self.particles, self.filter = int(particles), check_choice("filter", filter, DynamicFilter)
+        self.matching = self.filter == "hybrid" if matching is None else bool(matching)
+        self.seed, self.threads = int(seed), int(threads)
+        self.settings = settings or DynamicSettings()
+        if self.filter == "nuss":
+            self.settings = replace(self.settings, static_share=0.0, to_dynamic_rate=0.0, motion_odds=1.0)
+        self.lock = MapLock()
+        self._window = Window(spec, window)
+        self._gate = UpdateGate(max_speed, max_delay, needs_stamps=True)
+        nx, ny = spec.shape
+        self._cells, self._next_cells = no_cells(spec.shape), no_cells(spec.shape)
+        self._particles, self._predicted = (no_particles(self.particles + 1, nx * ny) for _ in range(2))
+        self._particle_mass = 0.0
+        self._moments = Moments(np.zeros((nx, ny, 2), np.float32), np.zeros((nx, ny, 3), np.float32))
+        self._measured = np.empty((nx, 2 * ny), np.float32)
+        self._cell_of, self._survivors = np.empty(self.particles + 1, np.int32), np.empty(nx * ny, np.int32)
+        self._count, self._no_label = np.empty((self.threads, nx * ny), np.int32), np.zeros(spec.shape, np.int32)
+        self._groups = group_velocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.0, 0.0)
+        self._history = ScanHistory(0.6, 0.04)
+        self._layers = (*self._cells, *self._next_cells, self._particles.start)
+        self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
+        self._objects: Objects | None = None
+
+    def __repr__(self) -> str:
+        return f"DynamicMapper({self.filter}, {self.particles} particles, {self.scans} scans, {self.spec})"
+
+    spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
+    scans, update, view = map_access.scans, map_access.update, map_access.view
+
+    @property
+    def half_life(self) -> tuple[float, float]:
+        """Time in which belief in free and in static halves [s]."""
+        return self.settings.free_half_life, self.settings.static_half_life
+
+    @locked
+    def reset(self) -> None:
+        """Forget everything: the next scan begins a new map."""
+        map_access.reset(self)
+        self._history.clear()
+        self._objects = None
+        if self._tracker is not None:
+            self._tracker.reset()
+
+    @property
+    @locked
+    def grid(self) -> EvidentialGrid:
+        """The masses of free and of occupied, static or dynamic (a copy), in map coordinates, as of the last scan."""
+        cells = self._cells
+        occupied = cells.static + (cells.surviving + cells.born)
+        return EvidentialGrid.trusted(self.spec, np.stack([cells.free, occupied], axis=-1))
+
+    @property
+    @locked
+    def dynamic_grid(self) -> DynamicGrid:
+        """The map (a copy), in map coordinates, as of the last scan."""
+        return grid_of(self.spec, self._belief())
+
+    @locked
+    def dynamic_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> DynamicGrid:
+        """Return the map, with its velocities, in the vehicle's axes, by nearest cells. Arguments as for `view`."""
+        cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        belief = self._belief()
+        pairs = [view_layers(belief[..., k : k + 2], self.spec, cells, T) for k in range(0, 8, 2)]
+        return grid_of(cells, turned(np.concatenate(pairs, axis=-1), np.asarray(T, np.float64)))
+
+    @property
+    @locked
+    def conflict(self) -> LayeredGrid:
+        """Where map and scans contradicted each other of late: as `EvidentialMapper.conflict`."""
+        return conflict_grid(self.spec, self._conflict())
+
+    @locked
+    def conflict_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> LayeredGrid:
+        """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
+        cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        return conflict_grid(cells, view_layers(self._conflict(), self.spec, cells, T))
+
+    @locked
+    def objects(self) -> Objects:
+        """Return the moving objects, in map coordinates, as of the last scan.
+
+        They are followed from the first call on: `Objects.boxes.track` numbers those that were found in three of their
+        last five scans, and `Objects.confirmed` are these. An update takes 2 to 3 ms longer then.
+
+        Raises
+        ------
+        ImportError
+            If filterpy is absent, which follows them.
+        """
+        if self._tracker is None:
+            self._tracker = ObjectTracker()
+            self._update_objects(self.stamp)
+        return find_objects(self.dynamic_grid) if self._objects is None else self._objects
+
+    @locked
+    def predicted(self, seconds: float) -> DynamicGrid:
+        """Return the map some time after the last scan, if nothing is measured in the meantime; see `predict_dynamic`.
+
+        Objects turn at the rates at which they turned of late if they are followed, see `objects`.
+
+        Parameters
+        ----------
+        seconds : float
+            [s], 0 or more. Honest to about 0.5 s: see docs/dynamic.md.
+        """
+        return predict_dynamic(self.dynamic_grid, self._particles, seconds, self._objects)
+
+    def _update_objects(self, stamp: float | None) -> None:
+        """Let the tracker take in the objects of the map."""
+        if self._tracker is not None and stamp is not None:
+            self._objects = self._tracker.update(find_objects(self.dynamic_grid), stamp)
+
+    def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
+        lookup = ScanLookup(np.ascontiguousarray(grid.mass), scan.affine, scan.samples)
+        if scan.elapsed < 0:
+            self._fuse_late(lookup, -scan.elapsed, reliability)
+            return
+        nx, old = self._window.spec0.shape[0], self._window.corner
+        shift = scan.corner[0] - old[0], scan.corner[1] - old[1]
+        step = self._step(scan.elapsed, shift)
+        rates = self.settings.rates(scan.elapsed, reliability, self._particle_mass)
+        new = CellOutput(self._next_cells, self._measured, np.empty(nx))
+        with Threads(self.threads) as threads:
+            self._predict(step, threads)
+            start = self._predicted.start
+            threads.divide(nx, lambda rows: update_cells(self._cells, shift, start, lookup, rates, rows, new))
+            groups = self._measured_velocities(scan, new.cells)
+            threads.divide(nx, lambda rows: weigh_motion(new.cells, groups, rows, new.dynamic))
+            # From here on nothing can fail: until now the map is as it was.
+            self._particle_mass = float(new.dynamic.sum()) / self.particles
+            self._draw(new.cells, groups, step, threads)
+        self._groups = groups
+        self._cells, self._next_cells = new.cells, self._cells
+        self._window.move_to(scan.corner)
+        if self.matching and scan.stamp is not None:
+            self._history.add(scan.stamp, scan.corner, self._occupied)
+        self._update_objects(scan.stamp)
+
+    @property
+    def _occupied(self) -> NDArray[np.bool_]:
+        """Cells that the last scan measured as occupied, (nx, ny)."""
+        return self._measured[:, 1::2] > 0.5
+
+    def _predict(self, step: Step, threads: Threads) -> None:
+        """Move the particles on and sort them by their new cells."""
+        p, out, cell_of, count = self._particles, self._predicted, self._cell_of, self._count
+        parts = spans(int(p.start[-1]), self.threads)
+        count[:] = 0
+        threads.run(lambda k: count_in_cells(p, parts[k], step, NORMALS, cell_of, count[k]))
+        cell_starts(count, out.start)
+        threads.run(lambda k: sort_into_cells(p, parts[k], step, NORMALS, cell_of, count[k], out))
+
+    def _draw(self, cells: DynamicCells, groups: GroupVelocities, step: Step, threads: Threads) -> None:
+        """Draw the particles of every cell anew, and compute its mean velocity and covariance."""
+        old, new, survivors = self._predicted, self._particles, self._survivors
+        offset = float(step.key >> np.uint64(11)) * 2.0**-53
+        share_particles(
+            cells.surviving.reshape(-1), cells.born.reshape(-1), self._particle_mass, offset, survivors, new.start
+        )
+        threads.divide(
+            len(survivors), lambda part: resample(old, part, survivors, groups, step, NORMALS, new, self._moments)
+        )
+
+    def _measured_velocities(self, scan: CheckedScan, cells: DynamicCells) -> GroupVelocities:
+        """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
+        settings, resolution = self.settings, self._window.spec0.resolution
+        label, velocity, information = self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2))
+        if self.matching and scan.stamp is not None:
+            earlier = self._history.earlier(scan.stamp, scan.corner, SCAN_AGES)
+            if earlier:
+                found = matched_velocities(self._occupied, cells, self._predicted, earlier, resolution)
+                label, velocity, information = found
+        numbers = settings.birth_speed, settings.association, settings.motion_odds
+        return group_velocities(label, velocity, information, *numbers)
+
+    def _fuse_late(self, lookup: ScanLookup, seconds: float, reliability: float) -> None:
+        """Fuse a scan older than the map into free and static, in cells that hold more free or static than dynamic."""
+        cells, known = self._cells, np.float32(1 - self.settings.min_unknown)
+        nx, ny = cells.free.shape
+        mass, no_conflict = np.stack([cells.free, cells.static], axis=-1), np.zeros((nx, 2 * ny), np.float32)
+        rates = self.settings.rates(seconds, reliability, 0.0)
+        aged = lookup._replace(values=lookup.values * np.array([rates.keep_free, rates.keep_static]))
+        nothing = Aging(1.0, 1.0, 0.0, 1.0, False, False)
+        args = aged, float(reliability), nothing, DEMPSTER, float(known)
+        evidential_update(mass.reshape(nx, 2 * ny), no_conflict, (0, 0), *args)
+        if self.filter == "nuss":
+            mass[..., 1] = 0
+        dynamic = cells.surviving + cells.born
+        rest = known - dynamic
+        mass *= np.minimum(1, rest / np.maximum(mass.sum(axis=-1), np.maximum(rest, 1e-9)))[..., np.newaxis]
+        changed = (dynamic <= np.maximum(cells.free, cells.static)) & (rest > 0)
+        cells.free[changed], cells.static[changed] = mass[changed, 0], mass[changed, 1]
+
+    def _step(self, seconds: float, shift: tuple[int, int]) -> Step:
+        spec = self._window.spec0
+        metres = np.float32(shift[0] * spec.resolution), np.float32(shift[1] * spec.resolution)
+        key, noise = scan_key(self.seed, self.scans), self.settings.noise(seconds)
+        return Step(np.float32(seconds), metres, noise, np.float32(spec.resolution), spec.shape, key)
+
+    def _belief(self) -> NDArray[np.float32]:
+        return beliefs(self._cells, self._moments, self._groups)
+
+    def _conflict(self) -> NDArray[np.float32]:
+        return np.stack([self._cells.to_occupied, self._cells.to_free], axis=-1)

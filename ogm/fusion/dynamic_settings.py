@@ -1,0 +1,107 @@
+"""The numbers of the dynamic map's model, per second, and what they amount to from one scan to the next."""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from ogm.fusion.dynamic_cells import Rates
+
+__all__ = ["DynamicSettings"]
+
+
+@dataclass(frozen=True)
+class DynamicSettings:
+    """Numbers of the model of `DynamicMapper`.
+
+    Parameters
+    ----------
+    free_half_life, static_half_life, dynamic_half_life : float
+        Time in which belief in free and in static halves, and in which half of the particles survive [s]; infinity
+        forgets nothing.
+    birth_rate : float
+        Rate at which something appears in an occupied cell that was not there before [1/s].
+    static_share : float
+        Share of what appears that is taken to be static, [0, 1].
+    to_dynamic_rate : float
+        Rate at which static things begin to move [1/s].
+    birth_speed : float
+        Standard deviation of each component of the velocity of what appears [m/s].
+    position_noise, velocity_noise : float
+        Of the particles, along each axis: their variances grow by the square per second [m/√s], [m/s/√s].
+    association : float
+        Probability that the particles of a group of cells have made the measurement of the group's velocity, [0, 1].
+    motion_odds : float
+        Greatest factor by which the measured velocity of a group raises the odds of dynamic against static in its
+        cells, at least 1; 1 leaves that to the particles.
+    conflict_half_life : float
+        Time in which the conflict layers fade by half [s]; 0 keeps the last scan's conflict alone.
+    min_unknown : float
+        Lower bound of unknown, [0, 1), so that new scans can change the map.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    free_half_life: float = 2.0
+    static_half_life: float = 2.0
+    dynamic_half_life: float = 7.0
+    birth_rate: float = 0.8
+    static_share: float = 0.98
+    to_dynamic_rate: float = 0.01
+    birth_speed: float = 6.0
+    position_noise: float = 0.1
+    velocity_noise: float = 0.7
+    association: float = 0.95
+    motion_odds: float = 100.0
+    conflict_half_life: float = 2.0
+    min_unknown: float = 0.02
+
+    def __post_init__(self) -> None:
+        for name in (field.name for field in fields(self)):
+            value: Any = getattr(self, name)
+            if name == "conflict_half_life":
+                good, wanted = value >= 0, "0 s or more"
+            elif name.endswith("half_life"):
+                good, wanted = value > 0, "greater than 0 s; infinity forgets nothing"
+            elif name == "min_unknown":
+                good, wanted = 0 <= value < 1, "in [0, 1)"
+            elif name in ("static_share", "association"):
+                good, wanted = 0 <= value <= 1, "in [0, 1]"
+            elif name == "motion_odds":
+                good, wanted = 1 <= value < math.inf, "1 or more and finite"
+            else:
+                good, wanted = 0 <= value < math.inf, "0 or more and finite"
+            if not good:
+                raise ValueError(f"{name} must be {wanted}, got {value}")
+
+    def rates(self, seconds: float, reliability: float, particle: float) -> Rates:
+        """Return what happens to beliefs in some time, for a scan of some reliability and particles of some mass."""
+        birth, to_dynamic = (-math.expm1(-rate * seconds) for rate in (self.birth_rate, self.to_dynamic_rate))
+        numbers = {
+            "keep_free": _kept(seconds, self.free_half_life),
+            "keep_static": _kept(seconds, self.static_half_life),
+            "keep_conflict": _kept(seconds, self.conflict_half_life),
+            "birth": birth,
+            "static_share": self.static_share,
+            "to_dynamic": to_dynamic,
+            "max_known": 1 - self.min_unknown,
+            "reliability": reliability,
+            "particle": _kept(seconds, self.dynamic_half_life) * particle,
+        }
+        return Rates(**{name: np.float32(value) for name, value in numbers.items()})
+
+    def noise(self, seconds: float) -> tuple[np.float32, np.float32]:
+        """Return the standard deviations of position [m] and velocity [m/s] that particles gain in some time."""
+        root = math.sqrt(seconds)
+        return np.float32(self.position_noise * root), np.float32(self.velocity_noise * root)
+
+
+def _kept(seconds: float, half_life: float) -> float:
+    """Return the share that is left after some time."""
+    if seconds == 0:
+        return 1.0
+    return 0.5 ** (seconds / half_life) if half_life else 0.0

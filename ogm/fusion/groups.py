@@ -1,0 +1,121 @@
+"""Groups of occupied cells that are near each other."""
+
+# mypy: allow-untyped-defs
+from typing import NamedTuple
+
+import numpy as np
+
+from ogm.jit import inline, kernel
+
+__all__ = ["Groups", "find_groups"]
+
+
+class Groups(NamedTuple):
+    """Groups of occupied cells.
+
+    Attributes
+    ----------
+    label : (nx, ny) int32
+        Number of a cell's group from 1 on, 0 for none.
+    x, y : (cells,) int32
+        Cells, group by group.
+    start : (G + 1,) int32
+        Cells start[g] to start[g + 1] are those of group g + 1.
+    """
+
+    label: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    start: np.ndarray
+
+
+@inline
+def _root(parent, run):
+    while parent[run] != run:
+        parent[run] = parent[parent[run]]
+        run = parent[run]
+    return run
+
+
+@kernel
+def find_groups(occupied, candidates, link, min_cells):
+    """Find the groups of occupied cells that hold a candidate.
+
+    Cells belong together if neither their rows nor their columns are more than `link` apart.
+
+    Parameters
+    ----------
+    occupied, candidates : (nx, ny) uint8
+        0 or 1.
+    link, min_cells : int
+        [cells]; smaller groups are left out.
+
+    Returns
+    -------
+    Groups
+        In the order of their first cells, row by row.
+    """
+    nx, ny = occupied.shape
+    most = nx * (ny // (link + 1) + 1)
+    first, last = np.empty(most, np.int32), np.empty(most, np.int32)  # columns of a run's ends
+    count, parent = np.empty(most, np.int32), np.empty(most, np.int32)
+    chosen = np.zeros(most, np.uint8)
+    row_start = np.zeros(nx + 1, np.int32)
+    runs = 0
+    for i in range(nx):  # cells of a row with gaps of at most link are a run
+        begin = runs
+        for j in range(ny):
+            if occupied[i, j]:
+                if runs == begin or j - last[runs - 1] > link:
+                    first[runs], count[runs], parent[runs] = j, 0, runs
+                    runs += 1
+                last[runs - 1] = j
+                count[runs - 1] += 1
+                chosen[runs - 1] |= candidates[i, j]
+        row_start[i + 1] = runs
+        for above in range(max(i - link, 0), i):
+            other, end = row_start[above], row_start[above + 1]
+            for run in range(begin, runs):
+                while other < end and last[other] < first[run] - link:
+                    other += 1
+                at = other
+                while at < end and first[at] <= last[run] + link:
+                    a, b = _root(parent, at), _root(parent, run)
+                    parent[max(a, b)] = min(a, b)
+                    at += 1
+    size = np.zeros(runs, np.int32)
+    for run in range(runs):
+        root = _root(parent, run)
+        size[root] += count[run]
+        chosen[root] |= chosen[run]
+    number = np.zeros(runs, np.int32)
+    groups = 0
+    for run in range(runs):
+        if parent[run] == run and chosen[run] and size[run] >= min_cells:
+            groups += 1
+            number[run] = groups
+    start = np.zeros(groups + 1, np.int32)
+    for run in range(runs):
+        if number[run]:
+            start[number[run]] = start[number[run] - 1] + size[run]
+    return _collect(occupied, (row_start, first, last, parent, number), start)
+
+
+@kernel
+def _collect(occupied, runs, start):
+    """Return the groups with their labels and cells."""
+    row_start, first, last, parent, number = runs
+    label = np.zeros(occupied.shape, np.int32)
+    x, y = np.empty(start[-1], np.int32), np.empty(start[-1], np.int32)
+    filled = start.copy()
+    for i in range(occupied.shape[0]):
+        for run in range(row_start[i], row_start[i + 1]):
+            group = number[_root(parent, run)]
+            if group == 0:
+                continue
+            for j in range(first[run], last[run] + 1):
+                if occupied[i, j]:
+                    label[i, j] = group
+                    x[filled[group - 1]], y[filled[group - 1]] = i, j
+                    filled[group - 1] += 1
+    return Groups(label, x, y, start)

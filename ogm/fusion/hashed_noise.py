@@ -1,0 +1,46 @@
+"""Random numbers without a generator: a hash of two numbers chooses from a table of normal quantiles.
+
+They are the same from run to run, for any order in which they are computed, and so for any number of threads.
+"""
+
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from ogm.jit import inline
+
+__all__ = ["NORMALS", "UNIT", "hashed", "index", "scan_key"]
+
+_BITS = 12  # of a hash that choose one number
+_SIZE = 1 << _BITS
+_QUANTILES = ndtri((np.arange(_SIZE) + 0.5) / _SIZE)
+NORMALS = (_QUANTILES / _QUANTILES.std()).astype(np.float32)  # mean 0, standard deviation 1
+UNIT = np.float32(1 / _SIZE)  # (index + 1/2) * UNIT is uniform in (0, 1)
+_LAST = np.uint64(_SIZE - 1)
+# SplitMix64: Steele, Lea and Flood, "Fast splittable pseudorandom number generators" (2014)
+_GOLDEN, _FIRST, _SECOND = (np.uint64(n) for n in (0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB))
+_S30, _S27, _S31 = np.uint64(30), np.uint64(27), np.uint64(31)
+_SHIFTS = np.uint64(0), np.uint64(_BITS), np.uint64(2 * _BITS), np.uint64(3 * _BITS), np.uint64(4 * _BITS)
+
+
+def _hashed(number: Any, key: Any) -> Any:
+    """Return 64 random bits of a number (uint64) and a key."""
+    z = (number + key) * _GOLDEN
+    z = (z ^ (z >> _S30)) * _FIRST
+    z = (z ^ (z >> _S27)) * _SECOND
+    return z ^ (z >> _S31)
+
+
+def _index(h: Any, k: int) -> Any:
+    """Return one of five indices of `NORMALS`, k from 0 to 4, that a hash holds."""
+    return (h >> _SHIFTS[k]) & _LAST
+
+
+hashed, index = inline(_hashed), inline(_index)
+
+
+def scan_key(seed: int, scan: int) -> np.uint64:
+    """Return the key of a scan's random numbers."""
+    words = np.array([seed % 2**64, scan], np.uint64)
+    return np.uint64(_hashed(words[1:], _hashed(words[:1], np.uint64(0)))[0])

@@ -1,0 +1,257 @@
+"""Velocities of moving objects, from groups of occupied cells matched with the occupied cells of earlier scans.
+
+The velocity of a group is that which takes its cells back to where cells were occupied before. Unlike the motion of
+single cells it sees the shape: the sides of a vehicle slide along themselves, its corners do not.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.fusion.distance import MAX_CAP, capped_distance
+from ogm.fusion.groups import Groups, find_groups
+from ogm.fusion.matching_kernels import MAX_CELLS, MatchNumbers, match_groups
+
+__all__ = ["MatchSettings", "Matches", "match_velocities"]
+
+
+@dataclass(frozen=True)
+class MatchSettings:
+    """Numbers of `match_velocities`.
+
+    Parameters
+    ----------
+    max_speed : float
+        Greatest speed that is searched [m/s].
+    link : float
+        Cells belong to one group if neither their rows nor their columns are further apart than this [m].
+    cap : float
+        Greatest distance to the nearest earlier cell that counts [m]: bounds the weight of cells that were not seen
+        before. Beyond 11 cells, 11 cells.
+    speed_cost : float
+        Distance added per speed [s], so that of two equal matches the slower is taken.
+    min_cells : int
+        Smaller groups are not matched.
+    max_cells : int
+        Of a greater group as many cells are matched, evenly chosen; at most 655.
+    min_gain : float
+        How much less the mean distance must be than that of standing still [m].
+    max_residual : float
+        Greatest mean distance of a match [m]; for a group of fewer than `sure_cells` cells it is less, by
+        sqrt(cells / sure_cells): few cells find something similar by chance.
+    sure_cells : int
+        See `max_residual`.
+    max_sigma : float
+        Greatest standard deviation of a match [m/s]: others are ambiguous.
+    margin : float
+        Earlier cells at most this far from a cell that is occupied now, and not by the group itself, are no match [m]:
+        what moves leaves its place.
+    spread : float
+        Scale of the covariance [m]: a velocity that costs spread / sqrt(cells) more than the least is less likely by a
+        factor of e.
+    sigma : float
+        Standard deviation of a match without any ambiguity [m/s].
+    gate, prior_scatter : float
+        A match lies within `gate` of the mean velocity that `prior` gives to a group, if those of its cells differ from
+        it by at most `prior_scatter` in the root mean square [m/s].
+
+    Raises
+    ------
+    ValueError
+        If a number is negative, NaN, or out of its range.
+    """
+
+    max_speed: float = 20.0
+    link: float = 0.8
+    cap: float = 0.48
+    speed_cost: float = 0.0016
+    min_cells: int = 5
+    max_cells: int = 512
+    min_gain: float = 0.032
+    max_residual: float = 0.24
+    sure_cells: int = 20
+    max_sigma: float = 0.5
+    margin: float = 0.16
+    spread: float = 0.04
+    sigma: float = 0.15
+    gate: float = 3.0
+    prior_scatter: float = 1.5
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not (math.isfinite(value) and value >= 0):
+                raise ValueError(f"{field.name} must be a number of 0 or more, got {value}")
+        for name in ("max_speed", "cap", "spread", "link", "sure_cells"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be greater than 0, got {getattr(self, name)}")
+        if not 1 <= self.min_cells <= self.max_cells <= MAX_CELLS:
+            raise ValueError(
+                f"1 <= min_cells <= max_cells <= {MAX_CELLS} must hold, got {self.min_cells} and {self.max_cells}"
+            )
+
+
+class Matches(NamedTuple):
+    """Velocities of groups of occupied cells.
+
+    Attributes
+    ----------
+    label : (nx, ny) int32
+        Number of the group that a cell belongs to, from 1 on; 0 for none. Group n is row n - 1 of the others.
+    velocity : (G, 2) float64
+        Over ground, along the grid's x and y [m/s].
+    covariance : (G, 2, 2) float64
+        Of the velocity [m²/s²]: great along a direction in which the shape looks the same when moved.
+    valid : (G,) bool
+        Whether the match is accepted; velocities of others mean nothing.
+    residual : (G,) float64
+        Mean distance of the cells, moved back, to earlier ones [m].
+    gain : (G,) float64
+        How much greater that distance is for standing still [m].
+    """
+
+    label: NDArray[np.int32]
+    velocity: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    residual: NDArray[np.float64]
+    gain: NDArray[np.float64]
+
+    @property
+    def sigma(self) -> NDArray[np.float64]:
+        """Standard deviation of the velocity, (G,): root mean square over directions [m/s]."""
+        return _sigma(self.covariance)
+
+
+def match_velocities(
+    occupied: NDArray[np.bool_],
+    candidates: NDArray[np.bool_],
+    earlier: Sequence[tuple[NDArray[np.bool_], float]],
+    resolution: float,
+    settings: MatchSettings | None = None,
+    prior: NDArray[np.floating] | None = None,
+) -> Matches:
+    """Return the velocities of groups of occupied cells.
+
+    For each group the velocity v is searched that minimises the cost
+
+        mean over cells p and earlier scans of min(distance of p - v age to occupied cells, cap) + speed_cost |v|
+
+    at all displacements by whole cells since the oldest scan; distances are interpolated between cells, and are the cap
+    where others are still occupied now. The result is the mean over the velocities near the least, see the notes.
+
+    Parameters
+    ----------
+    occupied : (nx, ny) bool
+        Cells that the scan measures as occupied.
+    candidates : (nx, ny) bool
+        Cells that may have moved: with belief in dynamic, or free before and occupied now. Groups without any are left
+        out.
+    earlier : sequence of ((nx, ny) bool, float)
+        Occupied cells of earlier scans on the same lattice in map coordinates, and their ages [s], above 0. Those
+        without an occupied cell do not count.
+    resolution : float
+        Side of a cell [m].
+    settings : MatchSettings, optional
+    prior : (nx, ny, 2) float array, optional
+        Velocity that is already known of a cell [m/s]; NaN where none or doubtful.
+
+    Returns
+    -------
+    Matches
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, or an age or the resolution is not above 0.
+
+    Notes
+    -----
+    Velocities are weighted by exp(-sqrt(cells) (cost - least cost) / spread). The result is the mean of those whose
+    displacement since the oldest scan differs from the best by at most two cells along x and y. The covariance is the
+    second moment about it of all velocities within `max_speed`, plus sigma² in every direction: large where two matches
+    are equally good, and along a wall.
+    """
+    settings = settings or MatchSettings()
+    masks = _checked(occupied, candidates, earlier, resolution)
+    cap = min(settings.cap / resolution, MAX_CAP)
+    link = max(int(settings.link / resolution + 1e-6), 1)
+    now = np.ascontiguousarray(occupied).view(np.uint8)
+    groups = find_groups(now, (occupied & candidates).view(np.uint8), link, settings.min_cells)
+    size = np.diff(groups.start)
+    count = len(size)
+    if not masks or not count:
+        no_match = np.full(count, np.nan)
+        covariance = np.full((count, 2, 2), np.nan)
+        return Matches(groups.label, np.zeros((count, 2)), covariance, np.zeros(count, bool), no_match, no_match)
+    ages = np.array([seconds for _, seconds in masks])
+    distance = np.empty((len(masks), *occupied.shape), np.uint8)
+    for (mask, _), out in zip(masks, distance, strict=True):
+        capped_distance(np.ascontiguousarray(mask).view(np.uint8), cap, out)
+    step = resolution / ages.max()
+    numbers = MatchNumbers(
+        max(int(settings.max_speed / step + 1e-6), 1),
+        step,
+        cap,
+        settings.speed_cost / resolution,
+        settings.spread / resolution,
+        settings.gate,
+        int(settings.margin / resolution + 1e-6),
+        settings.max_cells,
+    )
+    expected = _expected(groups, prior, settings)
+    velocity, covariance, cost = match_groups(now, groups, distance, ages / ages.max(), expected, numbers)
+    covariance += np.eye(2) * settings.sigma**2
+    residual, gain = cost[:, 0] * resolution, (cost[:, 1] - cost[:, 0]) * resolution
+    most = settings.max_residual * np.sqrt(np.minimum(size / settings.sure_cells, 1))
+    sigma = _sigma(covariance)
+    valid = (gain >= settings.min_gain) & (residual <= most) & (sigma <= settings.max_sigma)
+    return Matches(groups.label, velocity, covariance, valid, residual, gain)
+
+
+def _sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+
+
+def _checked(
+    occupied: NDArray[np.bool_],
+    candidates: NDArray[np.bool_],
+    earlier: Sequence[tuple[NDArray[np.bool_], float]],
+    resolution: float,
+) -> list[tuple[NDArray[np.bool_], float]]:
+    """Refuse what does not fit together; return the earlier scans that have an occupied cell."""
+    if not resolution > 0:
+        raise ValueError(f"resolution must be greater than 0 m, got {resolution}")
+    named = [("occupied", occupied), ("candidates", candidates), *(("an earlier mask", mask) for mask, _ in earlier)]
+    for name, mask in named:
+        if mask.dtype != bool or mask.shape != occupied.shape or mask.ndim != 2:
+            raise ValueError(f"{name} must be bool of shape {occupied.shape}, got {mask.dtype} of {mask.shape}")
+    for _, seconds in earlier:
+        if not 0 < seconds < math.inf:
+            raise ValueError(f"ages of earlier scans must be above 0 s, got {seconds}")
+    return [(mask, float(seconds)) for mask, seconds in earlier if mask.any()]
+
+
+def _expected(groups: Groups, prior: NDArray[np.floating] | None, settings: MatchSettings) -> NDArray[np.float64]:
+    """Return the mean velocity that is known of each group, (G, 2); NaN where few cells have one, or it scatters."""
+    size = np.diff(groups.start)
+    count = len(size)
+    if prior is None:
+        return np.full((count, 2), np.nan)
+    if prior.shape != (*groups.label.shape, 2):
+        raise ValueError(f"prior must have shape {(*groups.label.shape, 2)}, got {prior.shape}")
+    cells = np.nonzero(groups.label)
+    known, group = prior[cells].astype(np.float64), groups.label[cells] - 1
+    finite = np.isfinite(known).all(axis=1)
+    known, group = known[finite], group[finite]
+    number = np.bincount(group, minlength=count)
+    total = np.stack([np.bincount(group, known[:, axis], count) for axis in (0, 1)], axis=1)
+    mean: NDArray[np.float64] = total / np.maximum(number, 1)[:, None]
+    square = np.bincount(group, ((known - mean[group]) ** 2).sum(axis=1), count)
+    confident = (2 * number >= size) & (square <= settings.prior_scatter**2 * number)
+    mean[~confident] = np.nan
+    return mean

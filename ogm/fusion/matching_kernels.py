@@ -1,0 +1,247 @@
+"""Kernels that match groups of occupied cells with the occupied cells of earlier scans.
+
+The cost of a displacement is a sum over the cells of a group. A sum of values that are interpolated between cells is
+the interpolation of the sums at whole cells, so each group needs one table of sums per earlier scan, and the cost of
+any velocity is then read from the tables. The sums are of whole numbers: their order does not matter.
+"""
+
+# mypy: allow-untyped-defs
+from typing import NamedTuple
+
+import numpy as np
+
+from ogm.fusion.distance import LEVELS
+from ogm.jit import kernel, vector
+
+__all__ = ["MAX_CELLS", "MatchNumbers", "match_groups"]
+
+MAX_CELLS = 655  # of one group, so that sums of levels fit 16 bits
+NEAR = 2  # nodes around the best that make the mean
+FAR = np.float32(12.0)  # exponent beyond which a velocity has no share in the moments
+
+
+class MatchNumbers(NamedTuple):
+    """Numbers of a search, in cells and seconds.
+
+    Attributes
+    ----------
+    reach : int
+        Greatest displacement since the oldest scan [cells].
+    step : float
+        Speed of one cell since the oldest scan [m/s].
+    cap : float
+        Greatest distance that counts [cells].
+    speed_cost : float
+        Added per speed [cells / (m/s)].
+    spread : float
+        A velocity that costs spread / sqrt(cells) more than the least is e times less likely [cells].
+    gate : float
+        Greatest difference from the expected velocity [m/s].
+    margin : int
+        Cells that are still occupied by others now, and those within this of them, are no match [cells].
+    max_cells : int
+        Of a greater group as many cells are matched.
+    """
+
+    reach: int
+    step: float
+    cap: float
+    speed_cost: float
+    spread: float
+    gate: float
+    margin: int
+    max_cells: int
+
+
+@vector
+def _sum_levels(field, x, y, reach, out):
+    """Fill out[a, b] with the sum of the levels at cells (x + a - reach, y + b - reach)."""
+    width, side = field.shape[1], len(out)
+    flat, fours = field.reshape(-1), x.size - x.size % 4
+    for a in range(side):
+        line = out[a]
+        for b in range(side):
+            line[b] = 0
+        start = (a - reach) * width - reach
+        for k in range(0, fours, 4):
+            # Unsigned, so that no code for negative indices slows the loop down.
+            p, q = np.uint64(start + x[k] * width + y[k]), np.uint64(start + x[k + 1] * width + y[k + 1])
+            r, s = np.uint64(start + x[k + 2] * width + y[k + 2]), np.uint64(start + x[k + 3] * width + y[k + 3])
+            for b in range(np.uint64(side)):
+                two, others = np.uint16(flat[p + b]) + np.uint16(flat[q + b]), np.uint16(flat[r + b])
+                line[b] += two + others + np.uint16(flat[s + b])
+        for k in range(fours, x.size):
+            p = np.uint64(start + x[k] * width + y[k])
+            for b in range(np.uint64(side)):
+                line[b] += np.uint16(flat[p + b])
+
+
+@vector
+def _add_interpolated(sums, ratio, weight, total):
+    """Add the sums of a scan, at displacements of `ratio` times those of the oldest, to the cost of velocities."""
+    side, inner = len(total), len(sums) // 2
+    low, share = np.empty(side, np.int32), np.empty(side, np.float32)
+    for j in range(side):
+        at = inner + (j - side // 2) * ratio
+        low[j] = min(int(at), 2 * inner - 1)
+        share[j] = at - low[j]
+    columns = np.empty((len(sums), side), np.float32)
+    for a in range(len(sums)):
+        for j in range(side):
+            left, right = np.float32(sums[a, low[j]]), np.float32(sums[a, low[j] + 1])
+            columns[a, j] = weight * (left + share[j] * (right - left))
+    for i in range(side):
+        _add_between(columns[low[i]], columns[low[i] + 1], share[i], total[i])
+
+
+@vector
+def _add_between(lower, upper, share, out):
+    for j in range(out.size):
+        out[j] += lower[j] + share * (upper[j] - lower[j])
+
+
+@kernel
+def match_groups(occupied, groups, fields, ratios, expected, numbers):
+    """Find the velocity of least cost for each group.
+
+    Parameters
+    ----------
+    occupied : (nx, ny) uint8
+        0 or 1, now.
+    groups : Groups
+        Of these cells.
+    fields : (K, nx, ny) uint8
+        From `capped_distance`, for each earlier scan.
+    ratios : (K,) float64
+        Age of each scan over that of the oldest.
+    expected : (G, 2) float64
+        Velocity around which to search [m/s]; NaN where none.
+    numbers : MatchNumbers
+
+    Returns
+    -------
+    velocity : (G, 2) float64
+        [m/s]
+    covariance : (G, 2, 2) float64
+        Second moments about it [m²/s²].
+    cost : (G, 2) float64
+        Mean distance at this velocity and at 0 [cells], without the cost of speed.
+    """
+    count, R, step = len(groups.start) - 1, numbers.reach, numbers.step
+    side = 2 * R + 1
+    total, surcharge = np.empty((side, side), np.float32), np.empty((side, side), np.float32)
+    for i in range(side):
+        for j in range(side):
+            speed = step * np.sqrt((i - R) ** 2 + (j - R) ** 2)
+            surcharge[i, j] = numbers.speed_cost * speed if speed <= (R + 1e-6) * step else np.inf
+    nx, ny = occupied.shape
+    left = np.full((len(fields), nx + 2 * R, ny + 2 * R), np.uint8(LEVELS))  # with a border of R cells
+    left[:, R : R + nx, R : R + ny] = fields
+    now_x, now_y = np.nonzero(occupied)
+    _block_near(left, now_x, now_y, numbers.margin, R)  # what is still there has not moved
+    velocity, covariance = np.zeros((count, 2)), np.zeros((count, 2, 2))
+    cost = np.full((count, 2), numbers.cap)
+    for g in range(count):
+        x, y = groups.x[groups.start[g] : groups.start[g + 1]], groups.y[groups.start[g] : groups.start[g + 1]]
+        _restore_near(left, fields, x, y, numbers.margin, R)
+        few_x, few_y = _some(x, numbers.max_cells) + R, _some(y, numbers.max_cells) + R
+        total[:] = 0
+        weight = np.float32(numbers.cap / (LEVELS * len(few_x) * len(fields)))
+        for k in range(len(fields)):
+            reach = int(np.ceil(R * ratios[k] - 1e-9))
+            sums = np.empty((2 * reach + 1, 2 * reach + 1), np.uint16)
+            _sum_levels(left[k], few_x, few_y, reach, sums)
+            _add_interpolated(sums, ratios[k], weight, total)
+        _block_near(left, x, y, numbers.margin, R)
+        cost[g, 1] = total[R, R]
+        p, q = _least(total, surcharge, expected[g], numbers)
+        cost[g, 0] = total[p, q]
+        mean = _moments(total, surcharge, (p, q), np.sqrt(len(x)) / numbers.spread, covariance[g])
+        velocity[g] = -step * (p - R + mean[0]), -step * (q - R + mean[1])  # displacements are back in time
+        covariance[g] *= step * step
+    return velocity, covariance, cost
+
+
+@kernel
+def _block_near(left, x, y, margin, border):
+    """Set the cap at cells, and at those within `margin` of them."""
+    nx, ny = left.shape[1] - 2 * border, left.shape[2] - 2 * border
+    for k in range(len(left)):
+        for n in range(len(x)):
+            for i in range(max(x[n] - margin, 0), min(x[n] + margin + 1, nx)):
+                for j in range(max(y[n] - margin, 0), min(y[n] + margin + 1, ny)):
+                    left[k, i + border, j + border] = LEVELS
+
+
+@kernel
+def _restore_near(left, fields, x, y, margin, border):
+    """Set the distances again at cells, and at those within `margin` of them."""
+    nx, ny = fields.shape[1:]
+    for k in range(len(left)):
+        for n in range(len(x)):
+            for i in range(max(x[n] - margin, 0), min(x[n] + margin + 1, nx)):
+                for j in range(max(y[n] - margin, 0), min(y[n] + margin + 1, ny)):
+                    left[k, i + border, j + border] = fields[k, i, j]
+
+
+@kernel
+def _some(values, most):
+    """Return at most so many of the values, evenly chosen."""
+    if len(values) <= most:
+        return values
+    some = np.empty(most, values.dtype)
+    for n in range(most):
+        some[n] = values[n * len(values) // most]
+    return some
+
+
+@kernel
+def _least(total, surcharge, expected, numbers):
+    """Return the node of least cost, within `gate` of the expected velocity if there is one."""
+    R, step = numbers.reach, numbers.step
+    gated = np.isfinite(expected[0]) and np.isfinite(expected[1])
+    least, p, q = np.inf, R, R
+    for i in range(len(total)):
+        for j in range(len(total)):
+            value = total[i, j] + surcharge[i, j]
+            if value < least:
+                if gated and np.hypot(step * (R - i) - expected[0], step * (R - j) - expected[1]) > numbers.gate:
+                    continue
+                least, p, q = value, i, j
+    return p, q
+
+
+@vector
+def _moments(total, surcharge, best, sharpness, out):
+    """Return the weighted mean near the best node, relative to it; fill `out` (2, 2) with the moments about the mean.
+
+    Weights are exp(-sharpness excess). Of the mean nodes within `NEAR` count, of the moments [nodes²] all.
+    """
+    side = len(total)
+    p, q = best
+    least = total[p, q] + surcharge[p, q]
+    scale, limit = np.float32(sharpness), FAR / np.float32(sharpness)
+    weights = x = y = xx = xy = yy = 0.0
+    near = near_x = near_y = 0.0
+    for i in range(side):
+        for j in range(side):
+            excess = total[i, j] + surcharge[i, j] - least
+            if excess < limit:
+                weight = np.exp(-scale * max(excess, np.float32(0)))
+                a, b = i - p, j - q
+                weights += weight
+                x += weight * a
+                y += weight * b
+                xx += weight * a * a
+                xy += weight * a * b
+                yy += weight * b * b
+                if abs(a) <= NEAR and abs(b) <= NEAR:
+                    near += weight
+                    near_x += weight * a
+                    near_y += weight * b
+    u, v = near_x / near, near_y / near
+    x, y = x / weights, y / weights
+    out[0, 0] = xx / weights - 2 * u * x + u * u
+    out[0, 1] = out[1, 0] = xy / weights - u * y - v * x + u * v
+    out[1, 1] = yy / weights - 2 * v * y + v * v
+    return u, v

@@ -1,0 +1,82 @@
+"""Kernels that find the moving cells of a grid, and join them to groups. Nothing is checked here."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.jit import kernel
+
+__all__ = ["join_cells", "moving_cells"]
+
+
+@kernel
+def moving_cells(mass: NDArray, velocity: NDArray, dynamic: float, share: float, speed: float) -> NDArray:
+    """Return the indices of the moving cells, (K, 2) int64, row by row."""
+    nx, ny = mass.shape[:2]
+    found = np.empty((nx * ny, 2), np.int64)
+    count = 0
+    for i in range(nx):
+        for j in range(ny):
+            d = mass[i, j, 2]
+            if d < dynamic or d <= 0 or d < share * (d + mass[i, j, 1]):
+                continue
+            vx, vy = velocity[i, j, 0], velocity[i, j, 1]
+            if vx * vx + vy * vy >= speed * speed:  # false for NaN
+                found[count, 0], found[count, 1] = i, j
+                count += 1
+    return found[:count].copy()
+
+
+@kernel
+def join_cells(cells: NDArray, velocity: NDArray, place: NDArray, reach: int, gate: tuple[float, float]) -> NDArray:
+    """Return the number of the group of each cell, (K,) int64, in the order of their first cells.
+
+    Sets are joined by union and find: the root of a set is its first cell.
+
+    Parameters
+    ----------
+    cells : (K, 2) int64
+        Sorted row by row.
+    velocity : (nx, ny, 2) float32
+        [m/s], finite in the cells.
+    place : (nx, ny) int32
+        Zeros; holds 1 + the place in `cells` afterwards.
+    reach : int
+        Distance along each axis up to which cells are neighbours [cells].
+    gate : (float, float)
+        Greatest difference of the velocities of neighbours [m/s], plus its growth with the greater speed.
+    """
+    count = len(cells)
+    root = np.arange(count)
+    for k in range(count):
+        i, j = cells[k]
+        place[i, j] = k + 1
+        vx, vy = velocity[i, j, 0], velocity[i, j, 1]
+        for a in range(max(i - reach, 0), i + 1):
+            for b in range(max(j - reach, 0), min(j + reach + 1, place.shape[1])):
+                other = place[a, b] - 1
+                if other < 0 or other == k:
+                    continue
+                ux, uy = velocity[a, b, 0], velocity[a, b, 1]
+                limit = gate[0] + gate[1] * np.sqrt(max(vx * vx + vy * vy, ux * ux + uy * uy))
+                if (vx - ux) ** 2 + (vy - uy) ** 2 > limit * limit:
+                    continue
+                p, q = _root(root, k), _root(root, other)
+                root[max(p, q)] = min(p, q)
+    number = np.empty(count, np.int64)
+    groups = 0
+    for k in range(count):
+        first = _root(root, k)
+        if first == k:
+            number[k] = groups
+            groups += 1
+        else:
+            number[k] = number[first]
+    return number
+
+
+@kernel
+def _root(root: NDArray, k: int) -> int:
+    while root[k] != k:
+        root[k] = root[root[k]]
+        k = root[k]
+    return k

@@ -1,0 +1,239 @@
+"""Stable numbers, velocities and turn rates of objects over time: one Kalman filter per object."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from ogm.fusion.arcs import arc, integrated_noise
+from ogm.fusion.objects import Objects
+from ogm.fusion.registration import import_package
+
+__all__ = ["ObjectTracker", "TrackerSettings"]
+
+_TOLERANCE = 1e-3  # [s] by which a stamp may lie before the last one; it then counts as equal
+_MAX_TRACKS = 1000  # beyond it the lightest new objects get no track
+
+
+class TrackerSettings(NamedTuple):
+    """How objects of successive scans are associated and filtered.
+
+    Attributes
+    ----------
+    position_deviation, relative_deviation : float
+        Of the centre of an object's visible cells [m]: the first plus the second times the length of its box.
+    correlation : float
+        Factor on the standard deviation of measured velocities, since those of successive scans depend on each other.
+    acceleration : float
+        By how much a velocity changes within a second, 1 sigma along each axis [m/s²]; the change grows with the root
+        of time.
+    turn_deviation, turn_acceleration : float
+        Of turn rates before a measurement [rad/s], and by how much they change within a second [rad/s²].
+    max_turn : float
+        Bound of turn rates [rad/s].
+    gate : float
+        Greatest squared Mahalanobis distance of position and velocity from the prediction.
+    confirm : (int, int)
+        A track is confirmed once it was found in M of its last N scans.
+    min_speed, min_significance : float
+        Of the filtered velocity of an object that is being confirmed [m/s], and its Mahalanobis distance from 0.
+    max_missed : int
+        A track ends when it was missed in more scans in a row.
+    """
+
+    position_deviation: float = 0.3
+    relative_deviation: float = 0.1
+    correlation: float = 1.5
+    acceleration: float = 1.0
+    turn_deviation: float = 0.3
+    turn_acceleration: float = 0.3
+    max_turn: float = 1.5
+    gate: float = 20.0
+    confirm: tuple[int, int] = (3, 5)
+    min_speed: float = 0.5
+    min_significance: float = 2.0
+    max_missed: int = 5
+
+
+class ObjectTracker:
+    """Follows moving objects from scan to scan.
+
+    The velocity of an object is constant, or turns at a constant rate. Position and velocity are filtered together, the
+    direction of the velocity and its rate by a second filter (filterpy). Objects are associated with tracks by the
+    least sum of Mahalanobis distances. Nothing is random: the same objects give the same numbers.
+
+    Parameters
+    ----------
+    settings : TrackerSettings, optional
+
+    Raises
+    ------
+    ImportError
+        If filterpy is not there.
+    """
+
+    def __init__(self, settings: TrackerSettings | None = None) -> None:
+        self.settings = TrackerSettings() if settings is None else settings
+        self._kalman = import_package("filterpy.kalman")
+        self.reset()
+
+    def __repr__(self) -> str:
+        confirmed = sum(bool(track.number) for track in self._tracks)
+        return f"ObjectTracker({confirmed} confirmed of {len(self._tracks)} tracks)"
+
+    def __len__(self) -> int:
+        return len(self._tracks)
+
+    def reset(self) -> None:
+        """End all tracks; numbers start again at 1."""
+        self._tracks: list[_Track] = []
+        self._next = 1
+        self.stamp: float | None = None
+
+    def update(self, objects: Objects, stamp: float) -> Objects:
+        """Take in the objects of a scan, and return them with track numbers, turn rates and filtered velocities.
+
+        Parameters
+        ----------
+        objects : Objects
+            In map coordinates.
+        stamp : float
+            Of the scan [s], not before the last one.
+
+        Returns
+        -------
+        Objects
+            The same, in the same order. `boxes.track` is the number of a confirmed track, "" of others. The velocity of
+            a box, its covariance and the turn rate are those of the track. Tracks that were missed are not among them.
+
+        Raises
+        ------
+        ValueError
+            If the stamp is not finite, or before the last one.
+        """
+        elapsed = 0.0 if self.stamp is None else stamp - self.stamp
+        if not -_TOLERANCE <= elapsed < math.inf:
+            raise ValueError(f"stamp must be finite and not before the last one, {self.stamp} s, got {stamp} s")
+        elapsed, self.stamp = max(elapsed, 0.0), stamp
+        for track in self._tracks:
+            track.predict(elapsed)
+        z, R = self._measured(objects)
+        of_object = self._associated(z, R)
+        for t, track in enumerate(self._tracks):
+            track.found.append(t in of_object)
+        found: list[_Track | None] = [self._tracks[t] if t >= 0 else None for t in of_object]
+        for k, t in enumerate(of_object):
+            if t >= 0:
+                self._tracks[t].update(z[k], R[k])
+        self._tracks = [track for track in self._tracks if track.missed <= self.settings.max_missed]
+        for k in np.argsort(-objects.mass, kind="stable"):
+            if found[k] is None and len(self._tracks) < _MAX_TRACKS:
+                found[k] = _Track(self._kalman, z[k], R[k], self.settings)
+                self._tracks.append(found[k])
+        for one in found:
+            if one is not None and one.confirms():
+                one.number, self._next = str(self._next), self._next + 1
+        return _with_tracks(objects, found)
+
+    def _measured(self, objects: Objects) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return position and velocity of each object (B, 4), and their covariances (B, 4, 4)."""
+        boxes = objects.boxes
+        deviation = self.settings.position_deviation + self.settings.relative_deviation * boxes.size[:, 0]
+        R = np.zeros((len(boxes), 4, 4))
+        R[:, [0, 1], [0, 1]] = deviation[:, None] ** 2
+        R[:, 2:, 2:] = self.settings.correlation**2 * objects.covariance
+        return np.concatenate([boxes.center[:, :2], objects.velocity], axis=1), R
+
+    def _associated(self, z: NDArray[np.float64], R: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the place of the track of each object, (B,); -1 where none is inside the gate.
+
+        The cost of a pair is twice its negative log-likelihood, without constants.
+        """
+        of_object = np.full(len(z), -1)
+        if not self._tracks or not len(z):
+            return of_object
+        x, P = (np.stack([getattr(track.motion, name) for track in self._tracks]) for name in ("x", "P"))
+        away = z - x[:, None]  # (T, B, 4)
+        S = P[:, None] + R
+        distance = np.sum(away * np.linalg.solve(S, away[..., None])[..., 0], axis=-1)
+        inside = distance <= self.settings.gate
+        size = np.linalg.slogdet(S)[1]
+        size -= size.min()
+        none = self.settings.gate + size.max()  # the cost of no pair, which no pair inside the gate exceeds
+        tracks, objects = linear_sum_assignment(np.where(inside, distance + size, none))
+        good = inside[tracks, objects]
+        of_object[objects[good]] = tracks[good]
+        return of_object
+
+
+class _Track:
+    """One object over time."""
+
+    def __init__(self, kalman: Any, z: NDArray[np.float64], R: NDArray[np.float64], settings: TrackerSettings) -> None:
+        self.settings = settings
+        self.number = ""
+        self.found = deque([True], maxlen=max(settings.confirm[1], settings.max_missed + 1))
+        self.motion = kalman.KalmanFilter(4, 4)  # x, y, and their velocities
+        self.motion.x, self.motion.P, self.motion.H = z.copy(), R.copy(), np.eye(4)
+        self.turn = kalman.KalmanFilter(2, 1)  # direction of the velocity, which goes on beyond pi, and its rate
+        heading, variance = _heading(z[2:], R[2:, 2:])
+        self.turn.x, self.turn.H = np.array([heading, 0.0]), np.array([[1.0, 0.0]])
+        self.turn.P = np.diag([variance, settings.turn_deviation**2])
+
+    @property
+    def missed(self) -> int:
+        """Number of scans since the object was found."""
+        return next((k for k, found in enumerate(reversed(self.found)) if found), len(self.found))
+
+    @property
+    def turn_rate(self) -> float:
+        """Of the velocity's direction [rad/s]."""
+        return float(np.clip(self.turn.x[1], -self.settings.max_turn, self.settings.max_turn))
+
+    def confirms(self) -> bool:
+        """Return whether the object gets a number now."""
+        if self.number or sum(list(self.found)[-self.settings.confirm[1] :]) < self.settings.confirm[0]:
+            return False
+        v, P = self.motion.x[2:], self.motion.P[2:, 2:]
+        far = float(v @ np.linalg.solve(P, v)) >= self.settings.min_significance**2
+        return far and math.hypot(*v) >= self.settings.min_speed
+
+    def predict(self, dt: float) -> None:
+        """Move on by `dt` [s]: along an arc at the present turn rate."""
+        settings, turn = self.settings, self.turn_rate
+        F = np.eye(4)
+        F[:2, 2:], F[2:, 2:] = arc(turn, dt)
+        self.motion.predict(F=F, Q=settings.acceleration**2 * np.kron(integrated_noise(dt), np.eye(2)))
+        F = np.array([[1.0, dt], [0.0, 1.0]])
+        self.turn.predict(F=F, Q=settings.turn_acceleration**2 * integrated_noise(dt))
+
+    def update(self, z: NDArray[np.float64], R: NDArray[np.float64]) -> None:
+        """Take in a position and a velocity."""
+        self.motion.update(z, R)
+        heading, variance = _heading(z[2:], R[2:, 2:])
+        heading -= 2 * math.pi * round((heading - self.turn.x[0]) / (2 * math.pi))  # of all equivalent, the nearest
+        self.turn.update(heading, variance)
+
+
+def _heading(velocity: NDArray[np.float64], covariance: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the direction of a velocity [rad] and its variance: to first order, that across over the squared speed."""
+    vx, vy = velocity
+    squared = max(vx * vx + vy * vy, 1e-6)
+    across = np.array([-vy, vx]) / math.sqrt(squared)
+    return math.atan2(vy, vx), float(across @ covariance @ across) / squared
+
+
+def _with_tracks(objects: Objects, tracks: Sequence[_Track | None]) -> Objects:
+    """Return objects with the numbers, velocities and turn rates of their tracks."""
+    names, velocity = [track.number if track else "" for track in tracks], objects.velocity.copy()
+    covariance, turn_rate = objects.covariance.copy(), objects.turn_rate.copy()
+    for k, track in enumerate(tracks):
+        if track is not None:
+            velocity[k], covariance[k], turn_rate[k] = track.motion.x[2:], track.motion.P[2:, 2:], track.turn_rate
+    boxes = replace(objects.boxes, velocity=velocity, track=names)
+    return replace(objects, boxes=boxes, covariance=covariance, turn_rate=turn_rate)

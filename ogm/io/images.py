@@ -1,0 +1,49 @@
+"""Images of files: opened by the decoders that are allowed, and refused by their size before they are decoded."""
+
+import os
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from ogm.files import OgmError
+from ogm.limits import current_limits, too_large
+
+__all__ = ["open_image"]
+
+_BYTES = {"1": 1, "L": 1, "P": 1, "LA": 2, "PA": 2, "I;16": 2, "RGB": 4, "I": 4, "F": 4}  # of a pixel in Pillow, else 4
+
+
+@contextmanager
+def open_image(path: str | os.PathLike[str], formats: Sequence[str] = ("PNG",)) -> Iterator[Any]:
+    """Open an image for a ``with`` block, in which it may be decoded: errors of the block are those of the file.
+
+    Parameters
+    ----------
+    path : path
+    formats : sequence of str
+        Decoders of Pillow that may be used, whatever the file begins with: others start programs (EPS), or hold
+        several pictures.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    OgmError
+        If it is damaged, of another format, or has more pixels than the limit for images (`ogm.limits.MemoryLimits`).
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path, formats=tuple(formats)) as image:
+            size = image.width * image.height * _BYTES.get(image.mode, 4)
+            if size > current_limits().image:
+                raise too_large(path, size, "image")
+            yield image
+    except (OgmError, FileNotFoundError, PermissionError, IsADirectoryError):
+        raise
+    except (OSError, SyntaxError, ValueError, EOFError, ArithmeticError, LookupError, TypeError, struct.error) as error:
+        text = str(error).replace(str(path), "it") or type(error).__name__
+        raise OgmError(f"{path} is damaged or no image ({text}), wanted {', '.join(formats)}") from error
+    except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # of PIL.Image.MAX_IMAGE_PIXELS
+        raise OgmError(f"{path} is damaged or no image that Pillow decodes: {error}") from error

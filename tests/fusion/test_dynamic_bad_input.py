@@ -1,0 +1,198 @@
+"""What the dynamic map refuses, and what it does with scans out of order; see `test_mapper_bad_input.py`, too."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ogm.fusion import DynamicMapper, DynamicSettings
+from ogm.fusion.scan_history import ScanHistory
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import pose
+
+SPEC = GridSpec.centered(length=12.8, width=9.6, resolution=0.2)
+
+
+def scan(free: float = 0.6, occupied: float = 0.02, block: int | None = None) -> EvidentialGrid:
+    """Return a uniform scan, with a block of occupied cells from some row on."""
+    mass = np.full((*SPEC.shape, 2), (free, occupied), np.float32)
+    if block is not None:
+        mass[block : block + 10, 20:28] = (0.05, 0.8)
+    return EvidentialGrid(SPEC, mass)
+
+
+def arrays(mapper: DynamicMapper) -> list[np.ndarray]:
+    p, grid = mapper._particles, mapper.dynamic_grid
+    return [grid.mass, grid.velocity, grid.covariance, *(one[: p.start[-1]].copy() for one in p[:4]), p.start.copy()]
+
+
+@pytest.mark.parametrize("particles", [0, -5, 2**25 + 1, 10**15, 1.5, math.nan, math.inf])
+def test_a_number_of_particles_that_cannot_be_is_refused_before_memory_is_taken(particles):
+    with pytest.raises(ValueError, match="particles must be a whole number from 1 to 33554432"):
+        DynamicMapper(SPEC, particles)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"filter": "sorted"}, "filter must be one of hybrid, nuss, got 'sorted'"),
+        ({"window": "sliding"}, "window must be one of rolling, fixed"),
+        ({"threads": 0}, "threads must be a whole number of at least 1, got 0"),
+        ({"max_speed": -1.0}, "max_speed"),
+        ({"max_delay": -1.0}, "max_delay"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        DynamicMapper(SPEC, 10, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("free_half_life", 0.0, "greater than 0 s"),
+        ("static_half_life", math.nan, "greater than 0 s"),
+        ("dynamic_half_life", -1.0, "greater than 0 s"),
+        ("birth_rate", -0.1, "0 or more and finite"),
+        ("to_dynamic_rate", math.inf, "0 or more and finite"),
+        ("velocity_noise", math.nan, "0 or more and finite"),
+        ("static_share", 1.1, r"in \[0, 1\]"),
+        ("association", -0.1, r"in \[0, 1\]"),
+        ("min_unknown", 1.0, r"in \[0, 1\)"),
+        ("conflict_half_life", -1.0, "0 s or more"),
+    ],
+)
+def test_settings_out_of_range_are_refused(name, value, words):
+    with pytest.raises(ValueError, match=f"{name} must be {words}"):
+        DynamicSettings(**{name: value})
+
+
+def test_an_error_in_the_middle_of_an_update_changes_nothing():
+    mapper = DynamicMapper(SPEC, 2000)
+    for k in range(4):
+        mapper.update(scan(block=10 + k), pose(0.1 * k), stamp=0.1 * k)
+    before, spec, history = arrays(mapper), mapper.spec, len(mapper._history._scans)
+    slot = mapper._measured_velocities
+
+    def fail(*_):
+        raise RuntimeError("no velocities")
+
+    mapper._measured_velocities = fail
+    with pytest.raises(RuntimeError, match="no velocities"):
+        mapper.update(scan(block=14), pose(0.7), stamp=0.4)
+    for a, b in zip(before, arrays(mapper), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert (mapper.spec, mapper.scans, len(mapper._history._scans)) == (spec, 4, history)
+    mapper._measured_velocities = slot
+    untouched = DynamicMapper(SPEC, 2000)
+    for k in range(4):
+        untouched.update(scan(block=10 + k), pose(0.1 * k), stamp=0.1 * k)
+    for one in (mapper, untouched):
+        one.update(scan(block=14), pose(0.7), stamp=0.4)
+    for a, b in zip(arrays(untouched), arrays(mapper), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("filter", ["hybrid", "nuss"])
+def test_a_late_scan_moves_no_particle_and_no_dynamic_mass(filter):
+    mapper = DynamicMapper(SPEC, 5000, filter=filter)
+    for k in range(12):
+        mapper.update(scan(block=10 + 3 * k), np.eye(4), stamp=0.1 * k)
+    before, particles = mapper.dynamic_grid, arrays(mapper)[3:]
+    late = np.zeros((*SPEC.shape, 2), np.float32)
+    late[:, 40:] = (0.1, 0.8)  # occupied where there was nothing
+    late[:, 20:28] = (0.9, 0.0)  # free where something drives
+    mapper.update(EvidentialGrid(SPEC, late), np.eye(4), stamp=1.0)
+    after = mapper.dynamic_grid
+    np.testing.assert_array_equal(after.dynamic, before.dynamic)
+    for a, b in zip(particles, arrays(mapper)[3:], strict=True):
+        np.testing.assert_array_equal(a, b)
+    moving = before.dynamic > np.maximum(before.static, before.free)
+    assert moving.sum() > 20
+    np.testing.assert_array_equal(after.mass[moving], before.mass[moving])
+    assert after.mass.sum(axis=-1).max() <= 0.98 + 1e-6
+    empty = (slice(None), slice(41, None))
+    assert (after.static[empty] > before.static[empty]).all() == (filter == "hybrid")
+    assert (after.free[empty] < before.free[empty]).all()
+    assert mapper.stamp == 1.1
+    mapper.update(scan(block=46), np.eye(4), stamp=1.2)
+
+
+def test_a_repeated_stamp_moves_and_ages_nothing():
+    mapper = DynamicMapper(SPEC, 5000)
+    for k in range(8):
+        mapper.update(scan(block=10 + 3 * k), np.eye(4), stamp=0.1 * k)
+    before = mapper.dynamic_grid
+    mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=0.7)
+    after = mapper.dynamic_grid
+    np.testing.assert_allclose(after.free, before.free, atol=2e-3)
+    np.testing.assert_allclose(after.static, before.static, atol=2e-3)
+    np.testing.assert_allclose(after.dynamic, before.dynamic, atol=2e-3)
+
+
+def test_a_long_gap_leaves_an_unknown_map_and_no_errors(caplog):
+    mapper = DynamicMapper(SPEC, 1000)
+    mapper.update(scan(block=10), np.eye(4), stamp=0.0)
+    mapper.update(EvidentialGrid.vacuous(SPEC), np.eye(4), stamp=3600.0)
+    assert "no scan for 3600.0 s" in caplog.text
+    assert mapper.dynamic_grid.unknown.min() > 0.99
+    mapper.update(scan(block=10), np.eye(4), stamp=3600.1)
+    assert mapper.grid.occupied[12, 24] > 0.7
+
+
+def test_scans_without_anything_occupied_give_a_map_without_particles():
+    mapper = DynamicMapper(SPEC, 1000)
+    for k in range(3):
+        mapper.update(scan(0.6, 0.0), pose(0.1 * k), stamp=0.1 * k)
+    assert mapper._particles.start[-1] == 0
+    assert np.isnan(mapper.dynamic_grid.velocity).all()
+    mapper.update(scan(block=10), pose(0.3), stamp=0.3)
+    assert abs(mapper._particles.start[-1] - 1000) <= 1
+
+
+def test_reset_begins_a_new_map():
+    mapper, fresh = DynamicMapper(SPEC, 1000), DynamicMapper(SPEC, 1000)
+    for k in range(5):
+        mapper.update(scan(block=10 + k), pose(0.3 * k), stamp=0.1 * k)
+    mapper.reset()
+    assert mapper.scans == 0
+    assert mapper.stamp is None
+    assert mapper.dynamic_grid.mass.max() == 0
+    for one in (mapper, fresh):
+        for k in range(4):
+            one.update(scan(block=10 + k), pose(500.0), stamp=9.0 + 0.1 * k)
+    for a, b in zip(arrays(fresh), arrays(mapper), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_particles_that_leave_the_window_die_and_new_cells_are_unknown():
+    mapper = DynamicMapper(SPEC, 1000, max_speed=math.inf)
+    mapper.update(scan(block=10), np.eye(4), stamp=0.0)
+    mapper.update(EvidentialGrid.vacuous(SPEC), pose(100.0), stamp=0.1)
+    assert mapper._predicted.start[-1] == 0
+    assert mapper.dynamic_grid.unknown.min() == 1
+
+
+def test_positions_keep_their_precision_far_from_the_origin():
+    results = []
+    for far in (0.0, 1e7 * 0.2):
+        mapper = DynamicMapper(SPEC, 2000)
+        for k in range(6):
+            mapper.update(scan(block=10 + k), pose(far + 0.4 * k), stamp=0.1 * k)
+        results.append(arrays(mapper))
+    for a, b in zip(*results, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-4)
+
+
+def test_earlier_scans_are_aligned_and_chosen_by_age():
+    history = ScanHistory(0.6, 0.04)
+    for k in range(8):
+        mask = np.zeros((6, 4), bool)
+        mask[5 - k % 4, 2] = True  # stays in its place while the window moves on
+        history.add(0.1 * k, (k % 4, 0), mask)
+    found = history.earlier(0.8, (2, 1), (0.2, 0.4))
+    assert [round(age, 6) for _, age in found] == [0.4, 0.2]
+    for mask, _ in found:
+        np.testing.assert_array_equal(np.argwhere(mask), [[3, 1]])
+    assert history.earlier(0.0, (0, 0), (0.2, 0.4)) == []
+    assert not history.earlier(0.8, (50, 0), (0.2,))[0][0].any()
