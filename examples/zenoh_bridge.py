@@ -20,7 +20,7 @@ from ogm import Frame, GridSpec, Mount
 from ogm.fusion import EvidentialMapper, FusionStep, rolling_window
 from ogm.geometric import RayISM
 from ogm.io.messages import occupancy_grid, scan_from_point_cloud2, transforms_from_tf
-from ogm.io.transforms import ExtrapolationError, TransformBuffer
+from ogm.io.transforms import TransformBuffer, TransformError
 from ogm.live import LiveReport, serve, warm_up
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
@@ -47,8 +47,8 @@ def frames(session: zenoh.Session, mount: Mount, map_frame: str, stop: Event) ->
                         transforms.add(transform, static=subscriber is tf_static)
             try:
                 return transforms.lookup(map_frame, cloud.header.frame_id.lstrip("/"), stamp)
-            except ExtrapolationError as error:
-                if error.seconds <= 0 or time.monotonic() > until:
+            except TransformError as error:  # a frame may not be announced yet; the past does not come again
+                if getattr(error, "seconds", 1.0) <= 0 or time.monotonic() > until:
                     raise
             time.sleep(0.002)
 
