@@ -1,10 +1,12 @@
-"""How fast is the deep model, and where does the time go? Against the bare convolutions, in one run on two cores.
+"""How fast is the deep model, by which engine, and where does the time go? In one run on two cores.
 
     python benchmarks/deep_speed.py [--data FOLDER] [--rounds N] [--quick]
 
 One scan of 57,600 points (as many rays as a VLP-32C turn of 0.2 degrees has), drawn at random from the shipped road
-scan, goes through both networks. Writes benchmarks/results/deep_speed.json and docs/pictures/deep_speed.png. With a
-data set it also counts the augmented frames that one process prepares per second.
+scan, goes through both networks, by torch and against their bare convolutions, and through the shipped one by every
+engine that is installed. New processes time loading: from the first import to the first grid. Writes
+benchmarks/results/deep_speed.json and docs/pictures/deep_speed.png. With a data set it also counts the augmented frames
+that one process prepares per second.
 """
 
 # ruff: noqa: E402
@@ -16,9 +18,13 @@ import _run as bench
 
 # isort: split
 import argparse
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Mapping
 from importlib.resources import as_file, files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +43,23 @@ from ogm.geometric import HeightBandISM, RayISM
 
 SPEC = GridSpec.centered(length=81.92, width=56.32, resolution=0.16)
 POINTS, MOUNT = 57_600, Mount(1.98)
+ENGINES = {
+    "lite by onnxruntime": {"engine": "onnxruntime", "threads": bench.CORES},
+    "lite by torch": {"engine": "torch"},
+    "lite by openvino": {"engine": "openvino", "threads": bench.CORES},
+    "lite by openvino, bfloat16": {"engine": "openvino", "threads": bench.CORES, "precision": "bfloat16"},
+    "lite by torch, bfloat16": {"engine": "torch", "precision": "bfloat16"},
+}
+LOADING = """
+import time
+start = time.perf_counter()
+import sys
+import numpy as np
+import ogm
+from ogm.deep import DeepISM
+DeepISM.load("lite", mount=ogm.Mount(1.98), engine=sys.argv[1])(np.load(sys.argv[2]))
+print(time.perf_counter() - start, time.process_time())
+"""
 NOTE = "Both networks have random weights. 'convolutions' run alone, each on its input within the network."
 
 
@@ -83,7 +106,7 @@ def contenders(points: np.ndarray) -> tuple[dict[str, bench.Contender], dict[str
     operations = {}
     for name, config in (("lite", LITE), ("paper", PAPER)):
         ism = DeepISM(PillarNetwork(config, SPEC), mount=MOUNT)
-        network, pillars = ism.network, pillarize(raised, SPEC, config.z_range)
+        network, pillars = ism.engine.network, pillarize(raised, SPEC, config.z_range)
         feature_map = network.feature_map(pillars)
         bare, operations[name] = convolutions(network, feature_map)
         runs |= {
@@ -92,9 +115,44 @@ def contenders(points: np.ndarray) -> tuple[dict[str, bench.Contender], dict[str
             f"{name}, feature map to evidence": lambda n=network, x=feature_map: n.evidence(x),
             f"{name}, convolutions": bare,
         }
+    runs |= {name: lambda ism=ism: ism(points) for name, ism in engines().items()}
     for model in (RayISM(SPEC, MOUNT), HeightBandISM(SPEC, MOUNT)):
         runs[type(model).__name__] = lambda model=model: model(points)
     return {name: bench.Contender(lambda _, run=run: run()) for name, run in runs.items()}, operations
+
+
+def engines() -> dict[str, DeepISM]:
+    """Return the shipped model by every engine that is installed."""
+    found = {name: options for name, options in ENGINES.items() if find_spec(str(options["engine"]))}
+    return {name: DeepISM.load("lite", mount=MOUNT, **options) for name, options in found.items()}
+
+
+def differences(points: np.ndarray) -> dict[str, dict[str, float]]:
+    """Return how far each engine's masses lie from torch's in float32."""
+    masses = {name: ism(points).mass for name, ism in engines().items()}
+    errors = {name: np.abs(mass - masses["lite by torch"]) for name, mass in masses.items()}
+    return {name: {"largest": float(e.max()), "mean": float(e.mean())} for name, e in errors.items()}
+
+
+def starting(points: np.ndarray, count: int) -> dict[str, dict[str, float]]:
+    """Return the seconds from the first import to the first grid, of new processes: the best and the median of some."""
+    result = {}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "points.npy"
+        np.save(path, points)
+        for engine in ("onnxruntime", "torch"):
+            command = [sys.executable, "-c", LOADING, engine, str(path)]
+            rows = [
+                [float(word) for word in subprocess.run(command, capture_output=True, check=True).stdout.split()]
+                for _ in range(count + 1)
+            ][1:]  # the first fills the caches
+            wall, core = np.array(rows).T
+            result[engine] = {
+                "best [s]": float(min(wall)),
+                "median [s]": float(np.median(wall)),
+                "best on the cores [s]": float(min(core)),
+            }
+    return result
 
 
 def loading(folder: Path, count: int = 200) -> dict[str, float]:
@@ -118,6 +176,12 @@ def summary(times: Mapping[str, bench.Times], operations: Mapping[str, float]) -
             "share outside convolutions": 1 - bare / whole,
             "operations [1e9]": operations[name],
         }
+    by_torch = times["lite by torch"]
+    result["engines, torch / engine"] = {
+        name: {"medians": by_torch.median / times[name].median, "quickest quarters": by_torch.low / times[name].low}
+        for name in ENGINES
+        if name in times
+    }
     return result
 
 
@@ -153,11 +217,14 @@ def main() -> None:
         timed, operations = contenders(scan())
         times = bench.measure(timed, 3 if options.quick else options.rounds)
     record |= {"note": NOTE, "points": POINTS, "summary": summary(times, operations)}
+    record["differences in mass"] = differences(scan())
+    record["loading, first import to first grid"] = starting(scan(), 1 if options.quick else 7)
     record["times [ms]"] = {name: one._asdict() for name, one in times.items()}
     if options.data:
         record["reading and augmenting, one process"] = read = loading(options.data)
         print(f"frames read and augmented per second {read['samples per second']:.1f}")
-    for name, one in {**times, **record["summary"]}.items():
+    more = {name: record[name] for name in ("differences in mass", "loading, first import to first grid")}
+    for name, one in {**times, **record["summary"], **more}.items():
         print(f"{name:34} {one}")
     if not options.quick:
         bench.write_json(bench.RESULTS / "deep_speed.json", record)

@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from dynamic_tables import dynamic_tables
 from quality_tables import tables
 from reproduction_sentences import sentences
 
@@ -178,6 +179,50 @@ def calibration() -> str:
     return "\n\n".join([*parts, source("calibration")])
 
 
+def combined() -> str:
+    """Return what the combination of `ray` and `lite` reaches, beside its parts."""
+    found = record("combined")
+    titles = {
+        "nll": "log loss",
+        "false_free": "false free",
+        "brier": "Brier",
+        "iou_free": "IoU free",
+        "iou_occupied": "IoU occupied",
+        "ece": "ECE",
+    }
+    places = {f"validation `{name}`": one for name, one in found["validation"].items()} | found["real"]
+    tables = []
+    for which in ("validation", "real"):
+        rows = []
+        for name, one in places.items():
+            if (name in found["real"]) != (which == "real"):
+                continue
+            means = one["means"].values()
+            cells = [
+                " / ".join("–" if mean[metric] is None else f"{mean[metric]:.3f}" for mean in means)
+                for metric in titles
+            ]
+            rows.append([f"{name}, frames: {one['frames']}, drives: {one['drives']}", *cells])
+        tables.append(table([" / ".join(next(iter(places.values()))["means"]), *titles.values()], rows))
+    rows = []
+    for name, one in places.items():
+        for other, compared in one["against"].items():
+            cells = []
+            for metric in ("nll", "false_free", "brier"):
+                value, low, high = compared[metric]["difference"]
+                ends = "" if low is None else f" ({low:+.3f} to {high:+.3f})"
+                cells.append("–" if value is None else f"{value:+.3f}{ends}")
+            rows.append([f"{name}: against `{other}`", *cells])
+    tables.append(table(["`combined` minus a part (95 %)", "log loss", "false free", "Brier"], rows))
+    cost = found["cost [ms]"]
+    text = (
+        f"Cost on one core, best of many calls: `ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms, `combined` "
+        f"{cost['combined']:.1f} ms, of which combining {cost['combining alone']:.2f} ms (copying both grids: "
+        f"{cost['copy of both grids']:.2f} ms)."
+    )
+    return "\n\n".join([*tables, text, source("combined")])
+
+
 def ground() -> str:
     """Return precision, recall and F1 of ground and obstacle points."""
     rows = []
@@ -321,7 +366,21 @@ def deep_speed() -> str:
         ["share of the time outside convolutions", *(f"{one['share outside convolutions']:.0%}" for one in networks)],
         ["`RayISM`, `HeightBandISM` in the same run", f"{ms('RayISM')}, {ms('HeightBandISM')}", ""],
     ]
-    return table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
+    networks_table = table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
+    return networks_table + deep_engines(found) if "differences in mass" in found else networks_table
+
+
+def deep_engines(found: dict) -> str:
+    """Return the times of the engines of the shipped network."""
+    times, starts = found["times [ms]"], found["loading, first import to first grid"]
+    rows = []
+    for name, error in found["differences in mass"].items():
+        engine = name.removeprefix("lite by ")
+        faster = found["summary"]["engines, torch / engine"][name]["medians"]
+        start = f"{starts[engine]['best [s]']:.2g} s" if engine in starts else ""
+        rows.append([engine, f"{times[name]['median']:.3g} ms", f"{faster:.2f}", start, f"{error['largest']:.1e}"])
+    heads = ["`lite`, points to `EvidentialGrid`", "time", "times as fast as torch", "import to first grid"]
+    return "\n" + table([*heads, "largest difference of a mass"], rows)
 
 
 def fusion(part: str) -> str:
@@ -509,6 +568,8 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": headline()},
     "docs/lite.md": lambda: {"results": headline()},
+    "docs/deep.md": lambda: {"combined": combined()},
+    "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/reproduction.md": lambda: (

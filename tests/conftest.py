@@ -1,10 +1,14 @@
 """What tests of several rooms share."""
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell: interrupts are tested
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from moving import street
 from typer.testing import CliRunner
 
 from ogm import EvidentialGrid
@@ -140,6 +141,16 @@ def test_info_on_scans_and_grids(scan: Path, tmp_path: Path) -> None:
     result = ogm("info", tmp_path / "o.npz")
     assert "64 x 64 of 0.5 m" in result.output
     assert "unknown" in result.output
+
+
+def test_info_on_dynamic_and_layered_grids(tmp_path: Path) -> None:
+    street().save(tmp_path / "d.npz")
+    street().to_layers().save(tmp_path / "l.npz")
+    found = [" ".join(ogm("info", tmp_path / name).output.split()) for name in ("d.npz", "l.npz")]
+    assert "format dynamic grid" in found[0]
+    assert "dynamic 2.6 %" in found[0]
+    assert "format layered grid" in found[1]
+    assert "velocity_x -6 ... 8" in found[1]
 
 
 @pytest.mark.parametrize(

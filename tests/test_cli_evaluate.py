@@ -18,7 +18,7 @@ from ogm.cli import app, evaluate_command
 from ogm.deep.checkpoint import save_network
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.evaluation import cache, report, runner
-from ogm.fusion import BAYES, RULES, EvidentialMapper
+from ogm.fusion import BAYES, DYNAMIC, NUSS, RULES, EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS, accumulate, score
@@ -593,7 +593,7 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
 
 
 def test_the_rules_of_the_option_are_those_of_the_mappers() -> None:
-    assert (*RULES, BAYES) == evaluate_command.RULES
+    assert (*RULES, BAYES, DYNAMIC, NUSS) == evaluate_command.RULES
 
 
 def test_help_has_an_example() -> None:

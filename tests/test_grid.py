@@ -327,11 +327,7 @@ def test_flipped_bytes_are_a_value_error_or_a_grid(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("size", "message"),
-    [
-        (2**32 - 2, "announces 42949"),
-        (2**31 + 2**20 + 1, "announces 2148532225 bytes"),
-        (2**31 + 2**20, "found arrays"),
-    ],
+    [(2**32 - 2, "holds 42949"), (2**31 + 2**20 + 1, "holds 2148532225 bytes"), (2**31 + 2**20, "found arrays")],
 )
 def test_a_file_that_announces_too_much_is_not_unpacked(tmp_path: Path, size: int, message: str) -> None:
     """The largest grid has 2**28 cells of 8 bytes; 1 MiB is left for the rest."""

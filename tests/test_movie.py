@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from moving import street
 from PIL import Image
 
 from ogm import EvidentialGrid, GridSpec, movie, plot
@@ -128,3 +129,38 @@ def test_other_formats_are_refused(tmp_path: Path) -> None:
     refused = pytest.raises(ValueError, match=r"a movie is \.gif, \.webp, \.png")
     with refused, movie.open_movie(tmp_path / "m.mp4", SPEC, TITLES, -1.8):
         pass
+
+
+def test_films_have_arrows_and_the_colours_of_headings(tmp_path: Path) -> None:
+    dynamic = street()
+    shown = plot.dynamic_panel(dynamic)
+    corners = np.array([[[-2.0, -6.0], [-2.0, -8.0], [-6.0, -8.0], [-6.0, -6.0]]])
+    shown, plain = shown._replace(outlines=corners), shown._replace(arrows=shown.arrows[:0], wheel=False)
+    pictures = []
+    for name, panel in (("arrows.gif", shown), ("plain.gif", plain)):
+        with movie.open_movie(tmp_path / name, dynamic.spec, TITLES, -1.8) as film:
+            film.add(np.zeros((1, 4), np.float32), (plain, panel, plain), "", 0.0)
+            (width, height), left = film.panel, 2 * movie.GAP + film.panel[0]
+        with Image.open(tmp_path / name) as read:
+            pictures.append(np.asarray(read.convert("RGB")).astype(int))
+    with_arrows, without = (one[movie.BAR + movie.TITLE :][:height] for one in pictures)
+    second, third = slice(left, left + width), slice(left + width + movie.GAP, left + 2 * width + movie.GAP)
+    assert np.array_equal(with_arrows[:, second], without[:, second])
+    pixels = height / dynamic.spec.length
+    moved = np.argwhere((with_arrows != without).any(axis=-1)[:, third])
+    wheel = (moved[:, 0] < movie.WHEEL + 5) & (moved[:, 1] > width - movie.WHEEL - 6)
+    assert wheel.any()
+    for x, y, dx, dy in shown.arrows:  # from the middle of a group to where it is in a second, and nowhere else
+        rows, columns = (16 - x - dx * np.linspace(0, 1, 20)) * pixels, (12 - y - dy * np.linspace(0, 1, 20)) * pixels
+        inside = rows > 3
+        line = np.stack([rows, columns], axis=-1)[inside]
+        apart = np.linalg.norm(moved[:, None] - line, axis=-1)
+        assert apart.min(axis=0).max() < 2
+        wheel |= apart.min(axis=1) < 8
+    box = (16 - moved[:, 0] / pixels > -7) & (16 - moved[:, 0] / pixels < -1) & (12 - moved[:, 1] / pixels < -5)
+    assert len(np.unique(moved[box], axis=0)) > 4 * (4 + 2) * pixels  # both colours of the outline
+    assert (wheel | box).all()
+    for heading in np.linspace(-np.pi, np.pi, 40):
+        colour = Image.new("RGB", (1, 1), tuple(np.round(255 * plot.heading_colours(np.array(heading))).astype(int)))
+        nearest = np.asarray(movie._indexed(colour).convert("RGB"))[0, 0].astype(int)
+        assert np.abs(nearest - np.asarray(colour)[0, 0]).max() < 20

@@ -6,8 +6,10 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
+from moving import SPEC as MOVING
+from moving import street
 
-from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
+from ogm import Boxes, DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
 
 matplotlib.use("Agg")
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
@@ -51,8 +53,8 @@ def test_conflict_shows_what_appeared_and_what_went_away() -> None:
     went_away[SPEC.index(-1.5, -1.5)] = 0.5  # behind, right
     layers = {"free_to_occupied": appeared, "occupied_to_free": went_away}
     panel = plot.conflict_panel(LayeredGrid(SPEC, layers))
-    assert panel.image[0, 1].tolist() == plot._bytes(np.array(panel.legend["appeared"])).tolist()
-    assert panel.image[6, 4].tolist() == plot._bytes(np.array(panel.legend["went away"]) / 2).tolist()
+    assert panel.image[0, 1].tolist() == plot.colour_bytes(np.array(panel.legend["appeared"])).tolist()
+    assert panel.image[6, 4].tolist() == plot.colour_bytes(np.array(panel.legend["went away"]) / 2).tolist()
     assert np.count_nonzero(panel.image.any(axis=-1)) == 2
     with pytest.raises(KeyError, match="no layer 'occupied_to_free'"):
         plot.conflict_panel(LayeredGrid(SPEC, {"free_to_occupied": appeared}))
@@ -192,7 +194,7 @@ def test_layers_are_shown_from_lowest_to_highest_and_grey_without_a_value() -> N
     assert panel.title == "height"
     assert list(panel.legend) == ["-2", "1", "4", "no value"]
     for cell, name in (((0, 0), "-2"), ((0, 1), "4"), ((1, 0), "1"), ((6, 0), "no value")):
-        assert panel.image[cell].tolist() == plot._bytes(np.array(panel.legend[name])).tolist()
+        assert panel.image[cell].tolist() == plot.colour_bytes(np.array(panel.legend[name])).tolist()
     flat = plot.layer_panel(LayeredGrid(SPEC, {"height": np.ones(SPEC.shape)}), "height")
     assert list(flat.legend) == ["1", "no value"]
     assert list(plot.layer_panel(LayeredGrid(SPEC, {"h": numbers * np.nan}), "h").legend) == ["no value"]
@@ -214,3 +216,101 @@ def test_velocities_are_shown_by_direction_and_speed() -> None:
         assert np.abs(panel.image[cell] - 255 * np.array(panel.legend[name])).max() <= 1
     half = np.abs(panel.image[3, 1].astype(int) - panel.image[0, 0] // 2)  # a quarter of the speed
     assert half.max() <= 1
+
+
+def test_a_dynamic_grid_is_grey_where_it_stands_and_coloured_where_it_moves() -> None:
+    """Free white, static black, unknown grey; what moves in the colour of its heading."""
+    grid = street()
+    panel = plot.dynamic_panel(grid)
+    cells = panel.image[::-1, ::-1].astype(int)
+    at = MOVING.index
+    assert np.abs(cells[at(0.0, 11.0)] - 128).max() <= 1  # unknown
+    assert np.abs(cells[at(0.0, 0.0)] - round(255 * 0.9)).max() <= 1  # free 0.8
+    assert cells[at(0.0, 7.5)].max() <= 13  # static 0.9
+    for place, heading in (((9.0, 1.0), 0.0), ((9.0, 3.0), np.pi), ((-10.75, 0.25), np.arctan2(0.15, 2.85))):
+        wanted = 255 * (0.8 * plot.heading_colours(np.array(heading)) + 0.05)
+        assert np.abs(cells[at(*place)] - wanted).max() <= 2, place
+    assert panel.wheel
+    assert list(panel.legend) == ["static", "free", "unknown"]
+
+
+def test_each_moving_group_has_one_arrow_as_long_as_its_way() -> None:
+    """Two vehicles side by side in opposite directions are two groups, one that turns is one."""
+    arrows = plot.moving_arrows(street(), seconds=0.5)
+    np.testing.assert_allclose(arrows, [[-9, 0, 1.5, 0.6], [9, 1, 4, 0], [9, 3, -3, 0]], atol=1e-6)
+    groups = plot.moving_groups(street())
+    assert groups.max() == 3
+    assert (groups > 0).sum() == 3 * 32
+    with pytest.raises(ValueError, match="seconds of the arrows must be 0 or more, got -1"):
+        plot.dynamic_panel(street(), seconds=-1)
+
+
+def test_groups_are_those_of_a_search_from_cell_to_cell() -> None:
+    rng = np.random.default_rng(0)
+    spec = GridSpec(1.0, (23, 19), (0.0, 0.0))
+    mass = rng.dirichlet([1, 1, 4], spec.shape).astype(np.float32) * np.float32(0.9)
+    velocity = rng.choice([-4.0, 0.5, 3.0], (*spec.shape, 2)).astype(np.float32)
+    velocity[5:7, 5:9] = np.nan
+    grid = DynamicGrid(spec, mass, velocity, np.zeros((*spec.shape, 2, 2), np.float32))
+    found = plot.moving_groups(grid)
+    wanted, count = np.zeros(spec.shape, int), 0
+    moving = (mass[..., 1:].sum(-1) > 0.5) & (mass[..., 2] > mass[..., 1]) & ~np.isnan(velocity[..., 0])
+    for start in zip(*np.nonzero(moving), strict=True):
+        if wanted[start]:
+            continue
+        count, waiting = count + 1, [start]
+        while waiting:
+            one = waiting.pop()
+            wanted[one] = count
+            for dx, dy in np.ndindex(3, 3):
+                other = one[0] + dx - 1, one[1] + dy - 1
+                if not (0 <= other[0] < 23 and 0 <= other[1] < 19) or not moving[other] or wanted[other]:
+                    continue
+                apart = np.hypot(*(velocity[one] - velocity[other]))
+                if apart <= max(1.0, 0.5 * max(np.hypot(*velocity[one]), np.hypot(*velocity[other]))):
+                    waiting.append(other)
+    assert count > 20
+    pairs = set(zip(found.ravel().tolist(), wanted.ravel().tolist(), strict=True))
+    assert len(pairs) == count + 1 == found.max() + 1  # one to one, 0 with 0
+
+
+def test_nothing_that_stands_or_is_slow_or_small_has_an_arrow() -> None:
+    grid = street()
+    stands = DynamicGrid(MOVING, grid.mass, grid.velocity * 0.01, grid.covariance)
+    assert plot.moving_arrows(stands).shape == (0, 4)
+    one = grid.mass.copy()
+    one[..., 2][plot.moving_groups(grid) > 1] = 0
+    one[..., 2][MOVING.index(9.0, 1.0)] = 0.8
+    assert len(plot.moving_arrows(DynamicGrid(MOVING, one, grid.velocity, grid.covariance))) == 1
+    nothing = DynamicGrid(MOVING, grid.mass * 0, grid.velocity, grid.covariance)
+    assert plot.moving_arrows(nothing).shape == (0, 4)
+    assert (plot.dynamic_panel(nothing).image == 128).all()
+
+
+def test_the_wheel_has_forward_up_and_left_left() -> None:
+    wheel = plot.heading_wheel(60)
+    for place, heading in (((3, 30), 0.0), ((30, 3), np.pi / 2), ((56, 30), np.pi), ((30, 56), -np.pi / 2)):
+        assert wheel[(*place, 3)] == 255
+        assert np.abs(wheel[place][:3] - 255 * plot.heading_colours(np.array(heading))).max() < 12
+    assert wheel[0, 0, 3] == wheel[30, 30, 3] == 0
+
+
+def test_arrows_point_where_things_go_in_a_figure() -> None:
+    figure = plot.show(street(), plot.mass_panel(street().to_evidential()))
+    (quiver,) = (one for axis in figure.axes for one in axis.collections)
+    ends = quiver.get_offsets() + np.stack([quiver.U, quiver.V], axis=-1)
+    assert sorted(np.round(ends, 5).tolist()) == [[1.0, 17.0], [1.2, -6.0], [3.0, 3.0]]  # y, x [m]
+    assert figure.axes[0].get_title() == "heading of what moves, arrows: 1 s"
+    matplotlib.pyplot.close(figure)
+
+
+def test_boxes_are_outlined_and_have_the_arrows() -> None:
+    turned = Boxes([[5, 1, 0], [-3, 0, 0]], [[4, 2, 1.5], [2, 1, 1]], [np.pi / 2, 0], [[0, 2], [np.nan, np.nan]])
+    panel = plot.dynamic_panel(street(), seconds=2.0, boxes=turned)
+    np.testing.assert_allclose(panel.arrows, [[5, 1, 0, 4]])
+    np.testing.assert_allclose(panel.outlines[0], [[4, 3], [6, 3], [6, -1], [4, -1]], atol=1e-12)
+    figure = plot.show(panel)
+    shown = {tuple(one.get_xy()[0].round(6)) for one in figure.axes[0].patches}
+    assert shown == {(3.0, 4.0), (0.5, -2.0)}  # y, x of the left front corner
+    matplotlib.pyplot.close(figure)
+    assert len(plot.dynamic_panel(street(), boxes=Boxes.empty()).arrows) == 0

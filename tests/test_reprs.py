@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from moving import street
 from PIL import Image
 
-from ogm import EvidentialGrid, GridSpec, LayeredGrid, Scan, open_dataset, plot
+from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, Scan, open_dataset, plot
 
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
 
@@ -104,7 +105,7 @@ def test_layers_are_shown_side_by_side_and_conflict_as_one() -> None:
     layers["height"][:150] = np.nan
     image = pixels(LayeredGrid(spec, layers)._repr_png_())
     assert image.shape == (300, 4 * 300 + 3 * 6, 3)
-    assert image[299, 0].tolist() == plot._bytes(np.array(plot.NO_VALUE)).tolist()  # behind is below
+    assert image[299, 0].tolist() == plot.colour_bytes(np.array(plot.NO_VALUE)).tolist()  # behind is below
     assert image[0, 0].tolist() != image[299, 0].tolist()
     text = " ".join(Checked(LayeredGrid(spec, layers)._repr_html_()).texts)
     assert "0 … 0, 50.0 % of the cells" in text
@@ -186,3 +187,28 @@ def test_real_scans_fill_their_picture(scan: str, real: Callable[[str], Path]) -
     rows, columns = np.nonzero(lit)
     assert min(np.ptp(rows), np.ptp(columns)) > 0.4 * len(image)
     assert not re.search(r"nan|inf", read_scan(real(scan))._repr_html_().split("base64")[-1].split(">", 1)[1])
+
+
+def test_a_dynamic_grid_is_shown_with_its_headings() -> None:
+    grid = street()
+    image = pixels(grid._repr_png_())
+    side = image.shape[0] // 64
+    shown = image[side // 2 :: side, side // 2 :: side]
+    assert np.array_equal(shown, plot.dynamic_panel(grid).image)
+    text = " ".join(Checked(grid._repr_html_()).texts)
+    for part in ("DynamicGrid", "64 x 48 of 0.5 m", "dynamic, mean 2.6 %", "moving cells 96, median"):
+        assert part in text
+    nothing = DynamicGrid(grid.spec, grid.mass * 0, grid.velocity, grid.covariance)
+    assert "moving cells 0" in " ".join(Checked(nothing._repr_html_()).texts)
+
+
+def test_a_large_dynamic_grid_becomes_a_small_picture_that_keeps_what_moves() -> None:
+    spec = GridSpec(0.1, (1300, 901), (-65.0, -45.0))
+    mass, velocity = np.zeros((*spec.shape, 3), np.float32), np.full((*spec.shape, 2), np.nan, np.float32)
+    mass[..., 0] = 0.9
+    mass[1299, 900], velocity[1299, 900] = (0, 0, 1), (0, 5)  # front left
+    grid = DynamicGrid(spec, mass, velocity, np.zeros((*spec.shape, 2, 2), np.float32))
+    image = pixels(grid._repr_png_())
+    assert max(image.shape) <= 520
+    assert np.abs(image[0, 0] - 255 * plot.heading_colours(np.array(np.pi / 2))).max() <= 1
+    assert (image.reshape(-1, 3)[1:] >= 200).all()

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from chromium import Page, open_chromium
+from moving import SPEC as MOVING
+from moving import street
 from typer.testing import CliRunner
 
 from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot
@@ -515,3 +517,51 @@ def test_a_damaged_tile_and_an_old_browser_are_stated(folder: Path, grid: Eviden
     old.send("Page.addScriptToEvaluateOnNewDocument", source="delete window.DecompressionStream")
     old.send("Page.navigate", url=path.as_uri())
     old.wait("document.getElementById('failed')?.textContent.includes('cannot unpack') === true")
+
+
+# ---------- dynamic grids
+
+
+def test_the_page_of_a_dynamic_grid_holds_what_moves(tmp_path: Path) -> None:
+    grid = street()
+    page = written(tmp_path, grid)
+    names = [one["name"] for one in page.data["layers"]]
+    assert names[0] == "motion"
+    assert {"belief", "state", "velocity", "speed", "static", "dynamic", "velocity_covariance_xy"} < set(names)
+    assert np.allclose(page.data["layers"][0]["arrows"], plot.moving_arrows(grid), atol=1e-3)
+    number = next(k for k, one in enumerate(page.data["stored"]) if one["names"] == ["velocity_x", "velocity_y"])
+    one, cells = page.data["stored"][number], page.level(number, 0)[::-1, ::-1].astype(float)
+    shown = np.where(cells < 1, np.nan, one["low"] + (cells - 1) * one["step"])
+    assert np.array_equal(np.isnan(shown), np.isnan(grid.velocity))
+    assert np.nanmax(np.abs(shown - grid.velocity)) <= 0.501 * one["step"]
+
+
+def test_more_layers_of_a_dynamic_grid_are_shown(tmp_path: Path) -> None:
+    page = written(tmp_path, street(), drawn_layers(MOVING))
+    assert {"motion", "conflict", "height"} <= {one["name"] for one in page.data["layers"]}
+
+
+@pytest.mark.parametrize("kind", ["dynamic", "layered"])
+def test_ogm_view_shows_every_kind_of_grid(tmp_path: Path, kind: str) -> None:
+    grid = street() if kind == "dynamic" else drawn_layers()
+    grid.save(tmp_path / "g.npz")
+    result = CliRunner().invoke(app, ["view", str(tmp_path / "g.npz"), "--out", str(tmp_path / "p.html")])
+    assert result.exit_code == 0, result.output
+    names = {one["name"] for one in Parsed(tmp_path / "p.html").data["layers"]}
+    assert names >= ({"motion", "belief", "speed"} if kind == "dynamic" else {"velocity", "conflict", "height"})
+
+
+def test_the_browser_paints_motion_as_the_panel_does(browse: Callable[..., Page], tmp_path: Path) -> None:
+    grid = street()
+    write_view(tmp_path / "m.html", grid)
+    page = browse(f"file://{tmp_path}/m.html#x=0&y=0&metre=20&layer=motion", (1000, 700))
+    page.settle()
+    picture, panel = page.picture().astype(int), plot.dynamic_panel(grid)
+    cells = panel.image[::-1, ::-1].astype(int)
+    middle = page.run("[map.getBoundingClientRect().width / 2, map.getBoundingClientRect().height / 2]")
+    for x, y in ((0.25, 11.25), (3.25, -3.25), (-3.75, 7.75), (7.25, 0.25), (7.25, 3.75), (-10.75, -0.75)):
+        row, column = round(middle[1] - 20 * x), round(middle[0] - 20 * y)
+        assert np.abs(picture[row, column] - cells[grid.spec.index(x, y)]).max() <= 4, (x, y)
+    tip = round(middle[1] - 20 * 3.3), round(middle[0] - 20 * 3.0)  # of the arrow of what comes
+    assert picture[tip].max() < 60
+    assert page.errors == []

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tracemalloc
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,10 @@ import pytest
 import ogm.io.formats.feather
 import ogm.io.formats.table
 import ogm.io.reading
+import ogm.limits
 from ogm.files import OgmError
 from ogm.io import read_scan, read_scan_file
+from ogm.limits import current_limits
 from ogm.scan import Scan
 
 SUFFIXES = [".bin", ".pcd.bin", ".pcd", ".ply", ".feather", ".las", ".laz", ".npy"]
@@ -65,6 +68,10 @@ def read_or_refuse(path: Path) -> tuple[Scan | None, str]:
         return read_scan(path, "nuscenes"), ""
     except OgmError as error:
         return None, str(error)
+
+
+def limited(monkeypatch: pytest.MonkeyPatch, **changes: int) -> None:
+    monkeypatch.setattr(ogm.limits, "_now", [replace(current_limits(), **changes)])
 
 
 def put(folder: Path, name: str, content: bytes) -> Path:
@@ -298,9 +305,9 @@ def test_a_ply_text_that_is_too_short(number, tmp_path):
 
 @pytest.mark.parametrize("name", ["a.pcd", "a.ply"])
 def test_text_without_end(name, tmp_path, monkeypatch):
-    monkeypatch.setattr(ogm.io.formats.table, "TEXT_LIMIT", 30)
+    limited(monkeypatch, text=30)
     header = PCD.replace("binary", "ascii") if name == "a.pcd" else PLY.replace("binary_little_endian", "ascii")
-    refused(put(tmp_path, name, header.encode() + b"1 2 3\n" * 10), "60 bytes of text, wanted at most 30")
+    refused(put(tmp_path, name, header.encode() + b"1 2 3\n" * 10), "60 bytes when decoded, wanted at most 30")
 
 
 def test_lines_before_the_vertices_take_little_memory(tmp_path, monkeypatch):
@@ -308,8 +315,8 @@ def test_lines_before_the_vertices_take_little_memory(tmp_path, monkeypatch):
     header = header.replace("element", "element camera 1000000\nproperty float f\nelement", 1)
     path = put(tmp_path, "a.ply", header.encode() + b"\n" * 1_000_000 + b"1 2 x\n")
     refused(path, "not 3 numbers")
-    monkeypatch.setattr(ogm.io.formats.table, "TEXT_LIMIT", 30)
-    refused(path, "bytes of text, wanted at most 30")
+    limited(monkeypatch, text=30)
+    refused(path, "bytes when decoded, wanted at most 30")
 
 
 def test_text_takes_little_more_memory_than_its_numbers():
@@ -334,11 +341,12 @@ def test_a_small_feather_file_cannot_fill_the_memory(compression, batch, tmp_pat
     pyarrow, feather = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.feather")
     table = pyarrow.table({name: np.zeros(50_000, np.float32) for name in "xyzw"})
     feather.write_feather(table, tmp_path / "a.feather", compression=compression, chunksize=batch)
-    monkeypatch.setattr(ogm.io.formats.feather, "BYTE_LIMIT", 50_000 * 12)  # w is not unpacked
+    size = (tmp_path / "a.feather").stat().st_size
+    limited(monkeypatch, file=max(50_000 * 12 + 2**12, size))  # w is not unpacked
     assert read_scan_file(tmp_path / "a.feather")[1].dropped == 50_000
-    monkeypatch.setattr(ogm.io.formats.feather, "BYTE_LIMIT", 50_000 * 12 - 1)
+    limited(monkeypatch, file=50_000 * 12 - 1)
     unpacked = pyarrow.total_allocated_bytes()
-    refused(tmp_path / "a.feather", "unpacks to 50000 rows of 12 bytes, wanted .* at most 599999")
+    refused(tmp_path / "a.feather", "holds [68]0.* bytes when decoded, wanted at most 599999")
     assert pyarrow.total_allocated_bytes() == unpacked
 
 
@@ -458,7 +466,7 @@ def test_a_laz_file_that_promises_more_chunks_than_there_are(cloud, tmp_path):
 
 @pytest.mark.parametrize(("suffix", "pack"), [(".xz", lzma.compress), (".gz", gzip.compress)])
 def test_a_small_file_cannot_fill_the_memory(suffix, pack, tmp_path, monkeypatch):
-    monkeypatch.setattr(ogm.io.reading, "BYTE_LIMIT", 3_000_000)
+    limited(monkeypatch, file=3_000_000)
     path = put(tmp_path, f"a.bin{suffix}", pack(bytes(20_000_000)))
     assert path.stat().st_size < 100_000
     refused(path, "more than 3000000 bytes")

@@ -105,10 +105,10 @@ def test_what_does_not_fit_is_reported(tmp_path: Path, store: Store) -> None:
     with pytest.raises(ValueError, match="cells both free and occupied"):
         read_label(label)
     label.write_bytes(label.read_bytes()[:200])
-    with pytest.raises(ValueError, match="not a whole picture|can be read"):
+    with pytest.raises(ValueError, match="damaged or no image"):
         read_label(label)
     label.write_bytes(b"no picture at all")
-    with pytest.raises(ValueError, match="can be read"):
+    with pytest.raises(ValueError, match="damaged or no image"):
         read_label(label)
     with pytest.raises(FileNotFoundError):
         read_label(tmp_path / "none.png")

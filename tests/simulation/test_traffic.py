@@ -11,6 +11,7 @@ from ogm.simulation.traffic.fleet import Fleet, make_fleet
 from ogm.simulation.traffic.heavy import bus, trailer, truck
 from ogm.simulation.traffic.parked import overlap
 from ogm.simulation.traffic.people import bicycle, motorcycle, standing, walking
+from ogm.truth import boxes_seen_from, track_motion
 
 M = Material
 SIZES = {  # [m] plausible length, width, height
@@ -240,6 +241,30 @@ def test_velocity_is_the_change_of_place(traffic):
         np.testing.assert_allclose((c.ego - a.ego)[:3, 3] / (2 * dt), b.ego_velocity, atol=0.15)
         for p, q, r in zip(a.objects, b.objects, c.objects, strict=True):
             np.testing.assert_allclose((r.pose - p.pose)[:3, 3] / (2 * dt), q.velocity, atol=0.35)
+
+
+def test_corners_of_boxes_move_by_velocity_and_yaw_rate(traffic):
+    """The yaw rate of a track, with the velocity that is stated, moves all corners as they move (v + ω × r)."""
+    dt, farthest = 0.1, 0.0
+
+    def corners(boxes):
+        c, s, half = np.cos(boxes.yaw), np.sin(boxes.yaw), boxes.size[:, :2] / 2
+        u, v = (np.array(side) * half[:, k, None] for k, side in enumerate(([1, 1, -1, -1], [1, -1, -1, 1])))
+        r = np.stack([c[:, None] * u - s[:, None] * v, s[:, None] * u + c[:, None] * v], axis=-1)
+        return r, boxes.center[:, None, :2] + r
+
+    for start in (20.0, 28.0, 36.0, 61.3):
+        states = [[one for one in traffic.at(start + k * dt).objects if one.label != "pedestrian"] for k in range(3)]
+        frames = [boxes_seen_from(np.eye(4), [o.pose for o in now], [o.size for o in now]) for now in states]
+        frames = [replace(one, track=[str(o.track) for o in now]) for one, now in zip(frames, states, strict=True)]
+        turn = track_motion(1, [0.0, dt, 2 * dt], frames, reach=0.15, needed=0).yaw_rate[:, None]
+        r, _ = corners(frames[1])
+        velocity = np.array([one.velocity[:2] for one in states[1]])[:, None]
+        want = velocity + np.stack([-turn * r[..., 1], turn * r[..., 0]], axis=-1)
+        found = (corners(frames[2])[1] - corners(frames[0])[1]) / (2 * dt)
+        np.testing.assert_allclose(found, want, atol=0.2)
+        farthest = max(farthest, np.abs(want - velocity).max())
+    assert farthest > 0.8  # without the yaw rate, corners of what turns would be wrong by this
 
 
 def test_the_ego_vehicle_is_driven_gently(traffic):

@@ -1,14 +1,27 @@
 """What holds for grid files of every format."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from moving import street
 
+from ogm.dynamic_grid import DynamicGrid
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, read_grid, read_placed_grid, write_grid
+from ogm.io.grids import (
+    MAP_ENDINGS,
+    GridMessage,
+    PlacedGrid,
+    check_grid_output,
+    from_xarray,
+    read_grid,
+    read_placed_grid,
+    to_xarray,
+    write_grid,
+)
 from ogm.io.grids.paths import whole_path
 from ogm.pose import pose
 from ogm.state import predict_state
@@ -200,3 +213,60 @@ def test_damage_is_an_error_of_ours_or_no_harm(tmp_path: Path, ending: str) -> N
         files[k].write_bytes(whole[k])
     assert refused > 20
     assert read_grid(path, SPEC).spec.shape == SPEC.shape
+
+
+HOLDS_LAYERS = [(ending, None) for ending in EXACT] + [(".mcap", "grid-map"), (".mcap", "foxglove-grid")]
+
+
+@pytest.mark.parametrize(("ending", "message"), [*HOLDS_LAYERS, (".db3", "grid-map"), (".bag", "grid-map")])
+def test_all_of_a_dynamic_grid_comes_back_where_a_format_has_layers(
+    tmp_path: Path, ending: str, message: GridMessage | None
+) -> None:
+    path, dynamic = tmp_path / f"m{ending}", street()
+    write_grid(path, dynamic, message=message)
+    placed = read_placed_grid(path)
+    assert placed.grid.spec.origin == pytest.approx(dynamic.spec.origin, abs=1e-9)
+    assert replace(placed.grid, spec=dynamic.spec) == dynamic
+    assert np.array_equal(read_grid(path).mass, dynamic.to_evidential().mass)
+    again = tmp_path / "again.npz"
+    write_grid(again, placed)
+    assert np.array_equal(DynamicGrid.load(again).velocity, dynamic.velocity, equal_nan=True)
+
+
+@pytest.mark.parametrize("ending", [".yaml", ".png", ".mcap", ".bag"])
+def test_a_dynamic_grid_is_an_occupancy_grid_where_a_format_has_no_layers(tmp_path: Path, ending: str) -> None:
+    dynamic = street()
+    write_grid(tmp_path / f"a{ending}", dynamic)
+    write_grid(tmp_path / f"b{ending}", dynamic.to_evidential())
+    a, b = (read_grid(tmp_path / f"{name}{ending}", dynamic.spec) for name in "ab")
+    assert a == b
+    assert isinstance(read_placed_grid(tmp_path / f"a{ending}", dynamic.spec).grid, EvidentialGrid)
+
+
+def test_velocities_of_a_turned_grid_stay_along_its_axes(tmp_path: Path) -> None:
+    turned = PlacedGrid(street(), pose(3.0, 4.0, yaw=-2.0))
+    for ending in (".tif", ".nc", ".zarr"):
+        write_grid(tmp_path / f"m{ending}", turned)
+        placed = read_placed_grid(tmp_path / f"m{ending}")
+        assert placed.corner == pytest.approx(turned.corner, abs=1e-8)
+        assert np.array_equal(placed.grid.velocity, turned.grid.velocity, equal_nan=True)
+
+
+def test_a_grid_that_lacks_a_layer_is_read_as_masses(tmp_path: Path) -> None:
+    dataset = to_xarray(street())
+    assert isinstance(from_xarray(dataset).grid, DynamicGrid)
+    without = from_xarray(dataset.drop_vars("velocity_covariance_xy")).grid
+    assert without == street().to_evidential()
+    flipped = from_xarray(dataset.isel(x=slice(None, None, -1)).transpose("x", "y")).grid
+    assert flipped == street()
+    dataset["dynamic"].values[20, 20] = 0.9
+    with pytest.raises(OgmError, match="mass"):
+        from_xarray(dataset)
+
+
+def test_layers_of_a_dynamic_grid_have_units() -> None:
+    dataset = to_xarray(street())
+    assert dataset["velocity_x"].attrs["units"] == "m s-1"
+    assert dataset["velocity_covariance_xy"].attrs["units"] == "m2 s-2"
+    assert dataset["dynamic"].attrs["valid_max"] == 1
+    assert "valid_max" not in dataset["velocity_x"].attrs

@@ -1,0 +1,248 @@
+"""The dynamic map's filter in plain numpy: the reference of `ogm.fusion.DynamicMapper`, and the yardstick of its speed.
+
+Its formulas are those of the documentation, its sums are numpy's, and its particles are sorted by argsort; the random
+numbers are the same hash, so that both filters hold the same particles up to rounding.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import multivariate_normal
+
+from ogm.fusion import DynamicSettings
+
+Array = NDArray[np.floating]
+TABLE = ndtri((np.arange(4096) + 0.5) / 4096)
+TABLE = (TABLE / TABLE.std()).astype(np.float32)
+
+
+def split_mix(number: NDArray[np.uint64], key: np.uint64) -> NDArray[np.uint64]:
+    """Return the hash of numbers and a key (SplitMix64)."""
+    z = (number.astype(np.uint64) + key) * np.uint64(0x9E3779B97F4A7C15)
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+def bits(h: NDArray[np.uint64], k: int) -> NDArray[np.int64]:
+    """Return the k-th dozen of a hash's bits."""
+    return ((h >> np.uint64(12 * k)) & np.uint64(4095)).astype(np.int64)
+
+
+@dataclass
+class Groups:
+    """Measured velocities: label (nx, ny) from 1 on, velocity (G, 2), information (G, 2, 2)."""
+
+    label: NDArray[np.int32]
+    velocity: Array
+    information: Array
+
+
+@dataclass
+class NumpyFilter:
+    """State of the filter on a window of cells; `update` makes one step of it.
+
+    Parameters
+    ----------
+    shape : (int, int)
+    resolution : float
+        [m].
+    particles : int
+    settings : DynamicSettings
+        Nuss' filter has a static share and a rate to dynamic of 0.
+    """
+
+    shape: tuple[int, int]
+    resolution: float
+    particles: int
+    settings: DynamicSettings
+    mass: float = 0.0  # of one particle
+    state: Array = field(default_factory=lambda: np.empty((4, 0), np.float32))  # x, y, vx, vy
+
+    def __post_init__(self) -> None:
+        self.free, self.static, self.dynamic, self.to_occupied, self.to_free = np.zeros((5, *self.shape))
+        self.mean, self.covariance = np.zeros((*self.shape, 2)), np.zeros((*self.shape, 3))
+
+    def update(
+        self,
+        measured: Array,
+        seconds: float,
+        key: np.uint64,
+        shift: tuple[int, int] = (0, 0),
+        groups: Groups | None = None,
+    ) -> None:
+        """Make one step with the masses (nx, ny, 2) of a scan on the cells of the window."""
+        for name in ("free", "static", "to_occupied", "to_free"):
+            setattr(self, name, self._scrolled(getattr(self, name), shift))
+        cell = self._predict(seconds, key, shift)
+        surviving, born = self._update_cells(measured.astype(np.float64), seconds, cell)
+        surviving, born = self._weigh_motion(surviving, born, groups)
+        self.dynamic = surviving + born
+        self._draw(surviving.reshape(-1), born.reshape(-1), cell, key, groups)
+
+    def _scrolled(self, layer: Array, shift: tuple[int, int]) -> Array:
+        """Return the layer of a window that has moved by whole cells."""
+        out = np.zeros_like(layer)
+        for i in range(max(0, -shift[0]), min(self.shape[0], self.shape[0] - shift[0])):
+            first, last = max(0, -shift[1]), min(self.shape[1], self.shape[1] - shift[1])
+            if first < last:
+                out[i, first:last] = layer[i + shift[0], first + shift[1] : last + shift[1]]
+        return out
+
+    def _predict(self, seconds: float, key: np.uint64, shift: tuple[int, int]) -> NDArray[np.int64]:
+        """Move the particles by constant velocity and noise, sort them by cell; return their cells."""
+        h = split_mix(np.arange(self.state.shape[1]), key)
+        noise = np.stack([TABLE[bits(h, k)] for k in range(4)])
+        root = math.sqrt(seconds)
+        position = np.float32(self.settings.position_noise * root)
+        velocity = np.float32(self.settings.velocity_noise * root)
+        by = np.float32([[one * self.resolution] for one in shift])
+        self.state[:2] = self.state[:2] + self.state[2:] * np.float32(seconds) + position * noise[:2] - by
+        self.state[2:] += velocity * noise[2:]
+        u = np.floor(self.state[:2] * (np.float32(1) / np.float32(self.resolution))).astype(np.int64)
+        inside = (u >= 0).all(axis=0) & (u[0] < self.shape[0]) & (u[1] < self.shape[1])
+        cell = u[0, inside] * self.shape[1] + u[1, inside]
+        order = np.argsort(cell, kind="stable")
+        self.state = self.state[:, inside][:, order]
+        return cell[order]
+
+    def _update_cells(self, z: Array, seconds: float, cell: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Combine prediction and scan; return the masses of dynamic that survive and that appear."""
+        s, known = self.settings, 1 - self.settings.min_unknown
+        count = np.bincount(cell, minlength=self.shape[0] * self.shape[1]).reshape(self.shape)
+        static = 0.5 ** (seconds / s.static_half_life) * self.static
+        dynamic = np.minimum(0.5 ** (seconds / s.dynamic_half_life) * self.mass * count, known - static)
+        before = static + dynamic
+        free = np.minimum(0.5 ** (seconds / s.free_half_life) * self.free, known - before)
+        unknown, z_unknown = 1 - free - before, 1 - z.sum(axis=-1)
+        conflict_free, conflict_occupied = free * z[..., 1], before * z[..., 0]
+        joint_free = free * (z[..., 0] + z_unknown) + unknown * z[..., 0]
+        joint_occupied = before * (z[..., 1] + z_unknown) + unknown * z[..., 1]
+        whole = 1 - conflict_free - conflict_occupied
+        total = (joint_free + joint_occupied) / whole
+        scale = np.minimum(1, known / np.maximum(total, 1e-12)) / whole
+        self.free, occupied = joint_free * scale, joint_occupied * scale
+        birth = (1 - math.exp(-s.birth_rate * seconds)) * (1 - before)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            born = np.where(before + birth > 0, occupied * birth / (before + birth), occupied)
+            share = np.where(before > 0, (occupied - born) / before, 0)
+        static = share * static + s.static_share * born
+        leaves = (1 - math.exp(-s.to_dynamic_rate * seconds)) * static
+        self.static = static - leaves
+        keep = 0.5 ** (seconds / s.conflict_half_life)
+        self.to_occupied = np.maximum(keep * self.to_occupied, conflict_free)
+        self.to_free = np.maximum(keep * self.to_free, conflict_occupied)
+        return share * dynamic, (1 - s.static_share) * born + leaves
+
+    def _weigh_motion(self, surviving: Array, born: Array, groups: Groups | None) -> tuple[Array, Array]:
+        """Multiply the odds of dynamic where a velocity was measured by the ratio of its likelihoods, at least 1."""
+        dynamic = surviving + born
+        if groups is None:
+            return surviving, born
+        ratio, wide = [1.0], np.eye(2) * self.settings.birth_speed**2
+        for v, information in zip(groups.velocity, groups.information, strict=True):
+            value = 1.0
+            if np.linalg.matrix_rank(information) == 2:
+                noise = np.linalg.inv(information)
+                moving, still = multivariate_normal([0, 0], noise + wide), multivariate_normal([0, 0], noise)
+                value = math.exp(np.clip(moving.logpdf(v) - still.logpdf(v), 0, math.log(self.settings.motion_odds)))
+            ratio.append(value)
+        odds = np.array(ratio)[groups.label] * dynamic / np.maximum(self.static, 1e-300)
+        occupied = self.static + dynamic
+        more = np.where(self.static > 0, occupied * odds / (1 + odds), dynamic)
+        self.static = occupied - more
+        factor = more / np.maximum(dynamic, 1e-300)
+        return surviving * factor, born * factor
+
+    def _draw(
+        self, surviving: Array, born: Array, cell: NDArray[np.int64], key: np.uint64, groups: Groups | None
+    ) -> None:
+        """Draw each cell's particles anew: survivors systematically from its own, births by random numbers."""
+        cells = len(surviving)
+        self.mass = float((surviving + born).sum()) / self.particles
+        scale = 2.0**32 / self.mass if self.mass > 0 else 0.0
+        offset = int(float(key >> np.uint64(11)) * 2.0**-53 * 2.0**32)
+        units = np.stack([surviving, born], axis=1).reshape(-1) * scale
+        copies = np.diff((np.cumsum(units.astype(np.int64)) + offset) >> 32, prepend=0).reshape(-1, 2)
+        n = np.bincount(cell, minlength=cells)
+        first = np.concatenate([[0], np.cumsum(n)[:-1]])
+        chance, row = self._chances(cell, groups)
+        self._moments(chance, cell, n)
+        self._mix_births(surviving, born, row, groups)
+        # Systematic resampling: of the summed chances within the cell, one particle per total / kept.
+        kept = copies[:, 0]
+        owner = np.repeat(np.arange(cells), kept)
+        number = np.arange(kept.sum()) - np.repeat(np.cumsum(kept) - kept, kept)
+        h = split_mix(np.arange(cells), ~key ^ np.uint64(0x5851F42D4C957F2D))
+        start = (bits(h, 0) + 0.5) / 4096
+        summed = np.cumsum(chance)
+        base = np.concatenate([[0.0], summed])[first]
+        total = np.bincount(cell, chance, cells)
+        wanted = base[owner] + (number + start[owner]) * total[owner] / kept[owner]
+        source = np.minimum(np.searchsorted(summed, wanted, side="right"), first[owner] + n[owner] - 1)
+        survivors = self.state[:, np.maximum(source, first[owner])] if len(owner) else np.empty((4, 0), np.float32)
+        births = self._births(copies, key, row, groups)
+        where = np.concatenate([owner, np.repeat(np.arange(cells), copies[:, 1])])
+        self.state = np.concatenate([survivors, births], axis=1)[:, np.argsort(where, kind="stable")]
+
+    def _chances(self, cell: NDArray[np.int64], groups: Groups | None) -> tuple[Array, NDArray[np.int64]]:
+        """Return the chance of every particle to be drawn, and the group of every cell (0: none)."""
+        chance, row = np.ones(len(cell)), np.zeros(self.shape[0] * self.shape[1], np.int64)
+        if groups is not None:
+            row = groups.label.reshape(-1).astype(np.int64)
+            mine = row[cell]
+            off = np.where(mine > 0, 1, 0)[:, None] * (self.state[2:].T - groups.velocity[mine - 1])
+            distance = np.einsum("ki,kij,kj->k", off, groups.information[mine - 1], off)
+            a = self.settings.association
+            chance = np.where(mine > 0, 1 - a + a * np.exp(-0.5 * distance), 1.0)
+        return chance, row
+
+    def _moments(self, chance: Array, cell: NDArray[np.int64], n: NDArray[np.int64]) -> None:
+        cells, v = len(n), self.state[2:].astype(np.float64)
+        total = np.maximum(np.bincount(cell, chance, cells), 1e-300)
+        mean = np.stack([np.bincount(cell, chance * one, cells) / total for one in v])
+        dx, dy = v - mean[:, cell]
+        parts = [np.bincount(cell, chance * one, cells) / total for one in (dx * dx, dx * dy, dy * dy)]
+        self.mean, self.covariance = mean.T.reshape(*self.shape, 2), np.stack(parts, -1).reshape(*self.shape, 3)
+
+    def _mix_births(self, surviving: Array, born: Array, row: NDArray[np.int64], groups: Groups | None) -> None:
+        """Make the moments those of the mixture of what survives and what is born."""
+        mean, covariance = self._birth_normals(groups)
+        parts = np.stack([surviving, born]) / np.maximum(surviving + born, 1e-300)
+        own = self.covariance.reshape(-1, 3)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+        means = np.stack([self.mean.reshape(-1, 2), mean[row]])
+        mixed = np.einsum("kc,kci->ci", parts, means)
+        off = means - mixed
+        both = np.stack([own, covariance[row]]) + np.einsum("kci,kcj->kcij", off, off)
+        whole = np.einsum("kc,kcij->cij", parts, both).reshape(-1, 4)[:, [0, 1, 3]]
+        self.mean, self.covariance = mixed.reshape(*self.shape, 2), whole.reshape(*self.shape, 3)
+
+    def _birth_normals(self, groups: Groups | None) -> tuple[Array, Array]:
+        """Return mean and covariance of the velocity of births without a group, and of those of each group."""
+        wide = np.eye(2) * self.settings.birth_speed**2
+        if groups is None:
+            return np.zeros((1, 2)), wide[np.newaxis]
+        covariance = np.linalg.inv(np.linalg.inv(wide) + groups.information)
+        mean = np.einsum("gij,gjk,gk->gi", covariance, groups.information, groups.velocity)
+        return np.concatenate([np.zeros((1, 2)), mean]), np.concatenate([wide[np.newaxis], covariance])
+
+    def _births(
+        self, copies: NDArray[np.int64], key: np.uint64, row: NDArray[np.int64], groups: Groups | None
+    ) -> Array:
+        """Return new particles, uniform in their cells; velocities by the measurement of the group, or without."""
+        cells, numbers = len(copies), copies[:, 1]
+        owner = np.repeat(np.arange(cells), numbers)
+        within = np.arange(numbers.sum()) - np.repeat(np.cumsum(numbers) - numbers, numbers)
+        place = (np.cumsum(copies.sum(axis=1)) - numbers)[owner] + within
+        h = split_mix(place, ~key)
+        normal = np.stack([TABLE[bits(h, k)] for k in (0, 1)])
+        mean, covariance = self._birth_normals(groups)
+        associated = np.where(bits(h, 4) / 4096 < self.settings.association, row[owner], 0)
+        factor = np.linalg.cholesky(covariance)[associated]
+        velocity = mean[associated].T + np.einsum("nij,jn->in", factor, normal)
+        corner = np.stack([owner // self.shape[1], owner % self.shape[1]])
+        position = (corner + (np.stack([bits(h, 2), bits(h, 3)]) + 0.5) / 4096) * self.resolution
+        return np.concatenate([position, velocity]).astype(np.float32)

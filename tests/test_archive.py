@@ -1,0 +1,230 @@
+"""Grids in ``.npz`` files: lossless, whole or as they were, and harmless whatever they hold."""
+
+import contextlib
+import io
+import resource
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from moving import street
+
+from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, OgmError
+from ogm.archive import stated_format
+from ogm.io.grids import read_grid
+
+SPEC = GridSpec(0.0625, (31, 17), (-1.03125, 2.2))
+HOSTILE = ("file", "format", "../up", "a/b.npy", "", "ä \N{SNOWMAN}", "\ud800", "self", "x" * 300)
+Grid = EvidentialGrid | DynamicGrid | LayeredGrid
+
+
+def evidential() -> EvidentialGrid:
+    return EvidentialGrid(SPEC, np.random.default_rng(0).dirichlet([1, 1, 1], SPEC.shape)[..., :2])
+
+
+def layered() -> LayeredGrid:
+    rng = np.random.default_rng(1)
+    layers = {name: rng.normal(size=SPEC.shape) for name in HOSTILE}
+    layers[""][3:, 5] = np.nan
+    return LayeredGrid(SPEC, layers)
+
+
+EVERY = pytest.mark.parametrize("make", [evidential, street, layered])
+Make = Callable[[], Grid]
+
+
+@contextlib.contextmanager
+def little_memory(more: int = 2**30) -> Iterator[None]:
+    """Let this process take that much more memory at most [bytes]."""
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + more, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+def repacked(path: Path, **arrays: bytes | np.ndarray | None) -> None:
+    """Write an archive anew with some of its members replaced, left out (None) or added."""
+    with zipfile.ZipFile(path) as archive:
+        members: dict[str, bytes | np.ndarray | None] = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in (members | {f"{name}.npy": one for name, one in arrays.items()}).items():
+            if isinstance(content, np.ndarray):
+                buffer = io.BytesIO()
+                np.save(buffer, content)
+                content = buffer.getvalue()
+            if content is not None:
+                archive.writestr(name, content)
+
+
+def header_of(shape: object, kind: str = "<f4") -> bytes:
+    """Return the beginning of an array file."""
+    text = str({"descr": kind, "fortran_order": False, "shape": shape}).encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+@EVERY
+def test_save_and_load_lose_nothing(tmp_path: Path, make: Make) -> None:
+    grid = make()
+    grid.save(tmp_path / "a.npz")
+    again = type(grid).load(tmp_path / "a.npz")
+    assert again == grid
+    assert again.spec == grid.spec
+    assert stated_format(tmp_path / "a.npz") == f"ogm.{type(grid).__name__}/1"
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as data:
+        assert data["resolution"] == grid.spec.resolution
+        assert tuple(data["origin"]) == grid.spec.origin
+
+
+def test_a_grid_without_layers_comes_back(tmp_path: Path) -> None:
+    LayeredGrid(SPEC, {}).save(tmp_path / "a.npz")
+    assert LayeredGrid.load(tmp_path / "a.npz") == LayeredGrid(SPEC, {})
+
+
+def test_a_grid_is_not_taken_for_one_of_another_kind(tmp_path: Path) -> None:
+    kinds = (evidential(), street(), layered())
+    for grid in kinds:
+        grid.save(tmp_path / "a.npz")
+        for other in kinds:
+            if other is not grid:
+                message = f"not an ogm.{type(other).__name__}/1 file: found ogm.{type(grid).__name__}/1"
+                with pytest.raises(OgmError, match=message):
+                    type(other).load(tmp_path / "a.npz")
+
+
+@EVERY
+def test_a_failed_save_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Make) -> None:
+    path = tmp_path / "a.npz"
+    path.write_bytes(b"old")
+
+    def breaks(file: object, **arrays: object) -> None:
+        file.write(b"half")  # type: ignore[attr-defined]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(np, "savez_compressed", breaks)
+    with pytest.raises(KeyboardInterrupt):
+        make().save(path)
+    assert path.read_bytes() == b"old"
+    assert [one.name for one in tmp_path.iterdir()] == ["a.npz"]
+    with pytest.raises(ValueError, match=r"saved as \.npz, got .*a\.zip"):
+        make().save(tmp_path / "a.zip")
+
+
+@EVERY
+def test_cut_files_are_refused_by_their_name(tmp_path: Path, make: Make) -> None:
+    path = tmp_path / "a.npz"
+    make().save(path)
+    whole = path.read_bytes()
+    for size in (0, 1, 20, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:size])
+        with pytest.raises(OgmError) as caught:
+            type(make()).load(path)
+        assert str(caught.value).count("a.npz") == 1
+    path.unlink()
+    with pytest.raises(FileNotFoundError):
+        type(make()).load(path)
+
+
+@EVERY
+def test_changed_bytes_are_an_error_of_ours_or_a_grid(tmp_path: Path, make: Make) -> None:
+    path, rng = tmp_path / "a.npz", np.random.default_rng(0)
+    grid = make()
+    grid.save(path)
+    whole, refused = path.read_bytes(), 0
+    for _ in range(200):
+        damaged = bytearray(whole)
+        damaged[rng.integers(len(whole))] ^= int(rng.integers(1, 256))
+        path.write_bytes(bytes(damaged))
+        try:
+            type(grid).load(path)
+        except OgmError:
+            refused += 1
+    assert refused > 100
+
+
+LIES = {
+    "more cells than bytes": header_of((2**20, 2**20, 2)),
+    "a product beyond 64 bits": header_of((2**40, 2**40, 2)),
+    "a negative count": header_of((-1, 31, 2)),
+    "no counts": header_of(("a", "b")),
+    "objects": header_of((31, 17, 2), "|O"),
+    "rows of other things": header_of((31, 17), "<f4,<i4"),
+    "nothing per cell": header_of((2**62,), "<U0"),
+    "no header": b"masses",
+    "a version that is none": b"\x93NUMPY\x09\x00" + bytes(200),
+    "nested brackets": b"\x93NUMPY\x01\x00\xff\xff" + b"(" * 65535,
+    "nothing": b"",
+}
+
+
+@EVERY
+@pytest.mark.parametrize("lie", LIES)
+def test_headers_that_lie_take_no_memory(tmp_path: Path, make: Make, lie: str) -> None:
+    path, grid = tmp_path / "a.npz", make()
+    grid.save(path)
+    repacked(path, **{"layers" if isinstance(grid, LayeredGrid) else "mass": LIES[lie]})
+    with little_memory(), pytest.raises(OgmError, match=r"a\.npz: "):
+        type(grid).load(path)
+
+
+@EVERY
+@pytest.mark.parametrize("name", ["format", "resolution", "origin"])
+def test_every_array_is_needed_and_checked(tmp_path: Path, make: Make, name: str) -> None:
+    path, grid = tmp_path / "a.npz", make()
+    for wrong in (None, np.array([{}], object), np.full(3, np.nan), np.array("text"), np.array([[np.inf, -1.0]])):
+        grid.save(path)
+        repacked(path, **{name: wrong})
+        with pytest.raises(OgmError, match=r"a\.npz: "):
+            type(grid).load(path)
+
+
+def test_numbers_that_are_no_grid_are_refused(tmp_path: Path) -> None:
+    path, grid = tmp_path / "a.npz", street()
+    for arrays in (
+        {"mass": grid.mass * 2},
+        {"mass": grid.mass[..., :2].copy()},
+        {"velocity": grid.mass},
+        {"covariance": None},
+        {"covariance": grid.velocity},
+    ):
+        grid.save(path)
+        repacked(path, **arrays)
+        with pytest.raises(OgmError, match=r"a\.npz: "):
+            DynamicGrid.load(path)
+    layers = layered()
+    for arrays in ({"names": np.array(["one"])}, {"layers": layers["file"]}, {"names": None}):
+        layers.save(path)
+        repacked(path, **arrays)
+        with pytest.raises(OgmError, match=r"a\.npz: "):
+            LayeredGrid.load(path)
+
+
+@pytest.mark.parametrize("kind", [EvidentialGrid, DynamicGrid, LayeredGrid])
+def test_a_bomb_is_not_unpacked(tmp_path: Path, kind: type[Grid]) -> None:
+    """20 GB of zeros, announced as they are."""
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("mass.npy", b"x")
+    data = bytearray(path.read_bytes())
+    at = data.rfind(b"PK\x01\x02") + 24  # the uncompressed size in the archive's directory
+    data[at : at + 4] = (2**32 - 2).to_bytes(4, "little")
+    path.write_bytes(bytes(data))
+    repeated = data[: data.rfind(b"PK\x01\x02")]
+    entry = data[data.rfind(b"PK\x01\x02") : data.rfind(b"PK\x05\x06")]
+    end = bytearray(data[data.rfind(b"PK\x05\x06") :])
+    end[8:10] = end[10:12] = (5).to_bytes(2, "little")
+    end[12:16] = (5 * len(entry)).to_bytes(4, "little")
+    path.write_bytes(bytes(repeated + 5 * entry + end))
+    with little_memory(), pytest.raises(OgmError, match="holds 21474836470 bytes when decoded"):
+        kind.load(path)
+
+
+def test_read_grid_names_the_file_once(tmp_path: Path) -> None:
+    (tmp_path / "a.npz").write_bytes(b"PK\x03\x04")
+    with pytest.raises(OgmError) as caught:
+        read_grid(tmp_path / "a.npz")
+    assert str(caught.value).count("a.npz") == 1
