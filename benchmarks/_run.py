@@ -2,7 +2,7 @@
 
 Importing this module pins the process to one core, and must therefore come before numpy is imported: the
 thread pools of numba, OpenMP and BLAS read their sizes when they are loaded. A benchmark that is about several
-cores sets OGM_CORES in ``os.environ`` before it imports this module: their number, and nothing is pinned.
+cores sets OGM_CORES in ``os.environ`` before it imports this module: their number, and the process may use every core.
 """
 
 import os
@@ -14,6 +14,8 @@ CORE = None
 if CORES == 1 and hasattr(os, "sched_setaffinity"):  # Linux
     CORE = max(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {CORE})
+elif hasattr(os, "sched_setaffinity"):  # a benchmark that is pinned may have started this one
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
 
 import contextlib  # noqa: E402
 import ctypes  # noqa: E402
