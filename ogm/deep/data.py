@@ -17,6 +17,7 @@ from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masse
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Frame, Scan
+from ogm.state import CellState
 
 __all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "EpochSampler", "PillarDataset", "augment", "training_ranges"]
 
@@ -46,6 +47,8 @@ class Augmentation:
         Standard deviation of the error in the sensor's height [m].
     tilt : float
         Standard deviation of errors in pitch and in roll [rad].
+    sector : float
+        Share of frames of which a sector of 60 to 270 degrees is left; the truth outside becomes unknown.
     """
 
     turn: float = 0.5
@@ -57,10 +60,11 @@ class Augmentation:
     noise: float = 0.03
     height: float = 0.05
     tilt: float = 0.005
+    sector: float = 0.0
 
 
-ROTATION = Augmentation(1, 0, 0, 0, 0, 0, 0, 0, 0)  # van Kempen et al. 2021: rotation alone
-PLAIN = Augmentation(0, 0, 0, 0, 0, 0, 0, 0, 0)
+ROTATION = Augmentation(1, 0, 0, 0, 0, 0, 0, 0, 0, 0)  # van Kempen et al. 2021: rotation alone
+PLAIN = Augmentation(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
 class Batch(NamedTuple):
@@ -184,7 +188,7 @@ def augment(
 ) -> tuple[Scan, float, NDArray[np.uint8]]:
     """Change a frame as another drive, another sensor or another calibration would.
 
-    Turning and mirroring change points and truth alike; all else changes the points alone.
+    Turning, mirroring and cutting to a sector change points and truth alike; all else changes the points alone.
 
     Parameters
     ----------
@@ -224,6 +228,7 @@ def augment(
     noise = rng.uniform(0, a.noise) if a.noise else 0.0
     height = float(T[2, 3]) + a.height * rng.standard_normal()
     pitch, roll = a.tilt * rng.standard_normal(2)
+    cut, middle, half = rng.random() < a.sector, rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(30, 135))
 
     keep = np.ones(len(scan), bool)
     if lost_layers and scan.ring is not None:
@@ -240,8 +245,20 @@ def augment(
     matrix[2] = *(T[2, :3] + (-pitch, roll, 0)), height
     _disturb(points, errors, matrix.astype(np.float32), np.float32(gain))
     no_returns = None if scan.no_returns is None else scan.no_returns @ matrix[:, :3].T.astype(np.float32)
-    changed = Scan(points, no_returns=no_returns)
-    return changed, height, (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
+    state = (truth.mirrored() if mirrored else truth).crop(spec, yaw).state
+    if cut:
+        outside = ~_in_sector(*spec.cell_centers, middle, half)
+        state = state.copy()
+        state[outside & (state != CellState.IGNORE)] = CellState.UNKNOWN
+        points = points[_in_sector(points[:, 0], points[:, 1], middle, half)]
+        if no_returns is not None:
+            no_returns = no_returns[_in_sector(no_returns[:, 0], no_returns[:, 1], middle, half)]
+    return Scan(points, no_returns=no_returns), height, state
+
+
+def _in_sector(x: NDArray, y: NDArray, middle: float, half: float) -> NDArray[np.bool_]:
+    """Return whether places are within an angle of a bearing, as seen from x = y = 0."""
+    return np.cos(np.arctan2(y, x) - middle) >= np.cos(half)
 
 
 @kernel

@@ -93,7 +93,9 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and 
     most_pillars=10_000,
     most_points=100,
 )
-RAYS_RECIPE = Recipe(replace(LITE, rays=True), epochs=6, batch=4, learning_rate=1e-3)  # begun with `lite`
+RAYS_RECIPE = Recipe(  # begun with `lite`
+    replace(LITE, rays=True), epochs=6, batch=4, learning_rate=1e-3, augmentation=Augmentation(sector=0.25)
+)
 PRESETS = {"lite": LITE_RECIPE, "rays": RAYS_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
 
 

@@ -85,6 +85,29 @@ def test_intensities_stay_in_their_range(frames, small):
     assert not points[:, 3].any()
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_what_no_beam_of_the_sector_looks_at_is_unknown(frames, small, seed):
+    scan, frame = frames[0].scan, frames[0]
+    beams = np.column_stack([np.cos(angles := np.linspace(-3, 3, 50)), np.sin(angles), 0 * angles]).astype(np.float32)
+    frame = Frame(Scan(scan.points, no_returns=beams), frame.mount, None, frame.truth)
+    cut, _, state = augment(frame, small, only(sector=1.0), np.random.default_rng(seed))
+    whole, _, truth = augment(frame, small, PLAIN, np.random.default_rng(seed))
+    x, y = np.broadcast_arrays(*small.cell_centers)
+    turned = np.sort(np.arctan2(cut.points[:, 1], cut.points[:, 0]))
+    gaps = np.diff(turned, append=turned[0] + 2 * np.pi)
+    start = turned[gaps.argmax()]  # the greatest bearing of the sector
+    beyond = np.mod(np.arctan2(y, x) - start, 2 * np.pi)
+    lost, kept = (beyond > 0.1) & (beyond < gaps.max() - 0.1), beyond > gaps.max() + 0.1
+    assert 90 <= np.degrees(gaps.max()) <= 310
+    assert (truth[lost] != CellState.UNKNOWN).any()
+    assert (state[lost] == CellState.UNKNOWN).all()
+    np.testing.assert_array_equal(state[kept], truth[kept])
+    assert state.dtype == truth.dtype
+    assert 0 < len(cut.points) < len(whole.points)
+    seen = np.mod(np.arctan2(cut.no_returns[:, 1], cut.no_returns[:, 0]) - start, 2 * np.pi)
+    assert not ((seen > 0.1) & (seen < gaps.max() - 0.1)).any()
+
+
 def test_augmenting_leaves_the_frame_unchanged(frames, small):
     before = frames[2].scan.points.copy()
     augment(frames[2], small, Augmentation(), np.random.default_rng(0))
