@@ -36,11 +36,13 @@ def scan(tmp_path: Path) -> Path:
 SMALL = ("--length", 32, "--width", 32, "--resolution", 0.5)
 
 
-def test_demo_writes_a_picture_and_a_table(tmp_path: Path) -> None:
+def test_demo_writes_pictures_and_a_table(tmp_path: Path) -> None:
     result = ogm("demo", "--out", tmp_path)
     assert result.exit_code == 0
     assert "208680" in result.output
+    assert "10198" in result.output
     assert (tmp_path / "ogm-demo.png").stat().st_size > 50_000
+    assert (tmp_path / "ogm-demo-sector.png").stat().st_size > 20_000
     grid = EvidentialGrid.load(tmp_path / "ogm-demo.npz")
     assert grid.spec.shape == (512, 352)
     assert grid.at(20, 5).free > 0.9  # the lane ahead

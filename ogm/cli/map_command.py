@@ -21,41 +21,49 @@ if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
     from ogm.scan import InverseSensorModel, PerMount
 
-# The shipped scan: Velodyne's raw frame has y forward, x right; height [m] from its own ground returns.
-DEMO_AXES, DEMO_HEIGHT = ("+y", "-x", "+z"), 1.98
+DEMO_SCANS = {  # output: file, axes and height [m]: Velodyne's raw frame has y forward, x right; from its ground returns
+    "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98),
+    "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45),
+}
 DEMO_MODELS = {"height-band": "height band (paper's baseline)", "ray": "RayISM", "lite": "deep (lite)"}
 
 
 @report_errors
 def demo(
-    out_folder: Annotated[Path, typer.Option("--out", help="Folder for ogm-demo.png and ogm-demo.npz.")] = Path("."),
+    out_folder: Annotated[Path, typer.Option("--out", help="Folder for the pictures and ogm-demo.npz.")] = Path("."),
 ) -> None:
-    """Map the shipped road scan (Velodyne VLS-128) and draw it: points, two geometric models, the learned one."""
+    """Map two shipped scans and draw them: points, two geometric models, the learned one.
+
+    A road around a Velodyne VLS-128: ogm-demo.png, ogm-demo.npz. What a Hesai AT128 sees of a yard, 120 degrees:
+    ogm-demo-sector.png.
+    """
     from ogm import Mount, plot, read_scan
     from ogm.evaluation.models import LITE, load_model
     from ogm.grid import GridSpec
 
     out_folder.mkdir(parents=True, exist_ok=True)
-    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
-        scan = read_scan(path, axes=DEMO_AXES)
-    spec = GridSpec.centered()
-    table, grids = _table(), {}
-    for name, title in DEMO_MODELS.items():
-        if name == LITE and not find_spec("onnxruntime"):
-            stderr.print('without the learned model: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
-            continue
-        ism = load_model(name, spec, Mount(DEMO_HEIGHT))
-        with first_call():
-            ism(scan)
-        grids[title], seconds = _timed(partial(ism, scan), repeats=9)
-        _row(table, name, len(scan), grids[title], seconds)
-    cloud = plot.points_panel(scan.points, spec, f"{len(scan)} points", -DEMO_HEIGHT)
-    picture, archive = out_folder / "ogm-demo.png", out_folder / "ogm-demo.npz"
-    plot.save_picture(picture, cloud, *grids.values(), titles=["", *grids])
-    grids[DEMO_MODELS["ray"]].save(archive)
-    out.print(f"One scan on {_cells(spec)}")
+    models = dict(DEMO_MODELS)
+    if not find_spec("onnxruntime"):
+        stderr.print('without the learned model: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
+        del models[LITE]
+    spec, table, pictures = GridSpec.centered(), _table(), []
+    for output, (file, axes, height) in DEMO_SCANS.items():
+        with as_file(files("ogm") / "data" / file) as path:
+            scan, grids = read_scan(path, axes=axes), {}
+        for name, title in models.items():
+            ism = load_model(name, spec, Mount(height))
+            with first_call():
+                ism(scan)
+            grids[title], seconds = _timed(partial(ism, scan), repeats=9)
+            _row(table, name, len(scan), grids[title], seconds)
+        cloud = plot.points_panel(scan.points, spec, f"{len(scan)} points", -height)
+        pictures.append(out_folder / f"{output}.png")
+        plot.save_picture(pictures[-1], cloud, *grids.values(), titles=["", *grids])
+        if len(pictures) == 1:
+            grids[DEMO_MODELS["ray"]].save(out_folder / f"{output}.npz")
+    out.print(f"Two scans on {_cells(spec)}")
     out.print(table)
-    out.print(f"picture {picture}   grid {archive}", markup=False)
+    out.print(f"pictures {pictures[0]}, {pictures[1]}   grid {pictures[0].with_suffix('.npz')}", markup=False)
 
 
 @report_errors
