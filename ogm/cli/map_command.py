@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
     from ogm.scan import InverseSensorModel, PerMount
 
-DEMO_SCANS = {  # output: file, axes and height [m]: Velodyne's raw frame has y forward, x right; from its ground returns
+DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by the ground returns [m]
     "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98),
     "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45),
 }
