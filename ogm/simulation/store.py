@@ -19,6 +19,9 @@ Layout of a split, for n samples:
     they can be read, not grow.
 ``objects`` (n, objects, 12) float32
     Rows of `ogm.simulation.sample.OBJECT`, the nearest first.
+``checksums`` (n, 6) uint32
+    CRC-32 of a sample's part of the arrays above and of its facts (`ogm.simulation.split.sample_checksums`); zeros in
+    samples of older versions.
 ``facts`` (n, 36) float64
     Columns named by the split's attribute ``facts``: poses, velocities, the lidar's number, weather. A shard's
     facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
@@ -27,7 +30,8 @@ Data sets of recipes have the format ogm.samples/4: a range of 65535 steps is a 
 point nor a beam without echo, and the facts have one more column, dust.
 
 The attributes of the root group hold the format, the plan that the samples were made by, the lidars, and the
-versions of the libraries that made them; no date and no machine, so that the same plan gives the same bytes.
+versions of the libraries that made them, and their own SHA-256; no date and no machine, so that the same plan gives the
+same bytes.
 """
 
 import os
@@ -41,20 +45,24 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
+from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import (
+    CHECKED,
     FACTS,
+    LARGE,
     OBJECTS,
     SHARD,
     UNMEASURED,
     Damaged,
     Split,
     array_layout,
+    attributes_checksum,
     facts_of,
     load_zarr,
     open_array,
+    sample_checksums,
     shard_file,
 )
 from ogm.truth import TRUTH_SPEC
@@ -109,11 +117,14 @@ class Store:
             )
         if found not in (FORMAT, GAPS, OLDER):
             raise OgmError(
-                f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}; "
-                "make the data set anew, or use the version that made it"
+                f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}"
+                + (update_hint(found, FORMAT, GAPS) or "; make the data set anew, or use the version that made it")
             )
         try:
-            return cls(path, attributes)
+            store = cls(path, attributes)
+            if attributes.get("sha256", "") not in ("", attributes_checksum(attributes)):
+                raise ValueError("their SHA-256 differs")
+            return store
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise Damaged(
                 f"{path / 'zarr.json'} holds other values than `ogm simulate` writes ({error!r}); "
@@ -194,7 +205,8 @@ class Store:
             "splits": counts,
             "lidars": [asdict(one) for one in beams],
         }
-        root.attrs.put(made | {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)})
+        made |= {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)}
+        root.attrs.put(made | {"sha256": attributes_checksum(made)})
         return cls.open(path)
 
     def __getitem__(self, split: str) -> Split:
@@ -237,6 +249,8 @@ class Store:
                 columns["heights"][k] = one.truth.height_cm
             columns["objects"][k, : len(rows)] = structured_to_unstructured(rows, np.float32)
             columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))[: layout["facts"][0][0]]
+        sums = [sample_checksums(split, first, columns[name]) for name in CHECKED]
+        columns["checksums"] = np.stack(sums, axis=-1)
         files = [shard_file(self.path / split, name, shard) for name in columns]
         for file in reversed(files):  # the facts first: until they are written again, the shard is not made
             file.unlink(missing_ok=True)
@@ -299,7 +313,7 @@ def _grow(root: Any, name: str, count: int, beams: Sequence[Beams], gaps: bool) 
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))
             continue
-        large = array in ("steps", "intensities", "truth", "heights")
+        large = array in LARGE
         shuffled = BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle")
         group.create_array(
             array,
