@@ -1,4 +1,4 @@
-"""Arrays of one part of a data set on disk, and its samples read from them; `ogm.simulation.store` has the layout."""
+"""Arrays of one part of a data set on disk, and its samples read from them; ``docs/formats.md`` has the layout."""
 
 import hashlib
 import json

@@ -7,27 +7,8 @@ Reading needs numpy and zarr, neither Open3D nor Dask::
     sample = Store.open("data")["training"][0]
     sample.points, sample.truth, sample.objects, sample.T_world_sensor
 
-Layout of a split, for n samples:
-
-``steps`` (n, rays) uint16 and ``intensities`` (n, rays) uint8
-    The range image, layer after layer from the lowest up; a lidar with fewer rays than the largest leaves the
-    end 0.
-``truth`` (n, 624, 624) uint8
-    Values of `ogm.state.CellState`.
-``heights`` (n, 624, 624) uint8
-    `ogm.state.Truth.height_cm`; zeros where heights are not known. Data sets of the format ogm.samples/2 lack it:
-    they can be read, not grow.
-``objects`` (n, objects, 12) float32
-    Rows of `ogm.simulation.sample.OBJECT`, the nearest first.
-``checksums`` (n, 6) uint32
-    CRC-32 of a sample's part of the arrays above and of its facts (`ogm.simulation.split.sample_checksums`); zeros in
-    samples of older versions.
-``facts`` (n, 36) float64
-    Columns named by the split's attribute ``facts``: poses, velocities, the lidar's number, weather. A shard's
-    facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
-
-Data sets of recipes have the format ogm.samples/4: a range of 65535 steps is a beam that was not measured, neither a
-point nor a beam without echo, and the facts have one more column, dust.
+``docs/formats.md`` has the layout: per split the arrays steps, intensities, truth, heights, objects, checksums, facts.
+A shard's facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
 
 The attributes of the root group hold the format, the plan that the samples were made by, the lidars, and the
 versions of the libraries that made them, and their own SHA-256; no date and no machine, so that the same plan gives the

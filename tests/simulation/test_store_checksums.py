@@ -46,7 +46,7 @@ def test_flipped_bits_are_found(store: Store) -> None:
     found = Counter[str]()
     for file in sorted(one for one in store.path.rglob("*") if one.is_file()):
         found += check_flips(file, read, 6, str(store.path))
-    assert found["refused"] > found["harmless"]
+    assert found["refused"] > 60
 
 
 @pytest.mark.parametrize("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])
@@ -66,7 +66,7 @@ def test_an_exchanged_file_is_found_by_reading_and_by_resuming(
         split[3]
     assert content(split[12]) == content(make_sample(None, "training", 12))
     with pytest.raises(
-        Damaged, match=rf"sample 0 of training .*{array} damaged .*; 9 more are damaged: sample 1 of tr"
+        Damaged, match=rf"sample . of training .*{array} damaged .*; . more are damaged: sample . of tr"
     ):
         missing_shards(Store.open(store.path))
 

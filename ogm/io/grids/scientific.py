@@ -246,9 +246,7 @@ def write_scientific(path: Path, placed: PlacedGrid) -> None:
     with whole_path(path) as temporary:
         chunks = tuple(min(one, _CHUNK) for one in placed.grid.spec.shape[::-1])
         if path.suffix.lower() == ".zarr":
-            from zarr.codecs import ZstdCodec
-
-            checked = {"compressors": [ZstdCodec(level=0, checksum=True)]}
+            checked = {"compressors": [{"name": "zstd", "configuration": {"level": 0, "checksum": True}}]}
             encoding: dict[str, dict[str, Any]] = {str(name): dict(checked) for name in dataset.variables}
             for name in dataset.data_vars:
                 encoding[str(name)]["chunks"] = chunks
