@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
@@ -60,7 +60,8 @@ def write_archive(path: str | os.PathLike[str], stated: str, **arrays: ArrayLike
     if not str(path).lower().endswith(".npz"):
         raise ValueError(f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture")
     with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        sums = [(name, _write(archive, name, one)) for name, one in {"format": stated, **arrays}.items()]
+        named: dict[str, ArrayLike] = {"format": stated, **arrays}
+        sums = [(name, _write(archive, name, one)) for name, one in named.items()]
         _write(archive, _CHECKSUMS, sums)
 
 
@@ -133,9 +134,9 @@ class _Hashed:
 def _write(archive: zipfile.ZipFile, name: str, array: ArrayLike) -> str:
     """Add an array and return its checksum."""
     with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
-        hashed = _Hashed(file)
+        hashed: Any = _Hashed(file)
         npy.write_array(hashed, np.asarray(array), allow_pickle=False)
-        return hashed.checksum
+        return str(hashed.checksum)
 
 
 def _check(arrays: dict[str, tuple[NDArray, str]]) -> None:
@@ -162,7 +163,7 @@ def _read(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> tuple[NDArray, str
         if file.tell() + math.prod(shape) * kind.itemsize != item.file_size:
             raise OgmError(f"its array {name} has {item.file_size} bytes, too few or too many for {kind} of {shape}")
     with archive.open(item) as whole:
-        hashed = _Hashed(whole)
+        hashed: Any = _Hashed(whole)
         try:
             return npy.read_array(hashed, allow_pickle=False), hashed.checksum
         except (zlib.error, EOFError) as error:  # which name no array

@@ -208,7 +208,7 @@ def sample_checksums(split: str, first: int, values: NDArray[Any]) -> NDArray[np
     """Return the CRC-32 of each sample's part of an array, (k,), begun with the sample's split and number."""
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
     sums = [
-        zlib.crc32(np.ascontiguousarray(one), zlib.crc32(f"{split} {first + k}".encode()))
+        zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode()))
         for k, one in enumerate(little)
     ]
     return np.array(sums, np.uint32)
