@@ -207,10 +207,7 @@ class Split(Sequence[SimulatedSample]):
 def sample_checksums(split: str, first: int, values: NDArray[Any]) -> NDArray[np.uint32]:
     """Return the CRC-32 of each sample's part of an array, (k,), begun with the sample's split and number."""
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
-    sums = [
-        zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode()))
-        for k, one in enumerate(little)
-    ]
+    sums = [zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode())) for k, one in enumerate(little)]
     return np.array(sums, np.uint32)
 
 
