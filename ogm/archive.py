@@ -1,5 +1,6 @@
-"""Arrays in ``.npz`` files: written whole or not at all, and read only after all sizes have been checked."""
+"""Arrays in ``.npz`` files: written whole or not at all, and read only after sizes and checksums have been checked."""
 
+import hashlib
 import math
 import os
 import tokenize
@@ -7,13 +8,13 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError, atomic_write
+from ogm.files import OgmError, atomic_write, update_hint
 from ogm.limits import current_limits, too_large
 
 __all__ = ["open_archive", "stated_format", "write_archive"]
@@ -34,6 +35,7 @@ _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives, and g
     ValueError,
 )
 _TEXTS = 2**20  # [bytes] for headers and texts
+_CHECKSUMS = "checksums"  # array of the names of the others and the SHA-256 of what the archive holds of each
 
 
 def write_archive(path: str | os.PathLike[str], stated: str, **arrays: ArrayLike) -> None:
@@ -46,7 +48,7 @@ def write_archive(path: str | os.PathLike[str], stated: str, **arrays: ArrayLike
     stated : str
         Name and version of the format, kept as the array ``format``.
     **arrays
-        By their names in the file.
+        By their names in the file. One more is added, ``checksums``: rows of a name and the SHA-256 of its ``.npy``.
 
     Raises
     ------
@@ -57,9 +59,10 @@ def write_archive(path: str | os.PathLike[str], stated: str, **arrays: ArrayLike
     """
     if not str(path).lower().endswith(".npz"):
         raise ValueError(f"a grid is saved as .npz, got {path}; pictures are made by ogm.plot.save_picture")
-    with atomic_write(path) as file:
-        named: dict[str, Any] = {"format": np.array(stated)} | {name: np.asarray(one) for name, one in arrays.items()}
-        np.savez_compressed(file, **named)
+    with atomic_write(path) as file, zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        named: dict[str, ArrayLike] = {"format": stated, **arrays}
+        sums = [(name, _write(archive, name, one)) for name, one in named.items()]
+        _write(archive, _CHECKSUMS, sums)
 
 
 @contextmanager
@@ -88,9 +91,12 @@ def open_archive(path: str | os.PathLike[str], wanted: str) -> Iterator[dict[str
             raise too_large("it", size, "grid")
         if (found := _format(archive)) != wanted:
             names = sorted(item.filename.removesuffix(".npy") for item in archive.infolist())
-            raise OgmError(f"it is not an {wanted} file: found {found or f'arrays {names}'}"[:400])
+            what = f"{found or f'arrays {names}'}"[:300] + update_hint(found, wanted)
+            raise OgmError(f"it is not an {wanted} file: found {what}")
         items = {item.filename.removesuffix(".npy"): item for item in archive.infolist()}
-        yield {name: _read(archive, item) for name, item in items.items()}
+        arrays = {name: _read(archive, item) for name, item in items.items()}
+        _check(arrays)
+        yield {name: array for name, (array, _) in arrays.items()}
 
 
 def stated_format(path: str | os.PathLike[str]) -> str:
@@ -102,11 +108,50 @@ def stated_format(path: str | os.PathLike[str]) -> str:
 def _format(archive: zipfile.ZipFile) -> str:
     """Return the text of the array ``format``."""
     items = [item for item in archive.infolist() if item.filename == "format.npy" and item.file_size <= _TEXTS]
-    return str(_read(archive, items[-1])) if items else ""
+    return str(_read(archive, items[-1])[0]) if items else ""
 
 
-def _read(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> NDArray:
-    """Return an array; its header must announce what the archive announces, before there is memory for it."""
+class _Hashed:
+    """A file of an archive; what is written or read is hashed on the way."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._sum = file, hashlib.sha256()
+
+    def write(self, data: bytes) -> int:
+        self._sum.update(data)
+        return self._file.write(data)
+
+    def read(self, size: int = -1) -> bytes:
+        data = self._file.read(size)
+        self._sum.update(data)
+        return data
+
+    @property
+    def checksum(self) -> str:
+        return self._sum.hexdigest()
+
+
+def _write(archive: zipfile.ZipFile, name: str, array: ArrayLike) -> str:
+    """Add an array and return its checksum."""
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+        hashed: Any = _Hashed(file)
+        npy.write_array(hashed, np.asarray(array), allow_pickle=False)
+        return str(hashed.checksum)
+
+
+def _check(arrays: dict[str, tuple[NDArray, str]]) -> None:
+    """Compare the checksums, which older files lack, with those of what was read."""
+    if _CHECKSUMS not in arrays:
+        return
+    for name, wanted in arrays[_CHECKSUMS][0].tolist():
+        if name not in arrays:
+            raise OgmError(f"its array {name} is missing")
+        if arrays[name][1] != wanted:
+            raise OgmError(f"its array {name} is damaged: another SHA-256 than when it was saved")
+
+
+def _read(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> tuple[NDArray, str]:
+    """Return an array and its checksum; its header must announce what the archive does, before there is memory."""
     name = item.filename.removesuffix(".npy")
     with archive.open(item) as file:
         header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
@@ -118,7 +163,11 @@ def _read(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> NDArray:
         if file.tell() + math.prod(shape) * kind.itemsize != item.file_size:
             raise OgmError(f"its array {name} has {item.file_size} bytes, too few or too many for {kind} of {shape}")
     with archive.open(item) as whole:
-        return npy.read_array(whole, allow_pickle=False)
+        hashed: Any = _Hashed(whole)
+        try:
+            return npy.read_array(hashed, allow_pickle=False), hashed.checksum
+        except (zlib.error, EOFError) as error:  # which name no array
+            raise zipfile.BadZipFile(f"its array {name} is damaged: {error}") from error
 
 
 @contextmanager

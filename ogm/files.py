@@ -3,13 +3,14 @@
 import contextlib
 import errno
 import os
+import re
 import secrets
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-__all__ = ["OgmError", "atomic_write", "naming", "temporary_name"]
+__all__ = ["OgmError", "atomic_write", "naming", "temporary_name", "update_hint"]
 
 _OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
 
@@ -102,3 +103,12 @@ def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO, Callable[[], Path]]]
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise
+
+
+def update_hint(found: object, *known: str) -> str:
+    """Return what to do about a stated format, such as ogm.poses/2, that is newer than all known ones; else ""."""
+    name, _, version = str(found).rpartition("/")
+    versions = [int(one.rpartition("/")[2]) for one in known if one.rpartition("/")[0] == name]
+    if not versions or not re.fullmatch("[0-9]{1,9}", version) or int(version) <= max(versions):
+        return ""
+    return ": it comes from a newer release of ogm; update ogm (pip install --upgrade ogm-toolkit)"

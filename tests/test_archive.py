@@ -101,11 +101,11 @@ def test_a_failed_save_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: py
     path = tmp_path / "a.npz"
     path.write_bytes(b"old")
 
-    def breaks(file: object, **arrays: object) -> None:
+    def breaks(file: object, array: object, **options: object) -> None:
         file.write(b"half")  # type: ignore[attr-defined]
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(np, "savez_compressed", breaks)
+    monkeypatch.setattr(np.lib.format, "write_array", breaks)
     with pytest.raises(KeyboardInterrupt):
         make().save(path)
     assert path.read_bytes() == b"old"

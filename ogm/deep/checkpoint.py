@@ -1,8 +1,10 @@
 """A trained network on disk: NAME.safetensors holds the weights, NAME.json what they are for and where they come from.
 
-Nothing is unpickled. Sizes and names must be those that the description asks for.
+Nothing is unpickled. Sizes and names must be those that the description asks for, and the bytes of both files those
+whose SHA-256 it states under ``sha256``; files of older versions state none.
 """
 
+import hashlib
 import json
 import math
 import os
@@ -16,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from ogm.deep.description import FORMAT, grid_of, read_description
+from ogm.deep.description import FORMAT, description_checksum, grid_of, read_description
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.files import OgmError, atomic_write
 
@@ -48,9 +50,12 @@ def save_network(path: str | os.PathLike[str], network: PillarNetwork, facts: Ma
         "spec": asdict(network.spec),
         "parameters": sum(value.numel() for value in network.parameters()),
     }
+    data = save(weights, {"format": FORMAT})
+    description |= {"sha256": {"weights": hashlib.sha256(data).hexdigest()}}
+    description["sha256"]["description"] = description_checksum(description)
     text = json.dumps(description, indent=1)  # before anything is written: facts may not be JSON
     with atomic_write(path) as file:
-        file.write(save(weights, {"format": FORMAT}))
+        file.write(data)
     with atomic_write(path.with_suffix(".json"), "w") as file:
         file.write(text + "\n")
     return path
@@ -88,6 +93,7 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError) as error:
         raise OgmError(f"{beside} describes no network that can be made: {error}") from error
     weights = _read_weights(path, wanted)
+    _check_sums(path, beside, description)
     network = PillarNetwork(config, spec)
     network.load_state_dict(weights)
     return network.eval(), description
@@ -113,6 +119,19 @@ def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]
         if not torch.isfinite(value).all() or (name.endswith("running_var") and (value < 0).any()):
             raise OgmError(f"{path} has variances below 0, or weights that are NaN or infinite, in {name}")
     return weights
+
+
+def _check_sums(path: Path, beside: Path, description: Mapping[str, Any]) -> None:
+    """Compare the checksums of the description, if it has some, with both files."""
+    if "sha256" not in description:
+        return
+    for file, part, found in (
+        (beside, "description", description_checksum(description)),
+        (path, "weights", hashlib.sha256(path.read_bytes()).hexdigest()),
+    ):
+        wanted = description["sha256"]
+        if not isinstance(wanted, dict) or wanted.get(part) != found:
+            raise OgmError(f"{file} is damaged: its SHA-256 is not that of {beside} under sha256, {part}; restore both")
 
 
 def _check_config(config: NetworkConfig) -> None:

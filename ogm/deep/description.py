@@ -1,14 +1,16 @@
 """The description of weights: NAME.json beside NAME.safetensors, and in an exported network."""
 
+import hashlib
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ogm.files import OgmError
+from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec
 
-__all__ = ["FORMAT", "check_description", "grid_of", "read_description"]
+__all__ = ["FORMAT", "check_description", "description_checksum", "grid_of", "read_description"]
 
 FORMAT = "ogm.network/1"
 _MAX_SIZE = 2**20  # [bytes]
@@ -30,12 +32,19 @@ def read_description(path: Path) -> dict[str, Any]:
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise OgmError(f"{path} is no description of a network ({error!r})") from error
     if found != FORMAT:
-        raise OgmError(f"{path} has the format {found!r}, this version of ogm reads {FORMAT}")
+        hint = update_hint(found, FORMAT)
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm reads {FORMAT}{hint}")
     try:
         check_description(description)
     except ValueError as error:
         raise OgmError(f"{path} has {error}") from error
     return description
+
+
+def description_checksum(description: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a description but its entry ``sha256``, as JSON with sorted keys."""
+    rest = {name: value for name, value in description.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def check_description(description: dict[str, Any]) -> None:

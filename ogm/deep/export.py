@@ -8,7 +8,7 @@ before it, a linear layer and a maximum over the points of a pillar, is in its m
 
 The metadata describes every array: ``format``, ``input`` (JSON: weight, bias, rays, z_range, multiple),
 ``description`` (JSON of the weights: spec, network, recipe, ...), ``weights`` (their SHA-256), ``features``,
-``feature_map``, ``sensor_coords`` and ``mass``.
+``feature_map``, ``sensor_coords`` and ``mass``; the last entry, ``sha256``, is that of all bytes before it.
 """
 
 import importlib
@@ -27,7 +27,7 @@ from torch.nn.functional import pixel_shuffle
 
 from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
 from ogm.deep.network import PillarNetwork, fused
-from ogm.deep.onnx_file import FORMAT, OPERATIONS, weights_sum
+from ogm.deep.onnx_file import FORMAT, OPERATIONS, sealed, weights_sum
 from ogm.deep.points import FEATURES
 from ogm.files import atomic_write
 
@@ -81,13 +81,14 @@ def export_onnx(
     onnx = _package("onnx")
     facts = {"format": DESCRIPTION_FORMAT, **(description or {})}
     facts |= {"network": asdict(network.config), "spec": asdict(network.spec)}
+    facts.pop("sha256", None)  # of the files of weights
     metadata = {"description": json.dumps(facts), "weights": weights_sum(weights) if weights is not None else ""}
     with atomic_write(path) as file:
         model = _model(network, metadata)
         onnx.checker.check_model(model, full_check=True)
         if odd := {node.op_type for node in model.graph.node} - OPERATIONS:
             raise RuntimeError(f"this version of torch wrote operations that ogm does not run: {sorted(odd)}")
-        size = file.write(model.SerializeToString(deterministic=True))
+        size = file.write(sealed(model.SerializeToString(deterministic=True)))
     nx, ny = network.spec.shape
     coords = {"sensor_coords": f"(1, 4, {nx // 4}, {ny // 4}) float32"} if network.config.bearings else {}
     return {

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from ogm.deep.description import check_description, grid_of
 from ogm.deep.points import FEATURES
-from ogm.files import OgmError
+from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec
 
-__all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_onnx", "weights_sum"]
+__all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_onnx", "sealed", "weights_sum"]
 
 FORMAT = "ogm.network.onnx/2"
 OPERATIONS = frozenset({
@@ -31,8 +31,10 @@ OPERATIONS = frozenset({
 _MAX_SIZE = 2**28  # [bytes]
 _MAX_CHANNELS = 4096
 _GRAPH, _FUNCTIONS, _METADATA = 7, 25, 14  # of a model
-_NODE, _INITIALIZER = 1, 5  # of a graph
-_OPERATION, _DOMAIN = 4, 7  # of a node
+_NODE, _INITIALIZER, _SPARSE = 1, 5, 15  # of a graph
+_OPERATION, _ATTRIBUTE, _DOMAIN = 4, 5, 7  # of a node
+_LARGE = frozenset({5, 6, 10, 11, 22, 23})  # of an attribute: tensors and graphs, which may lead to other files
+_SEAL = 76  # [bytes] of the entry that `sealed` adds
 _DATA_LOCATION = 14  # of an initializer: 1 if its numbers are in another file
 
 
@@ -92,13 +94,26 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
     except (IndexError, ValueError, KeyError, TypeError) as error:
         raise OgmError(f"{path} is no whole ONNX file of a network: {error}") from error
     if (found := metadata.get("format")) != FORMAT:
-        way = "; export the weights again" if str(found).startswith("ogm.network.onnx/") else ""
+        way = update_hint(found, FORMAT) or (
+            "; export the weights again" if str(found).startswith("ogm.network.onnx/") else ""
+        )
         raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}{way}")
     try:
         numbers = {name: json.loads(metadata[name]) for name in ("description", "input")}
-        return _checked(data, numbers["description"], numbers["input"], metadata.get("weights", ""))
+        file = _checked(data, numbers["description"], numbers["input"], metadata.get("weights", ""))
     except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise OgmError(f"{path} describes no network that can be run: {error!r}") from error
+    if "sha256" in metadata and sealed(data[:-_SEAL]) != data:
+        raise OgmError(
+            f"{path} is damaged: its SHA-256 is not that of its export; restore it or export the weights again"
+        )
+    return file
+
+
+def sealed(data: bytes) -> bytes:
+    """Return an ONNX file with one more metadata entry at its end: the SHA-256 of all bytes before it."""
+    entry = b"\x0a\x06sha256\x12\x40" + hashlib.sha256(data).hexdigest().encode()  # key (field 1), value (field 2)
+    return data + bytes([_METADATA << 3 | 2, len(entry)]) + entry
 
 
 def weights_sum(path: str | os.PathLike[str]) -> str:
@@ -157,6 +172,10 @@ def _check_graph(graph: memoryview) -> None:
             name, domain = _text(node[_OPERATION]), _text(node.get(_DOMAIN, b""))
             if name not in OPERATIONS or domain not in ("", "ai.onnx"):
                 raise ValueError(f"its operation {domain}.{name} is none of a network's")
+            if any(part in _LARGE for at, one in _fields(value) if at == _ATTRIBUTE for part, _ in _fields(one)):
+                raise ValueError(f"an attribute of its operation {name} is a tensor or a graph, which no network has")
+        if number == _SPARSE:
+            raise ValueError("it keeps sparse numbers, which no network has")
         if number == _INITIALIZER and dict(_fields(value)).get(_DATA_LOCATION, 0) != 0:
             raise ValueError("it keeps numbers in another file")
 

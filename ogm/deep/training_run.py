@@ -4,6 +4,7 @@ import csv
 import importlib.metadata
 import math
 import time
+import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -152,6 +153,9 @@ class TrainingRun:
         """Read ``state.pt``. Nothing is unpickled but tensors, texts and numbers."""
         path = self.out / "state.pt"
         try:
+            with zipfile.ZipFile(path) as archive:  # torch compares no checksums
+                if damaged := archive.testzip():
+                    raise OgmError(f"its part {damaged} is damaged: the checksum differs")
             state = torch.load(path, map_location="cpu", weights_only=True)
             for name, wanted in self._setup.items():
                 if state["setup"][name] != wanted:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.motion import FrameMotion
-from ogm.files import atomic_write
+from ogm.files import atomic_write, update_hint
 from ogm.metrics import ConfusionSums, MotionSums, ObjectCells
 
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
@@ -133,11 +133,13 @@ class ResultCache:
         note = self.folder / "run.json"
         if not note.exists():
             return {"key": self.key}
+        hint = ""
         with suppress(ValueError, RecursionError):  # no JSON
             found = json.loads(note.read_text())
             if isinstance(found, dict) and found.get("format") == _FORMAT:
                 return found
-        raise ValueError(f"{note} is damaged or not from `ogm evaluate`: give another folder")
+            hint = update_hint(found.get("format"), _FORMAT) if isinstance(found, dict) else ""
+        raise ValueError(f"{note} is damaged or not from `ogm evaluate`{hint}: give another folder")
 
     def note(self, *, finished: bool) -> None:
         """Write the settings down, and whether all frames are there."""

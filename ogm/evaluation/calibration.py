@@ -16,7 +16,7 @@ from typing import Any, Self
 from ogm.evaluation.likelihood import Likelihood
 from ogm.evaluation.likelihood_search import LikelihoodSearch
 from ogm.evaluation.models import default_parameters
-from ogm.files import OgmError, atomic_write
+from ogm.files import OgmError, atomic_write, update_hint
 from ogm.grid import GridSpec
 from ogm.io.reading import decode_json
 from ogm.scan import Frame
@@ -100,8 +100,9 @@ class Calibration:
         """
         try:
             record = decode_json(Path(path).read_bytes(), Path(path))
-            if not isinstance(record, dict) or record.pop("format", None) != FORMAT:
-                raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote")
+            if not isinstance(record, dict) or (found := record.pop("format", None)) != FORMAT:
+                hint = update_hint(found, FORMAT) if isinstance(record, dict) else ""
+                raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote{hint}")
             return cls(**record)
         except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise OgmError(str(error) if str(path) in str(error) else f"{path}: {error}") from error

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError, atomic_write
+from ogm.files import OgmError, atomic_write, update_hint
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
 from ogm.pose import LATEST, Trajectory, check_pose, inverse
 
@@ -204,7 +204,7 @@ def _rows(path: Path) -> tuple[NDArray[np.float64], _Where, list[str], bool]:
         if not columns and comment.strip().startswith("ogm.poses/"):
             version = comment.split()[0].rstrip(":")
             if version != _OURS:
-                raise OgmError(f"{path} is {version}, wanted {_OURS}: it comes from a newer release of ogm")
+                raise OgmError(f"{path} is {version}, wanted {_OURS}{update_hint(version, _OURS)}")
             ours = True
         words = [word.strip() for word in content.split(",")] if csv and content.strip() else content.split()
         if words and csv and not header:

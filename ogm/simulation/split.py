@@ -1,8 +1,11 @@
-"""Arrays of one part of a data set on disk, and its samples read from them; `ogm.simulation.store` has the layout."""
+"""Arrays of one part of a data set on disk, and its samples read from them; ``docs/formats.md`` has the layout."""
 
+import hashlib
+import json
 import math
 import operator
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -23,6 +26,8 @@ FACTS = (
     *_POSES,
     *("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "rain", "fog", "wet"),
 )
+LARGE = ("steps", "intensities", "truth", "heights")  # arrays with a chunk per sample
+CHECKED = (*LARGE, "objects", "facts")  # columns of the checksums
 UNMEASURED = 65535  # range of a beam that was not measured, in data sets that may have such
 
 
@@ -98,7 +103,24 @@ class Split(Sequence[SimulatedSample]):
         """Read the traffic participants of a sample alone, (K,) of `OBJECT`; errors are those of ``split[index]``."""
         i, row = self._row(index)
         count = int(row[self.columns.index("objects")])
-        return unstructured_to_structured(self._shard("objects", i // SHARD)[i % SHARD, :count], OBJECT)
+        rows = self._shard("objects", i // SHARD)[i % SHARD]
+        self._compare("objects", i, rows[None])
+        return unstructured_to_structured(rows[:count], OBJECT)
+
+    def damage(self) -> Iterator[tuple[int, Damaged]]:
+        """Read every finished sample; yield the number and the error of each that is damaged."""
+        for name in LARGE if self.heights else LARGE[:-1]:
+            self._array(name)  # without which none can be read
+        for i in range(len(self)):
+            try:
+                self._row(i)
+                for name in LARGE if self.heights else LARGE[:-1]:
+                    self._read(name, i)
+                self.objects(i)
+            except Damaged as error:
+                yield i, error
+            except ValueError:
+                continue  # has not been made yet
 
     def _row(self, index: int) -> tuple[int, NDArray[np.float64]]:
         """Return the number of a sample that is made, counted from 0, and its facts."""
@@ -111,6 +133,7 @@ class Split(Sequence[SimulatedSample]):
             raise ValueError(
                 f"sample {i} of {self.name} has not been made yet: go on with `ogm simulate {self.path} --resume`"
             )
+        self._compare("facts", i, row[None])
         lidar, count, scenario = (row[self.columns.index(name)] for name in ("lidar", "objects", "scenario"))
         if not (0 <= lidar < len(self.beams) and 0 <= count <= OBJECTS and np.isfinite(scenario)):
             raise self._damaged("facts", i, "it has impossible numbers")
@@ -150,15 +173,28 @@ class Split(Sequence[SimulatedSample]):
         return self._arrays[name]
 
     def _read(self, name: str, index: Any) -> NDArray[Any]:
-        array, first = self._array(name), index if isinstance(index, int) else index.start
-        if not shard_file(self.path / self.name, name, first // SHARD).exists():
+        first = index if isinstance(index, int) else index.start
+        there = shard_file(self.path / self.name, name, first // SHARD).exists()
+        if name == "checksums" and not there:
+            return np.zeros((index.stop - first, len(CHECKED)), np.uint32)  # made by a version that kept none
+        array = self._array(name)
+        if not there:
             if name == "facts":
                 return np.zeros((index.stop - first, len(self.columns)))  # not made yet
             raise self._damaged(name, first, "a file is missing")
         try:
-            return array[index]
+            values = array[index]
         except (ValueError, RuntimeError, TypeError, EOFError) as error:  # what zarr and its codecs raise
             raise self._damaged(name, first, str(error)) from error
+        if name in LARGE:
+            self._compare(name, index, values[None])
+        return values
+
+    def _compare(self, name: str, index: int, values: NDArray[Any]) -> None:
+        """Compare a sample's part of an array, (1, ...), with its checksum, if there is one."""
+        kept = self._shard("checksums", index // SHARD)[index % SHARD]
+        if kept.any() and kept[CHECKED.index(name)] != sample_checksums(self.name, index, values)[0]:
+            raise self._damaged(name, index, "its checksum differs")
 
     def _damaged(self, name: str, index: int, why: str) -> Damaged:
         marker = shard_file(self.path / self.name, "facts", index // SHARD)
@@ -166,6 +202,19 @@ class Split(Sequence[SimulatedSample]):
             f"sample {index} of {self.name} in {self.path}: {name} damaged on disk ({why}); make it anew with "
             f"`rm {marker}` and `ogm simulate {self.path} --resume`"
         )
+
+
+def sample_checksums(split: str, first: int, values: NDArray[Any]) -> NDArray[np.uint32]:
+    """Return the CRC-32 of each sample's part of an array, (k,), begun with the sample's split and number."""
+    little = values.astype(values.dtype.newbyteorder("<"), copy=False)
+    sums = [zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode())) for k, one in enumerate(little)]
+    return np.array(sums, np.uint32)
+
+
+def attributes_checksum(attributes: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a data set's attributes but ``sha256``, as JSON with sorted keys."""
+    rest = {name: value for name, value in attributes.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 def facts_of(gaps: bool) -> tuple[str, ...]:
@@ -182,6 +231,7 @@ def array_layout(beams: Sequence[Beams], gaps: bool = False) -> dict[str, tuple[
         "truth": (TRUTH_SPEC.shape, "uint8"),
         "heights": (TRUTH_SPEC.shape, "uint8"),
         "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
+        "checksums": ((len(CHECKED),), "uint32"),
         "facts": ((len(facts_of(gaps)),), "float64"),
     }
 

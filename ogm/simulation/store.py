@@ -7,27 +7,12 @@ Reading needs numpy and zarr, neither Open3D nor Dask::
     sample = Store.open("data")["training"][0]
     sample.points, sample.truth, sample.objects, sample.T_world_sensor
 
-Layout of a split, for n samples:
-
-``steps`` (n, rays) uint16 and ``intensities`` (n, rays) uint8
-    The range image, layer after layer from the lowest up; a lidar with fewer rays than the largest leaves the
-    end 0.
-``truth`` (n, 624, 624) uint8
-    Values of `ogm.state.CellState`.
-``heights`` (n, 624, 624) uint8
-    `ogm.state.Truth.height_cm`; zeros where heights are not known. Data sets of the format ogm.samples/2 lack it:
-    they can be read, not grow.
-``objects`` (n, objects, 12) float32
-    Rows of `ogm.simulation.sample.OBJECT`, the nearest first.
-``facts`` (n, 36) float64
-    Columns named by the split's attribute ``facts``: poses, velocities, the lidar's number, weather. A shard's
-    facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
-
-Data sets of recipes have the format ogm.samples/4: a range of 65535 steps is a beam that was not measured, neither a
-point nor a beam without echo, and the facts have one more column, dust.
+``docs/formats.md`` has the layout: per split the arrays steps, intensities, truth, heights, objects, checksums, facts.
+A shard's facts are written last, in one step, so a row whose first number is 1 marks a complete sample.
 
 The attributes of the root group hold the format, the plan that the samples were made by, the lidars, and the
-versions of the libraries that made them; no date and no machine, so that the same plan gives the same bytes.
+versions of the libraries that made them, and their own SHA-256; no date and no machine, so that the same plan gives the
+same bytes.
 """
 
 import os
@@ -41,20 +26,24 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
+from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import (
+    CHECKED,
     FACTS,
+    LARGE,
     OBJECTS,
     SHARD,
     UNMEASURED,
     Damaged,
     Split,
     array_layout,
+    attributes_checksum,
     facts_of,
     load_zarr,
     open_array,
+    sample_checksums,
     shard_file,
 )
 from ogm.truth import TRUTH_SPEC
@@ -109,11 +98,14 @@ class Store:
             )
         if found not in (FORMAT, GAPS, OLDER):
             raise OgmError(
-                f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}; "
-                "make the data set anew, or use the version that made it"
+                f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}"
+                + (update_hint(found, FORMAT, GAPS) or "; make the data set anew, or use the version that made it")
             )
         try:
-            return cls(path, attributes)
+            store = cls(path, attributes)
+            if attributes.get("sha256", "") not in ("", attributes_checksum(attributes)):
+                raise ValueError("their SHA-256 differs")
+            return store
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
             raise Damaged(
                 f"{path / 'zarr.json'} holds other values than `ogm simulate` writes ({error!r}); "
@@ -194,7 +186,8 @@ class Store:
             "splits": counts,
             "lidars": [asdict(one) for one in beams],
         }
-        root.attrs.put(made | {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)})
+        made |= {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)}
+        root.attrs.put(made | {"sha256": attributes_checksum(made)})
         return cls.open(path)
 
     def __getitem__(self, split: str) -> Split:
@@ -237,6 +230,8 @@ class Store:
                 columns["heights"][k] = one.truth.height_cm
             columns["objects"][k, : len(rows)] = structured_to_unstructured(rows, np.float32)
             columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))[: layout["facts"][0][0]]
+        sums = [sample_checksums(split, first, columns[name]) for name in CHECKED]
+        columns["checksums"] = np.stack(sums, axis=-1)
         files = [shard_file(self.path / split, name, shard) for name in columns]
         for file in reversed(files):  # the facts first: until they are written again, the shard is not made
             file.unlink(missing_ok=True)
@@ -299,7 +294,7 @@ def _grow(root: Any, name: str, count: int, beams: Sequence[Beams], gaps: bool) 
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))
             continue
-        large = array in ("steps", "intensities", "truth", "heights")
+        large = array in LARGE
         shuffled = BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle")
         group.create_array(
             array,

@@ -18,7 +18,7 @@ import numpy as np
 
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
-from ogm.simulation.store import SHARD, Store
+from ogm.simulation.store import SHARD, Damaged, Store
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 SCHEDULER_TIMEOUT = 20.0  # [s]
@@ -76,8 +76,17 @@ def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams
 
 
 def missing_shards(store: Store) -> list[Job]:
-    """Return the shards that are still to be made, those of one town after each other."""
+    """Return the shards that are still to be made, those of one town after each other.
+
+    Raises
+    ------
+    Damaged
+        If finished samples are damaged: all of them are read.
+    """
     plan = DatasetPlan.from_dict(store.plan)
+    if damaged := [(name, i, error) for name in store.counts for i, error in store[name].damage()]:
+        others = ", ".join(f"sample {i} of {name}" for name, i, _ in damaged[1:20])
+        raise Damaged(f"{damaged[0][2]}" + (f"; {len(damaged) - 1} more are damaged: {others}" if others else ""))
     todo: list[Job] = []
     for name in ("training", "validation", "sequences", "test"):
         made = store[name].facts[:, 0] > 0

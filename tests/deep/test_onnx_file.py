@@ -32,8 +32,10 @@ def path(tmp_path: Path, shipped: bytes) -> Path:
 
 
 def change(path: Path, how: Callable[[Any], Any]) -> None:
-    """Change a model by ONNX's own package."""
+    """Change a model by ONNX's own package, and leave the checksum out."""
     model = onnx.load(path)
+    for entry in [one for one in model.metadata_props if one.key == "sha256"]:
+        model.metadata_props.remove(entry)
     how(model)
     path.write_bytes(model.SerializeToString())
 
@@ -103,14 +105,16 @@ def test_a_huge_file_is_refused_unread(path: Path) -> None:
         read_onnx(path)
 
 
-@pytest.mark.parametrize("found", ["ogm.network.onnx/1", "ogm.network.onnx/3"])
-def test_another_version_says_to_export_again(path: Path, found: str) -> None:
+@pytest.mark.parametrize(
+    ("found", "way"), [("ogm.network.onnx/1", "export the weights again"), ("ogm.network.onnx/3", "update ogm")]
+)
+def test_another_version_says_what_to_do(path: Path, found: str, way: str) -> None:
     def how(model: Any) -> None:
         (entry,) = (one for one in model.metadata_props if one.key == "format")
         entry.value = found
 
     change(path, how)
-    with pytest.raises(OgmError, match="export the weights again"):
+    with pytest.raises(OgmError, match=way):
         read_onnx(path)
 
 
@@ -150,6 +154,29 @@ def test_numbers_in_other_files_are_refused(path: Path) -> None:
     change(path, how)
     with pytest.raises(OgmError, match="another file"):
         read_onnx(path)
+
+
+def test_other_places_for_numbers_are_refused(path: Path, shipped: bytes) -> None:
+    """Sparse tensors, and attributes that are tensors or graphs, could name other files too."""
+
+    def sparse(model: Any) -> None:
+        tensor = model.graph.sparse_initializer.add()
+        tensor.values.data_location = onnx.TensorProto.EXTERNAL
+        tensor.values.external_data.add(key="location", value="/etc/passwd")
+
+    change(path, sparse)
+    with pytest.raises(OgmError, match="sparse numbers"):
+        read_onnx(path)
+    tensor = onnx.TensorProto(data_location=onnx.TensorProto.EXTERNAL)
+    graph = onnx.GraphProto()
+    for value in (tensor, graph, [tensor], [graph], onnx.SparseTensorProto(), [onnx.SparseTensorProto()]):
+        path.write_bytes(shipped)
+        change(
+            path,
+            lambda model, value=value: model.graph.node[0].attribute.append(onnx.helper.make_attribute("more", value)),
+        )
+        with pytest.raises(OgmError, match="is a tensor or a graph"):
+            read_onnx(path)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import gzip
 import lzma
+import sys
 import tempfile
 from pathlib import Path
 
@@ -108,6 +109,13 @@ def write_las(path: Path, cloud: np.ndarray, suffix: str = ".las") -> Path:
 def write_laz(path: Path, cloud: np.ndarray) -> Path:
     pytest.importorskip("lazrs")
     return write_las(path, cloud, ".laz")
+
+
+def test_a_laz_file_without_its_decoder_is_refused_with_the_way_to_install_it(cloud, tmp_path, monkeypatch):
+    path = write_laz(tmp_path, cloud)
+    monkeypatch.setitem(sys.modules, "lazrs", None)
+    with pytest.raises(ImportError, match=r"cloud\.laz cannot be read without the package lazrs: pip install .*\[io\]"):
+        read_scan(path)
 
 
 WRITERS = [

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
+from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
@@ -124,6 +124,8 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
     OgmError
         If something is missing, of another shape, or no mass.
     """
+    if hint := update_hint(found := dataset.attrs.get("format"), _FORMAT):
+        raise OgmError(f"the dataset has the format {found}, this version of ogm reads {_FORMAT}{hint}")
     try:
         names = needed_layers([str(name) for name in dataset.data_vars])
     except KeyError as error:
@@ -244,11 +246,21 @@ def write_scientific(path: Path, placed: PlacedGrid) -> None:
     with whole_path(path) as temporary:
         chunks = tuple(min(one, _CHUNK) for one in placed.grid.spec.shape[::-1])
         if path.suffix.lower() == ".zarr":
-            encoding: dict[str, dict[str, Any]] = {str(name): {"chunks": chunks} for name in dataset.data_vars}
+            checked = {"compressors": [{"name": "zstd", "configuration": {"level": 0, "checksum": True}}]}
+            encoding: dict[str, dict[str, Any]] = {str(name): dict(checked) for name in dataset.variables}
+            for name in dataset.data_vars:
+                encoding[str(name)]["chunks"] = chunks
             dataset.to_zarr(temporary, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
             return
-        packed = {"zlib": True, "complevel": 1, "_FillValue": np.float32(np.nan), "chunksizes": chunks}
-        encoding = dict.fromkeys(map(str, dataset.data_vars), packed) | dict.fromkeys(("x", "y"), {"_FillValue": None})
+        packed = {
+            "zlib": True,
+            "complevel": 1,
+            "_FillValue": np.float32(np.nan),
+            "chunksizes": chunks,
+            "fletcher32": True,
+        }
+        encoding = dict.fromkeys(map(str, dataset.data_vars), packed)
+        encoding |= dict.fromkeys(("x", "y"), {"_FillValue": None, "fletcher32": True})
         dataset.to_netcdf(temporary, format="NETCDF4", engine="netcdf4", encoding=encoding)
 
 

@@ -1,0 +1,105 @@
+"""Damaged data sets: every flipped bit and every exchanged file is found, and the sample named."""
+
+import json
+import shutil
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from damage import check_flips
+
+from ogm.simulation.plan import DatasetPlan, LidarMount
+from ogm.simulation.sample import Beams, SimulatedSample
+from ogm.simulation.store import Damaged, Store
+from ogm.simulation.workers import begin, missing_shards
+
+Make = Callable[..., SimulatedSample]
+PLAN = DatasetPlan(samples=13, validation=4, test=1, mounts=(LidarMount("small"), LidarMount("tall")))
+
+
+@pytest.fixture
+def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> Store:
+    """Two shards of training samples, the second of three."""
+    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    for shard, numbers in enumerate((range(10), range(10, 13))):
+        store.write("training", shard, [make_sample(None, "training", i) for i in numbers])
+    return store
+
+
+def content(sample: SimulatedSample) -> list[Any]:
+    arrays = (sample.steps, sample.intensities, sample.objects, sample.truth.state, sample.truth.height_cm)
+    poses = (sample.T_world_sensor, sample.T_vehicle_sensor, sample.velocity)
+    facts = [getattr(sample, name) for name in ("beams", "yaw_rate", "stamp", "split", "index", "scenario", "weather")]
+    return [*(one.tobytes() for one in (*arrays, *poses)), *facts]
+
+
+def test_flipped_bits_are_found(store: Store) -> None:
+    """In chunks, indices of shards, and metadata."""
+
+    def read() -> list[Any]:
+        split = Store.open(store.path)["training"]
+        return [content(split[i]) for i in (0, 12)]
+
+    found = Counter[str]()
+    for file in sorted(one for one in store.path.rglob("*") if one.is_file()):
+        found += check_flips(file, read, 6, str(store.path))
+    assert found["refused"] > 60
+
+
+@pytest.mark.parametrize("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])
+def test_an_exchanged_file_is_found_by_reading_and_by_resuming(
+    store: Store, array: str, tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make
+) -> None:
+    """Its chunks are whole, but of other samples."""
+    other = begin(tmp_path / "other", PLAN, beams, {"ogm": "0"})
+    other.write("training", 0, [replace(make_sample(None, "training", i + 40), index=i) for i in range(10)])
+    shutil.copytree(
+        other.path / "training" / array / "c" / "0", store.path / "training" / array / "c" / "0", dirs_exist_ok=True
+    )
+    split = Store.open(store.path)["training"]
+    with pytest.raises(
+        Damaged, match=rf"sample 3 of training in .*data: {array} damaged on disk .its checksum differs"
+    ):
+        split[3]
+    assert content(split[12]) == content(make_sample(None, "training", 12))
+    with pytest.raises(
+        Damaged, match=rf"sample . of training .*{array} damaged .*; . more are damaged: sample . of tr"
+    ):
+        missing_shards(Store.open(store.path))
+
+
+def test_a_finished_data_set_without_damage_resumes(store: Store) -> None:
+    assert {(job.split, job.shard) for job in missing_shards(store)} == {("validation", 0), ("test", 0)}
+    assert not [*store["training"].damage()]
+
+
+def test_a_changed_plan_is_found(store: Store) -> None:
+    file = store.path / "zarr.json"
+    text = file.read_text()
+    for old, new in (("0.0,", "0.5,"), ('"ogm": "0"', '"ogm": "1"'), ('"rate": 10.0', '"rate": 11.0')):
+        assert old in text
+        file.write_text(text.replace(old, new, 1))
+        with pytest.raises(Damaged, match="their SHA-256 differs.*restore the file"):
+            Store.open(store.path)
+
+
+def test_data_sets_of_older_versions_are_read_and_grow(
+    store: Store, beams: tuple[Beams, ...], make_sample: Make
+) -> None:
+    """They have no checksums; samples that are added have."""
+    shutil.rmtree(store.path / "training" / "checksums")
+    text = json.loads((store.path / "zarr.json").read_text())
+    del text["attributes"]["sha256"]
+    (store.path / "zarr.json").write_text(json.dumps(text))
+    old = Store.open(store.path)
+    assert [content(one) for one in old["training"]] == [content(make_sample(None, "training", i)) for i in range(13)]
+    counts = PLAN.counts | {"training": 21}
+    grown = Store.create(store.path, asdict(PLAN), counts, beams, {"ogm": "0"})
+    grown.write("training", 2, [make_sample(None, "training", 20)])
+    assert not [*grown["training"].damage()]
+    file = grown.path / "training" / "truth" / "c" / "0"
+    shutil.copytree(file, file.with_name("2"), dirs_exist_ok=True)
+    assert [i for i, _ in Store.open(store.path)["training"].damage()] == [20]
