@@ -1,15 +1,13 @@
 """`LogWriter`: messages to an MCAP, a ROS 2 bag or a ROS 1 bag, which appears when it is whole."""
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
 
-from ogm.files import OgmError, atomic_write
+from ogm.files import OgmError, atomic_write, temporary_folder
 from ogm.io.logs.definitions import message_types
 from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
@@ -145,7 +143,7 @@ class LogWriter:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.rosbag2.metadata import parse_qos
 
-        folder = self._temporary(stack) / self.path.stem
+        folder = stack.enter_context(temporary_folder(self.path.parent)) / self.path.stem
         self._move_at_end(stack, folder / f"{folder.name}.db3")
         writer = stack.enter_context(Writer(folder, version=8, storage_plugin=StoragePlugin.SQLITE3))
         connections: dict[tuple[str, str], Any] = {}
@@ -165,7 +163,7 @@ class LogWriter:
         optional("rosbags", self.path, "ros", "written")
         from rosbags.rosbag1 import Writer
 
-        path = self._temporary(stack) / self.path.name
+        path = stack.enter_context(temporary_folder(self.path.parent)) / self.path.name
         self._move_at_end(stack, path)
         writer = stack.enter_context(Writer(path))
         connections: dict[tuple[str, str], Any] = {}
@@ -180,12 +178,6 @@ class LogWriter:
             writer.write(connections[topic, name], time, data)
 
         return write
-
-    def _temporary(self, stack: ExitStack) -> Path:
-        """Make a folder beside the file, which is removed at the end."""
-        folder = Path(tempfile.mkdtemp(prefix=".ogm-", suffix=".tmp", dir=self.path.parent))
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        return folder
 
     def _move_at_end(self, stack: ExitStack, written: Path) -> None:
         """Give a file its name when all of it is written."""
