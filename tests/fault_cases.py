@@ -78,10 +78,14 @@ def make_sample(plan: Any, split: str, index: int, threads: int = 0) -> Any:
     )
 
 
-def make_inputs(folder: Path) -> None:
-    """Make the inputs of all commands: a data set, a short drive with poses and times, a map."""
-    from ogm.grid import EvidentialGrid, GridSpec
-    from ogm.pose import inverse, pose, transform_points
+def make_inputs(command: str, folder: Path) -> None:
+    """Make the input of a command."""
+    make = {"train": _make_data, "evaluate": _make_data, "fuse": _make_drive, "serve": _make_drive}
+    make |= {"convert": _make_map}
+    make.get(command, lambda folder: None)(folder)
+
+
+def _make_data(folder: Path) -> None:
     from ogm.simulation.plan import DatasetPlan
     from ogm.simulation.sensors import LIDARS, beams_of
     from ogm.simulation.store import Store
@@ -93,6 +97,11 @@ def make_inputs(folder: Path) -> None:
             data.write(
                 split, shard, [make_sample(DatasetPlan(), split, k) for k in range(10 * shard, 10 * shard + 10)]
             )
+
+
+def _make_drive(folder: Path) -> None:
+    from ogm.pose import inverse, pose, transform_points
+
     (folder / "drive" / "velodyne").mkdir(parents=True)
     rng = np.random.default_rng(0)
     ground, wall = rng.uniform(-12, 12, (6000, 4)), rng.uniform(-12, 12, (2000, 4))
@@ -100,10 +109,16 @@ def make_inputs(folder: Path) -> None:
     poses = [pose(0.4 * k, 0.05 * k, 1.8, yaw=0.02 * k) for k in range(12)]
     for k, T in enumerate(poses):
         points = transform_points(inverse(T), np.concatenate([ground, wall]))
+        points[:, 3] = 0.5
         points.astype(np.float32).tofile(folder / "drive" / "velodyne" / f"{k:06d}.bin")
     np.savetxt(folder / "drive" / "poses.txt", [T[:3].ravel() for T in poses])
     np.savetxt(folder / "drive" / "times.txt", 0.1 * np.arange(12))
-    spec = GridSpec.centered(48, 32, 0.1)
+
+
+def _make_map(folder: Path) -> None:
+    from ogm.grid import EvidentialGrid, GridSpec
+
+    spec, rng = GridSpec.centered(48, 32, 0.1), np.random.default_rng(0)
     free = rng.uniform(0, 0.6, spec.shape)
     EvidentialGrid(spec, np.stack([free, 0.9 * (1 - free)], -1).astype(np.float32)).save(folder / "map.npz")
 

@@ -1,7 +1,9 @@
 """Processes of `tests/faults.py`: commands in sessions of their own, forked from this process or started anew."""
 
 import atexit
+import importlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,6 +14,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
+
+from fault_cases import Case, begun, contents, make_inputs, prepare
 
 COLD = """
 import signal, sys; sys.path.insert(0, {tests!r}); sys.argv = ["ogm", *{words!r}]
@@ -29,19 +33,20 @@ class Ended(NamedTuple):
     errors: str
 
 
-def warm_up() -> None:
-    """Import what the commands need, without starting a thread: forks share it."""
-    import lightning.fabric  # noqa: F401
-    import matplotlib.figure  # noqa: F401
-    import rasterio  # noqa: F401
-    import torch  # noqa: F401
-    import zarr  # noqa: F401
+MODULES = {  # what a command imports
+    "simulate": ("ogm.simulation.dataset", "ogm.simulation.exchange", "ogm.simulation.preview", "zarr", "distributed"),
+    "train": ("ogm.deep.training", "ogm.datasets", "zarr", "matplotlib.figure"),
+    "evaluate": ("ogm.evaluation", "ogm.datasets", "zarr", "matplotlib.figure", "jinja2"),
+    "fuse": ("ogm.cli.fuse_run", "ogm.evaluation.models", "ogm.geometric", "ogm.viewer", "mcap", "rosbags.rosbag1"),
+    "convert": ("ogm.io.grids", "rasterio", "xarray", "netCDF4", "zarr", "mcap", "rosbags.rosbag1"),
+    "serve": ("ogm.datasets", "ogm.evaluation.models", "ogm.geometric", "ogm.live", "foxglove"),
+}
 
-    import ogm.cli.commands
-    import ogm.deep.training
-    import ogm.evaluation
-    import ogm.live
-    import ogm.simulation.dataset  # noqa: F401
+
+def warm_up(command: str) -> None:
+    """Import what a command needs, without starting a thread: forks share it."""
+    for name in ("ogm.cli.commands", *MODULES[command]):
+        importlib.import_module(name)
 
 
 class Run:
@@ -63,6 +68,7 @@ class Run:
         self.errors = folder / "stderr"
         self.start = time.monotonic()
         self._child: subprocess.Popen | None = None
+        self._status: int | None = None
         if cold:
             plain = [sys.executable, "-m", "ogm.cli", *words]
             code = COLD.format(tests=str(Path(__file__).parent), words=list(words), stand_in=stand_in, named=named)
@@ -82,9 +88,10 @@ class Run:
         """Wait for the end; None if it does not come."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            status = self._child.poll() if self._child else reap(self.pid)
-            if status is not None:
-                return Ended(status, time.monotonic() - self.start, self.errors.read_text(errors="replace"))
+            if self._status is None:
+                self._status = self._child.poll() if self._child else reap(self.pid)
+            if self._status is not None:
+                return Ended(self._status, time.monotonic() - self.start, self.errors.read_text(errors="replace"))
             time.sleep(0.005)
         return None
 
@@ -94,6 +101,75 @@ class Run:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         self.wait(5)
+
+
+class Command:
+    """A command with its inputs, expected outputs and times.
+
+    Parameters
+    ----------
+    case : Case
+    folder : Path
+        Holds the inputs as ``in``, and gets a folder for each run.
+    """
+
+    def __init__(self, case: Case, folder: Path) -> None:
+        self.case, self.folder, self.count = case, folder, 0
+        self.seconds: dict[bool, float] = {}  # of a run, forked and new
+        self.first = self.new()
+        self.end(self.case.words, self.first, cold=False)
+        self.expected = contents(self.first / "out") if case.outputs else {}
+
+    def new(self) -> Path:
+        """Make the folder of a run."""
+        self.count += 1
+        folder = self.folder / str(self.count)
+        (folder / "out").mkdir(parents=True) if self.case.words[0] not in ("simulate", "train") else folder.mkdir()
+        return folder
+
+    def end(self, words: list[str], folder: Path, cold: bool) -> Ended:
+        """Run to the end."""
+        run = Run(words, folder, self.case.stand_in, False, cold)
+        ended = run.wait()
+        run.kill()
+        if ended is None or ended.status:
+            raise RuntimeError(f"{' '.join(words)} ended with {ended}")
+        return ended
+
+    def time(self, cold: bool) -> float:
+        """Return how long a run takes [s]."""
+        if cold not in self.seconds:
+            folder = self.new()
+            self.seconds[cold] = self.end(self.case.words, folder, cold).seconds
+            shutil.rmtree(folder)
+        return self.seconds[cold]
+
+
+def prepared(case: Case, folder: Path, number: int) -> Command:
+    """Import what a command needs, make its input in a folder, and run it once."""
+    warm_up(case.words[0])
+    if not (folder / "in").exists():
+        (folder / "in").mkdir()
+        if error := in_fork(lambda: make_inputs(case.words[0], folder / "in"), folder):
+            raise RuntimeError(error)
+    (folder / str(number)).mkdir()
+    (folder / str(number) / "in").symlink_to(folder / "in")
+    return Command(case, folder / str(number))
+
+
+def go_on(one: Command, folder: Path, out: Path) -> list[str]:
+    """Repeat or resume a command; return what differs from the outputs of the run that was not stopped."""
+    begun = one.case.words[0] != "simulate" or not in_fork(lambda: begun(out), folder)
+    words = one.case.again if begun else one.case.words
+    run = Run(words, folder, one.case.stand_in, False, False)
+    ended = run.wait()
+    run.kill()
+    if ended is None or ended.status:
+        return [f"cannot go on: {ended and ended.errors.strip()[-300:]}"]
+    got = contents(out)
+    odd = sorted(name for name in got.keys() | one.expected.keys() if got.get(name) != one.expected.get(name))
+    odd = [name for name in odd if ".ogm-" not in name]
+    return [f"{len(odd)} files differ, such as {odd[0]}"] if odd else []
 
 
 def fork(work: Callable[[], int], folder: Path, errors: Path) -> int:
@@ -120,8 +196,6 @@ def fork(work: Callable[[], int], folder: Path, errors: Path) -> int:
 
 
 def _command(words: Sequence[str], stand_in: bool, named: bool) -> int:
-    from fault_cases import prepare
-
     from ogm.cli import main
 
     sys.argv = ["ogm", *words]

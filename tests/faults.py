@@ -25,6 +25,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
@@ -34,13 +35,13 @@ from pathlib import Path
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ[name] = "1"
 sys.path.insert(0, str(Path(__file__).parent))
-import fault_cases
 import fault_disk
 from fault_cases import Case, cases, contents, left_behind
-from fault_runs import Ended, Run, fork, gone, in_fork, reap, warm_up
+from fault_runs import Command, Ended, Run, gone, go_on, in_fork, prepared
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 WITHIN = 5.0  # [s] from SIGINT or SIGTERM to the end
+MOST = float(os.environ.get("FAULTS_SECONDS", "0"))  # [s] for a command, 0: no limit
 ORPHANS = 15.0  # [s] after SIGKILL in which other processes of the command must notice
 ROW = ("command", "SIGINT", "SIGTERM", "SIGKILL", "survived", "lost", "left behind", "slowest exit [s]")
 
@@ -64,48 +65,6 @@ class Row:
         found = {"command": self.command, **signals, "survived": self.survived, "lost": self.lost}
         found |= {"left behind": self.left, "slowest exit [s]": round(self.slowest, 2), "stopped before the end": self.stopped}
         return found | {"failures": self.failures[:20]}
-
-
-class Command:
-    """A command with its inputs, expected outputs and times.
-
-    Parameters
-    ----------
-    case : Case
-    folder : Path
-        Holds the inputs as ``in``, and gets a folder for each run.
-    """
-
-    def __init__(self, case: Case, folder: Path) -> None:
-        self.case, self.folder, self.count = case, folder, 0
-        self.seconds: dict[bool, float] = {}  # of a run, forked and new
-        self.first = self.new()
-        self.end(self.case.words, self.first, cold=False)
-        self.expected = contents(self.first / "out") if case.outputs else {}
-
-    def new(self) -> Path:
-        """Make the folder of a run."""
-        self.count += 1
-        folder = self.folder / str(self.count)
-        (folder / "out").mkdir(parents=True) if self.case.words[0] not in ("simulate", "train") else folder.mkdir()
-        return folder
-
-    def end(self, words: list[str], folder: Path, cold: bool) -> Ended:
-        """Run to the end."""
-        run = Run(words, folder, self.case.stand_in, False, cold)
-        ended = run.wait()
-        run.kill()
-        if ended is None or ended.status:
-            raise RuntimeError(f"{' '.join(words)} ended with {ended}")
-        return ended
-
-    def time(self, cold: bool) -> float:
-        """Return how long a run takes [s]."""
-        if cold not in self.seconds:
-            folder = self.new()
-            self.seconds[cold] = self.end(self.case.words, folder, cold).seconds
-            shutil.rmtree(folder)
-        return self.seconds[cold]
 
 
 def stop(one: Command, row: Row, number: signal.Signals, rng: random.Random, cold: bool, named: bool) -> None:
@@ -164,21 +123,6 @@ def gone_to(pid: int, group: bool) -> bool:
     return True
 
 
-def go_on(one: Command, folder: Path, out: Path) -> list[str]:
-    """Repeat or resume a command; return what differs from the outputs of the run that was not stopped."""
-    begun = one.case.words[0] != "simulate" or not in_fork(lambda: fault_cases.begun(out), folder)
-    words = one.case.again if begun else one.case.words
-    run = Run(words, folder, one.case.stand_in, False, False)
-    ended = run.wait()
-    run.kill()
-    if ended is None or ended.status:
-        return [f"cannot go on: {ended and ended.errors.strip()[-300:]}"]
-    got = contents(out)
-    odd = sorted(name for name in got.keys() | one.expected.keys() if got.get(name) != one.expected.get(name))
-    odd = [name for name in odd if ".ogm-" not in name]
-    return [f"{len(odd)} files differ, such as {odd[0]}"] if odd else []
-
-
 def check_end(case: Case, ended: Ended, number: signal.Signals) -> list[str]:
     """Return what is wrong with exit status and message."""
     if number == signal.SIGKILL:
@@ -193,19 +137,40 @@ def check_end(case: Case, ended: Ended, number: signal.Signals) -> list[str]:
     return []
 
 
-def stop_all(name: str, chosen: list[Case], kills: int, seed: int, folder: Path) -> Row:
-    """Stop a command so many times."""
-    row, rng = Row(name), random.Random(f"{name} {seed}")
-    commands = []
-    for k, case in enumerate(chosen):
-        (folder / str(k)).mkdir()
-        (folder / str(k) / "in").symlink_to(folder.parent / "in")
-        commands.append(Command(case, folder / str(k)))
+def stop_all(name: str, chosen: list[Case], kills: int, seed: int, folder: Path) -> dict:
+    """Stop a command so many times, in a process that has its packages loaded; return its row."""
+    result = folder / "row.json"
+    child = os.fork()
+    if child:
+        os.waitpid(child, 0)
+        return json.loads(result.read_text())
+    status = 1
+    try:
+        place = Path(tempfile.mkdtemp(dir=folder))
+        result.write_text(json.dumps(_stop_all(name, chosen, kills, seed, place).record()))
+        shutil.rmtree(place)
+        status = 0
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        result.exists() or result.write_text(json.dumps(Row(name, failures=["the run broke off"]).record()))
+        sys.stderr.flush()
+        os._exit(status)
+
+
+def _stop_all(name: str, chosen: list[Case], kills: int, seed: int, folder: Path) -> Row:
+    row, rng, began = Row(name), random.Random(f"{name} {seed}"), time.monotonic()
+    commands: dict[int, Command] = {}
     for k in range(kills):
+        n = k % len(chosen)
+        if n not in commands:
+            commands[n] = prepared(chosen[n], folder, n)
         cold = k % 10 == 9 or name.endswith("towns")
         named = not cold and rng.random() < 0.5
-        stop(commands[k % len(commands)], row, SIGNALS[(k + k // 10) % 3], rng, cold, named)
-        if sys.stderr.isatty() or k % 20 == 19:
+        stop(commands[n], row, SIGNALS[(k + k // 10) % 3], rng, cold, named)
+        if MOST and time.monotonic() - began > MOST:
+            break
+        if k % 10 == 9:
             print(f"{name}: {k + 1} of {kills}, {row.survived} survived", file=sys.stderr, flush=True)
     return row
 
@@ -230,20 +195,14 @@ def main() -> int:
     parser.add_argument("--real", type=int, default=6, help="runs of `ogm simulate` with towns")
     parser.add_argument("--no-disk", action="store_true", help="leave out the full disk")
     options = parser.parse_args()
-    warm_up()
     rows: dict[str, dict] = {}
-    with tempfile.TemporaryDirectory(prefix="faults-") as name:
-        folder = Path(name)
-        (folder / "in").mkdir()
-        if error := in_fork(lambda: fault_cases.make_inputs(folder / "in"), folder):
-            raise RuntimeError(error)
-        for n, (command, found) in enumerate(chosen_cases(options.commands)):
-            (folder / f"c{n}").mkdir()
-            kills = options.real if command.endswith("towns") else options.kills
-            if kills:
-                rows[command] = stop_all(command, found, kills, options.seed, folder / f"c{n}").record()
-            shutil.rmtree(folder / f"c{n}", ignore_errors=True)
-        disk = None if options.no_disk else fault_disk.fill(folder)
+    folder = Path(tempfile.mkdtemp(prefix="faults-"))  # forked commands would remove a TemporaryDirectory
+    for command, found in chosen_cases(options.commands):
+        kills = options.real if command.endswith("towns") else options.kills
+        if kills:
+            rows[command] = stop_all(command, found, kills, options.seed, folder)
+    disk = None if options.no_disk else fault_disk.fill(folder)
+    shutil.rmtree(folder, ignore_errors=True)
     return report(rows, disk, options.json)
 
 

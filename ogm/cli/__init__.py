@@ -28,6 +28,8 @@ def main() -> None:
         code = 130
     except SystemExit as end:
         code = end.code
+        if isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt):  # typer's, outside of a command
+            print("ogm: interrupted; nothing was written", file=sys.stderr)
     for number in (signal.SIGINT, signal.SIGTERM):  # all is done
         signal.signal(number, signal.SIG_DFL)
     sys.exit(128 + received[0] if received and code else code)
