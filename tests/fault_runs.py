@@ -39,7 +39,7 @@ MODULES = {  # what a command imports
     "evaluate": ("ogm.evaluation", "ogm.datasets", "zarr", "matplotlib.figure", "jinja2"),
     "fuse": ("ogm.cli.fuse_run", "ogm.evaluation.models", "ogm.geometric", "ogm.viewer", "mcap", "rosbags.rosbag1"),
     "convert": ("ogm.io.grids", "rasterio", "xarray", "netCDF4", "zarr", "mcap", "rosbags.rosbag1"),
-    "serve": ("ogm.datasets", "ogm.evaluation.models", "ogm.geometric", "ogm.live", "foxglove"),
+    "serve": ("ogm.datasets", "ogm.evaluation.models", "ogm.geometric", "ogm.live"),
 }
 
 

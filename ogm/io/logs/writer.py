@@ -1,13 +1,15 @@
 """`LogWriter`: messages to an MCAP, a ROS 2 bag or a ROS 1 bag, which appears when it is whole."""
 
+import errno
 import os
-from collections.abc import Callable
-from contextlib import ExitStack
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
 
-from ogm.files import OgmError, atomic_write, temporary_folder
+from ogm.files import OgmError, atomic_write, naming, temporary_folder
 from ogm.io.logs.definitions import message_types
 from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
@@ -66,14 +68,15 @@ class LogWriter:
 
     def __enter__(self) -> Self:
         begin = {".mcap": self._begin_mcap, ".db3": self._begin_db3, ".bag": self._begin_bag}[self._ending]
-        with ExitStack() as stack:
+        with self._explained(), ExitStack() as stack:
             self._write = begin(stack)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *error: Any) -> bool | None:
         self._write = None
-        return self._stack.__exit__(*error)
+        with self._explained():
+            return self._stack.__exit__(*error)
 
     def write(self, topic: str, type: str, message: Any, stamp: float) -> None:
         """Write a message.
@@ -99,7 +102,17 @@ class LogWriter:
         if self._write is None:
             raise ValueError(f"{self.path} is not open for writing: write inside of the with block")
         at = ros_stamp(stamp)
-        self._write(topic, type, message, at.sec * 10**9 + at.nanosec)
+        with self._explained():
+            self._write(topic, type, message, at.sec * 10**9 + at.nanosec)
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Give errors of a full or broken disk the path of the log."""
+        try:
+            with naming(self.path):
+                yield
+        except sqlite3.OperationalError as error:  # of ROS 2 bags
+            raise OSError(errno.EIO, f"{error}: is the disk full?", str(self.path)) from error
 
     def _serialized(self, topic: str, name: str, message: Any, ros: int) -> memoryview:
         """Return the bytes of a message."""
