@@ -4,7 +4,7 @@ import errno
 import os
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
@@ -178,7 +178,9 @@ class LogWriter:
 
         path = stack.enter_context(temporary_folder(self.path.parent)) / self.path.name
         self._move_at_end(stack, path)
-        writer = stack.enter_context(Writer(path))
+        writer = Writer(path)
+        stack.callback(_close, writer)
+        stack.enter_context(writer)
         connections: dict[tuple[str, str], Any] = {}
 
         def write(topic: str, name: str, message: Any, time: int) -> None:
@@ -202,6 +204,13 @@ class LogWriter:
                 os.replace(written, self.path)
 
         stack.push(move)
+
+
+def _close(writer: Any) -> None:
+    """Close the file of a ROS 1 bag, which rosbags leaves open on a full disk."""
+    if writer.bio is not None:
+        with suppress(OSError):
+            writer.bio.close()
 
 
 def _is_latched(topic: str, name: str) -> bool:
