@@ -22,7 +22,7 @@ import signal, sys; sys.path.insert(0, {tests!r}); sys.argv = ["ogm", *{words!r}
 import fault_cases; fault_cases.prepare({stand_in!r}, {named!r})
 from ogm.cli import main; main()
 """
-LONGEST = 180.0  # [s] for any run
+LONGEST = 900.0  # [s] for any run
 
 
 class Ended(NamedTuple):
@@ -159,8 +159,8 @@ def prepared(case: Case, folder: Path, number: int) -> Command:
 
 def go_on(one: Command, folder: Path, out: Path) -> list[str]:
     """Repeat or resume a command; return what differs from the outputs of the run that was not stopped."""
-    begun = one.case.words[0] != "simulate" or not in_fork(lambda: begun(out), folder)
-    words = one.case.again if begun else one.case.words
+    nothing_begun = one.case.words[0] == "simulate" and in_fork(lambda: begun(out), folder)
+    words = one.case.words if nothing_begun else one.case.again
     run = Run(words, folder, one.case.stand_in, False, False)
     ended = run.wait()
     run.kill()

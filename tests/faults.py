@@ -221,6 +221,7 @@ def report(rows: dict[str, dict], disk: dict | None, path: Path | None) -> int:
         "slowest exit [s]": max((one["slowest exit [s]"] for one in found), default=0.0),
         "commands": found,
         "full disk": disk or {},
+        "load average": [round(one, 1) for one in os.getloadavg()],
         "command": "python tests/faults.py",
         "date": datetime.now(UTC).date().isoformat(),
     }
