@@ -95,9 +95,7 @@ def _make_data(folder: Path) -> None:
     data = Store.create(folder / "data", {"seed": 1}, splits, [beams_of(LIDARS["vlp-16"])], {"ogm": "test"})
     for split, count in splits.items():
         for shard in range(count // 10):
-            data.write(
-                split, shard, [make_sample(DatasetPlan(), split, k) for k in range(10 * shard, 10 * shard + 10)]
-            )
+            data.write(split, shard, [make_sample(DatasetPlan(), split, k) for k in range(10 * shard, 10 * shard + 10)])
 
 
 def _make_drive(folder: Path) -> None:

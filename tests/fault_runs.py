@@ -66,6 +66,7 @@ class Run:
 
     def __init__(self, words: Sequence[str], folder: Path, stand_in: bool, named: bool, cold: bool) -> None:
         self.errors = folder / "stderr"
+        self.errors.touch()
         self.start = time.monotonic()
         self._child: subprocess.Popen | None = None
         self._status: int | None = None

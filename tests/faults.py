@@ -63,7 +63,11 @@ class Row:
         """Return the row as JSON holds it."""
         signals = {one.name: self.signals[one.name] for one in SIGNALS}
         found = {"command": self.command, **signals, "survived": self.survived, "lost": self.lost}
-        found |= {"left behind": self.left, "slowest exit [s]": round(self.slowest, 2), "stopped before the end": self.stopped}
+        found |= {
+            "left behind": self.left,
+            "slowest exit [s]": round(self.slowest, 2),
+            "stopped before the end": self.stopped,
+        }
         return found | {"failures": self.failures[:20]}
 
 

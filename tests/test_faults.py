@@ -120,7 +120,9 @@ def test_a_disk_that_fills_while_a_log_is_written(tmp_path: Path, ending: str) -
 
 @pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
 @pytest.mark.parametrize("change", ["cut", "gone"])
-def test_of_a_log_that_is_cut_or_gone_while_it_is_read_no_message_is_lost_in_silence(tmp_path: Path, ending: str, change: str) -> None:
+def test_of_a_log_that_is_cut_or_gone_while_it_is_read_no_message_is_lost_in_silence(
+    tmp_path: Path, ending: str, change: str
+) -> None:
     path = tmp_path / f"log{ending}"
     with LogWriter(path) as log:
         for k in range(3000):

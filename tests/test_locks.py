@@ -62,7 +62,10 @@ class Other:
 
 def test_a_folder_has_one_writer_and_a_kill_frees_it_though_a_fork_lives(tmp_path: Path) -> None:
     with Other(HOLDS, tmp_path) as child:
-        with pytest.raises(BlockingIOError, match="another process is writing to this folder") as caught, locked(tmp_path):
+        with (
+            pytest.raises(BlockingIOError, match="another process is writing to this folder") as caught,
+            locked(tmp_path),
+        ):
             pass
         assert caught.value.filename == str(tmp_path)
         child.send_signal(signal.SIGKILL)
