@@ -109,9 +109,14 @@ def test_a_full_disk_is_an_error_that_names_the_file_and_leaves_the_earlier_one(
 @pytest.mark.parametrize("ending", [".mcap", ".db3", ".bag"])
 def test_a_disk_that_fills_while_a_log_is_written(tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"maps{ending}"
-    with file_size_limit(20_000), pytest.raises(OSError, match=f"maps{ending}"), GridLog(path) as log:
-        for k in range(100):
-            log.write(PlacedGrid(grid(k), stamp=float(k)))
+
+    def write() -> None:
+        with GridLog(path) as log:
+            for k in range(100):
+                log.write(PlacedGrid(grid(k), stamp=float(k)))
+
+    with file_size_limit(20_000), pytest.raises(OSError, match=f"maps{ending}"):
+        write()
     assert not os.listdir(tmp_path)
 
 

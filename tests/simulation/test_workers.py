@@ -242,6 +242,9 @@ def test_an_interrupt_ends_busy_workers_at_once(
 
 
 def test_a_worker_that_ends_by_the_same_signal_is_no_error() -> None:
-    with pytest.raises(KeyboardInterrupt), workers._interrupt_delayed():
+    def fail() -> None:
         os.kill(os.getpid(), signal.SIGINT)
         raise RuntimeError("Nanny failed to start.")
+
+    with pytest.raises(KeyboardInterrupt), workers._interrupt_delayed():
+        fail()
