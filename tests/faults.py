@@ -177,12 +177,17 @@ def _stop_all(name: str, chosen: list[Case], kills: int, seed: int, folder: Path
     return row
 
 
+def matches(name: str, words: str) -> bool:
+    """Return whether the option `--commands` names a command."""
+    return words == "all" or any(name.startswith(word) for word in words.split(","))
+
+
 def chosen_cases(words: str) -> Iterator[tuple[str, list[Case]]]:
     """Yield the commands of the option, all that have the same name before a kind of file together."""
     found: dict[str, list[Case]] = {}
     for name, case in cases().items():
         group = name.partition(" ")[0] if name.startswith(("fuse", "convert")) else name
-        if words == "all" or any(name.startswith(word) for word in words.split(",")):
+        if matches(name, words):
             found.setdefault(group, []).append(case)
     yield from found.items()
 
@@ -195,7 +200,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="rows of commands that were not run now stay as they are there")
     parser.add_argument("--real", type=int, default=6, help="runs of `ogm simulate` with towns")
-    parser.add_argument("--no-disk", action="store_true", help="leave out the full disk")
+    parser.add_argument("--disk", action=argparse.BooleanOptionalAction, default=True, help="fill the disk, too")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
     rows: dict[str, dict] = {}
@@ -204,7 +209,9 @@ def main() -> int:
         kills = options.real if command.endswith("towns") else options.kills
         if kills:
             rows[command] = stop_all(command, found, kills, options.seed, folder)
-    disk = None if options.no_disk else fault_disk.fill(folder)
+    full = {name: one for name, one in cases().items() if matches(name, options.commands)}
+    full = {name: one for name, one in full.items() if one.outputs and not name.endswith(("2 workers", "towns"))}
+    disk = fault_disk.fill(folder, full) if options.disk else None
     shutil.rmtree(folder, ignore_errors=True)
     return report(rows, disk, options.json)
 
