@@ -21,7 +21,8 @@ def watch_signals() -> None:
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     global _last
-    before, _last = _last, time.monotonic()
-    if _last - before >= ECHO:
+    now = time.monotonic()
+    if now - _last >= ECHO:
+        _last = now
         received.append(number)
         raise KeyboardInterrupt

@@ -158,9 +158,14 @@ def simulate(
         if store.versions != versions():
             _log.warning("the data set was begun with other versions of libraries; new samples may differ in detail")
         plan = DatasetPlan.from_dict(store.plan)
-        with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
-            for event in events:
-                progress(event)
+        try:
+            with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
+                for event in events:
+                    progress(event)
+        except BaseException:
+            if scheduler is None:  # else others may still be writing
+                store.sweep()
+            raise
         return store
 
 
