@@ -5,14 +5,19 @@ import errno
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-__all__ = ["OgmError", "atomic_write", "naming", "temporary_name", "update_hint"]
+from ogm.locks import locked, sweep, try_lock
 
-_OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+__all__ = ["OF_DISK", "OgmError", "atomic_write", "naming", "temporary_folder", "update_hint"]
+
+OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # errors of a full or broken disk
+_PREFIX = ".ogm-"
+_swept: set[Path] = set()  # folders that this process has cleared of what killed ones left
 
 
 class OgmError(ValueError):
@@ -25,7 +30,8 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]
 
     The bytes go to a temporary file in the same folder; the end of the ``with`` block flushes it to disk and
     renames it over `path` in one step. An error or an interrupt inside the block removes the temporary file
-    and leaves the file that was at `path` before untouched.
+    and leaves the file that was at `path` before untouched. What a killed process left is removed by the next one that
+    writes to the folder.
 
     Parameters
     ----------
@@ -46,6 +52,7 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]
         raise FileNotFoundError(f"cannot write {target}: there is no folder {target.parent}; create it first")
     if target.is_dir():
         raise IsADirectoryError(f"cannot write {target}: it is a folder; give a file name")
+    _sweep_once(target.parent)
     with naming(target), _unnamed(target, mode) as (file, name):
         yield file
         file.flush()
@@ -54,23 +61,46 @@ def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]
 
 
 @contextmanager
+def temporary_folder(parent: Path) -> Iterator[Path]:
+    """Make a folder in `parent` for what libraries write by name; it is removed in the end.
+
+    If this process is killed, the next one that writes to `parent` removes it.
+    """
+    _sweep_once(parent)
+    with contextlib.ExitStack() as stack:
+        while True:
+            folder = _temporary_name(parent)
+            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            folder.mkdir()
+            with contextlib.suppress(FileNotFoundError, BlockingIOError):  # another process sweeps it
+                stack.enter_context(locked(folder))
+                if folder.exists():
+                    break
+        yield folder
+
+
+@contextmanager
 def naming(path: str | os.PathLike[str]) -> Iterator[None]:
     """Give errors of a full or broken disk the path that is written; the system names none, or a temporary one."""
     try:
         yield
     except OSError as error:
-        temporary = error.filename is None or os.path.basename(str(error.filename)).startswith(_PREFIX)
-        if temporary and (error.errno in _OF_DISK or error.filename is not None):
+        temporary = error.filename is None or f"{os.sep}{_PREFIX}" in f"{os.sep}{error.filename}"
+        if temporary and (error.errno in OF_DISK or error.filename is not None):
             raise type(error)(error.errno, error.strerror, str(path)) from error
         raise
 
 
-def temporary_name(path: Path, ending: str = ".tmp") -> Path:
-    """Return a free name in the folder of a path, hidden, short whatever the path's name is."""
-    return path.with_name(f"{_PREFIX}{secrets.token_hex(8)}{ending}")
+def _sweep_once(folder: Path) -> None:
+    folder = folder.absolute()
+    if folder not in _swept:
+        _swept.add(folder)
+        sweep(folder)
 
 
-_PREFIX = ".ogm-"
+def _temporary_name(folder: Path) -> Path:
+    """Return a free name in a folder, hidden and short."""
+    return folder / f"{_PREFIX}{secrets.token_hex(8)}.tmp"
 
 
 @contextmanager
@@ -80,7 +110,7 @@ def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO, Callable[[], Path]]]
     Where the system can (Linux, most file systems), the file has no name before, so that nothing of it stays when the
     process is killed.
     """
-    temporary, encoding = temporary_name(target), None if "b" in mode else "utf-8"
+    temporary, encoding = _temporary_name(target.parent), None if "b" in mode else "utf-8"
     try:
         descriptor = os.open(target.parent, os.O_TMPFILE | os.O_RDWR | os.O_CLOEXEC, 0o666)
         linked = f"/proc/self/fd/{descriptor}"
@@ -88,9 +118,10 @@ def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO, Callable[[], Path]]]
             os.close(descriptor)
             raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
     except (OSError, AttributeError):  # no such files here
-        file, name = open(temporary, mode.replace("w", "x"), encoding=encoding), lambda: temporary  # noqa: SIM115
+        file, name = _named(temporary, mode.replace("w", "x"), encoding), lambda: temporary
     else:
         file = open(descriptor, mode, encoding=encoding)  # noqa: SIM115
+        try_lock(descriptor)
 
         def name() -> Path:
             os.link(linked, temporary, src_dir_fd=descriptor, follow_symlinks=True)  # with it, Python follows the link
@@ -112,3 +143,13 @@ def update_hint(found: object, *known: str) -> str:
     if not versions or not re.fullmatch("[0-9]{1,9}", version) or int(version) <= max(versions):
         return ""
     return ": it comes from a newer release of ogm; update ogm (pip install --upgrade ogm-toolkit)"
+
+
+def _named(temporary: Path, mode: str, encoding: str | None) -> IO:
+    """Open a new file and lock it, so that no other process sweeps it."""
+    while True:
+        file = open(temporary, mode, encoding=encoding)  # noqa: SIM115
+        if try_lock(file.fileno()) is not False and temporary.exists():
+            return file
+        file.close()
+        temporary.unlink(missing_ok=True)

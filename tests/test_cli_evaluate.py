@@ -21,6 +21,7 @@ from ogm.evaluation import cache, report, runner
 from ogm.fusion import BAYES, DYNAMIC, NUSS, RULES, EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.locks import locked
 from ogm.metrics import METRICS, accumulate, score
 from ogm.scan import Mount, Scan
 from ogm.simulation.exchange import write_label
@@ -220,6 +221,15 @@ def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
         return accumulate(*words)
 
     monkeypatch.setattr(runner, "accumulate", stopping)
+
+
+@pytest.mark.parametrize("folder", ["a", "a/frames"])
+def test_one_process_evaluates_into_a_folder_at_a_time(data: Path, tmp_path: Path, folder: str) -> None:
+    (tmp_path / folder).mkdir(parents=True)
+    with locked(tmp_path / folder):
+        result = ogm("evaluate", data, "--ism", "height-band", "--out", tmp_path / "a")
+    assert result.exit_code == 2
+    assert f"{tmp_path / folder}: another process is writing to this folder" in result.output
 
 
 @pytest.mark.usefixtures("no_pictures")

@@ -15,6 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from ogm.cli import app
+from ogm.locks import locked
 from ogm.simulation import studio
 from ogm.simulation.recipe import RECIPES
 from ogm.simulation.store import FORMAT, GAPS, Store
@@ -151,6 +152,14 @@ def test_another_version_and_damage_are_reported(data: Path, tmp_path: Path) -> 
     assert result.exit_code == 2
     assert "sample 0 of training" in result.output
     assert f"rm {hurt}/training/facts/c/0/0" in result.output.replace("\n", "")
+
+
+def test_one_process_makes_a_data_set_at_a_time(tmp_path: Path) -> None:
+    with locked(tmp_path):
+        result = ogm("simulate", tmp_path, *TINY)
+    assert result.exit_code == 2
+    assert "another process is writing to this folder" in result.output
+    assert not any(tmp_path.iterdir())
 
 
 def test_an_interrupt_names_how_to_go_on(tmp_path: Path) -> None:

@@ -1,14 +1,19 @@
 """The command line ``ogm``: its packages load with the first use of `app` or `main`, where an interrupt is noticed."""
 
+import signal
 import sys
 from typing import Any
+
+from ogm.cli.interrupts import received, watch_signals
 
 __all__ = ["app", "main"]
 
 
 def main() -> None:
-    """Run the command line."""
+    """Run the command line. SIGINT and SIGTERM end it with the status 130 and 143."""
+    code: Any = 0
     try:
+        watch_signals()
         import logging
 
         from ogm.cli.commands import app
@@ -20,7 +25,14 @@ def main() -> None:
         app()
     except KeyboardInterrupt:  # before a command began, while packages load
         print("ogm: interrupted; nothing was written", file=sys.stderr)
-        sys.exit(130)
+        code = 130
+    except SystemExit as end:
+        code = end.code
+        if isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt):  # typer's, outside of a command
+            print("ogm: interrupted; nothing was written", file=sys.stderr)
+    for number in (signal.SIGINT, signal.SIGTERM):  # all is done
+        signal.signal(number, signal.SIG_DFL)
+    sys.exit(128 + received[0] if received and code else code)
 
 
 def __getattr__(name: str) -> Any:

@@ -14,12 +14,16 @@ from rich.progress import track
 from rich.table import Table
 from rich.text import Text
 
+from ogm.cli.interrupts import received
+from ogm.files import OF_DISK
+
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
 
 COMPILED = 3.0  # [s] a first call that takes longer has compiled kernels
 
+_WHOLE = "files that were finished are whole, no other was written"
 _CONTROL = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\n\t"}
 _CONTROL |= {code: f"\\u{code:04x}" for code in (0x2028, 0x2029, *range(0x202A, 0x202F), *range(0x2066, 0x206A))}
 
@@ -53,7 +57,7 @@ stderr = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
 def report_errors(command: Callable[P, R]) -> Callable[P, R]:
-    """Turn the errors a user can cause into one line and exit code 2."""
+    """Turn the errors a user can cause into one line and exit code 2, or 1 if the disk is full or broken."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -63,10 +67,13 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
             if isinstance(error, ImportError) and _is_interrupt(error):
                 stderr.print("ogm: interrupted; nothing was written", markup=False)
                 raise typer.Exit(130) from None
+            if received:  # processes that the same signal ended, or packages that made an error of it, are why
+                stderr.print(f"ogm: interrupted; {_WHOLE}", markup=False)
+                raise typer.Exit(130) from None
             stderr.print(f"ogm: {one_line(error)}", markup=False)
-            raise typer.Exit(2) from None
+            raise typer.Exit(1 if isinstance(error, OSError) and error.errno in OF_DISK else 2) from None
         except KeyboardInterrupt as interrupt:
-            text = str(interrupt) or "files that were finished are whole, no other was written"
+            text = str(interrupt) or _WHOLE
             stderr.print(f"ogm: interrupted; {text}", markup=False)
             raise typer.Exit(130) from None
 

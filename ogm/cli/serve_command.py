@@ -1,10 +1,9 @@
 """``ogm serve``: a drive at its own pace, or scans from a socket, as a live map for Foxglove and others."""
 
 import logging
-import signal
 import socket
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Iterable
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event
 from typing import TYPE_CHECKING, Annotated
@@ -112,7 +111,6 @@ def serve(
         logging.getLogger("foxglove").setLevel(logging.CRITICAL)  # a viewer that goes away is no error
         publisher = stack.enter_context(FoxglovePublisher(host, port))
         out.print(f"serving /map, /points and /tf at {publisher.url}; Ctrl-C stops")
-        stack.enter_context(_terminable())
         report = served(
             frames,
             model,
@@ -154,13 +152,3 @@ def _listener(place: str) -> socket.socket:
         return socket.create_server((host or "127.0.0.1", int(port)))
     except OSError as error:
         raise OSError(f"--listen cannot listen at {place}: {one_line(error)}") from error
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Let SIGTERM stop the run as Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

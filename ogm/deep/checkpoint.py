@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save
+from safetensors import SafetensorError
+from safetensors.torch import load, save
 from torch import Tensor
 
 from ogm.deep.description import FORMAT, description_checksum, grid_of, read_description
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.files import OgmError, atomic_write
+from ogm.io.reading import read_bytes
 
 __all__ = ["FORMAT", "load_network", "save_network"]
 
@@ -102,18 +103,17 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
 def _read_weights(path: Path, wanted: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Read the weights of these names, shapes and types."""
     try:
-        with safe_open(path, "pt") as file:
-            if odd := sorted(set(file.keys()) ^ set(wanted)):
-                text = f"does not hold the weights of its description: {len(odd)} names differ, such as {odd[0]}"
-                raise OgmError(f"{path} {text}")
-            for name, value in wanted.items():
-                shape = file.get_slice(name).get_shape()
-                if list(shape) != list(value.shape):
-                    raise OgmError(f"{path} has {name} of shape {shape}, wanted {list(value.shape)}")
-            weights = {name: file.get_tensor(name) for name in wanted}
-    except (SafetensorError, OSError) as error:
+        weights = load(read_bytes(path)[0])  # not mapped: a file that is cut meanwhile would end the process
+    except OgmError:
+        raise
+    except (SafetensorError, OSError, ValueError, KeyError, TypeError) as error:
         raise OgmError(f"{path} is not a whole file of weights (.safetensors): {error}") from error
+    if odd := sorted(set(weights) ^ set(wanted)):
+        text = f"does not hold the weights of its description: {len(odd)} names differ, such as {odd[0]}"
+        raise OgmError(f"{path} {text}")
     for name, value in weights.items():
+        if value.shape != wanted[name].shape:
+            raise OgmError(f"{path} has {name} of shape {list(value.shape)}, wanted {list(wanted[name].shape)}")
         if value.dtype != wanted[name].dtype:
             raise OgmError(f"{path} has {name} as {value.dtype}, wanted {wanted[name].dtype}")
         if not torch.isfinite(value).all() or (name.endswith("running_var") and (value < 0).any()):

@@ -9,7 +9,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,6 +25,7 @@ from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LOSSES, Recipe, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
+from ogm.locks import locked
 from ogm.scan import Frame
 from ogm.state import predict_state
 
@@ -118,6 +119,8 @@ def train(
         If the loss is not finite; the batch is saved in the run's folder.
     MemoryError
         If the memory does not suffice.
+    BlockingIOError
+        If another process trains in `out`.
     """
     _check(validation, recipe, out, resume)
     fabric = _launch(accelerator, devices, nodes, precision)
@@ -129,34 +132,51 @@ def train(
     run = TrainingRun(fabric, recipe, spec, out, len(frames), len(fixed), initial)
     out.mkdir(parents=True, exist_ok=True)
     facts = {"seen": training_ranges(frames), **(facts or {})}
-    if resume and (out / "state.pt").exists():
-        run.restore()
-    saved = time.monotonic()
-    with _bar(progress and fabric.is_global_zero, run.steps, run.step) as show, _memory_advice(recipe):
-        try:
-            while run.epoch < recipe.epochs:
-                began, first = time.monotonic(), run.step
-                order.epoch, order.skip = run.epoch, (first - run.epoch * run.steps_per_epoch) * recipe.batch
-                for batch in loader:
-                    run.do_step(batch)
-                    show(completed=run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
-                    if time.monotonic() - saved > _SAVE_EVERY:
-                        saved = run.save()
-                if fabric.is_global_zero:
-                    speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
-                    scores = validate(run.average, fixed, recipe, fabric.device)
-                    run.record(scores._asdict(), speed, facts)
-                    show(scores=scores)
-                    if picture_every and (run.epoch + 1) % picture_every == 0:
-                        draw_predictions(out / f"epoch-{run.epoch + 1:03d}.png", run.average, fixed, fabric.device)
-                run.epoch += 1
-                saved = run.save()
-                fabric.barrier()
-        except KeyboardInterrupt:
-            if run.consistent:  # else the state that was saved before is the one to resume from
-                run.save()
-            raise
+    with locked(out) if fabric.is_global_zero else nullcontext():
+        _refuse_other_run(out, resume)
+        if (out / "state.pt").exists():
+            run.restore()
+        bar = _bar(progress and fabric.is_global_zero, run.steps, run.step)
+        with bar as show, _memory_advice(recipe):
+            try:
+                _train_epochs(run, loader, order, fixed, picture_every, facts, show)
+            except KeyboardInterrupt:
+                if run.consistent:  # else the state that was saved before is the one to resume from
+                    run.save()
+                raise
     return out / "best.safetensors"
+
+
+def _train_epochs(
+    run: TrainingRun,
+    loader: DataLoader[Batch],
+    order: EpochSampler,
+    fixed: PillarDataset,
+    picture_every: int,
+    facts: Mapping[str, Any],
+    show: Callable[..., None],
+) -> None:
+    """Do all steps that are left; score, record and save after every epoch."""
+    recipe, fabric, out = run.recipe, run.fabric, run.out
+    saved = time.monotonic()
+    while run.epoch < recipe.epochs:
+        began, first = time.monotonic(), run.step
+        order.epoch, order.skip = run.epoch, (first - run.epoch * run.steps_per_epoch) * recipe.batch
+        for batch in loader:
+            run.do_step(batch)
+            show(completed=run.step, loss=run.recent_loss, epoch=run.step / run.steps_per_epoch)
+            if time.monotonic() - saved > _SAVE_EVERY:
+                saved = run.save()
+        if fabric.is_global_zero:
+            speed = (run.step - first) / (time.monotonic() - began)  # [steps / s]
+            scores = validate(run.average, fixed, recipe, fabric.device)
+            run.record(scores._asdict(), speed, facts)
+            show(scores=scores)
+            if picture_every and (run.epoch + 1) % picture_every == 0:
+                draw_predictions(out / f"epoch-{run.epoch + 1:03d}.png", run.average, fixed, fabric.device)
+        run.epoch += 1
+        saved = run.save()
+        fabric.barrier()
 
 
 @torch.no_grad()
@@ -246,5 +266,9 @@ def _check(validation: Sequence[Frame], recipe: Recipe, out: Path, resume: bool)
         raise ValueError("learning_rate and strength must be greater than 0")
     if len(validation) == 0:
         raise ValueError("there are no validation frames to choose the weights by")
+    _refuse_other_run(out, resume)
+
+
+def _refuse_other_run(out: Path, resume: bool) -> None:
     if not resume and (out / "state.pt").exists():
         raise ValueError(f"{out} holds a run already; go on with --resume, or give another --out")

@@ -132,19 +132,19 @@ class TrainingRun:
         counts = {"epoch": self.epoch + 1, "step": self.step}
         row = {**counts, "training_loss": self.recent_loss, **scores}
         row["samples_per_s"] = speed * self.recipe.batch * self.fabric.world_size
-        _append_row(self.out / "log.csv", row)
+        _add_row(self.out / "log.csv", row)
         if scores["loss"] < self.best:
-            self.best = scores["loss"]
             versions = {name: importlib.metadata.version(name) for name in ("torch", "lightning", "numpy")}
             result = {**counts, "validation": dict(scores)}
             about = {"recipe": asdict(self.recipe), "result": result, "versions": versions, **facts}
             save_network(self.out / "best.safetensors", self.average, about)
+            self.best = scores["loss"]  # last: a run that stops before writes them again
 
     def save(self) -> float:
         """Write ``state.pt``, and return the time of it."""
         if self.fabric.is_global_zero:
             state = {name: getattr(self, name).state_dict() for name in _MODULES}
-            numbers = {"step": self.step, "epoch": self.epoch, "best": self.best}
+            numbers = {"step": self.step, "epoch": self.epoch, "best": self.best, "losses": self._losses}
             with atomic_write(self.out / "state.pt") as file:
                 torch.save({"setup": self._setup, **state, **numbers}, file)
         return time.monotonic()
@@ -164,6 +164,7 @@ class TrainingRun:
             for name in _MODULES:
                 getattr(self, name).load_state_dict(state[name])
             self.step, self.epoch, self.best = int(state["step"]), int(state["epoch"]), float(state["best"])
+            self._losses = [float(one) for one in state.get("losses", ())]
         except Exception as error:  # whatever torch makes of a damaged file
             raise OgmError(f"cannot resume from {path}: {error}") from error
 
@@ -206,10 +207,14 @@ def _update_ema(average: PillarNetwork, network: PillarNetwork, decay: float) ->
             mean.copy_(value)
 
 
-def _append_row(path: Path, row: Mapping[str, float]) -> None:
-    """Append a row to a CSV file; a new file gets a header."""
-    with open(path, "a", newline="") as file:
-        writer = csv.DictWriter(file, list(row))
-        if file.tell() == 0:
-            writer.writeheader()
-        writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
+def _add_row(path: Path, row: Mapping[str, float]) -> None:
+    """Write a row for an epoch after those of earlier epochs; a stopped run may have written this one before."""
+    rows: list[dict[str, Any]] = []
+    if path.exists():
+        with open(path, newline="") as file:
+            rows = [one for one in csv.DictReader(file) if int(one["epoch"]) < row["epoch"]]
+    rows.append({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
+    with atomic_write(path, "w") as file:
+        writer = csv.DictWriter(file, list(row), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)

@@ -1,7 +1,7 @@
 """`evaluate`: methods on the frames of a data set, frame by frame, with resume."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -17,6 +17,7 @@ from ogm.evaluation.motion import MotionCollector, compare_motion
 from ogm.evaluation.motion_pictures import draw_motion
 from ogm.evaluation.result import Evaluation, FrameInfo
 from ogm.grid import GridSpec
+from ogm.locks import locked
 from ogm.metrics import ConfusionSums, accumulate, distances
 from ogm.pose import transform_points
 from ogm.scan import Frame
@@ -69,6 +70,8 @@ def evaluate(
     ValueError
         If there is no method or no frame, a frame has no truth, a grid covers another area than `spec`, or `out` holds
         an unfinished run with other settings.
+    BlockingIOError
+        If another process evaluates into `out`.
     KeyboardInterrupt
         With `out`, the message counts the finished frames.
     """
@@ -83,30 +86,31 @@ def evaluate(
     }
     runner, cache, reused = MethodRunner(used, spec), None, 0
     rows: Iterable[FrameResult]
-    if out is None:
-        rows = (one for _, one in _results(runner, dataset, numbers, progress, None))
-    else:
-        parts = {"data": data, "methods": facts, "frames": infos, "numbers": numbers}
-        cache = _open_cache(Path(out), runner, dataset, parts)
-        missing = cache.missing(numbers)
-        done = reused = len(numbers) - len(missing)
-        if not reused:
-            for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
-                (Path(out) / name).unlink(missing_ok=True)
-        try:
-            for number, one in _results(runner, dataset, missing, progress, draw):
-                cache.save(number, one)
-                done += 1
-        except KeyboardInterrupt:
-            kept = f"{done} of {len(numbers)} frames are finished and kept"
-            raise KeyboardInterrupt(f"{kept}: repeat the command to resume") from None
-        rows = map(cache.load, numbers)
-    motion = MotionCollector(tuple(used))
-    result = Evaluation.from_sums(tuple(used), spec, _collecting(rows, infos, motion), infos)
-    result = replace(result, motion=motion.result(result.drives))
-    if cache is not None:
-        cache.note(finished=True)
-    return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
+    with ExitStack() as stack:
+        if out is None:
+            rows = (one for _, one in _results(runner, dataset, numbers, progress, None))
+        else:
+            parts = {"data": data, "methods": facts, "frames": infos, "numbers": numbers}
+            cache = _open_cache(Path(out), runner, dataset, parts, stack)
+            missing = cache.missing(numbers)
+            done = reused = len(numbers) - len(missing)
+            if not reused:
+                for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
+                    (Path(out) / name).unlink(missing_ok=True)
+            try:
+                for number, one in _results(runner, dataset, missing, progress, draw):
+                    cache.save(number, one)
+                    done += 1
+            except KeyboardInterrupt:
+                kept = f"{done} of {len(numbers)} frames are finished and kept"
+                raise KeyboardInterrupt(f"{kept}: repeat the command to resume") from None
+            rows = map(cache.load, numbers)
+        motion = MotionCollector(tuple(used))
+        result = Evaluation.from_sums(tuple(used), spec, _collecting(rows, infos, motion), infos)
+        result = replace(result, motion=motion.result(result.drives))
+        if cache is not None:
+            cache.note(finished=True)
+        return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
 
 
 def _collecting(
@@ -186,8 +190,10 @@ def _checked(methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: S
     return tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in frames)
 
 
-def _open_cache(out: Path, runner: MethodRunner, dataset: Any, settings: Mapping[str, Any]) -> ResultCache:
-    """Open the folder of finished frames, with all that decides what they hold."""
+def _open_cache(
+    out: Path, runner: MethodRunner, dataset: Any, settings: Mapping[str, Any], stack: ExitStack
+) -> ResultCache:
+    """Open the folder of finished frames, with all that decides what they hold; it is locked until `stack` ends."""
     methods, spec = runner.methods, runner.spec
     grids = [path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()]
     files = [*map(Path, getattr(dataset, "files", ())), *grids]
@@ -202,4 +208,6 @@ def _open_cache(out: Path, runner: MethodRunner, dataset: Any, settings: Mapping
         "files": files_state(files, out),
         "code": code_state(),
     }
+    (out / "frames").mkdir(parents=True, exist_ok=True)
+    stack.enter_context(locked(out / "frames"))
     return ResultCache(out / "frames", {**settings, **states})

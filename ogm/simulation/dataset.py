@@ -18,6 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from ogm.locks import locked
 from ogm.pose import inverse, pose, transform_points
 from ogm.scan import Boxes
 from ogm.simulation.arrays import Floats
@@ -141,20 +142,31 @@ def simulate(
     ValueError
         If the folder holds something else, the data set was begun by another plan, or a lidar is unknown.
     OSError
-        If the disk is full or will be, or workers die. Finished shards are complete; go on with `resume`.
+        If the disk is full or will be, or workers die. Finished shards are complete; go on with `resume`. Also if
+        another process makes the data set.
     """
-    if not resume and Store.exists(folder):
-        raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
+    folder, beams = Path(folder), lidars(plan)
     count = workers_that_fit() if workers is None else workers
     check_workers(count)
-    store = begin(Path(folder), plan, lidars(plan), versions())
-    if store.versions != versions():
-        _log.warning("the data set was begun with other versions of libraries; new samples may differ in detail")
-    plan = DatasetPlan.from_dict(store.plan)
-    with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
-        for event in events:
-            progress(event)
-    return store
+    if folder.is_file():
+        raise ValueError(f"{folder} is a file; give a new or empty folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked(folder):
+        if not resume and Store.exists(folder):
+            raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
+        store = begin(folder, plan, beams, versions())
+        if store.versions != versions():
+            _log.warning("the data set was begun with other versions of libraries; new samples may differ in detail")
+        plan = DatasetPlan.from_dict(store.plan)
+        try:
+            with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
+                for event in events:
+                    progress(event)
+        except BaseException:
+            if scheduler is None:  # else others may still be writing
+                store.sweep()
+            raise
+        return store
 
 
 def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SceneSetup:

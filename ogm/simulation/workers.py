@@ -2,20 +2,21 @@
 
 import errno
 import logging
+import multiprocessing.resource_tracker
 import os
 import shutil
 import signal
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ogm.files import temporary_folder
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
@@ -177,8 +178,8 @@ class _Work(NamedTuple):
             start = time.perf_counter()
             sample = self._sample(job, first)
             seconds = time.perf_counter() - start
-            with tempfile.TemporaryDirectory() as folder:
-                trial = Store.create(Path(folder) / "trial", asdict(self.plan), {job.split: first + 1}, beams, {})
+            with temporary_folder(self.path) as folder:
+                trial = Store.create(folder, asdict(self.plan), {job.split: first + 1}, beams, {})
                 size = trial.write(job.split, job.shard, [sample])
             rays = {one.name: one.shape[0] * one.shape[1] for one in beams}
             shares = [mount.share for mount in self.plan.mounts]
@@ -249,29 +250,48 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
             cluster = LocalCluster(n_workers=workers, threads_per_worker=1, memory_limit=0, **quiet)
             stack.enter_context(cluster)
             client = stack.enter_context(Client(cluster, set_as_default=False))
-        yield client
+        try:
+            yield client
+        except BaseException:
+            _kill_workers(cluster)
+            raise
+
+
+def _kill_workers(cluster: Any) -> None:
+    """End the workers at once: asked to, they finish their sample first. What they have begun is made again."""
+    for nanny in cluster.workers.values():
+        nanny.close_gracefully()  # does not start the worker again
+        with suppress(ProcessLookupError):
+            if nanny.pid:
+                os.kill(nanny.pid, signal.SIGKILL)
 
 
 @contextmanager
 def _interrupt_delayed() -> Iterator[None]:
-    """Let Ctrl-C take effect when the block is left; processes that are started inside ignore it.
+    """Let SIGINT and SIGTERM take effect when the block is left; processes that are started inside ignore SIGINT.
 
-    Blocking the signal in this thread alone would not do: another one, such as that of a progress display, may
-    receive it, and then Python raises KeyboardInterrupt here all the same, in the middle of starting processes.
+    Blocking the signals in this thread alone would not do: another one, such as that of a progress display, may
+    receive them, and then Python raises KeyboardInterrupt here all the same, in the middle of starting processes.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    multiprocessing.resource_tracker.ensure_running()  # else it is started inside, and unblocks the signal then
     received: list[int] = []
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # is inherited by processes
-    before = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
+    handled = [number for number in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(number))]
+    before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in handled}
     try:
         yield
+    except Exception:
+        if not received:  # else a worker that the same signal ended is why
+            raise
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
     if received:
-        raise KeyboardInterrupt
+        signal.raise_signal(received[0])
 
 
 @contextmanager
@@ -292,11 +312,13 @@ def _explained(store: Store) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if getattr(error, "errno", None) in (errno.ENOSPC, errno.EDQUOT):
-            what, way = f"the disk that holds {store.path} is full", "free some of it"
+        number = getattr(error, "errno", None)
+        if number in (errno.ENOSPC, errno.EDQUOT):
+            what, way = "the disk is full", "free some of it"
         elif type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
             what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
         else:
             raise
         way += f", then `ogm simulate {store.path} --resume`"
-        raise OSError(f"{what}; finished shards are complete: {way}") from error
+        text = f"{what}; finished shards are complete: {way}"
+        raise (OSError(number, text, str(store.path)) if number else OSError(text)) from error

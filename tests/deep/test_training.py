@@ -1,6 +1,7 @@
 import csv
 import math
 import pickle
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER, NetworkConfig
 from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
 from ogm.deep.training import train
+from ogm.deep.training_run import TrainingRun
+from ogm.locks import locked
 
 
 @pytest.fixture(autouse=True)
@@ -84,6 +87,31 @@ def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, frames, tmp_
         other = torch.load(tmp_path / "stopped" / "state.pt", weights_only=True)["network"][name]
         assert value.equal(other), name
     assert whole.read_bytes() == stopped.read_bytes()
+
+
+@pytest.mark.parametrize("epoch", [1, 2])
+def test_a_run_that_is_killed_between_the_record_and_the_state_of_an_epoch(go, tmp_path, monkeypatch, epoch):
+    go("whole")
+    save = TrainingRun.save
+    with monkeypatch.context() as patch:  # what stands on disk then is what a kill leaves
+        patch.setattr(TrainingRun, "save", lambda run: save(run) if run.epoch < epoch else sys.exit(9))
+        with pytest.raises(SystemExit):
+            go("killed")
+    assert len(curve(tmp_path / "killed")) == epoch
+    assert (tmp_path / "killed" / "state.pt").exists() == (epoch == 2)
+    go("killed", resume=True)
+    speedless = [[{k: v for k, v in row.items() if k != "samples_per_s"} for row in curve(tmp_path / name)]
+                 for name in ("whole", "killed")]  # fmt: skip
+    assert speedless[0] == speedless[1]
+    for name in ("best.safetensors", "best.json"):
+        assert (tmp_path / "killed" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_only_one_process_trains_in_a_folder(go, tmp_path):
+    (tmp_path / "run").mkdir()
+    with locked(tmp_path / "run"), pytest.raises(BlockingIOError, match="another process is writing"):
+        go(resume=True)
+    go(resume=True)
 
 
 def test_workers_change_nothing(go):

@@ -1,10 +1,13 @@
 """Making data sets: what is finished stays, whoever is killed; and the bytes are the plan's alone."""
 
 import errno
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -209,3 +212,39 @@ def test_two_workers_make_the_same_bytes_though_one_dies(
     assert isinstance(events[0], Estimate)
     assert events[0].workers == 2
     assert contents(tmp_path / "data") == whole
+
+
+def test_an_interrupt_ends_busy_workers_at_once(
+    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
+) -> None:
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    begun = tmp_path / "begun"
+
+    def sleeps(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
+        begun.touch()
+        time.sleep(600)
+        raise AssertionError
+
+    sent = []
+
+    def interrupt() -> None:
+        while not begun.exists():
+            time.sleep(0.05)
+        sent.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        list(make_shards(store, PLAN, sleeps, workers=2))
+    assert time.monotonic() - sent[0] < 60  # asked to end, they would sleep on
+    assert not multiprocessing.active_children()
+
+
+def test_a_worker_that_ends_by_the_same_signal_is_no_error() -> None:
+    def fail() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        raise RuntimeError("Nanny failed to start.")
+
+    with pytest.raises(KeyboardInterrupt), workers._interrupt_delayed():
+        fail()

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
+from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
-from ogm.io.grids.paths import reason, whole_path
+from ogm.io.grids.paths import reason
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
 from ogm.io.layers import layers_of, needed_layers
 from ogm.io.reading import optional
@@ -57,9 +57,9 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
         "compress": "DEFLATE", "predictor": "YES", "overview_resampling": "AVERAGE", "bigtiff": "IF_SAFER",
     }  # fmt: skip
     tags = {"frame_id": placed.frame_id} | ({} if placed.stamp is None else {"stamp": repr(placed.stamp)})
-    with whole_path(path) as temporary:
+    with rasterio.MemoryFile(ext=".tif") as memory:  # GDAL does not report a disk that is full when it closes a file
         try:
-            with rasterio.open(temporary, "w", **profile) as image:
+            with memory.open(**profile) as image:
                 for band, (name, layer) in enumerate(layers.items(), start=1):
                     image.write(layer.T[::-1], band)
                     image.set_band_description(band, name)
@@ -68,6 +68,8 @@ def write_geotiff(path: Path, placed: PlacedGrid) -> None:
                 image.update_tags(**tags)
         except Exception as error:  # rasterio lets GDAL's own errors through
             raise OSError(f"{path} cannot be written: {error}") from error
+        with atomic_write(path) as file:
+            file.write(memory.getbuffer())
 
 
 def read_geotiff(path: Path) -> PlacedGrid:

@@ -1,44 +1,59 @@
 """Files and folders that libraries write by name and that are either whole or not there; reasons of their errors."""
 
+import ctypes
+import errno
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ogm.files import naming, temporary_name
+from ogm.files import naming, temporary_folder
 
 __all__ = ["reason", "whole_path"]
+
+_HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 
 
 @contextmanager
 def whole_path(path: Path) -> Iterator[Path]:
-    """Give a free name in the folder of `path`; what was written there gets the name `path` in the end.
+    """Give a free path on the disk of `path`; what was written there gets the name `path` in the end.
 
     As `ogm.files.atomic_write`, for libraries that open their file by name or write a folder. A folder that has the
-    name already is put aside, and removed when the new one is in its place.
+    name already is removed when the new one is in its place.
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}; create it first")
-    temporary, old = (temporary_name(path, f".{what}{path.suffix}") for what in ("tmp", "old"))
-    try:
-        with naming(path):
-            yield temporary
-            if temporary.is_dir():
-                if path.is_dir():
-                    os.replace(path, old)
-            else:
-                with open(temporary, "rb") as file:
-                    os.fsync(file.fileno())
-            os.replace(temporary, path)
-            shutil.rmtree(old, ignore_errors=True)
-    except BaseException:
+    with naming(path), temporary_folder(path.parent) as folder:
+        temporary = folder / path.name
+        yield temporary
         if temporary.is_dir():
-            shutil.rmtree(temporary, ignore_errors=True)
-        temporary.unlink(missing_ok=True)
-        if old.exists():
-            os.replace(old, path)
-        raise
+            _replace_folder(temporary, path)
+        else:
+            with open(temporary, "rb") as file:
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+
+
+def _replace_folder(written: Path, path: Path) -> None:
+    """Give a folder its name. One that has it already takes the other's, on Linux in the same step."""
+    while True:
+        try:
+            os.rename(written, path)
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                raise
+        try:
+            exchange = ctypes.CDLL(None, use_errno=True).renameat2
+        except AttributeError:  # a kill between these two steps leaves the folder beside, under a hidden name
+            os.rename(path, written.parent.with_suffix(".old"))
+            os.rename(written, path)
+            os.rename(written.parent.with_suffix(".old"), written)
+            return
+        if exchange(_HERE, os.fsencode(written), _HERE, os.fsencode(path), _EXCHANGE) == 0:
+            return
+        if ctypes.get_errno() != errno.ENOENT:  # which is that another process has just moved it: again
+            raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()), str(path))
 
 
 def reason(error: BaseException, path: Path) -> str:

@@ -1,5 +1,6 @@
 """Grids as `xarray.Dataset`: NetCDF files by the CF conventions, and Zarr folders."""
 
+import errno
 import json
 import math
 from importlib.util import find_spec
@@ -261,7 +262,11 @@ def write_scientific(path: Path, placed: PlacedGrid) -> None:
         }
         encoding = dict.fromkeys(map(str, dataset.data_vars), packed)
         encoding |= dict.fromkeys(("x", "y"), {"_FillValue": None, "fletcher32": True})
-        dataset.to_netcdf(temporary, format="NETCDF4", engine="netcdf4", encoding=encoding)
+        try:
+            dataset.to_netcdf(temporary, format="NETCDF4", engine="netcdf4", encoding=encoding)
+        except (RuntimeError, PermissionError) as error:  # of a full disk: HDF5 has no better
+            text = getattr(error, "strerror", None) or error
+            raise OSError(errno.EIO, f"{text}: is the disk full?", str(path)) from error
 
 
 def read_scientific(path: Path) -> PlacedGrid:

@@ -209,7 +209,7 @@ class LogReader:
         channel = file.channels[ref.channel]
         try:
             return channel, file.read(ref.place, size)
-        except OgmError as error:
+        except (OgmError, struct.error) as error:  # the second of a file that was cut since its index was read
             raise OgmError(f"{self.paths[ref.file]}: a message of {channel.topic} is lost, {error}") from error
 
     def _known(self, topics: Iterable[str]) -> set[str]:

@@ -1,15 +1,15 @@
 """`LogWriter`: messages to an MCAP, a ROS 2 bag or a ROS 1 bag, which appears when it is whole."""
 
+import errno
 import os
-import shutil
-import tempfile
-from collections.abc import Callable
-from contextlib import ExitStack
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
 
-from ogm.files import OgmError, atomic_write
+from ogm.files import OgmError, atomic_write, naming, temporary_folder
 from ogm.io.logs.definitions import message_types
 from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
@@ -68,14 +68,15 @@ class LogWriter:
 
     def __enter__(self) -> Self:
         begin = {".mcap": self._begin_mcap, ".db3": self._begin_db3, ".bag": self._begin_bag}[self._ending]
-        with ExitStack() as stack:
+        with self._explained(), ExitStack() as stack:
             self._write = begin(stack)
             self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *error: Any) -> bool | None:
         self._write = None
-        return self._stack.__exit__(*error)
+        with self._explained():
+            return self._stack.__exit__(*error)
 
     def write(self, topic: str, type: str, message: Any, stamp: float) -> None:
         """Write a message.
@@ -101,7 +102,17 @@ class LogWriter:
         if self._write is None:
             raise ValueError(f"{self.path} is not open for writing: write inside of the with block")
         at = ros_stamp(stamp)
-        self._write(topic, type, message, at.sec * 10**9 + at.nanosec)
+        with self._explained():
+            self._write(topic, type, message, at.sec * 10**9 + at.nanosec)
+
+    @contextmanager
+    def _explained(self) -> Iterator[None]:
+        """Give errors of a full or broken disk the path of the log."""
+        try:
+            with naming(self.path):
+                yield
+        except sqlite3.OperationalError as error:  # of ROS 2 bags
+            raise OSError(errno.EIO, f"{error}: is the disk full?", str(self.path)) from error
 
     def _serialized(self, topic: str, name: str, message: Any, ros: int) -> memoryview:
         """Return the bytes of a message."""
@@ -145,7 +156,7 @@ class LogWriter:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.rosbag2.metadata import parse_qos
 
-        folder = self._temporary(stack) / self.path.stem
+        folder = stack.enter_context(temporary_folder(self.path.parent)) / self.path.stem
         self._move_at_end(stack, folder / f"{folder.name}.db3")
         writer = stack.enter_context(Writer(folder, version=8, storage_plugin=StoragePlugin.SQLITE3))
         connections: dict[tuple[str, str], Any] = {}
@@ -165,9 +176,11 @@ class LogWriter:
         optional("rosbags", self.path, "ros", "written")
         from rosbags.rosbag1 import Writer
 
-        path = self._temporary(stack) / self.path.name
+        path = stack.enter_context(temporary_folder(self.path.parent)) / self.path.name
         self._move_at_end(stack, path)
-        writer = stack.enter_context(Writer(path))
+        writer = Writer(path)
+        stack.callback(_close, writer)
+        stack.enter_context(writer)
         connections: dict[tuple[str, str], Any] = {}
 
         def write(topic: str, name: str, message: Any, time: int) -> None:
@@ -181,12 +194,6 @@ class LogWriter:
 
         return write
 
-    def _temporary(self, stack: ExitStack) -> Path:
-        """Make a folder beside the file, which is removed at the end."""
-        folder = Path(tempfile.mkdtemp(prefix=".ogm-", suffix=".tmp", dir=self.path.parent))
-        stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        return folder
-
     def _move_at_end(self, stack: ExitStack, written: Path) -> None:
         """Give a file its name when all of it is written."""
 
@@ -197,6 +204,13 @@ class LogWriter:
                 os.replace(written, self.path)
 
         stack.push(move)
+
+
+def _close(writer: Any) -> None:
+    """Close the file of a ROS 1 bag, which rosbags leaves open on a full disk."""
+    if writer.bio is not None:
+        with suppress(OSError):
+            writer.bio.close()
 
 
 def _is_latched(topic: str, name: str) -> bool:
