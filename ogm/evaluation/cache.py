@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.motion import FrameMotion
-from ogm.files import atomic_write
+from ogm.files import OgmError, atomic_write
 from ogm.metrics import ConfusionSums, MotionSums, ObjectCells
 
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
@@ -84,7 +84,7 @@ class ResultCache:
         if note["key"] != self.key:
             frames = [path for path in folder.glob("*.npz") if path.stem.isdecimal()]
             if frames and not note["finished"]:
-                raise ValueError(
+                raise OgmError(
                     f"{folder} holds {len(frames)} frames of an unfinished run with other data, methods or settings, "
                     "with files that have changed since, or by another ogm: repeat that command to resume it, give "
                     "another --out, or delete the folder"
@@ -135,9 +135,9 @@ class ResultCache:
             return {"key": self.key}
         with suppress(ValueError, RecursionError):  # no JSON
             found = json.loads(note.read_text())
-            if isinstance(found, dict) and found.get("format") == _FORMAT:
+            if isinstance(found, dict) and found.get("format") == _FORMAT and {"key", "finished"} <= found.keys():
                 return found
-        raise ValueError(f"{note} is damaged or not from `ogm evaluate`: give another folder")
+        raise OgmError(f"{note} is damaged or not from `ogm evaluate`: give another folder")
 
     def note(self, *, finished: bool) -> None:
         """Write the settings down, and whether all frames are there."""
