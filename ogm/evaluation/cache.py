@@ -73,7 +73,7 @@ class ResultCache:
 
     Raises
     ------
-    ValueError
+    OgmError
         If the folder holds an unfinished run with other settings, or a run.json that is not from here.
     """
 

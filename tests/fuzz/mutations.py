@@ -1,4 +1,4 @@
-"""Changes of files: of bytes, words and lines, and of what formats are made of, with their checksums made right again."""
+"""Changes of files: of bytes, words and lines, and of what formats are made of (`containers`)."""
 
 import gzip
 import json
@@ -14,7 +14,25 @@ import containers
 
 __all__ = ["change"]
 
-INTEGERS = (0, 1, 2, 7, 127, 128, 255, 256, 32767, 65535, 2**24, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
+INTEGERS = (
+    0,
+    1,
+    2,
+    7,
+    127,
+    128,
+    255,
+    256,
+    32767,
+    65535,
+    2**24,
+    2**31 - 1,
+    2**31,
+    2**32 - 1,
+    2**40,
+    2**63 - 1,
+    2**64 - 1,
+)
 WORDS = (
     b"nan", b"inf", b"-inf", b"-1", b"0", b"1", b"1e400", b"1e38", b"-1e-400", b"9" * 20, b"4294967295", b"2147483647",
     b"1_0", b"0x10", b"\xc2\xb2", b"\xd9\xa3", b"1,5", b"''", b"None", b"#", b"True", b"1e5", b"-0", b"1000000000",
@@ -22,8 +40,9 @@ WORDS = (
     b"[1, 2]", b"{}", b"\xff\xfe", b"F", b"U", b"8", b"binary", b"ascii", b"binary_compressed", b"double", b"list",
 )  # fmt: skip
 VALUES: tuple[Any, ...] = (
-    None, True, False, 0, -1, 1, 0.5, 1e308, float("nan"), float("inf"), 10**30, 10**400, 2**63, "", "x", "1", "a" * 300,
-    "../../etc/passwd", "/etc/passwd", "\ud800", "\0", [], {}, [[]], [None], [1, 2], {"a": 1}, [1e308] * 4, {"x": None},
+    None, True, False, 0, -1, 1, 0.5, 1e308, float("nan"), float("inf"), 10**30, 10**400, 2**63, "", "x", "1",
+    "a" * 300, "../../etc/passwd", "/etc/passwd", "\ud800", "\0", [], {}, [[]], [None], [1, 2], {"a": 1}, [1e308] * 4,
+    {"x": None},
 )  # fmt: skip
 
 
@@ -115,7 +134,9 @@ def _counts(rng: random.Random, out: bytearray, pool: list[bytes]) -> None:
         value = int.from_bytes(out[at : at + size], "little")
         if 0 < value <= 4 * len(out):
             break
-    new = rng.choice((value + 1, value - 1, 2 * value, value // 2, value << 8, 2 ** (8 * size - 1), -1, 0, value * 1000))
+    new = rng.choice(
+        (value + 1, value - 1, 2 * value, value // 2, value << 8, 2 ** (8 * size - 1), -1, 0, value * 1000)
+    )
     out[at : at + size] = (new % 2 ** (8 * size)).to_bytes(size, "little")
 
 
@@ -183,7 +204,9 @@ def change_json(rng: random.Random, data: bytes) -> bytes:
             case 2 if isinstance(holder, list):
                 holder.append(json.loads(_dumped(holder[key])))
             case 3 if type(holder[key]) in (int, float):
-                holder[key] = rng.choice((*INTEGERS, -holder[key], holder[key] * 3, float("nan"), str(holder[key])[:99]))
+                holder[key] = rng.choice(
+                    (*INTEGERS, -holder[key], holder[key] * 3, float("nan"), str(holder[key])[:99])
+                )
             case _:
                 holder[key] = json.loads(_dumped(rng.choice(VALUES)))
     return _dumped(value)

@@ -2,12 +2,13 @@
 
     python tests/fuzz/run.py [--inputs N] [--minutes M] [--target T] [--seed S] [--json PATH]
     python tests/fuzz/run.py --one FOUND            # reads one input again and shows its traceback
+    python tests/fuzz/run.py --again FOLDER         # reads all inputs that are kept in a folder
 
 `--inputs` is of each target, `--minutes` of all together; what comes first ends a target. Input k of a target is a pure
 function of the seed, the target's name and k. A failure is one of
 
   crash         the process died by a signal, or left without an answer
-  hang          more than 2 s of processor time, or a minute without any
+  hang          more than 2 s of processor time, or five minutes on the clock
   over limit    more memory than `ogm.limits` promises: three times the limit of a file, and 100 MB; or MemoryError
   undocumented  another error than OgmError, or FileNotFoundError for a path that the file names; or a result that
                 breaks what its class states
@@ -20,41 +21,24 @@ import argparse
 import fnmatch
 import importlib
 import json
-import logging
-import mmap
 import os
-import random
-import resource
 import signal
-import struct
 import sys
 import tempfile
 import time
 import traceback
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-LIMIT = 2**24  # [byte]
-os.environ["OGM_LIMITS"] = " ".join(f"{name}={LIMIT}" for name in "file text lines json tables grid image".split())
-os.environ |= dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+from worker import HANG, LIMIT, PEAK, Maker, Source, Watch, changed_files, kept_files, lay, work
 
-from mutations import change  # noqa: E402
-from targets import Target  # noqa: E402
-
-from ogm.files import OgmError  # noqa: E402
-
-HANG = 2.0  # [s] of processor time
-STILL, START = 60.0, 300.0  # [s] on the clock: of an input, and until the first one
-PEAK = 3 * LIMIT + 100 * 2**20  # [byte] as `ogm.limits` states it
-ROOM = 2**29  # [byte] of addresses above what a process has when it begins: a huge array fails at once
+STILL, START = 300.0, 1200.0  # [s] on the clock: of an input, and until the first one; busy machines stand still
 BATCH = 20_000  # inputs of one process
-STATE = struct.Struct("<qddqqqq")  # number, clock and processor time of its start, read, refused, peak, next number
-SHARED = Path("/dev/shm")
+PACKAGES = ("laspy", "pyarrow.feather", "rosbags.highlevel", "zarr", "rasterio", "xarray", "netCDF4", "PIL.Image")
+Found = Callable[[int, str, str], None]
 
 
 @dataclass
@@ -73,142 +57,14 @@ class Row:
     seconds: float = 0.0
     failures: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def add(self, kind: str, what: str, number: int) -> bool:
+    def add(self, kind: str, what: str, number: int) -> bool:  # what: place, or how long a hang was
         """Count a failure; return whether it is the first of its kind and place."""
         name = {"crash": "crashes", "hang": "hangs", "over limit": "over_limit"}.get(kind, kind)
         setattr(self, name, getattr(self, name) + 1)
-        entry = self.failures.setdefault(f"{kind}: {what}", {"count": 0, "first": number})
+        key = kind if kind == "hang" else f"{kind}: {what}"
+        entry = self.failures.setdefault(key, {"count": 0, "first": number, "text": what})
         entry["count"] += 1
         return bool(entry["count"] == 1)
-
-
-class Watch:
-    """Memory that a process and the one that watches it share."""
-
-    def __init__(self) -> None:
-        self._memory = mmap.mmap(-1, STATE.size)
-        self.set(-1, 0.0, 0, 0, 0, 0)
-
-    def set(self, number: int, processor: float, *rest: int) -> None:
-        """Write down which input begins, and what came of those before."""
-        STATE.pack_into(self._memory, 0, number, time.monotonic(), processor, *rest)
-
-    def get(self) -> tuple[int, float, float, int, int, int, int]:
-        """Return what was written last."""
-        return STATE.unpack_from(self._memory)  # type: ignore[return-value]
-
-
-# ---- in the process that reads
-
-
-def changed_files(target: Target, name: str, seed: int, number: int) -> dict[str, bytes]:
-    """Return the files that an input changes."""
-    rng = random.Random(f"{seed} {name} {number}")
-    names = target.changed or tuple(target.files)
-    pool = list(target.files.values())
-    count = 1 if rng.random() < 0.9 or len(names) < 2 else 2
-    return {one: change(rng, one, target.files[one], pool) for one in rng.sample(names, k=count)}
-
-
-def lay(folder: Path, files: dict[str, bytes]) -> None:
-    """Write files into a folder."""
-    for name, content in files.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
-
-
-class Memory:
-    """How far the memory of this process grows [byte]."""
-
-    def __init__(self) -> None:
-        with suppress(OSError):  # not there but on Linux
-            self._reset: Any = open("/proc/self/clear_refs", "w")  # noqa: SIM115
-            self._size: Any = open("/proc/self/statm")  # noqa: SIM115
-
-    def begin(self) -> int:
-        """Let the peak begin anew; return what there is now."""
-        self._reset.write("5")
-        self._reset.flush()
-        self._size.seek(0)
-        return int(self._size.read().split()[1]) * resource.getpagesize()
-
-    def peak(self) -> int:
-        """Return the peak since then."""
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-
-
-def judge(target: Target, folder: Path, changed: dict[str, bytes], refused: list[int]) -> list[tuple[str, str]]:
-    """Read one input; return its failures as (kind, place)."""
-    failures = []
-    given = next(iter(changed.values())) if target.in_memory and changed else folder
-    if target.in_memory and not changed:
-        given = next(iter(target.files.values()))
-    begun = time.process_time()
-    try:
-        target.read(given)
-    except (OgmError, FileNotFoundError):
-        refused[0] += 1
-    except MemoryError as error:
-        failures.append(("over limit", place(error)))
-    except BaseException as error:  # noqa: BLE001 - a panic of a library in Rust is no Exception
-        failures.append(("undocumented", place(error)))
-    if time.process_time() - begun > HANG:
-        failures.append(("hang", f"{time.process_time() - begun:.1f} s"))
-    return failures
-
-
-def place(error: BaseException) -> str:
-    """Return the type of an error and where it was raised: in the library, and at the bottom."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [one for one in frames if "/ogm/" in one.filename][-1:]
-    where = dict.fromkeys(f"{Path(one.filename).name}:{one.lineno}" for one in (*own, *frames[-1:]))
-    return f"{type(error).__name__} in {' > '.join(where)}" + (f": {error}" if type(error) is AssertionError else "")
-
-
-def work(make: Callable[[Path], Target], name: str, seed: int, first: int, last: int, end: float, watch: Watch,
-         tell: Callable[[Any], None]) -> None:  # fmt: skip
-    """Read inputs one after the other and tell the failures; `end` is on the clock."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    logging.disable(logging.CRITICAL)
-    warnings.simplefilter("ignore")
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1), os.dup2(nowhere, 2)  # what native code prints
-    with tempfile.TemporaryDirectory(dir=SHARED if SHARED.is_dir() else None, prefix="fuzz.") as made:
-        (scratch := Path(made, "made")).mkdir()
-        (folder := Path(made, "read")).mkdir()
-        target = make(scratch)
-        lay(folder, target.files)
-        failures = judge(target, folder, {}, refused := [0])  # packages are imported, kernels compiled
-        if refused[0] or any(kind != "hang" for kind, _ in failures):
-            raise RuntimeError(f"{name}: its own files are not read, {failures}")
-        have = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (have + ROOM, have + ROOM))
-        memory, failed, most, number = Memory(), 0, 0, first
-        for number in range(first, last):
-            changed = changed_files(target, name, seed, number)
-            if not target.in_memory:
-                lay(folder, changed)
-            begun, before = time.monotonic(), memory.begin()
-            done = number - first - refused[0] - failed
-            watch.set(number, time.process_time(), done, refused[0], most, number)
-            failures = judge(target, folder, changed, refused)
-            grown = max(memory.peak() - before, 0)
-            most = max(most, grown)
-            if grown > PEAK and not any(kind == "over limit" for kind, _ in failures):
-                failures.append(("over limit", f"{grown / 2**20:.0f} MB"))
-            failed += bool(failures)
-            for kind, what in failures:
-                tell([number, kind, what])
-            if not target.in_memory:
-                lay(folder, {one: target.files[one] for one in changed})
-            if begun > end:
-                break
-        watch.set(-2, 0.0, number + 1 - first - refused[0] - failed, refused[0], most, number + 1)
-
-
-# ---- in the process that watches
 
 
 def processor_time(process: int) -> float:
@@ -217,8 +73,7 @@ def processor_time(process: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def run_batch(make: Callable[[Path], Target], row: Row, seed: int, first: int, last: int, end: float,
-              found: Callable[[int, str, str], None]) -> int:  # fmt: skip
+def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float, found: Found) -> int:
     """Read inputs in a process of their own until one fails to return; return the number of the next input."""
     watch = Watch()
     read, write = os.pipe()
@@ -227,15 +82,21 @@ def run_batch(make: Callable[[Path], Target], row: Row, seed: int, first: int, l
         os.close(read)
         code = 1
         try:
-            work(make, row.target, seed, first, last, end, watch,
-                 lambda told: os.write(write, json.dumps(told).encode() + b"\n") and None)  # fmt: skip
+            work(
+                make,
+                source,
+                numbers,
+                end,
+                watch,
+                lambda one: os.write(write, json.dumps(one).encode() + b"\n") and None,
+            )
             code = 0
         except BaseException:  # noqa: BLE001
-            os.write(write, json.dumps([-1, "broken", traceback.format_exc()]).encode() + b"\n")
+            tell(write, [-1, "broken", traceback.format_exc()])
         os._exit(code)
     os.close(write)
     os.set_blocking(read, False)
-    status, killed, told, late = None, "", b"", -1
+    status, killed, told = None, "", b""
     while status is None:
         time.sleep(0.005)
         told += _drained(read)
@@ -243,18 +104,17 @@ def run_batch(make: Callable[[Path], Target], row: Row, seed: int, first: int, l
         if done:
             status = code
             break
-        number, clock, before, *_ = watch.get()
+        if (state := watch.get()) is None:
+            continue
+        number, clock, before, *_ = state
         spent = processor_time(process) - before if number >= 0 else 0.0
         waited = time.monotonic() - clock
-        too_long = spent > HANG + 0.5 or waited > (STILL if number >= 0 else START)
-        if too_long and late != number:  # look again: the other process may just be writing
-            late = number
-        elif too_long:
+        if spent > HANG + 0.5 or waited > (STILL if number >= 0 else START):
             killed = f"killed after {spent:.1f} s of processor time, {waited:.0f} s on the clock"
             os.kill(process, signal.SIGKILL)
     told += _drained(read)
     os.close(read)
-    number, _, _, accepted, refused, peak, after = watch.get()
+    number, _, _, accepted, refused, peak, after = watch.get() or (-1, 0, 0, 0, 0, 0, numbers.start)
     row.accepted, row.refused, row.peak = row.accepted + accepted, row.refused + refused, max(row.peak, peak)
     for line in told.splitlines():
         at, kind, what = json.loads(line)
@@ -266,8 +126,13 @@ def run_batch(make: Callable[[Path], Target], row: Row, seed: int, first: int, l
             raise RuntimeError(f"{row.target} did not read its own files: status {status} {killed}")
         found(number, "hang" if killed else "crash", killed or f"signal {status & 127}, code {status >> 8}")
         after = number + 1
-    row.inputs += after - first
+    row.inputs += after - numbers.start
     return after
+
+
+def tell(pipe: int, one: Any) -> None:
+    """Write a line."""
+    os.write(pipe, json.dumps(one).encode() + b"\n")
 
 
 def _drained(pipe: int) -> bytes:
@@ -278,26 +143,25 @@ def _drained(pipe: int) -> bytes:
     return b"".join(parts)
 
 
-def fuzz(make: Callable[[Path], Target], name: str, seed: int, inputs: int, seconds: float, keep: Path | None) -> Row:
-    """Read inputs of a target, as many as wanted or as the time allows."""
-    row, begun, number = Row(name), time.monotonic(), 0
+def fuzz(make: Maker, row: Row, source: Source, inputs: int, seconds: float, keep: str = "") -> None:
+    """Read inputs of a target, as many as wanted or as the time allows; keep the first of each failure."""
+    begun, number = time.monotonic(), 0
 
     def found(at: int, kind: str, what: str) -> None:
-        if row.add(kind, "" if kind == "hang" else what, at) and keep is not None:
-            keep_input(make, name, seed, at, keep)
+        if row.add(kind, what, at) and keep:
+            keep_input(make, source, at, Path(f"{keep}.{at}"))
 
     while number < inputs and time.monotonic() - begun < seconds:
-        number = run_batch(make, row, seed, number, min(number + BATCH, inputs), begun + seconds, found)
-    row.seconds = time.monotonic() - begun
-    return row
+        number = run_batch(make, source, row, range(number, min(number + BATCH, inputs)), begun + seconds, found)
+    row.seconds += time.monotonic() - begun
 
 
-def keep_input(make: Callable[[Path], Target], name: str, seed: int, number: int, keep: Path) -> None:
-    """Write an input down; a process of its own makes it, as this one must not start threads."""
+def keep_input(make: Maker, source: Source, number: int, folder: Path) -> None:
+    """Write an input down, in a process of its own: this one must not start threads."""
     process = os.fork()
     if not process:
-        with suppress(BaseException), tempfile.TemporaryDirectory() as folder:
-            lay(keep / f"{name}.{seed}.{number}", changed_files(make(Path(folder)), name, seed, number))
+        with suppress(BaseException), tempfile.TemporaryDirectory() as scratch:
+            lay(folder, source(make(Path(scratch)), number))
         os._exit(0)
     os.waitpid(process, 0)
 
@@ -305,28 +169,29 @@ def keep_input(make: Callable[[Path], Target], name: str, seed: int, number: int
 # ---- the command
 
 
-HEAD = f"{'target':28}{'inputs':>9}{'read':>9}{'refused':>9}{'undoc.':>8}{'crashes':>8}{'hangs':>7}{'memory':>8}{'MB':>6}"
+HEAD = (
+    f"{'target':28}{'inputs':>9}{'read':>9}{'refused':>9}{'undoc.':>8}{'crashes':>8}{'hangs':>7}{'memory':>8}{'MB':>6}"
+)
 
 
 def line(row: Row) -> str:
     """Return a row as text."""
-    counts = (row.inputs, row.accepted, row.refused)
-    failures = f"{row.undocumented:8}{row.crashes:8}{row.hangs:7}{row.over_limit:8}"
-    text = f"{row.target:28}" + "".join(f"{one:9}" for one in counts) + failures + f"{row.peak / 2**20:6.0f}"
+    counts = (row.inputs, row.accepted, row.refused, row.undocumented, row.crashes, row.hangs, row.over_limit)
+    text = f"{row.target:26}" + "".join(f"{one:9}" for one in (*counts, round(row.peak / 2**20)))
     for what, entry in row.failures.items():
-        text += f"\n    {what}, {entry['count']} times, first {row.target}.{{seed}}.{entry['first']}"
+        how = f" ({entry['text']})" if what == "hang" else ""
+        text += f"\n    {what}{how}, {entry['count']} times, first {row.target}.{{seed}}.{entry['first']}"
     return text
 
 
-def replay(makers: dict[str, Callable[[Path], Target]], one: Path) -> None:
+def replay(makers: dict[str, Maker], one: Path) -> None:
     """Read a kept input, or one that is made anew by its name."""
     name, seed, number = one.name.rsplit(".", 2)
+    source = kept_files([one]) if one.is_dir() else changed_files(name, int(seed))
     with tempfile.TemporaryDirectory() as made:
         (scratch := Path(made, "made")).mkdir()
         target = makers[name](scratch)
-        changed = changed_files(target, name, int(seed), int(number))
-        if one.is_dir():
-            changed = {str(p.relative_to(one)): p.read_bytes() for p in sorted(one.rglob("*")) if p.is_file()}
+        changed = source(target, 0 if one.is_dir() else int(number))
         (folder := Path(made, "read")).mkdir()
         lay(folder, target.files | changed)
         print(f"{name}: changed {', '.join(changed)}")
@@ -341,6 +206,7 @@ def main() -> int:
     parser.add_argument("--target", default="*", help="a pattern, such as 'grid-*'")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--one", type=Path, help="a kept input, or TARGET.SEED.NUMBER")
+    parser.add_argument("--again", type=Path, help="read all inputs that a folder keeps, and no other")
     parser.add_argument("--keep", type=Path, default=Path("fuzz_found"), help="where failing inputs are kept")
     parser.add_argument("--json", type=Path, help="write what came of it")
     parser.add_argument("--targets-of", default="targets", help="module with the function every_target")
@@ -349,25 +215,43 @@ def main() -> int:
     if given.one:
         replay(makers, given.one)
         return 0
-    names = [name for name in makers if fnmatch.fnmatch(name, given.target)]
+    kept: dict[str, list[Path]] = {}
+    for path in sorted(given.again.iterdir()) if given.again else ():
+        kept.setdefault(path.name.rsplit(".", 2)[0], []).append(path)
+    names = [name for name in kept or makers if fnmatch.fnmatch(name, given.target)]
     if not names:
         parser.error(f"no target is {given.target!r}; there are {', '.join(makers)}")
-    minutes = given.minutes if given.minutes is not None else 1.0 if given.inputs == 10**9 else 1e6
-    for package in ("laspy", "pyarrow.feather", "rosbags.highlevel", "zarr", "rasterio", "xarray", "netCDF4", "PIL.Image"):
+    bounded = given.inputs < 10**9 or given.again
+    minutes = given.minutes if given.minutes is not None else 1e6 if bounded else 1.0
+    for package in (
+        "laspy",
+        "pyarrow.feather",
+        "rosbags.highlevel",
+        "zarr",
+        "rasterio",
+        "xarray",
+        "netCDF4",
+        "PIL.Image",
+    ):
         with suppress(ImportError):
             importlib.import_module(package)  # once, not in every process
-    print(HEAD, flush=True)
+    print(f"{'target':26}" + "".join(f"{name:>9}" for name in HEAD), flush=True)
     rows: list[Row] = []
     end = time.monotonic() + 60 * minutes
     for k, name in enumerate(names):
         share = (end - time.monotonic()) / (len(names) - k)  # what earlier ones left is for later ones
-        rows.append(fuzz(makers[name], name, given.seed, given.inputs, share, given.keep))
+        rows.append(Row(name))
+        if given.again:
+            fuzz(makers[name], rows[-1], kept_files(kept[name]), len(kept[name]), share)
+        else:
+            keep = str(given.keep / f"{name}.{given.seed}")
+            fuzz(makers[name], rows[-1], changed_files(name, given.seed), given.inputs, share, keep)
         print(line(rows[-1]).format(seed=given.seed), flush=True)
-    total = Row("all", *(sum(getattr(row, one) for row in rows) for one in list(Row.__dataclass_fields__)[1:8]))
-    total.peak = max(row.peak for row in rows)
+        total = Row("all", *(sum(getattr(row, one) for row in rows) for one in list(Row.__dataclass_fields__)[1:8]))
+        total.peak = max(row.peak for row in rows)
+        if given.json:  # as far as it is, for a run that is stopped
+            given.json.write_text(json.dumps(record(rows, total, given.seed), indent=1) + "\n")
     print(line(total))
-    if given.json:
-        given.json.write_text(json.dumps(record(rows, total, given.seed), indent=1) + "\n")
     return int(total.undocumented + total.crashes + total.hangs + total.over_limit > 0)
 
 

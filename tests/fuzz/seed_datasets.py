@@ -16,6 +16,7 @@ from ogm.datasets import open_dataset
 from ogm.simulation.exchange import read_label, write_label
 from ogm.state import Truth
 
+Files = Callable[[], dict[str, bytes]]
 CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
 CALIBRATION = (
     b"P0: 7.2e+02 0 6.1e+02 0 0 7.2e+02 1.7e+02 0 0 0 1 0\nR0_rect: 1 0 0 0 1 0 0 0 1\n"
@@ -137,7 +138,9 @@ def _one(name: str, content: Callable[[], bytes], read: Callable[[Path], object]
     return Target({name: content()}, lambda files: read(files / name))
 
 
-def _many(content: Callable[[], dict[str, bytes]], changed: str, read: Callable[[Path], object], folder: Path) -> Target:
+def _many(
+    content: Callable[[], dict[str, bytes]], changed: str, read: Callable[[Path], object], folder: Path
+) -> Target:
     files = content()
     return Target(files, read, tuple(name for name in files if changed in name))
 
@@ -192,9 +195,11 @@ _KITTI = {
     "sustech": ("0.json", _sustech, oio.read_sustech),
     "mmdet3d": ("info.json", mmdet3d_info, lambda path: _nuscenes(oio.read_mmdet3d(path))),
 }
-_FOLDERS: dict[str, tuple[Callable[[], dict[str, bytes]], str, Callable[[Path], object]]] = {
+_FOLDERS: dict[str, tuple[Files, str, Callable[[Path], object]]] = {
     "semantic-kitti": (_semantic, "", lambda f: _labelled(oio.read_semantic_kitti(f / "0.bin", f / "0.label"))),
     "nuscenes": (nuscenes_tables, ".json", lambda folder: _nuscenes(oio.read_nuscenes(folder))),
+    "dataset-nuscenes": (nuscenes_tables, "sample", _frames),
+    "dataset-argoverse2": (argoverse_log, ".", _frames),
     "argoverse2": (argoverse_log, ".", _argoverse),
     "dataset-kitti-raw": (kitti_raw, "", lambda f: _frames(f / "2011_09_26/2011_09_26_drive_0001_sync")),
     "dataset-kitti-odometry": (kitti_odometry, "", _frames),

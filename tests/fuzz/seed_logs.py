@@ -118,7 +118,9 @@ def _capture(folder: Path) -> Target:
     frames = []
     for k, payload in enumerate(packets()):
         udp = struct.pack(">HHHH", 2368, 2368, 8 + len(payload), 0) + payload
-        ip = struct.pack(">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), k, 0, 64, 17, 0, bytes((192, 168, 1, 201)), b"\xff" * 4)
+        ip = struct.pack(
+            ">BBHHHBBH4s4s", 0x45, 0, 20 + len(udp), k, 0, 64, 17, 0, bytes((192, 168, 1, 201)), b"\xff" * 4
+        )
         frame = b"\xff" * 6 + bytes(6) + b"\x08\x00" + ip + udp
         frames.append(struct.pack("<IIII", 1_700_000_000, 1327 * k, len(frame), len(frame)) + frame)
     data = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1) + b"".join(frames)

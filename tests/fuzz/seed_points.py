@@ -96,13 +96,15 @@ def sweep(compression: str) -> bytes:
     """Return a sweep of Argoverse 2."""
     p = cloud()
     columns = {name: p[:, k].astype(np.float16) for k, name in enumerate("xyz")}
-    columns |= {"intensity": (p[:, 3] * 255).astype(np.uint8), "laser_number": (np.arange(len(p)) % 64).astype(np.uint8)}
+    columns |= {
+        "intensity": (p[:, 3] * 255).astype(np.uint8),
+        "laser_number": (np.arange(len(p)) % 64).astype(np.uint8),
+    }
     return feather(columns | {"offset_ns": np.arange(len(p), dtype=np.int32) * 4_000_000}, compression)
 
 
 def _scan(name: str, make: Callable[[], bytes], folder: Path) -> Target:
     return Target({name: make()}, lambda files: check_scan(read_scan_file(files / name)[0]))
-
 
 
 _SCANS: dict[str, tuple[str, Callable[[], bytes]]] = {
