@@ -22,6 +22,7 @@ import fnmatch
 import importlib
 import json
 import os
+import platform
 import signal
 import sys
 import tempfile
@@ -207,7 +208,7 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--one", type=Path, help="a kept input, or TARGET.SEED.NUMBER")
     parser.add_argument("--again", type=Path, help="read all inputs that a folder keeps, and no other")
-    parser.add_argument("--keep", type=Path, default=Path("fuzz_found"), help="where failing inputs are kept")
+    parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="where failing inputs are kept")
     parser.add_argument("--json", type=Path, help="write what came of it")
     parser.add_argument("--targets-of", default="targets", help="module with the function every_target")
     given = parser.parse_args()
@@ -255,9 +256,21 @@ def main() -> int:
     return int(total.undocumented + total.crashes + total.hangs + total.over_limit > 0)
 
 
+def machine() -> dict[str, Any]:
+    """Return what the times must be read with."""
+    cpu = platform.processor() or platform.machine()
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpu = next((one.partition(":")[2].strip() for one in lines if one.startswith("model name")), cpu)
+    date = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
+    return {"date": date, "cpu": cpu, "cores": os.cpu_count(), "python": platform.python_version()}
+
+
 def record(rows: list[Row], total: Row, seed: int) -> dict[str, Any]:
     """Return what came of it, as it is written."""
-    top = {"seed": seed, "inputs": total.inputs, "accepted": total.accepted, "refused": total.refused}
+    words = " ".join(Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:])
+    top: dict[str, Any] = {"command": f"python tests/fuzz/run.py {words}", **machine()}
+    top |= {"seed": seed, "inputs": total.inputs, "accepted": total.accepted, "refused": total.refused}
     top |= {"undocumented": total.undocumented, "crashes": total.crashes, "hangs": total.hangs}
     top |= {"over limit": total.over_limit, "peak [MB]": round(total.peak / 2**20, 1)}
     top |= {"allowed peak [MB]": round(PEAK / 2**20, 1), "limit of a file [MB]": LIMIT / 2**20, "hang [s]": HANG}

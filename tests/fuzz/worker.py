@@ -54,7 +54,7 @@ class Watch:
     def get(self) -> tuple[int, float, float, int, int, int, int] | None:
         """Return what was written last; None while it is being written."""
         first, *state, last = STATE.unpack_from(self._memory)
-        return tuple(state) if first == last else None  # type: ignore[return-value]
+        return tuple(state) if first == last > 0 else None  # type: ignore[return-value]  # `pack_into` begins by zeros
 
 
 def changed_files(name: str, seed: int) -> Source:
