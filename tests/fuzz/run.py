@@ -170,9 +170,7 @@ def keep_input(make: Maker, source: Source, number: int, folder: Path) -> None:
 # ---- the command
 
 
-HEAD = (
-    f"{'target':28}{'inputs':>9}{'read':>9}{'refused':>9}{'undoc.':>8}{'crashes':>8}{'hangs':>7}{'memory':>8}{'MB':>6}"
-)
+HEAD = ("inputs", "read", "refused", "undoc.", "crashes", "hangs", "memory", "MB")
 
 
 def line(row: Row) -> str:
