@@ -211,4 +211,6 @@ def _varint(data: memoryview, at: int) -> tuple[int, int]:
 
 
 def _text(data: Any) -> str:
+    if isinstance(data, int):  # of which `bytes` would make as many zeros
+        raise ValueError(f"it has the number {data} where a text belongs")
     return bytes(data).decode()

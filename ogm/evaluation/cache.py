@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.motion import FrameMotion
-from ogm.files import atomic_write, update_hint
+from ogm.files import OgmError, atomic_write, update_hint
 from ogm.metrics import ConfusionSums, MotionSums, ObjectCells
 
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
@@ -73,7 +73,7 @@ class ResultCache:
 
     Raises
     ------
-    ValueError
+    OgmError
         If the folder holds an unfinished run with other settings, or a run.json that is not from here.
     """
 
@@ -84,7 +84,7 @@ class ResultCache:
         if note["key"] != self.key:
             frames = [path for path in folder.glob("*.npz") if path.stem.isdecimal()]
             if frames and not note["finished"]:
-                raise ValueError(
+                raise OgmError(
                     f"{folder} holds {len(frames)} frames of an unfinished run with other data, methods or settings, "
                     "with files that have changed since, or by another ogm: repeat that command to resume it, give "
                     "another --out, or delete the folder"
@@ -136,10 +136,10 @@ class ResultCache:
         hint = ""
         with suppress(ValueError, RecursionError):  # no JSON
             found = json.loads(note.read_text())
-            if isinstance(found, dict) and found.get("format") == _FORMAT:
+            if isinstance(found, dict) and found.get("format") == _FORMAT and {"key", "finished"} <= found.keys():
                 return found
             hint = update_hint(found.get("format"), _FORMAT) if isinstance(found, dict) else ""
-        raise ValueError(f"{note} is damaged or not from `ogm evaluate`{hint}: give another folder")
+        raise OgmError(f"{note} is damaged or not from `ogm evaluate`{hint}: give another folder")
 
     def note(self, *, finished: bool) -> None:
         """Write the settings down, and whether all frames are there."""

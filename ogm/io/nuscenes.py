@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ogm.files import OgmError
 from ogm.io.axes import rotation_to_flu
 from ogm.io.labels import BoxRow, boxes_of
-from ogm.io.reading import from_quaternions, need, need_numbers, read_json, rigid
+from ogm.io.reading import from_quaternions, is_file_name, need, need_numbers, read_json, rigid
 from ogm.pose import inverse
 from ogm.scan import Boxes
 
@@ -160,7 +160,7 @@ def read_mmdet3d(path: str | os.PathLike[str]) -> NuScenes:
     for n, entry in enumerate(entries):
         where = f"frame {n} of {path}"
         lidar = need(entry, "lidar_points", where)
-        file = path.parent / Path(str(need(lidar, "lidar_path", where))).name
+        file = _inside(path.parent, Path(str(need(lidar, "lidar_path", where))).name, where)
         T_vehicle_sensor = rigid(need_numbers(lidar, "lidar2ego", (4, 4), where), f"lidar2ego of {where}")
         T_map_vehicle = rigid(need_numbers(entry, "ego2global", (4, 4), where), f"ego2global of {where}")
         notes = need(entry, "instances", where, list)
@@ -194,11 +194,11 @@ def _table(folder: Path, name: str) -> dict[str, dict[str, Any]]:
     return {str(need(row, "token", f"row {n} of {path}")): row for n, row in enumerate(rows)}
 
 
-def _inside(folder: Path, name: str) -> Path:
+def _inside(folder: Path, name: str, where: str = "sample_data.json") -> Path:
     """Return a file of the data set by the name that a table gives it."""
-    if Path(name).is_absolute() or ".." in Path(name).parts:
+    if Path(name).is_absolute() or ".." in Path(name).parts or not is_file_name(name):
         raise OgmError(
-            f"sample_data.json names the file {name[:200]!r}, wanted one under {folder}, such as "
+            f"{where} names the file {name[:200]!r}, wanted one under {folder}, such as "
             "samples/LIDAR_TOP/...: tables of nuScenes name no other, so do not trust these"
         )
     return folder / name

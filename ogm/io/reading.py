@@ -197,6 +197,15 @@ def decode_json(data: bytes, path: Path, limit: str = "json") -> Any:
     return json.loads(data)
 
 
+def is_file_name(name: str) -> bool:
+    """Return whether the system can have a file of a name, or path of folders, that another file states."""
+    try:
+        encoded = os.fsencode(name)
+    except UnicodeEncodeError:
+        return False
+    return 0 < len(encoded) <= 255 and b"\0" not in encoded
+
+
 def need(value: Any, key: str, where: object, kind: type = object) -> Any:
     """Return an entry of a JSON object; raise if it is missing, or not of a kind, `dict` or `list`."""
     if not isinstance(value, dict) or key not in value:
@@ -287,7 +296,8 @@ def parse_array(data: bytes, path: Path, fits: Callable[[tuple[int, ...]], bool]
         shape, fortran, dtype = _HEADERS[version](stream)
     except Exception as error:  # the header is Python text, which can be wrong in many ways
         raise OgmError(f"{path} has no readable numpy header ({error}), wanted {wanted}") from error
-    if min(shape, default=0) < 0 or dtype.kind not in "fiu" or not fits(shape):
+    sizes = all(type(size) is int and 0 <= size <= len(data) for size in shape)  # numpy lets True through
+    if not sizes or dtype.kind not in "fiu" or not fits(shape):
         raise OgmError(f"{path} holds an array of {dtype} and shape {shape}, wanted {wanted}")
     count, offset = math.prod(shape), stream.tell()
     if offset + count * dtype.itemsize > len(data):

@@ -69,6 +69,7 @@ def read_semantic_kitti(scan: str | os.PathLike[str], labels: str | os.PathLike[
         )
     both = np.frombuffer(numbers, _LABEL).astype(np.int64)
     kept = np.isfinite(rows).all(axis=1) & np.any(rows[:, :3] != 0, axis=1)
+    rows[:, 3] = rows[:, 3].clip(0, 1)
     try:
         return LabelledPoints(rows[kept], both[kept] & 0xFFFF, SEMANTIC_KITTI)
     except ValueError as error:

@@ -325,6 +325,30 @@ def test_the_sizes_of_a_damaged_feather_file_are_refused_or_numbers(data):
         assert all(size >= 0 for batch in unpacked_sizes(bytes(whole)) for size in batch)
 
 
+# ---- LAZ: the sizes that its layers state
+
+
+@pytest.mark.parametrize("form", [6, 7, 8])
+def test_layers_of_laz_must_end_where_the_table_of_chunks_begins(form, tmp_path):
+    laspy = pytest.importorskip("laspy")
+    pytest.importorskip("lazrs")
+    data = laspy.create(point_format=form, file_version="1.4")
+    data.x, data.y, data.z = points(60_000)[:, :3].T.astype(np.float64)  # more than a chunk
+    stream = io.BytesIO()
+    data.write(stream, do_compress=True)
+    whole, path = bytearray(stream.getvalue()), tmp_path / "a.laz"
+    path.write_bytes(whole)
+    assert len(read_scan(path)) == 60_000
+    start = struct.unpack_from("<I", whole, 96)[0] + 8  # the first chunk: a point, its number of points, sizes
+    at = start + {6: 30, 7: 36, 8: 38}[form] + 4
+    assert struct.unpack_from("<I", whole, at - 4)[0] == 50_000
+    for claim in (2**32 - 1, struct.unpack_from("<I", whole, at)[0] + 1):
+        struct.pack_into("<I", whole, at, claim)
+        path.write_bytes(whole)
+        with pytest.raises(OgmError, match="no whole LAS cloud"):
+            read_scan(path)
+
+
 # ---- logs
 
 

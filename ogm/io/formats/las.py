@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
+from ogm.io.formats.laz_layers import layers_fit
 from ogm.io.formats.table import Table
 from ogm.io.reading import optional
 from ogm.limits import current_limits, too_large
@@ -20,10 +21,7 @@ _RECORD = 54  # [byte] of a variable length record at least
 
 
 def parse_las(data: bytes, path: Path) -> Table:
-    """Read LAS or LAZ: coordinates, intensity (16 bit) and, where there is one, gps_time.
-
-    A LAZ file made to do harm can still take much memory, for lazrs believes the sizes of its layers.
-    """
+    """Read LAS or LAZ: coordinates, intensity (16 bit) and, where there is one, gps_time."""
     laspy = optional("laspy", path)
     _check(data, path)
     if data[_FORMAT] & 0x80:
@@ -42,7 +40,9 @@ def parse_las(data: bytes, path: Path) -> Table:
             columns = _columns(reader)
     except OgmError:
         raise
-    except Exception as error:  # laspy and its decoders let through whatever a damaged file leads them to
+    except BaseException as error:  # laspy and its decoders let through whatever a damaged file leads them to
+        if not isinstance(error, Exception) and type(error).__name__ != "PanicException":  # of lazrs, in Rust
+            raise
         raise OgmError(f"{path} is no readable LAS cloud ({error}): it is damaged or wrongly named") from error
     return Table("LAS", columns)
 
@@ -77,5 +77,6 @@ def _check(data: bytes, path: Path) -> None:
         if table == 2**64 - 1:  # a stream: its position was known only at the end
             table = number(len(data) - 8, 8)
         sound = start < table <= len(data) - 8 and number(table + 4, 4) <= table - start
+        sound = sound and layers_fit(data, start + 8, table)
     if not sound:
         raise OgmError(f"{path} is no whole LAS cloud: it is cut short, damaged or wrongly named")

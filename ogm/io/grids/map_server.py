@@ -18,6 +18,7 @@ from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.images import open_image
 from ogm.io.messages import mass_from_occupancy, occupancy_values
+from ogm.io.reading import is_file_name
 from ogm.state import predict_state
 
 __all__ = ["MapMode", "read_map_server", "write_map_server"]
@@ -155,7 +156,7 @@ def _brief(value: Any) -> str:
 
 def _image_path(path: Path, name: Any) -> Path:
     """Return the path of the image, which must not leave the folder of the YAML file."""
-    if not isinstance(name, str) or not name or "\0" in name:
+    if not isinstance(name, str) or not is_file_name(name):
         raise OgmError(f"{path}: image must be the name of a file, got {_brief(name)}")
     folder = Path(os.path.abspath(path.parent))
     image = Path(os.path.abspath(folder / name))

@@ -63,7 +63,8 @@ class McapFile:
         chunk = self._chunks[number]
         if not chunk.packing and not self._chunks.is_kept(number):
             start, end = chunk.start + offset, chunk.start + chunk.stored
-            if size is not None or _RECORD.unpack(self._file.read(start, _RECORD.size))[1] < _SMALL:
+            head = self._file.read(start, _RECORD.size)
+            if size is not None or len(head) < _RECORD.size or _RECORD.unpack(head)[1] < _SMALL:
                 return self._read_stored(start, end, size)
         start = offset + _HEAD
         head = self._chunks.data(number, start)[offset : offset + _RECORD.size]

@@ -194,7 +194,7 @@ class LogReader:
         channel, raw = self._read(ref, _HEAD)
         try:
             return _head(channel, raw)
-        except (struct.error, UnicodeDecodeError) as error:
+        except (struct.error, UnicodeDecodeError, IndexError) as error:
             where = f"{self.paths[ref.file]}: a message of {channel.topic} ({channel.type})"
             raise OgmError(f"{where} begins with no header that can be read: {error}") from error
 

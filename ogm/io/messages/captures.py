@@ -2,9 +2,10 @@
 
 import logging
 import os
+import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ogm.files import OgmError
 from ogm.io.messages.velodyne import PACKET_BYTES, Packet, VelodyneDecoder
@@ -16,6 +17,7 @@ __all__ = ["scans_from_pcap"]
 log = logging.getLogger(__name__)
 
 _MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500
+_LONGEST = 2**24  # [byte] of a packet or a block, as Wireshark has it
 
 
 def scans_from_pcap(
@@ -83,6 +85,18 @@ def scans_from_pcap(
         log.info("%s: %g degrees at the end are no whole turn and are left out", path, advance / 100)
 
 
+class _BoundedReads:
+    """A file that gives no more at once than a packet can have: dpkt asks for whatever length the file states."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self.seek, self.name = file, file.seek, file.name
+
+    def read(self, size: int) -> bytes:
+        if not 0 <= size <= _LONGEST:
+            raise EOFError(f"a packet of {size} bytes")
+        return self._file.read(size)
+
+
 def _captured(path: Path, source: str | None) -> Iterator[Packet]:
     """Read the data packets of one sensor."""
     if not path.is_file():
@@ -91,9 +105,9 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
     found = source
     with open(path, "rb") as file:
         try:
-            packets = dpkt.pcap.UniversalReader(file)
+            packets = dpkt.pcap.UniversalReader(_BoundedReads(file))
             linux = packets.datalink() == dpkt.pcap.DLT_LINUX_SLL
-        except (ValueError, dpkt.Error) as error:
+        except (ValueError, EOFError, struct.error, dpkt.Error) as error:
             raise OgmError(f"{path} is no network capture ({error}): is its name right?") from error
         layer = dpkt.sll.SLL if linux else dpkt.ethernet.Ethernet
         try:
@@ -105,7 +119,7 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
                 if sender != found:
                     raise OgmError(f"{path} has packets of several sensors, {found} and {sender}: give one as source")
                 yield Packet(float(stamp), data)
-        except dpkt.Error as error:
+        except (EOFError, dpkt.Error) as error:
             log.warning("%s is cut short: %s", path, error)
 
 

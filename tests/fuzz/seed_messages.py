@@ -1,0 +1,176 @@
+"""Targets: the bytes of messages, decoded as those of a log, and made scans, transforms and grids."""
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from seed_grids import dynamic, evidential
+from seed_logs import CLOUD, START, TF, packets
+from targets import Target, check_grid, check_poses, check_scan, cloud
+
+from ogm.io.grids.protobuf import decode_foxglove_grid
+from ogm.io.logs.definitions import decode, message_types
+from ogm.io.logs.files import Channel
+from ogm.io.messages import (
+    StampedTransform,
+    foxglove_grid,
+    grid_from_foxglove_grid,
+    grid_from_grid_map,
+    grid_from_occupancy_grid,
+    grid_map,
+    layers_from_grid_map,
+    occupancy_grid,
+    point_cloud2,
+    ros_stamp,
+    rotation_from_imu,
+    scan_from_livox,
+    scan_from_point_cloud2,
+    scan_from_radar_scan,
+    scan_from_velodyne_scan,
+    tf_message,
+    transform_from_odometry,
+    transform_from_pose,
+    transforms_from_tf,
+)
+from ogm.pose import pose
+from ogm.scan import Scan
+
+HEADER = SimpleNamespace(seq=0, stamp=ros_stamp(START), frame_id="lidar")
+RADAR = (  # type and definition: rosbags has none of it
+    "radar_msgs/msg/RadarScan",
+    "std_msgs/Header header\nradar_msgs/RadarReturn[] returns\n" + "=" * 80 + "\nMSG: radar_msgs/RadarReturn\n"
+    "float32 range\nfloat32 azimuth\nfloat32 elevation\nfloat32 doppler_velocity\nfloat32 amplitude\n" + "=" * 80 + "\n"
+    "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n" + "=" * 80 + "\n"
+    "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n",
+)  # fmt: skip
+
+
+def _cloud() -> Any:
+    scan = Scan(cloud(), stamp=START, ring=np.arange(24) % 4, time=np.linspace(0, 0.1, 24))
+    return point_cloud2(scan, frame_id="lidar")
+
+
+def _organised() -> Any:
+    message = _cloud()
+    message.height, message.width, message.row_step = 4, 6, 6 * message.point_step
+    return message
+
+
+def _packets() -> Any:
+    parts = [SimpleNamespace(stamp=ros_stamp(START), data=np.frombuffer(one, np.uint8)) for one in packets(3)]
+    return SimpleNamespace(header=HEADER, packets=parts)
+
+
+def _livox() -> Any:
+    point = message_types(2).types["livox_ros_driver2/msg/CustomPoint"]
+    points = [point(k * 5000, *map(float, row[:3]), k, 0, k % 6) for k, row in enumerate(cloud())]
+    rest = {"point_num": 24, "lidar_id": 1, "rsvd": np.zeros(3, np.uint8), "points": points}
+    return SimpleNamespace(header=HEADER, timebase=int(START) * 10**9, **rest)
+
+
+def _placed() -> Any:
+    turn = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    return SimpleNamespace(position=SimpleNamespace(x=1.0, y=2.0, z=0.5), orientation=turn)
+
+
+def _odometry() -> Any:
+    zero, covariance = SimpleNamespace(x=0.0, y=0.0, z=0.0), np.zeros(36)
+    twist = SimpleNamespace(twist=SimpleNamespace(linear=zero, angular=zero), covariance=covariance)
+    placed = SimpleNamespace(pose=_placed(), covariance=covariance)
+    return SimpleNamespace(header=HEADER, child_frame_id="base_link", pose=placed, twist=twist)
+
+
+def _imu() -> Any:
+    zero, covariance = SimpleNamespace(x=0.0, y=0.0, z=0.0), np.zeros(9)
+    names = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
+    rest = dict.fromkeys(names, covariance) | {"angular_velocity": zero, "linear_acceleration": zero}
+    return SimpleNamespace(header=HEADER, orientation=_placed().orientation, **rest)
+
+
+def _radar() -> Any:
+    names = ("range", "azimuth", "elevation", "doppler_velocity", "amplitude")
+    returns = [SimpleNamespace(**dict(zip(names, (5.0 + k, 0.1 * k, 0.0, -1.0, 20.0), strict=True))) for k in range(8)]
+    return SimpleNamespace(header=HEADER, returns=returns)
+
+
+def _tf(transforms: Any) -> None:
+    for one in transforms:
+        check_poses(one.T_parent_child)
+
+
+def _placed_grid(found: Any) -> None:
+    check_grid(found[0])
+    check_poses(found[1])
+
+
+def _message(kind: str, make: Callable[[], Any], read: Callable[[Any], object], ros: int, folder: Path) -> Target:
+    definition = RADAR[1] if kind == RADAR[0] else ""
+    channel = Channel("/a", kind, "ros1" if ros == 1 else "cdr", definition, "ros2msg")
+    store = message_types(ros)
+    if definition:
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+        store = get_typestore(Stores.EMPTY)
+        store.register(get_types_from_msg(definition, kind))
+    data = bytes((store.serialize_ros1 if ros == 1 else store.serialize_cdr)(make(), kind))
+    return Target({"message": data}, lambda raw: read(decode(channel, raw)), in_memory=True)
+
+
+def _livox_bytes(ros: int, folder: Path) -> Target:
+    kind = "livox_ros_driver2/msg/CustomMsg"
+    store = message_types(ros)
+    data = bytes((store.serialize_ros1 if ros == 1 else store.serialize_cdr)(_livox(), kind))
+    return Target({"message": data}, lambda raw: check_scan(scan_from_livox(raw)), in_memory=True)
+
+
+def _foxglove(make: Callable[[], Any], folder: Path) -> Target:
+    data = bytes(foxglove_grid(make(), frame_id="map", stamp=START, T_frame_grid=pose(1.0, 2.0, yaw=0.5)).encode())
+    read = lambda raw: _placed_grid(grid_from_foxglove_grid(decode_foxglove_grid(raw)))  # noqa: E731
+    return Target({"grid.pb": data}, read, in_memory=True)
+
+
+def _transforms() -> Any:
+    return tf_message([StampedTransform("map", "base_link", START, pose(x=k, yaw=0.1 * k)) for k in range(3)])
+
+
+_GRIDS: dict[str, Any] = {"frame_id": "map", "stamp": START, "T_frame_grid": pose(1.0, 2.0, yaw=0.5)}
+_MESSAGES: dict[str, tuple[str, Callable[[], Any], Callable[[Any], object]]] = {
+    "cloud": (CLOUD, _cloud, lambda message: check_scan(scan_from_point_cloud2(message))),
+    "cloud-organised": (CLOUD, _organised, lambda message: check_scan(scan_from_point_cloud2(message))),
+    "velodyne": (
+        "velodyne_msgs/msg/VelodyneScan", _packets, lambda message: check_scan(scan_from_velodyne_scan(message)),
+    ),
+    "livox": ("livox_ros_driver2/msg/CustomMsg", _livox, lambda message: check_scan(scan_from_livox(message))),
+    "tf": (TF, _transforms, lambda message: _tf(transforms_from_tf(message))),
+    "odometry": ("nav_msgs/msg/Odometry", _odometry, lambda message: _tf([transform_from_odometry(message)])),
+    "pose": (
+        "geometry_msgs/msg/PoseStamped",
+        lambda: SimpleNamespace(header=HEADER, pose=_placed()),
+        lambda message: _tf([transform_from_pose(message, "base_link")]),
+    ),
+    "imu": ("sensor_msgs/msg/Imu", _imu, rotation_from_imu),
+    "occupancy": (
+        "nav_msgs/msg/OccupancyGrid",
+        lambda: occupancy_grid(evidential(), **_GRIDS),
+        lambda message: _placed_grid(grid_from_occupancy_grid(message)),
+    ),
+    "grid-map": (
+        "grid_map_msgs/msg/GridMap",
+        lambda: grid_map(evidential(), **_GRIDS),
+        lambda message: (_placed_grid(grid_from_grid_map(message)), layers_from_grid_map(message)),
+    ),
+}  # fmt: skip
+TARGETS: dict[str, Callable[[Path], Target]] = {
+    **{f"message-{name}": partial(_message, *given, 2) for name, given in _MESSAGES.items()},
+    **{f"message-{name}-ros1": partial(_message, *_MESSAGES[name], 1) for name in ("cloud", "tf", "grid-map")},
+    "message-radar": partial(
+        _message, RADAR[0], _radar, lambda message: check_scan(scan_from_radar_scan(message)), 2
+    ),
+    "message-livox-cdr": partial(_livox_bytes, 2),
+    "message-livox-ros1": partial(_livox_bytes, 1),
+    "message-foxglove": partial(_foxglove, evidential),
+    "message-foxglove-dynamic": partial(_foxglove, dynamic),
+}  # fmt: skip
