@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion import map_access
-from ogm.fusion.dynamic_beliefs import beliefs, grid_of, turned
+from ogm.fusion.dynamic_beliefs import beliefs, masses, seen_from
 from ogm.fusion.dynamic_cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
 from ogm.fusion.dynamic_settings import DynamicSettings
 from ogm.fusion.hashed_noise import NORMALS, scan_key
@@ -155,15 +155,14 @@ class DynamicMapper:
     @locked
     def dynamic_grid(self) -> DynamicGrid:
         """The map (a copy), in map coordinates, as of the last scan."""
-        return grid_of(self.spec, self._belief())
+        return DynamicGrid.trusted(self.spec, *beliefs(self._cells, self._moments, self._groups))
 
     @locked
     def dynamic_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> DynamicGrid:
         """Return the map, with its velocities, in the vehicle's axes, by nearest cells. Arguments as for `view`."""
         cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        belief = self._belief()
-        pairs = [view_layers(belief[..., k : k + 2], self.spec, cells, T) for k in range(0, 8, 2)]
-        return grid_of(cells, turned(np.concatenate(pairs, axis=-1), np.asarray(T, np.float64)))
+        belief = beliefs(self._cells, self._moments, self._groups, still=0.0)
+        return seen_from(belief, self.spec, cells, T)
 
     @property
     @locked
@@ -298,9 +297,6 @@ class DynamicMapper:
         metres = np.float32(shift[0] * spec.resolution), np.float32(shift[1] * spec.resolution)
         key, noise = scan_key(self.seed, self.scans), self.settings.noise(seconds)
         return Step(np.float32(seconds), metres, noise, np.float32(spec.resolution), spec.shape, key)
-
-    def _belief(self) -> NDArray[np.float32]:
-        return beliefs(self._cells, self._moments, self._groups)
 
     def _conflict(self) -> NDArray[np.float32]:
         return np.stack([self._cells.to_occupied, self._cells.to_free], axis=-1)

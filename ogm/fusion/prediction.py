@@ -10,6 +10,7 @@ from scipy.special import ndtri
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.arcs import arc
+from ogm.fusion.dynamic_beliefs import empty_beliefs
 from ogm.fusion.objects import Objects, find_objects
 from ogm.fusion.particles import Particles
 from ogm.fusion.prediction_kernels import NORMALS, Arrivals, Bodies, Horizon, cells_later, move_mass
@@ -94,15 +95,11 @@ def predict_dynamic(
     moving = _from_cells(grid) if particles is None else particles
     bodies, mass = _bodies(found, grid, seconds, chosen), np.ascontiguousarray(grid.mass)
     nx, ny = grid.spec.shape
-    # Allocated by numpy, which asks for huge pages: page faults would take longer than the computation.
     space = np.empty((min(nx * ny, len(moving.x)) + 1, 6), np.float32)
-    arrivals, out = Arrivals(np.zeros((nx, ny), np.int32), space), np.empty(9 * nx * ny, np.float32)
-    parts = np.split(out, [3 * nx * ny, 5 * nx * ny])
-    shapes = ((nx, ny, 3), (nx, ny, 2), (nx, ny, 2, 2))
-    shares, velocity, covariance = (part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
+    arrivals, later = Arrivals(np.zeros((nx, ny), np.int32), space), empty_beliefs((nx, ny))
     move_mass(mass, found.label, moving, bodies, _normals(), horizon, grid.spec.resolution, arrivals)
-    cells_later(mass, found.label, arrivals, horizon, shares, velocity, covariance)
-    return DynamicGrid.trusted(grid.spec, shares, velocity, covariance)
+    cells_later(mass, found.label, arrivals, horizon, *later)
+    return DynamicGrid.trusted(grid.spec, *later)
 
 
 def _from_cells(grid: DynamicGrid) -> Particles:
