@@ -9,7 +9,8 @@ import pytest
 
 FILE = Path(__file__).parents[1] / "docs/reliability_tables.py"
 _SPEC = spec_from_file_location("reliability_tables", FILE)
-assert _SPEC is not None and _SPEC.loader is not None
+assert _SPEC is not None
+assert _SPEC.loader is not None
 tables = sys.modules["reliability_tables"] = module_from_spec(_SPEC)
 _SPEC.loader.exec_module(tables)
 
