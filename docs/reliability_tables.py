@@ -9,6 +9,7 @@ import json
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 __all__ = ["reliability_tables"]
@@ -109,18 +110,19 @@ def _soak(record: Mapping[str, Any]) -> list[str]:
     rows = []
     for name, title in LONG.items():
         if name not in found:
-            rows.append([title, MISSING, "", "", "", ""])
+            rows.append([title, MISSING, "", "", "", "", ""])
             continue
         one = found[name]
         if name == "serve":
+            memory = [held for _, held in one["memory [s, MB]"]]
             length = f"{one['minutes']:g} minutes, {one['result']['mapped']:,.0f} scans"
             ratio = one["processor time, last tenth / first"]
         else:
+            memory = one["memory [MB]"]
             length, ratio = f"{one['scans']:,} scans", one["processor time"]["last / first"]
-        rows.append(
-            [title, length, f"{one['memory grown [%]']:.1f} %", f"{ratio:.2f}", one["files left"], one["threads left"]]
-        )
-    head = ["", "length", "memory grown", "time, last / first", "files left", "threads left"]
+        cells = [f"{one['memory grown [%]']:.1f} %", f"{_second_half(memory):.1f} %", f"{ratio:.2f}"]
+        rows.append([title, length, *cells, one["files left"], one["threads left"]])
+    head = ["", "length", "memory grown", "in the second half", "time, last / first", "files left", "threads left"]
     parts = [_table(head, rows)]
     if "points" in found:
         one = found["points"]
@@ -142,6 +144,13 @@ def _soak(record: Mapping[str, Any]) -> list[str]:
         ]
         parts.append(f"**Missed**: {'; '.join(texts)}.")
     return parts
+
+
+def _second_half(memory: Sequence[float]) -> float:
+    """Return by how much memory grew from the tenth of the run after its middle to its last [%]."""
+    tenth = max(len(memory) // 10, 1)
+    middle, last = memory[len(memory) // 2 :][:tenth], memory[-tenth:]
+    return 100 * (median(last) / median(middle) - 1)
 
 
 def _huge(model: Mapping[str, Any]) -> str:

@@ -33,6 +33,7 @@ FAULTS = {
 SCANS = {
     "scans": 10_000,
     "memory grown [%]": 0.5,
+    "memory [MB]": [90.0, 100.0, 101.0, 102.0],
     "processor time": {"last / first": 1.25},
     "files left": 0,
     "threads left": 0,
@@ -64,7 +65,7 @@ def test_records_become_tables_whose_last_row_is_of_all(results: Path) -> None:
     assert "| **all** | 2 | 2 | 1 | 5 | 0 | 0 | 0.5 |" in made["faults"]
     assert "9 places, 0 failures" in made["faults"]
     assert "`python tests/faults.py`, 2026-11-23" in made["faults"]
-    assert "| `RayISM` | 10,000 scans | 0.5 % | 1.25 | 0 | 0 |" in made["soak"]
+    assert "| `RayISM` | 10,000 scans | 0.5 % | 1.0 % | 1.25 | 0 | 0 |" in made["soak"]
     assert "| `DeepISM` lite | not run |" in made["soak"]
     assert "**Missed**: RayISM: p99: 1.25 x (wanted 1.2)" in made["soak"]
     assert tables.failed() == ["RayISM: p99: 1.25 x"]
