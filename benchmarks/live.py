@@ -14,7 +14,9 @@ import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
+import contextlib
 import json
+import math
 import re
 import resource
 import shutil
@@ -84,17 +86,26 @@ def drive_of_messages(folder: Path, dataset: Dataset, scans: int) -> Path:
 
 
 class Viewer(threading.Thread):
-    """Receives all that a server publishes, until it stops."""
+    """Receives all that a server publishes, until it stops; or for `stay` seconds, again and again, as long apart."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, stay: float = math.inf) -> None:
         super().__init__()
-        self.port, self.count, self.bytes = port, Counter[str](), 0
+        self.port, self.stay, self.count, self.bytes = port, stay, Counter[str](), 0
         self.maps: list[float] = []  # when they came [s]
+        self.connections = 0
 
     def run(self) -> None:
-        """Receive, and decode nothing."""
+        """Connect until there is no server any more."""
+        with contextlib.suppress(OSError, EOFError):
+            while self.receive():
+                time.sleep(self.stay)
+
+    def receive(self) -> bool:
+        """Receive, and decode nothing; return whether the server is still there."""
         url = f"ws://127.0.0.1:{self.port}"
         with connect(url, subprotocols=["foxglove.sdk.v1"], max_size=None, compression=None) as socket:
+            self.connections += 1
+            until = time.monotonic() + self.stay
             channels: dict[str, int] = {}
             while not channels.keys() >= set(TOPICS):
                 event = json.loads(socket.recv())
@@ -102,7 +113,7 @@ class Viewer(threading.Thread):
             wanted = [{"id": k, "channelId": channels[topic]} for k, topic in enumerate(TOPICS)]
             socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
             try:
-                while True:
+                while time.monotonic() < until:
                     data = socket.recv()
                     if isinstance(data, bytes) and data[0] == 1:
                         topic = TOPICS[int.from_bytes(data[1:5], "little")]
@@ -111,12 +122,14 @@ class Viewer(threading.Thread):
                         if topic == "/map":
                             self.maps.append(time.monotonic())
             except (ConnectionClosed, EOFError):
-                pass
+                return False
+        return True
 
 
-def observe(drive: Path, seconds: float) -> dict[str, Any]:
-    """Run the command on a drive with a viewer; return what it printed and what its process took."""
-    words = ["serve", str(drive), "--port", "0", "--duration", f"{seconds:g}", "--report-every", "5"]
+def observe(drive: Path, seconds: float, stay: float = math.inf) -> dict[str, Any]:
+    """Run the command on a drive with a viewer that may come and go; return what it printed and its process took."""
+    every = f"{max(5.0, seconds / 120):g}"
+    words = ["serve", str(drive), "--port", "0", "--duration", f"{seconds:g}", "--report-every", every]
     command = [sys.executable, "-m", "ogm.cli", *words]
     environment = {**os.environ, "COLUMNS": "200"}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -129,11 +142,12 @@ def observe(drive: Path, seconds: float) -> dict[str, Any]:
         if port is None:
             reader.join()
             raise SystemExit("".join(lines))
-        viewer, start, memory = Viewer(port), time.monotonic(), []
+        viewer, start, memory, handles = Viewer(port, stay), time.monotonic(), [], []
         viewer.start()
         while process.poll() is None:
             before = time.monotonic()
             memory.append((before - start, resident(process.pid)))
+            handles.append((before - start, *open_handles(process.pid), processor_seconds(process.pid)))
             time.sleep(1.0)
         last = process.stdout.read()
         reader.join()
@@ -149,22 +163,41 @@ def observe(drive: Path, seconds: float) -> dict[str, Any]:
         "memory at start [MB]": float(np.median(settled[:tenth])),
         "memory at end [MB]": float(np.median(settled[-tenth:])),
         "memory [s, MB]": [(round(at, 1), round(mb, 1)) for at, mb in memory],
+        "handles [s, files, threads, processor s]": handles[:-2],
         "process time [s]": round(used.ru_utime + used.ru_stime, 1),
         "viewer": {
             "messages": dict(viewer.count),
+            "connections": viewer.connections,
             "MB/s": round(viewer.bytes / 1e6 / seconds, 1),
             "longest time between maps [ms]": round(1e3 * float(np.diff(viewer.maps).max(initial=0.0)), 1),
         },
     }
 
 
-def resident(pid: int) -> float:
+def resident(pid: int | str) -> float:
     """Return the memory that a process holds now [MB]; 0 when it has ended."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     except (OSError, IndexError):
         return 0.0
     return pages * resource.getpagesize() / 1e6
+
+
+def open_handles(pid: int | str) -> tuple[int, int]:
+    """Return how many files and threads a process has now; 0 when it has ended."""
+    try:
+        return len(os.listdir(f"/proc/{pid}/fd")), len(os.listdir(f"/proc/{pid}/task"))
+    except OSError:
+        return 0, 0
+
+
+def processor_seconds(pid: int) -> float:
+    """Return the processor time that a process has taken so far [s]; 0 when it has ended."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def verdicts(found: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -18,6 +18,7 @@ from typing import Any
 
 from dynamic_tables import dynamic_tables
 from quality_tables import tables
+from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -572,6 +573,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
     "docs/quality.md": lambda: tables(record("quality")),
+    "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
         sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))
         | {"losses": losses_of_the_paper(), "divergence": divergences()}

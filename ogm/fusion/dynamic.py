@@ -9,6 +9,7 @@ static mass beside particles: Nègre, Rummelhard and Laugier, "Hybrid sampling B
 Tanzmeister and Wollherr, "Evidential grid-based tracking and mapping" (2017).
 """
 
+import math
 from dataclasses import replace
 from typing import Literal
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion import map_access
-from ogm.fusion.dynamic_beliefs import beliefs, grid_of, turned
+from ogm.fusion.dynamic_beliefs import beliefs, masses, seen_from
 from ogm.fusion.dynamic_cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
 from ogm.fusion.dynamic_settings import DynamicSettings
 from ogm.fusion.hashed_noise import NORMALS, scan_key
@@ -29,7 +30,7 @@ from ogm.fusion.measured_velocities import SCAN_AGES, matched_velocities
 from ogm.fusion.object_tracker import ObjectTracker
 from ogm.fusion.objects import Objects, find_objects
 from ogm.fusion.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
-from ogm.fusion.prediction import predict_dynamic
+from ogm.fusion.prediction import move_on, predict_dynamic
 from ogm.fusion.resample import view_layers
 from ogm.fusion.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
 from ogm.fusion.scan_history import ScanHistory
@@ -116,7 +117,7 @@ class DynamicMapper:
         self._moments = Moments(np.zeros((nx, ny, 2), np.float32), np.zeros((nx, ny, 3), np.float32))
         self._measured = np.empty((nx, 2 * ny), np.float32)
         self._cell_of, self._survivors = np.empty(self.particles + 1, np.int32), np.empty(nx * ny, np.int32)
-        self._count, self._no_label = np.empty((self.threads, nx * ny), np.int32), np.zeros(spec.shape, np.int32)
+        self._count_of, self._no_label = np.empty((self.threads, nx * ny), np.int32), np.zeros(spec.shape, np.int32)
         self._groups = group_velocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.0, 0.0)
         self._history = ScanHistory(0.6, 0.04)
         self._layers = (*self._cells, *self._next_cells, self._particles.start)
@@ -155,15 +156,14 @@ class DynamicMapper:
     @locked
     def dynamic_grid(self) -> DynamicGrid:
         """The map (a copy), in map coordinates, as of the last scan."""
-        return grid_of(self.spec, self._belief())
+        return DynamicGrid.trusted(self.spec, *beliefs(self._cells, self._moments, self._groups))
 
     @locked
     def dynamic_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> DynamicGrid:
         """Return the map, with its velocities, in the vehicle's axes, by nearest cells. Arguments as for `view`."""
         cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        belief = self._belief()
-        pairs = [view_layers(belief[..., k : k + 2], self.spec, cells, T) for k in range(0, 8, 2)]
-        return grid_of(cells, turned(np.concatenate(pairs, axis=-1), np.asarray(T, np.float64)))
+        belief = beliefs(self._cells, self._moments, self._groups, still=0.0)
+        return seen_from(belief, self.spec, cells, T)
 
     @property
     @locked
@@ -205,7 +205,9 @@ class DynamicMapper:
         seconds : float
             [s], 0 or more. Honest to about 0.5 s: see docs/dynamic.md.
         """
-        return predict_dynamic(self.dynamic_grid, self._particles, seconds, self._objects)
+        if self._objects is None or not 0 < seconds < math.inf:
+            return predict_dynamic(self.dynamic_grid, self._particles, seconds, self._objects)
+        return move_on(self.spec, masses(self._cells), self._particles, self._objects, seconds)
 
     def _update_objects(self, stamp: float | None) -> None:
         """Let the tracker take in the objects of the map."""
@@ -223,11 +225,17 @@ class DynamicMapper:
         rates = self.settings.rates(scan.elapsed, reliability, self._particle_mass)
         new = CellOutput(self._next_cells, self._measured, np.empty(nx))
         with Threads(self.threads) as threads:
-            self._predict(step, threads)
-            start = self._predicted.start
-            threads.divide(nx, lambda rows: update_cells(self._cells, shift, start, lookup, rates, rows, new))
+            self._count(step, threads)
+            rows, start = spans(nx, self.threads), self._predicted.start
+
+            def sort_and_update(k: int) -> None:  # neither needs the other
+                self._sort(step, k)
+                update_cells(self._cells, shift, start, lookup, rates, rows[k], new)
+
+            threads.run(sort_and_update)
             groups = self._measured_velocities(scan, new.cells)
-            threads.divide(nx, lambda rows: weigh_motion(new.cells, groups, rows, new.dynamic))
+            if len(groups.rows) > 1:
+                threads.run(lambda k: weigh_motion(new.cells, groups, rows[k], new.dynamic))
             # From here on nothing can fail: until now the map is as it was.
             self._particle_mass = float(new.dynamic.sum()) / self.particles
             self._draw(new.cells, groups, step, threads)
@@ -243,14 +251,17 @@ class DynamicMapper:
         """Cells that the last scan measured as occupied, (nx, ny)."""
         return self._measured[:, 1::2] > 0.5
 
-    def _predict(self, step: Step, threads: Threads) -> None:
-        """Move the particles on and sort them by their new cells."""
-        p, out, cell_of, count = self._particles, self._predicted, self._cell_of, self._count
+    def _count(self, step: Step, threads: Threads) -> None:
+        """Move the particles on and count them in their new cells: each thread its part of them."""
+        p, cell_of, count = self._particles, self._cell_of, self._count_of
         parts = spans(int(p.start[-1]), self.threads)
-        count[:] = 0
         threads.run(lambda k: count_in_cells(p, parts[k], step, NORMALS, cell_of, count[k]))
-        cell_starts(count, out.start)
-        threads.run(lambda k: sort_into_cells(p, parts[k], step, NORMALS, cell_of, count[k], out))
+        cell_starts(count, self._predicted.start)
+
+    def _sort(self, step: Step, k: int) -> None:
+        """Sort the particles of a thread's part by their new cells."""
+        p, part = self._particles, spans(int(self._particles.start[-1]), self.threads)[k]
+        sort_into_cells(p, part, step, NORMALS, self._cell_of, self._count_of[k], self._predicted)
 
     def _draw(self, cells: DynamicCells, groups: GroupVelocities, step: Step, threads: Threads) -> None:
         """Draw the particles of every cell anew, and compute its mean velocity and covariance."""
@@ -298,9 +309,6 @@ class DynamicMapper:
         metres = np.float32(shift[0] * spec.resolution), np.float32(shift[1] * spec.resolution)
         key, noise = scan_key(self.seed, self.scans), self.settings.noise(seconds)
         return Step(np.float32(seconds), metres, noise, np.float32(spec.resolution), spec.shape, key)
-
-    def _belief(self) -> NDArray[np.float32]:
-        return beliefs(self._cells, self._moments, self._groups)
 
     def _conflict(self) -> NDArray[np.float32]:
         return np.stack([self._cells.to_occupied, self._cells.to_free], axis=-1)

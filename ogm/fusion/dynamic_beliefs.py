@@ -1,48 +1,108 @@
-"""What is read from a dynamic map: masses, mean velocity and covariance of every cell, in the map's axes or others.
+"""What is read from a dynamic map: masses, mean velocity and covariance of every cell, in the map's axes or others."""
 
-Beliefs are (nx, ny, 8) float32: free, static, dynamic, velocity (x, y) and its covariance (xx, xy, yy).
-"""
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.dynamic_cells import DynamicCells
+from ogm.fusion.resample import view_layers
 from ogm.fusion.resampling import GroupVelocities, Moments
 from ogm.grid import GridSpec
+from ogm.jit import kernel
 
-__all__ = ["beliefs", "grid_of", "turned"]
-
-
-def beliefs(cells: DynamicCells, moments: Moments, groups: GroupVelocities) -> NDArray[np.float32]:
-    """Return the beliefs of all cells; velocities are those of the mixture of surviving particles and births."""
-    mass = np.stack([cells.free, cells.static, cells.surviving + cells.born], axis=-1)
-    velocity = np.concatenate(moments, axis=-1)
-    velocity[cells.surviving <= 0] = 0  # of cells without particles
-    rows = groups.rows
-    mean, (xx, yx, yy) = rows[:, 5:7], rows[:, 7:10].T
-    births = np.column_stack([mean, xx * xx, xx * yx, yx * yx + yy * yy])[groups.label]
-    share = (cells.born / np.maximum(mass[..., 2], np.float32(1e-30)))[..., np.newaxis]
-    off = births[..., :2] - velocity[..., :2]
-    velocity += share * (births - velocity)
-    velocity[..., 2:] += share * (1 - share) * off[..., [0, 0, 1]] * off[..., [0, 1, 1]]
-    return np.concatenate([mass, velocity], axis=-1)
+__all__ = ["Beliefs", "beliefs", "empty_beliefs", "masses", "seen_from"]
 
 
-def turned(belief: NDArray[np.float32], T_map_vehicle: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Return beliefs (nx, ny, 8) whose velocities are along the vehicle's axes."""
-    forward = T_map_vehicle[:2, 0] / np.hypot(*T_map_vehicle[:2, 0])
-    cosine, sine = forward.astype(np.float32)
+class Beliefs(NamedTuple):
+    """Beliefs in the cells of a map.
+
+    Attributes
+    ----------
+    mass : (nx, ny, 3) float32
+        Of free, static and dynamic.
+    velocity, covariance : (nx, ny, 2), (nx, ny, 2, 2) float32
+        Of what is dynamic [m/s], [m²/s²].
+    """
+
+    mass: NDArray[np.float32]
+    velocity: NDArray[np.float32]
+    covariance: NDArray[np.float32]
+
+
+def empty_beliefs(shape: tuple[int, int]) -> Beliefs:
+    """Return beliefs to be filled.
+
+    All in one array, for which numpy asks for huge pages: page faults would take longer than the computation.
+    """
+    cells = math.prod(shape)
+    parts = np.split(np.empty(9 * cells, np.float32), [3 * cells, 5 * cells])
+    return Beliefs(*(part.reshape(*shape, *last) for part, last in zip(parts, ((3,), (2,), (2, 2)), strict=True)))
+
+
+def masses(cells: DynamicCells) -> NDArray[np.float32]:
+    """Return the masses of free, static and dynamic, (nx, ny, 3)."""
+    mass = np.empty((*cells.free.shape, 3), np.float32)
+    mass[..., 0], mass[..., 1] = cells.free, cells.static
+    np.add(cells.surviving, cells.born, out=mass[..., 2])
+    return mass
+
+
+def beliefs(cells: DynamicCells, moments: Moments, groups: GroupVelocities, still: float = np.nan) -> Beliefs:
+    """Return the beliefs of all cells; velocities are those of the mixture of surviving particles and births.
+
+    Where nothing is dynamic, velocities and covariances are `still`.
+    """
+    mean, (xx, yx, yy) = groups.rows[:, 5:7], groups.rows[:, 7:10].T
+    births = np.column_stack([mean, xx * xx, xx * yx, yx * yx + yy * yy])
+    out = empty_beliefs(groups.label.shape)
+    _mix(cells, moments, groups.label, births, np.float32(still), out)
+    return out
+
+
+@kernel
+def _mix(cells: Any, moments: Any, label: Any, births: Any, still: Any, out: Any) -> None:
+    """Fill beliefs; rows of `births` are mean and covariance (xx, xy, yy) of the velocity of births in each group."""
+    nx, ny = label.shape
+    zero, one, least = np.float32(0), np.float32(1), np.float32(1e-30)
+    for i in range(nx):
+        for j in range(ny):
+            born = cells.born[i, j]
+            dynamic = cells.surviving[i, j] + born
+            out.mass[i, j, 0], out.mass[i, j, 1], out.mass[i, j, 2] = cells.free[i, j], cells.static[i, j], dynamic
+            v, cov = out.velocity[i, j], out.covariance[i, j]
+            if dynamic <= zero:
+                v[:] = still
+                cov[:] = still
+                continue
+            x = y = xx = xy = yy = zero  # of particles, if there are any
+            if cells.surviving[i, j] > zero:
+                x, y = moments.mean[i, j, 0], moments.mean[i, j, 1]
+                c = moments.covariance[i, j]
+                xx, xy, yy = c[0], c[1], c[2]
+            b = births[label[i, j]]
+            share = born / max(dynamic, least)
+            both, dx, dy = share * (one - share), b[0] - x, b[1] - y
+            v[0], v[1] = x + share * dx, y + share * dy
+            cov[0, 0] = xx + share * (b[2] - xx) + both * dx * dx
+            cov[0, 1] = cov[1, 0] = xy + share * (b[3] - xy) + both * dx * dy
+            cov[1, 1] = yy + share * (b[4] - yy) + both * dy * dy
+
+
+def seen_from(belief: Beliefs, source: GridSpec, spec: GridSpec, T_map_vehicle: ArrayLike | None) -> DynamicGrid:
+    """Return the beliefs of a map's cells in the vehicle's axes, by nearest cells; see `view_layers`.
+
+    Velocities and covariances must be 0 where nothing is dynamic.
+    """
+    pairs = belief.mass[..., :2], belief.mass[..., 1:], belief.velocity, *np.moveaxis(belief.covariance, 2, 0)
+    known, occupied, v, along, across = (view_layers(pair, source, spec, T_map_vehicle) for pair in pairs)
+    forward = np.asarray(T_map_vehicle, np.float64)[:2, 0]
+    cosine, sine = (forward / np.hypot(*forward)).astype(np.float32)
     turn = np.array([[cosine, sine], [-sine, cosine]])
-    velocity = belief[..., 3:5] @ turn.T
-    covariance = turn @ belief[..., [5, 6, 6, 7]].reshape(*belief.shape[:2], 2, 2) @ turn.T
-    flat = covariance.reshape(*belief.shape[:2], 4)[..., [0, 1, 3]]
-    return np.concatenate([belief[..., :3], velocity, flat], axis=-1)
-
-
-def grid_of(spec: GridSpec, belief: NDArray[np.float32]) -> DynamicGrid:
-    """Return beliefs (nx, ny, 8) as a grid, without velocities where nothing is dynamic."""
-    mass, velocity = belief[..., :3], belief[..., 3:]
-    velocity[mass[..., 2] <= 0] = np.nan
-    covariance = velocity[..., [2, 3, 3, 4]].reshape(*spec.shape, 2, 2)
-    return DynamicGrid.trusted(spec, mass, velocity[..., :2], covariance)
+    velocity, covariance = v @ turn.T, turn @ np.stack([along, across], axis=2) @ turn.T
+    still = occupied[..., 1] <= 0
+    velocity[still] = np.nan
+    covariance[still] = np.nan
+    return DynamicGrid.trusted(spec, np.concatenate([known, occupied[..., 1:]], axis=-1), velocity, covariance)

@@ -90,11 +90,12 @@ def count_in_cells(
     cell : (n,) int32
         Is filled.
     count : (cells,) int32
-        Is added to.
+        Is filled.
     """
     nx, ny = step.shape
     per_metre = np.float32(1) / step.resolution
     zero, high_x, high_y = np.float32(0), np.float32(nx), np.float32(ny)
+    count[:] = 0
     for k in range(span[0], span[1]):
         h = hashed(np.uint64(k), step.key)
         x, y = _moved(p, k, h, step, normals)

@@ -10,11 +10,13 @@ from scipy.special import ndtri
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.arcs import arc
+from ogm.fusion.dynamic_beliefs import empty_beliefs
 from ogm.fusion.objects import Objects, find_objects
 from ogm.fusion.particles import Particles
 from ogm.fusion.prediction_kernels import NORMALS, Arrivals, Bodies, Horizon, cells_later, move_mass
+from ogm.grid import GridSpec
 
-__all__ = ["PredictionSettings", "predict_dynamic"]
+__all__ = ["PredictionSettings", "move_on", "predict_dynamic"]
 
 _PER_CELL = 16  # particles made of a dynamic cell where none are given
 
@@ -88,21 +90,27 @@ def predict_dynamic(
         raise ValueError(f"particles are those of {len(particles.start) - 1} cells, the grid has {grid.spec.shape}")
     if seconds == 0:
         return grid
-    chosen = PredictionSettings() if settings is None else settings
-    found = find_objects(grid) if objects is None else objects
-    horizon = Horizon(seconds, chosen.acceleration, 0.5 ** (seconds / chosen.free_half_life), chosen.moved_static)
     moving = _from_cells(grid) if particles is None else particles
-    bodies, mass = _bodies(found, grid, seconds, chosen), np.ascontiguousarray(grid.mass)
-    nx, ny = grid.spec.shape
-    # Allocated by numpy, which asks for huge pages: page faults would take longer than the computation.
-    space = np.empty((min(nx * ny, len(moving.x)) + 1, 6), np.float32)
-    arrivals, out = Arrivals(np.zeros((nx, ny), np.int32), space), np.empty(9 * nx * ny, np.float32)
-    parts = np.split(out, [3 * nx * ny, 5 * nx * ny])
-    shapes = ((nx, ny, 3), (nx, ny, 2), (nx, ny, 2, 2))
-    shares, velocity, covariance = (part.reshape(shape) for part, shape in zip(parts, shapes, strict=True))
-    move_mass(mass, found.label, moving, bodies, _normals(), horizon, grid.spec.resolution, arrivals)
-    cells_later(mass, found.label, arrivals, horizon, shares, velocity, covariance)
-    return DynamicGrid.trusted(grid.spec, shares, velocity, covariance)
+    return move_on(grid.spec, grid.mass, moving, find_objects(grid) if objects is None else objects, seconds, settings)
+
+
+def move_on(
+    spec: GridSpec,
+    mass: NDArray[np.float32],
+    particles: Particles,
+    objects: Objects,
+    seconds: float,
+    settings: PredictionSettings | None = None,
+) -> DynamicGrid:
+    """Return the grid of `predict_dynamic`, which needs of the present one only its masses (nx, ny, 3)."""
+    chosen = PredictionSettings() if settings is None else settings
+    horizon = Horizon(seconds, chosen.acceleration, 0.5 ** (seconds / chosen.free_half_life), chosen.moved_static)
+    bodies, mass = _bodies(objects, spec, seconds, chosen), np.ascontiguousarray(mass)
+    space = np.empty((min(math.prod(spec.shape), len(particles.x)) + 1, 6), np.float32)
+    arrivals, later = Arrivals(np.zeros(spec.shape, np.int32), space), empty_beliefs(spec.shape)
+    move_mass(mass, objects.label, particles, bodies, _normals(), horizon, spec.resolution, arrivals)
+    cells_later(mass, objects.label, arrivals, horizon, *later)
+    return DynamicGrid.trusted(spec, *later)
 
 
 def _from_cells(grid: DynamicGrid) -> Particles:
@@ -120,11 +128,11 @@ def _from_cells(grid: DynamicGrid) -> Particles:
     return Particles(x, y, vx, vy, start)
 
 
-def _bodies(objects: Objects, grid: DynamicGrid, seconds: float, settings: PredictionSettings) -> Bodies:
+def _bodies(objects: Objects, spec: GridSpec, seconds: float, settings: PredictionSettings) -> Bodies:
     """Return how the objects move within some time."""
     count = len(objects)
     center, velocity = np.zeros((2, count + 1, 2))
-    center[1:] = objects.boxes.center[:, :2] - grid.spec.origin
+    center[1:] = objects.boxes.center[:, :2] - spec.origin
     velocity[1:] = objects.velocity
     arcs = [arc(rate, seconds) for rate in (0.0, *objects.turn_rate)]
     root = np.zeros((count + 1, 2, 2))

@@ -5,6 +5,7 @@ import pytest
 
 from ogm import evidence
 from ogm.fusion import DynamicMapper, DynamicSettings, EvidentialMapper, fuse, make_mapper
+from ogm.fusion.prediction import predict_dynamic
 from ogm.fusion.resampling import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
@@ -294,6 +295,12 @@ def test_objects_keep_their_number_and_predictions_lie_where_the_car_will_be():
     assert later.static[standing].mean() > 0.85
     left = street(24)[1] & ~moving
     assert later.occupied[left].mean() < 0.3
+    same = predict_dynamic(mapper.dynamic_grid, mapper._particles, 0.5, mapper.objects())
+    for name in ("mass", "velocity", "covariance"):
+        np.testing.assert_array_equal(getattr(later, name), getattr(same, name))
+        np.testing.assert_array_equal(getattr(mapper.predicted(0), name), getattr(mapper.dynamic_grid, name))
+    with pytest.raises(ValueError, match="seconds must be 0 or more"):
+        mapper.predicted(-0.1)
     mapper.reset()
     assert len(mapper.objects()) == 0
 
