@@ -181,7 +181,7 @@ class Store:
         for name, count in counts.items():
             _grow(root, name, count, beams, gaps)
         # Last: until then it is no data set, and is begun again.
-        made = {
+        made: dict[str, Any] = {
             "format": GAPS if gaps else FORMAT,
             "plan": dict(plan),
             "splits": counts,

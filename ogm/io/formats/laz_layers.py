@@ -43,7 +43,7 @@ def layers_fit(data: bytes, first: int, table: int) -> bool:
 
 
 def _laszip(data: bytes) -> bytes:
-    """Return the record that says how the points are packed; a KeyError if there is none."""
+    """Return the record that states how the points are packed; a KeyError if there is none."""
     at, count = struct.unpack_from("<H", data, 94)[0], struct.unpack_from("<I", data, 100)[0]
     for _ in range(count):
         user, number, size = _HEADER.unpack_from(data, at)
