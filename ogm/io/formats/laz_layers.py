@@ -1,4 +1,4 @@
-"""Sizes that a LAZ 1.4 file states of its layers: lazrs allocates what they say, so they are held against the file.
+"""Sizes that a LAZ 1.4 file states of its layers: lazrs allocates what they claim, so they are held against the file.
 
 The points of formats 6 to 10 lie in chunks. A chunk holds its first point as it is, the number of its points, the size
 of every layer and then the layers, in the order of the items that the file's laszip record lists. Source: LASzip,
@@ -43,7 +43,7 @@ def layers_fit(data: bytes, first: int, table: int) -> bool:
 
 
 def _laszip(data: bytes) -> bytes:
-    """Return the record that says how the points are packed; a KeyError if there is none."""
+    """Return the record that states how the points are packed; a KeyError if there is none."""
     at, count = struct.unpack_from("<H", data, 94)[0], struct.unpack_from("<I", data, 100)[0]
     for _ in range(count):
         user, number, size = _HEADER.unpack_from(data, at)
