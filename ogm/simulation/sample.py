@@ -82,6 +82,9 @@ class Beams:
         if not layers == len(self.azimuth) == len(self.origin) or layers == 0:
             counts = f"{layers}, {len(self.azimuth)} and {len(self.origin)}"
             raise ValueError(f"{self.name} must have one elevation, azimuth and origin per layer, got {counts}")
+        angles = (*self.elevation, *self.azimuth, self.step, self.rate, *sum(self.origin, ()))
+        if not np.isfinite(angles).all():
+            raise ValueError(f"angles, places and rate of {self.name} must be finite")
         if self.columns < 1 or not self.rate > 0:
             raise ValueError(f"columns and rate of {self.name} must be positive, got {self.columns} and {self.rate}")
 

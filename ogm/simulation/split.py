@@ -260,7 +260,8 @@ def open_array(path: Path, mode: str = "r") -> Any:
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
         raise not_whole(f"{path} is missing") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:  # what zarr raises of odd metadata
+    except (ArithmeticError, AttributeError, KeyError, RecursionError, TypeError, ValueError) as error:
+        # what zarr raises of odd metadata
         raise not_whole(f"{path} is no array that can be read ({error})") from error
 
 

@@ -173,13 +173,13 @@ def keep_input(make: Maker, source: Source, number: int, folder: Path) -> None:
 HEAD = ("inputs", "read", "refused", "undoc.", "crashes", "hangs", "memory", "MB")
 
 
-def line(row: Row) -> str:
+def line(row: Row, seed: int) -> str:
     """Return a row as text."""
     counts = (row.inputs, row.accepted, row.refused, row.undocumented, row.crashes, row.hangs, row.over_limit)
     text = f"{row.target:26}" + "".join(f"{one:9}" for one in (*counts, round(row.peak / 2**20)))
     for what, entry in row.failures.items():
         how = f" ({entry['text']})" if what == "hang" else ""
-        text += f"\n    {what}{how}, {entry['count']} times, first {row.target}.{{seed}}.{entry['first']}"
+        text += f"\n    {what}{how}, {entry['count']} times, first {row.target}.{seed}.{entry['first']}"
     return text
 
 
@@ -245,12 +245,12 @@ def main() -> int:
         else:
             keep = str(given.keep / f"{name}.{given.seed}")
             fuzz(makers[name], rows[-1], changed_files(name, given.seed), given.inputs, share, keep)
-        print(line(rows[-1]).format(seed=given.seed), flush=True)
+        print(line(rows[-1], given.seed), flush=True)
         total = Row("all", *(sum(getattr(row, one) for row in rows) for one in list(Row.__dataclass_fields__)[1:8]))
         total.peak = max(row.peak for row in rows)
         if given.json:  # as far as it is, for a run that is stopped
             given.json.write_text(json.dumps(record(rows, total, given.seed), indent=1) + "\n")
-    print(line(total))
+    print(line(total, given.seed))
     return int(total.undocumented + total.crashes + total.hangs + total.over_limit > 0)
 
 

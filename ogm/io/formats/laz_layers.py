@@ -1,4 +1,4 @@
-"""Sizes that a LAZ 1.4 file states of its layers: lazrs allocates what they say, so they are held against the file.
+"""Sizes that a LAZ 1.4 file states of its layers: lazrs allocates what they claim, so they are held against the file.
 
 The points of formats 6 to 10 lie in chunks. A chunk holds its first point as it is, the number of its points, the size
 of every layer and then the layers, in the order of the items that the file's laszip record lists. Source: LASzip,
