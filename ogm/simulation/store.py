@@ -151,8 +151,7 @@ class Store:
         ValueError
             If the folder holds something else, or a split would shrink.
         """
-        path, counts = Path(path), _counts(counts)
-        zarr = load_zarr()
+        path, counts, zarr = Path(path), _counts(counts), load_zarr()
         if path.is_file():
             raise ValueError(f"{path} is a file; give a new or empty folder")
         if cls.exists(path):
@@ -219,8 +218,7 @@ class Store:
         if [one.index for one in samples] != list(range(first, first + wanted)):
             raise ValueError(f"shard {shard} of {split} wants samples {first} to {first + wanted - 1}")
         numbers = {one: k for k, one in enumerate(self.beams)}
-        gaps = self.format == GAPS
-        layout = array_layout(self.beams, gaps)
+        layout = array_layout(self.beams, self.format == GAPS)
         columns = {array: np.zeros((wanted, *shape), kind) for array, (shape, kind) in layout.items()}
         for k, one in enumerate(samples):
             rows = one.objects[:OBJECTS]
@@ -313,5 +311,5 @@ def _grow(root: Any, name: str, count: int, beams: Sequence[Beams], gaps: bool) 
 
 def _facts(sample: SimulatedSample, lidar: int, objects: int) -> list[float]:
     poses = [*sample.T_world_sensor[:3].ravel(), *sample.T_vehicle_sensor[:3].ravel()]
-    motion = [*sample.velocity, sample.yaw_rate]
-    return [1.0, lidar, objects, sample.scenario, sample.stamp, *poses, *motion, *sample.weather]
+    made = [1.0, lidar, objects, sample.scenario, sample.stamp]
+    return [*made, *poses, *sample.velocity, sample.yaw_rate, *sample.weather]
