@@ -18,6 +18,7 @@ RESULTS = Path(__file__).resolve().parents[1] / "benchmarks" / "results"
 MISSING = "not run"
 FAILURES = ("crashes", "hangs", "over limit", "undocumented")  # of inputs; each must be 0
 SHOWN = 5  # readers with the largest peaks, which have a row of their own
+BUSY = 0.5  # load beyond which other programs disturb the figures
 LONG = {
     "ray": "`RayISM`",
     "evidential": "`RayISM`, `EvidentialMapper`",
@@ -115,7 +116,8 @@ def _soak(record: Mapping[str, Any]) -> list[str]:
         one = found[name]
         if name == "serve":
             memory = [held for _, held in one["memory [s, MB]"]]
-            length = f"{one['minutes']:g} minutes, {one['result']['mapped']:,.0f} scans"
+            mapped, dropped = (f"{one['result'][key]:,.0f} {key}" for key in ("mapped", "dropped"))
+            length = f"{one['minutes']:g} minutes, {mapped}, {dropped}"
             ratio = one["processor time, last tenth / first"]
         else:
             memory = one["memory [MB]"]
@@ -132,11 +134,10 @@ def _soak(record: Mapping[str, Any]) -> list[str]:
         )
     if "streams" in found:
         ratios = [f"{one['two threads / one']:.2f} ({LONG[name]})" for name, one in found["streams"]["chains"].items()]
-        load = found["streams"]["load at start"]
-        busy = f" Other programs ran (load {load[0]})." if load and load[0] > 0.5 else ""
-        parts.append(
-            f"Two threads with a stream each map so many times as many scans as one: {', '.join(ratios)}.{busy}"
-        )
+        parts.append(f"Two threads with a stream each map so many times as many scans as one: {', '.join(ratios)}.")
+    loads = [one["load at start"][0] for one in found.values() if one.get("load at start")]
+    if max(loads, default=0) > BUSY:
+        parts.append(f"Other programs ran on the machine: load at the start {min(loads):.1f} to {max(loads):.1f}.")
     missed = [row for one in found.values() for row in one["verdicts"] if not row["met"]]
     if missed:
         texts = [

@@ -135,25 +135,21 @@ def evaluate(
     )
     numbers = _numbers(dataset, samples, every, seed)
     methods = _methods(names, rules, grids or [], spec, resample)
-    if out_folder.exists() and not out_folder.is_dir():
-        raise ValueError(f"--out {out_folder} is a file, but the report is a folder")
-    out_folder.mkdir(parents=True, exist_ok=True)
-    with locked(out_folder):  # also while the report is written
-        result = run_evaluation(
-            methods,
-            dataset,
-            spec,
-            frames=numbers,
-            out=out_folder,
-            progress=lambda k: ticked(k, "evaluating (the first frame compiles kernels)"),
+    result = run_evaluation(
+        methods,
+        dataset,
+        spec,
+        frames=numbers,
+        out=out_folder,
+        progress=lambda k: ticked(k, "evaluating (the first frame compiles kernels)"),
+    )
+    if result.reused:
+        stderr.print(
+            f"ogm: {result.reused} of {len(numbers)} frames were finished before, and are taken from {out_folder}"
         )
-        if result.reused:
-            stderr.print(
-                f"ogm: {result.reused} of {len(numbers)} frames were finished before, and are taken from {out_folder}"
-            )
-        with stderr.status("writing the report ..."):
-            command = shlex.join(["ogm", *sys.argv[1:]])
-            record = write_report(out_folder, result, command=command, pictured=frames)
+    with locked(out_folder), stderr.status("writing the report ..."):
+        command = shlex.join(["ogm", *sys.argv[1:]])
+        record = write_report(out_folder, result, command=command, pictured=frames)
     _print_tables(record, f"{dataset.name}, {record['extent']}")
     _print_motion(record)
     written = "   ".join(str(out_folder / name) for name in REPORT_FILES)
