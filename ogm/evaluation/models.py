@@ -21,8 +21,8 @@ GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-rele
 LITE = "lite"
 COMBINED = "combined"
 COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
-    "reliability": (StateReliability(free=1.0, occupied=0.5), StateReliability(free=0.75, occupied=1.0)),
-    "free_gates": (FreeGate(share=0.0, low=0.66, high=0.69), FreeGate(share=0.8, low=0.0, high=0.13)),
+    "reliability": (StateReliability(free=1.0, occupied=0.5), StateReliability(free=0.79, occupied=1.0)),
+    "free_gates": (FreeGate(share=0.0, low=0.63, high=0.65), None),
 }
 MODELS = {  # name: description
     RAY: "Rays and local ground (RayISM).",

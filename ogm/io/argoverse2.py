@@ -224,6 +224,7 @@ def _table(path: Path, columns: Sequence[str]) -> _Table:
         wanted = [k for k, name in enumerate(schema.names) if name in columns]
         check_sizes(data, path, schema.types, wanted)
         table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted or None)).read_all()
+        table.validate(full=True)  # else lengths beyond the buffers are read from whatever memory follows
         found = {name: table[name].to_numpy(zero_copy_only=False) for name in columns if name in table.column_names}
     except (pyarrow.ArrowException, ValueError, OSError, MemoryError, struct.error) as error:
         if isinstance(error, OgmError):

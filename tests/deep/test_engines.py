@@ -103,7 +103,7 @@ def test_loading_loads_nothing_that_it_does_not_need() -> None:
     loaded = set(
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     )
-    heavy = {"torch", "lightning", "safetensors", "onnx", "matplotlib", "open3d", "ogm.deep.network", "ogm.geometric"}
+    heavy = {"torch", "lightning", "safetensors", "onnx", "matplotlib", "open3d", "ogm.deep.network"}
     assert not loaded & heavy
 
 

@@ -45,6 +45,7 @@ def parse_feather(data: bytes, path: Path) -> Table:
             raise too_large(path, rows * width, "file")
         check_sizes(data, path, schema.types, wanted)
         table = ipc.open_file(buffer, options=ipc.IpcReadOptions(included_fields=wanted)).read_all()
+        table.validate(full=True)  # else lengths beyond the buffers are read from whatever memory follows
         columns = {name: table[name].to_numpy() for name in table.column_names}
     except OgmError:
         raise
