@@ -9,7 +9,7 @@
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
 from typing import Any, Self
 
@@ -24,6 +24,7 @@ from ogm.scan import Frame
 __all__ = ["BOUNDS", "FITTED", "Calibration", "calibrate"]
 
 FORMAT = "ogm.calibration/1"
+MOST = 1e300  # of a parameter
 FITTED = {  # by default
     "ray": (*("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),),
     "height-band": ("z_min", "z_max", "evidence"),
@@ -78,7 +79,7 @@ class Calibration:
         for name, value in self.parameters.items():
             if name not in known:
                 raise OgmError(f"{self.model} has no parameter {name!r}; it has {', '.join(known)}")
-            if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MOST:
                 raise OgmError(f"{name} must be a finite number, got {value!r}")
 
     def save(self, path: str | Path) -> None:

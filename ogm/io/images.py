@@ -35,6 +35,8 @@ def open_image(path: str | os.PathLike[str], formats: Sequence[str] = ("PNG",)) 
     from PIL import Image
 
     try:
+        if "PNG" in formats:
+            _check_chunks(path)
         with Image.open(path, formats=tuple(formats)) as image:
             size = image.width * image.height * _BYTES.get(image.mode, 4)
             if size > current_limits().image:
@@ -47,3 +49,17 @@ def open_image(path: str | os.PathLike[str], formats: Sequence[str] = ("PNG",)) 
         raise OgmError(f"{path} is damaged or no image ({text}), wanted {', '.join(formats)}") from error
     except (Image.DecompressionBombError, Image.DecompressionBombWarning) as error:  # of PIL.Image.MAX_IMAGE_PIXELS
         raise OgmError(f"{path} is damaged or no image that Pillow decodes: {error}") from error
+
+
+def _check_chunks(path: str | os.PathLike[str]) -> None:
+    """Raise if a chunk of a PNG claims more bytes than the file has: they would be allocated before they are read."""
+    with open(path, "rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        if file.read(8) != b"\x89PNG\r\n\x1a\n":
+            return  # another format
+        while len(head := file.read(8)) == 8:
+            length, kind = struct.unpack(">I4s", head)
+            if kind == b"IEND":
+                return
+            if file.seek(length + 4, os.SEEK_CUR) > size:
+                raise ValueError(f"its chunk {kind!r} claims {length} bytes")

@@ -184,7 +184,8 @@ class Split(Sequence[SimulatedSample]):
             raise self._damaged(name, first, "a file is missing")
         try:
             values = array[index]
-        except (ValueError, RuntimeError, TypeError, EOFError) as error:  # what zarr and its codecs raise
+        except (ArithmeticError, EOFError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
+            # what zarr and its codecs raise
             raise self._damaged(name, first, str(error)) from error
         if name in LARGE:
             self._compare(name, index, values[None])

@@ -78,7 +78,9 @@ def _batch(view: memoryview, start: int) -> list[int]:
     body = at + 4 + length
     kind = message.field(1)
     batch = message.table(2)
-    if kind is not None and _number(message.data, kind, "<B") == 2 and batch is not None:  # a DictionaryBatch holds a RecordBatch
+    if (
+        kind is not None and _number(message.data, kind, "<B") == 2 and batch is not None
+    ):  # a DictionaryBatch holds a RecordBatch
         batch = batch.table(1)
     if batch is None:
         return []

@@ -3,6 +3,7 @@
 import errno
 import json
 import math
+import struct
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,7 +41,10 @@ _LAYERS = {
 _CHUNK = 1024  # [cells] side of a chunk
 _STRIP = 2**18  # cells that are read at once, at least
 _SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
-_READ_ERRORS = (OSError, ValueError, KeyError, TypeError, RuntimeError, IndexError, AttributeError, MemoryError)
+_READ_ERRORS = (
+    *(OSError, ValueError, LookupError, TypeError, RuntimeError, AttributeError, MemoryError, ArithmeticError),
+    struct.error,
+)
 
 
 def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
@@ -165,7 +169,7 @@ def from_xarray(dataset: "Dataset") -> PlacedGrid:
             None if stamp is None else float(stamp),
             crs,
         )
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, ArithmeticError) as error:
         raise error if isinstance(error, OgmError) else OgmError(str(error)) from error
 
 

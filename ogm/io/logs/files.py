@@ -70,7 +70,9 @@ class RandomAccess:
         weakref.finalize(self, os.close, file)
 
     def read(self, start: int, size: int) -> bytes:
-        """Return `size` bytes from `start` on, or as many as there are."""
+        """Return `size` bytes from `start` on, or as many as there are: none before its begin or after its end."""
+        if not 0 <= start <= self.size or size < 0:
+            return b""
         return os.pread(self._file, size, start)
 
 

@@ -10,6 +10,7 @@ from typing import IO, Any
 from ogm.files import OgmError
 from ogm.io.messages.velodyne import PACKET_BYTES, Packet, VelodyneDecoder
 from ogm.io.reading import optional
+from ogm.pose import check_stamp
 from ogm.scan import Scan
 
 __all__ = ["scans_from_pcap"]
@@ -118,7 +119,10 @@ def _captured(path: Path, source: str | None) -> Iterator[Packet]:
                 found = found or sender
                 if sender != found:
                     raise OgmError(f"{path} has packets of several sensors, {found} and {sender}: give one as source")
-                yield Packet(float(stamp), data)
+                try:
+                    yield Packet(check_stamp(float(stamp)), data)
+                except ValueError as error:
+                    raise OgmError(f"{path} has a packet whose {error}") from error
         except (EOFError, dpkt.Error) as error:
             log.warning("%s is cut short: %s", path, error)
 
@@ -136,4 +140,4 @@ def _payload(layer: Any, raw: bytes, dpkt: Any) -> tuple[bytes | None, str]:
         elif isinstance(packet, dpkt.udp.UDP):
             port = packet.dport
         packet = packet.data
-    return bytes(packet), f"{address}:{port}"
+    return (bytes(packet) if isinstance(packet, bytes | bytearray | memoryview) else None), f"{address}:{port}"

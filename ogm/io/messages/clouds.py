@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ogm.files import OgmError
 from ogm.io.axes import Axes
 from ogm.io.formats.table import Table, refuse_doubles
-from ogm.io.messages.plain import as_bytes, describe_message, header, stamp_seconds
+from ogm.io.messages.plain import as_bytes, describe_message, header, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 
@@ -21,6 +21,7 @@ _CODES = {np.dtype(np.float32): 7, np.dtype(np.uint16): 4}
 _PADDING = ("", "_")
 
 
+@reads_message
 def scan_from_point_cloud2(
     message: Any,
     *,

@@ -11,7 +11,7 @@ from ogm.files import OgmError
 from ogm.grid import LayeredGrid
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
-from ogm.io.messages.plain import as_bytes, ros_stamp
+from ogm.io.messages.plain import as_bytes, reads_message, ros_stamp
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.io.reading import optional
 
@@ -94,6 +94,7 @@ def foxglove_grid(
     )
 
 
+@reads_message
 def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
     """Return the grid of a decoded ``foxglove.Grid`` with the fields free and occupied, and where it lies.
 
@@ -132,8 +133,11 @@ def grid_from_foxglove_grid(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]
         raise OgmError(f"{where} has {len(data)} bytes, wanted rows of {row} bytes with {nx} cells of {cell}")
     layers = {}
     for name in names:
-        kind, offset = np.dtype("<" + _TYPES.get(int(fields[name].type), "V0")), int(fields[name].offset)
-        if kind.kind != "f" or offset + kind.itemsize > cell:
+        try:
+            kind, offset = np.dtype("<" + _TYPES[int(fields[name].type)]), int(fields[name].offset)
+        except (KeyError, ValueError, TypeError) as error:
+            raise OgmError(f"{where} has a field {name} of no type that is known: it is damaged") from error
+        if kind.kind != "f" or not 0 <= offset <= cell - kind.itemsize:
             raise OgmError(f"{where} has a field {name} that is no float of its cells: it is damaged")
         layers[name] = np.ndarray((ny, nx), kind, data, offset, (row, cell)).T
     origin, T = split_corner(transform_of_pose(message.pose, where))

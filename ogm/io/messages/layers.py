@@ -12,7 +12,7 @@ from ogm.files import OgmError
 from ogm.grid import LayeredGrid
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
-from ogm.io.messages.plain import describe_message, header
+from ogm.io.messages.plain import describe_message, header, reads_message
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.pose import pose
 
@@ -94,6 +94,7 @@ def grid_map(
     )
 
 
+@reads_message
 def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
     """Return the grid of a ``grid_map_msgs/GridMap`` that has the layers free and occupied, and where it lies.
 
@@ -124,6 +125,7 @@ def grid_from_grid_map(message: Any) -> tuple[AnyGrid, NDArray[np.float64]]:
         raise OgmError(f"{where} has layers that are no masses: {error}") from error
 
 
+@reads_message
 def layers_from_grid_map(message: Any) -> tuple[LayeredGrid, NDArray[np.float64]]:
     """Return all layers of a ``grid_map_msgs/GridMap``, and where they lie in the frame of the message.
 

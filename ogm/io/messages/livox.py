@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.io.formats.table import Table
-from ogm.io.messages.plain import describe_message, stamp_seconds
+from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 
@@ -34,6 +34,7 @@ class _CustomMsg(NamedTuple):
     where: str
 
 
+@reads_message
 def scan_from_livox(message: Any) -> Scan:
     """Return the scan of a Livox ``CustomMsg``.
 

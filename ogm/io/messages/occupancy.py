@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io.messages.plain import describe_message, header, ros_stamp
+from ogm.io.messages.plain import describe_message, header, reads_message, ros_stamp
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.pose import check_pose, inverse, pose
 from ogm.state import CellState, predict_state
@@ -89,6 +89,7 @@ def occupancy_grid(
     return SimpleNamespace(header=header(stamp, frame_id), info=info, data=values.T.reshape(-1))
 
 
+@reads_message
 def grid_from_occupancy_grid(message: Any) -> tuple[EvidentialGrid, NDArray[np.float64]]:
     """Return the grid of a ``nav_msgs/OccupancyGrid``, and where it lies in the frame of the message.
 

@@ -1,15 +1,20 @@
 """Parts that messages share: stamps and headers, as plain objects with the field names of the messages."""
 
+import functools
 import math
+from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
 
-__all__ = ["as_bytes", "describe_message", "frame_of", "header", "ros_stamp", "stamp_seconds"]
+P = ParamSpec("P")
+R = TypeVar("R")
+
+__all__ = ["as_bytes", "describe_message", "frame_of", "header", "reads_message", "ros_stamp", "stamp_seconds"]
 
 _LATEST = 2**31  # [s] at which the seconds of ROS 2 end
 
@@ -65,6 +70,19 @@ def header(stamp: float | None, frame_id: str) -> SimpleNamespace:
 def frame_of(message: Any) -> str:
     """Return the frame of a message, without the slash in front that old ROS 1 drivers write."""
     return str(message.header.frame_id).lstrip("/")
+
+
+def reads_message(convert: Callable[P, R]) -> Callable[P, R]:
+    """Let a function raise an OgmError where a message lacks a field: logs bring their own definitions of messages."""
+
+    @functools.wraps(convert)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return convert(*args, **kwargs)
+        except AttributeError as error:
+            raise OgmError(f"a message is not as its type wants it: {error}") from error
+
+    return checked
 
 
 def describe_message(message: Any, kind: str) -> str:

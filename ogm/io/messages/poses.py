@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError
-from ogm.io.messages.plain import describe_message, frame_of, header, stamp_seconds
+from ogm.io.messages.plain import describe_message, frame_of, header, reads_message, stamp_seconds
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose
@@ -24,6 +24,7 @@ __all__ = [
 ]
 
 
+@reads_message
 def transforms_from_tf(message: Any) -> list[StampedTransform]:
     """Return the transforms of a ``tf2_msgs/TFMessage`` (``/tf``, ``/tf_static``), or of one ``TransformStamped``.
 
@@ -42,6 +43,7 @@ def transforms_from_tf(message: Any) -> list[StampedTransform]:
     return result
 
 
+@reads_message
 def transform_from_odometry(message: Any) -> StampedTransform:
     """Return the pose of a ``nav_msgs/Odometry``: of its ``child_frame_id`` in the frame of its header.
 
@@ -56,6 +58,7 @@ def transform_from_odometry(message: Any) -> StampedTransform:
     return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
 
 
+@reads_message
 def transform_from_pose(message: Any, child: str) -> StampedTransform:
     """Return the pose of a ``geometry_msgs/PoseStamped`` or ``PoseWithCovarianceStamped``.
 
@@ -75,6 +78,7 @@ def transform_from_pose(message: Any, child: str) -> StampedTransform:
     return StampedTransform(frame_of(message), child, stamp_seconds(message.header.stamp), T)
 
 
+@reads_message
 def rotation_from_imu(message: Any) -> NDArray[np.float64]:
     """Return the orientation of a ``sensor_msgs/Imu``: (3, 3), takes coordinates of its frame to the world's.
 

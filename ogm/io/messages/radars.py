@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ogm.io.formats.table import Table
-from ogm.io.messages.plain import describe_message, stamp_seconds
+from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 
@@ -14,6 +14,7 @@ __all__ = ["scan_from_radar_scan"]
 _FIELDS = ("range", "azimuth", "elevation", "doppler_velocity")
 
 
+@reads_message
 def scan_from_radar_scan(message: Any) -> Scan:
     """Return the scan of a ``radar_msgs/RadarScan``.
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError
 from ogm.io.formats.table import Table
-from ogm.io.messages.plain import as_bytes, describe_message, stamp_seconds
+from ogm.io.messages.plain import as_bytes, describe_message, reads_message, stamp_seconds
 from ogm.io.no_returns import directions_without_return
 from ogm.io.reading import optional
 from ogm.io.scan_table import scan_from_table
@@ -58,6 +58,7 @@ class Packet(NamedTuple):
     data: bytes
 
 
+@reads_message
 def scan_from_velodyne_scan(
     message: Any,
     model: str | None = None,
