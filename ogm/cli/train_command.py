@@ -22,7 +22,6 @@ class Preset(StrEnum):
     """Networks and recipes by their names on the command line."""
 
     lite = "lite"
-    rays = "rays"
     paper = "paper"
     published = "published"
 
@@ -43,9 +42,8 @@ def train_command(
     model: Annotated[
         Preset,
         typer.Option(
-            help="lite: small, for CPUs. rays: the same with the masses of RayISM as inputs. paper: PointPillars, "
-            "our recipe. published: the same by the paper's recipe (100 epochs, batch 5, squared error, occupied "
-            "cells x 100, rotation only)."
+            help="lite: small, for CPUs; the masses of RayISM are inputs. paper: PointPillars, our recipe. published: "
+            "the same by the paper's recipe (100 epochs, batch 5, squared error, occupied cells x 100, rotation only)."
         ),
     ] = Preset.lite,
     validation: Annotated[
