@@ -159,3 +159,26 @@ def test_scans_that_are_cut_or_gone_after_a_folder_was_opened_are_errors(tmp_pat
         _ = dataset[1].scan
     with pytest.raises(OgmError, match="000002.bin"):
         _ = dataset[2].scan
+
+
+LOST = """
+import os, signal, time, weakref
+from ogm.cli.interrupts import watch_signals
+
+class Node:
+    pass
+
+watch_signals()
+node = Node()
+reference = weakref.ref(node, lambda _: os.kill(os.getpid(), signal.SIGINT) or [None for _ in range(100)])
+try:
+    del node  # the interrupt is raised in the callback, whose errors are lost
+    time.sleep(60)
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interrupt_in_a_callback_is_not_lost() -> None:
+    done = subprocess.run([sys.executable, "-c", LOST], capture_output=True, text=True, timeout=50)
+    assert done.stdout == "interrupted\n", done.stderr

@@ -28,6 +28,11 @@ def main() -> None:
         code = 130
     except SystemExit as end:
         code = end.code
+    except Exception:
+        if not received:
+            raise
+        print("ogm: interrupted", file=sys.stderr)  # an import can make an error of its own of an interrupt
+        code = 130
         if isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt):  # typer's, outside of a command
             print("ogm: interrupted; nothing was written", file=sys.stderr)
     for number in (signal.SIGINT, signal.SIGTERM):  # all is done

@@ -1,11 +1,14 @@
 """SIGINT and SIGTERM: both raise KeyboardInterrupt, and which of them it was decides the exit status."""
 
 import signal
+import sys
 import time
 from types import FrameType
+from typing import Any
 
 __all__ = ["received", "watch_signals"]
 
+LATER = 0.05  # [s] after which an interrupt that was lost is raised again
 ECHO = 1.0  # [s] in which a second signal is the same: `timeout` sends SIGTERM twice
 
 received: list[int] = []
@@ -17,6 +20,7 @@ def watch_signals() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:  # as under nohup, or in the background of a script
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _raise_again
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -26,3 +30,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
         _last = now
         received.append(number)
         raise KeyboardInterrupt
+
+
+def _raise_again(what: Any) -> None:
+    """Interrupt once more, a moment later: errors of a callback, such as that of a weak reference, are lost."""
+    if received and isinstance(what.exc_value, KeyboardInterrupt) and hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, signal.default_int_handler)
+        signal.setitimer(signal.ITIMER_REAL, LATER)
+    else:
+        sys.__unraisablehook__(what)
