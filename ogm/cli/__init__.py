@@ -28,13 +28,13 @@ def main() -> None:
         code = 130
     except SystemExit as end:
         code = end.code
-    except Exception:
-        if not received:
-            raise
-        print("ogm: interrupted", file=sys.stderr)  # an import can make an error of its own of an interrupt
-        code = 130
         if isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt):  # typer's, outside of a command
             print("ogm: interrupted; nothing was written", file=sys.stderr)
+    except Exception:  # an import can make an error of its own of an interrupt
+        if not received:
+            raise
+        print("ogm: interrupted; nothing was written", file=sys.stderr)
+        code = 130
     for number in (signal.SIGINT, signal.SIGTERM):  # all is done
         signal.signal(number, signal.SIG_DFL)
     sys.exit(128 + received[0] if received and code else code)

@@ -105,7 +105,7 @@ def run_batch(make: Maker, source: Source, row: Row, numbers: range, end: float,
         if done:
             status = code
             break
-        if (state := watch.get()) is None:
+        if (state := watch.get()) is None or not state[1]:  # being written
             continue
         number, clock, before, *_ = state
         spent = processor_time(process) - before if number >= 0 else 0.0
