@@ -64,7 +64,7 @@ def test_it_makes_samples_a_contact_sheet_and_an_export(data: Path) -> None:
 def test_nothing_of_time_or_place_is_kept(data: Path) -> None:
     attributes = json.loads((data / "zarr.json").read_text())["attributes"]
     assert attributes["format"] == FORMAT
-    assert set(attributes) == {"format", "plan", "splits", "lidars", "range_step", "labels", "versions"}
+    assert set(attributes) == {"format", "plan", "splits", "lidars", "range_step", "labels", "versions", "sha256"}
     assert attributes["plan"]["samples"] == 1
 
 

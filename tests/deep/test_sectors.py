@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ogm import Mount, Scan, read_scan
+from ogm import Mount, Scan, load_model, read_scan
 from ogm.deep import DeepISM
 from ogm.deep.engines import load_engine
 from ogm.grid import GridSpec
@@ -32,6 +32,17 @@ SCANS = {  # axes, height of the sensor above ground [m]: stated, or that of the
 @cache
 def engine():
     return load_engine("lite")
+
+
+def test_the_combined_model_frees_nothing_behind_a_sector() -> None:
+    with as_file(files("ogm") / "data" / "vls128_road.pcd.xz") as path:
+        points = read_scan(path, axes=VELODYNE).points
+    ahead = distance(points[:, 0], points[:, 1], 0.0) <= np.radians(60)
+    grid = load_model("combined", SPEC, Mount(1.98))(Scan(points[ahead]))
+    x, y = np.broadcast_arrays(*SPEC.cell_centers)
+    behind = distance(x, y, 0.0) > np.radians(90)
+    assert (grid.free[behind] > 0.3).mean() <= 0.005
+    assert (grid.free[~behind] > 0.5).mean() > 0.2
 
 
 def share_of_free_outside(scan: Scan, height: float, middle: float, width: float) -> float:

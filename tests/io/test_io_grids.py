@@ -96,6 +96,7 @@ def test_masses_that_are_none_are_refused_by_the_name_of_their_file(tmp_path: Pa
     path = write(tmp_path, ".npz")
     with np.load(path) as data:
         arrays = dict(data)
+    arrays.pop("checksums")
     np.savez(path, **arrays | {"mass": np.full_like(arrays["mass"], np.nan)})
     with pytest.raises(OgmError, match=r"grid\.npz: mass must be"):
         read_grid(path, AREA)
@@ -105,7 +106,7 @@ def test_files_that_claim_more_than_they_hold_are_not_unpacked(tmp_path: Path) -
     with open(tmp_path / "huge.npy", "wb") as file:
         header = {"descr": "<f4", "fortran_order": False, "shape": (10**6, 10**6, 2)}
         np.lib.format.write_array_header_1_0(file, header)
-    with pytest.raises(OgmError, match=r"huge\.npy has 0 bytes after its header"):
+    with pytest.raises(OgmError, match=r"huge\.npy holds an array of float32 and shape"):
         read_grid(tmp_path / "huge.npy", AREA)
     wide = struct.pack(">IIBBBBB", 40_000, 60_000, 8, 2, 0, 0, 0)
     chunk = struct.pack(">I", len(wide)) + b"IHDR" + wide + struct.pack(">I", zlib.crc32(b"IHDR" + wide))
