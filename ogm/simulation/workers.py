@@ -284,8 +284,8 @@ def _interrupt_delayed() -> Iterator[None]:
     try:
         yield
     except Exception:
-        if not received:  # else a worker that the same signal ended is why
-            raise
+        if not received and not signal.sigpending().intersection(handled):
+            raise  # else a worker that the same signal ended is why
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in before.items():

@@ -150,7 +150,8 @@ def test_a_grid_takes_three_times_its_size_at_most(suffix, tmp_path):
     read_grid(path, area)
     grid, peak = peak_of(lambda: read_grid(path, area))
     assert grid.mass.shape == mass.shape
-    assert peak <= 3 * mass.nbytes + SLACK, f"{peak / mass.nbytes:.2f} times"
+    slack = 2 * SLACK if suffix == ".zarr" else SLACK  # chunks that its threads hold
+    assert peak <= 3 * mass.nbytes + slack, f"{peak / mass.nbytes:.2f} times"
 
 
 @pytest.mark.parametrize("kind", ["dynamic", "layered"])

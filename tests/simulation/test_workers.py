@@ -243,7 +243,7 @@ def test_an_interrupt_ends_busy_workers_at_once(
 
 def test_a_worker_that_ends_by_the_same_signal_is_no_error() -> None:
     def fail() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)  # to this thread, which has it blocked
         raise RuntimeError("Nanny failed to start.")
 
     with pytest.raises(KeyboardInterrupt), workers._interrupt_delayed():
