@@ -216,7 +216,7 @@ def _whole_pictures(out: Path) -> None:
 def contents(folder: Path) -> dict[str, bytes]:
     """Return all files below a folder without what tells times: speeds in log.csv, stamps of libraries."""
     found = {str(path.relative_to(folder)): path for path in folder.rglob("*") if path.is_file()}
-    return {name: _timeless(name, path) for name, path in found.items()}
+    return {name: _timeless(name, path) for name, path in found.items() if ".ogm-" not in name}  # no temporary ones
 
 
 def _timeless(name: str, path: Path) -> bytes:
