@@ -135,7 +135,7 @@ def main() -> None:
     out = run.ROOT / "runs" / given.out.name if given.quick else given.out
 
     record: dict[str, Any] = {"environment": run.environment(), "validation": {}, "real": {}}
-    record["parameters"] = {key: [one and one._asdict() for one in value] for key, value in COMBINATION.items()}
+    record["parameters"] = {key: [one._asdict() for one in value] for key, value in COMBINATION.items()}
     for words in given.data:
         path, _, drives = words.rpartition("=")
         dataset = open_dataset(path, split="validation")

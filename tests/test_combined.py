@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm import evidence
-from ogm.combined import CombinedISM, FreeGate
+from ogm.combined import CombinedISM, FreeGate, StateReliability
 from ogm.evaluation.models import COMBINATION, load_model, model_factory
 from ogm.evidence import check_mass
 from ogm.evidence.kernels import RULES
@@ -237,3 +237,10 @@ def test_the_named_model_combines_ray_and_lite():
     parts = [model_factory(name, spec)(mount) for name in ("ray", "lite")]
     np.testing.assert_allclose(whole.mass, CombinedISM(parts, **COMBINATION)(scan).mass, atol=1e-5)
     EvidentialGrid(spec, whole.mass)
+
+
+def test_lite_alone_clears_no_cell_in_the_named_model():
+    """Its greatest mass of free, 10 / 12, is at most 1/2 where no ray supports it."""
+    network: StateReliability = COMBINATION["reliability"][1]
+    gate: FreeGate = COMBINATION["free_gates"][1]
+    assert 10 / 12 * network.free * gate.share <= 0.5 + 1e-9

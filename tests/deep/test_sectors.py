@@ -42,7 +42,7 @@ def test_the_combined_model_frees_nothing_behind_a_sector() -> None:
     x, y = np.broadcast_arrays(*SPEC.cell_centers)
     behind = distance(x, y, 0.0) > np.radians(90)
     assert (grid.free[behind] > 0.3).mean() <= 0.005
-    assert (grid.free[~behind] > 0.5).mean() > 0.2
+    assert (grid.free[~behind] > 0.5).mean() > 0.1  # the map is not empty
 
 
 def share_of_free_outside(scan: Scan, height: float, middle: float, width: float) -> float:

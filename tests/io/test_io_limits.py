@@ -31,7 +31,7 @@ from ogm.limits import MemoryLimits, current_limits, set_limits
 from ogm.simulation.exchange import read_label
 
 MB = 2**20
-SLACK = 30 * MB  # of the test: the bound of the readers has 100 MB, so that small arrays suffice here
+SLACK = 20 * MB  # of the test: the readers' bound has 100 MB, so that small arrays suffice here
 CLEAR, STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")
 
 
@@ -49,13 +49,20 @@ def resident(field: str) -> int:
 
 
 def peak_of(call: Callable[[], Any]) -> tuple[Any, int]:
-    """Return what a call returned, and how much more memory of the system it had at its peak [byte]."""
+    """Return what a call returned, and how much more memory of the system it had at its peak [byte].
+
+    The least of three calls: what the allocator gives back meanwhile, or another thread takes, is not the reader's.
+    """
     if not STATUS.exists() or not os.access(CLEAR, os.W_OK):
         pytest.skip("the peak of a process is known and reset on Linux alone")
-    CLEAR.write_text("5")  # the peak begins anew
-    before = resident("VmRSS")
-    result = call()
-    return result, resident("VmHWM") - before
+    peaks = []
+    for _ in range(3):
+        CLEAR.write_text("5")  # the peak begins anew
+        before = resident("VmRSS")
+        result = call()
+        peaks.append(resident("VmHWM") - before)
+        last, result = result, None  # the next call begins without it
+    return last, min(peaks)
 
 
 # ---- peaks
@@ -150,8 +157,7 @@ def test_a_grid_takes_three_times_its_size_at_most(suffix, tmp_path):
     read_grid(path, area)
     grid, peak = peak_of(lambda: read_grid(path, area))
     assert grid.mass.shape == mass.shape
-    slack = 2 * SLACK if suffix == ".zarr" else SLACK  # chunks that its threads hold
-    assert peak <= 3 * mass.nbytes + slack, f"{peak / mass.nbytes:.2f} times"
+    assert peak <= 3 * mass.nbytes + SLACK, f"{peak / mass.nbytes:.2f} times"
 
 
 @pytest.mark.parametrize("kind", ["dynamic", "layered"])
