@@ -34,7 +34,7 @@ class Ended(NamedTuple):
 
 
 MODULES = {  # what a command imports
-    "simulate": ("ogm.simulation.dataset", "ogm.simulation.exchange", "ogm.simulation.preview", "zarr", "distributed"),
+    "simulate": ("ogm.simulation.dataset", "ogm.simulation.exchange", "ogm.simulation.preview", "zarr"),
     "train": ("ogm.deep.training", "ogm.datasets", "zarr", "matplotlib.figure"),
     "evaluate": ("ogm.evaluation", "ogm.datasets", "zarr", "matplotlib.figure", "jinja2"),
     "fuse": ("ogm.cli.fuse_run", "ogm.evaluation.models", "ogm.geometric", "ogm.viewer", "mcap", "rosbags.rosbag1"),

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from ogm.files import naming
 from ogm.locks import locked
 from ogm.pose import inverse, pose, transform_points
 from ogm.scan import Boxes
@@ -151,7 +152,7 @@ def simulate(
     if folder.is_file():
         raise ValueError(f"{folder} is a file; give a new or empty folder")
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder):
+    with locked(folder), naming(folder):
         if not resume and Store.exists(folder):
             raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
         store = begin(folder, plan, beams, versions())

@@ -1,29 +1,27 @@
-"""Make the shards of data sets, which are independent of each other: in this process, or in many with Dask."""
+"""Make the shards of data sets, which are independent of each other: in this process, in many, or on a Dask cluster."""
 
 import errno
-import logging
-import multiprocessing.resource_tracker
 import os
 import shutil
-import signal
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ogm.files import temporary_folder
 from ogm.simulation.plan import DatasetPlan, moment
+from ogm.simulation.pool import Submit, cluster, processes
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
-SCHEDULER_TIMEOUT = 20.0  # [s]
-_SILENT = logging.CRITICAL + 1
+TRIES = 3  # times that workers are started before their deaths are an error
 
 SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
 
@@ -129,8 +127,8 @@ def make_shards(
         ``function(plan, split, index, threads)`` makes one sample with so many processor cores:
         `ogm.simulation.dataset.make_sample`.
     workers : int
-        1 works in this process, without Dask; more start processes on this machine (and a script that calls
-        this must guard its own code by ``if __name__ == "__main__":``).
+        1 works in this process; more start processes on this machine (and a script that calls this must guard its
+        own code by ``if __name__ == "__main__":``).
     scheduler : str, optional
         Address of a Dask scheduler to use instead, ``"tcp://host:port"``.
 
@@ -150,7 +148,7 @@ def make_shards(
             yield _estimate(work.measure(todo[0]), todo, 1, store)
             yield from map(work.make, todo)
         else:
-            yield from _with_dask(work, todo, store, workers, scheduler)
+            yield from _shared_out(work, todo, store, workers, scheduler)
 
 
 class _Work(NamedTuple):
@@ -199,111 +197,40 @@ def _estimate(measured: tuple[float, float], todo: list[Job], workers: int, stor
     seconds, size = measured[0], count * measured[1]
     left = shutil.disk_usage(store.path).free
     if size > left:
-        raise OSError(
-            f"{count} samples need about {size / 1e9:.2f} GB, {store.path} has {left / 1e9:.2f} GB left; "
-            "free some, or ask for fewer samples"
-        )
+        need = f"{count} samples need about {size / 1e6:,.1f} MB, {left / 1e6:,.1f} MB are left"
+        raise OSError(errno.ENOSPC, f"{need}; free some, or ask for fewer samples", str(store.path))
     return Estimate(count, count * seconds / workers, size, seconds, workers)
 
 
-def _with_dask(
+def _shared_out(
     work: _Work, todo: list[Job], store: Store, workers: int, scheduler: str | None
 ) -> Generator[Estimate | Made, None, None]:
-    """Hand the shards out, a few more than there are workers at a time, so that towns come one by one."""
-    from distributed import as_completed
-
-    with _client(workers, scheduler) as client:
-        count = len(client.ncores())
-        if not count:
-            raise OSError(f"the scheduler {scheduler} has no workers; start some with `dask worker {scheduler}`")
-        yield _estimate(client.submit(work.measure, todo[0], pure=False).result(), todo, count, store)
-        ahead, later = todo[: 2 * count], iter(todo[2 * count :])
-        running = as_completed((client.submit(work.make, job, pure=False) for job in ahead), loop=client.loop)
-        for future in running:
-            yield future.result()
-            future.release()
-            for job in later:
-                running.add(client.submit(work.make, job, pure=False))
-                break
-
-
-@contextmanager
-def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
-    """Connect to a scheduler, or start workers on this machine; silent, and closed when the block is left."""
-    try:
-        import dask
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise ImportError(
-            f'several workers need Dask, which is missing ({error}): pip install "ogm-toolkit[sim]"'
-        ) from error
-    if scheduler is not None:
-        with Client(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:
-            yield client
-        return
-    environment = {"OMP_NUM_THREADS": 1, "MALLOC_TRIM_THRESHOLD_": 65536}
-    with ExitStack() as stack:
-        stack.enter_context(_silenced("distributed"))
-        stack.enter_context(dask.config.set({"distributed.nanny.pre-spawn-environ": environment}))
-        with _interrupt_delayed():
-            quiet = {"dashboard_address": ":0", "silence_logs": _SILENT}
-            cluster = LocalCluster(n_workers=workers, threads_per_worker=1, memory_limit=0, **quiet)
-            stack.enter_context(cluster)
-            client = stack.enter_context(Client(cluster, set_as_default=False))
+    """Hand the shards out; when a worker dies, start workers anew for the shards that are not made."""
+    estimated, made = False, set()
+    for again in reversed(range(TRIES)):
         try:
-            yield client
-        except BaseException:
-            _kill_workers(cluster)
-            raise
+            with cluster(scheduler) if scheduler else processes(workers) as (submit, count):
+                if not estimated:
+                    yield _estimate(submit(work.measure, todo[0]).result(), todo, count, store)
+                    estimated = True
+                for one in _in_order(submit, work.make, [job for job in todo if job not in made], 2 * count):
+                    made.add(one.job)
+                    yield one
+            return
+        except BrokenExecutor:
+            if not again:
+                raise
 
 
-def _kill_workers(cluster: Any) -> None:
-    """End the workers at once: asked to, they finish their sample first. What they have begun is made again."""
-    for nanny in cluster.workers.values():
-        nanny.close_gracefully()  # does not start the worker again
-        with suppress(ProcessLookupError):
-            if nanny.pid:
-                os.kill(nanny.pid, signal.SIGKILL)
-
-
-@contextmanager
-def _interrupt_delayed() -> Iterator[None]:
-    """Let SIGINT and SIGTERM take effect when the block is left; processes that are started inside ignore SIGINT.
-
-    Blocking the signals in this thread alone would not do: another one, such as that of a progress display, may
-    receive them, and then Python raises KeyboardInterrupt here all the same, in the middle of starting processes.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    multiprocessing.resource_tracker.ensure_running()  # else it is started inside, and unblocks the signal then
-    received: list[int] = []
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # is inherited by processes
-    handled = [number for number in (signal.SIGINT, signal.SIGTERM) if callable(signal.getsignal(number))]
-    before = {number: signal.signal(number, lambda got, _: received.append(got)) for number in handled}
-    try:
-        yield
-    except Exception:
-        if not received and not signal.sigpending().intersection(handled):
-            raise  # else a worker that the same signal ended is why
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    if received:
-        signal.raise_signal(received[0])
-
-
-@contextmanager
-def _silenced(name: str) -> Iterator[None]:
-    """Silence a logger and those below it."""
-    log = logging.getLogger(name)
-    before = log.handlers, log.propagate
-    log.handlers, log.propagate = [logging.NullHandler()], False
-    try:
-        yield
-    finally:
-        log.handlers, log.propagate = before
+def _in_order(submit: Submit, make: Callable[[Job], Made], todo: list[Job], ahead: int) -> Iterator[Made]:
+    """Yield shards as they are made, a few handed out at a time, so that towns come one by one."""
+    later, running = iter(todo), set[Future[Made]]()
+    while True:
+        running |= {submit(make, job) for job, _ in zip(later, range(ahead - len(running)), strict=False)}
+        if not running:
+            return
+        done, running = wait(running, return_when=FIRST_COMPLETED)
+        yield from [one.result() for one in done]
 
 
 @contextmanager
@@ -313,9 +240,11 @@ def _explained(store: Store) -> Iterator[None]:
         yield
     except Exception as error:
         number = getattr(error, "errno", None)
+        if getattr(error, "filename", None) == str(store.path):  # it says so already
+            raise
         if number in (errno.ENOSPC, errno.EDQUOT):
             what, way = "the disk is full", "free some of it"
-        elif type(error).__name__ in ("KilledWorker", "CommClosedError", "CancelledError"):
+        elif type(error).__name__ in ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError"):
             what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
         else:
             raise

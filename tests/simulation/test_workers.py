@@ -11,11 +11,12 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
-import cloudpickle
 import pytest
+from stand_in import stand_in
 
-from ogm.simulation import workers
+from ogm.simulation import pool, workers
 from ogm.simulation.plan import DatasetPlan, LidarMount
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
@@ -97,7 +98,7 @@ def test_another_plan_is_refused(tmp_path: Path, beams: tuple[Beams, ...], make_
 KILLED = """
 import sys, time
 sys.path.insert(0, {tests!r})
-from conftest import SMALL, TALL, stand_in
+from stand_in import SMALL, TALL, stand_in
 from test_workers import PLAN
 from ogm.simulation.workers import begin, make_shards
 from ogm.simulation import store
@@ -181,70 +182,136 @@ def test_other_versions_that_go_on_are_named(
 def test_an_unreachable_scheduler_is_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "SCHEDULER_TIMEOUT", 0.5)
+    monkeypatch.setattr(pool, "SCHEDULER_TIMEOUT", 0.5)
     store = begin(tmp_path / "data", PLAN, beams, {})
     with pytest.raises(OSError, match="tcp://127.0.0.1:9"):
         next(make_shards(store, PLAN, make_sample, workers=1, scheduler="tcp://127.0.0.1:9"))
 
 
+class DiesOnce(NamedTuple):
+    """Makes samples; at some of them, once each, its process is killed."""
+
+    folder: Path
+    indices: tuple[int, ...]
+
+    def __call__(self, plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
+        if split == "training" and index in self.indices:
+            try:
+                (self.folder / str(index)).touch(exist_ok=False)
+            except FileExistsError:
+                pass
+            else:
+                os.kill(os.getpid(), signal.SIGKILL)
+        return stand_in(plan, split, index, threads)
+
+
 def test_two_workers_make_the_same_bytes_though_one_dies(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, whole: dict[str, bytes]
+    tmp_path: Path, beams: tuple[Beams, ...], whole: dict[str, bytes]
 ) -> None:
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    cloudpickle.register_pickle_by_value(sys.modules[make_sample.__module__])
     died = tmp_path / "died"
     died.mkdir()
-
-    def dies_once(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
-        for name in ("0", "14"):  # while the first sample is measured, and in the middle
-            if (split, index) == ("training", int(name)):
-                try:
-                    (died / name).touch(exist_ok=False)
-                except FileExistsError:
-                    pass
-                else:
-                    os.kill(os.getpid(), signal.SIGKILL)
-        return make_sample(plan, split, index, threads)
-
     store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    dies_once = DiesOnce(died, (0, 14))  # while the first sample is measured, and in the middle
     events = list(make_shards(store, PLAN, dies_once, workers=2))
     assert {file.name for file in died.iterdir()} == {"0", "14"}
     assert isinstance(events[0], Estimate)
     assert events[0].workers == 2
+    assert sum(one.job.samples for one in events[1:]) == 28
     assert contents(tmp_path / "data") == whole
 
 
-def test_an_interrupt_ends_busy_workers_at_once(
-    tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction
-) -> None:
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
-    begun = tmp_path / "begun"
+def test_workers_that_die_again_and_again_are_an_error(tmp_path: Path, beams: tuple[Beams, ...]) -> None:
+    died = tmp_path / "died"
+    died.mkdir()
+    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    with pytest.raises(OSError, match=r"workers died .*: use fewer --workers, then `ogm simulate .*--resume`"):
+        list(make_shards(store, PLAN, DiesOnce(died, (0, 14, 15)), workers=2))
 
-    def sleeps(plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
-        begun.touch()
+
+class Sleeps(NamedTuple):
+    """Says that it has begun, and sleeps."""
+
+    begun: Path
+
+    def __call__(self, plan: DatasetPlan, split: str, index: int, threads: int) -> SimulatedSample:
+        self.begun.write_text(str(os.getpid()))
         time.sleep(600)
         raise AssertionError
 
-    sent = []
+
+def wait_for(path: Path) -> None:
+    while not (path.exists() and path.read_text()):
+        time.sleep(0.02)
+
+
+def test_an_interrupt_ends_busy_workers_at_once(tmp_path: Path, beams: tuple[Beams, ...]) -> None:
+    begun, sent = tmp_path / "begun", []
 
     def interrupt() -> None:
-        while not begun.exists():
-            time.sleep(0.05)
+        wait_for(begun)
         sent.append(time.monotonic())
         os.kill(os.getpid(), signal.SIGINT)
 
     store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
     threading.Thread(target=interrupt, daemon=True).start()
     with pytest.raises(KeyboardInterrupt):
-        list(make_shards(store, PLAN, sleeps, workers=2))
+        list(make_shards(store, PLAN, Sleeps(begun), workers=2))
     assert time.monotonic() - sent[0] < 60  # asked to end, they would sleep on
     assert not multiprocessing.active_children()
 
 
-def test_a_worker_that_ends_by_the_same_signal_is_no_error() -> None:
-    def fail() -> None:
-        signal.raise_signal(signal.SIGINT)  # to this thread, which has it blocked
-        raise RuntimeError("Nanny failed to start.")
+def test_an_interrupt_ends_workers_that_are_starting(
+    tmp_path: Path, beams: tuple[Beams, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pool, "_end_with_parent", SleepsFirst(tmp_path / "starting"))
+    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    sent = []
 
-    with pytest.raises(KeyboardInterrupt), workers._interrupt_delayed():
-        fail()
+    def interrupt() -> None:
+        wait_for(tmp_path / "starting")
+        sent.append(time.monotonic())
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        list(make_shards(store, PLAN, stand_in, workers=2))
+    assert time.monotonic() - sent[0] < 60
+    assert not multiprocessing.active_children()
+
+
+class SleepsFirst(NamedTuple):
+    """The start of a worker that takes long."""
+
+    begun: Path
+
+    def __call__(self) -> None:
+        self.begun.write_text(str(os.getpid()))
+        time.sleep(600)
+
+
+LEADER = """
+import sys
+sys.path.insert(0, {tests!r})
+from pathlib import Path
+from stand_in import SMALL, TALL
+from test_workers import PLAN, Sleeps
+from ogm.simulation.workers import begin, make_shards
+
+if __name__ == "__main__":
+    data = begin({path!r}, PLAN, (SMALL, TALL), {{"ogm": "0"}})
+    list(make_shards(data, PLAN, Sleeps(Path({begun!r})), workers=2))
+"""
+
+
+def test_workers_end_when_their_leader_is_killed(tmp_path: Path) -> None:
+    begun = tmp_path / "begun"
+    tests = str(Path(__file__).parent)
+    (tmp_path / "leader.py").write_text(LEADER.format(tests=tests, path=str(tmp_path / "data"), begun=str(begun)))
+    with subprocess.Popen([sys.executable, tmp_path / "leader.py"]) as leader:
+        wait_for(begun)
+        leader.kill()
+    worker = Path("/proc", begun.read_text())
+    end = time.monotonic() + 60
+    while worker.exists() and worker.joinpath("stat").read_text().rpartition(")")[2].split()[0] != "Z":
+        assert time.monotonic() < end
+        time.sleep(0.05)
