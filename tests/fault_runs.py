@@ -1,6 +1,7 @@
 """Processes of `tests/faults.py`: commands in sessions of their own, forked from this process or started anew."""
 
 import atexit
+import faulthandler
 import importlib
 import os
 import shutil
@@ -96,6 +97,18 @@ class Run:
             time.sleep(0.005)
         return None
 
+    def stacks(self) -> str:
+        """Return where the main thread of a forked run is."""
+        if self._child or self._status is not None:
+            return ""
+        before = self.errors.stat().st_size
+        os.kill(self.pid, signal.SIGUSR1)
+        time.sleep(0.5)
+        with open(self.errors, errors="replace") as errors:
+            errors.seek(before)
+            lines = errors.read().partition("Current thread")[2].splitlines()[1:]
+        return " < ".join(" ".join(line.split()[1:]) for line in lines[:12])
+
     def kill(self) -> None:
         """End whatever is left of the session."""
         for pid in living(self.pid):
@@ -185,7 +198,8 @@ def fork(work: Callable[[], int], folder: Path, errors: Path) -> int:
         os.setsid()
         os.chdir(folder)
         for number, path in ((0, os.devnull), (1, os.devnull), (2, errors)):
-            os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC), number)
+            os.dup2(os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND), number)
+        faulthandler.register(signal.SIGUSR1, file=2)
         status = work()
         threading._shutdown()  # type: ignore[attr-defined]
         atexit._run_exitfuncs()

@@ -83,16 +83,18 @@ def stop(one: Command, row: Row, number: signal.Signals, rng: random.Random, col
     if early is None:
         row.stopped += 1
         (os.killpg if group else os.kill)(run.pid, number) if gone_to(run.pid, group) else None
-    ended = early or run.wait(60)
+    ended = early or run.wait(WITHIN)
+    where = "" if ended else run.stacks()
+    ended = ended or run.wait(60)
     wrong: list[str] = []
     if ended is None:
-        wrong.append("does not end within 60 s")
+        wrong.append(f"does not end within 60 s: {where}")
     else:
         seconds = time.monotonic() - sent if early is None else 0.0
         if number != signal.SIGKILL:
             row.slowest = max(row.slowest, seconds)
             if seconds > WITHIN:
-                wrong.append(f"ended after {seconds:.1f} s")
+                wrong.append(f"ended after {seconds:.1f} s: {where}")
         wrong += check_end(case, ended, number)
     stays = not gone(run.pid, ORPHANS if number == signal.SIGKILL else 1.0)
     temporary = left_behind(folder) if number != signal.SIGKILL else []
@@ -203,6 +205,7 @@ def main() -> int:
     parser.add_argument("--disk", action=argparse.BooleanOptionalAction, default=True, help="fill the disk, too")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # shells start what is in the background without it
     rows: dict[str, dict] = {}
     folder = Path(tempfile.mkdtemp(prefix="faults-"))  # forked commands would remove a TemporaryDirectory
     for command, found in chosen_cases(options.commands):

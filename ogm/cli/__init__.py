@@ -1,7 +1,9 @@
 """The command line ``ogm``: its packages load with the first use of `app` or `main`, where an interrupt is noticed."""
 
+import os
 import signal
 import sys
+from contextlib import suppress
 from typing import Any
 
 from ogm.cli.interrupts import received, watch_signals
@@ -12,6 +14,7 @@ __all__ = ["app", "main"]
 def main() -> None:
     """Run the command line. SIGINT and SIGTERM end it with the status 130 and 143."""
     code: Any = 0
+    early = False  # interrupted outside of a command
     try:
         watch_signals()
         import logging
@@ -24,20 +27,25 @@ def main() -> None:
         logging.basicConfig(level=logging.WARNING, handlers=[handler])
         app()
     except KeyboardInterrupt:  # before a command began, while packages load
-        print("ogm: interrupted; nothing was written", file=sys.stderr)
-        code = 130
+        early = True
     except SystemExit as end:
         code = end.code
-        if isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt):  # typer's, outside of a command
-            print("ogm: interrupted; nothing was written", file=sys.stderr)
+        early = isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt)  # made so by typer
     except Exception:  # an import can make an error of its own of an interrupt
         if not received:
             raise
-        print("ogm: interrupted; nothing was written", file=sys.stderr)
-        code = 130
+        early = True
     for number in (signal.SIGINT, signal.SIGTERM):  # all is done
         signal.signal(number, signal.SIG_DFL)
-    sys.exit(128 + received[0] if received and code else code)
+    if early:
+        print("ogm: interrupted; nothing was written", file=sys.stderr)
+        code = code or 130
+    if received and code:
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(128 + received[0])  # at once: exit functions of libraries wait for their threads, or fail
+    sys.exit(code)
 
 
 def __getattr__(name: str) -> Any:
