@@ -6,6 +6,7 @@ import os
 import re
 import secrets
 import shutil
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import IO
 
 from ogm.locks import locked, sweep, try_lock
 
-__all__ = ["OF_DISK", "OgmError", "atomic_write", "naming", "temporary_folder", "update_hint"]
+__all__ = ["OF_DISK", "OgmError", "atomic_write", "finish_zarr", "naming", "temporary_folder", "update_hint"]
 
 OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # errors of a full or broken disk
 _PREFIX = ".ogm-"
@@ -76,7 +77,22 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
                 stack.enter_context(locked(folder))
                 if folder.exists():
                     break
+        stack.callback(finish_zarr)
         yield folder
+
+
+def finish_zarr() -> None:
+    """Wait until Zarr has written what it began: it writes in threads of its own, which an interrupt does not stop."""
+    zarr = sys.modules.get("zarr.core.sync")
+    if zarr is None or zarr.loop[0] is None:
+        return
+    import asyncio
+
+    async def others() -> None:
+        if tasks := asyncio.all_tasks() - {asyncio.current_task()}:
+            await asyncio.wait(tasks)
+
+    zarr.sync(others())
 
 
 @contextmanager

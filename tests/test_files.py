@@ -1,5 +1,6 @@
 """Files are whole or not there, also after a kill; errors name what the user gave; nothing steers a terminal."""
 
+import asyncio
 import errno
 import logging
 import os
@@ -15,7 +16,7 @@ from typer.testing import CliRunner
 import ogm.files
 from ogm.cli import app, console
 from ogm.cli.console import SafeFormatter, printable, report_errors
-from ogm.files import atomic_write
+from ogm.files import atomic_write, finish_zarr
 from ogm.io.grids.paths import whole_path
 
 ESCAPE = "a\x1b[31m\x07\u202eb\x9bc"
@@ -156,3 +157,16 @@ def test_an_interrupt_while_packages_load_is_one_line(tmp_path):
     words = [sys.executable, "-m", "ogm.cli", "info"]
     done = subprocess.run(words, env=os.environ | {"PYTHONPATH": paths}, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "ogm: interrupted; nothing was written\n")
+
+
+def test_what_zarr_writes_in_threads_of_its_own_is_waited_for(tmp_path: Path) -> None:
+    sync = pytest.importorskip("zarr.core.sync")
+    sync.sync(asyncio.sleep(0))  # its loop runs from now on
+
+    async def slow() -> None:
+        await asyncio.sleep(0.3)
+        (tmp_path / "written").touch()
+
+    asyncio.run_coroutine_threadsafe(slow(), sync.loop[0])
+    finish_zarr()
+    assert (tmp_path / "written").exists()

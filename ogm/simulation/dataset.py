@@ -29,7 +29,7 @@ from ogm.simulation.recipe import RECIPES, Country, DataRecipe
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of, hd_directions
 from ogm.simulation.store import Store
-from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, workers_that_fit
+from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, swept, workers_that_fit
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
@@ -152,21 +152,16 @@ def simulate(
     if folder.is_file():
         raise ValueError(f"{folder} is a file; give a new or empty folder")
     folder.mkdir(parents=True, exist_ok=True)
-    with locked(folder), naming(folder):
+    with locked(folder), naming(folder), swept(folder, alone=scheduler is None):
         if not resume and Store.exists(folder):
             raise ValueError(f"{folder} holds a data set already; go on with it (resume), or give a new folder")
         store = begin(folder, plan, beams, versions())
         if store.versions != versions():
             _log.warning("the data set was begun with other versions of libraries; new samples may differ in detail")
         plan = DatasetPlan.from_dict(store.plan)
-        try:
-            with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
-                for event in events:
-                    progress(event)
-        except BaseException:
-            if scheduler is None:  # else others may still be writing
-                store.sweep()
-            raise
+        with closing(make_shards(store, plan, make_sample, workers=count, scheduler=scheduler)) as events:
+            for event in events:
+                progress(event)
         return store
 
 

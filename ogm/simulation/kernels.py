@@ -99,8 +99,8 @@ def aim(origins, directions, rotation):
 
 
 @kernel
-def keep_nearer(hits, index, rays, base, answer):
-    """Where an answer is nearer than the hit so far, take it.
+def keep_nearer(hits, index, rays, base, answer, normals):
+    """Where an answer is nearer than the hit so far, take it, and its normal where `normals` (N, 3) are wanted.
 
     Answer i belongs to ray `index[i]` of `hits` and to `rays[i]`, which starts `base[i]` [m] from the sensor.
     """
@@ -113,6 +113,9 @@ def keep_nearer(hits, index, rays, base, answer):
             hits.material[k] = answer.materials[answer.primitive[i]]
             hits.object[k] = answer.things[answer.primitive[i]]
             hits.cosine[k] = abs(rays[i, 3] * normal[0] + rays[i, 4] * normal[1] + rays[i, 5] * normal[2])
+            if len(normals):
+                for c in range(3):
+                    normals[k, c] = normal[c]
 
 
 @kernel

@@ -19,6 +19,7 @@ STATIC, EGO = -1, -2  # `Hits.object` of what stands still (or of no hit), and o
 NOTHING = 255  # `Hits.material` where a ray hits nothing
 BATCH = 2**17  # rays per call of Open3D: its answers then stay in the processor's cache
 PASSES = 3  # panes of glass that a ray goes through at most
+_NONE = np.empty((0, 3), np.float32)
 SKIN = np.float32(1e-3)  # [m] a ray goes on this far behind the glass it has passed
 
 
@@ -60,7 +61,15 @@ class Scene:
         things = np.repeat(numbers, [len(part.triangles) for part in parts])
         self._moving = _Shape(merge(parts), things, self.threads)
 
-    def cast(self, origin: ArrayLike, directions: NDArray[np.float32], *, salt: int = 0, number: int = 0) -> Hits:
+    def cast(
+        self,
+        origin: ArrayLike,
+        directions: NDArray[np.float32],
+        *,
+        salt: int = 0,
+        number: int = 0,
+        normals: NDArray[np.float32] | None = None,
+    ) -> Hits:
         """Find what rays hit first.
 
         Glass lets a share of the rays through, three panes at most: which ones, depends on `salt`, the ray's
@@ -77,6 +86,8 @@ class Scene:
             Changes which rays pass through glass, for instance from frame to frame; 0 or more.
         number : int
             Of the first ray, where one set of rays is cast in several calls.
+        normals : (N, 3) float32, optional
+            Gets the unit normals of the triangles that are hit, of either side.
 
         Raises
         ------
@@ -92,24 +103,25 @@ class Scene:
             stop = min(start + BATCH, count)
             places = origins if len(origins) == 1 else origins[start:stop]
             rays = kernels.aim(places, directions[start:stop], rotation)
-            self._cast_batch(rays, hits.part(start, stop), salt, number + start)
+            wanted = _NONE if normals is None else normals[start:stop]
+            self._cast_batch(rays, hits.part(start, stop), wanted, salt, number + start)
         return hits
 
-    def _cast_batch(self, rays: NDArray[np.float32], hits: Hits, salt: int, number: int) -> None:
+    def _cast_batch(self, rays: NDArray[np.float32], hits: Hits, normals: NDArray, salt: int, number: int) -> None:
         """Find what rays hit, and cast those again that glass lets through; `number` is that of the first ray."""
         hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
-        self._keep_nearest(hits, index, rays, np.zeros(len(rays), np.float32))
+        self._keep_nearest(hits, normals, index, rays, np.zeros(len(rays), np.float32))
         for turn in range(PASSES):
             index = kernels.transmitted(hits.material, self._transmission, number, PASSES * salt + turn, index)
             if not len(index):
                 return
-            self._keep_nearest(hits, index, *kernels.restart(hits, index, rays, SKIN))
+            self._keep_nearest(hits, normals, index, *kernels.restart(hits, index, rays, SKIN))
 
-    def _keep_nearest(self, hits: Hits, index: NDArray, rays: NDArray, base: NDArray) -> None:
+    def _keep_nearest(self, hits: Hits, normals: NDArray, index: NDArray, rays: NDArray, base: NDArray) -> None:
         for shape in (self._static, self._moving):
             if not shape.empty:
-                kernels.keep_nearer(hits, index, rays, base, shape.cast(rays))
+                kernels.keep_nearer(hits, index, rays, base, shape.cast(rays), normals)
 
 
 class _Shape:

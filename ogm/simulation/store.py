@@ -28,7 +28,6 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
-from ogm.locks import sweep
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import (
     CHECKED,
@@ -246,12 +245,6 @@ class Store:
         if self.format != GAPS:
             raise ValueError(f"{self.path} has the format {self.format}, which keeps no beams that were not measured")
         return np.where(sample.measured, sample.steps, np.uint16(UNMEASURED))
-
-    def sweep(self) -> None:
-        """Remove what a killed writer left behind. No process may be writing."""
-        for path in [*self.path.rglob("*.partial")]:
-            path.unlink(missing_ok=True)
-        sweep(self.path)
 
     def describe(self) -> dict[str, str]:
         """Return what the data set holds, as names and values to print."""

@@ -14,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ogm.files import temporary_folder
+from ogm.files import finish_zarr, temporary_folder
+from ogm.locks import sweep
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.pool import Submit, cluster, processes
 from ogm.simulation.sample import Beams, SimulatedSample
@@ -70,8 +71,27 @@ def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams
         made_by = {name: [*before.versions.get(name, one).split(", "), one] for name, one in versions.items()}
         versions = {name: ", ".join(dict.fromkeys(several)) for name, several in made_by.items()}
     store = Store.create(path, asdict(plan), plan.counts, beams, versions)
-    store.sweep()
+    _sweep(path)
     return store
+
+
+@contextmanager
+def swept(folder: Path, *, alone: bool) -> Iterator[None]:
+    """After an error or an interrupt, leave no temporary file in a data set; with `alone` no one else is writing."""
+    try:
+        yield
+    except BaseException:
+        finish_zarr()
+        if alone and (folder / "zarr.json").exists():
+            _sweep(folder)
+        raise
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what a killed writer left behind. No process may be writing."""
+    for path in [*folder.rglob("*.partial")]:
+        path.unlink(missing_ok=True)
+    sweep(folder)
 
 
 def missing_shards(store: Store) -> list[Job]:

@@ -277,10 +277,11 @@ def test_attributes_with_nonsense_are_reported(store: Store, nonsense: dict) -> 
         Store.open(store.path)["training"][1]
 
 
-def test_what_a_killed_writer_left_is_swept(store: Store) -> None:
+def test_an_interrupt_leaves_no_temporary_file(store: Store) -> None:
     left = store.path / "training" / "truth" / "c" / "0" / "0" / "0.abc.partial"
     left.write_bytes(b"half")
-    store.sweep()
+    with pytest.raises(KeyboardInterrupt), swept(store.path, alone=True):
+        raise KeyboardInterrupt
     assert not left.exists()
     assert store["training"].finished.tolist() == list(range(13))
 

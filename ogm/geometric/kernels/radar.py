@@ -1,0 +1,75 @@
+"""Cells that a radar clears and marks."""
+
+# mypy: allow-untyped-defs
+import math
+
+import numpy as np
+
+from ogm.jit import kernel
+
+__all__ = ["clear_cells", "mark_ellipses"]
+
+REACH = 3.0  # standard deviations up to which an ellipse marks
+
+
+@kernel
+def clear_cells(sector, distance, until, table, free):
+    """Write the mass of free.
+
+    Parameters
+    ----------
+    sector, distance : (nx, ny) int32, float32
+        Of each cell; sector -1 is not seen.
+    until : (sectors,) float32
+        Range up to which a sector is cleared [m].
+    table : (metres,) float32
+        Mass by range.
+    free : (nx, ny) float32
+        0 before.
+    """
+    for i in range(sector.shape[0]):
+        for j in range(sector.shape[1]):
+            s = sector[i, j]
+            if s >= 0 and distance[i, j] < until[s]:
+                free[i, j] = table[int(distance[i, j])]
+
+
+@kernel
+def mark_ellipses(rows, place, free, ego, mass):
+    """Write masses: occupied from all ellipses as independent sources, free where that leaves room.
+
+    Parameters
+    ----------
+    rows : (N, 6) float64
+        Of each detection: x, y, cosine and sine of its bearing, standard deviation across the beam [m], greatest mass.
+    place : (4,) float64
+        Origin and resolution of the grid, standard deviation along the beam [m].
+    free : (nx, ny) float32
+    ego : (nx, ny) bool
+        Cells that stay unknown.
+    mass : (nx, ny, 2) float32
+        0 before.
+    """
+    x0, y0, cell, along = place
+    nx, ny = free.shape
+    for n in range(len(rows)):
+        x, y, c, s, across, peak = rows[n]
+        wide = REACH * math.sqrt((c * along) ** 2 + (s * across) ** 2) + cell
+        high = REACH * math.sqrt((s * along) ** 2 + (c * across) ** 2) + cell
+        first, last = max(int((x - wide - x0) / cell), 0), min(int((x + wide - x0) / cell) + 1, nx)
+        low, top = max(int((y - high - y0) / cell), 0), min(int((y + high - y0) / cell) + 1, ny)
+        for i in range(first, last):
+            dx = x0 + (i + 0.5) * cell - x
+            for j in range(low, top):
+                dy = y0 + (j + 0.5) * cell - y
+                a, b = (c * dx + s * dy) / along, (c * dy - s * dx) / across
+                squared = a * a + b * b
+                if squared < REACH * REACH:
+                    m = np.float32(peak * math.exp(-0.5 * squared))
+                    mass[i, j, 1] += (1 - mass[i, j, 1]) * m
+    for i in range(nx):
+        for j in range(ny):
+            if ego[i, j]:
+                mass[i, j, 1] = 0
+            else:
+                mass[i, j, 0] = free[i, j] * (1 - mass[i, j, 1])

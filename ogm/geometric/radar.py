@@ -1,0 +1,278 @@
+"""A radar's detections as evidence: ellipses that mark, sectors that clear up to the first of them."""
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.geometric.inputs import check_sensor_in_grid, check_within
+from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.jit import log_compilation
+from ogm.pose import rotate
+from ogm.scan import Mount, Scan, as_scan
+
+__all__ = ["RadarISM", "moving_detections", "sensor_velocity"]
+
+PAIRS = 128  # of detections that a velocity is guessed from
+LEAST = 5  # detections that a velocity is estimated from
+REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is
+FALSE_ALARM = 1e-4  # probability per bin that sets a radar's threshold
+
+
+@dataclass(frozen=True, eq=False)
+class RadarISM:
+    """A geometric inverse sensor model of a radar with Doppler.
+
+    **Marking.** A detection that stands still marks the ellipse of its errors, `range_noise` along the beam and
+    r * `azimuth_noise` across it: occupied is ``hit_mass * min(1, extent / (2 pi s_r s_t)) * exp(-d**2 / 2)`` at a
+    distance of d standard deviations, for a thing of area `extent` somewhere in the ellipse. Behind another detection
+    in the same direction it counts `behind` as much: there are ghosts, by way of mirrors. Several count as independent
+    sources, 1 - prod(1 - m).
+
+    **Clearing.** Only up to the first detection in a direction, moving ones included: free is
+    ``free_mass * P_D(r)`` with the detection probability of a Swerling 1 target, ``P_D = P_FA**(1 / (1 + SNR))`` and
+    SNR falling with the fourth power of the range. Directions without any detection stay unknown: that nothing was
+    detected can also mean that what is there reflects away.
+
+    **Moving** detections, whose Doppler differs from that of a standing world (`moving_detections`), are left out of
+    the static map, so that no trail stays behind; with `keep_moving` they mark, too.
+
+    Sources: the common core of Clarke 2012, Werber 2015 and Slutsky and Dobkin 2019, see docs/radar.md.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill, in the vehicle frame; must hold the sensor.
+    mount : Mount
+        Where the sensor is mounted; its x axis points to the middle of the field of view. Detections in the ego
+        footprint are dropped, its cells stay unknown.
+    half_width : float
+        Half the field of view in azimuth [rad].
+    range_noise, azimuth_noise, doppler_noise : float
+        Standard deviations [m, rad, m/s].
+    beam : float
+        Half the width of the sector that a detection clears [rad].
+    reach : float
+        Where a target that must not be missed has a signal-to-noise ratio of 13 dB [m].
+    free_mass, hit_mass : float
+        Greatest masses of one scan.
+    extent : float
+        Area of what is detected [m^2].
+    behind : float
+        Reliability of detections behind others.
+    margin : float
+        Clearing ends this far before a detection, and `range_noise` twice [m].
+    clearance : float
+        Detections higher above the ground do not mark [m]; radars without elevation report none.
+    keep_moving : bool
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the sensor lies outside the grid.
+    """
+
+    spec: GridSpec
+    mount: Mount
+    half_width: float = math.radians(60)
+    range_noise: float = 0.2
+    azimuth_noise: float = math.radians(0.5)
+    doppler_noise: float = 0.1
+    beam: float = math.radians(1.0)
+    reach: float = 60.0
+    free_mass: float = 0.7
+    hit_mass: float = 0.6
+    extent: float = 0.5
+    behind: float = 0.5
+    margin: float = 0.5
+    clearance: float = 3.0
+    keep_moving: bool = False
+
+    def __post_init__(self) -> None:
+        check_sensor_in_grid(self.spec, self.mount)
+        check_within("half_width", self.half_width, 0, math.pi + 1e-9)
+        for name, high in (("range_noise", 20), ("azimuth_noise", 0.5), ("doppler_noise", 20), ("beam", 0.5)):
+            check_within(name, getattr(self, name), 1e-4, high)
+        for name in ("free_mass", "hit_mass"):
+            check_within(name, getattr(self, name), 0, 1)
+        check_within("behind", self.behind, -1e-9, 1 + 1e-9)
+        for name in ("reach", "extent", "clearance"):
+            check_within(name, getattr(self, name), 0, 1e6)
+        check_within("margin", self.margin, -1e-9, 100)
+
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan.
+
+        Parameters
+        ----------
+        scan : Scan or (N, 4) float32
+            Uses x, y, z and `Scan.doppler`, against the sensor or over ground; without it, nothing is taken to move.
+            Detections with NaN or inf are dropped.
+
+        Returns
+        -------
+        EvidentialGrid
+            Vacuous for an empty scan.
+        """
+        log_compilation(clear_cells)
+        scan = as_scan(scan)
+        scan = scan.select(np.flatnonzero(np.isfinite(scan.points[:, :3]).all(axis=1)))
+        T = self.mount.T_vehicle_points
+        vehicle = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
+        x, y, z = vehicle
+        x0, x1, y0, y1 = self.mount.ego_footprint
+        outside = ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
+        moving = moving_detections(scan, self.doppler_noise, self.azimuth_noise, origin=self._origin_of_points)
+        dx, dy = x - self.mount.origin[0], y - self.mount.origin[1]
+        distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx)
+        outside &= distance > 1e-3
+
+        # first detection in each direction
+        layout = _layout(self.spec, self.mount, self.half_width, self.beam)
+        first = np.full(layout.sectors, np.inf)
+        middle = ((bearing - layout.start) / layout.step).astype(np.int64, copy=False) % layout.sectors
+        width = math.ceil(self.beam / layout.step - 1e-9)
+        for shift in range(-width, width + 1):
+            np.minimum.at(first, (middle[outside] + shift) % layout.sectors, distance[outside])
+        hidden = distance > first[middle] + 2 * self.range_noise + self.margin
+
+        free = np.zeros(self.spec.shape, np.float32)
+        until = (first - self.margin - 2 * self.range_noise).astype(np.float32)
+        until[~np.isfinite(first)] = 0
+        clear_cells(layout.sector, layout.distance, until, self._detection_table, free)
+
+        marks = outside & (z - self.mount.ground_point[2] <= self.clearance)
+        if not self.keep_moving:
+            marks &= ~moving
+        across = np.maximum(distance * self.azimuth_noise, 1e-3)
+        peak = self.hit_mass * np.minimum(1, self.extent / (2 * math.pi * self.range_noise * across))
+        peak = np.where(hidden, self.behind, 1.0) * peak
+        rows = np.stack([x, y, np.cos(bearing), np.sin(bearing), across, peak], axis=-1)[marks]
+        mass = np.zeros((*self.spec.shape, 2), np.float32)
+        place = np.array([*self.spec.origin, self.spec.resolution, self.range_noise])
+        mark_ellipses(rows, place, free, layout.ego, mass)
+        return EvidentialGrid.trusted(self.spec, mass)
+
+    @property
+    def _origin_of_points(self) -> NDArray[np.float64]:
+        """Where the sensor is in the frame of the points."""
+        return np.zeros(3) if self.mount.points_in == "sensor" else self.mount.origin
+
+    @property
+    def _detection_table(self) -> NDArray[np.float32]:
+        """Mass of free for every metre of range."""
+        return _free_table(self.free_mass, self.reach, math.ceil(_farthest(self.spec, self.mount)) + 2)
+
+
+class _Layout(NamedTuple):
+    """The grid as seen from the sensor: sector (-1 outside the field of view) and distance of each cell."""
+
+    sector: NDArray[np.int32]
+    distance: NDArray[np.float32]
+    ego: NDArray[np.bool_]
+    sectors: int
+    start: float
+    step: float
+
+
+def _farthest(spec: GridSpec, mount: Mount) -> float:
+    (x0, x1, y0, y1), (x, y, _) = spec.extent, mount.origin
+    return math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0))
+
+
+@lru_cache(maxsize=16)
+def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _Layout:
+    """Lay sectors over a grid; computed once for each mount."""
+    sectors = 4 * math.ceil(math.pi / beam)  # about two per half beam
+    step, start = 2 * math.pi / sectors, -math.pi
+    x, y = np.broadcast_arrays(*spec.cell_centers)
+    ahead = math.atan2(mount.T_vehicle_sensor[1, 0], mount.T_vehicle_sensor[0, 0])
+    bearing = np.arctan2(y - mount.origin[1], x - mount.origin[0])
+    off = np.abs(np.angle(np.exp(1j * (bearing - ahead))))
+    sector = ((bearing - start) / step).astype(np.int32) % sectors
+    x0, x1, y0, y1 = mount.ego_footprint
+    ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)
+    sector[(off > half_width) | ego] = -1
+    distance = np.hypot(x - mount.origin[0], y - mount.origin[1]).astype(np.float32)
+    return _Layout(np.ascontiguousarray(sector), distance, ego, sectors, start, step)
+
+
+@lru_cache(maxsize=16)
+def _free_table(free_mass: float, reach: float, metres: int) -> NDArray[np.float32]:
+    distance = np.maximum(np.arange(metres), 1.0)
+    return (free_mass * FALSE_ALARM ** (1 / (1 + REFERENCE_SNR * (reach / distance) ** 4))).astype(np.float32)
+
+
+def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.float64] | None:
+    """Estimate how a radar moves from the Doppler of what stands still.
+
+    Of a standing world, doppler = -v . u for the direction u of each detection. The velocity that most detections
+    agree with, of those that pairs of them give, is refined by least squares (Kellner et al., "Instantaneous
+    ego-motion estimation using Doppler radar", 2013). The pairs are the same every time.
+
+    Parameters
+    ----------
+    scan : Scan
+        In the sensor's frame, with `Scan.doppler` against the sensor.
+    doppler_noise : float
+        Standard deviation of the Doppler [m/s].
+
+    Returns
+    -------
+    (2,) float64 or None
+        Velocity over ground along the sensor's x and y axes [m/s]; None with fewer than 5 detections, without Doppler,
+        or where less than half of them agree.
+    """
+    return (
+        None if scan.doppler is None else _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise)
+    )
+
+
+def moving_detections(
+    scan: Scan, doppler_noise: float = 0.1, azimuth_noise: float = 0.01, *, origin: NDArray[np.float64] | None = None
+) -> NDArray[np.bool_]:
+    """Return which detections move: their Doppler differs by over 3 standard deviations from that of a standing world.
+
+    Parameters
+    ----------
+    scan : Scan
+        Without Doppler, or where `sensor_velocity` finds none, nothing is said to move.
+    doppler_noise, azimuth_noise : float
+        Standard deviations [m/s, rad].
+    origin : (3,) array, optional
+        Where the sensor is in the frame of the points; by default in its origin.
+    """
+    if scan.doppler is None:
+        return np.zeros(len(scan), np.bool_)
+    xy = scan.points[:, :2].astype(np.float64) - (0.0 if origin is None else origin[:2])
+    velocity = _velocity(xy, scan.doppler, doppler_noise)
+    if velocity is None:
+        return np.zeros(len(scan), np.bool_)
+    unit = xy / np.maximum(np.hypot(*xy.T), 1e-6)[:, None]
+    across = unit @ np.array([-velocity[1], velocity[0]])
+    return np.abs(scan.doppler + unit @ velocity) > 3 * np.hypot(doppler_noise, across * azimuth_noise)
+
+
+def _velocity(xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: float) -> NDArray[np.float64] | None:
+    usable = np.isfinite(doppler) & (np.hypot(*xy.T) > 1e-3)
+    unit = xy[usable] / np.hypot(*xy[usable].T)[:, None]
+    rate = doppler[usable].astype(np.float64)
+    if len(rate) < LEAST:
+        return None
+    first, second = np.random.default_rng(0).integers(len(rate), size=(2, PAIRS))
+    A = np.stack([unit[first], unit[second]], axis=1)
+    firm = np.abs(np.linalg.det(A)) > 0.05
+    guesses = np.linalg.solve(A[firm], -np.stack([rate[first], rate[second]], axis=-1)[firm][..., None])[..., 0]
+    guesses = np.vstack([guesses, np.zeros(2)])
+    agree = np.abs(rate + guesses @ unit.T) < 4 * noise
+    best = agree[agree.sum(axis=1).argmax()]
+    for _ in range(2):
+        if best.sum() < max(LEAST, len(rate) / 2):
+            return None
+        velocity = np.linalg.lstsq(unit[best], -rate[best], rcond=1e-3)[0]
+        best = np.abs(rate + unit @ velocity) < 4 * noise
+    return velocity

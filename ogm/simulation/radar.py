@@ -1,0 +1,322 @@
+"""One sweep of a radar in a scene: paths of rays with their power, bins, detections.
+
+Every ray of a fan takes power to what it hits, and from mirrors (ground at a grazing angle, walls, metal) on to what
+lies behind them. The power comes back by the radar equation, and is summed in bins of range, Doppler and azimuth. What
+exceeds the noise and its neighbours is a detection. Left out: rotating wheels and moving limbs, interference between
+radars, weather, paths with more than one mirror, range side lobes.
+"""
+
+import math
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import ArrayLike, NDArray
+
+from ogm.pose import check_pose, rotate
+from ogm.scan import Scan
+from ogm.simulation.arrays import Floats
+from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.radars import RadarMode, RadarSpec
+from ogm.simulation.scene import EGO, Scene
+
+__all__ = ["Origin", "RadarSweep", "sweep"]
+
+AZIMUTH_STEP, ELEVATION_STEP = math.radians(0.5), math.radians(1.0)  # of the rays
+FALSE_ALARM = 1e-4  # probability per bin, which sets the threshold
+REFERENCE_SNR = 10**1.3  # of a target of 0 dBsm at `RadarMode.reach`
+STRAY = 1.0  # [m] a detection that is reported further from what it is of is a ghost
+BEAM_BINS = 2  # azimuth bins per resolution
+FLASH = math.radians(4.0)  # width of specular reflection: facades and panels are not flat
+GRAZING = math.radians(6.0)  # at which the ground ceases to be a mirror
+
+
+class Origin(IntEnum):
+    """What a detection is of."""
+
+    OBJECT = 0  # anything that stands or moves where it is reported
+    GROUND = 1
+    GHOST = 2  # a real thing in a wrong place, by way of a mirror
+    CLUTTER = 3  # noise
+
+
+class RadarSweep(NamedTuple):
+    """The detections of one sweep, in the sensor's frame.
+
+    Attributes
+    ----------
+    xyz : (N, 3) float32
+        [m]; z is 0 for a radar without elevation.
+    doppler : (N,) float32
+        Radial velocity against the sensor, positive away from it, folded into what the radar can tell [m/s].
+    compensated : (N,) float32
+        The same over ground: of what stands still it is 0 but for noise, and for ghosts.
+    rcs : (N,) float32
+        Radar cross section [dBsm].
+    snr : (N,) float32
+        Signal-to-noise ratio [dB].
+    origin : (N,) uint8
+        `Origin`.
+    object : (N,) int32
+        Number of the moving thing in the list given to `Scene.place`; -1 for none.
+    """
+
+    xyz: NDArray[np.float32]
+    doppler: NDArray[np.float32]
+    compensated: NDArray[np.float32]
+    rcs: NDArray[np.float32]
+    snr: NDArray[np.float32]
+    origin: NDArray[np.uint8]
+    object: NDArray[np.int32]
+
+    def scan(self, stamp: float | None = None, sensor: str = "") -> Scan:
+        """Return what a real radar gives: points with Doppler, against the sensor, and cross sections."""
+        points = np.zeros((len(self.xyz), 4), np.float32)
+        points[:, :3] = self.xyz
+        return Scan(points, stamp=stamp, doppler=self.doppler, rcs=self.rcs, sensor=sensor)
+
+
+class _Paths(NamedTuple):
+    """Ways from the sensor to something and back; one row each."""
+
+    distance: Floats  # [m] half the whole way
+    rate: Floats  # [m/s] its change
+    azimuth: Floats
+    elevation: Floats
+    power: Floats  # signal-to-noise ratio that it adds
+    origin: NDArray[np.uint8]
+    object: NDArray[np.int32]
+
+
+def sweep(
+    scene: Scene,
+    spec: RadarSpec,
+    T_world_sensor: ArrayLike,
+    rng: Generator,
+    *,
+    velocity: ArrayLike = (0.0, 0.0, 0.0),
+    velocities: ArrayLike | None = None,
+) -> RadarSweep:
+    """Simulate one sweep of a radar.
+
+    Parameters
+    ----------
+    scene : Scene
+    spec : RadarSpec
+    T_world_sensor : (4, 4) array
+        Pose of the sensor: x ahead, y to the left.
+    rng : numpy.random.Generator
+    velocity : (3,) array
+        Of the sensor in the world frame [m/s]; that of a turning vehicle differs from place to place.
+    velocities : (K, 3) array, optional
+        Of the moving things of the scene, in their order, in the world frame [m/s]; by default they stand.
+
+    Raises
+    ------
+    ValueError
+        If the pose is none, or the numbers have the wrong shape or are not finite.
+    """
+    T = check_pose(T_world_sensor, "T_world_sensor")
+    own = np.asarray(velocity, np.float64)
+    moving = np.zeros((scene.things, 3)) if velocities is None else np.asarray(velocities, np.float64)
+    if own.shape != (3,) or moving.shape != (scene.things, 3) or not np.isfinite(np.r_[own, moving.ravel()]).all():
+        raise ValueError(
+            f"velocity must be 3 finite numbers and velocities 3 for each of the {scene.things} things in the scene, "
+            f"got shapes {own.shape} and {moving.shape}"
+        )
+    salt = int(rng.integers(2**31))
+    found = []
+    for mode in spec.modes:
+        paths = _paths(scene, spec, mode, T, own, np.vstack([moving, np.zeros(3)]), salt)
+        found.append(_detections(paths, spec, mode, rng))
+    columns = [np.concatenate(column) for column in zip(*found, strict=True)]
+    strongest = np.sort(np.argsort(-columns[4], kind="stable")[: spec.most])
+    distance, rate, azimuth, elevation, snr, rcs, origin, number = (one[strongest] for one in columns)
+    unit = _unit(azimuth, elevation)
+    low, high = spec.velocity
+    doppler = (rate - low) % (high - low) + low
+    compensated = doppler + unit @ (T[:3, :3].T @ own)
+    compensated -= (high - low) * np.round(compensated / (high - low))  # the fold nearest to standing still
+    xyz = distance[:, None] * unit
+    if not spec.elevation_resolution:
+        xyz[:, 2] = 0
+    result: Any = [one.astype(np.float32) for one in (xyz, doppler, compensated, rcs, 10 * np.log10(snr))]
+    result += [origin.astype(np.uint8), number.astype(np.int32)]
+    return RadarSweep(*result)
+
+
+def _unit(azimuth: Floats, elevation: Floats) -> Floats:
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
+def _paths(
+    scene: Scene, spec: RadarSpec, mode: RadarMode, T: Floats, own: Floats, velocities: Floats, salt: int
+) -> _Paths:
+    """Follow the rays of a mode, and those that go on from mirrors."""
+    edge = mode.half_width + 2 * mode.azimuth_resolution
+    across = np.arange(-edge, edge, AZIMUTH_STEP) + AZIMUTH_STEP / 2
+    upward = np.arange(-2 * spec.half_height, 2 * spec.half_height, ELEVATION_STEP) + ELEVATION_STEP / 2
+    azimuth, elevation = (grid.ravel() for grid in np.meshgrid(across, upward))
+    world = rotate(T[:3, :3], _unit(azimuth, elevation).T).T
+    normals = np.zeros((len(world), 3), np.float32)
+    hits = scene.cast(T[:3, 3], world.astype(np.float32), salt=salt, normals=normals)
+    hit = np.isfinite(hits.distance) & (hits.object != EGO)
+    index = np.flatnonzero(hit)
+    gain = _gain(spec, mode, azimuth, elevation)
+    solid = AZIMUTH_STEP * ELEVATION_STEP
+    constant = REFERENCE_SNR * mode.reach**4 * solid
+
+    u = world[index]
+    distance, cosine, material = hits.distance[index].astype(np.float64), hits.cosine[index], hits.material[index]
+    echo = _cross_section(material, cosine)
+    rate = np.einsum("nk,nk->n", u, velocities[hits.object[index]] - own)
+    origin = np.where(_IS_GROUND[material], np.uint8(Origin.GROUND), np.uint8(Origin.OBJECT))
+    power = constant * gain[index] * echo / np.maximum(distance, 1.0) ** 2
+    direct = _Paths(distance, rate, azimuth[index], elevation[index], power, origin, hits.object[index])
+
+    # on from mirrors
+    share = _mirror(material, cosine) ** 2
+    on = np.flatnonzero(share > 1e-3)
+    n = normals[index[on]].astype(np.float64)
+    before = u[on]
+    after = before - 2 * np.einsum("nk,nk->n", before, n)[:, None] * n
+    start = T[:3, 3] + distance[on, None] * before + 1e-3 * after
+    beyond = scene.cast(start, after.astype(np.float32), salt=salt + 1)
+    real = np.flatnonzero(np.isfinite(beyond.distance) & (beyond.object != EGO) & ~_IS_GROUND[beyond.material])
+    on, second = on[real], beyond.distance[real].astype(np.float64)
+    mirror, target = velocities[hits.object[index[on]]], velocities[beyond.object[real]]
+    u1, u2 = u[on], after[real]
+    rate = np.einsum("nk,nk->n", u1, mirror - own) + np.einsum("nk,nk->n", u2, target - mirror)
+    length = distance[on] + second
+    reported, place = T[:3, 3] + length[:, None] * u1, start[real] + second[:, None] * u2
+    flat = np.linalg.norm((reported - place)[:, : 2 if not spec.elevation_resolution else 3], axis=1)
+    origin = np.where(flat > STRAY, np.uint8(Origin.GHOST), np.uint8(Origin.OBJECT))
+    echo = _cross_section(beyond.material[real], beyond.cosine[real])
+    power = constant * gain[index[on]] * share[on] * echo / np.maximum(length, 1.0) ** 2
+    bounced = _Paths(length, rate, azimuth[index[on]], elevation[index[on]], power, origin, beyond.object[real])
+
+    both: Any = zip(direct, bounced, strict=True)
+    paths = _Paths(*(np.concatenate(pair) for pair in both))
+    keep = (paths.distance > mode.range_min) & (paths.distance < mode.range_max)
+    columns: Any = (column[keep] for column in paths)
+    return _Paths(*columns)
+
+
+def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator) -> tuple[Any, ...]:
+    """Sum power in bins, and return what exceeds noise and neighbours.
+
+    The columns are distance, rate, azimuth, elevation, signal-to-noise ratio, cross section [dBsm], origin and object.
+    """
+    low, high = spec.velocity
+    rate, sine = (
+        (paths.rate - low) % (high - low),
+        np.sin(paths.azimuth),
+    )  # a beam is equally wide in the sine everywhere
+    steps = mode.range_resolution, mode.doppler_resolution, mode.azimuth_resolution / BEAM_BINS
+    rows = (paths.distance, rate, sine + 1)
+    number = [np.floor(row / step).astype(np.int64) + 2 for row, step in zip(rows, steps, strict=True)]
+    stride = int((high - low) / steps[1]) + 5, int(2 / steps[2]) + 7
+    key, group = np.unique((number[0] * stride[0] + number[1]) * stride[1] + number[2], return_inverse=True)
+    power = np.bincount(group, paths.power, len(key))
+    columns = (paths.distance, rate + low, sine, paths.elevation)
+    mean = [np.bincount(group, paths.power * column, len(key)) / power for column in columns]
+    last = np.flatnonzero(np.diff(np.sort(group), append=-1))
+    leader = np.lexsort((paths.power, group))[last]
+
+    # Swerling 1: every bin's echo fluctuates; the antenna smears it in azimuth; the receiver adds noise of power 1
+    echo, total = power * rng.exponential(size=len(key)), rng.exponential(size=len(key))
+    for shift in range(-BEAM_BINS, BEAM_BINS + 1):
+        total += np.exp2(-2 * (2 * shift / BEAM_BINS) ** 2) * _at(key, key + shift, echo)
+    peak = total > -math.log(FALSE_ALARM)
+    for r in (-1, 0, 1):
+        for d in (-1, 0, 1):
+            for a in range(-BEAM_BINS, BEAM_BINS + 1):
+                if r or d or a:
+                    peak &= total > _at(key, key + (r * stride[0] + d) * stride[1] + a, total)
+
+    # what is measured of them
+    found = np.flatnonzero(peak)
+    snr = np.maximum(total[found] - 1, 1.0)
+    error = 0.05 + 0.5 / np.sqrt(2 * snr)
+    distance, rate, sine, elevation = (column[found] for column in mean)
+    distance = distance + mode.range_resolution * error * rng.standard_normal(len(found))
+    rate = rate + mode.doppler_resolution * error * rng.standard_normal(len(found))
+    sine = sine + mode.azimuth_resolution * error * rng.standard_normal(len(found))
+    elevation = elevation + spec.elevation_resolution * error * rng.standard_normal(len(found))
+    origin, thing = paths.origin[leader[found]].astype(np.int64), paths.object[leader[found]]
+
+    # noise
+    count = int(rng.poisson(spec.false_alarms / len(spec.modes)))
+    edge = math.sin(mode.half_width)
+    noise = [rng.uniform(mode.range_min, mode.range_max, count), rng.uniform(low, high, count)]
+    noise += [rng.uniform(-edge, edge, count), rng.uniform(-spec.half_height, spec.half_height, count)]
+    noise += [
+        rng.exponential(size=count) - math.log(FALSE_ALARM) - 1,
+        np.full(count, Origin.CLUTTER),
+        np.full(count, -1),
+    ]
+    several: Any = zip((distance, rate, sine, elevation, snr, origin, thing), noise, strict=True)
+    distance, rate, sine, elevation, snr, origin, thing = (np.concatenate(pair) for pair in several)
+
+    azimuth = np.arcsin(np.clip(sine, -1, 1))
+    elevation = elevation if spec.elevation_resolution else np.zeros_like(elevation)
+    gain = _gain(spec, mode, azimuth, elevation)
+    rcs = 10 * np.log10(snr / (REFERENCE_SNR * gain) * (np.maximum(distance, 1.0) / mode.reach) ** 4)
+    seen = (np.abs(sine) <= edge) & (distance > mode.range_min) & (rcs >= spec.least_rcs)
+    return tuple(column[seen] for column in (distance, rate, azimuth, elevation, snr, rcs, origin, thing))
+
+
+def _at(key: NDArray[np.int64], wanted: NDArray[np.int64], values: Floats) -> Floats:
+    """Return the values of other bins, 0 where a bin is empty; `key` is sorted."""
+    place = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
+    return np.where(key[place] == wanted, values[place], 0.0) if len(key) else values
+
+
+def _gain(spec: RadarSpec, mode: RadarMode, azimuth: Floats, elevation: Floats) -> Floats:
+    """Return the gain of the antenna, there and back, against straight ahead."""
+    return np.exp2(-2 * ((azimuth / (1.2 * mode.half_width)) ** 2 + (elevation / spec.half_height) ** 2))
+
+
+# ---- What surfaces do at 77 GHz: diffuse echo per area across the beam [dB], extra echo of a mirror that faces the
+# sensor [dB], share of the power that a mirror sends on. Effective values, ours: chosen for published cross sections of
+# whole things (cars 10, lorries 20, people -8 dBsm) and for weak ground; corners and wheels of metal are in those of
+# paint.
+_WALL, _METAL, _BODY, _SOFT = (-14, 14, 0.2), (0, 18, 0.6), (5, 15, 0.5), (-12, 0, 0.0)
+_GROUNDS = {Material.GRASS: -24, Material.SOIL: -25, Material.GRAVEL: -23, Material.COBBLES: -24, Material.PAVING: -30}
+_ECHO: dict[Material, tuple[float, float, float]] = {
+    **{one: (-30, 0, 0.5) for one in GROUND},
+    **{one: (level, 0, 0.2) for one, level in _GROUNDS.items()},
+    **{one: _WALL for one in (Material.PLASTER_LIGHT, Material.PLASTER_DARK, Material.BRICK, Material.CONCRETE)},
+    **{one: _WALL for one in (Material.STONE, Material.ROOF, Material.KERB)},
+    Material.WINDOW: (-20, 14, 0.3),
+    Material.CAR_GLASS: (-10, 10, 0.2),
+    **{one: _METAL for one in (Material.METAL_SHEET, Material.METAL_POLE, Material.SIGN)},
+    **{one: _BODY for one in (Material.PAINT_LIGHT, Material.PAINT_MEDIUM, Material.PAINT_DARK, Material.PAINT_BLACK)},
+    **{one: _BODY for one in (Material.PLATE, Material.LAMP, Material.TYRE, Material.EGO_VEHICLE)},
+    Material.TARPAULIN: (3, 10, 0.2),
+    Material.PLASTIC_DARK: (-8, 0, 0.0),
+    Material.WOOD: (-14, 4, 0.05),
+    Material.BARK: (-10, 0, 0.0),
+    Material.FOLIAGE: (-15, 0, 0.0),
+    **{one: (-6, 0, 0.0) for one in (Material.CLOTH_LIGHT, Material.CLOTH_DARK, Material.SKIN, Material.HIGH_VIS)},
+}
+_TABLE = np.zeros((256, 3))
+for _material in Material:
+    _diffuse, _flash, _share = _ECHO.get(_material, _SOFT)
+    _TABLE[_material] = 10 ** (_diffuse / 10), 10 ** (_flash / 10) if _flash else 0.0, _share
+_IS_GROUND = np.zeros(256, np.bool_)
+_IS_GROUND[list(GROUND)] = True
+
+
+def _cross_section(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
+    """Return the radar cross section per area across the beam."""
+    angle = np.arccos(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
+    return _TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2))
+
+
+def _mirror(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
+    """Return the share of the power that goes on as from a mirror; of the ground only at a grazing angle."""
+    grazing = np.arcsin(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
+    return _TABLE[material, 2] * np.where(_IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0)

@@ -1,0 +1,130 @@
+"""Radars by their numbers: where they look, how finely they tell targets apart, and how far they reach."""
+
+import math
+from dataclasses import dataclass
+
+__all__ = ["RADARS", "RadarMode", "RadarSpec"]
+
+
+@dataclass(frozen=True)
+class RadarMode:
+    """One of the wave forms that a radar sends in turns.
+
+    Parameters
+    ----------
+    half_width : float
+        Half the field of view in azimuth [rad].
+    range_max : float
+        [m]
+    range_resolution, doppler_resolution, azimuth_resolution : float
+        Differences at which two targets are told apart [m, m/s, rad]; that of azimuth straight ahead.
+    reach : float
+        Where a target of 0 dBsm straight ahead has a signal-to-noise ratio of 13 dB [m].
+    range_min : float
+        [m]
+    """
+
+    half_width: float
+    range_max: float
+    range_resolution: float
+    doppler_resolution: float
+    azimuth_resolution: float
+    reach: float
+    range_min: float = 0.2
+
+    def __post_init__(self) -> None:
+        bounds = {"half_width": math.pi / 2, "range_max": 1000, "range_resolution": 20, "doppler_resolution": 20}
+        for name, high in (bounds | {"azimuth_resolution": 1.0, "reach": 2000}).items():
+            if not 0 < getattr(self, name) <= high:  # NaN fails too
+                raise ValueError(f"{name} must lie above 0 and up to {high:g}, got {getattr(self, name)}")
+        if not 0 <= self.range_min < self.range_max:
+            raise ValueError(f"range_min must lie in 0 ... range_max, got {self.range_min}")
+
+
+@dataclass(frozen=True)
+class RadarSpec:
+    """An automotive radar; x points ahead.
+
+    Parameters
+    ----------
+    name : str
+    modes : tuple of RadarMode
+        All of them make one sweep.
+    half_height : float
+        Half the 3 dB width of the antenna in elevation [rad].
+    elevation_resolution : float
+        [rad]; 0 for a radar that measures no elevation, whose detections have z = 0.
+    velocity : (low, high)
+        Radial velocities that it tells from each other, positive away from it [m/s]; others are folded into them.
+    rate : float
+        Sweeps per second [Hz].
+    false_alarms : float
+        Detections of noise per sweep, on average.
+    most : int
+        Detections that it reports; the strongest.
+    least_rcs : float
+        What has a smaller radar cross section is not reported [dBsm].
+    """
+
+    name: str
+    modes: tuple[RadarMode, ...]
+    half_height: float
+    elevation_resolution: float = 0.0
+    velocity: tuple[float, float] = (-111.0, 55.0)
+    rate: float = 13.0
+    false_alarms: float = 4.0
+    most: int = 250
+    least_rcs: float = -25.0
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise ValueError(f"{self.name}: modes are empty; a radar has at least one")
+        if not self.velocity[0] < 0 < self.velocity[1]:
+            raise ValueError(f"{self.name}: velocity must hold 0, got {self.velocity}")
+        for name, low, high in (("half_height", 1e-3, 1.5), ("elevation_resolution", 0.0, 1.0), ("rate", 0.1, 1000.0)):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
+        if not 0 <= self.false_alarms <= 1e4 or self.most < 1:
+            raise ValueError(f"{self.name}: false_alarms must be 0 or more and most 1 or more")
+
+
+_DEGREE = math.pi / 180
+_KMH = 1 / 3.6
+# Fields of view, ranges, resolutions and velocities of the ARS408 are its data sheet's (near and far scan). Those of
+# the ARS548 are of descriptions and of one recorded frame: standard deviations of 0.2 m, 0.25 m/s and 0.5 degrees,
+# nothing below -20 dBsm, no ambiguity within 22.9 m/s, and a reach that goes with its smallest cross sections, such as
+# -10 dBsm at 120 m. Other reaches, false alarms, and the whole of the corner radar are ours: typical ones.
+RADARS = {
+    one.name: one
+    for one in (
+        RadarSpec(
+            "ars408",
+            (
+                RadarMode(9 * _DEGREE, 250.0, 1.79, 0.37 * _KMH, 1.6 * _DEGREE, 140.0),
+                RadarMode(60 * _DEGREE, 70.0, 0.39, 0.43 * _KMH, 3.2 * _DEGREE, 50.0),
+            ),
+            half_height=9 * _DEGREE,
+            velocity=(-400 * _KMH, 200 * _KMH),
+            rate=13.0,
+        ),
+        RadarSpec(
+            "ars548",
+            (RadarMode(60 * _DEGREE, 300.0, 0.4, 0.2, 1.2 * _DEGREE, 180.0),),
+            half_height=10 * _DEGREE,
+            elevation_resolution=2.3 * _DEGREE,
+            velocity=(-22.9, 22.9),
+            rate=20.0,
+            false_alarms=8.0,
+            most=800,
+            least_rcs=-20.0,
+        ),
+        RadarSpec(
+            "corner",
+            (RadarMode(75 * _DEGREE, 80.0, 0.5, 0.2, 4 * _DEGREE, 40.0),),
+            half_height=8 * _DEGREE,
+            velocity=(-22.0, 22.0),
+            rate=20.0,
+            false_alarms=3.0,
+        ),
+    )
+}
