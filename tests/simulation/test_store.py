@@ -318,6 +318,7 @@ import sys
 for name in ("open3d", "dask", "distributed", "shapely", "matplotlib"):
     sys.modules[name] = None
 from ogm.simulation.store import Store
+from ogm.simulation.workers import swept
 sample = Store.open({str(store.path)!r})["training"][5]
 print(len(sample.points), sample.truth.state.shape)
 """
