@@ -17,6 +17,7 @@ from ogm.simulation import store as store_module
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import OBJECTS
 from ogm.simulation.store import FORMAT, GAPS, OLDER, SHARD, Damaged, Store
+from ogm.simulation.workers import swept
 
 Make = Callable[..., SimulatedSample]
 
@@ -318,7 +319,6 @@ import sys
 for name in ("open3d", "dask", "distributed", "shapely", "matplotlib"):
     sys.modules[name] = None
 from ogm.simulation.store import Store
-from ogm.simulation.workers import swept
 sample = Store.open({str(store.path)!r})["training"][5]
 print(len(sample.points), sample.truth.state.shape)
 """
