@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from ogm.cli import app
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.io import PlacedGrid, read_grid, read_placed_grid, write_grid, write_poses
+from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid, write_poses
 from ogm.io.logs import open_log
 from ogm.io.messages import grid_from_occupancy_grid, occupancy_values, transforms_from_tf
 from ogm.pose import Trajectory, inverse, pose, transform_points
@@ -209,6 +209,22 @@ def test_ctrl_c_keeps_the_maps_so_far(drive: Path, tmp_path: Path, monkeypatch: 
     with open_log(tmp_path / "m.mcap") as log:
         assert log.topics["/map"].count == 2
         assert log.topics["/map"].type == "grid_map_msgs/msg/GridMap"
+    assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
+
+
+def test_ctrl_c_while_the_first_map_is_logged_keeps_it(
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real, calls = GridLog.write, []
+
+    def interrupted(*arguments: object) -> None:
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        real(*arguments)
+
+    monkeypatch.setattr(GridLog, "write", interrupted)
+    assert fused(drive, tmp_path / "m.mcap").exit_code == 130
     assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
 
 

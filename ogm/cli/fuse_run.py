@@ -62,6 +62,7 @@ class FusionRun:
     last: FusionStep | None = None
     taken: list[int] = field(default_factory=list)  # numbers of the frames that were mapped
     failed: int = 0
+    recorded: int = 0  # maps that are in a log
     restarts: int = 0
     path: float = 0.0  # [m]
     speed: float = math.nan  # [m/s]
@@ -97,6 +98,8 @@ class FusionRun:
                     panels, line = self.panels()
                     film.add(step.frame.scan.points, panels, line, float(step.frame.stamp or 0.0))
         except KeyboardInterrupt:
+            if maps is not None and self.taken and not self.recorded:  # a log without a map is of no use
+                self.record(maps)
             return self.stopped("interrupted", 130)
         except Exception as error:  # whatever it is, the map so far must not be lost
             return self.stopped(f"{one_line(error)}: stopped", 2)
@@ -156,6 +159,7 @@ class FusionRun:
         assert self.last is not None
         placed, stamp = self.placed, self.last.frame.stamp or 0.0
         maps.write(placed, [StampedTransform(placed.frame_id, "vehicle", stamp, self.T_map_vehicle)])
+        self.recorded += 1
 
     def panels(self) -> tuple[tuple[Panel, Panel, Panel], str]:
         """Draw the last measurement, the map around the vehicle and its conflict; return also the line above them."""
