@@ -19,6 +19,7 @@ from ogm.io.kitti import read_calibration, read_kitti_objects, read_kitti_stamps
 from ogm.io.labels import LabelledPoints
 from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.io.poses import Poses, read_poses, write_poses
+from ogm.io.radar import read_nuscenes_radar
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
 from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_file
 from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
@@ -54,6 +55,7 @@ __all__ = [
     "read_kitti_tracks",
     "read_mmdet3d",
     "read_nuscenes",
+    "read_nuscenes_radar",
     "read_placed_grid",
     "read_points",
     "read_poses",

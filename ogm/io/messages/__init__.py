@@ -20,7 +20,7 @@ from ogm.io.messages.poses import (
     transform_from_pose,
     transforms_from_tf,
 )
-from ogm.io.messages.radars import scan_from_radar_scan
+from ogm.io.messages.radars import scan_from_continental, scan_from_radar_scan
 from ogm.io.messages.velodyne import VELODYNE_MODELS, scan_from_velodyne_scan
 from ogm.io.transforms import StampedTransform
 
@@ -42,6 +42,7 @@ __all__ = [
     "rotation_from_imu",
     "scan_from_livox",
     "scan_from_point_cloud2",
+    "scan_from_continental",
     "scan_from_radar_scan",
     "scan_from_velodyne_scan",
     "scans_from_pcap",

@@ -1,5 +1,7 @@
-"""Radars: ``radar_msgs/RadarScan`` to a scan. Radars that send ``PointCloud2`` go through that converter."""
+"""Radars: ``radar_msgs/RadarScan`` and Continental's detections. ``PointCloud2`` has a converter of its own."""
 
+from collections.abc import Mapping
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,7 +11,7 @@ from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
 
-__all__ = ["scan_from_radar_scan"]
+__all__ = ["scan_from_continental", "scan_from_radar_scan"]
 
 _FIELDS = ("range", "azimuth", "elevation", "doppler_velocity")
 
@@ -41,3 +43,45 @@ def scan_from_radar_scan(message: Any) -> Scan:
     x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
     table = Table("RadarScan", {"x": x, "y": y, "z": z, "doppler": doppler}, fields=_FIELDS)
     return scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
+
+
+@reads_message
+def scan_from_continental(message: Any) -> Scan:
+    """Return the scan of a detection list of a Continental ARS548 or SRR520, as TIER IV's nebula driver sends it.
+
+    Parameters
+    ----------
+    message : object or mapping
+        A ``continental_msgs/ContinentalArs548DetectionList`` or ``ContinentalSrr520DetectionList``, or its fields, as
+        ``ros2 topic echo`` prints them. Of an SRR520, azimuth counts to the left, too, and there is no elevation.
+
+    Returns
+    -------
+    Scan
+        Detections that the sensor flags as invalid are left out. `Scan.doppler` is the range rate.
+
+    Raises
+    ------
+    OgmError
+        If it is no such message, or numbers are of no scan.
+    """
+    message = _namespace(message)
+    where = describe_message(message, "ContinentalDetectionList")
+    flags = ("invalid_distance", "invalid_azimuth", "invalid_elevation", "invalid_range_rate")
+    valid = [one for one in message.detections if not any(getattr(one, flag, False) for flag in flags)]
+    rows = [
+        (one.range, one.azimuth_angle, getattr(one, "elevation_angle", 0.0), one.range_rate, one.rcs) for one in valid
+    ]
+    distance, azimuth, elevation, doppler, rcs = np.array(rows, np.float64).reshape(-1, 5).T
+    flat = distance * np.cos(elevation)
+    x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
+    columns = {"x": x, "y": y, "z": z, "doppler": doppler, "rcs": rcs}
+    table = Table("ContinentalDetectionList", columns, fields=tuple(columns))
+    return scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
+
+
+def _namespace(value: Any) -> Any:
+    """Return nested mappings as objects."""
+    if isinstance(value, Mapping):
+        return SimpleNamespace(**{str(key): _namespace(one) for key, one in value.items()})
+    return [_namespace(one) for one in value] if isinstance(value, list) else value
