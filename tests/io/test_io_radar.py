@@ -8,7 +8,8 @@ import pytest
 from ogm.files import OgmError
 from ogm.io import read_nuscenes_radar
 
-FIELDS = "x y z dyn_prop id rcs vx vy vx_comp vy_comp is_quality_valid ambig_state x_rms y_rms invalid_state pdh0 vx_rms vy_rms"
+FIELDS = "x y z dyn_prop id rcs vx vy vx_comp vy_comp is_quality_valid ambig_state "
+FIELDS += "x_rms y_rms invalid_state pdh0 vx_rms vy_rms"
 SIZES = "4 4 4 1 2 4 4 4 4 4 1 1 1 1 1 1 1 1"
 TYPES = "F F F I I F F F F F I I I I I I I I"
 ROW = np.dtype(
@@ -22,7 +23,8 @@ ROW = np.dtype(
 def write(path: Path, rows: np.ndarray) -> Path:
     header = (
         f"# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS {FIELDS}\nSIZE {SIZES}\nTYPE {TYPES}\n"
-        f"COUNT {' '.join('1' * 18)}\nWIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {len(rows)}\nDATA binary\n"
+        f"COUNT {' '.join('1' * 18)}\nWIDTH {len(rows)}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\n"
+        f"POINTS {len(rows)}\nDATA binary\n"
     )
     path.write_bytes(header.encode() + rows.tobytes())
     return path
@@ -49,8 +51,8 @@ def test_a_sweep_without_detections(tmp_path: Path) -> None:
 
 
 def test_a_cloud_that_is_no_radar_is_refused(tmp_path: Path) -> None:
-    text = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\nPOINTS 1\nDATA ascii\n1 2 3\n"
-    (tmp_path / "lidar.pcd").write_text(text)
+    head = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 1\nHEIGHT 1\n"
+    (tmp_path / "lidar.pcd").write_text(f"{head}POINTS 1\nDATA ascii\n1 2 3\n")
     with pytest.raises(OgmError, match=r"has no rcs, vx, vy, .*no radar file of nuScenes"):
         read_nuscenes_radar(tmp_path / "lidar.pcd")
     cut = write(tmp_path / "cut.pcd", sweep())
