@@ -5,7 +5,8 @@ import importlib.metadata
 import math
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -101,21 +102,33 @@ class TrainingRun:
         seed = (recipe.seed * self.steps + self.step) * fabric.world_size + fabric.global_rank
         torch.manual_seed(seed)  # of the dropout
         pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
-        loss = mean_loss(self._model(pillars), state, recipe, self.step / self.steps_per_epoch)
-        value = float(loss.detach())
-        finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
-        if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop where one must
-            raise nonfinite_loss_error(self.out, batch, value, self.step)
-        self.optimizer.zero_grad()
-        fabric.backward(loss)
-        if math.isfinite(recipe.clip):
-            fabric.clip_gradients(self._model, self.optimizer, max_norm=recipe.clip)
-        self.consistent = False
+        with self._buffers_kept():
+            loss = mean_loss(self._model(pillars), state, recipe, self.step / self.steps_per_epoch)
+            value = float(loss.detach())
+            finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
+            if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop where one must
+                raise nonfinite_loss_error(self.out, batch, value, self.step)
+            self.optimizer.zero_grad()
+            fabric.backward(loss)
+            if math.isfinite(recipe.clip):
+                fabric.clip_gradients(self._model, self.optimizer, max_norm=recipe.clip)
+            self.consistent = False
         self.optimizer.step()
         self.step += 1
         _update_ema(self.average, self.network, min(recipe.average, self.step / (self.step + 10)))
-        self.consistent = True
         self._losses = [*self._losses[-99:], value]
+        self.consistent = True
+
+    @contextmanager
+    def _buffers_kept(self) -> Iterator[None]:
+        """After an error or an interrupt, give the network the buffers it had: a forward pass changes batch norms'."""
+        kept = [one.clone() for one in self.network.buffers()]
+        try:
+            yield
+        except BaseException:
+            for one, before in zip(self.network.buffers(), kept, strict=True):
+                one.copy_(before)
+            raise
 
     def record(self, scores: Mapping[str, float], speed: float, facts: Mapping[str, Any]) -> None:
         """Append an epoch to the learning curve, and keep its weights if its loss is the lowest.

@@ -49,7 +49,7 @@ class RadarSweep(NamedTuple):
     xyz : (N, 3) float32
         [m]; z is 0 for a radar without elevation.
     doppler : (N,) float32
-        Radial velocity against the sensor, positive away from it, folded into what the radar can tell [m/s].
+        Radial velocity against the sensor, positive away from it, folded into the unambiguous interval [m/s].
     compensated : (N,) float32
         The same over ground: of what stands still it is 0 but for noise, and for ghosts.
     rcs : (N,) float32

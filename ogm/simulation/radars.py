@@ -1,4 +1,4 @@
-"""Radars by their numbers: where they look, how finely they tell targets apart, and how far they reach."""
+"""Radars by their numbers: field of view, resolution, reach."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class RadarMode:
     range_max : float
         [m]
     range_resolution, doppler_resolution, azimuth_resolution : float
-        Differences at which two targets are told apart [m, m/s, rad]; that of azimuth straight ahead.
+        Resolution [m, m/s, rad]; that of azimuth straight ahead.
     reach : float
         Where a target of 0 dBsm straight ahead has a signal-to-noise ratio of 13 dB [m].
     range_min : float
@@ -55,7 +55,7 @@ class RadarSpec:
     elevation_resolution : float
         [rad]; 0 for a radar that measures no elevation, whose detections have z = 0.
     velocity : (low, high)
-        Radial velocities that it tells from each other, positive away from it [m/s]; others are folded into them.
+        Unambiguous radial velocities, positive away from it [m/s]; others are folded into them.
     rate : float
         Sweeps per second [Hz].
     false_alarms : float

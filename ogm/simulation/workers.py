@@ -260,7 +260,7 @@ def _explained(store: Store) -> Iterator[None]:
         yield
     except Exception as error:
         number = getattr(error, "errno", None)
-        if getattr(error, "filename", None) == str(store.path):  # it says so already
+        if getattr(error, "filename", None) == str(store.path):  # its own message
             raise
         if number in (errno.ENOSPC, errno.EDQUOT):
             what, way = "the disk is full", "free some of it"

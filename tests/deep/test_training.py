@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from lightning.fabric import Fabric
 
 from ogm.deep.checkpoint import load_network
 from ogm.deep.network import PAPER, NetworkConfig
@@ -87,6 +88,24 @@ def test_a_resumed_run_ends_as_one_that_was_not_stopped(go, recipe, frames, tmp_
         other = torch.load(tmp_path / "stopped" / "state.pt", weights_only=True)["network"][name]
         assert value.equal(other), name
     assert whole.read_bytes() == stopped.read_bytes()
+
+
+def test_an_interrupt_within_a_step_changes_nothing(go, tmp_path, monkeypatch):
+    """The forward pass has changed the statistics of the batch norms when the backward pass is interrupted."""
+    whole = go("whole")
+    backward, calls = Fabric.backward, []
+
+    def interrupted(*arguments, **options):
+        calls.append(arguments)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return backward(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Fabric, "backward", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            go("stopped")
+    assert go("stopped", resume=True).read_bytes() == whole.read_bytes()
 
 
 @pytest.mark.parametrize("epoch", [1, 2])

@@ -36,7 +36,7 @@ def clear_cells(sector, distance, until, table, free):
 
 @kernel
 def mark_ellipses(rows, place, free, ego, mass):
-    """Write masses: occupied from all ellipses as independent sources, free where that leaves room.
+    """Write masses: occupied from all ellipses as independent sources, free in what that leaves.
 
     Parameters
     ----------

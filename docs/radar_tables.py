@@ -1,0 +1,74 @@
+"""Tables of docs/radar.md, from the record radar.json."""
+
+from collections.abc import Mapping
+from typing import Any
+
+__all__ = ["radar_tables"]
+
+METRICS = {
+    "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free", "iou_occupied": "IoU occupied",
+    "missed_occupied": "missed", "ece": "ECE", "auroc_unknown": "AUROC unknown",
+}  # fmt: skip
+FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
+
+
+def radar_tables(record: Mapping[str, Any]) -> list[str]:
+    """Return the tables of scores, of pairs, of fits, of detections, and of the recorded frame."""
+    radars = record["radars"]
+    lines = [
+        f"Frames: {record['frames']}, drives: {record['drives']}.",
+        "",
+        _row(["radar", "model", *METRICS.values()]),
+    ]
+    lines.append(_rule(2, len(METRICS)))
+    for name, found in radars.items():
+        for model, scores in found["scores"].items():
+            lines.append(_row([name, model, *(f"{scores[key]:.3f}" for key in METRICS)]))
+    pairs = [_row(["`RadarISM` minus another, mean over drives (95 %)", "log loss", "Brier", "IoU free", "false free"])]
+    pairs.append(_rule(1, 4))
+    for name, found in radars.items():
+        compared = found["RadarISM minus another, mean over drives, 95 %"]
+        for other in compared["nll"]:
+            numbers = (compared[key][other] for key in ("nll", "brier", "iou_free", "false_free"))
+            pairs.append(
+                _row([f"{name}: {other}", *(f"{m:+.3f} ({low:+.3f} to {high:+.3f})" for m, low, high in numbers)])
+            )
+    fits = [_row(["fitted to", *(f"`{key}`" for key in FITTED)]), _rule(1, len(FITTED))]
+    fits += [_row([name, *(f"{fit[key]:.3g}" for key in FITTED)]) for name, fit in record["fit"].items()]
+    head = ["radar", "detections (least, median, most)", "objects", "ground", "ghosts", "clutter"]
+    counts = [_row([*head, "Doppler of standing things, 5 to 95 % [m/s]", "time of a sweep [s]"]), _rule(1, 7)]
+    for name, found in radars.items():
+        one = found["detections"]
+        least, middle, most = one["per sweep, least, median, most"]
+        low, _, high = one["compensated Doppler of static things, 5, 50, 95 %"]
+        shares = (f"{100 * share:.0f} %" for share in one["share of each"].values())
+        spread = f"{low:+.2f} to {high:+.2f}"
+        counts.append(
+            _row([name, f"{least}, {middle:.0f}, {most}", *shares, spread, f"{one['seconds per sweep']:.3f}"])
+        )
+    tables = ["\n".join(lines), "\n".join(pairs), "\n".join(fits), "\n".join(counts)]
+    if "ARS548, recorded" in record:
+        for key, edges in _edges(record["ARS548, recorded"]).items():
+            rows = [_row([key.split()[0], *edges]), _rule(1, len(edges))]
+            for title in ("ARS548, recorded", "ARS548, simulated"):
+                rows.append(_row([title, *(f"{n:.0f}" for n in record[title][key])]))
+            tables.append("\n".join(rows))
+    return tables
+
+
+def _edges(found: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return the bins of the histograms by their keys, which list the edges: "range 0, 20, 40 m"."""
+    result = {}
+    for key in found:
+        if key != "detections":
+            *numbers, unit = key.partition(" ")[2].replace(",", "").split()
+            result[key] = [f"{a} to {b} {unit}" for a, b in zip(numbers, numbers[1:], strict=False)]
+    return result
+
+
+def _row(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _rule(texts: int, numbers: int) -> str:
+    return f"|{'---|' * texts}{'---:|' * numbers}"
