@@ -6,8 +6,8 @@ from typing import Any
 __all__ = ["radar_tables"]
 
 METRICS = {
-    "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free", "iou_occupied": "IoU occupied",
-    "missed_occupied": "missed", "ece": "ECE", "auroc_unknown": "AUROC unknown",
+    "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free",
+    "iou_occupied": "IoU occupied", "missed_occupied": "missed", "ece": "ECE", "auroc_unknown": "AUROC unknown",
 }  # fmt: skip
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
 
@@ -46,7 +46,7 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
         counts.append(
             _row([name, f"{least}, {middle:.0f}, {most}", *shares, spread, f"{one['seconds per sweep']:.3f}"])
         )
-    tables = ["\n".join(lines), "\n".join(pairs), "\n".join(fits), "\n".join(counts)]
+    tables = ["\n".join(rows) for rows in (lines, pairs, *([fits] if record["fit"] else []), counts)]
     if "ARS548, recorded" in record:
         for key, edges in _edges(record["ARS548, recorded"]).items():
             rows = [_row([key.split()[0], *edges]), _rule(1, len(edges))]

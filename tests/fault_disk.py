@@ -61,8 +61,11 @@ def _fill(one: Command, row: dict[str, int]) -> list[str]:
                 bad.append(f"the path is not named: {lines}")
             if left := left_behind(folder):
                 bad.append(f"{left[0]} stays")
-            if {name: data for name, data in contents(out).items() if name in before} != before:
-                bad.append("an earlier output was changed")
+            after = contents(out)
+            if changed := [
+                f"{name}, {len(after.get(name, b''))} bytes" for name in before if after.get(name) != before[name]
+            ]:
+                bad.append(f"earlier outputs were changed: {changed}")
             (out.resolve().parent / "ballast").unlink(missing_ok=True)
             bad += go_on(one, folder, out)
             row["survived"] += not bad

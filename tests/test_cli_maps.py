@@ -1,6 +1,8 @@
 """``ogm convert``, and maps of every format from ``ogm map`` and ``ogm fuse``."""
 
+import errno
 import importlib
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -226,6 +228,24 @@ def test_ctrl_c_while_the_first_map_is_logged_keeps_it(
     monkeypatch.setattr(GridLog, "write", interrupted)
     assert fused(drive, tmp_path / "m.mcap").exit_code == 130
     assert read_grid(tmp_path / "m.mcap").at(WALL + 0.25, 1.0).occupied > 0.5
+
+
+def test_a_full_disk_leaves_earlier_outputs(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, calls = GridLog.write, []
+
+    def full(*arguments: object) -> None:
+        calls.append(arguments)
+        if len(calls) == 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(tmp_path / "m.db3"))
+        real(*arguments)
+
+    monkeypatch.setattr(GridLog, "write", full)
+    for name in ("m.db3", "poses.txt"):
+        (tmp_path / name).write_text("earlier")
+    result = fused(drive, tmp_path / "m.db3", "--save-poses", tmp_path / "poses.txt")
+    assert result.exit_code == 1
+    assert "m.db3: No space left on device" in result.output
+    assert [(tmp_path / name).read_text() for name in ("m.db3", "poses.txt")] == ["earlier", "earlier"]
 
 
 def test_nothing_that_is_read_or_no_grid_is_overwritten(drive: Path, tmp_path: Path) -> None:

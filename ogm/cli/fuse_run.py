@@ -14,6 +14,7 @@ from ogm import plot
 from ogm.cli.console import one_line, stderr
 from ogm.datasets import Dataset, frame_numbers
 from ogm.dynamic_grid import DynamicGrid
+from ogm.files import OF_DISK
 from ogm.fusion import DYNAMIC, NUSS, BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
@@ -102,6 +103,8 @@ class FusionRun:
                 self.record(maps)
             return self.stopped("interrupted", 130)
         except Exception as error:  # whatever it is, the map so far must not be lost
+            if isinstance(error, OSError) and error.errno in OF_DISK:
+                raise  # that of its log: there is no room for the other outputs, and earlier ones stay
             return self.stopped(f"{one_line(error)}: stopped", 2)
         return 2 if self.failed else 0
 

@@ -33,9 +33,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_again(what: Any) -> None:
-    """Interrupt once more, a moment later: errors of a callback, such as that of a weak reference, are lost."""
+    """Interrupt once more, a moment later: errors of a callback, such as that of a weak reference, are lost.
+
+    After a signal, other errors of callbacks are not printed: processes that got the same signal cause some.
+    """
     if received and isinstance(what.exc_value, KeyboardInterrupt) and hasattr(signal, "setitimer"):
         signal.signal(signal.SIGALRM, signal.default_int_handler)
         signal.setitimer(signal.ITIMER_REAL, LATER)
-    else:
+    elif not received:
         sys.__unraisablehook__(what)
