@@ -6,7 +6,8 @@ Sweeps of three radars (`ogm.simulation.radars.RADARS`) at the front bumper, in 
 simulate --seed 3 --test 240 --drives 24 --test-towns 6 --spacing 10`, against the truth of the lidar's samples, within
 the radar's field of view. `--fit` first fits RadarISM's masses to sweeps in the five training towns of seed 1, by log
 loss with at most 4 % false free, and prints them; the defaults of `RadarISM` are such a fit, rounded. Also counts
-detections, and compares the sweep of an ARS548 with the one recorded frame that may be shared. Writes
+detections, and compares the sweep of an ARS548 with the one recorded frame that may be shared. Without `--fit`, the
+fits of the record stay. Writes
 benchmarks/results/radar.json and docs/pictures/radar.png.
 """
 
@@ -14,6 +15,7 @@ import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
+import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -244,6 +246,8 @@ def main() -> None:
     given = parser.parse_args()
     count = 4 if given.quick else given.frames
     record: dict[str, Any] = {"environment": run.environment(), "fit": {}, "radars": {}}
+    if (run.RESULTS / "radar.json").exists():
+        record["fit"] = json.loads((run.RESULTS / "radar.json").read_text())["fit"]
     if given.fit:
         training = list(frames(TRAINING, "training", range(0, 5 * count, 5)))
         for name in RADARS:

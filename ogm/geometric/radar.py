@@ -41,6 +41,7 @@ class RadarISM:
     **Moving** detections, whose Doppler differs from that of a standing world (`moving_detections`), are left out of
     the static map, so that no trail stays behind; with `keep_moving` they mark, too.
 
+    The masses, `extent`, `behind`, `reach`, `margin` and `beam` were fitted to a simulated ARS548 in training towns.
     Sources: the common core of Clarke 2012, Werber 2015 and Slutsky and Dobkin 2019, see docs/radar.md.
 
     Parameters
@@ -82,13 +83,13 @@ class RadarISM:
     range_noise: float = 0.2
     azimuth_noise: float = math.radians(0.5)
     doppler_noise: float = 0.1
-    beam: float = math.radians(1.0)
-    reach: float = 60.0
-    free_mass: float = 0.7
-    hit_mass: float = 0.6
-    extent: float = 0.5
+    beam: float = math.radians(1.8)
+    reach: float = 39.0
+    free_mass: float = 0.78
+    hit_mass: float = 0.64
+    extent: float = 1.2
     behind: float = 0.5
-    margin: float = 0.5
+    margin: float = 2.5
     clearance: float = 3.0
     keep_moving: bool = False
 

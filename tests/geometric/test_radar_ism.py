@@ -89,7 +89,7 @@ def test_a_detection_marks_and_clears_before_it() -> None:
 
 
 def test_free_fades_with_the_detection_probability() -> None:
-    grid = RadarISM(SPEC, FRONT, reach=15.0)(detections([(36.0, 0.0)]))
+    grid = RadarISM(SPEC, FRONT, reach=15.0, margin=0.5)(detections([(36.0, 0.0)]))
     near, far = grid.free[cell(10.0, 0.0)], grid.free[cell(37.0, 0.0)]
     assert near > 0.6
     assert 0 < far < 0.1 * near
