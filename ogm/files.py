@@ -71,7 +71,7 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
     with contextlib.ExitStack() as stack:
         while True:
             folder = _temporary_name(parent)
-            stack.callback(shutil.rmtree, folder, ignore_errors=True)
+            stack.callback(_remove, folder)
             folder.mkdir()
             with contextlib.suppress(FileNotFoundError, BlockingIOError):  # another process sweeps it
                 stack.enter_context(locked(folder))
@@ -79,6 +79,15 @@ def temporary_folder(parent: Path) -> Iterator[Path]:
                     break
         stack.callback(finish_zarr)
         yield folder
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder, all of it even when interrupted."""
+    try:
+        shutil.rmtree(folder, ignore_errors=True)
+    except KeyboardInterrupt:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def finish_zarr() -> None:

@@ -5,6 +5,7 @@ import errno
 import logging
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from typer.testing import CliRunner
 import ogm.files
 from ogm.cli import app, console
 from ogm.cli.console import SafeFormatter, printable, report_errors
-from ogm.files import atomic_write, finish_zarr
+from ogm.files import atomic_write, finish_zarr, temporary_folder
 from ogm.io.grids.paths import whole_path
 
 ESCAPE = "a\x1b[31m\x07\u202eb\x9bc"
@@ -170,3 +171,18 @@ def test_what_zarr_writes_in_threads_of_its_own_is_waited_for(tmp_path: Path) ->
     asyncio.run_coroutine_threadsafe(slow(), sync.loop[0])
     finish_zarr()
     assert (tmp_path / "written").exists()
+
+
+def test_an_interrupt_while_a_temporary_folder_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, calls = shutil.rmtree, []
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        calls.append(arguments)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        real(*arguments, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt), temporary_folder(tmp_path) as folder:
+        (folder / "a").touch()
+    assert list(tmp_path.iterdir()) == []
