@@ -212,6 +212,7 @@ def main() -> int:
         kills = options.real if command.endswith("towns") else options.kills
         if kills:
             rows[command] = stop_all(command, found, kills, options.seed, folder)
+            write_record(rows, None, options.json)
     full = {name: one for name, one in cases().items() if matches(name, options.commands)}
     full = {name: one for name, one in full.items() if one.outputs and not name.endswith(("2 workers", "towns"))}
     disk = fault_disk.fill(folder, full) if options.disk else None
@@ -219,18 +220,16 @@ def main() -> int:
     return report(rows, disk, options.json)
 
 
-def report(rows: dict[str, dict], disk: dict | None, path: Path | None) -> int:
-    """Print a table, write the record, and return the exit code."""
+def write_record(rows: dict[str, dict], disk: dict | None, path: Path | None) -> dict:
+    """Return the record, with what the file holds of other commands, and write it there if a file is given."""
     if path is not None and path.exists():
         record = json.loads(path.read_text())
         rows = {one["command"]: one for one in record["commands"]} | rows
         disk = disk or record["full disk"]
     found = list(rows.values())
-    total = {key: sum(one[key] for one in found) for key in ("survived", "lost", "left behind")}
-    injected = sum(one[number.name] for one in found for number in SIGNALS)
     record = {
-        "injected": injected,
-        **total,
+        "injected": sum(one[number.name] for one in found for number in SIGNALS),
+        **{key: sum(one[key] for one in found) for key in ("survived", "lost", "left behind")},
         "slowest exit [s]": max((one["slowest exit [s]"] for one in found), default=0.0),
         "commands": found,
         "full disk": disk or {},
@@ -240,11 +239,17 @@ def report(rows: dict[str, dict], disk: dict | None, path: Path | None) -> int:
     }
     if path is not None:
         path.write_text(json.dumps(record, indent=1) + "\n")
+    return record
+
+
+def report(rows: dict[str, dict], disk: dict | None, path: Path | None) -> int:
+    """Write the record, print a table, and return the exit code."""
+    record = write_record(rows, disk, path)
     print("  ".join(ROW))
-    for one in found:
+    for one in record["commands"]:
         print("  ".join(f"{one[key]:>{len(key)}}" for key in ROW))
     print(f"full disk: {disk}")
-    return int(total["survived"] != injected or bool(disk and disk["failures"]))
+    return int(record["survived"] != record["injected"] or bool(disk and disk["failures"]))
 
 
 if __name__ == "__main__":
