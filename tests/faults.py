@@ -96,7 +96,7 @@ def stop(one: Command, row: Row, number: signal.Signals, rng: random.Random, col
             if seconds > WITHIN:
                 wrong.append(f"ended after {seconds:.1f} s: {where}")
         wrong += check_end(case, ended, number)
-    stays = not gone(run.pid, ORPHANS if number == signal.SIGKILL else 1.0)
+    stays = not gone(run.pid, ORPHANS if number == signal.SIGKILL else WITHIN)
     temporary = left_behind(folder) if number != signal.SIGKILL else []
     run.kill()
     lost: list[str] = []
