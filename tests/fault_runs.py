@@ -203,6 +203,9 @@ def fork(work: Callable[[], int], folder: Path, errors: Path) -> int:
         status = work()
         threading._shutdown()  # type: ignore[attr-defined]
         atexit._run_exitfuncs()
+    except KeyboardInterrupt:  # before the command began, as when Python itself is starting
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        os.kill(os.getpid(), signal.SIGINT)
     except BaseException:
         traceback.print_exc()
     finally:
