@@ -104,7 +104,7 @@ class FusionRun:
             return self.stopped("interrupted", 130)
         except Exception as error:  # whatever it is, the map so far must not be lost
             if isinstance(error, OSError) and error.errno in OF_DISK:
-                raise  # that of its log: there is no room for the other outputs, and earlier ones stay
+                raise  # of its log: the other outputs would not fit either, and earlier ones stay
             return self.stopped(f"{one_line(error)}: stopped", 2)
         return 2 if self.failed else 0
 
