@@ -29,7 +29,7 @@ from scipy.optimize import minimize
 from scipy.stats import t as student
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
-from ogm.geometric import RadarISM, RayISM
+from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
 from ogm.plot import dots_panel, mass_panel, save_picture
@@ -116,10 +116,10 @@ def werber(scan: Scan, snr: NDArray[np.float32], mount: Mount) -> EvidentialGrid
 
 
 def as_lidar(scan: Scan, mount: Mount) -> EvidentialGrid:
-    """Map the detections as if each were a return of a lidar, at the height of the sensor."""
+    """Map the detections as if each were a return of a lidar at the height of the sensor, over flat ground."""
     points = scan.points.copy()
     points[:, 2] = 0
-    return RayISM(SPEC, mount, obstacle_height=0.15)(points)
+    return RayISM(SPEC, mount, ground=flat_ground)(points)
 
 
 MODELS: dict[str, Callable[[str, Frame], EvidentialGrid]] = {
