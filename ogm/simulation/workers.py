@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -233,7 +234,7 @@ def _shared_out(
                 if not estimated:
                     yield _estimate(submit(work.measure, todo[0]).result(), todo, count, store)
                     estimated = True
-                for one in _in_order(submit, work.make, [job for job in todo if job not in made], 2 * count):
+                for one in _as_made(submit, work.make, [job for job in todo if job not in made], 2 * count):
                     made.add(one.job)
                     yield one
             return
@@ -242,11 +243,11 @@ def _shared_out(
                 raise
 
 
-def _in_order(submit: Submit, make: Callable[[Job], Made], todo: list[Job], ahead: int) -> Iterator[Made]:
+def _as_made(submit: Submit, make: Callable[[Job], Made], todo: list[Job], ahead: int) -> Iterator[Made]:
     """Yield shards as they are made, a few handed out at a time, so that towns come one by one."""
     later, running = iter(todo), set[Future[Made]]()
     while True:
-        running |= {submit(make, job) for job, _ in zip(later, range(ahead - len(running)), strict=False)}
+        running |= {submit(make, job) for job in islice(later, ahead - len(running))}
         if not running:
             return
         done, running = wait(running, return_when=FIRST_COMPLETED)

@@ -205,6 +205,15 @@ class DiesOnce(NamedTuple):
         return stand_in(plan, split, index, threads)
 
 
+def test_two_workers_make_every_shard(tmp_path: Path, beams: tuple[Beams, ...], whole: dict[str, bytes]) -> None:
+    """There are more shards than are handed out at first."""
+    store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
+    events = list(make_shards(store, PLAN, stand_in, workers=2))
+    assert sum(one.job.samples for one in events[1:]) == 28
+    assert missing_shards(Store.open(tmp_path / "data")) == []
+    assert contents(tmp_path / "data") == whole
+
+
 def test_two_workers_make_the_same_bytes_though_one_dies(
     tmp_path: Path, beams: tuple[Beams, ...], whole: dict[str, bytes]
 ) -> None:
