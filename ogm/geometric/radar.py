@@ -144,7 +144,7 @@ class RadarISM:
         free = np.zeros(self.spec.shape, np.float32)
         until = (first - self.margin - 2 * self.range_noise).astype(np.float32)
         until[~np.isfinite(first)] = 0
-        clear_cells(layout.sector, layout.distance, until, self._detection_table, free)
+        clear_cells(layout.sector, layout.distance, until, _free_table(self.free_mass, self.reach, layout.metres), free)
 
         marks = outside & (z - self.mount.ground_point[2] <= self.clearance)
         if not self.keep_moving:
@@ -163,11 +163,6 @@ class RadarISM:
         """Where the sensor is in the frame of the points."""
         return np.zeros(3) if self.mount.points_in == "sensor" else self.mount.origin
 
-    @property
-    def _detection_table(self) -> NDArray[np.float32]:
-        """Mass of free for every metre of range."""
-        return _free_table(self.free_mass, self.reach, math.ceil(_farthest(self.spec, self.mount)) + 2)
-
 
 class _Layout(NamedTuple):
     """The grid as seen from the sensor: sector (-1 outside the field of view) and distance of each cell."""
@@ -178,11 +173,7 @@ class _Layout(NamedTuple):
     sectors: int
     start: float
     step: float
-
-
-def _farthest(spec: GridSpec, mount: Mount) -> float:
-    (x0, x1, y0, y1), (x, y, _) = spec.extent, mount.origin
-    return math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0))
+    metres: int  # within which all cells are
 
 
 @lru_cache(maxsize=16)
@@ -199,11 +190,13 @@ def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _La
     ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)
     sector[(off > half_width) | ego] = -1
     distance = np.hypot(x - mount.origin[0], y - mount.origin[1]).astype(np.float32)
-    return _Layout(np.ascontiguousarray(sector), distance, ego, sectors, start, step)
+    metres = int(distance.max()) + 1
+    return _Layout(np.ascontiguousarray(sector), distance, ego, sectors, start, step, metres)
 
 
 @lru_cache(maxsize=16)
 def _free_table(free_mass: float, reach: float, metres: int) -> NDArray[np.float32]:
+    """Return the mass of free for every metre of range."""
     distance = np.maximum(np.arange(metres), 1.0)
     return (free_mass * FALSE_ALARM ** (1 / (1 + REFERENCE_SNR * (reach / distance) ** 4))).astype(np.float32)
 
@@ -228,9 +221,9 @@ def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.flo
         Velocity over ground along the sensor's x and y axes [m/s]; None with fewer than 5 detections, without Doppler,
         or where less than half of them agree.
     """
-    return (
-        None if scan.doppler is None else _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise)
-    )
+    if scan.doppler is None:
+        return None
+    return _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise)
 
 
 def moving_detections(

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.pose import check_pose, rotate
 from ogm.scan import Scan
 from ogm.simulation.arrays import Floats
-from ogm.simulation.materials import GROUND, Material
+from ogm.simulation.radar_materials import IS_GROUND, cross_section, mirror_share
 from ogm.simulation.radars import RadarMode, RadarSpec
 from ogm.simulation.scene import EGO, Scene
 
@@ -28,8 +28,6 @@ FALSE_ALARM = 1e-4  # probability per bin, which sets the threshold
 REFERENCE_SNR = 10**1.3  # of a target of 0 dBsm at `RadarMode.reach`
 STRAY = 1.0  # [m] a detection that is reported further from what it is of is a ghost
 BEAM_BINS = 2  # azimuth bins per resolution
-FLASH = math.radians(4.0)  # width of specular reflection: facades and panels are not flat
-GRAZING = math.radians(6.0)  # at which the ground ceases to be a mirror
 
 
 class Origin(IntEnum):
@@ -170,21 +168,21 @@ def _paths(
 
     u = world[index]
     distance, cosine, material = hits.distance[index].astype(np.float64), hits.cosine[index], hits.material[index]
-    echo = _cross_section(material, cosine)
+    echo = cross_section(material, cosine)
     rate = np.einsum("nk,nk->n", u, velocities[hits.object[index]] - own)
-    origin = np.where(_IS_GROUND[material], np.uint8(Origin.GROUND), np.uint8(Origin.OBJECT))
+    origin = np.where(IS_GROUND[material], np.uint8(Origin.GROUND), np.uint8(Origin.OBJECT))
     power = constant * gain[index] * echo / np.maximum(distance, 1.0) ** 2
     direct = _Paths(distance, rate, azimuth[index], elevation[index], power, origin, hits.object[index])
 
     # on from mirrors
-    share = _mirror(material, cosine) ** 2
+    share = mirror_share(material, cosine) ** 2
     on = np.flatnonzero(share > 1e-3)
     n = normals[index[on]].astype(np.float64)
     before = u[on]
     after = before - 2 * np.einsum("nk,nk->n", before, n)[:, None] * n
     start = T[:3, 3] + distance[on, None] * before + 1e-3 * after
     beyond = scene.cast(start, after.astype(np.float32), salt=salt + 1)
-    real = np.flatnonzero(np.isfinite(beyond.distance) & (beyond.object != EGO) & ~_IS_GROUND[beyond.material])
+    real = np.flatnonzero(np.isfinite(beyond.distance) & (beyond.object != EGO) & ~IS_GROUND[beyond.material])
     on, second = on[real], beyond.distance[real].astype(np.float64)
     mirror, target = velocities[hits.object[index[on]]], velocities[beyond.object[real]]
     u1, u2 = u[on], after[real]
@@ -193,7 +191,7 @@ def _paths(
     reported, place = T[:3, 3] + length[:, None] * u1, start[real] + second[:, None] * u2
     flat = np.linalg.norm((reported - place)[:, : 2 if not spec.elevation_resolution else 3], axis=1)
     origin = np.where(flat > STRAY, np.uint8(Origin.GHOST), np.uint8(Origin.OBJECT))
-    echo = _cross_section(beyond.material[real], beyond.cosine[real])
+    echo = cross_section(beyond.material[real], beyond.cosine[real])
     power = constant * gain[index[on]] * share[on] * echo / np.maximum(length, 1.0) ** 2
     bounced = _Paths(length, rate, azimuth[index[on]], elevation[index[on]], power, origin, beyond.object[real])
 
@@ -210,10 +208,8 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     The columns are distance, rate, azimuth, elevation, signal-to-noise ratio, cross section [dBsm], origin and object.
     """
     low, high = spec.velocity
-    rate, sine = (
-        (paths.rate - low) % (high - low),
-        np.sin(paths.azimuth),
-    )  # a beam is equally wide in the sine everywhere
+    rate = (paths.rate - low) % (high - low)
+    sine = np.sin(paths.azimuth)  # a beam is equally wide in it everywhere
     steps = mode.range_resolution, mode.doppler_resolution, mode.azimuth_resolution / BEAM_BINS
     rows = (paths.distance, rate, sine + 1)
     number = [np.floor(row / step).astype(np.int64) + 2 for row, step in zip(rows, steps, strict=True)]
@@ -252,11 +248,8 @@ def _detections(paths: _Paths, spec: RadarSpec, mode: RadarMode, rng: Generator)
     edge = math.sin(mode.half_width)
     noise = [rng.uniform(mode.range_min, mode.range_max, count), rng.uniform(low, high, count)]
     noise += [rng.uniform(-edge, edge, count), rng.uniform(-spec.half_height, spec.half_height, count)]
-    noise += [
-        rng.exponential(size=count) - math.log(FALSE_ALARM) - 1,
-        np.full(count, Origin.CLUTTER),
-        np.full(count, -1),
-    ]
+    noise += [rng.exponential(size=count) - math.log(FALSE_ALARM) - 1]
+    noise += [np.full(count, Origin.CLUTTER), np.full(count, -1)]
     several: Any = zip((distance, rate, sine, elevation, snr, origin, thing), noise, strict=True)
     distance, rate, sine, elevation, snr, origin, thing = (np.concatenate(pair) for pair in several)
 
@@ -277,46 +270,3 @@ def _at(key: NDArray[np.int64], wanted: NDArray[np.int64], values: Floats) -> Fl
 def _gain(spec: RadarSpec, mode: RadarMode, azimuth: Floats, elevation: Floats) -> Floats:
     """Return the gain of the antenna, there and back, against straight ahead."""
     return np.exp2(-2 * ((azimuth / (1.2 * mode.half_width)) ** 2 + (elevation / spec.half_height) ** 2))
-
-
-# ---- What surfaces do at 77 GHz: diffuse echo per area across the beam [dB], extra echo of a mirror that faces the
-# sensor [dB], share of the power that a mirror sends on. Effective values, ours: chosen for published cross sections of
-# whole things (cars 10, lorries 20, people -8 dBsm) and for weak ground; corners and wheels of metal are in those of
-# paint.
-_WALL, _METAL, _BODY, _SOFT = (-14, 14, 0.2), (0, 18, 0.6), (5, 15, 0.5), (-12, 0, 0.0)
-_GROUNDS = {Material.GRASS: -24, Material.SOIL: -25, Material.GRAVEL: -23, Material.COBBLES: -24, Material.PAVING: -30}
-_ECHO: dict[Material, tuple[float, float, float]] = {
-    **{one: (-30, 0, 0.5) for one in GROUND},
-    **{one: (level, 0, 0.2) for one, level in _GROUNDS.items()},
-    **{one: _WALL for one in (Material.PLASTER_LIGHT, Material.PLASTER_DARK, Material.BRICK, Material.CONCRETE)},
-    **{one: _WALL for one in (Material.STONE, Material.ROOF, Material.KERB)},
-    Material.WINDOW: (-20, 14, 0.3),
-    Material.CAR_GLASS: (-10, 10, 0.2),
-    **{one: _METAL for one in (Material.METAL_SHEET, Material.METAL_POLE, Material.SIGN)},
-    **{one: _BODY for one in (Material.PAINT_LIGHT, Material.PAINT_MEDIUM, Material.PAINT_DARK, Material.PAINT_BLACK)},
-    **{one: _BODY for one in (Material.PLATE, Material.LAMP, Material.TYRE, Material.EGO_VEHICLE)},
-    Material.TARPAULIN: (3, 10, 0.2),
-    Material.PLASTIC_DARK: (-8, 0, 0.0),
-    Material.WOOD: (-14, 4, 0.05),
-    Material.BARK: (-10, 0, 0.0),
-    Material.FOLIAGE: (-15, 0, 0.0),
-    **{one: (-6, 0, 0.0) for one in (Material.CLOTH_LIGHT, Material.CLOTH_DARK, Material.SKIN, Material.HIGH_VIS)},
-}
-_TABLE = np.zeros((256, 3))
-for _material in Material:
-    _diffuse, _flash, _share = _ECHO.get(_material, _SOFT)
-    _TABLE[_material] = 10 ** (_diffuse / 10), 10 ** (_flash / 10) if _flash else 0.0, _share
-_IS_GROUND = np.zeros(256, np.bool_)
-_IS_GROUND[list(GROUND)] = True
-
-
-def _cross_section(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
-    """Return the radar cross section per area across the beam."""
-    angle = np.arccos(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
-    return _TABLE[material, 0] + _TABLE[material, 1] * np.exp(-((angle / FLASH) ** 2))
-
-
-def _mirror(material: NDArray[np.uint8], cosine: NDArray[np.float32]) -> Floats:
-    """Return the share of the power that goes on as from a mirror; of the ground only at a grazing angle."""
-    grazing = np.arcsin(np.clip(cosine, 0.0, 1.0)).astype(np.float64)
-    return _TABLE[material, 2] * np.where(_IS_GROUND[material], np.exp(-((grazing / GRAZING) ** 2)), 1.0)

@@ -93,7 +93,8 @@ _KMH = 1 / 3.6
 # Fields of view, ranges, resolutions and velocities of the ARS408 are its data sheet's (near and far scan). Those of
 # the ARS548 are of descriptions and of one recorded frame: standard deviations of 0.2 m, 0.25 m/s and 0.5 degrees,
 # nothing below -20 dBsm, no ambiguity within 22.9 m/s, and a reach that goes with its smallest cross sections, such as
-# -10 dBsm at 120 m. Other reaches, false alarms, and the whole of the corner radar are ours: typical ones.
+# -10 dBsm at 120 m. Other reaches are ours, raised once until sweeps in training towns had the published numbers of
+# detections; so are false alarms, and the whole of the corner radar.
 RADARS = {
     one.name: one
     for one in (

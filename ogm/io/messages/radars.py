@@ -80,8 +80,8 @@ def scan_from_continental(message: Any) -> Scan:
     return scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
 
 
-def _namespace(value: Any) -> Any:
-    """Return nested mappings as objects."""
-    if isinstance(value, Mapping):
-        return SimpleNamespace(**{str(key): _namespace(one) for key, one in value.items()})
-    return [_namespace(one) for one in value] if isinstance(value, list) else value
+def _namespace(value: Any, levels: int = 4) -> Any:
+    """Return nested mappings as objects, as deep as the messages are."""
+    if levels and isinstance(value, Mapping):
+        return SimpleNamespace(**{str(key): _namespace(one, levels - 1) for key, one in value.items()})
+    return [_namespace(one, levels - 1) for one in value] if levels and isinstance(value, list) else value
