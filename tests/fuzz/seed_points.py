@@ -106,7 +106,7 @@ def sweep(compression: str) -> bytes:
 def nuscenes_radar() -> bytes:
     """Return a sweep of nuScenes' radar."""
     fields = "x y z dyn_prop id rcs vx vy vx_comp vy_comp is_quality_valid ambig_state x_rms y_rms invalid_state pdh0"
-    names, types = f"{fields} vx_rms vy_rms".split(), "f4 f4 f4 i1 i2 f4 f4 f4 f4 f4 i1 i1 i1 i1 i1 i1 i1 i1".split()
+    names, types = f"{fields} vx_rms vy_rms".split(), [*["f4"] * 3, "i1", "i2", *["f4"] * 5, *["i1"] * 8]
     rows = np.zeros(24, np.dtype([*zip(names, types, strict=True)]))
     for name, column in zip("xyz", cloud().T, strict=False):
         rows[name] = column
