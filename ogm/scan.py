@@ -403,13 +403,24 @@ class PerMount:
     ----------
     factory : function
         ``mount -> model``. Its last models are kept.
+    radar : function, optional
+        ``(mount, sensor) -> model`` for the scans of radars, those that have `Scan.rcs`, by the sensor's name. By
+        default they are mapped as all others.
     """
 
-    def __init__(self, factory: Callable[[Mount], InverseSensorModel]) -> None:
+    def __init__(
+        self,
+        factory: Callable[[Mount], InverseSensorModel],
+        radar: Callable[[Mount, str], InverseSensorModel] | None = None,
+    ) -> None:
         self.model = lru_cache(maxsize=8)(factory)
+        self.radar = None if radar is None else lru_cache(maxsize=16)(radar)
 
 
 def run_model(ism: InverseSensorModel | PerMount, frame: Frame) -> EvidentialGrid:
     """Map the scan of a frame, by a model or by the model for the frame's mount."""
-    model = ism.model(frame.mount) if isinstance(ism, PerMount) else ism
+    if not isinstance(ism, PerMount):
+        return ism(frame.scan)
+    of_radar = ism.radar is not None and frame.scan.rcs is not None
+    model = ism.radar(frame.mount, frame.scan.sensor) if of_radar else ism.model(frame.mount)  # type: ignore[misc]
     return model(frame.scan)

@@ -1,16 +1,19 @@
 """The simulator's store: samples with truth, boxes and poses."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import FrameRef, Layout, RawFrame
+from ogm.datasets.layout import EGO, FrameRef, Layout, RawFrame
 from ogm.files import OgmError
+from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
+from ogm.simulation.detections import PlacedSweep
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.sample import LABELS, SimulatedSample
 from ogm.simulation.store import FACTS, Store
@@ -27,7 +30,18 @@ _RAYS = {
 }
 
 
-def simulated(path: Path, split: str | None = None, others: str = "all") -> Layout:
+LIDAR, RADAR = "lidar", "radar"  # words for all lidars, all radars
+
+
+class _Place(NamedTuple):
+    """Which scan a frame is: that of a sample's lidar, or a sweep of it."""
+
+    sample: int  # number in the split
+    sweep: int = -1  # of the sample's sweeps; -1 for the lidar
+    radar: int = -1  # of the data set's radars
+
+
+def simulated(path: Path, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()) -> Layout:
     """Return the finished samples of a split.
 
     Parameters
@@ -39,11 +53,14 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         sequences, test and training that has samples.
     others : {"all", "later"}
         "later" for maps: what nothing hit in a frame is ignored instead of unknown, as other frames may know it.
+    sensors : sequence of str
+        "lidar", "radar", or names of radars: whose scans become frames, those of a drive in the order of time. By
+        default the lidar's.
 
     Raises
     ------
     ValueError
-        If there is no such split, or no sample in it.
+        If there is no such split or sensor, or no sample in it.
     """
     store = Store.open(path)
     wanted = None if split is None else _SHORT.get(split, split)
@@ -53,52 +70,107 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         raise OgmError(_no_sample(store, wanted))
     part, numbers = store[name], found[name]
     facts = part.facts[numbers]
-    poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
+    both = np.tile(np.eye(4), (2, len(facts), 1, 1))
     first = FACTS.index("T_world_sensor_00")
-    poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
-    T_world_sensor, T_vehicle_sensor = poses
-    T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the sensor
+    both[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
+    T_world_sensor, T_vehicle_sensor = both
+    forward = T_vehicle_sensor[:, :2, 3].copy()
+    T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
     drive = name == "sequences"
     scenarios = facts[:, FACTS.index("scenario")].astype(int)  # samples of one drive, too far apart to be fused
-    each = zip(numbers, scenarios, T_world_sensor, strict=True)
-    frames = [FrameRef(f"{name} {n}", f"drive {number}", None, T) for n, number, T in each]
-    if drive:
-        stamps = facts[:, FACTS.index("stamp")].tolist()
-        drives = [f"sequence {n // SEQUENCE}" for n in numbers]
-        names = [f"{one} frame {n % SEQUENCE}" for one, n in zip(drives, numbers, strict=True)]
-        frames = list(map(FrameRef, names, drives, stamps, T_world_sensor))
+    stamps = facts[:, FACTS.index("stamp")].tolist()
+    chosen = _radars_of(store, sensors)
+    frames: list[tuple[FrameRef, _Place]] = []
+    for k, n in enumerate(numbers):
+        title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if drive else f"{name} {n}"
+        group = f"sequence {n // SEQUENCE}" if drive else f"drive {scenarios[k]}"
+        if LIDAR in (sensors or (LIDAR,)):
+            frames.append((FrameRef(title, group, stamps[k] if drive else None, T_world_sensor[k]), _Place(k)))
+        if not chosen:
+            continue
+        for m, row in enumerate(part.sweep_rows(int(n))):
+            radar = int(row[1])
+            if radar in chosen:
+                T = np.eye(4)
+                T[:3] = row[4:16].reshape(3, 4)
+                one = f"{title} {store.radars[radar].name}" + (f" {row[2]:.3f} s" if drive else "")
+                frames.append((FrameRef(one, group, float(row[2]) if drive else None, T), _Place(k, m, radar)))
+    if drive and chosen:
+        order = list(dict.fromkeys(ref.sequence for ref, _ in frames))
+        frames.sort(key=lambda pair: (order.index(pair[0].sequence), pair[0].stamp))
+    places, poses = [place for _, place in frames], [np.asarray(ref.T_map_sensor) for ref, _ in frames]
 
     @lru_cache(2)
     def sample(k: int) -> SimulatedSample:
         return part[int(numbers[k])]
 
+    @lru_cache(2)
+    def sweeps(k: int) -> tuple[PlacedSweep, ...]:
+        return part.sweeps(int(numbers[k]))
+
+    def read(k: int) -> RawFrame:
+        at = places[k]
+        if at.radar < 0:
+            return RawFrame(_scan(sample(at.sample)))
+        one = sweeps(at.sample)[at.sweep]
+        return RawFrame(one.detections.scan(one.stamp, store.radars[at.radar].name))
+
+    def mount(k: int) -> Mount:
+        at = places[k]
+        T = T_vehicle_sensor[at.sample]
+        if at.radar < 0:
+            return Mount(T[2, 3], T)
+        radar, (x, y) = store.radars[at.radar], forward[at.sample]
+        T_vehicle_radar = pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw)
+        return Mount(radar.z, T_vehicle_radar, EGO)
+
     def truth(k: int) -> Truth:
-        one = sample(k).truth
+        at = places[k]
+        one = sample(at.sample).truth
+        if at.radar >= 0 and abs(sweeps(at.sample)[at.sweep].stamp - stamps[at.sample]) > 1e-6:
+            raise OgmError(f"{frames[k][0].name} lies between the lidar's turns, whose truth is known: there is none")
         if others == "all":
             return one
         return ignore_cells(one, one.state == CellState.UNKNOWN)
+
+    def boxes(k: int) -> Boxes:
+        at = places[k]
+        found = _boxes(part.objects(int(numbers[at.sample])))
+        return found if at.radar < 0 else found.moved(inverse(poses[k]) @ T_world_sensor[at.sample])
 
     towns = count_towns(store.plan, name, scenarios.tolist())
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
         description += " Maps may know such cells from other frames: they are left out."
+    about = {"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
+    about |= {"towns": towns, "radars": {store.radars[k].name: store.radars[k].radar for k in chosen}}
     return Layout(
         "simulated data set",
-        tuple(frames),
-        lambda k: RawFrame(_scan(sample(k))),
-        boxes=lambda k: _boxes(part.objects(int(numbers[k]))),
+        tuple(ref for ref, _ in frames),
+        read,
+        boxes=boxes,
         ego_footprint=None,
-        mount=lambda k: Mount(T_vehicle_sensor[k, 2, 3], T_vehicle_sensor[k]),
+        mount=mount,
         truth=truth,
         description=description,
         stamped=drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
-        | {"towns": towns},
+        facts=about,
         files=(path / "zarr.json", path / name),
     )
+
+
+def _radars_of(store: Store, sensors: Sequence[str]) -> list[int]:
+    """Return the numbers of the radars that are wanted, or raise OgmError where there is no such sensor."""
+    names = [one.name for one in store.radars]
+    if unknown := [one for one in sensors if one not in (LIDAR, RADAR, *names)]:
+        has = f"{LIDAR}, {RADAR} for all radars, {', '.join(names)}" if names else f"{LIDAR} alone"
+        raise OgmError(f"{store.path} has no sensor {unknown[0]!r}; it has {has}")
+    if RADAR in sensors and not names:
+        raise OgmError(f"{store.path} has no radar; `ogm simulate ... --radar ars548` makes data sets with radars")
+    return [k for k, one in enumerate(names) if RADAR in sensors or one in sensors]
 
 
 def _no_sample(store: Store, name: str | None) -> str:
