@@ -13,7 +13,6 @@ from ogm.datasets.layout import EGO, FrameRef, Layout, RawFrame
 from ogm.files import OgmError
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
-from ogm.simulation.detections import PlacedSweep
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.sample import LABELS, SimulatedSample
 from ogm.simulation.store import FACTS, Store
@@ -28,8 +27,6 @@ _RAYS = {
     "aimed": "rays from the sensor's place, aimed at every cell,",
     "hd": "the rays of a lidar with thousands of layers at the sensor's place",
 }
-
-
 LIDAR, RADAR = "lidar", "radar"  # words for all lidars, all radars
 
 
@@ -68,98 +65,105 @@ def simulated(path: Path, split: str | None = None, others: str = "all", sensors
     name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
     if name is None:
         raise OgmError(_no_sample(store, wanted))
-    part, numbers = store[name], found[name]
-    facts = part.facts[numbers]
-    both = np.tile(np.eye(4), (2, len(facts), 1, 1))
-    first = FACTS.index("T_world_sensor_00")
-    both[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
-    T_world_sensor, T_vehicle_sensor = both
-    forward = T_vehicle_sensor[:, :2, 3].copy()
-    T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
-    drive = name == "sequences"
-    scenarios = facts[:, FACTS.index("scenario")].astype(int)  # samples of one drive, too far apart to be fused
-    stamps = facts[:, FACTS.index("stamp")].tolist()
-    chosen = _radars_of(store, sensors)
-    frames: list[tuple[FrameRef, _Place]] = []
-    for k, n in enumerate(numbers):
-        title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if drive else f"{name} {n}"
-        group = f"sequence {n // SEQUENCE}" if drive else f"drive {scenarios[k]}"
-        if LIDAR in (sensors or (LIDAR,)):
-            frames.append((FrameRef(title, group, stamps[k] if drive else None, T_world_sensor[k]), _Place(k)))
-        if not chosen:
-            continue
-        for m, row in enumerate(part.sweep_rows(int(n))):
-            radar = int(row[1])
-            if radar in chosen:
-                T = np.eye(4)
-                T[:3] = row[4:16].reshape(3, 4)
-                one = f"{title} {store.radars[radar].name}" + (f" {row[2]:.3f} s" if drive else "")
-                frames.append((FrameRef(one, group, float(row[2]) if drive else None, T), _Place(k, m, radar)))
-    if drive and chosen:
-        order = list(dict.fromkeys(ref.sequence for ref, _ in frames))
-        frames.sort(key=lambda pair: (order.index(pair[0].sequence), pair[0].stamp))
-    places, poses = [place for _, place in frames], [np.asarray(ref.T_map_sensor) for ref, _ in frames]
-
-    @lru_cache(2)
-    def sample(k: int) -> SimulatedSample:
-        return part[int(numbers[k])]
-
-    @lru_cache(2)
-    def sweeps(k: int) -> tuple[PlacedSweep, ...]:
-        return part.sweeps(int(numbers[k]))
-
-    def read(k: int) -> RawFrame:
-        at = places[k]
-        if at.radar < 0:
-            return RawFrame(_scan(sample(at.sample)))
-        one = sweeps(at.sample)[at.sweep]
-        return RawFrame(one.detections.scan(one.stamp, store.radars[at.radar].name))
-
-    def mount(k: int) -> Mount:
-        at = places[k]
-        T = T_vehicle_sensor[at.sample]
-        if at.radar < 0:
-            return Mount(T[2, 3], T)
-        radar, (x, y) = store.radars[at.radar], forward[at.sample]
-        T_vehicle_radar = pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw)
-        return Mount(radar.z, T_vehicle_radar, EGO)
-
-    def truth(k: int) -> Truth:
-        at = places[k]
-        one = sample(at.sample).truth
-        if at.radar >= 0 and abs(sweeps(at.sample)[at.sweep].stamp - stamps[at.sample]) > 1e-6:
-            raise OgmError(f"{frames[k][0].name} lies between the lidar's turns, whose truth is known: there is none")
-        if others == "all":
-            return one
-        return ignore_cells(one, one.state == CellState.UNKNOWN)
-
-    def boxes(k: int) -> Boxes:
-        at = places[k]
-        found = _boxes(part.objects(int(numbers[at.sample])))
-        return found if at.radar < 0 else found.moved(inverse(poses[k]) @ T_world_sensor[at.sample])
-
-    towns = count_towns(store.plan, name, scenarios.tolist())
+    made = _Frames(store, name, found[name], sensors)
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
         description += " Maps may know such cells from other frames: they are left out."
-    about = {"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
-    about |= {"towns": towns, "radars": {store.radars[k].name: store.radars[k].radar for k in chosen}}
+
+    def truth(k: int) -> Truth:
+        one = made.truth(k)
+        return one if others == "all" else ignore_cells(one, one.state == CellState.UNKNOWN)
+
     return Layout(
         "simulated data set",
-        tuple(ref for ref, _ in frames),
-        read,
-        boxes=boxes,
+        tuple(made.refs),
+        made.read,
+        boxes=made.boxes,
         ego_footprint=None,
-        mount=mount,
+        mount=made.mount,
         truth=truth,
         description=description,
-        stamped=drive,
+        stamped=made.drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts=about,
+        facts={"split": name, "plan": store.plan, "versions": store.versions} | made.facts,
         files=(path / "zarr.json", path / name),
     )
+
+
+class _Frames:
+    """The frames of a split: scans of its samples' lidars, and sweeps of radars."""
+
+    def __init__(self, store: Store, name: str, numbers: NDArray[np.int64], sensors: Sequence[str]) -> None:
+        self.part, self.numbers, self.radars, self.drive = store[name], numbers, store.radars, name == "sequences"
+        facts = self.part.facts[numbers]
+        poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
+        first = FACTS.index("T_world_sensor_00")
+        poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
+        self.T_world_lidar, self.T_vehicle_lidar = poses
+        self.lidar_place = self.T_vehicle_lidar[:, :2, 3].copy()
+        self.T_vehicle_lidar[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
+        self.stamps = facts[:, FACTS.index("stamp")].tolist()
+        scenarios = facts[:, FACTS.index("scenario")].astype(int).tolist()
+        chosen = _radars_of(store, sensors)
+        frames: list[tuple[FrameRef, _Place]] = []
+        for k, (n, scenario) in enumerate(zip(numbers.tolist(), scenarios, strict=True)):
+            # samples of a drive that are no sequence are too far apart to be fused
+            title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if self.drive else f"{name} {n}"
+            group = f"sequence {n // SEQUENCE}" if self.drive else f"drive {scenario}"
+            if LIDAR in (sensors or (LIDAR,)):
+                stamp = self.stamps[k] if self.drive else None
+                frames.append((FrameRef(title, group, stamp, self.T_world_lidar[k]), _Place(k)))
+            for m, row in enumerate(self.part.sweep_rows(n) if chosen else ()):
+                radar, stamp = int(row[1]), float(row[2])
+                if radar in chosen:
+                    one = f"{title} {self.radars[radar].name}" + (f" {stamp:.3f} s" if self.drive else "")
+                    T = np.vstack([row[4:16].reshape(3, 4), [0, 0, 0, 1]])
+                    frames.append((FrameRef(one, group, stamp if self.drive else None, T), _Place(k, m, radar)))
+        if self.drive and chosen:  # sequences are one after the other, and sorting is stable
+            order = {ref.sequence: k for k, (ref, _) in reversed([*enumerate(frames)])}
+            frames.sort(key=lambda pair: (order[pair[0].sequence], pair[0].stamp))
+        self.refs, self.places = [ref for ref, _ in frames], [place for _, place in frames]
+        self.facts = {
+            "samples": numbers.tolist(),
+            "towns": count_towns(store.plan, name, scenarios),
+            "radars": {self.radars[k].name: self.radars[k].radar for k in chosen},
+        }
+        self._sample = lru_cache(2)(lambda k: self.part[int(numbers[k])])
+        self._sweeps = lru_cache(2)(lambda k: self.part.sweeps(int(numbers[k])))
+
+    def read(self, k: int) -> RawFrame:
+        """Return a scan."""
+        at = self.places[k]
+        if at.radar < 0:
+            return RawFrame(_scan(self._sample(at.sample)))
+        one = self._sweeps(at.sample)[at.sweep]
+        return RawFrame(one.detections.scan(one.stamp, self.radars[at.radar].name))
+
+    def mount(self, k: int) -> Mount:
+        """Return how the sensor of a frame is mounted; all sensors of a sample have one vehicle frame."""
+        at = self.places[k]
+        if at.radar < 0:
+            T = self.T_vehicle_lidar[at.sample]
+            return Mount(T[2, 3], T)
+        radar, (x, y) = self.radars[at.radar], self.lidar_place[at.sample]
+        return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
+
+    def truth(self, k: int) -> Truth:
+        """Return the truth around the lidar, or raise OgmError for a sweep at another time."""
+        at = self.places[k]
+        if at.radar >= 0 and abs(self._sweeps(at.sample)[at.sweep].stamp - self.stamps[at.sample]) > 1e-6:
+            raise OgmError(f"{self.refs[k].name} lies between the lidar's turns, whose truth is known: there is none")
+        return self._sample(at.sample).truth
+
+    def boxes(self, k: int) -> Boxes:
+        """Return the objects in the frame of the sensor, at the time of the lidar's scan."""
+        at = self.places[k]
+        found = _boxes(self.part.objects(int(self.numbers[at.sample])))
+        if at.radar < 0:
+            return found
+        return found.moved(inverse(np.asarray(self.refs[k].T_map_sensor)) @ self.T_world_lidar[at.sample])
 
 
 def _radars_of(store: Store, sensors: Sequence[str]) -> list[int]:
