@@ -174,7 +174,7 @@ def _numbers(dataset: "Dataset", samples: int | None, every: int, seed: int) -> 
 
     if every < 1:
         raise ValueError(f"--every must be at least 1, got {every}")
-    numbers = np.arange(0, len(dataset), every)
+    numbers = np.array(dataset.with_truth, int)[::every]
     if samples is None:
         return numbers.tolist()
     if not 1 <= samples <= len(numbers):

@@ -157,6 +157,12 @@ class Dataset(Sequence[Frame]):
         return tuple(self.layout.frames[k] for k in self._numbers)
 
     @property
+    def with_truth(self) -> list[int]:
+        """Numbers of the frames that may have a truth: all but radar sweeps between a simulated lidar's turns."""
+        known = self.layout.has_truth
+        return [n for n, k in enumerate(self._numbers) if known is None or known(k)]
+
+    @property
     def sequences(self) -> dict[str, list[int]]:
         """Numbers of the frames of each sequence, in order; frames that stand alone are left out."""
         result: dict[str, list[int]] = {}

@@ -83,6 +83,7 @@ def simulated(path: Path, split: str | None = None, others: str = "all", sensors
         ego_footprint=None,
         mount=made.mount,
         truth=truth,
+        has_truth=made.has_truth,
         description=description,
         stamped=made.drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
@@ -150,12 +151,16 @@ class _Frames:
         radar, (x, y) = self.radars[at.radar], self.lidar_place[at.sample]
         return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
 
+    def has_truth(self, k: int) -> bool:
+        """Return whether a scan was taken at the time of the sample."""
+        stamp = self.refs[k].stamp
+        return stamp is None or abs(stamp - self.stamps[self.places[k].sample]) < 1e-6
+
     def truth(self, k: int) -> Truth:
         """Return the truth around the lidar, or raise OgmError for a sweep at another time."""
-        at = self.places[k]
-        if at.radar >= 0 and abs(self._sweeps(at.sample)[at.sweep].stamp - self.stamps[at.sample]) > 1e-6:
+        if not self.has_truth(k):
             raise OgmError(f"{self.refs[k].name} lies between the lidar's turns, whose truth is known: there is none")
-        return self._sample(at.sample).truth
+        return self._sample(self.places[k].sample).truth
 
     def boxes(self, k: int) -> Boxes:
         """Return the objects in the frame of the sensor, at the time of the lidar's scan."""

@@ -140,10 +140,27 @@ def test_frames_of_lidar_and_radars(store: Store) -> None:
     expected = lidar.boxes.moved(T_radar_lidar)
     np.testing.assert_allclose(frame.boxes.center, expected.center)
     assert frame.truth.spec == lidar.truth.spec
-    with pytest.raises(OgmError, match="between the lidar's turns"):
-        radars[1].truth  # noqa: B018
     with pytest.raises(OgmError, match="no sensor 'side'; it has lidar, radar"):
         open_dataset(store.path, sensors="side")
+
+
+def test_sweeps_between_the_turns_of_a_drive_come_in_time_and_without_truth(
+    tmp_path: Path, beams: Any, make_sample: Any
+) -> None:
+    made = Store.create(tmp_path / "d", asdict(DatasetPlan(radars=TWO)), {"sequences": 10}, beams, {})
+    samples = [replace(with_sweeps(make_sample(None, "sequences", i), i), stamp=20 + i / 10) for i in range(10)]
+    for k, one in enumerate(samples):
+        late = one.stamp - make_sample(None, "sequences", k).stamp
+        samples[k] = replace(one, sweeps=[sweep._replace(stamp=sweep.stamp + late) for sweep in one.sweeps])
+    made.write("sequences", 0, samples)
+    every = open_dataset(made.path, sensors=("radar", "lidar"))
+    stamps = [ref.stamp for ref in every.refs]
+    assert (len(every), stamps) == (40, sorted(stamps))
+    assert len(every.with_truth) == 30
+    between = next(n for n in range(40) if n not in every.with_truth)
+    assert every[between].name.endswith("ars548-front 20.050 s")
+    with pytest.raises(OgmError, match="between the lidar's turns"):
+        every[between].truth  # noqa: B018
 
 
 def test_data_sets_without_radars_have_none(tmp_path: Path, beams: Any, make_sample: Any) -> None:
