@@ -3,10 +3,12 @@
 import json
 import math
 import os
+import platform
 import re
 import signal
 import socket
 import struct
+import subprocess
 import sys
 import threading
 import time
@@ -24,7 +26,17 @@ from scipy.spatial.transform import Rotation
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, OgmError, Scan
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, rolling_window
 from ogm.geometric import RayISM
-from ogm.live import FoxglovePublisher, LiveReport, NewestFrames, frame_bytes, receive_frames, serve, stream, warm_up
+from ogm.live import (
+    FoxglovePublisher,
+    LiveReport,
+    NewestFrames,
+    frame_bytes,
+    receive_frames,
+    return_large_blocks,
+    serve,
+    stream,
+    warm_up,
+)
 from ogm.pose import inverse, pose
 
 SPEC = GridSpec(0.5, (20, 16), (-5.0, -4.0))
@@ -569,3 +581,35 @@ def test_scans_from_a_socket_are_served(listener: socket.socket) -> None:
     direct = mapper()
     serve(one_by_one(direct, *map(frame, range(5))), LShape(), direct, ignore)
     assert fused.grid == direct.grid
+
+
+HELD = """
+import sys
+from pathlib import Path
+import numpy as np
+from ogm.live.memory import return_large_blocks
+def resident():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 / 1e6
+if sys.argv[1] == "yes":
+    assert return_large_blocks()
+np.ones(2_000_000)  # is freed: glibc keeps blocks up to its size from now on
+before, large, small = resident(), [], []
+for _ in range(100):
+    large.append(np.ones(125_000))
+    small.append(np.ones(4000))
+del large
+print(resident() - before)
+"""
+
+
+def test_large_blocks_go_back_to_the_system_though_small_ones_lie_between_them() -> None:
+    if not sys.platform.startswith("linux") or platform.libc_ver()[0] != "glibc":
+        pytest.skip("of glibc")
+    held = {}
+    for asked in ("no", "yes"):
+        done = subprocess.run([sys.executable, "-c", HELD, asked], capture_output=True, text=True, check=True)
+        held[asked] = float(done.stdout)
+    assert held["no"] > 50  # [MB] of 100
+    assert held["yes"] < 20
+    with pytest.raises(ValueError, match="above 0 bytes"):
+        return_large_blocks(0)

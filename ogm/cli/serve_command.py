@@ -78,12 +78,13 @@ def serve(
     from ogm.evaluation.models import sensor_models
     from ogm.fusion import make_mapper, rolling_window
     from ogm.grid import GridSpec
-    from ogm.live import FoxglovePublisher, receive_frames, warm_up
+    from ogm.live import FoxglovePublisher, receive_frames, return_large_blocks, warm_up
     from ogm.live import serve as served
     from ogm.scan import Mount
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
+    return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
     model, mapper = sensor_models(ism, spec), make_mapper(rule or "cautious", rolling_window(spec), half_life)
     frames: Iterable[Frame]
