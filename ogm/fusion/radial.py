@@ -1,0 +1,131 @@
+"""Radial velocities, of Doppler, as measurements of the velocities of groups of cells: of one component each.
+
+Part of the reason for `TURN_RATE`: Kellner et al., "Instantaneous ego-motion estimation using multiple Doppler radars"
+(2014): one sensor cannot tell the rotation of a body from motion across the beam.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.doppler import RadialVelocities
+from ogm.fusion.dynamic_cells import DynamicCells
+from ogm.fusion.groups import find_groups
+from ogm.fusion.measured_velocities import MeasuredVelocities
+from ogm.fusion.radial_kernels import mark_within, nearest_labels
+from ogm.grid import GridSpec
+
+__all__ = ["radial_evidence", "with_radial_velocities"]
+
+LEAST_DEVIATION = 0.3  # [m/s] of a radial velocity: parts of an object differ, as wheels and limbs do
+TURN_RATE = 0.5  # [rad/s] standard deviation of that at which objects turn
+SCATTER = 1.0  # [m/s] beside 3 standard deviations, by which a detection may differ from the median of its group
+LINK = 1  # [cells] between cells of a group
+NEGLIGIBLE = 1e-4  # share of the greatest eigenvalue of the information, below which a direction is not measured
+
+
+def with_radial_velocities(
+    matched: MeasuredVelocities,
+    radial: RadialVelocities,
+    measured: NDArray[np.float32],
+    cells: DynamicCells,
+    spec: GridSpec,
+) -> MeasuredVelocities:
+    """Return measured velocities with those of Doppler beside them.
+
+    Groups are connected cells within two standard deviations of a detection that the scan measures as occupied rather
+    than free, or that hold more dynamic than static or free. A matched group that holds one of them takes its
+    information; else the cells of the group are a group of their own.
+
+    Parameters
+    ----------
+    matched : MeasuredVelocities
+        Of the same scan; may have no groups.
+    radial : RadialVelocities
+        In map coordinates, at least one.
+    measured : (nx, 2 ny) float32
+        Masses of the scan in the cells of the window.
+    cells : DynamicCells
+        After the update by the scan.
+    spec : GridSpec
+        The window in map coordinates.
+    """
+    at = (radial.xy - spec.origin) / spec.resolution
+    rows = np.column_stack([at, radial.direction, np.maximum(radial.extent / spec.resolution, 0.5)])
+    inside = np.zeros(spec.shape, np.uint8)
+    mark_within(rows, measured, cells, inside)
+    groups = find_groups(inside, inside, LINK, 1)
+    group = np.empty(len(rows), np.int32)
+    nearest_labels(rows, groups.label, group)
+    information, weighted = radial_evidence(radial, group, len(groups.start) - 1)
+
+    count = len(matched.velocity)
+    holds = np.concatenate([[False], matched.information.any(axis=(1, 2))])
+    of_cell = matched.label[groups.x, groups.y]
+    target = np.zeros(len(information), np.int64)  # of each group
+    np.maximum.at(target, groups.label[groups.x, groups.y] - 1, np.where(holds[of_cell], of_cell, 0))
+    target -= 1
+    valid = target >= 0
+    target[~valid] = count + np.arange((~valid).sum())
+    label = matched.label.copy()
+    label[groups.x, groups.y] = np.repeat(target + 1, np.diff(groups.start))
+
+    total = np.zeros((count + int((~valid).sum()), 2, 2))
+    total[:count] = matched.information
+    vector = np.zeros((len(total), 2))
+    vector[:count] = np.einsum("gij,gj->gi", matched.information, matched.velocity)
+    np.add.at(total, target, information)
+    np.add.at(vector, target, weighted)
+    velocity = np.zeros((len(total), 2))
+    velocity[:count] = matched.velocity
+    new = np.unique(target)
+    velocity[new] = np.einsum("gij,gj->gi", np.linalg.pinv(total[new], NEGLIGIBLE, hermitian=True), vector[new])
+    return MeasuredVelocities(label, velocity, total)
+
+
+def radial_evidence(
+    radial: RadialVelocities, group: NDArray[np.int32], count: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return information I (G, 2, 2) [s²/m²] and I v (G, 2) of the velocity v at the middle of each group.
+
+    Parameters
+    ----------
+    radial : RadialVelocities
+    group : (N,) int32
+        From 1 to `count`; 0 for none.
+    count : int
+
+    Notes
+    -----
+    A detection at p in the direction u measures u . v + w q, with the turn rate w of the body and
+    q = u x (m - p), m being the middle of the group's detections: one sensor cannot tell turning from motion across the
+    beam. With w ~ N(0, `TURN_RATE`²) integrated out, I is the sum of u u' / s² less g g' / (1 / `TURN_RATE`² + h),
+    where g is the sum of q u / s² and h that of q² / s² (Woodbury). Of a single detection it has rank one. Detections
+    that differ from the median of their group by over 3 s and `SCATTER` count nothing.
+    """
+    s = np.maximum(radial.deviation, LEAST_DEVIATION)
+    w = np.where(group > 0, s**-2.0, 0.0)
+    w[np.abs(radial.speed - _medians(radial.speed, group, count)[group]) > 3 * s + SCATTER] = 0
+
+    def sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.bincount(group, w * values, count + 1)[1:].astype(np.float64, copy=False)
+
+    (x, y), (ux, uy) = radial.xy.T, radial.direction.T
+    number = np.maximum(sums(np.ones(len(s))), 1e-300)
+    middle = np.vstack([np.zeros(2), np.stack([sums(x), sums(y)], axis=-1) / number[:, None]])[group]
+    q = ux * (middle[:, 1] - y) - uy * (middle[:, 0] - x)
+    xy = sums(ux * uy)
+    plain = np.stack([sums(ux * ux), xy, xy, sums(uy * uy)], axis=-1).reshape(count, 2, 2)
+    g = np.stack([sums(q * ux), sums(q * uy)], axis=-1)
+    share = 1 / (TURN_RATE**-2.0 + sums(q * q))
+    information = plain - share[:, None, None] * g[:, :, None] * g[:, None, :]
+    weighted = np.stack([sums(radial.speed * ux), sums(radial.speed * uy)], axis=-1)
+    return information, weighted - (share * sums(q * radial.speed))[:, None] * g
+
+
+def _medians(values: NDArray[np.float64], group: NDArray[np.int32], count: int) -> NDArray[np.float64]:
+    """Return the median of each group's values, (count + 1,)."""
+    in_order = values[np.lexsort((values, group))]
+    size = np.bincount(group, minlength=count + 1)
+    last = np.cumsum(size) - 1
+    low, high = (np.clip(last - half, 0, len(values) - 1) for half in (size // 2, (size - 1) // 2))
+    return (in_order[low] + in_order[high]) / 2
