@@ -11,7 +11,7 @@ from ogm.doppler import RadialVelocities
 from ogm.fusion.dynamic_cells import DynamicCells
 from ogm.fusion.groups import find_groups
 from ogm.fusion.measured_velocities import MeasuredVelocities
-from ogm.fusion.radial_kernels import mark_within, nearest_labels
+from ogm.fusion.radial_kernels import ellipses, mark_within, nearest_labels, sum_evidence
 from ogm.grid import GridSpec
 
 __all__ = ["radial_evidence", "with_radial_velocities"]
@@ -20,7 +20,7 @@ LEAST_DEVIATION = 0.3  # [m/s] of a radial velocity: parts of an object differ, 
 TURN_RATE = 0.5  # [rad/s] standard deviation of that at which objects turn
 SCATTER = 1.0  # [m/s] beside 3 standard deviations, by which a detection may differ from the median of its group
 LINK = 1  # [cells] between cells of a group
-NEGLIGIBLE = 1e-4  # share of the greatest eigenvalue of the information, below which a direction is not measured
+MAX_DEVIATION = 20.0  # [m/s] of a component that is measured; float32 would lose less certain ones
 
 
 def with_radial_velocities(
@@ -49,8 +49,7 @@ def with_radial_velocities(
     spec : GridSpec
         The window in map coordinates.
     """
-    at = (radial.xy - spec.origin) / spec.resolution
-    rows = np.column_stack([at, radial.direction, np.maximum(radial.extent / spec.resolution, 0.5)])
+    rows = ellipses((radial.xy - spec.origin) / spec.resolution, radial.direction, radial.extent / spec.resolution)
     inside = np.zeros(spec.shape, np.uint8)
     mark_within(rows, measured, cells, inside)
     groups = find_groups(inside, inside, LINK, 1)
@@ -59,17 +58,18 @@ def with_radial_velocities(
     information, weighted = radial_evidence(radial, group, len(groups.start) - 1)
 
     count = len(matched.velocity)
-    holds = np.concatenate([[False], matched.information.any(axis=(1, 2))])
-    of_cell = matched.label[groups.x, groups.y]
-    target = np.zeros(len(information), np.int64)  # of each group
-    np.maximum.at(target, groups.label[groups.x, groups.y] - 1, np.where(holds[of_cell], of_cell, 0))
-    target -= 1
-    valid = target >= 0
-    target[~valid] = count + np.arange((~valid).sum())
-    label = matched.label.copy()
-    label[groups.x, groups.y] = np.repeat(target + 1, np.diff(groups.start))
+    label, target = groups.label, np.full(len(information), -1)  # the matched group of each group, from 0 on
+    if count:
+        label, of_cell = matched.label.copy(), matched.label[groups.x, groups.y]
+        holds = np.concatenate([[False], matched.information.any(axis=(1, 2))])
+        size = np.diff(groups.start)
+        np.maximum.at(target, np.repeat(np.arange(len(size)), size), np.where(holds[of_cell], of_cell, 0) - 1)
+    alone = target < 0
+    target[alone] = count + np.arange(alone.sum())
+    if count:
+        label[groups.x, groups.y] = np.repeat(target + 1, size)
 
-    total = np.zeros((count + int((~valid).sum()), 2, 2))
+    total = np.zeros((count + int(alone.sum()), 2, 2))
     total[:count] = matched.information
     vector = np.zeros((len(total), 2))
     vector[:count] = np.einsum("gij,gj->gi", matched.information, matched.velocity)
@@ -77,8 +77,7 @@ def with_radial_velocities(
     np.add.at(vector, target, weighted)
     velocity = np.zeros((len(total), 2))
     velocity[:count] = matched.velocity
-    new = np.unique(target)
-    velocity[new] = np.einsum("gij,gj->gi", np.linalg.pinv(total[new], NEGLIGIBLE, hermitian=True), vector[new])
+    velocity[target], total[target] = _solved(total[target], vector[target])
     return MeasuredVelocities(label, velocity, total)
 
 
@@ -103,23 +102,31 @@ def radial_evidence(
     that differ from the median of their group by over 3 s and `SCATTER` count nothing.
     """
     s = np.maximum(radial.deviation, LEAST_DEVIATION)
-    w = np.where(group > 0, s**-2.0, 0.0)
-    w[np.abs(radial.speed - _medians(radial.speed, group, count)[group]) > 3 * s + SCATTER] = 0
+    agree = np.abs(radial.speed - _medians(radial.speed, group, count)[group]) <= 3 * s + SCATTER
+    rows = np.column_stack([radial.xy, radial.direction, radial.speed, agree / s**2])
+    information, weighted = np.zeros((count, 2, 2)), np.zeros((count, 2))
+    sum_evidence(rows, group, TURN_RATE, information, weighted)
+    return information, weighted
 
-    def sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.bincount(group, w * values, count + 1)[1:].astype(np.float64, copy=False)
 
-    (x, y), (ux, uy) = radial.xy.T, radial.direction.T
-    number = np.maximum(sums(np.ones(len(s))), 1e-300)
-    middle = np.vstack([np.zeros(2), np.stack([sums(x), sums(y)], axis=-1) / number[:, None]])[group]
-    q = ux * (middle[:, 1] - y) - uy * (middle[:, 0] - x)
-    xy = sums(ux * uy)
-    plain = np.stack([sums(ux * ux), xy, xy, sums(uy * uy)], axis=-1).reshape(count, 2, 2)
-    g = np.stack([sums(q * ux), sums(q * uy)], axis=-1)
-    share = 1 / (TURN_RATE**-2.0 + sums(q * q))
-    information = plain - share[:, None, None] * g[:, :, None] * g[:, None, :]
-    weighted = np.stack([sums(radial.speed * ux), sums(radial.speed * uy)], axis=-1)
-    return information, weighted - (share * sums(q * radial.speed))[:, None] * g
+def _solved(
+    information: NDArray[np.float64], weighted: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return velocities v (G, 2) from I and I v, and I: of rank one, v along it, where it measures one component.
+
+    Eigenvalues p >= q of I have p + q = trace, p q = det. Without its part along q it is (I - q) p / (p - q).
+    """
+    a, b, d = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
+    (x, y), det = weighted.T, a * d - b * b
+    p = (a + d) / 2 + np.hypot((a - d) / 2, b)
+    q = det / np.maximum(p, 1e-300)
+    full = q > MAX_DEVIATION**-2
+    by_cofactors = np.stack([d * x - b * y, a * y - b * x], axis=-1) / np.where(full, det, 1)[:, None]
+    scale = p / np.where(full | (p <= q), 1, p - q)
+    one = (information - q[:, None, None] * np.eye(2)) * scale[:, None, None]
+    along = np.einsum("gij,gj->gi", one, weighted) / np.maximum(p**2, 1e-300)[:, None]
+    v = np.where(full[:, None], by_cofactors, along)
+    return v, np.where(full[:, None, None], information, one)
 
 
 def _medians(values: NDArray[np.float64], group: NDArray[np.int32], count: int) -> NDArray[np.float64]:
