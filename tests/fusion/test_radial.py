@@ -154,23 +154,28 @@ def test_information_is_never_negative_and_velocities_are_finite(seed, count, de
 
 def test_a_matched_group_takes_the_information_of_its_detections_and_others_stay():
     label = np.zeros(SPEC.shape, np.int32)
-    label[100:140, 60:80], label[200:220, 20:40] = 1, 2
+    label[100:140, 60:80], label[200:220, 20:40], label[60:90, 100:130] = 1, 2, 3  # the last without a match
     measured = np.zeros((*SPEC.shape, 2), np.float32)
     measured[label > 0] = 0.1, 0.8
-    measured[30:40, 150:160] = 0.1, 0.8  # occupied, and not matched
-    matched = MeasuredVelocities(label, np.array([[4.0, 1.0], [1.0, 1.0]]), np.array([np.eye(2) / 0.5**2, np.eye(2)]))
+    measured[30:40, 150:160] = 0.1, 0.8  # occupied, and in no group
+    information = np.array([np.eye(2) / 0.5**2, np.eye(2), np.zeros((2, 2))])
+    matched = MeasuredVelocities(label, np.array([[4.0, 1.0], [1.0, 1.0], [9.0, 9.0]]), information)
     x, y = SPEC.cell_centers
-    places = [(x[120, 0], y[0, 70]), (x[35, 0], y[0, 155]), (x[10, 0], y[0, 10])]  # the last on nothing
-    radial = RadialVelocities(
-        np.array(places), np.tile([0.0, 1.0], (3, 1)), np.array([2.0, 3.0, 9.0]), np.full(3, 0.5), np.full((3, 2), 0.2)
-    )
+    places = [(x[i, 0], y[0, j]) for i, j in ((120, 70), (35, 155), (75, 115), (10, 10))]  # the last on nothing
+    speed, extent = np.array([2.0, 3.0, 5.0, 9.0]), np.full((4, 2), 0.2)
+    radial = RadialVelocities(np.array(places), np.tile([0.0, 1.0], (4, 1)), speed, np.full(4, 0.5), extent)
     found = with_radial_velocities(matched, radial, measured.reshape(SPEC.shape[0], -1), no_belief(), SPEC)
-    np.testing.assert_array_equal(found.label[label > 0], label[label > 0])
-    assert (found.label == 3).sum() >= 4
-    assert found.label.max() == 3
-    np.testing.assert_allclose(found.information, [np.diag([4, 8]), np.eye(2), np.diag([0, 4])], atol=1e-12)
-    np.testing.assert_allclose(found.velocity, [(4, 1.5), (1, 1), (0, 3)], atol=1e-9)
-    assert matched.label.max() == 2  # not changed
+    matches = (label == 1) | (label == 2)
+    np.testing.assert_array_equal(found.label[matches], label[matches])
+    own = found.label[35, 155], found.label[75, 115]
+    assert own == (4, 5)
+    for number in own:
+        assert 4 <= (found.label == number).sum() <= 25
+    assert found.label.max() == 5
+    wanted = [np.diag([4, 8]), np.eye(2), np.zeros((2, 2)), np.diag([0, 4]), np.diag([0, 4])]
+    np.testing.assert_allclose(found.information, wanted, atol=1e-12)
+    np.testing.assert_allclose(found.velocity[[0, 1, 3, 4]], [(4, 1.5), (1, 1), (0, 3), (0, 5)], atol=1e-9)
+    assert matched.label.max() == 3  # not changed
 
 
 def test_one_that_differs_from_its_group_counts_nothing_and_two_that_contradict_measure_nothing():
