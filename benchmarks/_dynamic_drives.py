@@ -108,6 +108,10 @@ class Recorder:
     def update(self, grid: EvidentialGrid, T_map_sensor: NDArray[np.float64], *, stamp: float) -> None:
         """Update the mapper and compare it."""
         self.mapper.update(grid, T_map_sensor, stamp=stamp)
+        self.compare(stamp)
+
+    def compare(self, stamp: float) -> None:
+        """Compare the mapper with the next frame of the drive."""
         self._k += 1
         here = self._drive[self._k]
         seen = self.mapper.dynamic_view(PAPER)

@@ -43,6 +43,11 @@ class RadialVelocities(NamedTuple):
     extent: NDArray[np.float64]
     dense: bool = False
 
+    @classmethod
+    def empty(cls) -> "RadialVelocities":
+        """Return none, of a sparse scan."""
+        return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
+
     def checked(self) -> "RadialVelocities":
         """Return the columns as float64 arrays.
 
@@ -159,10 +164,11 @@ def radial_velocities(
     Returns
     -------
     RadialVelocities or None
-        None without Doppler. Without rows where nothing moves, or where no velocity of the sensor is found.
+        None for scans without Doppler that are no radar's: without `Scan.rcs`. Without rows where nothing moves, or
+        where no velocity of the sensor is found.
     """
     if scan.doppler is None:
-        return None
+        return None if scan.rcs is None else RadialVelocities.empty()
     T = mount.T_vehicle_points
     place = (rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:])[:2].T
     x0, x1, y0, y1 = mount.ego_footprint

@@ -408,10 +408,18 @@ class PerMount:
     ----------
     factory : function
         ``mount -> model``. Its last models are kept.
+    radar : function, optional
+        ``(mount, sensor) -> model`` for the scans of radars, those that have `Scan.rcs`, by the sensor's name. By
+        default they are mapped as all others.
     """
 
-    def __init__(self, factory: Callable[[Mount], InverseSensorModel]) -> None:
+    def __init__(
+        self,
+        factory: Callable[[Mount], InverseSensorModel],
+        radar: Callable[[Mount, str], InverseSensorModel] | None = None,
+    ) -> None:
         self.model = lru_cache(maxsize=8)(factory)
+        self.radar = None if radar is None else lru_cache(maxsize=16)(radar)
 
 
 SensorModels = InverseSensorModel | PerMount | Mapping[str, InverseSensorModel | PerMount]
@@ -432,7 +440,10 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
         If a mapping has none for the frame's sensor.
     """
     one = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
-    model = one.model(frame.mount) if isinstance(one, PerMount) else one
+    if not isinstance(one, PerMount):
+        return one(frame.scan)
+    of_radar = one.radar is not None and frame.scan.rcs is not None
+    model = one.radar(frame.mount, frame.scan.sensor) if of_radar else one.model(frame.mount)  # type: ignore[misc]
     return model(frame.scan)
 
 

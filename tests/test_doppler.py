@@ -58,6 +58,10 @@ def test_a_standing_world_and_one_without_agreement_have_no_rows():
     assert len(radial_velocities(wild, mount).speed) == 0
     assert len(radial_velocities(scan.select(slice(0)), mount).speed) == 0
     assert radial_velocities(Scan(scan.points), mount) is None
+    radar = radial_velocities(
+        Scan(scan.points, rcs=np.zeros(len(scan))), mount
+    )  # of a radar, so that it is not matched
+    assert [np.shape(column) for column in radar.checked()[:5]] == [(0, 2), (0, 2), (0,), (0,), (0, 2)]
 
 
 def test_what_is_behind_another_detection_in_the_ego_footprint_or_not_finite_is_left_out():

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
-from ogm.cli.options import FixedFrame, FolderAxes, Topic, TruthSources, parsed_axes
+from ogm.cli.options import FixedFrame, FolderAxes, Sensor, Topic, TruthSources, parsed_axes
 from ogm.locks import locked
 
 if TYPE_CHECKING:
@@ -60,9 +60,9 @@ def evaluate(
     ism: Annotated[
         list[str] | None,
         typer.Option(
-            help="Models: height-band, height-band-released, ray, lite, combined, weights that `ogm train` wrote (a "
-            "file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, unless --grids "
-            "are given]",
+            help="Models: height-band, height-band-released, ray, lite, combined, radar, weights that `ogm train` "
+            "wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, unless "
+            "--grids are given]",
             metavar="NAME [NAME]...",
         ),
     ] = None,
@@ -86,6 +86,7 @@ def evaluate(
     axes: FolderAxes = "flu",
     topic: Topic = None,
     fixed_frame: FixedFrame = None,
+    sensor: Sensor = None,
     samples: Annotated[int | None, typer.Option(help="Frames, drawn at random. [default: all]")] = None,
     every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
@@ -123,7 +124,7 @@ def evaluate(
         split = "sequences"
     spec = GridSpec.centered()
     others = "later" if rules else "all"
-    log = {"topic": topic or (), "frame": fixed_frame}
+    log = {"topic": topic or (), "frame": fixed_frame, "sensors": sensor or ()}
     dataset = open_dataset(
         data,
         axes=parsed_axes(axes),
@@ -173,7 +174,7 @@ def _numbers(dataset: "Dataset", samples: int | None, every: int, seed: int) -> 
 
     if every < 1:
         raise ValueError(f"--every must be at least 1, got {every}")
-    numbers = np.arange(0, len(dataset), every)
+    numbers = np.array(dataset.with_truth, int)[::every]
     if samples is None:
         return numbers.tolist()
     if not 1 <= samples <= len(numbers):

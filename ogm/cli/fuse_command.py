@@ -36,7 +36,7 @@ Model = Annotated[
     str,
     Option(
         help="Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of "
-        "`ogm calibrate`."
+        "`ogm calibrate`; of radars: radar; of both: ray+radar, lite+radar, ..."
     ),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
@@ -87,6 +87,7 @@ def fuse(
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
     first: First = None,
+    sensor: options.Sensor = None,
     ism: Model = "ray",
     axes: options.Axes = "flu",
     sensor_height: options.SensorHeight = None,
@@ -126,12 +127,11 @@ def fuse(
     """
     from ogm.cli.fuse_run import FusionRun, check_rule
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import model_factory
+    from ogm.evaluation.models import sensor_models
     from ogm.fusion import covering_window, make_mapper, rolling_window
     from ogm.fusion import fuse as fused
     from ogm.grid import GridSpec
     from ogm.movie import open_movie
-    from ogm.scan import PerMount
     from ogm.viewer import write_view
 
     if out_path is None and picture is None and movie is None and page is None:
@@ -142,7 +142,7 @@ def fuse(
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
-    model = PerMount(model_factory(ism, spec))
+    model = sensor_models(ism, spec)
     rule, count = check_rule(rule, dynamic, particles)
     make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]  # refuses what is none, before any work
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
@@ -152,6 +152,7 @@ def fuse(
         "sensor_position": sensor_position,
         "topic": topic or (),
         "frame": fixed_frame,
+        "sensors": sensor or (),
     }
     dataset = open_dataset(scans, **reading, **placed, split=split)  # type: ignore[arg-type]
     dataset = pick_drive(dataset, sequence, sensor_height)

@@ -78,7 +78,7 @@ def map_(
     ism: Annotated[
         str,
         typer.Option(
-            help="Sensor model: ray, height-band, height-band-released, lite, combined, what `ogm train` or "
+            help="Sensor model: ray, height-band, height-band-released, lite, combined, radar, what `ogm train` or "
             "`ogm export` wrote, or the .json of `ogm calibrate`."
         ),
     ] = "ray",
@@ -89,6 +89,7 @@ def map_(
     time_unit: options.TimeUnit = None,
     topic: options.Topic = None,
     fixed_frame: options.FixedFrame = None,
+    sensor: options.Sensor = None,
     out_path: Annotated[
         Path | None,
         typer.Option(
@@ -116,6 +117,7 @@ def map_(
         "sensor_position": sensor_position,
         "topic": topic or (),
         "frame": fixed_frame,
+        "sensors": sensor or (),
     }
     dataset = open_dataset(scans, **reading, **placed)  # type: ignore[arg-type]
     model = _model(ism, spec, sensor_height, sensor_position)
@@ -167,12 +169,12 @@ def _model(
     name: str, spec: "GridSpec", height: float | None, position: tuple[float, float, float] | None
 ) -> "InverseSensorModel | PerMount":
     """Return the model for every mount; the released one has its own."""
-    from ogm.evaluation.models import RELEASED, model_factory
+    from ogm.evaluation.models import RELEASED, model_factory, sensor_models
     from ogm.pose import pose
-    from ogm.scan import Mount, PerMount
+    from ogm.scan import Mount
 
     if name != RELEASED:
-        return PerMount(model_factory(name, spec))
+        return sensor_models(name, spec)
     if height is not None:
         raise ValueError(f"{RELEASED} has a mount of 1.61 m built in; leave out --sensor-height")
     mount = Mount(1.61) if position is None else Mount(1.61, pose(*position), points_in="vehicle")

@@ -49,6 +49,15 @@ Topic = Annotated[
     list[str] | None,
     Option(help="Of a log: topic of a lidar; may be repeated. [default: the only one]", metavar="TOPIC"),
 ]
+Sensor = Annotated[
+    list[str] | None,
+    Option(
+        "--sensor",
+        help="Of a simulated data set with radars: lidar, radar, or the name of a radar; may be repeated. "
+        "[default: lidar]",
+        metavar="SENSOR",
+    ),
+]
 FixedFrame = Annotated[
     str | None, Option("--frame", help="Of a log: fixed frame of the poses. [default: map, odom, world or the root]")
 ]

@@ -75,17 +75,17 @@ def serve(
     --sensor-height.
     """
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import model_factory
+    from ogm.evaluation.models import sensor_models
     from ogm.fusion import make_mapper, rolling_window
     from ogm.grid import GridSpec
     from ogm.live import FoxglovePublisher, receive_frames, warm_up
     from ogm.live import serve as served
-    from ogm.scan import Mount, PerMount
+    from ogm.scan import Mount
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
     spec, stop = GridSpec.centered(length, width, resolution), Event()
-    model, mapper = PerMount(model_factory(ism, spec)), make_mapper(rule or "cautious", rolling_window(spec), half_life)
+    model, mapper = sensor_models(ism, spec), make_mapper(rule or "cautious", rolling_window(spec), half_life)
     frames: Iterable[Frame]
     with ExitStack() as stack:
         if scans is not None:

@@ -48,6 +48,13 @@ def simulate(
     lidar: Annotated[
         str | None, typer.Option(help="One lidar, such as vlp-32c, for all samples. [default: a mix, 85 % vlp-32c]")
     ] = None,
+    radar: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A radar beside the lidar: ars408, ars548 (in front), corner (one at each), or with a place, such as "
+            "ars408@rear; may be repeated. [default: none]"
+        ),
+    ] = None,
     truth: Annotated[
         TruthMode | None,
         typer.Option(
@@ -97,7 +104,7 @@ def simulate(
     A run that was stopped goes on with --resume.
     """
     _check_paths(path, resume, preview, export)
-    from ogm.simulation.plan import only
+    from ogm.simulation.mounts import only, radars_at
 
     before = None if path is None else _plan_of(path, resume)
     options = {
@@ -109,6 +116,7 @@ def simulate(
         "sequences": sequences,
         "truth": truth and truth.value,
         "mounts": lidar and only(lidar),
+        "radars": radar and radars_at(radar),
         "bad_weather": bad_weather,
         "in_motion": in_motion,
         "towns": towns,
@@ -231,7 +239,7 @@ def _finish(store: "Store", path: Path, export: Path | None) -> None:
             tick=lambda numbers, name: track(numbers, f"exporting {name}", console=stderr, transient=True),
         )
     facts = store.describe()
-    shown = ("training", "validation", "test", "sequences", "size")
+    shown = ("training", "validation", "test", "sequences", "radars", "size")
     print_facts({name: facts[name] for name in shown if not facts.get(name, "0").startswith("0 ")})
     out.print(f"data set {path}   contact sheet {sheet}", markup=False)
     if export is not None:

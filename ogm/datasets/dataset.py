@@ -157,6 +157,12 @@ class Dataset(Sequence[Frame]):
         return tuple(self.layout.frames[k] for k in self._numbers)
 
     @property
+    def with_truth(self) -> list[int]:
+        """Numbers of the frames that may have a truth: all but radar sweeps between a simulated lidar's turns."""
+        known = self.layout.has_truth
+        return [n for n, k in enumerate(self._numbers) if known is None or known(k)]
+
+    @property
     def sequences(self) -> dict[str, list[int]]:
         """Numbers of the frames of each sequence, in order; frames that stand alone are left out."""
         result: dict[str, list[int]] = {}
@@ -205,6 +211,7 @@ def open_dataset(
     spec: GridSpec | None = None,
     topic: str | Iterable[str] = (),
     frame: str | None = None,
+    sensors: str | Iterable[str] = (),
 ) -> Dataset:
     """Open a data set as a sequence of frames. No scan is read.
 
@@ -249,6 +256,9 @@ def open_dataset(
         the order of their stamps, need transforms from base_link to each.
     frame : str, optional
         Of a log: the fixed frame of the poses; by default map, odom, world, or the root of the transforms.
+    sensors : str or iterable of str
+        Of a simulated data set: "lidar", "radar", or names of radars, whose scans become frames, those of a drive in
+        the order of time; by default the lidar's. Frames of radars have truth where they are of a lidar's moment.
 
     Raises
     ------
@@ -267,6 +277,7 @@ def open_dataset(
         **{"sensor_height": sensor_height, "sensor_position": sensor_position, "split": split},
         **{"truth": (truth,) if isinstance(truth, str) else tuple(truth), "others": others, "spec": spec},
         **{"topic": (topic,) if isinstance(topic, str) else tuple(topic), "frame": frame},
+        "sensors": (sensors,) if isinstance(sensors, str) else tuple(sensors),
     }
     return Dataset(_opened(options), options)
 
@@ -303,7 +314,9 @@ def _layout(paths: Sequence[Path], options: Mapping[str, Any]) -> Layout | None:
     if len(paths) == 1 and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
     if len(paths) == 1 and (path / "zarr.json").exists():
-        return simulated(path, options["split"], options["others"])
+        return simulated(path, options["split"], options["others"], options["sensors"])
+    if options["sensors"]:
+        raise ValueError(f"sensors (--sensor) is for data sets that `ogm simulate` made, which {path} is not")
     if is_log(paths):
         return logs(paths, options["topic"], options["frame"], options["sensor_position"], **options["reading"])
     if options["topic"] or options["frame"] is not None:

@@ -91,6 +91,8 @@ class Layout:
         Where the data set states how the sensor is mounted, and where it was.
     truth : function -> Truth, optional
         Where the data set holds the truth itself; made of labels and scans otherwise.
+    has_truth : function -> bool, optional
+        Whether a frame has a truth, without reading it; None where all have one.
     description : str
         What that truth is made of.
     stamped : bool
@@ -123,6 +125,7 @@ class Layout:
     place: Callable[[int], SensorPlace] | None = None
     mount: Callable[[int], Mount] | None = None
     truth: Callable[[int], Truth] | None = None
+    has_truth: Callable[[int], bool] | None = None
     description: str = ""
     stamped: bool = False
     axes: Axes = "flu"

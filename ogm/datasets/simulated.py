@@ -1,15 +1,17 @@
 """The simulator's store: samples with truth, boxes and poses."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import FrameRef, Layout, RawFrame
+from ogm.datasets.layout import EGO, FrameRef, Layout, RawFrame
 from ogm.files import OgmError
+from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.sample import LABELS, SimulatedSample
@@ -25,9 +27,18 @@ _RAYS = {
     "aimed": "rays from the sensor's place, aimed at every cell,",
     "hd": "the rays of a lidar with thousands of layers at the sensor's place",
 }
+LIDAR, RADAR = "lidar", "radar"  # words for all lidars, all radars
 
 
-def simulated(path: Path, split: str | None = None, others: str = "all") -> Layout:
+class _Place(NamedTuple):
+    """Which scan a frame is: that of a sample's lidar, or a sweep of it."""
+
+    sample: int  # number in the split
+    sweep: int = -1  # of the sample's sweeps; -1 for the lidar
+    radar: int = -1  # of the data set's radars
+
+
+def simulated(path: Path, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()) -> Layout:
     """Return the finished samples of a split.
 
     Parameters
@@ -39,11 +50,14 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
         sequences, test and training that has samples.
     others : {"all", "later"}
         "later" for maps: what nothing hit in a frame is ignored instead of unknown, as other frames may know it.
+    sensors : sequence of str
+        "lidar", "radar", or names of radars: whose scans become frames, those of a drive in the order of time. By
+        default the lidar's.
 
     Raises
     ------
     ValueError
-        If there is no such split, or no sample in it.
+        If there is no such split or sensor, or no sample in it.
     """
     store = Store.open(path)
     wanted = None if split is None else _SHORT.get(split, split)
@@ -51,54 +65,121 @@ def simulated(path: Path, split: str | None = None, others: str = "all") -> Layo
     name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
     if name is None:
         raise OgmError(_no_sample(store, wanted))
-    part, numbers = store[name], found[name]
-    facts = part.facts[numbers]
-    poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
-    first = FACTS.index("T_world_sensor_00")
-    poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
-    T_world_sensor, T_vehicle_sensor = poses
-    T_vehicle_sensor[:, :2, 3] = 0.0  # the grids lie around the sensor
-    drive = name == "sequences"
-    scenarios = facts[:, FACTS.index("scenario")].astype(int)  # samples of one drive, too far apart to be fused
-    each = zip(numbers, scenarios, T_world_sensor, strict=True)
-    frames = [FrameRef(f"{name} {n}", f"drive {number}", None, T) for n, number, T in each]
-    if drive:
-        stamps = facts[:, FACTS.index("stamp")].tolist()
-        drives = [f"sequence {n // SEQUENCE}" for n in numbers]
-        names = [f"{one} frame {n % SEQUENCE}" for one, n in zip(drives, numbers, strict=True)]
-        frames = list(map(FrameRef, names, drives, stamps, T_world_sensor))
-
-    @lru_cache(2)
-    def sample(k: int) -> SimulatedSample:
-        return part[int(numbers[k])]
-
-    def truth(k: int) -> Truth:
-        one = sample(k).truth
-        if others == "all":
-            return one
-        return ignore_cells(one, one.state == CellState.UNKNOWN)
-
-    towns = count_towns(store.plan, name, scenarios.tolist())
+    made = _Frames(store, name, found[name], sensors)
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
         description += " Maps may know such cells from other frames: they are left out."
+
+    def truth(k: int) -> Truth:
+        one = made.truth(k)
+        return one if others == "all" else ignore_cells(one, one.state == CellState.UNKNOWN)
+
     return Layout(
         "simulated data set",
-        tuple(frames),
-        lambda k: RawFrame(_scan(sample(k))),
-        boxes=lambda k: _boxes(part.objects(int(numbers[k]))),
+        tuple(made.refs),
+        made.read,
+        boxes=made.boxes,
         ego_footprint=None,
-        mount=lambda k: Mount(T_vehicle_sensor[k, 2, 3], T_vehicle_sensor[k]),
+        mount=made.mount,
         truth=truth,
+        has_truth=made.has_truth,
         description=description,
-        stamped=drive,
+        stamped=made.drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
         name=f"{path.name or path.resolve().name}, {name}",
-        facts={"split": name, "plan": store.plan, "versions": store.versions, "samples": numbers.tolist()}
-        | {"towns": towns},
+        facts={"split": name, "plan": store.plan, "versions": store.versions} | made.facts,
         files=(path / "zarr.json", path / name),
     )
+
+
+class _Frames:
+    """The frames of a split: scans of its samples' lidars, and sweeps of radars."""
+
+    def __init__(self, store: Store, name: str, numbers: NDArray[np.int64], sensors: Sequence[str]) -> None:
+        self.part, self.numbers, self.radars, self.drive = store[name], numbers, store.radars, name == "sequences"
+        facts = self.part.facts[numbers]
+        poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
+        first = FACTS.index("T_world_sensor_00")
+        poses[:, :, :3] = facts[:, first : first + 24].reshape(-1, 2, 3, 4).swapaxes(0, 1)
+        self.T_world_lidar, self.T_vehicle_lidar = poses
+        self.lidar_place = self.T_vehicle_lidar[:, :2, 3].copy()
+        self.T_vehicle_lidar[:, :2, 3] = 0.0  # the grids lie around the lidar, those of radars too
+        self.stamps = facts[:, FACTS.index("stamp")].tolist()
+        scenarios = facts[:, FACTS.index("scenario")].astype(int).tolist()
+        chosen = _radars_of(store, sensors)
+        frames: list[tuple[FrameRef, _Place]] = []
+        for k, (n, scenario) in enumerate(zip(numbers.tolist(), scenarios, strict=True)):
+            # samples of a drive that are no sequence are too far apart to be fused
+            title = f"sequence {n // SEQUENCE} frame {n % SEQUENCE}" if self.drive else f"{name} {n}"
+            group = f"sequence {n // SEQUENCE}" if self.drive else f"drive {scenario}"
+            if LIDAR in (sensors or (LIDAR,)):
+                stamp = self.stamps[k] if self.drive else None
+                frames.append((FrameRef(title, group, stamp, self.T_world_lidar[k]), _Place(k)))
+            for m, row in enumerate(self.part.sweep_rows(n) if chosen else ()):
+                radar, stamp = int(row[1]), float(row[2])
+                if radar in chosen:
+                    one = f"{title} {self.radars[radar].name}" + (f" {stamp:.3f} s" if self.drive else "")
+                    T = np.vstack([row[4:16].reshape(3, 4), [0, 0, 0, 1]])
+                    frames.append((FrameRef(one, group, stamp if self.drive else None, T), _Place(k, m, radar)))
+        if self.drive and chosen:  # sequences are one after the other, and sorting is stable
+            order = {ref.sequence: k for k, (ref, _) in reversed([*enumerate(frames)])}
+            frames.sort(key=lambda pair: (order[pair[0].sequence], pair[0].stamp))
+        self.refs, self.places = [ref for ref, _ in frames], [place for _, place in frames]
+        self.facts = {
+            "samples": numbers.tolist(),
+            "towns": count_towns(store.plan, name, scenarios),
+            "radars": {self.radars[k].name: self.radars[k].radar for k in chosen},
+        }
+        self._sample = lru_cache(2)(lambda k: self.part[int(numbers[k])])
+        self._sweeps = lru_cache(2)(lambda k: self.part.sweeps(int(numbers[k])))
+
+    def read(self, k: int) -> RawFrame:
+        """Return a scan."""
+        at = self.places[k]
+        if at.radar < 0:
+            return RawFrame(_scan(self._sample(at.sample)))
+        one = self._sweeps(at.sample)[at.sweep]
+        return RawFrame(one.detections.scan(one.stamp, self.radars[at.radar].name))
+
+    def mount(self, k: int) -> Mount:
+        """Return how the sensor of a frame is mounted; all sensors of a sample have one vehicle frame."""
+        at = self.places[k]
+        if at.radar < 0:
+            T = self.T_vehicle_lidar[at.sample]
+            return Mount(T[2, 3], T)
+        radar, (x, y) = self.radars[at.radar], self.lidar_place[at.sample]
+        return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
+
+    def has_truth(self, k: int) -> bool:
+        """Return whether a scan was taken at the time of the sample."""
+        stamp = self.refs[k].stamp
+        return stamp is None or abs(stamp - self.stamps[self.places[k].sample]) < 1e-6
+
+    def truth(self, k: int) -> Truth:
+        """Return the truth around the lidar, or raise OgmError for a sweep at another time."""
+        if not self.has_truth(k):
+            raise OgmError(f"{self.refs[k].name} lies between the lidar's turns, whose truth is known: there is none")
+        return self._sample(self.places[k].sample).truth
+
+    def boxes(self, k: int) -> Boxes:
+        """Return the objects in the frame of the sensor, at the time of the lidar's scan."""
+        at = self.places[k]
+        found = _boxes(self.part.objects(int(self.numbers[at.sample])))
+        if at.radar < 0:
+            return found
+        return found.moved(inverse(np.asarray(self.refs[k].T_map_sensor)) @ self.T_world_lidar[at.sample])
+
+
+def _radars_of(store: Store, sensors: Sequence[str]) -> list[int]:
+    """Return the numbers of the radars that are wanted, or raise OgmError where there is no such sensor."""
+    names = [one.name for one in store.radars]
+    if unknown := [one for one in sensors if one not in (LIDAR, RADAR, *names)]:
+        has = f"{LIDAR}, {RADAR} for all radars, {', '.join(names)}" if names else f"{LIDAR} alone"
+        raise OgmError(f"{store.path} has no sensor {unknown[0]!r}; it has {has}")
+    if RADAR in sensors and not names:
+        raise OgmError(f"{store.path} has no radar; `ogm simulate ... --radar ars548` makes data sets with radars")
+    return [k for k, one in enumerate(names) if RADAR in sensors or one in sensors]
 
 
 def _no_sample(store: Store, name: str | None) -> str:

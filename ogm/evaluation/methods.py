@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ogm.datasets.truth_grids import grid_files
 from ogm.dynamic_grid import DynamicGrid
-from ogm.evaluation.models import describe_model, model_factory
+from ogm.evaluation.models import describe_model, sensor_models
 from ogm.fusion import BAYES, DynamicMapper, Mapper, make_mapper, resample_to, rolling_window, update_map
 from ogm.fusion.factory import DYNAMIC, NUSS
 from ogm.fusion.resample import ResampleMethod
@@ -49,7 +49,7 @@ class SingleScanMethod:
     @classmethod
     def named(cls, name: str, spec: GridSpec) -> "SingleScanMethod":
         """Return the method of a model of `ogm.evaluation.models`, made for the mount of each frame."""
-        model = PerMount(model_factory(name, spec, drop_ego_returns=True))
+        model = sensor_models(name, spec, drop_ego_returns=True)
         return cls(model, *describe_model(name))
 
     def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:

@@ -56,7 +56,8 @@ def evaluate(
     spec : GridSpec, optional
         The evaluated cells, around the sensor. By default the 81.92 m x 56.32 m of the paper.
     frames : iterable of int, optional
-        Numbers of the evaluated frames; all by default. Fused methods take in all frames of a sequence up to them.
+        Numbers of the evaluated frames; by default all that have truth. Fused methods take in all frames of a sequence
+        up to them.
     out : path, optional
         Folder for finished frames, in ``frames/``, with their pictures. If all data, methods and settings are those of
         an interrupted run there, it is resumed. An own callable is the same if its `repr` and its source file are.
@@ -77,7 +78,7 @@ def evaluate(
     """
     spec = GridSpec.centered() if spec is None else spec
     used = as_methods(methods, spec)
-    numbers = list(range(len(dataset))) if frames is None else sorted(set(frames))
+    numbers = sorted(set(getattr(dataset, "with_truth", range(len(dataset))) if frames is None else frames))
     infos = _checked(used, dataset, numbers)
     about = {"kind": ("format", "frames in Python"), "name": ("name", "frames"), "truth": ("description", "")}
     data = {key: getattr(dataset, *default) for key, default in about.items()} | getattr(dataset, "facts", {})

@@ -195,7 +195,7 @@ def update_map(
     """
     T_map_grid, scan = _T_map_grid(frame), frame.scan
     share = of_sensor(reliability, scan.sensor, "reliability") if isinstance(reliability, Mapping) else reliability
-    radial = None if scan.doppler is None else radial_velocities(scan, frame.mount)
+    radial = radial_velocities(scan, frame.mount)
     try:
         mapper.update(grid, T_map_grid, stamp=frame.stamp, reliability=share, radial=radial)
     except PoseJump:

@@ -8,26 +8,21 @@ import logging
 import os
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import replace
-from functools import lru_cache
 from importlib.metadata import distributions
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.random import Generator
 from numpy.typing import NDArray
 
 from ogm.files import naming
 from ogm.locks import locked
-from ogm.pose import inverse, pose, transform_points
+from ogm.pose import inverse, pose
 from ogm.scan import Boxes
-from ogm.simulation.arrays import Floats
-from ogm.simulation.conditions import Conditions, draw_conditions, draw_weather, layer_errors
-from ogm.simulation.plan import SEQUENCE, DatasetPlan, draw_mount, moment, sample_rng
-from ogm.simulation.recipe import RECIPES, Country, DataRecipe
+from ogm.simulation.conditions import draw_weather
+from ogm.simulation.plan import DatasetPlan, moment, sample_rng
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.sensors import LIDARS, LidarSpec, beams_of, hd_directions
+from ogm.simulation.sensors import LIDARS, beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, swept, workers_that_fit
 from ogm.state import Truth
@@ -36,10 +31,9 @@ from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 try:
     from ogm.simulation.cells import measure_ground
     from ogm.simulation.lidar import air_of, scan
-    from ogm.simulation.scene import Scene
+    from ogm.simulation.moments import SceneSetup, World, set_up, the_ego_body
     from ogm.simulation.survey import Known, Limits, aimed_truth, hd_truth
-    from ogm.simulation.town import Town, build_town
-    from ogm.simulation.traffic import Object, Traffic, TrafficState, ego_body
+    from ogm.simulation.sweeps import sample_sweeps
     from ogm.simulation.visibility import View, make_view
 except ImportError as error:
     raise ImportError(
@@ -51,61 +45,7 @@ __all__ = ["SceneSetup", "World", "beams_of", "lidars", "make_sample", "set_up",
 
 _log = logging.getLogger(__name__)
 
-REACH = 120.0  # [m] around the ego vehicle, within which moving things are put in place
 LISTED = 85.0  # [m] around the sensor, within which objects are listed: a little more than the truth's corners
-DRIVES_KEPT = 12  # drives whose traffic is kept in memory, to go on from where they were
-
-
-class World(NamedTuple):
-    """A town, ready for rays."""
-
-    town: Town
-    scene: Scene
-    ground: Scene
-
-
-class SceneSetup(NamedTuple):
-    """One moment in the world, everything in place: what a sample is made from.
-
-    Attributes
-    ----------
-    world : World
-        Its scene has the moving things where they are.
-    state : TrafficState
-    objects : tuple of Object
-        Those in the scene, in the order of its object numbers.
-    spec : LidarSpec
-    T_vehicle_sensor, T_world_sensor : (4, 4) float64
-    conditions : Conditions, optional
-        What a recipe does to the scan.
-    steepest : float
-        As `ogm.simulation.survey.Limits.steepest`.
-    """
-
-    world: World
-    state: TrafficState
-    objects: tuple[Object, ...]
-    spec: LidarSpec
-    T_vehicle_sensor: Floats
-    T_world_sensor: Floats
-    conditions: Conditions | None = None
-    steepest: float = np.inf
-
-
-# The last towns and drives are kept: building a town takes seconds, and traffic goes on from where it was.
-_town = lru_cache(maxsize=1)(build_town)
-_ego_body = lru_cache(maxsize=1)(ego_body)
-
-
-@lru_cache(maxsize=1)
-def _world(seed: int, size: float, country: Country | None, threads: int) -> World:
-    town = _town(seed, size, country)
-    return World(town, Scene(town.mesh, threads=threads), Scene(town.ground, threads=threads))
-
-
-@lru_cache(maxsize=DRIVES_KEPT)
-def _drive(town: int, size: float, country: Country | None, seed: int, clockwise: bool) -> Traffic:
-    return Traffic(_town(town, size, country), seed, clockwise=clockwise)
 
 
 def simulate(
@@ -165,41 +105,6 @@ def simulate(
         return store
 
 
-def set_up(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SceneSetup:
-    """Put everything where it is in a sample's moment; `threads` processor cores cast rays, 0 for all."""
-    at = moment(plan, split, index)
-    recipe = RECIPES.get(plan.recipe)
-    place = (at.town, plan.town_size, recipe and recipe.country)
-    world = _world(*place, threads)
-    state = _drive(*place, at.traffic, at.clockwise).at(at.time)
-    near = tuple(one for one in state.objects if np.hypot(*(one.pose - state.ego)[:2, 3]) < REACH)
-    world.scene.place([one.mesh.moved(one.pose) for one in near], _ego_body().mesh.moved(state.ego))
-    mount, (height, forward, roll, pitch) = draw_mount(plan, split, index)
-    T_vehicle_sensor = pose(forward, 0.0, height, roll=roll, pitch=pitch)
-    spec = replace(LIDARS[mount.lidar], unit=at.traffic)  # another vehicle, another sensor of this kind
-    here = SceneSetup(world, state, near, spec, T_vehicle_sensor, state.ego @ T_vehicle_sensor)
-    return here if recipe is None else _by_recipe(here, recipe, mount.view, _condition_rng(plan, split, index))
-
-
-def _condition_rng(plan: DatasetPlan, split: str, index: int) -> Generator:
-    """Return the random numbers of a scan's conditions; all scans of a sequence have the same."""
-    return sample_rng(plan, split, index // SEQUENCE if split == "sequences" else index, 2)
-
-
-def _by_recipe(here: SceneSetup, recipe: DataRecipe, view: float, rng: Generator) -> SceneSetup:
-    """Give the sensor the errors of its unit, and the scan its conditions."""
-    spec = here.spec
-    elevation, distance = layer_errors(recipe, spec.name, spec.layers, spec.unit)
-    T = inverse(here.T_world_sensor)
-    movers = [np.r_[transform_points(T, one.pose[None, :3, 3])[0], T[:2, :3] @ one.velocity] for one in here.objects]
-    conditions = draw_conditions(recipe, beams_of(spec), view, np.array(movers).reshape(-1, 5), rng)
-    return here._replace(
-        spec=replace(spec, elevation_errors=elevation, range_errors=distance),
-        conditions=conditions,
-        steepest=recipe.steepest,
-    )
-
-
 def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> SimulatedSample:
     """Make one sample.
 
@@ -233,6 +138,7 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
     motion: Any = (np.asarray(here.state.ego_velocity, np.float64), float(here.state.ego_yaw_rate))
     facts: Any = {"stamp": at.time, "split": split, "index": index, "scenario": at.scenario, "weather": weather}
     facts["measured"] = chosen and chosen.measured
+    facts["sweeps"] = sample_sweeps(plan, split, index, here.world)
     return SimulatedSample(beams_of(here.spec), *arrays, *motion, **facts)
 
 
@@ -248,7 +154,7 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *,
     salt : int
         Decides which rays pass through glass.
     """
-    low, high = (bound(_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
+    low, high = (bound(the_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)
     scene, below = here.world.scene, measure_ground(here.world.ground, here.T_world_sensor)

@@ -1,9 +1,12 @@
-"""Which lidars a data set has, how they are mounted, and how often."""
+"""Which lidars and radars a data set has, how they are mounted, and how often."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
-__all__ = ["FULL_TURN", "MOUNTS", "LidarMount", "only"]
+from ogm.simulation.radars import RADARS
+
+__all__ = ["FULL_TURN", "MOUNTS", "PLACES", "LidarMount", "RadarMount", "only", "radars_at"]
 
 FULL_TURN = 2 * math.pi
 
@@ -68,3 +71,80 @@ MOUNTS = (
 def only(lidar: str) -> tuple[LidarMount, ...]:
     """Return the mounts of a data set that has one lidar, mounted as the paper's: mid-roof and level."""
     return (LidarMount(lidar),)
+
+
+@dataclass(frozen=True)
+class RadarMount:
+    """A radar and where it is mounted.
+
+    Parameters
+    ----------
+    name : str
+        Of the sensor; no other radar of the vehicle has the same.
+    radar : str
+        Name in `ogm.simulation.radars.RADARS`.
+    x, y, z : float
+        From the middle of the vehicle's footprint, on the ground [m].
+    yaw : float
+        Of the middle of its field of view [rad].
+    """
+
+    name: str
+    radar: str
+    x: float
+    y: float
+    z: float
+    yaw: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.name or not self.name.isprintable() or len(self.name) > 64:
+            raise ValueError(f"the name of a radar must be 1 to 64 characters, got {self.name!r}")
+        if self.radar not in RADARS:
+            raise ValueError(f"there is no radar {self.radar!r}; there are {', '.join(RADARS)}")
+        bounds = {"x": (-20.0, 20.0), "y": (-5.0, 5.0), "z": (0.1, 5.0), "yaw": (-math.pi, math.pi)}
+        for key, (low, high) in bounds.items():
+            value = float(getattr(self, key))
+            if not low <= value <= high:  # NaN fails too
+                raise ValueError(f"{key} of {self.name} must lie in {low:.4g} ... {high:.4g}, got {value}")
+            object.__setattr__(self, key, value)
+
+
+_HALF, _SIDE = 2.45, 1.0  # [m] the bumpers, and the corners, of the ego vehicle
+PLACES = {  # x, y, z [m], yaw [degrees]
+    "front": (_HALF, 0.0, 0.5, 0.0),
+    "rear": (-_HALF, 0.0, 0.5, 180.0),
+    "front-left": (_HALF - 0.2, _SIDE, 0.6, 60.0),
+    "front-right": (_HALF - 0.2, -_SIDE, 0.6, -60.0),
+    "rear-left": (-_HALF + 0.2, _SIDE, 0.6, 120.0),
+    "rear-right": (-_HALF + 0.2, -_SIDE, 0.6, -120.0),
+}
+_CORNERS = tuple(place for place in PLACES if "-" in place)
+
+
+def radars_at(names: Iterable[str]) -> tuple[RadarMount, ...]:
+    """Return radars by words such as ``ars548`` or ``ars408@rear``.
+
+    Parameters
+    ----------
+    names : iterable of str
+        A name in `RADARS`, and perhaps ``@`` and a name in `PLACES`. Without a place, ``corner`` is one radar at each
+        of the four corners, and another radar is in front.
+
+    Raises
+    ------
+    ValueError
+        If there is no such radar or place, or two are at one place with one name.
+    """
+    result = []
+    for word in names:
+        radar, _, place = word.partition("@")
+        if radar not in RADARS or place not in ("", *PLACES):
+            raise ValueError(
+                f"a radar is one of {', '.join(RADARS)}, or such a name, @ and a place, which is one of "
+                f"{', '.join(PLACES)}; got {word!r}"
+            )
+        places = (place,) if place else _CORNERS if radar == "corner" else ("front",)
+        for one in places:
+            x, y, z, degrees = PLACES[one]
+            result.append(RadarMount(f"{radar}-{one}", radar, x, y, z, math.radians(degrees)))
+    return tuple(result)

@@ -7,11 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.simulation.mounts import MOUNTS, LidarMount, only
+from ogm.simulation.mounts import MOUNTS, LidarMount, RadarMount, only
 from ogm.simulation.recipe import RECIPES, DataRecipe
 from ogm.simulation.sensors import LIDARS
 
-__all__ = ["MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "count_towns", "draw_mount", "moment", "only", "sample_rng"]
+__all__ = [
+    "MOUNTS", "SPLITS", "DatasetPlan", "LidarMount", "RadarMount", "count_towns", "draw_mount", "moment", "only",
+    "sample_rng",
+]  # fmt: skip
 
 SPLITS = ("training", "validation", "test", "sequences")
 RUN = 10  # samples of one drive before the next one's turn: one shard
@@ -23,8 +26,9 @@ BOUNDS = {  # of numbers of a `DatasetPlan`, and their unit
     "bad_weather": (0, 1, ", a share of the samples"), "in_motion": (0, 1, ", a share of the samples"),
 }  # fmt: skip
 # settings that older data sets lack; their defaults are what those did
-ADDED = {"drives", "test_towns", "spacing", "recipe"}
+ADDED = {"drives", "test_towns", "spacing", "recipe", "radars"}
 SEQUENCE = 100  # samples of one sequence: 10 s at 10 Hz
+PERIOD = 0.1  # [s] from sample to sample of a sequence
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,9 @@ class DatasetPlan:
         Time from one sample of a drive to its next one [s]. Of `sequences` it is always 0.1 s.
     recipe : str
         Name in `ogm.simulation.recipe.RECIPES`, or "" for none. A recipe sets mounts, towns, drives, spacing, weather
-        and motion; only the seed, the numbers of samples and the truth are left to choose.
+        and motion; only the seed, the numbers of samples, the truth and the radars are left to choose.
+    radars : tuple of RadarMount
+        Of every sample, beside its lidar.
     """
 
     seed: int = 1
@@ -84,6 +90,7 @@ class DatasetPlan:
     test_towns: int = 1
     spacing: float = 1.0
     recipe: str = ""
+    radars: tuple[RadarMount, ...] = ()
 
     def __post_init__(self) -> None:
         whole = ("seed", "samples", "validation", "test", "sequences", "towns", "hd_layers", "drives", "test_towns")
@@ -93,6 +100,9 @@ class DatasetPlan:
                 raise ValueError(f"{name} must be a whole number from 0 on, got {value!r}")
             object.__setattr__(self, name, int(value))
         object.__setattr__(self, "mounts", tuple(self.mounts))
+        object.__setattr__(self, "radars", tuple(self.radars))
+        if len({one.name for one in self.radars}) < len(self.radars):
+            raise ValueError(f"each radar needs a name of its own, got {_short(self.radars)}")
         self._follow_recipe()
         object.__setattr__(self, "town_size", float(self.town_size))
         object.__setattr__(self, "spacing", float(self.spacing))
@@ -157,7 +167,9 @@ class DatasetPlan:
         known = {field.name for field in fields(cls)}
         if odd := sorted((set(numbers) ^ known) - ADDED):
             raise ValueError(f"the plan has other settings than this version of ogm: {', '.join(odd)}")
-        return cls(**(dict(numbers) | {"mounts": tuple(LidarMount(**one) for one in numbers["mounts"])}))
+        mounts = tuple(LidarMount(**one) for one in numbers["mounts"])
+        radars = tuple(RadarMount(**one) for one in numbers.get("radars", ()))
+        return cls(**(dict(numbers) | {"mounts": mounts, "radars": radars}))
 
     def grown(self, before: "DatasetPlan") -> "DatasetPlan":
         """Return this plan, with `before`'s counts where those are larger, if it is `before` in all else.
@@ -180,7 +192,8 @@ class DatasetPlan:
 
 def _short(value: object) -> str:
     if isinstance(value, tuple):
-        return " + ".join(f"{one.share:g} x {one.lidar}" for one in value)
+        names = (one.name if isinstance(one, RadarMount) else f"{one.share:g} x {one.lidar}" for one in value)
+        return " + ".join(names) or "none"
     return str(value)
 
 
@@ -221,7 +234,7 @@ def moment(plan: DatasetPlan, split: str, index: int) -> Moment:
         return _recipe_moment(plan, RECIPES[plan.recipe], split, index)
     if split == "sequences":
         scenario, frame = divmod(index, SEQUENCE)
-        time = WARM_UP + 0.1 * frame
+        time = WARM_UP + PERIOD * frame
     else:
         runs = max(int(LAP / plan.spacing) // RUN, 1)  # of one drive
         lap, rest = divmod(index, plan.drives * runs * RUN)
@@ -243,7 +256,7 @@ def _recipe_moment(plan: DatasetPlan, recipe: DataRecipe, split: str, index: int
     town = _integer(plan.seed, 4, number, town_number(recipe, split, scenario))
     traffic = _integer(plan.seed, 5, number, scenario)
     begin = WARM_UP + traffic % 400 / 10
-    time = begin + (0.1 if split == "sequences" else recipe.spacing) * sample
+    time = begin + (PERIOD if split == "sequences" else recipe.spacing) * sample
     return Moment(town, traffic, scenario % 2 == 0, scenario, float(time))
 
 

@@ -7,7 +7,6 @@ radars, weather, paths with more than one mirror, range side lobes.
 """
 
 import math
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +14,8 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.pose import check_pose, rotate
-from ogm.scan import Scan
 from ogm.simulation.arrays import Floats
+from ogm.simulation.detections import Origin, RadarSweep
 from ogm.simulation.radar_materials import IS_GROUND, cross_section, mirror_share
 from ogm.simulation.radars import RadarMode, RadarSpec
 from ogm.simulation.scene import EGO, Scene
@@ -28,51 +27,6 @@ FALSE_ALARM = 1e-4  # probability per bin, which sets the threshold
 REFERENCE_SNR = 10**1.3  # of a target of 0 dBsm at `RadarMode.reach`
 STRAY = 1.0  # [m] a detection that is reported further from what it is of is a ghost
 BEAM_BINS = 2  # azimuth bins per resolution
-
-
-class Origin(IntEnum):
-    """What a detection is of."""
-
-    OBJECT = 0  # anything that stands or moves where it is reported
-    GROUND = 1
-    GHOST = 2  # a real thing in a wrong place, by way of a mirror
-    CLUTTER = 3  # noise
-
-
-class RadarSweep(NamedTuple):
-    """The detections of one sweep, in the sensor's frame.
-
-    Attributes
-    ----------
-    xyz : (N, 3) float32
-        [m]; z is 0 for a radar without elevation.
-    doppler : (N,) float32
-        Radial velocity against the sensor, positive away from it, folded into the unambiguous interval [m/s].
-    compensated : (N,) float32
-        The same over ground: of what stands still it is 0 but for noise, and for ghosts.
-    rcs : (N,) float32
-        Radar cross section [dBsm].
-    snr : (N,) float32
-        Signal-to-noise ratio [dB].
-    origin : (N,) uint8
-        `Origin`.
-    object : (N,) int32
-        Number of the moving thing in the list given to `Scene.place`; -1 for none.
-    """
-
-    xyz: NDArray[np.float32]
-    doppler: NDArray[np.float32]
-    compensated: NDArray[np.float32]
-    rcs: NDArray[np.float32]
-    snr: NDArray[np.float32]
-    origin: NDArray[np.uint8]
-    object: NDArray[np.int32]
-
-    def scan(self, stamp: float | None = None, sensor: str = "") -> Scan:
-        """Return what a real radar gives: points with Doppler, against the sensor, and cross sections."""
-        points = np.zeros((len(self.xyz), 4), np.float32)
-        points[:, :3] = self.xyz
-        return Scan(points, stamp=stamp, doppler=self.doppler, rcs=self.rcs, sensor=sensor)
 
 
 class _Paths(NamedTuple):

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.simulation.detections import PlacedSweep
 from ogm.state import Truth
 
 __all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weather"]
@@ -154,6 +155,8 @@ class SimulatedSample:
     weather : Weather
     measured : (layers, columns) bool, optional
         Beams that were fired and reported; None for all. The others are neither points nor beams without echo.
+    sweeps : tuple of PlacedSweep
+        Of radars, in the order of the plan's radars, each in the order of time.
     """
 
     beams: Beams
@@ -171,6 +174,7 @@ class SimulatedSample:
     scenario: int
     weather: Weather = Weather()
     measured: NDArray[np.bool_] | None = None
+    sweeps: tuple[PlacedSweep, ...] = ()
 
     @property
     def lidar(self) -> str:

@@ -14,21 +14,11 @@ from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
-from ogm.simulation.sample import OBJECT, Beams, SimulatedSample, Weather
+from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
+from ogm.simulation.detections import PlacedSweep, RadarSweep
+from ogm.simulation.sample import OBJECT, SimulatedSample, Weather
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
-
-SHARD = 10  # samples per shard: they become complete together
-OBJECTS = 160  # rows for objects per sample; of more, the first are kept
-_POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]
-FACTS = (
-    *("made", "lidar", "objects", "scenario", "stamp"),
-    *_POSES,
-    *("velocity_x", "velocity_y", "velocity_z", "yaw_rate", "rain", "fog", "wet"),
-)
-LARGE = ("steps", "intensities", "truth", "heights")  # arrays with a chunk per sample
-CHECKED = (*LARGE, "objects", "facts")  # columns of the checksums
-UNMEASURED = 65535  # range of a beam that was not measured, in data sets that may have such
 
 
 class Damaged(OgmError):
@@ -39,15 +29,12 @@ class Split(Sequence[SimulatedSample]):
     """The samples of one part of a data set.
 
     ``split[i]`` reads sample i; ``len(split)`` is the number planned, of which `finished` can be read. May be
-    pickled and used by several processes at once. Old data sets have no `heights`; only those of recipes have `gaps`:
-    beams that were not measured, and one more fact.
+    pickled and used by several processes at once.
     """
 
-    def __init__(
-        self, path: Path, name: str, count: int, beams: Sequence[Beams], *, heights: bool = True, gaps: bool = False
-    ) -> None:
-        self.path, self.name, self.beams, self.heights, self.gaps = path, name, tuple(beams), heights, gaps
-        self.columns = facts_of(gaps)
+    def __init__(self, path: Path, name: str, count: int, contents: Contents) -> None:
+        self.path, self.name, self.contents = path, name, contents
+        self.columns = contents.facts
         self._count = count
         self._arrays: dict[str, Any] = {}
         self._small: dict[tuple[str, int], NDArray[Any]] = {}
@@ -81,22 +68,22 @@ class Split(Sequence[SimulatedSample]):
             return [self[i] for i in range(*index.indices(len(self)))]
         i, row = self._row(index)
         value = dict(zip(self.columns, row.tolist(), strict=True))
-        beams = self.beams[int(value["lidar"])]
+        beams = self.contents.beams[int(value["lidar"])]
         rays = beams.shape[0] * beams.shape[1]
         poses = np.tile(np.eye(4), (2, 1, 1))
-        poses[:, :3] = row[FACTS.index(_POSES[0]) :][:24].reshape(2, 3, 4)
+        poses[:, :3] = row[FACTS.index(POSES[0]) :][:24].reshape(2, 3, 4)
         image = [self._read(name, i)[:rays].reshape(beams.shape) for name in ("steps", "intensities")]
-        measured = image[0] != UNMEASURED if self.gaps else None
+        measured = image[0] != UNMEASURED if self.contents.gaps else None
         if measured is not None:
             image[0] = np.where(measured, image[0], np.uint16(0))
-        heights = self._read("heights", i) if self.heights else None
+        heights = self._read("heights", i) if self.contents.heights else None
         truth = Truth(TRUTH_SPEC, self._read("truth", i), heights if heights is not None and heights.any() else None)
         objects = self.objects(i)
         velocity = np.array([value[f"velocity_{axis}"] for axis in "xyz"])
         arrays: Any = (*image, truth, objects, *poses, velocity, value["yaw_rate"], value["stamp"])
         weather = Weather(value["rain"], value["fog"], value["wet"], value.get("dust", 0.0))
         facts: Any = {"split": self.name, "index": i, "scenario": int(value["scenario"]), "weather": weather}
-        facts["measured"] = measured
+        facts |= {"measured": measured, "sweeps": self.sweeps(i)}
         return SimulatedSample(beams, *arrays, **facts)
 
     def objects(self, index: int) -> NDArray[Any]:
@@ -107,16 +94,47 @@ class Split(Sequence[SimulatedSample]):
         self._compare("objects", i, rows[None])
         return unstructured_to_structured(rows[:count], OBJECT)
 
+    def sweeps(self, index: int) -> tuple[PlacedSweep, ...]:
+        """Read the radars' sweeps of a sample alone; errors are those of ``split[index]``."""
+        if not self.contents.radars:
+            return ()
+        rows, table = self.sweep_rows(index), self._read("detections", self._row(index)[0])
+        ends = np.cumsum(rows[:, 3]).astype(int)
+        result = []
+        for row, start, stop in zip(rows, [0, *ends[:-1]], ends, strict=True):
+            T = np.eye(4)
+            T[:3] = row[4:16].reshape(3, 4)
+            result.append(PlacedSweep(int(row[1]), row[2], T, row[16:], RadarSweep.of_table(table[start:stop])))
+        return tuple(result)
+
+    def sweep_rows(self, index: int) -> NDArray[np.float64]:
+        """Read what is known of a sample's sweeps beside their detections, (sweeps, `SWEEP`)."""
+        if not self.contents.radars:
+            return np.zeros((0, SWEEP))
+        i, _ = self._row(index)
+        rows = self._shard("sweeps", i // SHARD)[i % SHARD]
+        self._compare("sweeps", i, rows[None])
+        rows = rows[rows[:, 0] > 0]
+        most = self.contents.layout["detections"][0][0]
+        if not (
+            np.isin(rows[:, 1], range(len(self.contents.radars))).all()
+            and np.isin(rows[:, 3], range(most + 1)).all()
+            and rows[:, 3].sum() <= most
+        ):
+            raise self._damaged("sweeps", i, "it has impossible numbers")
+        return rows
+
     def damage(self) -> Iterator[tuple[int, Damaged]]:
         """Read every finished sample; yield the number and the error of each that is damaged."""
-        for name in LARGE if self.heights else LARGE[:-1]:
+        for name in self.contents.large:
             self._array(name)  # without which none can be read
         for i in range(len(self)):
             try:
                 self._row(i)
-                for name in LARGE if self.heights else LARGE[:-1]:
+                for name in self.contents.large:
                     self._read(name, i)
                 self.objects(i)
+                self.sweeps(i)
             except Damaged as error:
                 yield i, error
             except ValueError:
@@ -135,7 +153,7 @@ class Split(Sequence[SimulatedSample]):
             )
         self._compare("facts", i, row[None])
         lidar, count, scenario = (row[self.columns.index(name)] for name in ("lidar", "objects", "scenario"))
-        if not (0 <= lidar < len(self.beams) and 0 <= count <= OBJECTS and np.isfinite(scenario)):
+        if not (0 <= lidar < len(self.contents.beams) and 0 <= count <= OBJECTS and np.isfinite(scenario)):
             raise self._damaged("facts", i, "it has impossible numbers")
         return i, row
 
@@ -164,7 +182,7 @@ class Split(Sequence[SimulatedSample]):
         """Open an array, once, and check that it is as `_grow` makes it."""
         if name not in self._arrays:
             path = self.path / self.name / name
-            array, (shape, kind) = open_array(path), array_layout(self.beams, self.gaps)[name]
+            array, (shape, kind) = open_array(path), self.contents.layout[name]
             if array.shape[0] < len(self) or array.shape[1:] != shape or array.dtype != kind:
                 raise not_whole(f"{path} holds {array.dtype} {array.shape}, wanted {kind} {(len(self), *shape)}")
             if math.prod(array.chunks) > SHARD * math.prod(shape):  # zarr allocates what is claimed
@@ -176,7 +194,9 @@ class Split(Sequence[SimulatedSample]):
         first = index if isinstance(index, int) else index.start
         there = shard_file(self.path / self.name, name, first // SHARD).exists()
         if name == "checksums" and not there:
-            return np.zeros((index.stop - first, len(CHECKED)), np.uint32)  # made by a version that kept none
+            return np.zeros(
+                (index.stop - first, len(self.contents.checked)), np.uint32
+            )  # made by a version that kept none
         array = self._array(name)
         if not there:
             if name == "facts":
@@ -187,14 +207,14 @@ class Split(Sequence[SimulatedSample]):
         except (ArithmeticError, EOFError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
             # what zarr and its codecs raise
             raise self._damaged(name, first, str(error)) from error
-        if name in LARGE:
+        if name in self.contents.large:
             self._compare(name, index, values[None])
         return values
 
     def _compare(self, name: str, index: int, values: NDArray[Any]) -> None:
         """Compare a sample's part of an array, (1, ...), with its checksum, if there is one."""
         kept = self._shard("checksums", index // SHARD)[index % SHARD]
-        if kept.any() and kept[CHECKED.index(name)] != sample_checksums(self.name, index, values)[0]:
+        if kept.any() and kept[self.contents.checked.index(name)] != sample_checksums(self.name, index, values)[0]:
             raise self._damaged(name, index, "its checksum differs")
 
     def _damaged(self, name: str, index: int, why: str) -> Damaged:
@@ -218,28 +238,12 @@ def attributes_checksum(attributes: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def facts_of(gaps: bool) -> tuple[str, ...]:
-    """Return the columns of the facts, with or without what only data sets of recipes have."""
-    return (*FACTS, "dust") if gaps else FACTS
-
-
-def array_layout(beams: Sequence[Beams], gaps: bool = False) -> dict[str, tuple[tuple[int, ...], str]]:
-    """Return the shape and the type of a sample in each array, with space for the lidar that has most rays."""
-    rays = max((one.shape[0] * one.shape[1] for one in beams), default=0)
-    return {
-        "steps": ((rays,), "uint16"),
-        "intensities": ((rays,), "uint8"),
-        "truth": (TRUTH_SPEC.shape, "uint8"),
-        "heights": (TRUTH_SPEC.shape, "uint8"),
-        "objects": ((OBJECTS, len(OBJECT.names or ())), "float32"),
-        "checksums": ((len(CHECKED),), "uint32"),
-        "facts": ((len(facts_of(gaps)),), "float64"),
-    }
+_DIMENSIONS = {name: len(shape) for name, (shape, _) in Contents().layout.items()} | dict.fromkeys(OF_RADARS, 2)
 
 
 def shard_file(split: Path, name: str, shard: int) -> Path:
     """Return the file that holds a shard of an array."""
-    dimensions = 1 + len(array_layout(())[name][0])
+    dimensions = 1 + _DIMENSIONS[name]
     return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
 
 

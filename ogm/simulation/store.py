@@ -28,19 +28,13 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
+from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
+from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import (
-    CHECKED,
-    FACTS,
-    LARGE,
-    OBJECTS,
-    SHARD,
-    UNMEASURED,
     Damaged,
     Split,
-    array_layout,
     attributes_checksum,
-    facts_of,
     load_zarr,
     open_array,
     sample_checksums,
@@ -53,6 +47,7 @@ __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
 FORMAT = "ogm.samples/3"
 OLDER = "ogm.samples/2"  # without heights: is read, but not written
 GAPS = "ogm.samples/4"  # of recipes: some beams were not measured
+SWEEPS = "ogm.samples/5"  # with radars, of recipes or not
 BEGUN = "ogm.samples/begun"  # format of a data set until all its arrays are created
 MOST = 1_000_000  # samples of a split
 _LEVEL = 5  # of zstd: above it, files shrink by 2 % and writing takes four times as long
@@ -67,9 +62,12 @@ class Store:
         self.plan: dict[str, Any] = dict(attributes["plan"])
         self.versions: dict[str, str] = dict(attributes["versions"])
         self.beams = tuple(Beams.from_dict(one) for one in attributes["lidars"])
+        self.radars = tuple(map(StoredRadar.from_dict, attributes["radars"])) if self.format == SWEEPS else ()
         self.counts = _counts(attributes["splits"])
         if not self.beams:
             raise ValueError("it names no lidars")
+        gaps = self.format == GAPS or (self.format == SWEEPS and bool(self.plan.get("recipe")))
+        self.contents = Contents(self.beams, self.radars, self.format != OLDER, gaps)
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> "Store":
@@ -96,10 +94,10 @@ class Store:
             raise FileNotFoundError(
                 f"{path} holds no data set yet: making it was stopped at once; `ogm simulate {path}` begins again"
             )
-        if found not in (FORMAT, GAPS, OLDER):
+        if found not in (FORMAT, GAPS, SWEEPS, OLDER):
             raise OgmError(
-                f"{path} has the format {found}, this version of ogm reads {FORMAT} and {GAPS}"
-                + (update_hint(found, FORMAT, GAPS) or "; make the data set anew, or use the version that made it")
+                f"{path} has the format {found}, this version of ogm reads {FORMAT} to {SWEEPS}"
+                + (update_hint(found, FORMAT, SWEEPS) or "; make the data set anew, or use the version that made it")
             )
         try:
             store = cls(path, attributes)
@@ -175,15 +173,19 @@ class Store:
                 raise ValueError(f"{path} holds other files; give a new or empty folder")
             path.mkdir(parents=True, exist_ok=True)
             root = zarr.open_group(path, mode="a", zarr_format=3, attributes={"format": BEGUN})
-        gaps = bool(plan.get("recipe"))
+        gaps, radars = (
+            bool(plan.get("recipe")),
+            tuple(StoredRadar.of_mount(RadarMount(**one)) for one in plan.get("radars", ())),
+        )
         for name, count in counts.items():
-            _grow(root, name, count, beams, gaps)
+            _grow(root, name, count, Contents(tuple(beams), radars, gaps=gaps))
         # Last: until then it is no data set, and is begun again.
         made: dict[str, Any] = {
-            "format": GAPS if gaps else FORMAT,
+            "format": SWEEPS if radars else GAPS if gaps else FORMAT,
             "plan": dict(plan),
             "splits": counts,
             "lidars": [asdict(one) for one in beams],
+            **({"radars": [one._asdict() for one in radars]} if radars else {}),
         }
         made |= {"range_step": RANGE_STEP, "labels": list(LABELS), "versions": dict(versions)}
         root.attrs.put(made | {"sha256": attributes_checksum(made)})
@@ -192,9 +194,7 @@ class Store:
     def __getitem__(self, split: str) -> Split:
         if split not in self.counts:
             raise KeyError(f"{self.path} has no split {split!r}; it has {', '.join(self.counts)}")
-        return Split(
-            self.path, split, self.counts[split], self.beams, heights=self.format != OLDER, gaps=self.format == GAPS
-        )
+        return Split(self.path, split, self.counts[split], self.contents)
 
     def write(self, split: str, shard: int, samples: Sequence[SimulatedSample]) -> int:
         """Write one shard: samples ``shard * SHARD`` and those that follow, all that the split has of it.
@@ -217,7 +217,7 @@ class Store:
         if [one.index for one in samples] != list(range(first, first + wanted)):
             raise ValueError(f"shard {shard} of {split} wants samples {first} to {first + wanted - 1}")
         numbers = {one: k for k, one in enumerate(self.beams)}
-        layout = array_layout(self.beams, self.format == GAPS)
+        layout, checked = self.contents.layout, self.contents.checked
         columns = {array: np.zeros((wanted, *shape), kind) for array, (shape, kind) in layout.items()}
         for k, one in enumerate(samples):
             rows = one.objects[:OBJECTS]
@@ -228,7 +228,9 @@ class Store:
                 columns["heights"][k] = one.truth.height_cm
             columns["objects"][k, : len(rows)] = structured_to_unstructured(rows, np.float32)
             columns["facts"][k] = _facts(one, numbers[one.beams], len(rows))[: layout["facts"][0][0]]
-        sums = [sample_checksums(split, first, columns[name]) for name in CHECKED]
+            if self.radars:
+                _put_sweeps(one, columns["sweeps"][k], columns["detections"][k])
+        sums = [sample_checksums(split, first, columns[name]) for name in checked]
         columns["checksums"] = np.stack(sums, axis=-1)
         files = [shard_file(self.path / split, name, shard) for name in columns]
         for file in reversed(files):  # the facts first: until they are written again, the shard is not made
@@ -242,8 +244,8 @@ class Store:
         """Return a range image as it is kept."""
         if sample.measured is None:
             return sample.steps
-        if self.format != GAPS:
-            raise ValueError(f"{self.path} has the format {self.format}, which keeps no beams that were not measured")
+        if not self.contents.gaps:
+            raise ValueError(f"{self.path} is no data set of a recipe, and keeps no beams that were not measured")
         return np.where(sample.measured, sample.steps, np.uint16(UNMEASURED))
 
     def describe(self) -> dict[str, str]:
@@ -261,6 +263,8 @@ class Store:
             by_lidar = ", ".join(f"{n} {one.name}" for n, one in zip(lidars, self.beams, strict=True) if n)
             of = "" if len(rows) == len(split) else f" of {len(split)}"
             facts[name] = f"{len(rows)}{of} samples" + (f" ({by_lidar})" if by_lidar else "")
+        if self.radars:
+            facts["radars"] = ", ".join(one.name for one in self.radars)
         facts["size"] = f"{size / 1e6:.1f} MB" + (f", {size / made / 1e3:.0f} kB per sample" if made else "")
         facts["truth"] = f"{TRUTH_SPEC.shape[0]} x {TRUTH_SPEC.shape[1]} cells of {TRUTH_SPEC.resolution:g} m"
         facts["plan"] = ", ".join(f"{k} {v}" for k, v in self.plan.items())
@@ -277,17 +281,28 @@ def _counts(splits: Mapping[str, int]) -> dict[str, int]:
     return dict(splits)
 
 
-def _grow(root: Any, name: str, count: int, beams: Sequence[Beams], gaps: bool) -> None:
+def _put_sweeps(sample: SimulatedSample, rows: NDArray[np.float64], table: NDArray[np.float32]) -> None:
+    """Write the sweeps of a sample into its rows."""
+    tables = [one.detections.table for one in sample.sweeps]
+    for row, one, detections in zip(rows, sample.sweeps, tables, strict=False):
+        pose = one.T_world_sensor[:3].ravel()
+        row[:] = [1.0, one.radar, one.stamp, len(detections), *pose, *one.velocity]
+    if tables:
+        every = np.concatenate(tables)
+        table[: len(every)] = every
+
+
+def _grow(root: Any, name: str, count: int, contents: Contents) -> None:
     """Make the arrays of a split, or lengthen them."""
     from zarr.codecs import BloscCodec, Crc32cCodec, ZstdCodec
 
     group = root.require_group(name)
-    for array, (shape, kind) in array_layout(beams, gaps).items():
+    for array, (shape, kind) in contents.layout.items():
         if array in group:
             if group[array].shape[0] != count:
                 group[array].resize((count, *shape))
             continue
-        large = array in LARGE
+        large = array in contents.large
         shuffled = BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle")
         group.create_array(
             array,
@@ -299,7 +314,7 @@ def _grow(root: Any, name: str, count: int, beams: Sequence[Beams], gaps: bool) 
             filters=None,
             fill_value=0,
         )
-    group.attrs.put({"facts": list(facts_of(gaps)), "objects": list(OBJECT.names or ())})
+    group.attrs.put({"facts": list(contents.facts), "objects": list(OBJECT.names or ())})
 
 
 def _facts(sample: SimulatedSample, lidar: int, objects: int) -> list[float]:

@@ -275,7 +275,7 @@ def block(k: int, speed: float = 4.0) -> EvidentialGrid:
     return EvidentialGrid(SPEC, np.where(car[..., None], (0.05, 0.8), (0.6, 0.02)).astype(np.float32))
 
 
-NOTHING = RadialVelocities(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
+NOTHING = RadialVelocities.empty()
 
 
 def test_sparse_scans_are_not_matched_and_dense_ones_are():

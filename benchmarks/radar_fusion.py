@@ -1,0 +1,233 @@
+"""What does radar add to lidar, drive by drive? Lidar alone, radar alone, both, and both without Doppler.
+
+    python benchmarks/radar_fusion.py DRIVES [--choose] [--first N] [--film SEQUENCE]
+
+DRIVES holds drives that `ogm simulate --sequences N --lidar vlp-32c --radar ars548 --radar corner` made. All maps are
+`DynamicMapper`s of the same cells; scans of all sensors are fused in the order of time. After every scan of the lidar,
+from the tenth on, a map is compared with the truth: motion and times to detect on the cells that the lidar's scan shows
+(see `dynamic.py`), masses on all cells of the paper's grid, and moving participants between 30 and 80 m by their boxes:
+a box is found where a cell of it is occupied, and found moving where one is dynamic, by more than 1/2. Approaching are
+participants whose distance falls by over 2 m/s. `--choose` tries reliabilities of radar instead, for drives that are
+not tested on. Intervals are over drives. Writes benchmarks/results/radar_fusion.json; with `--film`, also
+docs/pictures/radar_fusion.webp of a drive.
+"""
+
+import _run as run  # first: it sets the number of threads
+
+# isort: split
+import argparse
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from _dynamic_drives import WARM_UP, Recorder, Snapshot, snapshots
+from _dynamic_filters import Reading
+from _fusion_drives import PAPER, WINDOW
+
+from ogm import Boxes, Frame, open_dataset
+from ogm.evaluation import mean_interval
+from ogm.evaluation.models import sensor_models
+from ogm.fusion import DynamicMapper, update_map
+from ogm.grid import GridSpec
+from ogm.metrics import ConfusionSums, accumulate, score, score_motion
+from ogm.movie import open_movie
+from ogm.plot import dynamic_panel
+from ogm.scan import run_model
+from ogm.state import CellState
+from ogm.truth import cells_in_boxes
+
+FAR = GridSpec.centered(length=163.84, width=163.84, resolution=0.32)
+RANGES = (30.0, 55.0, 80.0)  # [m]
+RELIABILITY = 0.5  # of radar in the maps that are compared
+MAPS = {"lidar": ("lidar",), "radar": ("radar",), "lidar and radar": ("lidar", "radar")}
+NO_DOPPLER = "lidar and radar, no Doppler"
+MOTION = ("motion_ap", "motion_iou", "static_moving", "median_error")
+STATIC = ("nll", "brier", "iou_free", "iou_occupied", "false_free")
+
+
+Movers = list[tuple[Boxes, bool, float]]  # box, whether it approaches, distance [m]
+
+
+class Measured(NamedTuple):
+    """A scan of a drive with its measurement grid."""
+
+    frame: Frame
+    grid: Any
+    far: Any
+
+
+def measured(frames: Sequence[Frame], far: bool) -> list[Measured]:
+    """Map every scan by itself, on the near and on the far cells."""
+    near, beyond = sensor_models("ray", PAPER), sensor_models("ray", FAR)
+    return [Measured(one, run_model(near, one), run_model(beyond, one) if far else None) for one in frames]
+
+
+def without_doppler(frame: Frame) -> Frame:
+    scan = replace(frame.scan, doppler=None)
+    return Frame(scan, frame.mount, None, None, T_map_sensor=frame.T_map_sensor, stamp=frame.stamp)
+
+
+def is_radar(frame: Frame) -> bool:
+    return frame.scan.rcs is not None
+
+
+class Compared:
+    """A map of some sensors over a drive, and what it is compared with."""
+
+    def __init__(self, sensors: Sequence[str], drive: Sequence[Any], reliability: float, doppler: bool) -> None:
+        self.sensors, self.reliability, self.doppler = sensors, reliability, doppler
+        self.mapper, self.far = DynamicMapper(WINDOW), DynamicMapper(FAR)
+        self.recorder = Recorder(self.mapper, drive, {"map": Reading()})
+        self.cells, self.found = (
+            ConfusionSums.zeros(),
+            np.zeros((2, 2, 3)),
+        )  # approaching or not; range; all, occ., dyn.
+
+    def update(self, one: Measured) -> None:
+        """Fuse a scan if it is of a sensor of this map."""
+        kind = "radar" if is_radar(one.frame) else "lidar"
+        if kind not in self.sensors:
+            return
+        share = self.reliability if kind == "radar" and len(self.sensors) > 1 else 1.0
+        frame = one.frame if self.doppler else without_doppler(one.frame)
+        update_map(self.mapper, one.grid, frame, reliability=share)
+        if one.far is not None:
+            update_map(self.far, one.far, frame, reliability=share)
+
+    def compare(self, k: int, here: Snapshot, movers: Movers, far: bool) -> None:
+        """Compare the map after the k-th scan of the lidar."""
+        self.recorder.compare(here.frame.stamp)
+        if k < WARM_UP:
+            return
+        view = self.mapper.view(PAPER)
+        truth = here.truth.crop(PAPER).state
+        known = np.where(truth == CellState.UNKNOWN, np.uint8(CellState.IGNORE), truth)
+        self.cells = self.cells.plus(accumulate(view.mass, known))
+        if far:
+            seen = self.far.dynamic_view(FAR)
+            for box, approaching, distance in movers:
+                inside = cells_in_boxes(box, FAR)
+                row = self.found[int(approaching), int(distance > RANGES[1])]
+                row += [1, (seen.static + seen.dynamic)[inside].max() > 0.5, seen.dynamic[inside].max() > 0.5]
+
+
+def movers_of(frame: Frame) -> Movers:
+    """Return the moving participants of a frame, whether they approach, and how far they are."""
+    boxes, T = frame.boxes, frame.mount.T_vehicle_sensor
+    level = boxes.moved(T)
+    found: Movers = []
+    for k in range(len(level)):
+        x, y = level.center[k, :2]
+        distance, speed = math.hypot(x, y), level.velocity[k]
+        if np.hypot(*speed) < 1 or not RANGES[0] <= distance < RANGES[-1] or max(abs(x), abs(y)) > 78:
+            continue
+        found.append((level.select([k]), bool((speed @ [x, y]) / distance < -2), distance))
+    return found
+
+
+def over_drive(frames: Sequence[Frame], maps: Mapping[str, tuple[Sequence[str], float, bool]], far: bool) -> Any:
+    """Run all maps over a drive; return their scores and sums."""
+    every = measured(frames, far)
+    lidar = [one for one in every if not is_radar(one.frame)]
+    poses = np.array([one.frame.T_map_sensor @ one.frame.mount.T_sensor_level for one in lidar])
+    drive = snapshots([one.frame for one in lidar], poses, [one.grid for one in lidar])
+    result = {}
+    for name, (sensors, reliability, doppler) in maps.items():
+        compared, k = Compared(sensors, drive, reliability, doppler), 0
+        for one in every:
+            compared.update(one)
+            if not is_radar(one.frame):
+                compared.compare(k, drive[k], movers_of(one.frame) if far else [], far)
+                k += 1
+        sums = next(iter(compared.recorder.results().values()))
+        result[name] = scores_of(sums, compared)
+    return result
+
+
+def scores_of(sums: Any, compared: Compared) -> dict[str, float]:
+    motion, cells = score_motion(sums.motion), score(compared.cells)
+    row = {name: float(motion[name]) for name in MOTION if name in motion}
+    row |= {name: float(cells[name]) for name in STATIC}
+    times = [one.seconds for one in sums.detections]
+    row["time_to_detect"] = float(np.median(times)) if times else math.nan
+    row["objects"] = len(times)
+    for kind, name in enumerate(("other", "approaching")):
+        for part, at in enumerate(("30 to 55 m", "55 to 80 m")):
+            count, occupied, dynamic = compared.found[kind, part]
+            row |= {f"{name} {at}, boxes": count, f"{name} {at}, found": occupied, f"{name} {at}, moving": dynamic}
+    return row
+
+
+def drives(path: Path, first: int | None) -> Iterator[tuple[str, list[Frame]]]:
+    """Yield the drives of a data set with the scans of all sensors."""
+    dataset = open_dataset(path, split="sequences", sensors=("lidar", "radar"), others="later")
+    for name, numbers in list(dataset.sequences.items())[:first]:
+        yield name, list(dataset.select(numbers))
+
+
+def film(frames: Sequence[Frame], path: Path) -> None:
+    """Draw the lidar's map, the radars' and the dynamic map of both, scan by scan of the lidar."""
+    maps = {name: DynamicMapper(WINDOW) for name in MAPS}
+    models, titles = sensor_models("ray", PAPER), ("lidar", *MAPS)
+    height = frames[0].mount.sensor_height
+    with open_movie(path, PAPER, titles, -height) as movie:
+        for frame in frames:
+            kind, grid = "radar" if is_radar(frame) else "lidar", run_model(models, frame)
+            for name, mapper in maps.items():
+                if kind in MAPS[name]:
+                    share = RELIABILITY if kind == "radar" and len(MAPS[name]) > 1 else 1.0
+                    update_map(mapper, grid, frame, reliability=share)
+            if kind == "lidar":
+                panels = [dynamic_panel(mapper.dynamic_view(PAPER), name, 1.0) for name, mapper in maps.items()]
+                movie.add(frame.scan.points, panels, f"{frame.stamp:.1f} s", float(frame.stamp or 0.0))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--choose", action="store_true")
+    parser.add_argument("--first", type=int, help="drives only")
+    parser.add_argument("--film", type=int, help="number of a drive")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "radar_fusion.json")
+    given = parser.parse_args()
+    if given.film is not None:
+        film([*drives(given.drives, None)][given.film][1], run.PICTURES / "radar_fusion.webp")
+        return
+    if given.choose:
+        maps: Any = {"lidar": (("lidar",), 1.0, True)}
+        maps |= {f"reliability {r:g}": (("lidar", "radar"), r, True) for r in (0.1, 0.25, 0.5, 0.75, 1.0)}
+    else:
+        maps = {name: (sensors, RELIABILITY, True) for name, sensors in MAPS.items()}
+        maps[NO_DOPPLER] = (MAPS["lidar and radar"], RELIABILITY, False)
+    rows: dict[str, list[dict[str, float]]] = {name: [] for name in maps}
+    for name, frames in drives(given.drives, given.first):
+        for method, row in over_drive(frames, maps, not given.choose).items():
+            rows[method].append(row)
+            print(name, method, {key: round(value, 4) for key, value in row.items() if " m" not in key}, flush=True)
+    keys = [key for key in rows["lidar"][0] if " m" not in key]
+    each = {
+        method: {key: np.array([one[key] for one in found], float) for key in keys} for method, found in rows.items()
+    }
+    record = {
+        "environment": run.environment(),
+        "reliability of radar": RELIABILITY,
+        "drives": rows,
+        "mean": {method: {key: float(np.nanmean(one[key])) for key in keys} for method, one in each.items()},
+        "minus lidar": {
+            method: {key: [float(x) for x in mean_interval(one[key] - each["lidar"][key])] for key in keys}
+            for method, one in each.items()
+            if method != "lidar" and len(rows["lidar"]) > 1
+        },
+    }
+    for method, one in record["mean"].items():
+        print(method, {key: round(value, 4) for key, value in one.items()})
+    if not given.choose:
+        run.write_json(given.out, json.loads(json.dumps(record)))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,131 @@
+"""Commands on data sets with radars."""
+
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from ogm import EvidentialGrid, GridSpec, Mount, Scan
+from ogm.cli import app
+from ogm.evaluation.models import sensor_models
+from ogm.geometric import RadarISM, RayISM
+from ogm.pose import pose
+from ogm.scan import Frame, PerMount, run_model
+from ogm.simulation.detections import PlacedSweep, RadarSweep
+from ogm.simulation.mounts import radars_at
+from ogm.simulation.plan import DatasetPlan
+from ogm.simulation.radars import RADARS
+from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams, SimulatedSample
+from ogm.simulation.store import Store
+from ogm.state import CellState, Truth
+from ogm.truth import TRUTH_SPEC
+
+pytest.importorskip("zarr")
+SPEC = GridSpec.centered()
+BEAMS = Beams(
+    "flat", tuple(np.linspace(-0.4, 0.1, 12)), (0.0,) * 12, -2 * np.pi / 180, 180, 10.0, ((0.0, 0.0, 0.0),) * 12
+)
+RADAR = radars_at(["ars548"])
+
+
+def sample(index: int) -> SimulatedSample:
+    """Flat ground, and a wall 20 m ahead that the lidar's low layers do not reach and the radar detects."""
+    z = BEAMS.directions[..., 2].astype(np.float64)
+    with np.errstate(divide="ignore"):
+        distance = np.where(z < 0, -1.9 / z, np.inf)
+    steps = np.where(distance < 15, distance / RANGE_STEP, 0).astype(np.uint16)
+    state = np.full(TRUTH_SPEC.shape, CellState.FREE, np.uint8)
+    y = np.linspace(-8, 8, 41)
+    xyz = np.column_stack([np.full(41, 20.0 - RADAR[0].x), y, np.zeros(41)]).astype(np.float32)
+    nothing = np.zeros(41, np.float32)
+    found = RadarSweep(
+        xyz, nothing, nothing, nothing, nothing + 20, nothing.astype(np.uint8), np.full(41, -1, np.int32)
+    )
+    x, height = RADAR[0].x, RADAR[0].z
+    sweep = PlacedSweep(0, 20 + 0.1 * index, pose(x, 0, height), np.zeros(3), found)
+    return SimulatedSample(
+        beams=BEAMS,
+        steps=steps,
+        intensities=np.where(steps > 0, 30, 0).astype(np.uint8),
+        truth=Truth(TRUTH_SPEC, state),
+        objects=np.zeros(0, OBJECT),
+        T_world_sensor=pose(0, 0, 1.9),
+        T_vehicle_sensor=pose(0, 0, 1.9),
+        velocity=np.zeros(3),
+        yaw_rate=0.0,
+        stamp=20 + 0.1 * index,
+        split="sequences",
+        index=index,
+        scenario=0,
+        sweeps=(sweep,),
+    )
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("radar") / "data"
+    plan = asdict(DatasetPlan(samples=0, validation=0, test=0, sequences=1, radars=RADAR))
+    made = Store.create(folder, plan, {"sequences": 10}, [BEAMS], {"ogm": "0"})
+    made.write("sequences", 0, [sample(k) for k in range(10)])
+    return folder
+
+
+def ogm(*words: object) -> str:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> None:
+    both, alone = tmp_path / "both.npz", tmp_path / "alone.npz"
+    assert "20 mapped" in ogm("fuse", data, "--sensor", "lidar", "--sensor", "radar", "--out", both)
+    assert "10 mapped" in ogm("fuse", data, "--out", alone)
+    maps = [EvidentialGrid.load(path) for path in (both, alone)]
+    with_radar, without = (one.occupied[one.spec.index(20.05, 0.0)] for one in maps)
+    assert with_radar > 0.2
+    assert without < 0.05
+
+
+def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Path) -> None:
+    ogm("evaluate", data, "--sensor", "ars548-front", "--ism", "radar", "--frames", 1, "--out", tmp_path / "report")
+    assert (tmp_path / "report" / "report.html").exists()
+    ogm("map", data, "--sensor", "radar", "--ism", "radar", "--out", tmp_path / "grids")
+    assert len(list((tmp_path / "grids").glob("*.npz"))) == 10
+
+
+def test_a_sensor_that_is_not_there_is_refused_by_name(data: Path, tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["fuse", str(data), "--sensor", "sonar", "--out", str(tmp_path / "m.npz")])
+    assert result.exit_code == 2
+    assert "no sensor 'sonar'" in result.output
+
+
+def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
+    models = sensor_models("ray", SPEC)
+    mount = Mount(0.6, pose(2.0, 0, 0.6))
+    points = np.array([[20.0, 0, 0, 0]], np.float32)
+    echo = np.zeros(1, np.float32)
+    of_radar, of_lidar = Scan(points, rcs=echo, doppler=echo, sensor="corner-front-left"), Scan(points)
+    radar, lidar = (Frame(one, mount, None, None) for one in (of_radar, of_lidar))
+    corner = RADARS["corner"].modes[0]
+    expected = RadarISM(
+        SPEC,
+        mount,
+        half_width=corner.half_width,
+        range_noise=corner.range_resolution / 3,
+        azimuth_noise=corner.azimuth_resolution / 3,
+        keep_moving=True,
+    )
+    np.testing.assert_array_equal(run_model(models, radar).mass, expected(radar.scan).mass)
+    np.testing.assert_array_equal(run_model(models, lidar).mass, RayISM(SPEC, mount)(lidar.scan).mass)
+    # without a model of their own, radars are mapped as all others
+    plain = PerMount(lambda mount: RayISM(SPEC, mount))
+    np.testing.assert_array_equal(run_model(plain, radar).mass, RayISM(SPEC, mount)(radar.scan).mass)
+    # one name for all scans, and names that are none
+    only = sensor_models("radar", SPEC)
+    np.testing.assert_array_equal(run_model(only, radar).mass, expected(radar.scan).mass)
+    with pytest.raises(ValueError, match="no sensor model of radars 'ray'"):
+        sensor_models("ray+ray", SPEC)
