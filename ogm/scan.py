@@ -1,9 +1,9 @@
 """Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Protocol, Self, runtime_checkable
+from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,12 @@ from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import check_pose, check_stamp
 from ogm.state import OnDemand, Truth
 
-__all__ = ["Boxes", "Frame", "InverseSensorModel", "Mount", "PerMount", "Scan", "as_scan", "run_model"]
+__all__ = [
+    "Boxes", "Frame", "InverseSensorModel", "Mount", "PerMount", "Scan", "SensorModels", "as_scan", "of_sensor",
+    "run_model",
+]  # fmt: skip
+
+Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -417,10 +422,34 @@ class PerMount:
         self.radar = None if radar is None else lru_cache(maxsize=16)(radar)
 
 
-def run_model(ism: InverseSensorModel | PerMount, frame: Frame) -> EvidentialGrid:
-    """Map the scan of a frame, by a model or by the model for the frame's mount."""
-    if not isinstance(ism, PerMount):
-        return ism(frame.scan)
-    of_radar = ism.radar is not None and frame.scan.rcs is not None
-    model = ism.radar(frame.mount, frame.scan.sensor) if of_radar else ism.model(frame.mount)  # type: ignore[misc]
+SensorModels = InverseSensorModel | PerMount | Mapping[str, InverseSensorModel | PerMount]
+
+
+def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
+    """Map the scan of a frame, by a model or by the model for the frame's mount.
+
+    Parameters
+    ----------
+    ism : callable with `spec`, PerMount, or mapping of str to these
+        A mapping has one for each `Scan.sensor`.
+    frame : Frame
+
+    Raises
+    ------
+    ValueError
+        If a mapping has none for the frame's sensor.
+    """
+    one = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
+    if not isinstance(one, PerMount):
+        return one(frame.scan)
+    of_radar = one.radar is not None and frame.scan.rcs is not None
+    model = one.radar(frame.mount, frame.scan.sensor) if of_radar else one.model(frame.mount)  # type: ignore[misc]
     return model(frame.scan)
+
+
+def of_sensor(values: Mapping[str, Value], sensor: str, kind: str) -> Value:
+    """Return the value of a sensor, or raise a ValueError that names it, and what `kind` of value is missing."""
+    if sensor not in values:
+        given = ", ".join(map(repr, values)) or "none"
+        raise ValueError(f"there is no {kind} for the sensor {sensor!r}, but for {given}; Scan.sensor is its name")
+    return values[sensor]

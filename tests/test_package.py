@@ -66,6 +66,7 @@ def test_every_public_name_is_documented() -> None:
         "grid",
         "state",
         "scan",
+        "doppler",
         "io",
         "truth",
         "geometric",

@@ -26,11 +26,12 @@ from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.map_lock import MapLock, locked
 from ogm.fusion.mapper import conflict_grid
-from ogm.fusion.measured_velocities import SCAN_AGES, matched_velocities
+from ogm.fusion.measured_velocities import SCAN_AGES, MeasuredVelocities, matched_velocities
 from ogm.fusion.object_tracker import ObjectTracker
 from ogm.fusion.objects import Objects, find_objects
 from ogm.fusion.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
 from ogm.fusion.prediction import move_on, predict_dynamic
+from ogm.fusion.radial import with_radial_velocities
 from ogm.fusion.resample import view_layers
 from ogm.fusion.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
 from ogm.fusion.scan_history import ScanHistory
@@ -78,6 +79,10 @@ class DynamicMapper:
     Stamps, poses, jumps and threads that read are treated as `EvidentialMapper` does; every scan needs a stamp. A scan
     of the same moment ages and moves nothing. A late scan moves and makes no particles: it counts as much as ageing
     would have left of it, in cells that hold more free or static than dynamic. After an error the map is as it was.
+
+    Radial velocities (`update`) are measurements of one component of the velocity of the cells that they lie in. A scan
+    that comes with them, also with none that moves, is taken for a radar's: it is not matched with earlier scans, nor
+    later ones with it, unless it is `RadialVelocities.dense`.
     """
 
     def __init__(
@@ -242,7 +247,7 @@ class DynamicMapper:
         self._groups = groups
         self._cells, self._next_cells = new.cells, self._cells
         self._window.move_to(scan.corner)
-        if self.matching and scan.stamp is not None:
+        if self.matching and scan.stamp is not None and _shows_shapes(scan):
             self._history.add(scan.stamp, scan.corner, self._occupied)
         self._update_objects(scan.stamp)
 
@@ -277,14 +282,16 @@ class DynamicMapper:
     def _measured_velocities(self, scan: CheckedScan, cells: DynamicCells) -> GroupVelocities:
         """Return the velocities that are measured of groups of cells: the slot for matching, Doppler and others."""
         settings, resolution = self.settings, self._window.spec0.resolution
-        label, velocity, information = self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2))
-        if self.matching and scan.stamp is not None:
+        found = MeasuredVelocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)))
+        if self.matching and scan.stamp is not None and _shows_shapes(scan):
             earlier = self._history.earlier(scan.stamp, scan.corner, SCAN_AGES)
             if earlier:
                 found = matched_velocities(self._occupied, cells, self._predicted, earlier, resolution)
-                label, velocity, information = found
+        if scan.radial is not None and len(scan.radial.speed):
+            window = self._window.spec_at(scan.corner)
+            found = with_radial_velocities(found, scan.radial, self._measured, cells, window)
         numbers = settings.birth_speed, settings.association, settings.motion_odds
-        return group_velocities(label, velocity, information, *numbers)
+        return group_velocities(*found, *numbers)
 
     def _fuse_late(self, lookup: ScanLookup, seconds: float, reliability: float) -> None:
         """Fuse a scan older than the map into free and static, in cells that hold more free or static than dynamic."""
@@ -312,3 +319,8 @@ class DynamicMapper:
 
     def _conflict(self) -> NDArray[np.float32]:
         return np.stack([self._cells.to_occupied, self._cells.to_free], axis=-1)
+
+
+def _shows_shapes(scan: CheckedScan) -> bool:
+    """Return whether a scan is matched with others: those of a radar hold single detections, no shapes."""
+    return scan.radial is None or scan.radial.dense

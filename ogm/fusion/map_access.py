@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.doppler import RadialVelocities
 from ogm.fusion.map_lock import locked
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec
@@ -55,6 +56,7 @@ def update(
     stamp: float | None = None,
     T_vehicle_sensor: ArrayLike | None = None,  # noqa: N803
     reliability: float = 1.0,
+    radial: RadialVelocities | None = None,
 ) -> None:
     """Age the map to a new scan's time and fuse its measurement grid.
 
@@ -73,18 +75,26 @@ def update(
         jumps follow the vehicle. By default the frame is the vehicle's.
     reliability : float
         Of this sensor, [0, 1]: its masses are discounted by it.
+    radial : RadialVelocities, optional
+        What Doppler measured of things that move, in the frame of `grid`: see `ogm.doppler.radial_velocities`. Only
+        `DynamicMapper` makes use of it, and not of a late scan's. Also without rows it marks a scan of sparse
+        detections, whose cells are matched with none.
 
     Raises
     ------
     TypeError
-        If `grid` is no EvidentialGrid.
+        If `grid` is no EvidentialGrid, or `radial` no RadialVelocities.
     PoseJump
         If the pose is further from the last one than `max_speed` allows.
     ValueError
         If a pose is not rigid, leans by more than 45 degrees or holds NaN, a stamp breaks the rules of the mapper, or
-        the grid and the window have no cell in common.
+        the grid and the window have no cell in common; or if the columns of `radial` do not fit together.
     """
     scan = self._gate.check(self._window, grid, T_map_sensor, stamp, T_vehicle_sensor, reliability)
+    if radial is not None:
+        if not isinstance(radial, RadialVelocities):
+            raise TypeError(f"radial must be RadialVelocities, got {type(radial).__name__}; see ogm.doppler")
+        scan = scan._replace(radial=radial.checked().moved(np.asarray(T_map_sensor, np.float64)))
     self._fuse(grid, scan, reliability)
     self._gate.accept(scan)
 

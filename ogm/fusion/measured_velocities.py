@@ -1,5 +1,7 @@
 """The measurement of velocities that the dynamic map makes itself: groups of cells matched with earlier scans."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,10 +10,28 @@ from ogm.fusion.matching import MatchSettings, match_velocities
 from ogm.fusion.particles import Particles
 from ogm.fusion.resampling import mean_velocities
 
-__all__ = ["SCAN_AGES", "matched_velocities"]
+__all__ = ["SCAN_AGES", "MeasuredVelocities", "matched_velocities"]
 
 SCAN_AGES = 0.1, 0.2, 0.3  # [s] of the earlier scans with which cells are matched
 MIN_CONFLICT = 0.2  # of free -> occupied, at which a cell may hold something that moves
+
+
+class MeasuredVelocities(NamedTuple):
+    """Velocities of groups of cells.
+
+    Attributes
+    ----------
+    label : (nx, ny) int32
+        Number of each cell's group, from 1 to G; 0 for none.
+    velocity : (G, 2) float64
+        [m/s]
+    information : (G, 2, 2) float64
+        Inverse covariance of the velocity [s²/m²], positive semi-definite; 0 where nothing is measured.
+    """
+
+    label: NDArray[np.int32]
+    velocity: NDArray[np.float64]
+    information: NDArray[np.float64]
 
 
 def matched_velocities(
@@ -21,8 +41,8 @@ def matched_velocities(
     earlier: list[tuple[NDArray[np.bool_], float]],
     resolution: float,
     settings: MatchSettings | None = None,
-) -> tuple[NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
-    """Return label (nx, ny), velocity (G, 2) [m/s] and information (G, 2, 2) [s²/m²] of groups of cells.
+) -> MeasuredVelocities:
+    """Return the velocities of groups of cells that match earlier scans.
 
     Parameters
     ----------
@@ -46,4 +66,4 @@ def matched_velocities(
     matches = match_velocities(occupied, candidates, earlier, resolution, settings, prior)
     information = np.zeros((len(matches.valid), 2, 2))
     information[matches.valid] = np.linalg.inv(matches.covariance[matches.valid])
-    return matches.label, matches.velocity, information
+    return MeasuredVelocities(matches.label, matches.velocity, information)

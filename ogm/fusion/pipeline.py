@@ -2,19 +2,20 @@
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.doppler import radial_velocities
 from ogm.fusion.factory import Mapper
 from ogm.fusion.motion import deskew, extrapolate
 from ogm.fusion.update_gate import PoseJump
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
-from ogm.scan import Frame, InverseSensorModel, PerMount, Scan, run_model
+from ogm.scan import Frame, Scan, SensorModels, of_sensor, run_model
 
 __all__ = ["FusionStep", "deskew_frame", "fuse", "map_scans", "update_map"]
 
@@ -25,6 +26,7 @@ _MARGIN = 0.5  # [s] by which a trajectory is extrapolated for the points of its
 _log = logging.getLogger(__name__)
 
 OnError = Callable[[Frame, Exception], None]
+Reliability = float | Mapping[str, float]
 
 
 def log_error(frame: Frame, error: Exception) -> None:
@@ -33,7 +35,7 @@ def log_error(frame: Frame, error: Exception) -> None:
 
 
 def map_scans(
-    frames: Iterable[Frame], ism: InverseSensorModel | PerMount, *, on_error: OnError = log_error
+    frames: Iterable[Frame], ism: SensorModels, *, on_error: OnError = log_error
 ) -> Iterator[tuple[Frame, EvidentialGrid]]:
     """Yield each frame with its measurement grid.
 
@@ -41,8 +43,8 @@ def map_scans(
     ----------
     frames : iterable of Frame
         A data set, or any other.
-    ism : callable with `spec`, or PerMount
-        The sensor model: ``ism(scan) -> EvidentialGrid``.
+    ism : callable with `spec`, PerMount, or mapping of str to these
+        The sensor model, ``ism(scan) -> EvidentialGrid``; of several sensors one for each `Scan.sensor`.
     on_error : function
         Called with a frame that is damaged or cannot be mapped, and its error; the frame is left out. By default it is
         logged. A function that raises the error ends the loop.
@@ -88,10 +90,11 @@ class FusionStep(NamedTuple):
 
 def fuse(
     frames: Iterable[Frame],
-    ism: InverseSensorModel | PerMount,
+    ism: SensorModels,
     mapper: Mapper,
     *,
     deskew: bool | Trajectory = False,
+    reliability: Reliability = 1.0,
     on_error: OnError = log_error,
 ) -> Iterator[FusionStep]:
     """Fuse the scans of a drive into a map, one step per frame.
@@ -101,14 +104,19 @@ def fuse(
     Parameters
     ----------
     frames : iterable of Frame
-        In the order of their stamps; each needs `T_map_sensor` and, unless the map never forgets, `stamp`.
-    ism : callable with `spec`, or PerMount
-        The sensor model: ``ism(scan) -> EvidentialGrid``.
+        In the order of their stamps; each needs `T_map_sensor` and, unless the map never forgets, `stamp`. Of several
+        sensors of a vehicle each has its own poses, and its mount in one vehicle frame.
+    ism : callable with `spec`, PerMount, or mapping of str to these
+        The sensor model, ``ism(scan) -> EvidentialGrid``; of several sensors one for each `Scan.sensor`. Frames of a
+        sensor without one are skipped.
     mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
         Updated in place.
     deskew : bool or Trajectory
         Undo the ego motion during each scan, by the times of its points: with the poses of `frames`, which must then be
-        a sequence, or with a trajectory of the sensor, for example of higher rate.
+        a sequence, or with a trajectory of the sensor, for example of higher rate. Scans of several sensors are
+        de-skewed before, each by its own poses: `deskew_frame`.
+    reliability : float or mapping of str to float
+        [0, 1]: masses are discounted by it; by `Scan.sensor` or for all.
     on_error : function
         Called with every frame that is skipped, and its error; by default it is logged.
 
@@ -120,7 +128,7 @@ def fuse(
     Raises
     ------
     ValueError
-        If de-skewing has no poses.
+        If de-skewing has no poses, or `ism` is of several sensors.
 
     Examples
     --------
@@ -129,6 +137,8 @@ def fuse(
     ...     print(step.frame.name, step.error or step.grid)
     >>> mapper.grid.save("map.npz")                                        # doctest: +SKIP
     """
+    if deskew is not False and isinstance(ism, Mapping):
+        raise ValueError("poses are of one sensor: de-skew each sensor's frames by its own trajectory, `deskew_frame`")
     trajectory = _trajectory(frames, deskew)
     jumps, sequence = 0, None
     for frame in frames:
@@ -144,7 +154,7 @@ def fuse(
             if sequence not in (None, frame.sequence) and mapper.scans:
                 restart, previous, jumps = "sequence", mapper.grid, 0
                 mapper.reset()
-            jumped = update_map(mapper, grid, frame, restart=jumps + 1 >= _MAX_JUMPS)
+            jumped = update_map(mapper, grid, frame, restart=jumps + 1 >= _MAX_JUMPS, reliability=reliability)
             seconds = between - start, time.perf_counter() - between
         except _DAMAGED as error:
             jumps += isinstance(error, PoseJump)
@@ -157,8 +167,10 @@ def fuse(
         yield FusionStep(frame, grid, T_map_grid, None, restart, previous, seconds)
 
 
-def update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: bool = True) -> EvidentialGrid | None:
-    """Fuse the measurement grid of a frame, levelled by the frame's mount.
+def update_map(
+    mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: bool = True, reliability: Reliability = 1.0
+) -> EvidentialGrid | None:
+    """Fuse the measurement grid of a frame, levelled by the frame's mount, and its radial velocities if it has Doppler.
 
     Parameters
     ----------
@@ -168,6 +180,8 @@ def update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: b
     frame : Frame
     restart : bool
         Whether the map begins anew at a pose jump; else the `PoseJump` is raised.
+    reliability : float or mapping of str to float
+        [0, 1]: masses are discounted by it; by `Scan.sensor` or for all.
 
     Returns
     -------
@@ -177,17 +191,19 @@ def update_map(mapper: Mapper, grid: EvidentialGrid, frame: Frame, *, restart: b
     Raises
     ------
     ValueError
-        If the frame has no pose, and for all that the mapper refuses.
+        If the frame has no pose, its sensor no reliability, and for all that the mapper refuses.
     """
-    T_map_grid = _T_map_grid(frame)
+    T_map_grid, scan = _T_map_grid(frame), frame.scan
+    share = of_sensor(reliability, scan.sensor, "reliability") if isinstance(reliability, Mapping) else reliability
+    radial = radial_velocities(scan, frame.mount)
     try:
-        mapper.update(grid, T_map_grid, stamp=frame.stamp)
+        mapper.update(grid, T_map_grid, stamp=frame.stamp, reliability=share, radial=radial)
     except PoseJump:
         if not restart:
             raise
         before = mapper.grid
         mapper.reset()
-        mapper.update(grid, T_map_grid, stamp=frame.stamp)
+        mapper.update(grid, T_map_grid, stamp=frame.stamp, reliability=share, radial=radial)
         return before
     return None
 
@@ -227,7 +243,10 @@ def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
 
 
 def _T_map_grid(frame: Frame) -> NDArray[np.float64]:  # noqa: N802
-    """Return the pose of the frame in which a measurement grid lies: the vehicle's, level, projected to the ground."""
+    """Return the pose of the frame in which a measurement grid lies: the vehicle's axes and origin, at sensor height.
+
+    The window of a map and its check for jumps follow it: it is of the vehicle, whichever sensor measured.
+    """
     T = frame.T_map_sensor
     if T is None:
         raise ValueError("it has no pose, so that it cannot be fused")

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.doppler import RadialVelocities
 from ogm.fusion.window import Window, affine_between, overlaps, samples_per_axis
 from ogm.grid import EvidentialGrid
 from ogm.pose import check_pose, check_stamp, inverse
@@ -43,6 +44,8 @@ class CheckedScan(NamedTuple):
         From the window's cells to those of the grid.
     samples : int
         Points per cell and axis at which the grid is looked up.
+    radial : RadialVelocities or None
+        Measured with the scan, in map coordinates.
     """
 
     T_map_vehicle: NDArray[np.float64]
@@ -51,6 +54,7 @@ class CheckedScan(NamedTuple):
     corner: tuple[int, int]
     affine: NDArray[np.float64]
     samples: int
+    radial: RadialVelocities | None = None
 
 
 class UpdateGate:

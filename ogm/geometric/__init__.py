@@ -3,9 +3,10 @@
 The kernels are compiled by numba at their first call in a new environment and cached on disk after that.
 """
 
+from ogm.doppler import moving_detections, sensor_velocity
 from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground
 from ogm.geometric.height_band import HeightBandISM
-from ogm.geometric.radar import RadarISM, moving_detections, sensor_velocity
+from ogm.geometric.radar import RadarISM
 from ogm.geometric.ray import RayISM
 
 __all__ = [

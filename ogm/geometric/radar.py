@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.doppler import moving_detections
 from ogm.geometric.inputs import check_sensor_in_grid, check_within
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.grid import EvidentialGrid, GridSpec
@@ -15,10 +16,8 @@ from ogm.jit import log_compilation
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan, as_scan
 
-__all__ = ["RadarISM", "moving_detections", "sensor_velocity"]
+__all__ = ["RadarISM"]
 
-PAIRS = 128  # of detections that a velocity is guessed from
-LEAST = 5  # detections that a velocity is estimated from
 REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is
 FALSE_ALARM = 1e-4  # probability per bin that sets a radar's threshold
 
@@ -199,74 +198,3 @@ def _free_table(free_mass: float, reach: float, metres: int) -> NDArray[np.float
     """Return the mass of free for every metre of range."""
     distance = np.maximum(np.arange(metres), 1.0)
     return (free_mass * FALSE_ALARM ** (1 / (1 + REFERENCE_SNR * (reach / distance) ** 4))).astype(np.float32)
-
-
-def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.float64] | None:
-    """Estimate how a radar moves from the Doppler of what stands still.
-
-    Of a standing world, doppler = -v . u for the direction u of each detection. The velocity that most detections
-    agree with, of those that pairs of them give, is refined by least squares (Kellner et al., "Instantaneous
-    ego-motion estimation using Doppler radar", 2013). The pairs are the same every time.
-
-    Parameters
-    ----------
-    scan : Scan
-        In the sensor's frame, with `Scan.doppler` against the sensor.
-    doppler_noise : float
-        Standard deviation of the Doppler [m/s].
-
-    Returns
-    -------
-    (2,) float64 or None
-        Velocity over ground along the sensor's x and y axes [m/s]; None with fewer than 5 detections, without Doppler,
-        or where less than half of them agree.
-    """
-    if scan.doppler is None:
-        return None
-    return _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise)
-
-
-def moving_detections(
-    scan: Scan, doppler_noise: float = 0.1, azimuth_noise: float = 0.01, *, origin: NDArray[np.float64] | None = None
-) -> NDArray[np.bool_]:
-    """Return which detections move: their Doppler differs by over 3 standard deviations from that of a standing world.
-
-    Parameters
-    ----------
-    scan : Scan
-        Without Doppler, or where `sensor_velocity` finds none, nothing is said to move.
-    doppler_noise, azimuth_noise : float
-        Standard deviations [m/s, rad].
-    origin : (3,) array, optional
-        Where the sensor is in the frame of the points; by default in its origin.
-    """
-    if scan.doppler is None:
-        return np.zeros(len(scan), np.bool_)
-    xy = scan.points[:, :2].astype(np.float64) - (0.0 if origin is None else origin[:2])
-    velocity = _velocity(xy, scan.doppler, doppler_noise)
-    if velocity is None:
-        return np.zeros(len(scan), np.bool_)
-    unit = xy / np.maximum(np.hypot(*xy.T), 1e-6)[:, None]
-    across = unit @ np.array([-velocity[1], velocity[0]])
-    return np.abs(scan.doppler + unit @ velocity) > 3 * np.hypot(doppler_noise, across * azimuth_noise)
-
-
-def _velocity(xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: float) -> NDArray[np.float64] | None:
-    usable = np.isfinite(doppler) & (np.hypot(*xy.T) > 1e-3)
-    unit = xy[usable] / np.hypot(*xy[usable].T)[:, None]
-    rate = doppler[usable].astype(np.float64)
-    if len(rate) < LEAST:
-        return None
-    first, second = np.random.default_rng(0).integers(len(rate), size=(2, PAIRS))
-    A = np.stack([unit[first], unit[second]], axis=1)
-    firm = np.abs(np.linalg.det(A)) > 0.05
-    guesses = np.linalg.solve(A[firm], -np.stack([rate[first], rate[second]], axis=-1)[firm][..., None])[..., 0]
-    guesses = np.vstack([guesses, np.zeros(2)])
-    agree = np.abs(rate + guesses @ unit.T) < 4 * noise
-    best = agree[agree.sum(axis=1).argmax()]
-    for _ in range(2):
-        if best.sum() < max(LEAST, len(rate) / 2):
-            return None
-        velocity = np.linalg.lstsq(unit[best], -rate[best], rcond=1e-3)[0]
-        best = np.abs(rate + unit @ velocity) < 4 * noise
-    return velocity

@@ -1,6 +1,7 @@
 """The pipelines: frames in, grids and maps out, with any callable as sensor model."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from ogm.fusion import (
 )
 from ogm.fusion.factory import RULES
 from ogm.pose import Trajectory, pose, transform_points
-from ogm.scan import PerMount
+from ogm.scan import PerMount, run_model
 
 SPEC = GridSpec.centered(length=8.0, width=6.0, resolution=0.5)
 MOUNT = Mount(1.8)
@@ -181,6 +182,81 @@ def test_tilted_and_shifted_mounts_are_levelled(offset: float) -> None:
     assert all(step.error is None for step in fuse(frames, Levelled(), mapper))
     assert mapper.grid.at(2.25, 1.25).occupied == pytest.approx(0.8)
     assert np.count_nonzero(mapper.grid.occupied > 0.1) == 1
+
+
+class Within(Marks):
+    """`Marks` of a sensor that is mounted somewhere, in its levelled vehicle frame; other masses by sensor."""
+
+    def __init__(self, mount: Mount, occupied: float = 0.8) -> None:
+        self.mount, self.occupied = mount, occupied
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        grid = super().__call__(Scan(transform_points(self.mount.T_vehicle_sensor, scan.points)))
+        return EvidentialGrid(SPEC, grid.mass * np.float32(self.occupied / 0.8))
+
+
+LIDAR, RADAR = Mount(1.8, pose(0.2, 0.0, 1.8, pitch=0.1)), Mount(0.6, pose(1.5, 0.8, 0.6, yaw=2.2))
+
+
+def two_sensors(speed: float = 1.0) -> list[Frame]:
+    """Return frames of a lidar at 10 Hz and of a corner radar in between, of one vehicle that turns."""
+    frames = []
+    for k in range(8):
+        name, mount = (("lidar", LIDAR), ("radar", RADAR))[k % 2]
+        T = pose(0.05 * k * speed, yaw=0.02 * k) @ mount.T_vehicle_sensor
+        scan = replace(scan_of(T), sensor=name)
+        frames.append(Frame(scan, mount, None, None, T_map_sensor=T, stamp=0.05 * k, name=f"{name} {k}"))
+    return frames
+
+
+MODELS = {"lidar": Within(LIDAR), "radar": PerMount(lambda mount: Within(mount, 0.4))}
+
+
+def test_several_sensors_of_one_vehicle_mark_the_same_cell_by_their_own_models() -> None:
+    mapper = EvidentialMapper(SPEC, RULES["dempster"], half_life=math.inf)
+    steps = list(fuse(two_sensors(), MODELS, mapper))
+    assert [step.error for step in steps] == [None] * 8
+    assert [round(float(step.grid.occupied.max()), 6) for step in steps] == [0.8, 0.4] * 4
+    assert mapper.grid.at(2.25, 1.25).occupied > 0.97
+    assert np.count_nonzero(mapper.grid.occupied > 0.01) == 1
+    by_model = list(map_scans(two_sensors(), MODELS))
+    assert all(a.grid == grid for a, (_, grid) in zip(steps, by_model, strict=True))
+
+
+def test_the_window_and_the_check_for_jumps_follow_the_vehicle_whichever_sensor_measures() -> None:
+    """At 0.1 m/s the sensors of a vehicle, 1.5 m apart and one looking backwards, make no jump."""
+    mapper = EvidentialMapper(SPEC, max_speed=0.5)
+    for k, step in enumerate(fuse(two_sensors(0.1), MODELS, mapper)):
+        assert step.error is None
+        T = pose(0.005 * k, yaw=0.02 * k)
+        np.testing.assert_allclose(mapper.T_map_vehicle[:2, 3], T[:2, 3], atol=1e-9)
+        np.testing.assert_allclose(mapper.T_map_vehicle[:3, :3], T[:3, :3], atol=1e-9)
+        np.testing.assert_allclose(mapper.spec.origin, SPEC.origin)
+
+
+def test_reliabilities_by_sensor_discount_its_masses() -> None:
+    mapper, by_hand = (EvidentialMapper(SPEC, RULES["dempster"]) for _ in range(2))
+    for step in fuse(two_sensors(), MODELS, mapper, reliability={"lidar": 0.9, "radar": 0.5}):
+        share = 0.9 if step.frame.scan.sensor == "lidar" else 0.5
+        by_hand.update(step.grid, step.T_map_grid, stamp=step.frame.stamp, reliability=share)
+    assert mapper.grid == by_hand.grid
+    for_all = EvidentialMapper(SPEC)
+    update_map(for_all, MODELS["lidar"](two_sensors()[0].scan), two_sensors()[0], reliability=0.5)
+    assert for_all.grid.occupied.max() == pytest.approx(0.4)
+
+
+def test_a_sensor_without_a_model_or_a_reliability_is_named() -> None:
+    frames = two_sensors()
+    with pytest.raises(ValueError, match="no model for the sensor 'radar', but for 'lidar'"):
+        run_model({"lidar": MODELS["lidar"]}, frames[1])
+    with pytest.raises(ValueError, match="no model for the sensor '', but for none"):
+        run_model({}, drive(1)[0])
+    with pytest.raises(ValueError, match="no reliability for the sensor 'lidar', but for 'front'"):
+        update_map(EvidentialMapper(SPEC), MODELS["lidar"](frames[0].scan), frames[0], reliability={"front": 1.0})
+    steps = list(fuse(frames, {"lidar": MODELS["lidar"]}, EvidentialMapper(SPEC), on_error=lambda *_: None))
+    assert [step.error is None for step in steps] == [True, False] * 4
+    with pytest.raises(ValueError, match="poses are of one sensor"):
+        next(fuse(frames, MODELS, EvidentialMapper(SPEC), deskew=True))
 
 
 def test_update_map_begins_anew_at_a_jump_and_returns_the_map_before() -> None:

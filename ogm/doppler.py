@@ -1,0 +1,236 @@
+"""Motion from the Doppler of a scan: of the sensor itself, of what moves, and radial velocities as measurements."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.pose import rotate
+from ogm.scan import Mount, Scan
+
+__all__ = ["RadialVelocities", "moving_detections", "radial_velocities", "sensor_velocity"]
+
+PAIRS = 128  # of detections that a velocity is guessed from
+LEAST = 5  # detections that a velocity is estimated from
+GATE = 3  # standard deviations from a standing world beyond which a detection moves
+
+
+class RadialVelocities(NamedTuple):
+    """Radial velocities of places that move, for `ogm.fusion.DynamicMapper.update`.
+
+    Attributes
+    ----------
+    xy : (N, 2) float64
+        Places in the frame of the measurement grid [m].
+    direction : (N, 2) float64
+        Unit vectors from the sensor to them.
+    speed : (N,) float64
+        Velocity over ground along the direction, positive away from the sensor [m/s].
+    deviation : (N,) float64
+        Standard deviation of the speed, above 0 [m/s].
+    extent : (N, 2) float64
+        Standard deviations of the place along and across the direction, above 0 [m].
+    dense : bool
+        Whether the grid shows shapes, as that of a lidar with Doppler does: only then are its groups of cells matched
+        with earlier scans, and those of later scans with it. Change it by ``_replace(dense=True)``.
+    """
+
+    xy: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    speed: NDArray[np.float64]
+    deviation: NDArray[np.float64]
+    extent: NDArray[np.float64]
+    dense: bool = False
+
+    @classmethod
+    def empty(cls) -> "RadialVelocities":
+        """Return none, of a sparse scan."""
+        return cls(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2)))
+
+    def checked(self) -> "RadialVelocities":
+        """Return the columns as float64 arrays.
+
+        Raises
+        ------
+        ValueError
+            If a column has another shape, a number is not finite, a deviation or extent is not above 0, or a direction
+            is no unit vector.
+        """
+        one = (np.size(self.speed),)
+        two = (*one, 2)
+        columns = []
+        for name, shape in zip(self._fields, (two, two, one, one, two), strict=False):
+            column = np.asarray(getattr(self, name), np.float64)
+            if column.shape != shape:
+                raise ValueError(f"{name} of radial velocities must have shape {shape}, got {column.shape}")
+            if not np.isfinite(column).all():
+                raise ValueError(f"{name} of radial velocities must be finite; leave other detections out")
+            if name in ("deviation", "extent") and not (column > 0).all():
+                raise ValueError(f"{name} of radial velocities must be above 0, got {column.min()}")
+            columns.append(column)
+        xy, direction, speed, deviation, extent = columns
+        if not (np.abs(np.hypot(*direction.T) - 1) < 1e-3).all():
+            raise ValueError("direction of radial velocities must be unit vectors; divide by their lengths")
+        return RadialVelocities(xy, direction, speed, deviation, extent, bool(self.dense))
+
+    def moved(self, T: NDArray[np.float64]) -> "RadialVelocities":
+        """Return them in another frame, projected along its vertical; `T` (4, 4) takes this frame to it."""
+        direction = self.direction @ T[:2, :2].T
+        direction /= np.hypot(*direction.T)[:, None]
+        return self._replace(xy=self.xy @ T[:2, :2].T + T[:2, 3], direction=direction)
+
+
+def sensor_velocity(scan: Scan, *, doppler_noise: float = 0.1) -> NDArray[np.float64] | None:
+    """Estimate how a radar moves from the Doppler of what stands still.
+
+    Of a standing world, doppler = -v . u for the direction u of each detection. The velocity that most detections
+    agree with, of those that pairs of them give, is refined by least squares (Kellner et al., "Instantaneous
+    ego-motion estimation using Doppler radar", 2013). The pairs are the same every time.
+
+    Parameters
+    ----------
+    scan : Scan
+        In the sensor's frame, with `Scan.doppler` against the sensor.
+    doppler_noise : float
+        Standard deviation of the Doppler [m/s].
+
+    Returns
+    -------
+    (2,) float64 or None
+        Velocity over ground along the sensor's x and y axes [m/s]; None with fewer than 5 detections, without Doppler,
+        or where less than half of them agree.
+    """
+    if scan.doppler is None:
+        return None
+    return _velocity(scan.points[:, :2].astype(np.float64), scan.doppler, doppler_noise)
+
+
+def moving_detections(
+    scan: Scan, doppler_noise: float = 0.1, azimuth_noise: float = 0.01, *, origin: NDArray[np.float64] | None = None
+) -> NDArray[np.bool_]:
+    """Return which detections move: their Doppler differs by over 3 standard deviations from that of a standing world.
+
+    Parameters
+    ----------
+    scan : Scan
+        Without Doppler, or where `sensor_velocity` finds none, nothing is said to move.
+    doppler_noise, azimuth_noise : float
+        Standard deviations [m/s, rad].
+    origin : (3,) array, optional
+        Where the sensor is in the frame of the points; by default in its origin.
+    """
+    if scan.doppler is None:
+        return np.zeros(len(scan), np.bool_)
+    xy = scan.points[:, :2].astype(np.float64) - (0.0 if origin is None else origin[:2])
+    found = _over_ground(xy, scan.doppler, doppler_noise, azimuth_noise)
+    return np.zeros(len(scan), np.bool_) if found is None else np.abs(found[0]) > GATE * found[1]
+
+
+def radial_velocities(
+    scan: Scan,
+    mount: Mount,
+    doppler_noise: float = 0.1,
+    azimuth_noise: float = 0.01,
+    range_noise: float = 0.2,
+    *,
+    beam: float = math.radians(1.8),
+    margin: float = 2.5,
+    interval: float | None = None,
+) -> RadialVelocities | None:
+    """Return the radial velocities over ground of the detections that move, in the levelled vehicle frame.
+
+    The sensor's own velocity is estimated from the scan (`sensor_velocity`), so Doppler may also be compensated for it.
+    Left out are detections that stand still, those in the ego footprint, and those behind another in the same
+    direction: these are often ghosts, by way of mirrors. The elevation of a detection is neglected.
+
+    Parameters
+    ----------
+    scan : Scan
+        With `Scan.doppler` against the sensor or over ground.
+    mount : Mount
+        Of the sensor.
+    doppler_noise, azimuth_noise, range_noise : float
+        Standard deviations [m/s, rad, m].
+    beam : float
+        Directions are the same within this angle [rad].
+    margin : float
+        Behind is what is this much further away, and `range_noise` twice [m].
+    interval : float, optional
+        Width of the radar's interval of unambiguous Doppler [m/s]: speeds over ground are taken to be less than half of
+        it. By default Doppler is taken as it is: **a folded one is wrong by the interval**, and so is the speed, as of
+        a car that comes at 13 m/s towards a vehicle of 13 m/s whose radar folds at 23 m/s.
+
+    Returns
+    -------
+    RadialVelocities or None
+        None for scans without Doppler that are no radar's: without `Scan.rcs`. Without rows where nothing moves, or
+        where no velocity of the sensor is found.
+    """
+    if scan.doppler is None:
+        return None if scan.rcs is None else RadialVelocities.empty()
+    T = mount.T_vehicle_points
+    place = (rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:])[:2].T
+    x0, x1, y0, y1 = mount.ego_footprint
+    (x, y), from_sensor = place.T, place - mount.origin[:2]
+    distance = np.hypot(*from_sensor.T)
+    usable = np.isfinite(scan.points[:, :3]).all(axis=1) & np.isfinite(scan.doppler) & (distance > 1e-3)
+    usable &= ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
+    place, from_sensor, distance = place[usable], from_sensor[usable], distance[usable]
+    found = _over_ground(from_sensor, scan.doppler[usable], doppler_noise, azimuth_noise)
+    speed, deviation = found or (np.zeros(len(place)), np.ones(len(place)))
+    if interval is not None:
+        speed = (speed + interval / 2) % interval - interval / 2
+    hidden = _behind(from_sensor, distance, beam, margin + 2 * range_noise)
+    chosen = (np.abs(speed) > GATE * deviation) & ~hidden
+    direction = from_sensor / distance[:, None]
+    extent = np.stack([np.full(len(place), range_noise), np.maximum(distance * azimuth_noise, 1e-3)], axis=-1)
+    return RadialVelocities(place[chosen], direction[chosen], speed[chosen], deviation[chosen], extent[chosen])
+
+
+def _over_ground(
+    xy: NDArray[np.float64], doppler: NDArray[np.float32], doppler_noise: float, azimuth_noise: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Return radial velocities over ground and their standard deviations; None if no velocity of the sensor is found.
+
+    `xy` (N, 2) are places around the sensor [m].
+    """
+    velocity = _velocity(xy, doppler, doppler_noise)
+    if velocity is None:
+        return None
+    unit = xy / np.maximum(np.hypot(*xy.T), 1e-6)[:, None]
+    across = unit @ np.array([-velocity[1], velocity[0]])
+    return doppler + unit @ velocity, np.hypot(doppler_noise, across * azimuth_noise)
+
+
+def _behind(xy: NDArray[np.float64], distance: NDArray[np.float64], beam: float, gap: float) -> NDArray[np.bool_]:
+    """Return which places lie behind another in the same direction, by more than a gap [m]; as in `RadarISM`."""
+    sectors = 4 * math.ceil(math.pi / beam)  # about two per half beam
+    step = 2 * math.pi / sectors
+    middle = ((np.arctan2(xy[:, 1], xy[:, 0]) + math.pi) / step).astype(np.int64) % sectors
+    first = np.full(sectors, np.inf)
+    width = math.ceil(beam / step - 1e-9)
+    for shift in range(-width, width + 1):
+        np.minimum.at(first, (middle + shift) % sectors, distance)
+    return distance > first[middle] + gap
+
+
+def _velocity(xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: float) -> NDArray[np.float64] | None:
+    usable = np.isfinite(doppler) & (np.hypot(*xy.T) > 1e-3)
+    unit = xy[usable] / np.hypot(*xy[usable].T)[:, None]
+    rate = doppler[usable].astype(np.float64)
+    if len(rate) < LEAST:
+        return None
+    first, second = np.random.default_rng(0).integers(len(rate), size=(2, PAIRS))
+    A = np.stack([unit[first], unit[second]], axis=1)
+    firm = np.abs(np.linalg.det(A)) > 0.05
+    guesses = np.linalg.solve(A[firm], -np.stack([rate[first], rate[second]], axis=-1)[firm][..., None])[..., 0]
+    guesses = np.vstack([guesses, np.zeros(2)])
+    agree = np.abs(rate + guesses @ unit.T) < 4 * noise
+    best = agree[agree.sum(axis=1).argmax()]
+    for _ in range(2):
+        if best.sum() < max(LEAST, len(rate) / 2):
+            return None
+        velocity = np.linalg.lstsq(unit[best], -rate[best], rcond=1e-3)[0]
+        best = np.abs(rate + unit @ velocity) < 4 * noise
+    return velocity
