@@ -66,7 +66,8 @@ class Row:
             "slowest exit [s]": round(self.slowest, 2),
             "stopped before the end": self.stopped,
         }
-        return found | {"failures": self.failures[:20]}
+        where = {"date": datetime.now(UTC).date().isoformat(), "load average": round(os.getloadavg()[2], 1)}
+        return found | where | {"failures": self.failures[:20]}
 
 
 def stop(one: Command, row: Row, number: signal.Signals, rng: random.Random, cold: bool, named: bool) -> None:
@@ -225,7 +226,7 @@ def write_record(rows: dict[str, dict], disk: dict | None, path: Path | None) ->
     if path is not None and path.exists():
         record = json.loads(path.read_text())
         rows = {one["command"]: one for one in record["commands"]} | rows
-        disk = disk or record["full disk"]
+        disk = with_others(disk, record["full disk"])
     found = list(rows.values())
     record = {
         "injected": sum(one[number.name] for one in found for number in SIGNALS),
@@ -233,13 +234,22 @@ def write_record(rows: dict[str, dict], disk: dict | None, path: Path | None) ->
         "slowest exit [s]": max((one["slowest exit [s]"] for one in found), default=0.0),
         "commands": found,
         "full disk": disk or {},
-        "load average": [round(one, 1) for one in os.getloadavg()],
         "command": "python tests/faults.py",
-        "date": datetime.now(UTC).date().isoformat(),
+        "date": max((one.get("date", "") for one in found), default=""),
     }
     if path is not None:
         path.write_text(json.dumps(record, indent=1) + "\n")
     return record
+
+
+def with_others(disk: dict | None, record: dict) -> dict:
+    """Return the full disks of this run, with those of other commands in a record."""
+    if not (disk and record):
+        return disk or record
+    rows = record["commands"] | disk["commands"]
+    kept = [one for one in record["failures"] if one.partition(",")[0] not in disk["commands"]]
+    counts = {key: sum(one[key] for one in rows.values()) for key in ("full", "survived")}
+    return {"how": disk["how"], **counts, "commands": rows, "failures": [*kept, *disk["failures"]]}
 
 
 def report(rows: dict[str, dict], disk: dict | None, path: Path | None) -> int:
