@@ -199,7 +199,7 @@ def main() -> None:
         return
     if given.choose:
         maps: Any = {"lidar": (("lidar",), 1.0, True)}
-        maps |= {f"reliability {r:g}": (("lidar", "radar"), r, True) for r in (0.1, 0.25, 0.5, 0.75, 1.0)}
+        maps |= {f"reliability {r:g}": (("lidar", "radar"), r, True) for r in (0.25, 0.5, 0.75, 1.0)}
     else:
         maps = {name: (sensors, RELIABILITY, True) for name, sensors in MAPS.items()}
         maps[NO_DOPPLER] = (MAPS["lidar and radar"], RELIABILITY, False)

@@ -240,7 +240,7 @@ def _finish(store: "Store", path: Path, export: Path | None) -> None:
         )
     facts = store.describe()
     shown = ("training", "validation", "test", "sequences", "radars", "size")
-    print_facts({name: facts[name] for name in shown if not facts.get(name, "0").startswith("0 ")})
+    print_facts({name: facts[name] for name in shown if not facts.get(name, "0 ").startswith("0 ")})
     out.print(f"data set {path}   contact sheet {sheet}", markup=False)
     if export is not None:
         out.print(f"exported to {export}", markup=False)
