@@ -272,9 +272,8 @@ class DynamicMapper:
         """Draw the particles of every cell anew, and compute its mean velocity and covariance."""
         old, new, survivors = self._predicted, self._particles, self._survivors
         offset = float(step.key >> np.uint64(11)) * 2.0**-53
-        share_particles(
-            cells.surviving.reshape(-1), cells.born.reshape(-1), self._particle_mass, offset, survivors, new.start
-        )
+        masses = cells.surviving.reshape(-1), cells.born.reshape(-1)
+        share_particles(masses, self._particle_mass, offset, self.particles + 1, survivors, new.start)
         threads.divide(
             len(survivors), lambda part: resample(old, part, survivors, groups, step, NORMALS, new, self._moments)
         )

@@ -15,6 +15,7 @@ from ogm.jit import kernel, vector
 __all__ = ["CellOutput", "DynamicCells", "Rates", "no_cells", "share_particles", "update_cells"]
 
 _dempster = RULES["dempster"].cell
+LEAST = np.float32(1e-12)  # mass of occupied that is taken for none
 FRACTION_BITS = 32  # of the fixed-point numbers in which particles are divided
 
 
@@ -153,8 +154,9 @@ def update_cells(
             free = half if whole == zero else free * scale
             occupied = half if whole == zero else occupied * scale
             appears = rates.birth * (one - o)
-            born = occupied * appears / (o + appears) if o + appears > zero else occupied
-            share = (occupied - born) / o if o > zero else zero
+            nothing = o <= LEAST  # occupied / o would overflow; at the time of the last scan nothing appears
+            born = occupied if nothing else occupied * appears / (o + appears)
+            share = zero if nothing else (occupied - born) / o
             static = share * s + rates.static_share * born
             new.free[i, j], new.static[i, j] = free, (one - rates.to_dynamic) * static
             new.surviving[i, j] = share * d
@@ -169,34 +171,42 @@ def update_cells(
 
 @kernel
 def share_particles(
-    surviving: np.ndarray, born: np.ndarray, mass: float, offset: float, survivors: np.ndarray, start: np.ndarray
+    masses: tuple[np.ndarray, np.ndarray],
+    mass: float,
+    offset: float,
+    most: int,
+    survivors: np.ndarray,
+    start: np.ndarray,
 ) -> None:
     """Divide the particles among the cells by systematic rounding along the grid.
 
     Parameters
     ----------
-    surviving, born : (cells,) float32
-        Masses of dynamic.
+    masses : two of (cells,) float32
+        Of dynamic: surviving and born.
     mass : float
         Of one particle.
     offset : float
         Of the rounding, [0, 1).
+    most : int
+        Particles that there is space for, whatever the masses are.
     survivors : (cells,) int32
         Is filled with the number of particles that a cell draws from its old ones.
     start : (cells + 1,) int32
         Is filled with the places of each cell's new particles.
     """
+    surviving, born = masses
     scale = 2.0**FRACTION_BITS / mass
     summed = np.int64(offset * 2.0**FRACTION_BITS)  # whole numbers: sums are exact
-    at = np.int64(0)
+    at, most = np.int64(0), np.int64(most)
     for c in range(len(survivors)):
         start[c] = at
         survivors[c] = 0
         r, b = surviving[c], born[c]
         if r > 0 or b > 0:
             summed += np.int64(r * scale)
-            kept = summed >> FRACTION_BITS
+            kept = min(max(summed >> FRACTION_BITS, at), most)
             survivors[c] = kept - at
             summed += np.int64(b * scale)
-            at = summed >> FRACTION_BITS
+            at = min(max(summed >> FRACTION_BITS, kept), most)
     start[len(survivors)] = at

@@ -2,9 +2,13 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays as hypothesis_arrays
 
 from ogm import evidence
 from ogm.fusion import DynamicMapper, DynamicSettings, EvidentialMapper, fuse, make_mapper
+from ogm.fusion.dynamic_cells import share_particles
 from ogm.fusion.prediction import predict_dynamic
 from ogm.fusion.resampling import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
@@ -329,3 +333,36 @@ def test_a_measured_velocity_is_evidence_of_motion_and_a_measured_rest_is_none()
     np.testing.assert_allclose(weighed.dynamic[64:], plain.dynamic[64:], atol=1e-6)
     odds = plain.dynamic[:64] / plain.static[:64]
     np.testing.assert_allclose(weighed.dynamic[:64] / weighed.static[:64], 100 * odds, rtol=1e-3)
+
+
+def test_scans_of_one_moment_fill_cells_whose_static_belief_has_all_but_vanished():
+    """Nothing appears within no time: all of occupied goes to what little there was, however little."""
+    spec = GridSpec(0.5, (40, 25), (0.0, 0.0))
+    mass = {name: np.zeros((40, 25, 2), np.float32) for name in ("free", "occupied")}
+    mass["free"][..., 0] = np.linspace(0.3, 0.95, 1000).reshape(40, 25)  # belief vanishes here soon, there late
+    mass["occupied"][..., 1] = 0.8
+    grids = {name: EvidentialGrid(spec, one) for name, one in mass.items()}
+    mapper = DynamicMapper(spec, 1000, window="fixed", matching=False)
+    mapper.update(grids["occupied"], np.eye(4), stamp=0.0)
+    for k in range(1, 36):
+        mapper.update(grids["free"], np.eye(4), stamp=0.1 * k)
+        if k == 35:
+            mapper.update(grids["occupied"], np.eye(4), stamp=0.1 * k)
+        found = mapper.dynamic_grid.mass
+        assert np.isfinite(found).all()
+        assert found.min() >= 0
+        assert found.sum(axis=-1).max() <= 1 + 1e-5
+
+
+@given(
+    hypothesis_arrays(np.float32, 12, elements=st.floats(0, np.float32(np.inf), width=32)),
+    st.floats(1e-30, 1.0),
+    st.floats(0, 0.99),
+)
+def test_particles_never_exceed_the_space_for_them(masses, mass, offset):
+    survivors, start = np.zeros(6, np.int32), np.zeros(7, np.int32)
+    share_particles((masses[:6], masses[6:]), mass, offset, 50, survivors, start)
+    assert start[0] == 0
+    assert (np.diff(start) >= survivors).all()
+    assert (survivors >= 0).all()
+    assert start[-1] <= 50
