@@ -220,7 +220,8 @@ def _round_length(most: float) -> float:
 
 @lru_cache
 def _font(size: int, name: str = "DejaVuSans") -> Any:
-    return ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf", size)
+    path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf"
+    return ImageFont.truetype(str(path), size)  # Pillow takes paths from 10.1 on
 
 
 @contextmanager

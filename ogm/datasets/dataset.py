@@ -18,6 +18,7 @@ from ogm.datasets.logs import is_log, logs
 from ogm.datasets.motion import MotionReader
 from ogm.datasets.nuscenes import mmdet3d, nuscenes
 from ogm.datasets.paths import SCAN_ENDINGS
+from ogm.datasets.radarscenes import radarscenes
 from ogm.datasets.range_images import range_images
 from ogm.datasets.reader import FrameReader
 from ogm.datasets.scans import scans
@@ -38,7 +39,7 @@ __all__ = ["Dataset", "open_dataset"]
 
 # The first that knows a path reads it: the more a layout asks for, the earlier it is tried.
 _LAYOUTS = (
-    *(nuscenes, mmdet3d, argoverse2, sustech),
+    *(nuscenes, mmdet3d, argoverse2, sustech, radarscenes),
     *(kitti_object, kitti_tracking, kitti_odometry, kitti_raw, range_images),
 )
 _OTHERS = ("all", "later")
@@ -46,9 +47,9 @@ _KNOWN = (
     "KITTI object (velodyne/ label_2/ calib/), tracking (velodyne/0000/ label_02/ calib/), raw drives "
     "(velodyne_points/data/ or scans, label_02*.txt, calib*.txt) and odometry (velodyne/ poses.txt calib.txt); "
     "SemanticKITTI (velodyne/ labels/, or sequences/*/); nuScenes (v1.0-*/ samples/) and mmdetection3d's info as JSON; "
-    "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); labelled range images "
-    "(*.npy in semantic_kitti/ or nuscenes/); logs (.mcap, .db3, .bag); "
-    "captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
+    "Argoverse 2 logs (sensors/lidar/ annotations.feather map/); SUSTechPOINTS (lidar/ label/); RadarScenes "
+    "(scenes.json radar_data.h5, or sequence_*/); labelled range images (*.npy in semantic_kitti/ or nuscenes/); logs "
+    "(.mcap, .db3, .bag); captures of Velodynes (.pcap); data sets that `ogm simulate` made (zarr.json)"
 )
 
 
@@ -220,10 +221,10 @@ def open_dataset(
     path : path or sequence of paths
         A scan, several scans, a folder of scans (with or without poses), or a data set: KITTI object, tracking, raw
         and odometry recordings, SemanticKITTI, nuScenes, mmdetection3d's info (as JSON), an Argoverse 2 log,
-        SUSTechPOINTS, labelled range images, what ``ogm simulate`` made, or a folder of truth grids. What lies in it
-        decides. A log of ROS 1 or ROS 2 (.bag, .db3, .mcap, or a folder of its parts) is one drive: the scans of
-        `topic`, in the order of their headers' stamps, with poses by the transforms or the odometry in it. A
-        capture of a Velodyne (.pcap) is one drive without poses.
+        SUSTechPOINTS, a sequence of RadarScenes or several, labelled range images, what ``ogm simulate`` made, or a
+        folder of truth grids. What lies in it decides. A log of ROS 1 or ROS 2 (.bag, .db3, .mcap, or a folder of its
+        parts) is one drive: the scans of `topic`, in the order of their headers' stamps, with poses by the transforms
+        or the odometry in it. A capture of a Velodyne (.pcap) is one drive without poses.
     axes, intensity_max, time_unit
         Of files of scans, as for `ogm.io.read_scan`; those of data sets are known.
     sensor_height : float, optional

@@ -59,6 +59,7 @@ class SensorPlace(NamedTuple):
     above_first: float = 0.0  # [m] over the sensor whose height a user gives
     height: float | None = None  # above ground [m], where it is stated
     ego_footprint: Footprint | None = None  # in the vehicle frame
+    yaw: float = 0.0  # of the sensor in the vehicle frame [rad]
 
 
 @dataclass(frozen=True)
@@ -101,6 +102,8 @@ class Layout:
         Which way the axes of the files point.
     known_axes : bool
         Whether axes and units are those of a public data set, so that a user cannot choose them.
+    aggregated : bool
+        Whether truth may be made of neighbouring scans; a radar shows no ground.
     motion_distorted : bool
         Whether points may be shifted by the ego motion during a scan, so that de-skewing makes sense.
     name : str
@@ -130,6 +133,7 @@ class Layout:
     stamped: bool = False
     axes: Axes = "flu"
     known_axes: bool = True
+    aggregated: bool = True
     motion_distorted: bool = True
     name: str = ""
     facts: Mapping[str, Any] = field(default_factory=dict)

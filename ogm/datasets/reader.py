@@ -68,7 +68,7 @@ class FrameReader:
         if position is not None:
             return Mount(height, pose(*position), points_in="vehicle")
         x, y = place.origin
-        return Mount(height, pose(x, y, height), place.ego_footprint)  # type: ignore[arg-type]
+        return Mount(height, pose(x, y, height, yaw=place.yaw), place.ego_footprint)  # type: ignore[arg-type]
 
     def height(self, n: int) -> float:
         """Return the height of the sensor above ground [m]."""

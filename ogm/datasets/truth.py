@@ -97,7 +97,8 @@ class RecordedTruth:
     def _there(self) -> tuple[str, ...]:
         layout = self.layout
         posed = [frame.sequence for frame in layout.frames if frame.T_map_sensor is not None]
-        there = layout.boxes is not None, layout.classes, layout.hd_map is not None, len(posed) > len(set(posed))
+        neighbours = layout.aggregated and len(posed) > len(set(posed))
+        there = layout.boxes is not None, layout.classes, layout.hd_map is not None, neighbours
         return tuple(name for name, is_there in zip(SOURCES, there, strict=True) if is_there)
 
     def _make(self, n: int) -> Truth:

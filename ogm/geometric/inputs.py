@@ -10,9 +10,11 @@ from ogm.grid import GridSpec
 from ogm.jit import kernel
 from ogm.scan import Mount
 
-__all__ = ["check_sensor_in_grid", "check_within", "to_vehicle_frame"]
+__all__ = ["check_sensor_in_grid", "check_within", "to_vehicle_frame", "usable_points"]
 
 _log = logging.getLogger(__name__)
+
+_REACH = 1e6  # [m] also keeps what follows from overflowing
 
 
 def check_sensor_in_grid(spec: GridSpec, mount: Mount) -> None:
@@ -33,6 +35,18 @@ def check_within(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"{name} must lie between {low:g} and {high:g}, got {value}")
 
 
+def usable_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which points are finite and within 1000 km, (N,); log how many are not."""
+    usable = np.asarray((np.abs(points[:, :3]) < _REACH).all(axis=1))
+    if invalid := len(points) - int(np.count_nonzero(usable)):
+        _warn(invalid, len(points))
+    return usable
+
+
+def _warn(invalid: int, count: int) -> None:
+    _log.warning("dropped %d of %d points that are NaN, inf or beyond 1000 km", invalid, count)
+
+
 def to_vehicle_frame(
     points: NDArray[np.float32], mount: Mount, ego_footprint: tuple[float, float, float, float]
 ) -> NDArray[np.float32]:
@@ -46,7 +60,7 @@ def to_vehicle_frame(
     T, footprint = mount.T_vehicle_points[:3].astype(np.float32), np.array(ego_footprint, np.float32)
     xyz, invalid, ego = _transform_and_drop(np.ascontiguousarray(points), T, footprint)
     if invalid:
-        _log.warning("dropped %d of %d points that are NaN, inf or beyond 1000 km", invalid, len(points))
+        _warn(invalid, len(points))
     if ego:
         _log.debug("dropped %d of %d points as returns from the ego vehicle", ego, len(points))
     return xyz.T
@@ -64,7 +78,7 @@ def _transform_and_drop(points: Any, T: Any, footprint: Any) -> Any:
     r10, r11, r12, ty = T[1]
     r20, r21, r22, tz = T[2]
     x_min, x_max, y_min, y_max = footprint
-    limit = np.float32(1e6)  # [m] also keeps what follows from overflowing
+    limit = np.float32(_REACH)
     xyz = np.empty((3, points.shape[0]), np.float32)
     kept, invalid, ego = 0, 0, 0
     for n in range(points.shape[0]):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.doppler import moving_detections
-from ogm.geometric.inputs import check_sensor_in_grid, check_within
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
@@ -111,7 +111,7 @@ class RadarISM:
         ----------
         scan : Scan or (N, 4) float32
             Uses x, y, z and `Scan.doppler`, against the sensor or over ground; without it, nothing is taken to move.
-            Detections with NaN or inf are dropped.
+            Detections with NaN, inf or beyond 1000 km are dropped, and counted in the log.
 
         Returns
         -------
@@ -120,7 +120,7 @@ class RadarISM:
         """
         log_compilation(clear_cells)
         scan = as_scan(scan)
-        scan = scan.select(np.flatnonzero(np.isfinite(scan.points[:, :3]).all(axis=1)))
+        scan = scan.select(usable_points(scan.points))
         T = self.mount.T_vehicle_points
         vehicle = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
         x, y, z = vehicle

@@ -20,6 +20,7 @@ from ogm.io.labels import LabelledPoints
 from ogm.io.nuscenes import NuScenes, read_mmdet3d, read_nuscenes
 from ogm.io.poses import Poses, read_poses, write_poses
 from ogm.io.radar import read_nuscenes_radar
+from ogm.io.radarscenes import RadarScenes, RadarScenesSweep, read_radarscenes
 from ogm.io.range_images import NUSCENES_ELEVEN, read_range_image
 from ogm.io.scan import FileFacts, describe, read_points, read_scan, read_scan_file
 from ogm.io.semantic_kitti import SEMANTIC_KITTI, SEMANTIC_KITTI_MOVING, SEMANTIC_KITTI_TRAINING, read_semantic_kitti
@@ -40,6 +41,8 @@ __all__ = [
     "NuScenes",
     "PlacedGrid",
     "Poses",
+    "RadarScenes",
+    "RadarScenesSweep",
     "StampedTransform",
     "TransformBuffer",
     "describe",
@@ -59,6 +62,7 @@ __all__ = [
     "read_placed_grid",
     "read_points",
     "read_poses",
+    "read_radarscenes",
     "read_range_image",
     "read_scan",
     "read_scan_file",

@@ -68,7 +68,7 @@ def moving_groups(grid: DynamicGrid) -> NDArray[np.int32]:
         faster = np.maximum(grid.speed[of_x, of_y][both], grid.speed[to_x, to_y][both])
         alike = np.hypot(*apart.T) <= np.maximum(1.0, 0.5 * faster)
         pairs.append(np.stack([number[of_x, of_y][both][alike], number[to_x, to_y][both][alike]]))
-    of, to = np.concatenate(pairs, axis=1)
+    of, to = np.concatenate(pairs, axis=1).astype(np.int32)  # scipy 1.11 finds no components of int64
     _, label = connected_components(coo_array((np.ones(len(of), bool), (of, to)), (count, count)), directed=False)
     groups = np.zeros(grid.spec.shape, np.int32)
     groups[moving] = 1 + label

@@ -312,7 +312,10 @@ def test_weights_that_are_no_numbers_are_refused(saved: Path, value: float) -> N
 def test_weights_of_another_kind_are_refused(saved: Path, dtype: torch.dtype) -> None:
     weights = load_file(saved)
     weights["head.weight"] = torch.zeros(weights["head.weight"].shape, dtype=dtype)
-    save_file(weights, saved)
+    try:
+        save_file(weights, saved)
+    except KeyError:
+        pytest.skip(f"this version of safetensors writes no {dtype}")
     with pytest.raises(ValueError, match=r"head\.weight"):
         load_network(saved)
 

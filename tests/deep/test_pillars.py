@@ -22,7 +22,7 @@ EGO = (-0.7, 1.1, -0.3, 0.3)
 
 edges = st.integers(-34, 34).map(lambda k: float(np.float32(k * 0.16)))
 limits = st.sampled_from([float(np.float32(v)) for v in (*Z, *EGO)])
-odd = st.sampled_from([float("nan"), float("inf"), -float("inf"), 1e30, -1e30, 3e38, 1e-40, -0.0])
+odd = st.sampled_from([float(np.float32(v)) for v in ("nan", "inf", "-inf", 1e30, -1e30, 3e38, 1e-40, -0.0)])
 numbers = st.one_of(st.floats(-6, 6, width=32), edges, limits, odd)
 clouds = st.integers(0, 40).flatmap(lambda n: arrays(np.float32, (n, 4), elements=numbers))
 

@@ -118,6 +118,64 @@ def change_tiff(rng: random.Random, data: bytes, inner: Inner) -> bytes:
     return bytes(out)
 
 
+def change_hdf5(rng: random.Random, data: bytes, inner: Inner) -> bytes:
+    """Change a dataset: values, a column, its type, shape, storage or filters; or put a link or a group there."""
+    import h5py
+
+    with h5py.File("a.h5", "w", driver="core", backing_store=False, libver=rng.choice(("earliest", "latest"))) as file:
+        with h5py.File(io.BytesIO(data), "r") as old:
+            tables = {name: old[name][...] for name in old}
+        name = rng.choice(sorted(tables))
+        rows, options = tables.pop(name), {}
+        for other, content in tables.items():
+            file[other] = content
+        column = rng.choice(rows.dtype.names)
+        match rng.randrange(10):
+            case 0:
+                kept = [one for one in rows.dtype.names if one != column]
+                rows = rows[kept].astype([(one, rows.dtype[one]) for one in kept])
+            case 1:
+                kinds = ("<f8", ">i4", "u1", "S3", "<f2", "(2,)<f4", "?", h5py.string_dtype(), h5py.ref_dtype)
+                kind = np.dtype(
+                    [(one, rng.choice(kinds) if one == column else rows.dtype[one]) for one in rows.dtype.names]
+                )
+                rows = np.zeros(len(rows), kind)
+            case 2:
+                wild = (0, -1, 1e300, float("nan"), float("inf"), 2**63 - 1, 255)
+                with warnings.catch_warnings(action="ignore"):
+                    rows[column][rng.randrange(len(rows))] = np.float64(rng.choice(wild)).astype(rows.dtype[column])
+            case 3:
+                rows = rng.choice((rows[:0], rows[:3], rows[::-1], np.tile(rows, 50), rows[None], rows[0]))
+            case 4:
+                filters = ({"compression": "gzip"}, {"compression": "lzf"}, {"shuffle": True}, {"fletcher32": True})
+                options = {"chunks": (rng.choice((1, 5, len(rows))),), **rng.choice(filters)}
+            case 5:
+                size = rng.choice((2**20, 2**24, 2**40))
+                options = {
+                    "shape": (size,),
+                    "chunks": (rng.choice((9, 2**16, min(size, 2**22))),),
+                    "compression": "gzip",
+                }
+            case 6:
+                options = {"shape": (len(rows),), "external": [("/etc/passwd", 0, 2**30)]}
+            case 7:
+                links = (
+                    h5py.SoftLink("/"),
+                    h5py.SoftLink(f"/{name}"),
+                    h5py.ExternalLink("a.h5", name),
+                    np.dtype("<f4"),
+                )
+                file[name] = rng.choice(links)
+            case 8:
+                file.create_group(name)
+            case _:
+                rows = np.frombuffer(inner(rng, rows.tobytes()).ljust(rows.nbytes, b"\0")[: rows.nbytes], rows.dtype)
+        if name not in file and file.get(name, getlink=True) is None:
+            file.create_dataset(name, **({"dtype": rows.dtype} if "shape" in options else {"data": rows}), **options)
+        file.flush()
+        return file.id.get_file_image()
+
+
 def change_protobuf(rng: random.Random, data: bytes, inner: Inner) -> bytes:
     """Change, drop, double or move a field of a protocol buffer; the lengths around it stay right."""
     fields, at = [], 0
@@ -187,6 +245,7 @@ CHANGES: tuple[tuple[Callable[[str, bytes], bool], Callable[[random.Random, byte
     (lambda name, data: data[:8] == b"\x93NUMPY\x01\x00", change_npy),
     (lambda name, data: data[:4] == b"\x89PNG", change_png),
     (lambda name, data: data[:4] == b"II*\0" and len(data) > 200, change_tiff),
+    (lambda name, data: data[:8] == b"\x89HDF\r\n\x1a\n" and name.endswith(".h5"), change_hdf5),
     (lambda name, data: data[:8] == b"SQLite f" and len(data) >= 4096, change_database),
     (lambda name, data: data[:5] == b"\x89MCAP" and data[-8:] == data[:8], change_mcap),
     (lambda name, data: data[:13] == b"#ROSBAG V2.0\n", change_bag),

@@ -38,7 +38,17 @@ from worker import HANG, LIMIT, PEAK, Maker, Source, Watch, changed_files, kept_
 
 STILL, START = 300.0, 1200.0  # [s] on the clock: of an input, and until the first one; busy machines stand still
 BATCH = 20_000  # inputs of one process
-PACKAGES = ("laspy", "pyarrow.feather", "rosbags.highlevel", "zarr", "rasterio", "xarray", "netCDF4", "PIL.Image")
+PACKAGES = (
+    "laspy",
+    "pyarrow.feather",
+    "rosbags.highlevel",
+    "zarr",
+    "rasterio",
+    "xarray",
+    "netCDF4",
+    "PIL.Image",
+    "h5py",
+)
 Found = Callable[[int, str, str], None]
 
 
@@ -222,16 +232,7 @@ def main() -> int:
         parser.error(f"no target is {given.target!r}; there are {', '.join(makers)}")
     bounded = given.inputs < 10**9 or given.again
     minutes = given.minutes if given.minutes is not None else 1e6 if bounded else 1.0
-    for package in (
-        "laspy",
-        "pyarrow.feather",
-        "rosbags.highlevel",
-        "zarr",
-        "rasterio",
-        "xarray",
-        "netCDF4",
-        "PIL.Image",
-    ):
+    for package in PACKAGES:
         with suppress(ImportError):
             importlib.import_module(package)  # once, not in every process
     print(f"{'target':26}" + "".join(f"{name:>9}" for name in HEAD), flush=True)

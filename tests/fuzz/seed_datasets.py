@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from radarscenes_files import write_sequence
 from seed_points import feather, npy, sweep
 from targets import Target, check_poses, check_scan, cloud
 
@@ -185,6 +186,12 @@ def _label(folder: Path) -> Target:
     return Target({"a.png": (folder / "a.png").read_bytes()}, lambda files: read_label(files / "a.png", spec))
 
 
+def _radarscenes(storage: dict[str, Any], folder: Path) -> Target:
+    write_sequence(folder, 4, 4, **storage)
+    files = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return Target(files, lambda files: _frames(files / "sequence_1"))
+
+
 _STAMPS = b"".join(b"2011-09-26 13:02:2%d.964389445\n" % k for k in range(5))
 _KITTI = {
     "calibration": ("calib.txt", lambda: CALIBRATION, lambda path: check_poses(oio.read_calibration(path))),
@@ -212,4 +219,6 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     **{name: partial(_one, *given) for name, given in _KITTI.items()},
     **{name: partial(_many, *given) for name, given in _FOLDERS.items()},
     "label-picture": _label,
+    "radarscenes": partial(_radarscenes, {}),
+    "radarscenes-packed": partial(_radarscenes, {"compression": "gzip", "shuffle": True, "chunks": (9,)}),
 }

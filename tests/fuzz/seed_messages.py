@@ -1,5 +1,6 @@
 """Targets: the bytes of messages, decoded as those of a log, and made scans, transforms and grids."""
 
+import json
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -26,6 +27,7 @@ from ogm.io.messages import (
     point_cloud2,
     ros_stamp,
     rotation_from_imu,
+    scan_from_continental,
     scan_from_livox,
     scan_from_point_cloud2,
     scan_from_radar_scan,
@@ -96,6 +98,40 @@ def _radar() -> Any:
     return SimpleNamespace(header=HEADER, returns=returns)
 
 
+def _continental() -> dict[str, bytes]:
+    """Return a detection list of an ARS548, as ``ros2 topic echo`` prints it and JSON holds it."""
+    names = ("azimuth_angle", "elevation_angle", "range", "range_rate", "rcs")
+    flags = ("invalid_distance", "invalid_azimuth", "invalid_elevation", "invalid_range_rate")
+    rows = [dict(zip(names, (0.1 * k, 0.01 * k, 5.0 + k, -1.0, 10), strict=True)) for k in range(8)]
+    header = {"stamp": {"sec": int(START), "nanosec": 5}, "frame_id": "radar"}
+    list_ = {"header": header, "detections": [row | dict.fromkeys(flags, k == 3) for k, row in enumerate(rows)]}
+    return {"list.json": json.dumps(list_).encode()}
+
+
+def _continental_list(folder: Path) -> Target:
+    """Decode what is JSON; what is none is no message."""
+    from ogm.io.reading import read_json
+
+    read = lambda files: check_scan(scan_from_continental(read_json(files / "list.json", dict, "a message")))  # noqa: E731
+    return Target(_continental(), read)
+
+
+def _continental_message(folder: Path) -> Target:
+    definition, _, rest = RADAR[1].partition("radar_msgs/RadarReturn[] returns\n")
+    definition += "continental_msgs/ContinentalArs548Detection[] detections\n" + "=" * 80 + "\n"
+    definition += "MSG: continental_msgs/ContinentalArs548Detection\n"
+    definition += "bool invalid_distance\nbool invalid_azimuth\nfloat32 azimuth_angle\nfloat32 elevation_angle\n"
+    definition += (
+        "float32 range\nfloat32 range_rate\nint8 rcs\n" + "=" * 80 + "\n" + rest[rest.index("MSG: std_msgs") :]
+    )
+    kind, read = "continental_msgs/msg/ContinentalArs548DetectionList", scan_from_continental
+    names = ("invalid_distance", "invalid_azimuth", "azimuth_angle", "elevation_angle", "range", "range_rate", "rcs")
+    rows = [(k == 3, False, 0.1 * k, 0.01 * k, 5.0 + k, -1.0, 10) for k in range(8)]
+    listed = [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
+    make = lambda: SimpleNamespace(header=HEADER, detections=listed)  # noqa: E731
+    return _message(kind, make, lambda message: check_scan(read(message)), 2, folder, definition)
+
+
 def _tf(transforms: Any) -> None:
     for one in transforms:
         check_poses(one.T_parent_child)
@@ -106,8 +142,10 @@ def _placed_grid(found: Any) -> None:
     check_poses(found[1])
 
 
-def _message(kind: str, make: Callable[[], Any], read: Callable[[Any], object], ros: int, folder: Path) -> Target:
-    definition = RADAR[1] if kind == RADAR[0] else ""
+def _message(
+    kind: str, make: Callable[[], Any], read: Callable[[Any], object], ros: int, folder: Path, definition: str = ""
+) -> Target:
+    definition = RADAR[1] if kind == RADAR[0] else definition
     channel = Channel("/a", kind, "ros1" if ros == 1 else "cdr", definition, "ros2msg")
     store = message_types(ros)
     if definition:
@@ -169,6 +207,8 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
     "message-radar": partial(
         _message, RADAR[0], _radar, lambda message: check_scan(scan_from_radar_scan(message)), 2
     ),
+    "message-continental": _continental_message,
+    "message-continental-json": _continental_list,
     "message-livox-cdr": partial(_livox_bytes, 2),
     "message-livox-ros1": partial(_livox_bytes, 1),
     "message-foxglove": partial(_foxglove, evidential),

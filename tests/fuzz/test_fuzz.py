@@ -10,7 +10,7 @@ import pytest
 
 HERE = Path(__file__).parent
 PACKAGES = ("laspy", "lazrs", "lzf", "pyarrow", "rosbags", "mcap", "foxglove", "rasterio", "netCDF4", "xarray", "zarr",
-            "torch", "onnxruntime", "velodyne_decoder")  # fmt: skip
+            "torch", "h5py", "onnxruntime", "velodyne_decoder")  # fmt: skip
 
 
 def run(folder: Path, *options: str) -> tuple[int, str, dict[str, Any]]:

@@ -21,7 +21,7 @@ LIMIT = 2**24  # [byte]
 _LIMITS = ("file", "text", "lines", "json", "tables", "grid", "image")
 os.environ["OGM_LIMITS"] = " ".join(f"{name}={LIMIT}" for name in _LIMITS)
 os.environ |= dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+sys.path[:0] = [str(Path(__file__).parents[k]) for k in range(3)]
 
 from mutations import change  # noqa: E402
 from targets import Target  # noqa: E402

@@ -1,5 +1,6 @@
 """RadarISM: what a radar's detections say, and what they must not say."""
 
+import logging
 import math
 import time
 
@@ -194,3 +195,13 @@ def test_three_hundred_detections_take_milliseconds() -> None:
         ism(scan)
         took.append(time.thread_time() - start)
     assert min(took) < 0.02
+
+
+def test_detections_that_are_not_finite_are_dropped_and_counted(caplog: pytest.LogCaptureFixture) -> None:
+    good = np.array([[20, 1, 0, 0], [12, 5, 0, 0]], np.float32)
+    bad = np.array([[np.nan, 1, 0, 0], [5, np.inf, 0, 0], [1e30, 0, 0, 0]], np.float32)
+    ism = RadarISM(SPEC, FRONT)
+    with caplog.at_level(logging.WARNING):
+        grid = ism(np.concatenate([bad, good]))
+    np.testing.assert_array_equal(grid.mass, ism(good).mass)
+    assert "dropped 3 of 5 points" in caplog.text

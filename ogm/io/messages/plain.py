@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
+from ogm.pose import check_stamp
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -39,7 +40,10 @@ def stamp_seconds(stamp: Any) -> float:
     """
     for sec, nanosec in (("sec", "nanosec"), ("secs", "nsecs")):
         if hasattr(stamp, sec) and hasattr(stamp, nanosec):
-            return int(getattr(stamp, sec)) + int(getattr(stamp, nanosec)) * 1e-9
+            try:
+                return check_stamp(int(getattr(stamp, sec)) + int(getattr(stamp, nanosec)) * 1e-9)
+            except (TypeError, ValueError, OverflowError) as error:
+                raise OgmError(f"{sec} and {nanosec} of a stamp must be whole numbers of a time: {error}") from error
     raise OgmError(f"a stamp must have sec and nanosec, or secs and nsecs, got {type(stamp).__name__}")
 
 

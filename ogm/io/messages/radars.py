@@ -1,11 +1,13 @@
 """Radars: ``radar_msgs/RadarScan`` and Continental's detections. ``PointCloud2`` has a converter of its own."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from ogm.files import OgmError
 from ogm.io.formats.table import Table
 from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
@@ -38,7 +40,7 @@ def scan_from_radar_scan(message: Any) -> Scan:
     """
     where = describe_message(message, "RadarScan")
     rows = [[getattr(one, name) for name in _FIELDS] for one in message.returns]
-    distance, azimuth, elevation, doppler = np.array(rows, np.float64).reshape(-1, 4).T
+    distance, azimuth, elevation, doppler = _columns(rows, 4, where)
     flat = distance * np.cos(elevation)
     x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
     table = Table("RadarScan", {"x": x, "y": y, "z": z, "doppler": doppler}, fields=_FIELDS)
@@ -68,16 +70,26 @@ def scan_from_continental(message: Any) -> Scan:
     message = _namespace(message)
     where = describe_message(message, "ContinentalDetectionList")
     flags = ("invalid_distance", "invalid_azimuth", "invalid_elevation", "invalid_range_rate")
+    if not isinstance(message.detections, Iterable):
+        raise OgmError(f"{where} must have a list of detections, got {type(message.detections).__name__}")
     valid = [one for one in message.detections if not any(getattr(one, flag, False) for flag in flags)]
     rows = [
         (one.range, one.azimuth_angle, getattr(one, "elevation_angle", 0.0), one.range_rate, one.rcs) for one in valid
     ]
-    distance, azimuth, elevation, doppler, rcs = np.array(rows, np.float64).reshape(-1, 5).T
+    distance, azimuth, elevation, doppler, rcs = _columns(rows, 5, where)
     flat = distance * np.cos(elevation)
     x, y, z = flat * np.cos(azimuth), flat * np.sin(azimuth), distance * np.sin(elevation)
     columns = {"x": x, "y": y, "z": z, "doppler": doppler, "rcs": rcs}
     table = Table("ContinentalDetectionList", columns, fields=tuple(columns))
     return scan_from_table(table, where, stamp=stamp_seconds(message.header.stamp))[0]
+
+
+def _columns(rows: Sequence[Sequence[Any]], count: int, where: str) -> NDArray[np.float64]:
+    """Return the numbers of some detections as columns, (count, N)."""
+    try:
+        return np.array(rows, np.float64).reshape(-1, count).T
+    except (TypeError, ValueError, OverflowError) as error:
+        raise OgmError(f"{where} has detections that are no numbers: {error}") from error
 
 
 def _namespace(value: Any, levels: int = 4) -> Any:

@@ -201,7 +201,7 @@ def test_foxglove_grid(T):
             if field.name in layer:
                 assert value == np.float32(layer[field.name][i, j])
             else:
-                assert value == np.rint(255 * colour[field.name][i, j])
+                assert value == np.rint(np.float32(255) * colour[field.name][i, j])
     for i, j in np.ndindex(9, 6):
         right, up = (i + 0.5) * message.cell_size.x, (j + 0.5) * message.cell_size.y
         x, y = p.x + right * np.cos(yaw) - up * np.sin(yaw), p.y + right * np.sin(yaw) + up * np.cos(yaw)

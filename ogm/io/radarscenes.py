@@ -1,0 +1,175 @@
+"""RadarScenes: detections of four radars and the vehicle's odometry, in HDF5 and JSON."""
+
+import math
+import os
+import re
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.formats.table import Table
+from ogm.io.hdf5 import read_hdf5_table
+from ogm.io.reading import need, need_numbers, read_json
+from ogm.io.scan_table import scan_from_table
+from ogm.pose import pose
+from ogm.scan import Scan
+
+__all__ = ["RadarScenes", "RadarScenesSweep", "read_radarscenes"]
+
+_DATA, _SCENES, _SENSORS = "radar_data.h5", "scenes.json", "sensors.json"
+_DETECTIONS = {"timestamp": "iu", "sensor_id": "iu", **dict.fromkeys(("range_sc", "azimuth_sc", "rcs", "vr"), "f")}
+_ODOMETRY = {"timestamp": "iu", **dict.fromkeys(("x_seq", "y_seq", "yaw_seq"), "f")}
+
+
+class RadarScenesSweep(NamedTuple):
+    """One sweep of one radar."""
+
+    sensor: str  # "radar_1" to "radar_4", the name in sensors.json
+    timestamp: int  # [us]
+    origin: tuple[float, float]  # x, y of the sensor in the vehicle frame, from the middle of the rear axle [m]
+    yaw: float  # of the sensor in the vehicle frame [rad]
+    T_map_sensor: NDArray[np.float64] | None  # (4, 4), z is 0; None before and after the odometry
+    rows: slice  # of its detections in radar_data
+
+
+class RadarScenes(NamedTuple):
+    """A sequence of RadarScenes."""
+
+    path: Path
+    name: str  # of its folder
+    sweeps: tuple[RadarScenesSweep, ...]  # of all radars, by time
+
+    def scan(self, n: int) -> Scan:
+        """Return the detections of sweep n, in its sensor's frame.
+
+        `Scan.doppler` is ``vr``, against the sensor, and `Scan.rcs` in dBsm. z and intensities are 0: there is no
+        elevation, and no amplitude. The detections of the last sequences that were read are kept.
+
+        Raises
+        ------
+        FileNotFoundError
+            If ``radar_data.h5`` is not there.
+        OgmError
+            If it is damaged, or does not have the detections that ``scenes.json`` refers to.
+        """
+        sweep = self.sweeps[n]
+        path = self.path / _DATA
+        table = _detections(path, path.stat().st_mtime_ns if path.is_file() else 0)
+        where = f"sweep {sweep.timestamp} of {path}"
+        if sweep.rows.stop > len(table):
+            raise OgmError(
+                f"{path} has {len(table)} detections, too few for rows {sweep.rows.start} to {sweep.rows.stop} of "
+                f"sweep {sweep.timestamp}: are {_SCENES} and {_DATA} of one sequence?"
+            )
+        rows = table[sweep.rows]
+        if (rows["sensor_id"] != int(sweep.sensor.removeprefix("radar_"))).any():
+            raise OgmError(f"{where} has detections of another sensor than {sweep.sensor}, wanted its own alone")
+        distance, azimuth = rows["range_sc"].astype(np.float64), rows["azimuth_sc"].astype(np.float64)
+        if (distance < 0).any():
+            raise OgmError(f"{where} has ranges below 0, down to {distance.min():.3g} m")
+        with np.errstate(invalid="ignore", over="ignore"):
+            x, y = distance * np.cos(azimuth), distance * np.sin(azimuth)
+        columns = {"x": x, "y": y, "z": np.zeros(len(x)), "doppler": rows["vr"], "rcs": rows["rcs"]}
+        scan, _ = scan_from_table(
+            Table("RadarScenes", columns, fields=tuple(_DETECTIONS)), where, stamp=sweep.timestamp * 1e-6
+        )
+        return replace(scan, sensor=sweep.sensor)
+
+
+def read_radarscenes(path: str | os.PathLike[str]) -> RadarScenes:
+    """Read the sweeps of a sequence of RadarScenes: who measured when, where, and which detections are theirs.
+
+    The layout is that of the data set's documentation and tools; it was tested on files made by it, as no recorded file
+    may be shipped.
+
+    Parameters
+    ----------
+    path : path
+        A folder ``sequence_N`` with ``radar_data.h5`` and ``scenes.json``; ``sensors.json`` lies beside the folder, or
+        in it.
+
+    Returns
+    -------
+    RadarScenes
+        Detections are read when they are asked for. The poses are interpolated between the odometry's at the time of
+        the sweep; sweeps before the first and after the last (some 0.1 s at the end of each sequence) have none.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a file is not there.
+    OgmError
+        If a file is damaged, of another data set, or beyond the limits.
+    ImportError
+        If h5py is not installed.
+    """
+    folder = Path(path)
+    mounts = _mounts(folder)
+    content = read_json(folder / _SCENES, dict, "the scenes of a sequence of RadarScenes")
+    scenes = need(content, "scenes", folder / _SCENES, dict)
+    rows, stamps = [], np.zeros(len(scenes))
+    for n, (key, scene) in enumerate(scenes.items()):
+        where = f"scene {str(key)[:40]!r} of {folder / _SCENES}"
+        if not re.fullmatch("0|[1-9][0-9]{0,16}", key):
+            raise OgmError(f"{where} must be named by its time in microseconds")
+        first, last = need_numbers(scene, "radar_indices", 2, where).tolist()
+        if not (0 <= first <= last < 2**53 and first == int(first) and last == int(last)):
+            raise OgmError(
+                f"radar_indices of {where} must be the first row and the one after the last, got {first}, {last}"
+            )
+        sensor = f"radar_{need(scene, 'sensor_id', where)}"
+        if sensor not in mounts:
+            raise OgmError(f"{where} is of the sensor {sensor[:40]}, which is not in {_SENSORS}: {', '.join(mounts)}")
+        rows.append((int(key), sensor, slice(int(first), int(last))))
+        stamps[n] = int(key)
+    x, y, yaw = _vehicle(folder / _DATA, stamps)
+    sweeps = []
+    for n in np.argsort(stamps, kind="stable").tolist():
+        stamp, sensor, part = rows[n]
+        ahead, left, turn = mounts[sensor]
+        placed = pose(x[n], y[n], yaw=yaw[n]) @ pose(ahead, left, yaw=turn) if np.isfinite(x[n]) else None
+        sweeps.append(RadarScenesSweep(sensor, stamp, (ahead, left), turn, placed, part))
+    if not sweeps:
+        raise OgmError(f"{folder / _SCENES} has no scenes, wanted those of a sequence")
+    return RadarScenes(folder, folder.resolve().name, tuple(sweeps))
+
+
+def _mounts(folder: Path) -> dict[str, tuple[float, float, float]]:
+    """Return x, y [m] and yaw [rad] of the sensors in the vehicle frame, by their names."""
+    beside = folder.resolve().parent / _SENSORS
+    path = folder / _SENSORS if (folder / _SENSORS).is_file() else beside
+    content = read_json(path, dict, "the radars of RadarScenes and how they are mounted")
+    mounts = {}
+    for name, entry in content.items():
+        if re.fullmatch("radar_[0-9]{1,3}", name):
+            x, y, yaw = (float(need_numbers(entry, key, (), f"{name} of {path}")) for key in ("x", "y", "yaw"))
+            if max(abs(x), abs(y), abs(yaw)) > 100:
+                raise OgmError(f"{name} of {path} must be on the vehicle [m, rad], got x {x:g}, y {y:g}, yaw {yaw:g}")
+            mounts[name] = x, y, yaw
+    if not mounts:
+        raise OgmError(f"{path} has no radar_1, radar_2, ...: is it of RadarScenes?")
+    return mounts
+
+
+def _vehicle(path: Path, stamps: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    """Return x, y [m] and yaw [rad] of the vehicle at some times [us]; NaN outside of the odometry."""
+    table = read_hdf5_table(path, "odometry", _ODOMETRY)
+    time = table["timestamp"].astype(np.float64)
+    values = [table[name].astype(np.float64) for name in ("x_seq", "y_seq", "yaw_seq")]
+    if not len(table) or not (np.diff(time) > 0).all():
+        raise OgmError(f"the odometry of {path} must have rows, of increasing timestamps, got {len(table)} rows")
+    if not np.isfinite(values).all() or np.abs(values).max() > 1e9:
+        raise OgmError(f"the odometry of {path} must be finite, in metres and radians")
+    x, y, yaw = values[0], values[1], np.unwrap(values[2])
+    return tuple(np.interp(stamps, time, one, left=math.nan, right=math.nan) for one in (x, y, yaw))
+
+
+@lru_cache(2)
+def _detections(path: Path, changed: int) -> NDArray[Any]:
+    """Return the detections of a sequence, some 20 MB; `changed` is the file's time, so that a new one is read."""
+    return read_hdf5_table(path, "radar_data", _DETECTIONS)
