@@ -198,15 +198,15 @@ def share_particles(
     surviving, born = masses
     scale = 2.0**FRACTION_BITS / mass
     summed = np.int64(offset * 2.0**FRACTION_BITS)  # whole numbers: sums are exact
-    at, most = np.int64(0), np.int64(most)
+    at, space = np.int64(0), np.int64(most)
     for c in range(len(survivors)):
         start[c] = at
         survivors[c] = 0
         r, b = surviving[c], born[c]
         if r > 0 or b > 0:
             summed += np.int64(r * scale)
-            kept = min(max(summed >> FRACTION_BITS, at), most)
+            kept = min(max(summed >> FRACTION_BITS, at), space)
             survivors[c] = kept - at
             summed += np.int64(b * scale)
-            at = min(max(summed >> FRACTION_BITS, kept), most)
+            at = min(max(summed >> FRACTION_BITS, kept), space)
     start[len(survivors)] = at
