@@ -182,7 +182,9 @@ def _stop_all(name: str, chosen: list[Case], kills: int, seed: int, folder: Path
 
 def matches(name: str, words: str) -> bool:
     """Return whether the option `--commands` names a command."""
-    return words == "all" or any(name.startswith(word) for word in words.split(","))
+    if words == "all" or words in cases():  # names of commands may have a comma
+        return words in ("all", name)
+    return any(name.startswith(word) for word in words.split(","))
 
 
 def chosen_cases(words: str) -> Iterator[tuple[str, list[Case]]]:
