@@ -6,10 +6,10 @@ DRIVES holds drives that `ogm simulate --sequences N --lidar vlp-32c --radar ars
 `DynamicMapper`s of the same cells; scans of all sensors are fused in the order of time. After every scan of the lidar,
 from the tenth on, a map is compared with the truth: motion and times to detect on the cells that the lidar's scan shows
 (see `dynamic.py`), masses on all cells of the paper's grid, and with `--far` moving participants between 30 and 80 m by
-their boxes: a box is found where a cell of it is occupied, and found moving where one is dynamic, by more than 1/2. Approaching are
-participants whose distance falls by over 2 m/s. `--choose` tries reliabilities of radar instead, for drives that are
-not tested on. Intervals are over drives. Writes benchmarks/results/radar_fusion.json; with `--film`, also
-docs/pictures/radar_fusion.webp of a drive.
+their boxes: a box is found where a cell of it is occupied, and found moving where one is dynamic, by more than 1/2.
+Approaching are participants whose distance falls by over 2 m/s. `--choose` tries reliabilities of radar instead, for
+drives that are not tested on. Intervals are over drives. Writes benchmarks/results/radar_fusion.json; with `--film`,
+also docs/pictures/radar_fusion.webp of a drive.
 """
 
 import _run as run  # first: it sets the number of threads

@@ -431,7 +431,7 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
     Parameters
     ----------
     ism : callable with `spec`, PerMount, or mapping of str to these
-        A mapping has one for each `Scan.sensor`.
+        A mapping has one for each `Scan.sensor`; that of "" is for sensors without one of their own.
     frame : Frame
 
     Raises
@@ -448,7 +448,9 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
 
 
 def of_sensor(values: Mapping[str, Value], sensor: str, kind: str) -> Value:
-    """Return the value of a sensor, or raise a ValueError that names it, and what `kind` of value is missing."""
+    """Return the value of a sensor, else that of "", or raise a ValueError that names it and the `kind` of value."""
+    if sensor not in values and "" in values:
+        return values[""]
     if sensor not in values:
         given = ", ".join(map(repr, values)) or "none"
         raise ValueError(f"there is no {kind} for the sensor {sensor!r}, but for {given}; Scan.sensor is its name")

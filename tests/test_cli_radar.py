@@ -86,8 +86,11 @@ def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> N
     assert "10 mapped" in ogm("fuse", data, "--out", alone)
     maps = [EvidentialGrid.load(path) for path in (both, alone)]
     with_radar, without = (one.occupied[one.spec.index(20.05, 0.0)] for one in maps)
-    assert with_radar > 0.2
-    assert without < 0.05
+    assert with_radar > 0.05
+    assert without == 0
+    ogm("fuse", data, "--sensor", "lidar", "--sensor", "radar", "--radar-reliability", 1, "--out", both)
+    trusted = EvidentialGrid.load(both)
+    assert trusted.occupied[trusted.spec.index(20.05, 0.0)] > 3 * with_radar
 
 
 def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Path) -> None:

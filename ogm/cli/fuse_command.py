@@ -40,6 +40,12 @@ Model = Annotated[
     ),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
+RadarReliability = Annotated[
+    float,
+    Option(
+        help="Of radars beside a lidar, 0 to 1: their masses are discounted by it, their Doppler is not.", min=0, max=1
+    ),
+]
 Rule = Annotated[
     str | None,
     Option(
@@ -95,6 +101,7 @@ def fuse(
     intensity_max: options.IntensityMax = None,
     time_unit: options.TimeUnit = None,
     deskew: Deskew = False,
+    radar_reliability: RadarReliability = 0.25,
     rule: Rule = None,
     dynamic: Dynamic = False,
     particles: Particles = None,
@@ -166,7 +173,10 @@ def fuse(
     base = out_path or picture or movie or page or Path("map.npz")
     run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), base)
     times = (dataset.trajectory or True) if deskew else False
-    steps = fused(dataset, model, mapper, deskew=times, on_error=run.report)
+    radars = dataset.facts.get("radars", {})
+    beside = "lidar" in (sensor or ()) and radars
+    reliability = {"": 1.0} | dict.fromkeys(radars, radar_reliability) if beside else 1.0
+    steps = fused(dataset, model, mapper, deskew=times, reliability=reliability, on_error=run.report)
     titles = ("points by height", *run.titles)
     is_log = out_path is not None and out_path.suffix.lower() in LOG_ENDINGS
     log = GridLog(out_path, message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]

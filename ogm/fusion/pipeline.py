@@ -116,7 +116,7 @@ def fuse(
         a sequence, or with a trajectory of the sensor, for example of higher rate. Scans of several sensors are
         de-skewed before, each by its own poses: `deskew_frame`.
     reliability : float or mapping of str to float
-        [0, 1]: masses are discounted by it; by `Scan.sensor` or for all.
+        [0, 1]: masses are discounted by it; by `Scan.sensor`, "" for the rest, or for all.
     on_error : function
         Called with every frame that is skipped, and its error; by default it is logged.
 

@@ -249,6 +249,8 @@ def test_a_sensor_without_a_model_or_a_reliability_is_named() -> None:
     frames = two_sensors()
     with pytest.raises(ValueError, match="no model for the sensor 'radar', but for 'lidar'"):
         run_model({"lidar": MODELS["lidar"]}, frames[1])
+    rest = run_model({"": MODELS["lidar"], "other": MODELS["radar"]}, frames[0])
+    np.testing.assert_array_equal(rest.mass, MODELS["lidar"](frames[0].scan).mass)
     with pytest.raises(ValueError, match="no model for the sensor '', but for none"):
         run_model({}, drive(1)[0])
     with pytest.raises(ValueError, match="no reliability for the sensor 'lidar', but for 'front'"):
