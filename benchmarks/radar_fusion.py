@@ -16,7 +16,6 @@ import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
-import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -27,9 +26,10 @@ import numpy as np
 from _dynamic_drives import WARM_UP, Recorder, Snapshot, snapshots
 from _dynamic_filters import Reading
 from _fusion_drives import PAPER, WINDOW
+from dynamic import plain
 
 from ogm import Boxes, Frame, open_dataset
-from ogm.evaluation import mean_interval
+from ogm.evaluation import compare_paired
 from ogm.evaluation.models import sensor_models
 from ogm.fusion import DynamicMapper, update_map
 from ogm.grid import GridSpec
@@ -45,7 +45,7 @@ RANGES = (30.0, 55.0, 80.0)  # [m]
 RELIABILITY = 0.25  # of radar beside lidar: of those tried on another drive, that with the best log loss
 MAPS = {"lidar": ("lidar",), "radar": ("radar",), "lidar and radar": ("lidar", "radar")}
 NO_DOPPLER = "lidar and radar, no Doppler"
-MOTION = ("motion_ap", "motion_iou", "static_moving", "median_error")
+MOTION = ("motion_ap", "motion_iou", "static_moving")
 STATIC = ("nll", "brier", "iou_free", "iou_occupied", "false_free")
 
 
@@ -148,13 +148,12 @@ def over_drive(frames: Sequence[Frame], maps: Mapping[str, tuple[Sequence[str], 
     return result
 
 
-def scores_of(sums: Any, compared: Compared) -> dict[str, float]:
+def scores_of(sums: Any, compared: Compared) -> dict[str, Any]:
     motion, cells = score_motion(sums.motion), score(compared.cells)
-    row = {name: float(motion[name]) for name in MOTION if name in motion}
+    row: dict[str, Any] = {name: float(motion[name]) for name in MOTION}
     row |= {name: float(cells[name]) for name in STATIC}
     times = [one.seconds for one in sums.detections]
-    row["time_to_detect"] = float(np.median(times)) if times else math.nan
-    row["objects"] = len(times)
+    row["seconds to detect"] = times  # of each object; infinite where it was never
     for kind, name in enumerate(("other", "approaching")):
         for part, at in enumerate(("30 to 55 m", "55 to 80 m")):
             count, occupied, dynamic = compared.found[kind, part]
@@ -204,30 +203,34 @@ def main() -> None:
     else:
         maps = {name: (sensors, RELIABILITY, True) for name, sensors in MAPS.items() if name != "radar"}
         maps[NO_DOPPLER] = (MAPS["lidar and radar"], RELIABILITY, False)
-    rows: dict[str, list[dict[str, float]]] = {name: [] for name in maps}
+    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in maps}
     for name, frames in drives(given.drives, given.first):
         for method, row in over_drive(frames, maps, given.far).items():
             rows[method].append(row)
-            print(name, method, {key: round(value, 4) for key, value in row.items() if " m" not in key}, flush=True)
-    keys = [key for key in rows["lidar"][0] if " m" not in key]
-    each = {
-        method: {key: np.array([one[key] for one in found], float) for key in keys} for method, found in rows.items()
-    }
+            print(name, method, row, flush=True)
+    lidar, numbers = rows["lidar"], [str(k) for k in range(len(rows["lidar"]))]
+    differences: dict[str, dict[str, list[float | None]]] = {}
+    for method, found in rows.items():
+        if method != "lidar" and len(found) > 1:
+            pairs = {key: ([one[key] for one in found], [one[key] for one in lidar]) for key in (*MOTION, *STATIC)}
+            differences[method] = {
+                key: plain(compare_paired(mine, theirs, "lower", numbers).difference)
+                for key, (mine, theirs) in pairs.items()
+            }
     record = {
         "environment": run.environment(),
         "reliability of radar": RELIABILITY,
-        "drives": rows,
-        "mean": {method: {key: float(np.nanmean(one[key])) for key in keys} for method, one in each.items()},
-        "minus lidar": {
-            method: {key: [float(x) for x in mean_interval(one[key] - each["lidar"][key])] for key in keys}
-            for method, one in each.items()
-            if method != "lidar" and len(rows["lidar"]) > 1
+        "drives": plain(rows),
+        "mean": {
+            m: {key: float(np.nanmean([one[key] for one in found])) for key in (*MOTION, *STATIC)}
+            for m, found in rows.items()
         },
+        "minus lidar": differences,
     }
     for method, one in record["mean"].items():
         print(method, {key: round(value, 4) for key, value in one.items()})
     if not given.choose:
-        run.write_json(given.out, json.loads(json.dumps(record)))
+        run.write_json(given.out, record)
 
 
 if __name__ == "__main__":

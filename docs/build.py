@@ -18,7 +18,7 @@ from typing import Any
 
 from dynamic_tables import dynamic_tables
 from quality_tables import tables
-from radar_tables import radar_tables
+from radar_tables import fusion_tables, radar_tables
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 
@@ -574,7 +574,10 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
     "docs/quality.md": lambda: tables(record("quality")),
-    "docs/radar.md": lambda: {"radar": "\n\n".join([*radar_tables(record("radar")), source("radar")])},
+    "docs/radar.md": lambda: {
+        "radar": "\n\n".join([*radar_tables(record("radar")), source("radar")]),
+        "radar-fusion": "\n\n".join([*fusion_tables(record("radar_fusion")), source("radar_fusion")]),
+    },
     "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
         sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))

@@ -1,13 +1,17 @@
-"""Tables of docs/radar.md, from the record radar.json."""
+"""Tables of docs/radar.md, from the records radar.json and radar_fusion.json."""
 
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["radar_tables"]
+__all__ = ["fusion_tables", "radar_tables"]
 
 METRICS = {
     "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free",
     "iou_occupied": "IoU occupied", "missed_occupied": "missed", "ece": "ECE", "auroc_unknown": "AUROC unknown",
+}  # fmt: skip
+FUSED = {
+    "motion_ap": "AP of moving cells", "motion_iou": "IoU of moving", "static_moving": "static predicted moving",
+    "nll": "log loss", "iou_free": "IoU free", "iou_occupied": "IoU occupied", "false_free": "false free",
 }  # fmt: skip
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
 
@@ -54,6 +58,24 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
                 rows.append(_row([title, *(f"{n:.0f}" for n in record[title][key])]))
             tables.append("\n".join(rows))
     return tables
+
+
+def fusion_tables(record: Mapping[str, Any]) -> list[str]:
+    """Return the tables of lidar with radar against lidar alone: means over drives, and differences."""
+    rows = [_row(["", *FUSED.values()]), _rule(1, len(FUSED))]
+    rows += [_row([name, *(f"{one[key]:.3f}" for key in FUSED)]) for name, one in record["mean"].items()]
+    less = [_row(["minus lidar alone, mean over drives (95 %)", *FUSED.values()]), _rule(1, len(FUSED))]
+    for name, one in record["minus lidar"].items():
+        less.append(_row([name, *("{:+.3f} ({:+.3f} to {:+.3f})".format(*one[key]) for key in FUSED)]))
+    times = [_row(["", "moving objects in sight", "detected", "median time to detect [s]"]), _rule(1, 3)]
+    for name, found in record["drives"].items():
+        seconds = [value for one in found for value in one["seconds to detect"]]
+        each = sorted(float("inf") if value is None else value for value in seconds)
+        middle = (each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2
+        detected = sum(value < float("inf") for value in each)
+        times.append(_row([name, str(len(each)), str(detected), f"{middle:.2f}" if middle < float("inf") else "never"]))
+    head = f"Drives: {len(record['drives']['lidar'])}, reliability of radar beside lidar: "
+    return [f"{head}{record['reliability of radar']:g}.", *("\n".join(table) for table in (rows, less, times))]
 
 
 def _edges(found: Mapping[str, Any]) -> dict[str, list[str]]:
