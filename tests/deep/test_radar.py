@@ -2,6 +2,7 @@
 
 import json
 import math
+from importlib.resources import as_file, files
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ from ogm import Frame, GridSpec, Mount, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.deep.checkpoint import load_network, load_radar_network
 from ogm.deep.data import PLAIN
+from ogm.deep.onnx_file import read_metadata, weights_sum
 from ogm.deep.polar import BEAM, CHANNELS, RadarGrid, polar_features, polar_places, view_of, write_masses
 from ogm.deep.radar_data import STEP, RadarBatch, RadarDataset, RadarFrame
 from ogm.deep.radar_export import export_radar_onnx
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
+from ogm.deep.radar_onnx import FORMAT
 from ogm.deep.radar_training import train_radar
 from ogm.deep.recipe import Recipe
 from ogm.evidence import check_mass
@@ -326,3 +329,32 @@ def test_mirrored_sweeps_have_mirrored_places() -> None:
     joined = RadarBatch.joined([got, plain])
     assert joined.features.shape[0] == joined.state.shape[0] == 2
     assert json.dumps(joined.numbers) == "[0, 0]"
+
+
+# ------------------------------------------------------------------------------------------------------ the weights
+
+
+def test_the_shipped_files_belong_together_and_are_small() -> None:
+    with as_file(files("ogm") / "data") as data:
+        network, description = load_radar_network(data / "radar.safetensors")
+        _, metadata = read_metadata(data / "radar.onnx", FORMAT)
+        assert metadata["weights"] == weights_sum(data / "radar.safetensors")
+        assert sum((data / f"radar{end}").stat().st_size for end in (".safetensors", ".onnx", ".json")) < 2e6
+    assert description["data"]["training"]["seed"] not in (1, 3)  # the fit of RadarISM, and the test
+    model = DeepRadarISM.load("radar", spec=SPEC, mount=FRONT)
+    wanted = DeepRadarISM(network, SPEC, FRONT)(sweep(11)).mass
+    np.testing.assert_allclose(model(sweep(11)).mass, wanted, atol=1e-5)
+
+
+def test_the_shipped_model_clears_up_to_a_wall_and_not_behind_it() -> None:
+    y = np.linspace(-12, 12, 25)
+    points = np.c_[np.full(25, 18.0), y, np.zeros((25, 2))].astype(np.float32)
+    r = np.hypot(points[:, 0], points[:, 1])
+    scan = Scan(points, doppler=-5 * points[:, 0] / r, rcs=np.full(25, 5.0))
+    mass = DeepRadarISM.load("radar", spec=SPEC, mount=FRONT, noise=RadarNoise(azimuth_noise=math.radians(0.4)))(
+        scan
+    ).mass
+    ix, iy = SPEC.index(np.array([12.0, 21.7, 30.0]), np.zeros(3))
+    (before, _), (_, on), (behind, _) = mass[ix, iy]
+    assert before > 0.5 > behind
+    assert on > 5 * mass[ix[0], iy[0], 1]
