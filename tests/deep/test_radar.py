@@ -21,7 +21,8 @@ from ogm.deep.radar_export import export_radar_onnx
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.deep.radar_onnx import FORMAT
 from ogm.deep.radar_training import train_radar
-from ogm.deep.recipe import Recipe
+from ogm.deep.recipe import RADAR_RECIPE, Recipe
+from ogm.deep.training import train
 from ogm.evidence import check_mass
 from ogm.files import OgmError
 from ogm.fusion import EvidentialMapper
@@ -233,7 +234,7 @@ def frames(count: int) -> list[RadarFrame]:
 
 @pytest.fixture(scope="module")
 def recipe() -> Recipe:
-    return Recipe(RadarConfig(((8, 1), (8, 1))), epochs=16, batch=4, warmup=2, learning_rate=1e-2, average=0.5)
+    return Recipe(RadarConfig(((8, 1), (8, 1))), epochs=8, batch=4, warmup=2, learning_rate=1e-2, average=0.5)
 
 
 @pytest.fixture(scope="module")
@@ -260,7 +261,7 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
 
     def stop_later(this: TrainingRun) -> float:
         saved = save(this)
-        if this.epoch == 5:
+        if this.epoch == 3:
             raise KeyboardInterrupt
         return saved
 
@@ -274,6 +275,11 @@ def test_training_goes_on_exactly(run: Path, recipe: Recipe, tmp_path: Path, mon
         torch.testing.assert_close(found[name], value, rtol=0, atol=0)
 
 
+def test_a_recipe_of_radar_is_not_for_lidars(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="train_radar"):
+        train([], [one.frame for one in frames(1)], SPEC, tmp_path, RADAR_RECIPE)
+
+
 def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
     with pytest.raises(OgmError, match="describes no network"):
         load_network(run / "best.safetensors")
@@ -283,34 +289,33 @@ def test_weights_of_radar_and_of_lidar_are_not_mixed_up(run: Path) -> None:
         load_radar_network(path)
 
 
-def test_the_exported_network_gives_the_grid_of_torch(run: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def exported(run: Path) -> Path:
     network, description = load_radar_network(run / "best.safetensors")
-    path = tmp_path / "radar.onnx"
-    export_radar_onnx(network, path, description=description, weights=run / "best.safetensors")
-    exported, torched = (
-        DeepRadarISM.load(path, spec=SPEC, mount=CORNER),
-        DeepRadarISM.load(run, spec=SPEC, mount=CORNER),
-    )
-    wanted = torched(sweep(9)).mass
-    np.testing.assert_allclose(exported(sweep(9)).mass, wanted, atol=1e-5)
+    export_radar_onnx(network, run / "radar.onnx", description=description, weights=run / "best.safetensors")
+    return run / "radar.onnx"
+
+
+def test_the_exported_network_gives_the_grid_of_torch(run: Path, exported: Path) -> None:
+    model = DeepRadarISM.load(exported, spec=SPEC, mount=CORNER)
+    wanted = DeepRadarISM.load(run, spec=SPEC, mount=CORNER)(sweep(9)).mass
+    np.testing.assert_allclose(model(sweep(9)).mass, wanted, atol=1e-5)
     assert wanted.max() > 0.1
-    assert exported.engine.description["data"] == "made up"
+    assert model.engine.description["data"] == "made up"
 
 
-def test_damaged_exports_are_refused(network: RadarNetwork, tmp_path: Path) -> None:
-    path = tmp_path / "radar.onnx"
-    export_radar_onnx(network, path)
-    data = path.read_bytes()
-    path.write_bytes(data[: len(data) // 2])
-    with pytest.raises(OgmError):
-        DeepRadarISM.load(path)
+def test_damaged_exports_are_refused(exported: Path, tmp_path: Path) -> None:
+    path, data = tmp_path / "radar.onnx", exported.read_bytes()
     flipped = bytearray(data)
     flipped[len(data) // 2] ^= 1
-    path.write_bytes(bytes(flipped))
-    with pytest.raises(OgmError):
-        DeepRadarISM.load(path)
+    for damaged in (data[: len(data) // 2], bytes(flipped)):
+        path.write_bytes(damaged)
+        with pytest.raises(OgmError):
+            DeepRadarISM.load(path)
     with pytest.raises(FileNotFoundError):
         DeepRadarISM.load(tmp_path / "none.onnx")
+    with as_file(files("ogm") / "data" / "lite.onnx") as lidar, pytest.raises(OgmError, match="has the format"):
+        DeepRadarISM.load(lidar)
 
 
 def test_mirrored_sweeps_have_mirrored_places() -> None:
