@@ -1,17 +1,19 @@
-"""Deep inverse sensor models: pillars, network, losses, training, and the trained model as `DeepISM`.
+"""Deep inverse sensor models: networks, losses, training; the trained models are `DeepISM` and `DeepRadarISM`.
 
-`DeepISM` runs exported networks without torch. All else that is named here needs torch and is loaded on first use.
+They run exported networks without torch. All else that is named here needs torch and is loaded on first use.
 """
 
 import importlib
 from typing import TYPE_CHECKING
 
 from ogm.deep.ism import DeepISM
+from ogm.deep.polar import RadarNoise
+from ogm.deep.radar import DeepRadarISM
 
 if TYPE_CHECKING:
     from ogm.deep.network import LITE, PAPER, NetworkConfig, PillarNetwork
 
-__all__ = ["LITE", "PAPER", "DeepISM", "NetworkConfig", "PillarNetwork"]
+__all__ = ["LITE", "PAPER", "DeepISM", "DeepRadarISM", "NetworkConfig", "PillarNetwork", "RadarNoise"]
 
 
 def __getattr__(name: str) -> object:

@@ -8,10 +8,10 @@ import hashlib
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from safetensors import SafetensorError
@@ -20,20 +20,25 @@ from torch import Tensor
 
 from ogm.deep.description import FORMAT, description_checksum, grid_of, read_description
 from ogm.deep.network import NetworkConfig, PillarNetwork
+from ogm.deep.polar import RadarGrid
+from ogm.deep.radar_network import RadarConfig, RadarNetwork
 from ogm.files import OgmError, atomic_write
 from ogm.io.reading import read_bytes
 
-__all__ = ["FORMAT", "load_network", "save_network"]
+__all__ = ["FORMAT", "load_network", "load_radar_network", "save_network"]
 
 
-def save_network(path: str | os.PathLike[str], network: PillarNetwork, facts: Mapping[str, Any]) -> Path:
+Made = TypeVar("Made", PillarNetwork, RadarNetwork)
+
+
+def save_network(path: str | os.PathLike[str], network: PillarNetwork | RadarNetwork, facts: Mapping[str, Any]) -> Path:
     """Write a network's weights and description, each in one step.
 
     Parameters
     ----------
     path : path
         Of the weights; ends in ``.safetensors``. The description stands beside it, ending in ``.json``.
-    network : PillarNetwork
+    network : PillarNetwork or RadarNetwork
     facts : mapping
         More for the description, as JSON holds it: provenance, recipe, results.
 
@@ -79,6 +84,29 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
     OgmError
         If a file is damaged, of another kind, or does not fit the other.
     """
+
+    def make(description: dict[str, Any]) -> PillarNetwork:
+        config = NetworkConfig.from_dict(description["network"])
+        _check_config(config)
+        return PillarNetwork(config, grid_of(description))
+
+    return _load(path, make)
+
+
+def load_radar_network(path: str | os.PathLike[str]) -> tuple[RadarNetwork, dict[str, Any]]:
+    """Read a network of radar that `save_network` wrote; the result and the errors are those of `load_network`."""
+
+    def make(description: dict[str, Any]) -> RadarNetwork:
+        config, place = RadarConfig.from_dict(description["network"]), description["spec"]
+        if not (_are_sizes([], config.blocks) and 0 <= config.dropout < 1):
+            raise ValueError(f"a size is out of its limits in {config}")
+        return RadarNetwork(config, RadarGrid(tuple(place["shape"]), place["range_step"], place["azimuth_step"]))
+
+    return _load(path, make)
+
+
+def _load(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], Made]) -> tuple[Made, dict[str, Any]]:
+    """Read the weights and the description of a network that `make` makes of the description."""
     path = _checked_path(path)
     beside = path.with_suffix(".json")
     for file in (path, beside):
@@ -86,16 +114,13 @@ def load_network(path: str | os.PathLike[str]) -> tuple[PillarNetwork, dict[str,
             raise FileNotFoundError(f"{file} is not there: `ogm train` writes two files, {path.name} and {beside.name}")
     description = read_description(beside)
     try:
-        config = NetworkConfig.from_dict(description["network"])
-        _check_config(config)
-        spec = grid_of(description)
         with torch.device("meta"):  # its names and shapes, without memory for them
-            wanted = PillarNetwork(config, spec).state_dict()
+            wanted = make(description).state_dict()
     except (ValueError, KeyError, TypeError, AttributeError, RuntimeError, OverflowError, MemoryError) as error:
         raise OgmError(f"{beside} describes no network that can be made: {error}") from error
     weights = _read_weights(path, wanted)
     _check_sums(path, beside, description)
-    network = PillarNetwork(config, spec)
+    network = make(description)
     network.load_state_dict(weights)
     return network.eval(), description
 
@@ -136,12 +161,9 @@ def _check_sums(path: Path, beside: Path, description: Mapping[str, Any]) -> Non
 
 def _check_config(config: NetworkConfig) -> None:
     """Refuse sizes that would fill the memory before the weights are read."""
-    sizes = [config.pillar, config.up, *(n for block in config.blocks for n in block)]
     low, high = config.z_range
     good = (
-        all(type(n) is int and 0 < n <= 4096 for n in sizes)
-        and 0 < len(config.blocks) <= 8
-        and all(count <= 64 for _, count in config.blocks)
+        _are_sizes([config.pillar, config.up], config.blocks)
         and config.join in ("add", "concatenate")
         and config.evidence in ("softplus", "relu")
         and len(config.scale) == 9
@@ -151,6 +173,12 @@ def _check_config(config: NetworkConfig) -> None:
     )
     if not good:
         raise ValueError(f"a size, a range or a choice is out of its limits in {config}")
+
+
+def _are_sizes(others: list[int], blocks: tuple[tuple[int, int], ...]) -> bool:
+    sizes = [*others, *(n for block in blocks for n in block)]
+    few = 0 < len(blocks) <= 8 and all(count <= 64 for _, count in blocks)
+    return few and all(type(n) is int and 0 < n <= 4096 for n in sizes)
 
 
 def _checked_path(path: str | os.PathLike[str]) -> Path:

@@ -83,6 +83,14 @@ class Batch(NamedTuple):
     state: torch.Tensor
     numbers: list[int]
 
+    def inputs(self, device: torch.device) -> Pillars:
+        """Return what the network takes, on a device."""
+        return self.pillars.to(device)
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Return what the network takes, to be saved."""
+        return {name: getattr(self.pillars, name).numpy() for name in ("features", "lengths", "cells")}
+
     @classmethod
     def joined(cls, batches: "Sequence[Batch]") -> "Batch":
         """Make one batch of some batches of one."""

@@ -15,8 +15,9 @@ import importlib
 import json
 import os
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -31,7 +32,7 @@ from ogm.deep.onnx_file import FORMAT, OPERATIONS, sealed, weights_sum
 from ogm.deep.points import FEATURES
 from ogm.files import atomic_write
 
-__all__ = ["export_onnx"]
+__all__ = ["export_onnx", "softplus_of_parts", "traced", "write_model"]
 
 _OPSET = 18
 _PIP = 'pip install "ogm-toolkit[train]"'
@@ -77,18 +78,11 @@ def export_onnx(
     path = Path(path)
     if path.suffix != ".onnx":
         raise ValueError(f"an ONNX file is named .onnx, got {path}")
-    _package("onnxscript")  # torch needs it
-    onnx = _package("onnx")
     facts = {"format": DESCRIPTION_FORMAT, **(description or {})}
     facts |= {"network": asdict(network.config), "spec": asdict(network.spec)}
     facts.pop("sha256", None)  # of the files of weights
     metadata = {"description": json.dumps(facts), "weights": weights_sum(weights) if weights is not None else ""}
-    with atomic_write(path) as file:
-        model = _model(network, metadata)
-        onnx.checker.check_model(model, full_check=True)
-        if odd := {node.op_type for node in model.graph.node} - OPERATIONS:
-            raise RuntimeError(f"this version of torch wrote operations that ogm does not run: {sorted(odd)}")
-        size = file.write(sealed(model.SerializeToString(deterministic=True)))
+    size = write_model(path, partial(_model, network, metadata))
     nx, ny = network.spec.shape
     coords = {"sensor_coords": f"(1, 4, {nx // 4}, {ny // 4}) float32"} if network.config.bearings else {}
     return {
@@ -98,6 +92,18 @@ def export_onnx(
         "grid": f"{network.spec.length:g} x {network.spec.width:g} m, cells of {network.spec.resolution:g} m",
         "size": f"{size / 1e6:.1f} MB, opset {_OPSET}",
     }
+
+
+def write_model(path: Path, make: Callable[[], Any]) -> int:
+    """Check and write the ONNX model that `make` makes, in one step; return its size [bytes]."""
+    _package("onnxscript")  # torch needs it
+    onnx = _package("onnx")
+    with atomic_write(path) as file:
+        model = make()
+        onnx.checker.check_model(model, full_check=True)
+        if odd := {node.op_type for node in model.graph.node} - OPERATIONS:
+            raise RuntimeError(f"this version of torch wrote operations that ogm does not run: {sorted(odd)}")
+        return int(file.write(sealed(model.SerializeToString(deterministic=True))))
 
 
 class _Masses(nn.Module):
@@ -111,12 +117,15 @@ class _Masses(nn.Module):
 
     def forward(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
         x = self.network.quarters(feature_map.permute(0, 3, 1, 2), sensor_coords)
-        e = torch.relu(x)
-        if self.network.config.evidence == "softplus":
-            e = torch.relu(e + torch.log(1 + torch.exp(-torch.abs(x))))  # OpenVINO's ln(1) is -1e-6
+        e = softplus_of_parts(x) if self.network.config.evidence == "softplus" else torch.relu(x)
         e = pixel_shuffle(e, 2)
         free, occupied = e.split(1, dim=1)
         return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
+
+
+def softplus_of_parts(x: torch.Tensor) -> torch.Tensor:
+    """Return ln(1 + exp(x)), of operations that the runtimes have vectorised."""
+    return torch.relu(torch.relu(x) + torch.log(1 + torch.exp(-torch.abs(x))))  # OpenVINO's ln(1) is -1e-6
 
 
 def _model(network: PillarNetwork, metadata: dict[str, str]) -> Any:
@@ -130,29 +139,56 @@ def _model(network: PillarNetwork, metadata: dict[str, str]) -> Any:
     if network.config.bearings:
         inputs["sensor_coords"] = torch.zeros(1, 4, nx // 4, ny // 4)
         shapes["sensor_coords"] = {2: multiple // 4 * kx, 3: multiple // 4 * ky}
+    metadata = _documentation(network) | _input(masses.network) | metadata
+    return traced(masses, inputs, "mass", shapes, metadata, "One lidar scan to an evidential grid map.")
+
+
+def traced(
+    module: nn.Module,
+    inputs: Mapping[str, torch.Tensor],
+    output: str,
+    shapes: Mapping[str, Any] | None,
+    metadata: Mapping[str, str],
+    about: str,
+) -> Any:
+    """Return a module as an ONNX model with metadata, without what torch notes of the machine.
+
+    Parameters
+    ----------
+    module : Module
+    inputs : mapping
+        Examples by their names.
+    output : str
+        Its name.
+    shapes : mapping, optional
+        Axes that are not fixed, as `torch.onnx.export` takes them.
+    metadata : mapping
+        Entries that have the name of an input or output become its documentation, too.
+    about : str
+        Documentation of the model.
+    """
     with warnings.catch_warnings():
         warnings.filterwarnings(
             "ignore", r"`isinstance\(treespec, LeafSpec\)` is deprecated", FutureWarning
         )  # torch's own
         warnings.filterwarnings("ignore", "# The axis name: .* will not be used", UserWarning)
         program = torch.onnx.export(
-            masses,
+            module,
             tuple(inputs.values()),
             dynamo=True,
             verbose=False,
             opset_version=_OPSET,
             input_names=[*inputs],
-            output_names=["mass"],
+            output_names=[output],
             dynamic_shapes=shapes,
         )
     model = program.model_proto
     graph = model.graph
-    metadata = _documentation(network) | _input(masses.network) | metadata
     del model.metadata_props[:], graph.metadata_props[:]
     for part in (*graph.node, *graph.value_info, *graph.initializer, *graph.input, *graph.output):
         del part.metadata_props[:]  # paths of the machine, among others
         part.doc_string = metadata.get(part.name, "")
-    graph.name, model.doc_string = "ogm", "One lidar scan to an evidential grid map."
+    graph.name, model.doc_string = "ogm", about
     _package("onnx.helper").set_model_props(model, metadata)
     return model
 

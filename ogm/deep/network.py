@@ -21,7 +21,17 @@ from ogm.deep.network_grid import check_resolution, check_sides, sensor_coords
 from ogm.deep.pillars import FEATURES, Pillars
 from ogm.grid import GridSpec
 
-__all__ = ["LITE", "PAPER", "NetworkConfig", "PillarNetwork", "copy_weights", "fused"]
+__all__ = [
+    "LITE",
+    "PAPER",
+    "AddNeck",
+    "NetworkConfig",
+    "PillarNetwork",
+    "copy_weights",
+    "down_block",
+    "fold_norms",
+    "fused",
+]
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,10 @@ class NetworkConfig:
         """Both sides of the grid must be whole multiples of this many cells."""
         return 2 ** len(self.blocks)
 
+    def build(self, spec: GridSpec) -> "PillarNetwork":
+        """Return a network of these sizes for a grid, with random weights."""
+        return PillarNetwork(self, spec)
+
 
 PAPER = NetworkConfig(64, ((64, 4), (128, 6), (256, 6)), join="concatenate", dropout=0.1, z_range=(-1.2, 2.8))
 _SCALE = (40.0, 28.0, 2.0, 0.5, 0.05, 0.05, 0.3, 0.08, 0.08)
@@ -106,7 +120,7 @@ class PillarNetwork(nn.Module):
         self.pillar = PillarFeatures(config.pillar, config.scale)
         self.bearings = nn.Conv2d(4, channels[1], 1) if config.bearings else None
         pairs = zip([config.pillar + 2 * config.rays, *channels], config.blocks, strict=False)
-        self.blocks = nn.ModuleList(_block(before, *block, config.dropout) for before, block in pairs)
+        self.blocks = nn.ModuleList(down_block(before, *block, config.dropout) for before, block in pairs)
         added = config.join == "add"
         self.join = AddNeck(channels) if added else ConcatenateNeck(channels, config.up)
         last = channels[0] if added else config.up * len(channels)
@@ -265,7 +279,8 @@ def _layer(before: int, after: int, stride: int = 1, dropout: float = 0.0) -> nn
     return nn.Sequential(*layers, *([nn.Dropout(dropout)] if dropout else []))
 
 
-def _block(before: int, after: int, count: int, dropout: float) -> nn.Sequential:
+def down_block(before: int, after: int, count: int, dropout: float) -> nn.Sequential:
+    """Return so many convolutions from `before` to `after` channels, the first of which halves the resolution."""
     layers = (_layer(after if k else before, after, 1 if k else 2, dropout) for k in range(count))
     return nn.Sequential(*layers)
 
@@ -273,18 +288,23 @@ def _block(before: int, after: int, count: int, dropout: float) -> nn.Sequential
 def fused(network: PillarNetwork) -> PillarNetwork:
     """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
     result = copy.deepcopy(network).eval()
-    for module in result.modules():
+    fold_norms(result)
+    pillar = result.pillar
+    pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
+    pillar.linear.weight.data *= pillar.scale
+    pillar.scale, pillar.norm = None, nn.Identity()
+    return result.to(memory_format=torch.channels_last)
+
+
+def fold_norms(network: nn.Module) -> None:
+    """Fold the normalisation of a network in evaluation mode into the convolutions before it, in place."""
+    for module in network.modules():
         if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
             transposed = isinstance(module[0], nn.ConvTranspose2d)
             module[0] = fuse_conv_bn_eval(module[0], module[1], transpose=transposed)
             module[1] = nn.Identity()
             if not transposed:
                 module[0], module[2] = ConvReLU(module[0]), nn.Identity()
-    pillar = result.pillar
-    pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
-    pillar.linear.weight.data *= pillar.scale
-    pillar.scale, pillar.norm = None, nn.Identity()
-    return result.to(memory_format=torch.channels_last)
 
 
 @torch.no_grad()

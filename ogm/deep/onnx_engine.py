@@ -17,7 +17,7 @@ from ogm.deep.points import Rectangle, SortedPoints, pillar_maxima, sort_points
 from ogm.files import OgmError
 from ogm.grid import GridSpec
 
-__all__ = ["OnnxEngine", "default_threads"]
+__all__ = ["OnnxEngine", "default_threads", "onnxruntime_session"]
 
 Inputs = Mapping[str, NDArray[np.float32]]
 Session = Callable[[Inputs], NDArray[np.float32]]
@@ -83,7 +83,7 @@ class OnnxEngine:
             if runtime == "openvino":
                 self._session, names = _openvino(file.data, precision, threads)
             else:
-                self._session, names = _onnxruntime(file.data, threads)
+                self._session, names = onnxruntime_session(file.data, threads)
         except ImportError:
             raise
         except Exception as error:  # those of the runtimes have no other parent
@@ -162,7 +162,8 @@ def default_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _onnxruntime(data: bytes, threads: int) -> tuple[Session, set[str]]:
+def onnxruntime_session(data: bytes, threads: int, output: str = "mass") -> tuple[Session, set[str]]:
+    """Return what computes an output of an exported network from its inputs, and their names."""
     runtime = _package("onnxruntime", "deep")
     options = runtime.SessionOptions()
     options.intra_op_num_threads = threads
@@ -173,8 +174,8 @@ def _onnxruntime(data: bytes, threads: int) -> tuple[Session, set[str]]:
     session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
     def run(inputs: Inputs) -> NDArray[np.float32]:
-        (mass,) = session.run(["mass"], inputs)
-        return mass
+        (result,) = session.run([output], inputs)
+        return result
 
     return run, {one.name for one in session.get_inputs()}
 

@@ -21,7 +21,7 @@ from ogm.deep.points import FEATURES
 from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec
 
-__all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_onnx", "sealed", "weights_sum"]
+__all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_metadata", "read_onnx", "sealed", "weights_sum"]
 
 FORMAT = "ogm.network.onnx/2"
 OPERATIONS = frozenset({
@@ -83,6 +83,16 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
     OgmError
         If the file is damaged, of another kind, or holds what no export writes.
     """
+    data, metadata = read_metadata(path, FORMAT)
+    try:
+        numbers = {name: json.loads(metadata[name]) for name in ("description", "input")}
+        return _checked(data, numbers["description"], numbers["input"], metadata.get("weights", ""))
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise OgmError(f"{path} describes no network that can be run: {error!r}") from error
+
+
+def read_metadata(path: str | os.PathLike[str], wanted: str) -> tuple[bytes, dict[str, str]]:
+    """Return the bytes and the metadata of an exported network of a format; errors as of `read_onnx`."""
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"{path} is not there; `ogm export` writes such files")
@@ -93,21 +103,15 @@ def read_onnx(path: str | os.PathLike[str]) -> OnnxFile:
         metadata = _read_model(data)
     except (IndexError, ValueError, KeyError, TypeError) as error:
         raise OgmError(f"{path} is no whole ONNX file of a network: {error}") from error
-    if (found := metadata.get("format")) != FORMAT:
-        way = update_hint(found, FORMAT) or (
-            "; export the weights again" if str(found).startswith("ogm.network.onnx/") else ""
-        )
-        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {FORMAT}{way}")
-    try:
-        numbers = {name: json.loads(metadata[name]) for name in ("description", "input")}
-        file = _checked(data, numbers["description"], numbers["input"], metadata.get("weights", ""))
-    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise OgmError(f"{path} describes no network that can be run: {error!r}") from error
+    if (found := metadata.get("format")) != wanted:
+        kind = wanted.rpartition("/")[0] + "/"
+        way = update_hint(found, wanted) or ("; export the weights again" if str(found).startswith(kind) else "")
+        raise OgmError(f"{path} has the format {found!r}, this version of ogm runs {wanted}{way}")
     if "sha256" in metadata and sealed(data[:-_SEAL]) != data:
         raise OgmError(
             f"{path} is damaged: its SHA-256 is not that of its export; restore it or export the weights again"
         )
-    return file
+    return data, metadata
 
 
 def sealed(data: bytes) -> bytes:

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from torch import Tensor
 
 from ogm.deep import losses
-from ogm.deep.data import ROTATION, Augmentation
+from ogm.deep.data import PLAIN, ROTATION, Augmentation
 from ogm.deep.network import LITE, PAPER, NetworkConfig
+from ogm.deep.radar_network import RADAR, RadarConfig
 
-__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "PRESETS", "Recipe", "learning_rate", "mean_loss"]
+__all__ = ["LITE_RECIPE", "LOSSES", "PAPER_RECIPE", "PRESETS", "RADAR_RECIPE", "Recipe", "learning_rate", "mean_loss"]
 
 LOSSES: dict[str, Callable[[Tensor, Tensor, float], Tensor]] = {  # evidence, target, strength -> loss per cell
     "reverse-kl": losses.reverse_kl,
@@ -27,7 +28,7 @@ class Recipe:
 
     Parameters
     ----------
-    network : NetworkConfig
+    network : NetworkConfig or RadarConfig
     epochs : int
         Passes over all frames.
     batch : int
@@ -56,7 +57,7 @@ class Recipe:
     seed : int
     """
 
-    network: NetworkConfig
+    network: NetworkConfig | RadarConfig
     epochs: int = 10
     batch: int = 8
     loss: str = "reverse-kl"
@@ -94,6 +95,9 @@ PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and 
     augmentation=ROTATION,
     most_pillars=10_000,
     most_points=100,
+)
+RADAR_RECIPE = Recipe(  # that of the shipped weights of radar
+    RADAR, epochs=8, batch=8, average=0.995, augmentation=replace(PLAIN, mirror=0.5, points=0.25, gain=0.3)
 )
 PRESETS = {"lite": LITE_RECIPE, "paper": Recipe(PAPER), "published": PAPER_RECIPE}
 

@@ -12,16 +12,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from torch import nn
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
 from ogm.deep.data import PLAIN, Batch, EpochSampler, PillarDataset, training_ranges
-from ogm.deep.network import PillarNetwork
+from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.deep.recipe import LOSSES, Recipe, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
@@ -32,13 +33,21 @@ from ogm.state import predict_state
 try:
     from lightning.fabric import Fabric
 
-    from ogm.deep.training_run import TrainingRun, draw_predictions
+    from ogm.deep.training_run import TrainingBatch, TrainingRun, draw_predictions
 except ImportError as error:
     raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
 
-__all__ = ["ValidationScores", "train", "validate"]
+__all__ = ["ValidationScores", "check_recipe", "launch", "run_training", "train", "validate"]
 
 _SAVE_EVERY = 120.0  # [s]
+
+
+class Frames(Protocol):
+    """Frames as batches of one: `PillarDataset`, or `ogm.deep.radar_data.RadarDataset`."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, key: Any) -> "TrainingBatch": ...
 
 
 class ValidationScores(NamedTuple):
@@ -122,16 +131,57 @@ def train(
     BlockingIOError
         If another process trains in `out`.
     """
-    _check(validation, recipe, out, resume)
-    fabric = _launch(accelerator, devices, nodes, precision)
-    options = recipe.network.z_range, recipe.seed, recipe.most_pillars, recipe.most_points, recipe.network.rays
+    check_recipe(validation, recipe, out, resume)
+    network = recipe.network
+    if not isinstance(network, NetworkConfig):
+        raise ValueError("this recipe is one of radar: give it to ogm.deep.radar_training.train_radar")
+    fabric = launch(accelerator, devices, nodes, precision)
+    options = network.z_range, recipe.seed, recipe.most_pillars, recipe.most_points, network.rays
     frames = PillarDataset(training, spec, recipe.augmentation, *options)
     fixed = PillarDataset(validation, spec, PLAIN, *options)
-    order = EpochSampler(len(frames), recipe.seed, fabric.global_rank, fabric.world_size)
-    loader = _loader(frames, order, recipe.batch, workers)
     run = TrainingRun(fabric, recipe, spec, out, len(frames), len(fixed), initial)
+    known = {"seen": training_ranges(frames), **(facts or {})}
+    draw = partial(draw_predictions, dataset=fixed, device=fabric.device)
+    options_of_run: Any = {"resume": resume, "workers": workers, "progress": progress}
+    return run_training(
+        run, frames, fixed, Batch.joined, known, draw=draw, picture_every=picture_every, **options_of_run
+    )
+
+
+def run_training(
+    run: TrainingRun,
+    frames: Frames,
+    fixed: Frames,
+    joined: Callable[[Sequence[Any]], Any],
+    facts: Mapping[str, Any],
+    *,
+    draw: Callable[[Path, Any], None] | None = None,
+    picture_every: int = 0,
+    resume: bool = False,
+    workers: int | None = None,
+    progress: bool = True,
+) -> Path:
+    """Do all steps of a training that are left, and return the path of its best weights.
+
+    Parameters
+    ----------
+    run : TrainingRun
+        Not begun yet; the state in its folder is taken over.
+    frames, fixed : dataset of batches of one
+        For training, and to choose the weights by. `frames` takes keys (epoch, i), as of `PillarDataset`.
+    joined : callable
+        Makes one batch of several.
+    facts : mapping
+        To keep beside the weights.
+    draw : callable, optional
+        Draws a picture into a file, of a network.
+    picture_every, resume, workers, progress
+        As of `train`.
+    """
+    recipe, fabric, out = run.recipe, run.fabric, run.out
+    order = EpochSampler(len(frames), recipe.seed, fabric.global_rank, fabric.world_size)
+    loader = _loader(frames, order, recipe.batch, workers, joined)
     out.mkdir(parents=True, exist_ok=True)
-    facts = {"seen": training_ranges(frames), **(facts or {})}
     with locked(out) if fabric.is_global_zero else nullcontext():
         _refuse_other_run(out, resume)
         if (out / "state.pt").exists():
@@ -139,7 +189,8 @@ def train(
         bar = _bar(progress and fabric.is_global_zero, run.steps, run.step)
         with bar as show, _memory_advice(recipe):
             try:
-                _train_epochs(run, loader, order, fixed, picture_every, facts, show)
+                pictures = draw if picture_every else None
+                _train_epochs(run, loader, order, fixed, (pictures, picture_every), facts, show)
             except KeyboardInterrupt:
                 if run.consistent:  # else the state that was saved before is the one to resume from
                     run.save()
@@ -149,10 +200,10 @@ def train(
 
 def _train_epochs(
     run: TrainingRun,
-    loader: DataLoader[Batch],
+    loader: DataLoader[Any],
     order: EpochSampler,
-    fixed: PillarDataset,
-    picture_every: int,
+    fixed: Frames,
+    pictures: tuple[Callable[[Path, Any], None] | None, int],
     facts: Mapping[str, Any],
     show: Callable[..., None],
 ) -> None:
@@ -172,22 +223,23 @@ def _train_epochs(
             scores = validate(run.average, fixed, recipe, fabric.device)
             run.record(scores._asdict(), speed, facts)
             show(scores=scores)
-            if picture_every and (run.epoch + 1) % picture_every == 0:
-                draw_predictions(out / f"epoch-{run.epoch + 1:03d}.png", run.average, fixed, fabric.device)
+            draw, every = pictures
+            if draw is not None and (run.epoch + 1) % every == 0:
+                draw(out / f"epoch-{run.epoch + 1:03d}.png", run.average)
         run.epoch += 1
         saved = run.save()
         fabric.barrier()
 
 
 @torch.no_grad()
-def validate(network: PillarNetwork, dataset: PillarDataset, recipe: Recipe, device: torch.device) -> ValidationScores:
+def validate(network: nn.Module, dataset: Frames, recipe: Recipe, device: torch.device) -> ValidationScores:
     """Score a network on frames, by the loss as it is after all annealing, so that epochs can be compared."""
     network.eval()
     loss = kl = cells = 0.0
     counts = np.zeros((3, 3))  # true state, predicted state
     for i in range(len(dataset)):
         batch = dataset[i]
-        evidence, state = network(batch.pillars.to(device)), batch.state.to(device)
+        evidence, state = network(batch.inputs(device)), batch.state.to(device)
         target, valid = losses.targets(state)
         count = int(valid.sum())
         loss += count * float(mean_loss(evidence, state, recipe, math.inf))
@@ -200,7 +252,8 @@ def validate(network: PillarNetwork, dataset: PillarDataset, recipe: Recipe, dev
     return ValidationScores(loss / max(cells, 1), kl / max(cells, 1), float(iou[1]), float(iou[2]))
 
 
-def _launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabric:
+def launch(accelerator: str, devices: int, nodes: int, precision: Any) -> Fabric:
+    """Start the processes of a training; the default precision is as of `train`."""
     if accelerator == "auto":  # Lightning would take others, for which torch lacks segment_reduce
         accelerator = "cuda" if torch.cuda.is_available() else "cpu"
     if precision is None:
@@ -221,13 +274,16 @@ def _has_bfloat16() -> bool:
     return bool(asked and asked())
 
 
-def _loader(frames: PillarDataset, order: EpochSampler, batch: int, workers: int | None) -> DataLoader[Batch]:
+def _loader(
+    frames: Frames, order: EpochSampler, batch: int, workers: int | None, joined: Callable[[Sequence[Any]], Any]
+) -> DataLoader[Any]:
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
     ahead: Any = 4 if workers else None
-    options = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": Batch.joined, "drop_last": True}
-    return DataLoader(frames, batch, sampler=order, **options)
+    options = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": joined, "drop_last": True}
+    given: Any = frames
+    return DataLoader(given, batch, sampler=order, **options)
 
 
 @contextmanager
@@ -257,7 +313,8 @@ def _bar(visible: bool, total: int, done: int) -> Iterator[Callable[..., None]]:
         yield partial(bar.update, task)
 
 
-def _check(validation: Sequence[Frame], recipe: Recipe, out: Path, resume: bool) -> None:
+def check_recipe(validation: Sequence[Any], recipe: Recipe, out: Path, resume: bool) -> None:
+    """Raise a ValueError if a number of a recipe is out of range, frames are missing, or `out` holds a run."""
     if recipe.loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {recipe.loss!r}")
     if recipe.epochs < 1 or recipe.batch < 1:

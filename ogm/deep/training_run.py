@@ -9,22 +9,38 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from lightning.fabric import Fabric
+from numpy.typing import NDArray
+from torch import nn
 
 from ogm.deep.checkpoint import save_network
-from ogm.deep.data import Batch, PillarDataset
+from ogm.deep.data import PillarDataset
 from ogm.deep.network import PillarNetwork, copy_weights
 from ogm.deep.recipe import Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.files import OgmError, atomic_write
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import EvidentialGrid
 from ogm.state import Truth
 
-__all__ = ["TrainingRun", "draw_predictions", "nonfinite_loss_error"]
+__all__ = ["TrainingBatch", "TrainingRun", "draw_predictions", "nonfinite_loss_error"]
+
+
+class TrainingBatch(Protocol):
+    """Some frames, ready for a network: pillars of lidars, or polar grids of radars."""
+
+    state: torch.Tensor
+    numbers: list[int]
+
+    def inputs(self, device: torch.device) -> Any:
+        """Return what the network takes, on a device."""
+
+    def arrays(self) -> dict[str, NDArray]:
+        """Return what the network takes, to be saved."""
+
 
 _MODULES = ("network", "average", "optimizer")
 
@@ -36,7 +52,8 @@ class TrainingRun:
     ----------
     fabric : Fabric
     recipe : Recipe
-    spec : GridSpec
+    spec : GridSpec or RadarGrid
+        The network's grid.
     out : Path
         The run's folder.
     training, validation : int
@@ -48,7 +65,7 @@ class TrainingRun:
     ----------
     step, epoch : int
         Steps done; epochs done and validated.
-    average : PillarNetwork
+    average : PillarNetwork or RadarNetwork
         Exponential moving average of the network's weights.
     consistent : bool
         Whether network, average and step belong together.
@@ -58,7 +75,7 @@ class TrainingRun:
         self,
         fabric: Fabric,
         recipe: Recipe,
-        spec: GridSpec,
+        spec: Any,
         out: Path,
         training: int,
         validation: int,
@@ -77,10 +94,10 @@ class TrainingRun:
             "processes": str(fabric.world_size),
         }
         torch.manual_seed(recipe.seed)
-        self.network = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
+        self.network = recipe.network.build(spec).to(memory_format=torch.channels_last)
         if initial is not None:
             copy_weights(initial, self.network)
-        average = PillarNetwork(recipe.network, spec).to(memory_format=torch.channels_last)
+        average = recipe.network.build(spec).to(memory_format=torch.channels_last)
         average.load_state_dict(self.network.state_dict())
         optimizer = torch.optim.AdamW(self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)
         self._model, self.optimizer = fabric.setup(self.network, optimizer)
@@ -94,16 +111,16 @@ class TrainingRun:
         """Mean loss of the last 100 steps."""
         return sum(self._losses) / max(len(self._losses), 1)
 
-    def do_step(self, batch: Batch) -> None:
+    def do_step(self, batch: TrainingBatch) -> None:
         """Change the weights by the gradient of one batch."""
         recipe, fabric = self.recipe, self.fabric
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate(recipe, self.step, self.steps)
         seed = (recipe.seed * self.steps + self.step) * fabric.world_size + fabric.global_rank
         torch.manual_seed(seed)  # of the dropout
-        pillars, state = batch.pillars.to(fabric.device), batch.state.to(fabric.device)
+        inputs, state = batch.inputs(fabric.device), batch.state.to(fabric.device)
         with self._buffers_kept():
-            loss = mean_loss(self._model(pillars), state, recipe, self.step / self.steps_per_epoch)
+            loss = mean_loss(self._model(inputs), state, recipe, self.step / self.steps_per_epoch)
             value = float(loss.detach())
             finite = torch.tensor(float(math.isfinite(value)), device=fabric.device)
             if fabric.all_reduce(finite, reduce_op="mean") != 1:  # all processes stop where one must
@@ -199,20 +216,20 @@ def draw_predictions(path: Path, network: PillarNetwork, dataset: PillarDataset,
     save_picture(path, *panels)
 
 
-def nonfinite_loss_error(folder: Path, batch: Batch, loss: float, step: int) -> FloatingPointError:
+def nonfinite_loss_error(folder: Path, batch: TrainingBatch, loss: float, step: int) -> FloatingPointError:
     """Return the error for a loss that is not finite; the batch is saved if the loss is of this process."""
     if math.isfinite(loss):
         return FloatingPointError(f"the loss of another process is not finite at step {step}; see its message")
     path = folder / f"batch-{step}.npz"
-    arrays = {name: getattr(batch.pillars, name).numpy() for name in ("features", "lengths", "cells")}
     with atomic_write(path) as file:
+        arrays: Any = batch.arrays()
         np.savez_compressed(file, **arrays, state=batch.state.numpy(), numbers=np.array(batch.numbers))
     way_out = "--resume with a smaller --learning-rate goes on from the last saved state"
     return FloatingPointError(f"the loss became {loss} at step {step}; the batch is in {path}; {way_out}")
 
 
 @torch.no_grad()
-def _update_ema(average: PillarNetwork, network: PillarNetwork, decay: float) -> None:
+def _update_ema(average: nn.Module, network: nn.Module, decay: float) -> None:
     for mean, value in zip(average.state_dict().values(), network.state_dict().values(), strict=True):
         if mean.is_floating_point():
             mean.lerp_(value, 1 - decay)
