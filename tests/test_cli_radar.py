@@ -94,7 +94,8 @@ def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> N
 
 
 def test_evaluate_and_map_take_the_frames_of_one_radar(data: Path, tmp_path: Path) -> None:
-    ogm("evaluate", data, "--sensor", "ars548-front", "--ism", "radar", "--frames", 1, "--out", tmp_path / "report")
+    words = ["--ism", "radar", "deep-radar", "--frames", 1, "--out", tmp_path / "report"]
+    ogm("evaluate", data, "--sensor", "ars548-front", *words)
     assert (tmp_path / "report" / "report.html").exists()
     ogm("map", data, "--sensor", "radar", "--ism", "radar", "--out", tmp_path / "grids")
     assert len(list((tmp_path / "grids").glob("*.npz"))) == 10

@@ -60,9 +60,9 @@ def evaluate(
     ism: Annotated[
         list[str] | None,
         typer.Option(
-            help="Models: height-band, height-band-released, ray, lite, combined, radar, weights that `ogm train` "
-            "wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, unless "
-            "--grids are given]",
+            help="Models: height-band, height-band-released, ray, lite, combined, radar, deep-radar, weights that `ogm "
+            "train` wrote (a file or a run's folder), or the .json of `ogm calibrate`. [default: height-band ray lite, "
+            "unless --grids are given]",
             metavar="NAME [NAME]...",
         ),
     ] = None,

@@ -36,7 +36,7 @@ Model = Annotated[
     str,
     Option(
         help="Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of "
-        "`ogm calibrate`; of radars: radar; of both: ray+radar, lite+radar, ..."
+        "`ogm calibrate`; of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
     ),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]

@@ -78,8 +78,8 @@ def map_(
     ism: Annotated[
         str,
         typer.Option(
-            help="Sensor model: ray, height-band, height-band-released, lite, combined, radar, what `ogm train` or "
-            "`ogm export` wrote, or the .json of `ogm calibrate`."
+            help="Sensor model: ray, height-band, height-band-released, lite, combined, radar, deep-radar, what `ogm "
+            "train` or `ogm export` wrote, or the .json of `ogm calibrate`."
         ),
     ] = "ray",
     axes: options.Axes = "flu",

@@ -3,14 +3,15 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from ogm.combined import CombinedISM, FreeGate, StateReliability
+from ogm.evaluation.radar_models import DEEP_RADAR, RADAR, RADAR_MODELS, radar_factory
 from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount, PerMount
-from ogm.simulation.radars import RADARS
 
 __all__ = [
     "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "default_parameters",
@@ -21,8 +22,6 @@ Factory = Callable[[Mount], InverseSensorModel]
 GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
 LITE = "lite"
 COMBINED = "combined"
-RADAR = "radar"
-OF_RADARS = (RADAR,)
 COMBINATION: dict[str, Any] = {  # of `ray` and `lite`, fitted to simulated validation towns, see docs/deep.md
     "reliability": (StateReliability(free=1.0, occupied=0.5), StateReliability(free=0.79, occupied=1.0)),
     "free_gates": (FreeGate(share=0.0, low=0.63, high=0.65), FreeGate(share=0.75, low=0.0, high=0.23)),
@@ -34,7 +33,7 @@ MODELS = {  # name: description
     "at 1.61 m.",
     LITE: "The network that ogm ships (DeepISM), trained on simulated scans.",
     COMBINED: "ray and lite, combined cell by cell (CombinedISM).",
-    RADAR: "Detections of a radar: ellipses that mark, sectors that clear (RadarISM).",
+    **RADAR_MODELS,
 }
 
 
@@ -70,8 +69,9 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     """
     if name == RELEASED:
         return _released(spec)
-    if name == RADAR:
-        return lambda mount: _radar_ism(spec, mount, "")
+    if name in RADAR_MODELS:
+        of_radar = radar_factory(name, spec)
+        return lambda mount: of_radar(mount, "")
     if name == COMBINED:
         makers = [model_factory(part, spec) for part in (RAY, LITE)]
         return lambda mount: CombinedISM([make(mount) for make in makers], **COMBINATION)
@@ -104,7 +104,7 @@ def sensor_models(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     ----------
     name : str
         A name of `load_model` for lidars, and perhaps ``+`` and a model of radars, as in ``ray+radar``. By default
-        ``radar`` is that of scans with `Scan.rcs`. ``radar`` alone takes all scans for those of radars.
+        ``radar`` is that of scans with `Scan.rcs`. ``radar`` or ``deep-radar`` alone take all scans for a radar's.
     spec, drop_ego_returns
         As of `load_model`.
 
@@ -114,38 +114,10 @@ def sensor_models(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
         As of `load_model`.
     """
     lidar, _, radar = name.partition("+")
-    if lidar in OF_RADARS and not radar:
-        radar = lidar
-    if radar and radar not in OF_RADARS:
-        raise ValueError(f"there is no sensor model of radars {radar!r}; there is {', '.join(OF_RADARS)}")
-
-    def of_radar(mount: Mount, sensor: str = "") -> InverseSensorModel:
-        return _radar_ism(spec, mount, sensor)
-
-    if lidar in OF_RADARS:
-        return PerMount(of_radar, of_radar)
+    of_radar = radar_factory(lidar if lidar in RADAR_MODELS and not radar else radar or RADAR, spec)
+    if lidar in RADAR_MODELS:
+        return PerMount(lambda mount: of_radar(mount, ""), of_radar)
     return PerMount(model_factory(lidar, spec, drop_ego_returns=drop_ego_returns), of_radar)
-
-
-def _radar_ism(spec: GridSpec, mount: Mount, sensor: str) -> InverseSensorModel:
-    """Return RadarISM with field of view and errors by the sensor's name, such as ``ars548-front``, if it is known.
-
-    Moving detections mark: the map of a moment holds them, and maps over time forget.
-    """
-    from ogm.geometric import RadarISM
-
-    known = RADARS.get(sensor.partition("-")[0])
-    if known is None:
-        return RadarISM(spec, mount, keep_moving=True)
-    widest = max(known.modes, key=lambda mode: mode.half_width)
-    return RadarISM(
-        spec,
-        mount,
-        half_width=widest.half_width,
-        range_noise=max(widest.range_resolution / 3, 0.1),
-        azimuth_noise=widest.azimuth_resolution / 3,
-        keep_moving=True,
-    )
 
 
 def model_class(name: str) -> Any:
@@ -191,6 +163,9 @@ def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
         return " ".join(one for one, _ in several), several[0][1]
     if name in (*GEOMETRIC, RADAR):
         return MODELS[name], None
+    if name == DEEP_RADAR:
+        data = (files("ogm") / "data" / "radar.onnx").read_bytes()
+        return MODELS[name], {"file": "radar.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     if _is_fitted(name):
         from ogm.evaluation.calibration import Calibration
 
