@@ -1,0 +1,69 @@
+"""Sensor models of radars by name, with field of view and errors by the name of the sensor."""
+
+import math
+from collections.abc import Callable
+
+from ogm.files import OgmError
+from ogm.grid import GridSpec
+from ogm.scan import InverseSensorModel, Mount
+from ogm.simulation.radars import RADARS
+
+__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "radar_factory"]
+
+RADAR, DEEP_RADAR = "radar", "deep-radar"
+RADAR_MODELS = {  # name: description
+    RADAR: "Detections of a radar: ellipses that mark, sectors that clear (RadarISM).",
+    DEEP_RADAR: "The network of radar that ogm ships (DeepRadarISM), trained on simulated sweeps.",
+}
+_NOISE = 0.2, math.radians(0.5)  # [m, rad] of radars that are not known
+
+
+def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSensorModel]:
+    """Return a function ``(mount, sensor) -> model`` for `ogm.scan.PerMount`; weights are read once.
+
+    A sensor whose name begins as one of `RADARS`, such as ``ars548-front``, has its numbers. `RadarISM` keeps what
+    moves: the map of a moment holds it, and maps over time forget.
+
+    Parameters
+    ----------
+    name : str
+        In `RADAR_MODELS`.
+    spec : GridSpec
+        The grid to fill.
+
+    Raises
+    ------
+    OgmError
+        If there is no such model.
+    ImportError
+        If a package for the network is missing.
+    """
+    if name == RADAR:
+        from ogm.geometric import RadarISM
+
+        def geometric(mount: Mount, sensor: str = "") -> InverseSensorModel:
+            half_width, along, across = _numbers(sensor)
+            noise = {"range_noise": along, "azimuth_noise": across}
+            return RadarISM(spec, mount, half_width=half_width, keep_moving=True, **noise)
+
+        return geometric
+    if name != DEEP_RADAR:
+        raise OgmError(f"there is no sensor model of radars {name!r}; there are {', '.join(RADAR_MODELS)}")
+    from ogm.deep import DeepRadarISM, RadarNoise
+
+    engine = DeepRadarISM.load().engine
+
+    def learned(mount: Mount, sensor: str = "") -> InverseSensorModel:
+        half_width, _, across = _numbers(sensor)
+        return DeepRadarISM(engine, spec, mount, RadarNoise(half_width, azimuth_noise=across))
+
+    return learned
+
+
+def _numbers(sensor: str) -> tuple[float, float, float]:
+    """Return half the field of view, and the errors along and across the beam [rad, m, rad]."""
+    known = RADARS.get(sensor.partition("-")[0])
+    if known is None:
+        return math.radians(60), *_NOISE
+    widest = max(known.modes, key=lambda mode: mode.half_width)
+    return widest.half_width, max(widest.range_resolution / 3, 0.1), widest.azimuth_resolution / 3
