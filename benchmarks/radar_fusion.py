@@ -27,6 +27,7 @@ from _dynamic_drives import WARM_UP, Recorder, Snapshot, snapshots
 from _dynamic_filters import Reading
 from _fusion_drives import PAPER, WINDOW
 from dynamic import plain
+from PIL import Image, ImageSequence
 
 from ogm import Boxes, Frame, open_dataset
 from ogm.evaluation import compare_paired
@@ -171,9 +172,10 @@ def drives(path: Path, first: int | None) -> Iterator[tuple[str, list[Frame]]]:
 def film(frames: Sequence[Frame], path: Path) -> None:
     """Draw the lidar's map, the radars' and the dynamic map of both, scan by scan of the lidar."""
     maps = {name: DynamicMapper(WINDOW) for name in MAPS}
-    models, titles = sensor_models("ray", PAPER), ("lidar", *MAPS)
+    models, titles = sensor_models("ray", PAPER), ("points of the lidar", *(f"map of {name}" for name in MAPS))
     height = frames[0].mount.sensor_height
-    with open_movie(path, PAPER, titles, -height) as movie:
+    large = path.with_stem("large")
+    with open_movie(large, PAPER, titles, -height) as movie:
         for frame in frames:
             kind, grid = "radar" if is_radar(frame) else "lidar", run_model(models, frame)
             for name, mapper in maps.items():
@@ -183,6 +185,11 @@ def film(frames: Sequence[Frame], path: Path) -> None:
             if kind == "lidar":
                 panels = [dynamic_panel(mapper.dynamic_view(PAPER), name, 1.0) for name, mapper in maps.items()]
                 movie.add(frame.scan.points, panels, f"{frame.stamp:.1f} s", float(frame.stamp or 0.0))
+    with Image.open(large) as image:  # every second picture, smaller, for a page
+        shown = [one.convert("RGB") for one in ImageSequence.Iterator(image)][::2]
+    shown = [one.resize((1000, round(one.height * 1000 / one.width)), Image.Resampling.LANCZOS) for one in shown]
+    shown[0].save(path, save_all=True, append_images=shown[1:], duration=200, loop=0, quality=60)
+    large.unlink()
 
 
 def main() -> None:
