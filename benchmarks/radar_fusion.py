@@ -188,7 +188,7 @@ def film(frames: Sequence[Frame], path: Path) -> None:
     with Image.open(large) as image:  # every second picture, smaller, for a page
         shown = [one.convert("RGB") for one in ImageSequence.Iterator(image)][::2]
     shown = [one.resize((1000, round(one.height * 1000 / one.width)), Image.Resampling.LANCZOS) for one in shown]
-    shown[0].save(path, save_all=True, append_images=shown[1:], duration=200, loop=0, quality=60)
+    shown[0].save(path, save_all=True, append_images=shown[1:], duration=200, loop=0, quality=45)
     large.unlink()
 
 
