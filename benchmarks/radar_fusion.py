@@ -187,7 +187,7 @@ def film(frames: Sequence[Frame], path: Path) -> None:
                 movie.add(frame.scan.points, panels, f"{frame.stamp:.1f} s", float(frame.stamp or 0.0))
     with Image.open(large) as image:  # every second picture, smaller, for a page
         shown = [one.convert("RGB") for one in ImageSequence.Iterator(image)][::2]
-    shown = [one.resize((1000, round(one.height * 1000 / one.width)), Image.Resampling.LANCZOS) for one in shown]
+    shown = [one.resize((880, round(one.height * 880 / one.width)), Image.Resampling.LANCZOS) for one in shown]
     shown[0].save(path, save_all=True, append_images=shown[1:], duration=200, loop=0, quality=45)
     large.unlink()
 
