@@ -2,6 +2,7 @@
 
 import csv
 import importlib.metadata
+import io
 import math
 import time
 import zipfile
@@ -175,8 +176,10 @@ class TrainingRun:
         if self.fabric.is_global_zero:
             state = {name: getattr(self, name).state_dict() for name in _MODULES}
             numbers = {"step": self.step, "epoch": self.epoch, "best": self.best, "losses": self._losses}
+            archive = io.BytesIO()  # torch hides the error of a full disk behind one of its own
+            torch.save({"setup": self._setup, **state, **numbers}, archive)
             with atomic_write(self.out / "state.pt") as file:
-                torch.save({"setup": self._setup, **state, **numbers}, file)
+                file.write(archive.getbuffer())
         return time.monotonic()
 
     def restore(self) -> None:

@@ -1,6 +1,8 @@
 import csv
 import math
 import pickle
+import resource
+import signal
 import sys
 from dataclasses import replace
 
@@ -106,6 +108,22 @@ def test_an_interrupt_within_a_step_changes_nothing(go, tmp_path, monkeypatch):
         with pytest.raises(KeyboardInterrupt):
             go("stopped")
     assert go("stopped", resume=True).read_bytes() == whole.read_bytes()
+
+
+def test_a_full_disk_under_the_state_is_an_error_that_names_it(go, tmp_path):
+    """As in test_faults: files grow to a size only. torch would hide the error behind one of its own."""
+    size = go("whole").stat().st_size
+    assert (tmp_path / "whole" / "state.pt").stat().st_size > 2 * size
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2 * size, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"state\.pt"):
+            go("full")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert not (tmp_path / "full" / "state.pt").exists()
 
 
 @pytest.mark.parametrize("epoch", [1, 2])

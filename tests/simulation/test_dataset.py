@@ -7,7 +7,7 @@ import pytest
 
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
-from ogm.simulation import dataset
+from ogm.simulation import dataset, moments
 from ogm.simulation.lidar import RangeImage, to_points
 from ogm.simulation.plan import DatasetPlan, LidarMount, only
 from ogm.simulation.sample import LABELS, RANGE_STEP, SimulatedSample
@@ -33,7 +33,7 @@ def same(a: SimulatedSample, b: SimulatedSample) -> bool:
 def test_a_sample_depends_on_plan_and_number_alone(pair: tuple[SimulatedSample, SimulatedSample]) -> None:
     """Not on what was made before, in another town, from another drive, or with how many cores."""
     dataset.make_sample(PLAN, "training", 12)
-    dataset._drive.cache_clear()
+    moments._drive.cache_clear()
     again = dataset.make_sample(replace(PLAN, samples=77), "training", 4, threads=1)
     assert same(again, pair[1])
     assert not same(*pair)

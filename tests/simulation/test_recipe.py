@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ogm.datasets.simulated import simulated
-from ogm.simulation import dataset
+from ogm.simulation import dataset, moments
 from ogm.simulation.conditions import Conditions, draw_conditions, layer_errors
 from ogm.simulation.dataset import beams_of, make_sample
 from ogm.simulation.mounts import FULL_TURN, LidarMount
@@ -260,7 +260,7 @@ def test_a_sample_depends_on_plan_and_number_alone(recipe: DataRecipe) -> None:
     plan = DatasetPlan.of_recipe("gen2", seed=5)
     first = make_sample(plan, "training", 7, threads=1)
     make_sample(plan, "training", 15)
-    dataset._drive.cache_clear()
+    moments._drive.cache_clear()
     again = make_sample(replace(plan, samples=70), "training", 7, threads=2)
     for name in ("steps", "intensities", "measured", "objects", "T_world_sensor", "T_vehicle_sensor"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name), err_msg=name)
