@@ -39,6 +39,7 @@ from ogm.metrics import ConfusionSums, accumulate, score
 from ogm.plot import dots_panel, mass_panel, save_picture
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up
+from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
@@ -47,7 +48,7 @@ from ogm.state import CellState
 from ogm.truth import TRUTH_SPEC
 
 SPEC: GridSpec = TRUTH_SPEC
-AT = pose(3.7, 0.0, 0.6)  # of the radar on the vehicle
+AT = pose(*PLACES["front"][:3])  # of the radar on the vehicle
 TRAINING = DatasetPlan(seed=1, towns=5)
 TEST = DatasetPlan(seed=3, samples=0, validation=0, test=240, drives=24, test_towns=6, spacing=10.0)
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
@@ -99,8 +100,8 @@ def frames(plan: DatasetPlan, split: str, numbers: Sequence[int]) -> Iterator[Fr
 
 def radar_model(name: str, mount: Mount, **numbers: Any) -> RadarISM:
     """Return RadarISM with a radar's field of view and errors."""
-    widest = max(RADARS[name].modes, key=lambda mode: mode.half_width)
-    noise = {"range_noise": max(widest.range_resolution / 3, 0.1), "azimuth_noise": widest.azimuth_resolution / 3}
+    widest = RADARS[name].widest
+    noise = dict(zip(("range_noise", "azimuth_noise"), widest.noise, strict=True))
     return RadarISM(SPEC, mount, half_width=widest.half_width, **noise | numbers)
 
 

@@ -33,6 +33,7 @@ from ogm.deep.recipe import RADAR_RECIPE
 from ogm.files import atomic_write
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up
+from ogm.simulation.mounts import PLACES
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.radar import sweep
 from ogm.simulation.radars import RADARS
@@ -41,41 +42,30 @@ from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
 TRAINING = DatasetPlan(seed=21, samples=1200, validation=0, test=0, towns=12, drives=24, spacing=5.0, town_size=320.0)
-VALIDATION = DatasetPlan(seed=22, samples=80, validation=0, test=0, towns=4, drives=8, spacing=5.0)
-VALIDATED = [k for k in range(90) if moment(VALIDATION, "training", k).scenario % 4 != 3]  # of its fourth town, none
-PLACES = {  # x, y [m], heading [degrees] of radars
-    "front": (3.7, 0.0, 0.0),
-    "front left": (3.4, 0.75, 50.0),
-    "front right": (3.4, -0.75, -50.0),
-    "rear left": (-0.75, 0.7, 130.0),
-    "rear right": (-0.75, -0.7, -130.0),
-    "rear": (-1.0, 0.0, 180.0),
-}
-HEIGHT = 0.6  # [m]
-CORNERS = ["front left", "front right", "rear left", "rear right"]
+VALIDATION = DatasetPlan(seed=22, samples=70, validation=0, test=0, towns=3, drives=6, spacing=5.0)
+CORNERS = [place for place in PLACES if "-" in place]
 
 
 def noise_of(name: str) -> RadarNoise:
     """Return field of view and errors of a simulated radar, of its widest mode."""
-    widest = max(RADARS[name].modes, key=lambda mode: mode.half_width)
-    return RadarNoise(widest.half_width, 0.1, widest.azimuth_resolution / 3)
+    widest = RADARS[name].widest
+    return RadarNoise(widest.half_width, 0.1, widest.noise[1])
 
 
-def chosen(rng: np.random.Generator, more: bool) -> Iterator[tuple[str, NDArray[np.float64], bool]]:
-    """Yield the radars of a moment, their poses on the vehicle, and whether their velocity includes turning."""
-    places: list[tuple[str, str, bool]] = [(name, "front", False) for name in RADARS]
-    places += [(name, str(rng.choice(list(PLACES))), True) for name in RADARS]
+def chosen(rng: np.random.Generator, more: bool) -> Iterator[tuple[str, NDArray[np.float64]]]:
+    """Yield the radars of a moment and their poses on the vehicle: all in front, the others outwards of its sides."""
+    places = [(name, "front", 0.0) for name in RADARS]
+    places += [(name, str(rng.choice(list(PLACES))), 1.0) for name in RADARS]
     if more:
-        places += [(name, str(rng.choice(list(PLACES))), True) for name in ("ars408", "ars548")]
-    places.append(("corner", str(rng.choice(CORNERS)), True))
+        places += [(name, str(rng.choice(list(PLACES))), 1.0) for name in ("ars408", "ars548")]
+    places.append(("corner", str(rng.choice(CORNERS)), 1.0))
     for name, place, varied in places:
-        (x, y, degrees), z = PLACES[place], HEIGHT
-        if varied:
-            x, y, z = x + rng.uniform(-0.2, 0.2), y + rng.uniform(-0.1, 0.1), z + rng.uniform(-0.2, 0.3)
-            degrees += rng.uniform(-15, 15)
-            if place in ("front", "rear"):
-                y += rng.uniform(-0.4, 0.4)
-        yield name, pose(x, y, z, yaw=math.radians(degrees)), varied
+        x, y, z, degrees = PLACES[place]
+        x, y = (value + varied * math.copysign(rng.uniform(0, 0.2), value) for value in (x, y))
+        z, degrees = z + varied * rng.uniform(-0.2, 0.3), degrees + varied * rng.uniform(-15, 15)
+        if place in ("front", "rear"):
+            y = varied * rng.uniform(-0.5, 0.5)
+        yield name, pose(x, y, z, yaw=math.radians(degrees))
 
 
 def make(plan: DatasetPlan, index: int, path: Path, more: bool) -> None:
@@ -87,10 +77,10 @@ def make(plan: DatasetPlan, index: int, path: Path, more: bool) -> None:
         edge - here.T_vehicle_sensor[axis, 3] for axis in (0, 1) for edge in (body[:, axis].min(), body[:, axis].max())
     ]
     rows: dict[str, Any] = {"truth": sample.truth.state, "footprint": np.array(edges)}
-    for n, (name, T_vehicle_radar, varied) in enumerate(chosen(rng, more)):
+    for n, (name, T_vehicle_radar) in enumerate(chosen(rng, more)):
         T = here.state.ego @ T_vehicle_radar
         turning = np.cross([0, 0, here.state.ego_yaw_rate], T[:3, 3] - here.state.ego[:3, 3])
-        velocity = here.state.ego_velocity + turning * varied
+        velocity = here.state.ego_velocity + turning
         noise = np.random.default_rng([plan.seed, index, n])
         made = sweep(here.world.scene, RADARS[name], T, noise, velocity=velocity, velocities=velocities)
         rows[f"radar{n}"], rows[f"z{n}"] = np.array(name), T_vehicle_radar[2, 3]
@@ -117,7 +107,7 @@ def read(path: Path) -> Iterator[RadarFrame]:
     with np.load(path) as rows:
         truth, edges = Truth(TRUTH_SPEC, rows["truth"]), tuple(float(edge) for edge in rows["footprint"])
         for n in range(int(rows["count"])):
-            one, name = rows[f"rows{n}"], str(rows[f"radar{n}"]).partition("|")[0]
+            one, name = rows[f"rows{n}"], str(rows[f"radar{n}"])
             scan = Scan(one[:, :3].copy(), doppler=one[:, 3], rcs=one[:, 4], sensor=name)
             mount = Mount(float(rows[f"z{n}"]), rows[f"T{n}"], ego_footprint=edges)
             yield RadarFrame(Frame(scan, mount, None, truth, name=f"{path.stem}-{n}"), noise_of(name))
@@ -142,7 +132,7 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=RADAR_RECIPE.epochs)
     given = parser.parse_args()
     training = moments(TRAINING, given.folder / "train", range(given.moments), True)
-    validation = moments(VALIDATION, given.folder / "val", VALIDATED, False)[::3]
+    validation = moments(VALIDATION, given.folder / "val", range(VALIDATION.samples), False)[::3]
     facts = {
         "data": {"training": provenance(TRAINING, training), "validation": provenance(VALIDATION, validation)},
         "licence": "Apache-2.0; simulated data only",

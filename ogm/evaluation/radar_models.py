@@ -65,5 +65,4 @@ def _numbers(sensor: str) -> tuple[float, float, float]:
     known = RADARS.get(sensor.partition("-")[0])
     if known is None:
         return math.radians(60), *_NOISE
-    widest = max(known.modes, key=lambda mode: mode.half_width)
-    return widest.half_width, max(widest.range_resolution / 3, 0.1), widest.azimuth_resolution / 3
+    return known.widest.half_width, *known.widest.noise

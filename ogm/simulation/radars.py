@@ -40,6 +40,11 @@ class RadarMode:
         if not 0 <= self.range_min < self.range_max:
             raise ValueError(f"range_min must lie in 0 ... range_max, got {self.range_min}")
 
+    @property
+    def noise(self) -> tuple[float, float]:
+        """Standard deviations of range and azimuth that sensor models take [m, rad]: a third of the resolution."""
+        return max(self.range_resolution / 3, 0.1), self.azimuth_resolution / 3
+
 
 @dataclass(frozen=True)
 class RadarSpec:
@@ -86,6 +91,11 @@ class RadarSpec:
                 raise ValueError(f"{self.name}: {name} must lie in {low:g} ... {high:g}, got {getattr(self, name)}")
         if not 0 <= self.false_alarms <= 1e4 or self.most < 1:
             raise ValueError(f"{self.name}: false_alarms must be 0 or more and most 1 or more")
+
+    @property
+    def widest(self) -> RadarMode:
+        """The mode with the widest field of view, by which sensor models know the radar."""
+        return max(self.modes, key=lambda mode: mode.half_width)
 
 
 _DEGREE = math.pi / 180
