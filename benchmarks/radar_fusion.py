@@ -1,13 +1,11 @@
 """What does radar add to lidar, drive by drive? Lidar alone, both, and both without Doppler.
 
-    python benchmarks/radar_fusion.py DRIVES [--choose] [--first N] [--far] [--film SEQUENCE]
+    python benchmarks/radar_fusion.py DRIVES [--choose] [--first N] [--film SEQUENCE]
 
 DRIVES holds drives that `ogm simulate --sequences N --lidar vlp-32c --radar ars548 --radar corner` made. All maps are
 `DynamicMapper`s of the same cells; scans of all sensors are fused in the order of time. After every scan of the lidar,
 from the tenth on, a map is compared with the truth: motion and times to detect on the cells that the lidar's scan shows
-(see `dynamic.py`), masses on all cells of the paper's grid, and with `--far` moving participants between 30 and 80 m by
-their boxes: a box is found where a cell of it is occupied, and found moving where one is dynamic, by more than 1/2.
-Approaching are participants whose distance falls by over 2 m/s. `--choose` tries reliabilities of radar instead, for
+(see `dynamic.py`), and masses on all cells of the paper's grid. `--choose` tries reliabilities of radar instead, for
 drives that are not tested on. Intervals are over drives. Writes benchmarks/results/radar_fusion.json; with `--film`,
 also docs/pictures/radar_fusion.webp of a drive.
 """
@@ -16,7 +14,6 @@ import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,20 +26,16 @@ from _fusion_drives import PAPER, WINDOW
 from dynamic import plain
 from PIL import Image, ImageSequence
 
-from ogm import Boxes, Frame, open_dataset
+from ogm import Frame, open_dataset
 from ogm.evaluation import compare_paired
 from ogm.evaluation.models import sensor_models
 from ogm.fusion import DynamicMapper, update_map
-from ogm.grid import GridSpec
 from ogm.metrics import ConfusionSums, accumulate, score, score_motion
 from ogm.movie import open_movie
 from ogm.plot import dynamic_panel
 from ogm.scan import run_model
 from ogm.state import CellState
-from ogm.truth import cells_in_boxes
 
-FAR = GridSpec.centered(length=163.84, width=163.84, resolution=0.32)
-RANGES = (30.0, 55.0, 80.0)  # [m]
 RELIABILITY = 0.25  # of radar beside lidar: of those tried on another drive, that with the best log loss
 MAPS = {"lidar": ("lidar",), "radar": ("radar",), "lidar and radar": ("lidar", "radar")}
 NO_DOPPLER = "lidar and radar, no Doppler"
@@ -50,21 +43,17 @@ MOTION = ("motion_ap", "motion_iou", "static_moving")
 STATIC = ("nll", "brier", "iou_free", "iou_occupied", "false_free")
 
 
-Movers = list[tuple[Boxes, bool, float]]  # box, whether it approaches, distance [m]
-
-
 class Measured(NamedTuple):
     """A scan of a drive with its measurement grid."""
 
     frame: Frame
     grid: Any
-    far: Any
 
 
-def measured(frames: Sequence[Frame], far: bool) -> list[Measured]:
-    """Map every scan by itself, on the near and on the far cells."""
-    near, beyond = sensor_models("ray", PAPER), sensor_models("ray", FAR)
-    return [Measured(one, run_model(near, one), run_model(beyond, one) if far else None) for one in frames]
+def measured(frames: Sequence[Frame]) -> list[Measured]:
+    """Map every scan by itself."""
+    models = sensor_models("ray", PAPER)
+    return [Measured(one, run_model(models, one)) for one in frames]
 
 
 def without_doppler(frame: Frame) -> Frame:
@@ -81,12 +70,9 @@ class Compared:
 
     def __init__(self, sensors: Sequence[str], drive: Sequence[Any], reliability: float, doppler: bool) -> None:
         self.sensors, self.reliability, self.doppler = sensors, reliability, doppler
-        self.mapper, self.far = DynamicMapper(WINDOW), DynamicMapper(FAR)
+        self.mapper = DynamicMapper(WINDOW)
         self.recorder = Recorder(self.mapper, drive, {"map": Reading()})
-        self.cells, self.found = (
-            ConfusionSums.zeros(),
-            np.zeros((2, 2, 3)),
-        )  # approaching or not; range; all, occ., dyn.
+        self.cells = ConfusionSums.zeros()
 
     def update(self, one: Measured) -> None:
         """Fuse a scan if it is of a sensor of this map."""
@@ -96,10 +82,8 @@ class Compared:
         share = self.reliability if kind == "radar" and len(self.sensors) > 1 else 1.0
         frame = one.frame if self.doppler else without_doppler(one.frame)
         update_map(self.mapper, one.grid, frame, reliability=share)
-        if one.far is not None:
-            update_map(self.far, one.far, frame, reliability=share)
 
-    def compare(self, k: int, here: Snapshot, movers: Movers, far: bool) -> None:
+    def compare(self, k: int, here: Snapshot) -> None:
         """Compare the map after the k-th scan of the lidar."""
         self.recorder.compare(here.frame.stamp)
         if k < WARM_UP:
@@ -108,31 +92,11 @@ class Compared:
         truth = here.truth.crop(PAPER).state
         known = np.where(truth == CellState.UNKNOWN, np.uint8(CellState.IGNORE), truth)
         self.cells = self.cells.plus(accumulate(view.mass, known))
-        if far:
-            seen = self.far.dynamic_view(FAR)
-            for box, approaching, distance in movers:
-                inside = cells_in_boxes(box, FAR)
-                row = self.found[int(approaching), int(distance > RANGES[1])]
-                row += [1, (seen.static + seen.dynamic)[inside].max() > 0.5, seen.dynamic[inside].max() > 0.5]
 
 
-def movers_of(frame: Frame) -> Movers:
-    """Return the moving participants of a frame, whether they approach, and how far they are."""
-    boxes, T = frame.boxes, frame.mount.T_vehicle_sensor
-    level = boxes.moved(T)
-    found: Movers = []
-    for k in range(len(level)):
-        x, y = level.center[k, :2]
-        distance, speed = math.hypot(x, y), level.velocity[k]
-        if np.hypot(*speed) < 1 or not RANGES[0] <= distance < RANGES[-1] or max(abs(x), abs(y)) > 78:
-            continue
-        found.append((level.select([k]), bool((speed @ [x, y]) / distance < -2), distance))
-    return found
-
-
-def over_drive(frames: Sequence[Frame], maps: Mapping[str, tuple[Sequence[str], float, bool]], far: bool) -> Any:
+def over_drive(frames: Sequence[Frame], maps: Mapping[str, tuple[Sequence[str], float, bool]]) -> Any:
     """Run all maps over a drive; return their scores and sums."""
-    every = measured(frames, far)
+    every = measured(frames)
     lidar = [one for one in every if not is_radar(one.frame)]
     poses = np.array([one.frame.T_map_sensor @ one.frame.mount.T_sensor_level for one in lidar])
     drive = snapshots([one.frame for one in lidar], poses, [one.grid for one in lidar])
@@ -142,7 +106,7 @@ def over_drive(frames: Sequence[Frame], maps: Mapping[str, tuple[Sequence[str], 
         for one in every:
             compared.update(one)
             if not is_radar(one.frame):
-                compared.compare(k, drive[k], movers_of(one.frame) if far else [], far)
+                compared.compare(k, drive[k])
                 k += 1
         sums = next(iter(compared.recorder.results().values()))
         result[name] = scores_of(sums, compared)
@@ -155,10 +119,6 @@ def scores_of(sums: Any, compared: Compared) -> dict[str, Any]:
     row |= {name: float(cells[name]) for name in STATIC}
     times = [one.seconds for one in sums.detections]
     row["seconds to detect"] = times  # of each object; infinite where it was never
-    for kind, name in enumerate(("other", "approaching")):
-        for part, at in enumerate(("30 to 55 m", "55 to 80 m")):
-            count, occupied, dynamic = compared.found[kind, part]
-            row |= {f"{name} {at}, boxes": count, f"{name} {at}, found": occupied, f"{name} {at}, moving": dynamic}
     return row
 
 
@@ -197,7 +157,6 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--choose", action="store_true")
     parser.add_argument("--first", type=int, help="drives only")
-    parser.add_argument("--far", action="store_true")
     parser.add_argument("--film", type=int, help="number of a drive")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "radar_fusion.json")
     given = parser.parse_args()
@@ -212,7 +171,7 @@ def main() -> None:
         maps[NO_DOPPLER] = (MAPS["lidar and radar"], RELIABILITY, False)
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in maps}
     for name, frames in drives(given.drives, given.first):
-        for method, row in over_drive(frames, maps, given.far).items():
+        for method, row in over_drive(frames, maps).items():
             rows[method].append(row)
             print(name, method, row, flush=True)
     lidar, numbers = rows["lidar"], [str(k) for k in range(len(rows["lidar"]))]

@@ -9,7 +9,10 @@ from numpy.typing import NDArray
 from ogm.pose import rotate
 from ogm.scan import Mount, Scan
 
-__all__ = ["RadialVelocities", "moving_detections", "radial_velocities", "sensor_velocity"]
+__all__ = [
+    "DirectionSectors", "RadialVelocities", "direction_sectors", "moving_detections", "nearest_in_direction",
+    "radial_velocities", "sensor_velocity",
+]  # fmt: skip
 
 PAIRS = 128  # of detections that a velocity is guessed from
 LEAST = 5  # detections that a velocity is estimated from
@@ -181,7 +184,10 @@ def radial_velocities(
     speed, deviation = found or (np.zeros(len(place)), np.ones(len(place)))
     if interval is not None:
         speed = (speed + interval / 2) % interval - interval / 2
-    hidden = _behind(from_sensor, distance, beam, margin + 2 * range_noise)
+    sectors = direction_sectors(beam)
+    bearing = np.arctan2(from_sensor[:, 1], from_sensor[:, 0])
+    nearest = nearest_in_direction(bearing, distance, sectors)
+    hidden = distance > nearest[sectors.of(bearing)] + margin + 2 * range_noise
     chosen = (np.abs(speed) > GATE * deviation) & ~hidden
     direction = from_sensor / distance[:, None]
     extent = np.stack([np.full(len(place), range_noise), np.maximum(distance * azimuth_noise, 1e-3)], axis=-1)
@@ -203,16 +209,45 @@ def _over_ground(
     return doppler + unit @ velocity, np.hypot(doppler_noise, across * azimuth_noise)
 
 
-def _behind(xy: NDArray[np.float64], distance: NDArray[np.float64], beam: float, gap: float) -> NDArray[np.bool_]:
-    """Return which places lie behind another in the same direction, by more than a gap [m]; as in `RadarISM`."""
-    sectors = 4 * math.ceil(math.pi / beam)  # about two per half beam
-    step = 2 * math.pi / sectors
-    middle = ((np.arctan2(xy[:, 1], xy[:, 0]) + math.pi) / step).astype(np.int64) % sectors
-    first = np.full(sectors, np.inf)
-    width = math.ceil(beam / step - 1e-9)
-    for shift in range(-width, width + 1):
-        np.minimum.at(first, (middle + shift) % sectors, distance)
-    return distance > first[middle] + gap
+class DirectionSectors(NamedTuple):
+    """Equal sectors of a turn, from the angle -pi on; about two are half a beam wide.
+
+    Attributes
+    ----------
+    number : int
+    width : int
+        Sectors to either side that are the same direction.
+    """
+
+    number: int
+    width: int
+
+    def of(self, bearing: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the sectors of angles [rad]."""
+        return ((bearing + math.pi) / (2 * math.pi / self.number)).astype(np.int64) % self.number
+
+
+def direction_sectors(beam: float) -> DirectionSectors:
+    """Return sectors for which directions are the same within an angle [rad]."""
+    count = 4 * math.ceil(math.pi / beam)
+    return DirectionSectors(count, math.ceil(beam * count / (2 * math.pi) - 1e-9))
+
+
+def nearest_in_direction(
+    bearing: NDArray[np.float64], distance: NDArray[np.float64], sectors: DirectionSectors
+) -> NDArray[np.float64]:
+    """Return the distance of the nearest detection in the direction of each sector, inf where there is none.
+
+    Parameters
+    ----------
+    bearing, distance : (N,) float64
+        [rad, m]
+    sectors : DirectionSectors
+    """
+    nearest, middle = np.full(sectors.number, np.inf), sectors.of(bearing)
+    for shift in range(-sectors.width, sectors.width + 1):
+        np.minimum.at(nearest, (middle + shift) % sectors.number, distance)
+    return nearest
 
 
 def _velocity(xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: float) -> NDArray[np.float64] | None:

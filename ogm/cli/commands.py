@@ -21,7 +21,7 @@ __all__ = ["app"]
 
 app = typer.Typer(
     name="ogm",
-    help="Evidential occupancy grid maps from lidar: free, occupied, and, as a number of its own, unknown.",
+    help="Evidential occupancy grid maps from lidar and radar: free, occupied, and, as a number of its own, unknown.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.doppler import moving_detections
+from ogm.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.grid import EvidentialGrid, GridSpec
@@ -18,7 +18,7 @@ from ogm.scan import Mount, Scan, as_scan
 
 __all__ = ["RadarISM"]
 
-REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is
+REFERENCE_SNR = 10**1.3  # where `RadarISM.reach` is, and that of `ogm.simulation.radars.RadarMode` for 0 dBsm
 FALSE_ALARM = 1e-4  # probability per bin that sets a radar's threshold
 
 
@@ -126,19 +126,14 @@ class RadarISM:
         x, y, z = vehicle
         x0, x1, y0, y1 = self.mount.ego_footprint
         outside = ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
-        moving = moving_detections(scan, self.doppler_noise, self.azimuth_noise, origin=self._origin_of_points)
         dx, dy = x - self.mount.origin[0], y - self.mount.origin[1]
         distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx)
         outside &= distance > 1e-3
 
         # first detection in each direction
         layout = _layout(self.spec, self.mount, self.half_width, self.beam)
-        first = np.full(layout.sectors, np.inf)
-        middle = ((bearing - layout.start) / layout.step).astype(np.int64, copy=False) % layout.sectors
-        width = math.ceil(self.beam / layout.step - 1e-9)
-        for shift in range(-width, width + 1):
-            np.minimum.at(first, (middle[outside] + shift) % layout.sectors, distance[outside])
-        hidden = distance > first[middle] + 2 * self.range_noise + self.margin
+        first = nearest_in_direction(bearing[outside], distance[outside], layout.sectors)
+        hidden = distance > first[layout.sectors.of(bearing)] + 2 * self.range_noise + self.margin
 
         free = np.zeros(self.spec.shape, np.float32)
         until = (first - self.margin - 2 * self.range_noise).astype(np.float32)
@@ -147,7 +142,7 @@ class RadarISM:
 
         marks = outside & (z - self.mount.ground_point[2] <= self.clearance)
         if not self.keep_moving:
-            marks &= ~moving
+            marks &= ~moving_detections(scan, self.doppler_noise, self.azimuth_noise, origin=self._origin_of_points)
         across = np.maximum(distance * self.azimuth_noise, 1e-3)
         peak = self.hit_mass * np.minimum(1, self.extent / (2 * math.pi * self.range_noise * across))
         peak = np.where(hidden, self.behind, 1.0) * peak
@@ -169,28 +164,25 @@ class _Layout(NamedTuple):
     sector: NDArray[np.int32]
     distance: NDArray[np.float32]
     ego: NDArray[np.bool_]
-    sectors: int
-    start: float
-    step: float
+    sectors: DirectionSectors
     metres: int  # within which all cells are
 
 
 @lru_cache(maxsize=16)
 def _layout(spec: GridSpec, mount: Mount, half_width: float, beam: float) -> _Layout:
     """Lay sectors over a grid; computed once for each mount."""
-    sectors = 4 * math.ceil(math.pi / beam)  # about two per half beam
-    step, start = 2 * math.pi / sectors, -math.pi
+    sectors = direction_sectors(beam)
     x, y = np.broadcast_arrays(*spec.cell_centers)
     ahead = math.atan2(mount.T_vehicle_sensor[1, 0], mount.T_vehicle_sensor[0, 0])
     bearing = np.arctan2(y - mount.origin[1], x - mount.origin[0])
     off = np.abs(np.angle(np.exp(1j * (bearing - ahead))))
-    sector = ((bearing - start) / step).astype(np.int32) % sectors
+    sector = sectors.of(bearing).astype(np.int32)
     x0, x1, y0, y1 = mount.ego_footprint
     ego = (x > x0) & (x < x1) & (y > y0) & (y < y1)
     sector[(off > half_width) | ego] = -1
     distance = np.hypot(x - mount.origin[0], y - mount.origin[1]).astype(np.float32)
     metres = int(distance.max()) + 1
-    return _Layout(np.ascontiguousarray(sector), distance, ego, sectors, start, step, metres)
+    return _Layout(np.ascontiguousarray(sector), distance, ego, sectors, metres)
 
 
 @lru_cache(maxsize=16)

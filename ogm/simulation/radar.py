@@ -13,6 +13,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.geometric.radar import FALSE_ALARM, REFERENCE_SNR
 from ogm.pose import check_pose, rotate
 from ogm.simulation.arrays import Floats
 from ogm.simulation.detections import Origin, RadarSweep
@@ -23,8 +24,6 @@ from ogm.simulation.scene import EGO, Scene
 __all__ = ["Origin", "RadarSweep", "sweep"]
 
 AZIMUTH_STEP, ELEVATION_STEP = math.radians(0.5), math.radians(1.0)  # of the rays
-FALSE_ALARM = 1e-4  # probability per bin, which sets the threshold
-REFERENCE_SNR = 10**1.3  # of a target of 0 dBsm at `RadarMode.reach`
 STRAY = 1.0  # [m] a detection that is reported further from what it is of is a ghost
 BEAM_BINS = 2  # azimuth bins per resolution
 

@@ -134,7 +134,7 @@ class Split(Sequence[SimulatedSample]):
                 for name in self.contents.large:
                     self._read(name, i)
                 self.objects(i)
-                self.sweeps(i)
+                self.sweep_rows(i)
             except Damaged as error:
                 yield i, error
             except ValueError:
