@@ -33,10 +33,11 @@ from scipy.stats import t as student
 from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.evidence import discount
+from ogm.fusion import resample_to
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
-from ogm.plot import dots_panel, mass_panel, save_picture
+from ogm.plot import Panel, dots_panel, mass_panel, save_picture
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up
 from ogm.simulation.mounts import PLACES
@@ -48,12 +49,13 @@ from ogm.state import CellState
 from ogm.truth import TRUTH_SPEC
 
 SPEC: GridSpec = TRUTH_SPEC
+AHEAD = GridSpec(0.16, (312, 350), (0.0, -28.0))  # of the picture
 AT = pose(*PLACES["front"][:3])  # of the radar on the vehicle
 TRAINING = DatasetPlan(seed=1, towns=5)
 TEST = DatasetPlan(seed=3, samples=0, validation=0, test=240, drives=24, test_towns=6, spacing=10.0)
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
 HIGH = {"free_mass": 0.98, "hit_mass": 0.98, "extent": 20.0, "behind": 1.0, "reach": 300.0, "margin": 5.0, "beam": 0.1}
-PICTURED = ("RadarISM", "learned", "rays (RayISM)", "Werber 2015")
+PICTURED = ("RadarISM", "learned", "rays (RayISM)")
 RELIABILITY = 0.7  # of the learned model's last row; chosen on validation sweeps, with the IoU of free not less
 MOST_FREE = 0.04  # false free that a fit may have
 METRICS = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "ece", "auroc_unknown")
@@ -150,8 +152,8 @@ def discounted(grid: EvidentialGrid) -> EvidentialGrid:
 @cache
 def network(name: str, mount: Mount) -> DeepRadarISM:
     """Return the learned model for a radar."""
-    widest = max(RADARS[name].modes, key=lambda mode: mode.half_width)
-    noise = RadarNoise(widest.half_width, azimuth_noise=widest.azimuth_resolution / 3)
+    widest = RADARS[name].widest
+    noise = RadarNoise(widest.half_width, azimuth_noise=widest.noise[1])
     return DeepRadarISM(weights(), SPEC, mount, noise)
 
 
@@ -279,16 +281,20 @@ def draw(found: Sequence[Frame], real: Scan | None) -> None:
     one = max(found, key=lambda frame: len(frame.sweeps["ars548"].xyz))
     state = one.truth["ars548"]
     truth = np.stack([state == CellState.FREE, state == CellState.OCCUPIED], axis=-1).astype(np.float32)
-    panels = [mass_panel(EvidentialGrid(SPEC, truth), "truth, where the radar looks")]
-    panels += [mass_panel(MODELS[name]("ars548", one), name) for name in PICTURED if name in MODELS]
+
+    def ahead(grid: EvidentialGrid, title: str) -> Panel:
+        return mass_panel(resample_to(grid, AHEAD), title)
+
+    panels = [ahead(EvidentialGrid(SPEC, truth), "truth, in the field of view")]
+    panels += [ahead(MODELS[name]("ars548", one), name) for name in PICTURED if name in MODELS]
     caught, colours = one.sweeps["ars548"], dict(zip(PARTS, COLOURS, strict=True))
     T = one.mount.T_vehicle_points
     places = caught.xyz @ T[:3, :3].T + T[:3, 3]
-    panels.append(dots_panel(places, np.array(COLOURS)[caught.origin], SPEC, "detections", colours, 3))
+    panels.append(dots_panel(places, np.array(COLOURS)[caught.origin], AHEAD, "detections", colours, 3))
     if real is not None:
         mount = Mount(0.641, pose(0.0, 0.0, 0.641), ego_footprint=(-5.0, 0.1, -1.0, 1.0))
         noise: Any = {"range_noise": 0.2, "azimuth_noise": math.radians(0.5), "doppler_noise": 0.25}
-        panels.append(mass_panel(RadarISM(SPEC, mount, **noise)(real), "RadarISM, recorded frame"))
+        panels.append(ahead(RadarISM(SPEC, mount, **noise)(real), "RadarISM, recorded frame"))
     save_picture(run.PICTURES / "radar.png", *panels)
 
 
