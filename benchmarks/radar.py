@@ -33,7 +33,6 @@ from scipy.stats import t as student
 from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.evidence import discount
-from ogm.fusion import resample_to
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
@@ -283,7 +282,8 @@ def draw(found: Sequence[Frame], real: Scan | None) -> None:
     truth = np.stack([state == CellState.FREE, state == CellState.OCCUPIED], axis=-1).astype(np.float32)
 
     def ahead(grid: EvidentialGrid, title: str) -> Panel:
-        return mass_panel(resample_to(grid, AHEAD), title)
+        (i, j), (nx, ny) = SPEC.index(0.5 * AHEAD.resolution, AHEAD.origin[1] + 0.5 * AHEAD.resolution), AHEAD.shape
+        return mass_panel(EvidentialGrid(AHEAD, grid.mass[i : i + nx, j : j + ny]), title)
 
     panels = [ahead(EvidentialGrid(SPEC, truth), "truth, in the field of view")]
     panels += [ahead(MODELS[name]("ars548", one), name) for name in PICTURED if name in MODELS]
