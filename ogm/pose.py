@@ -163,12 +163,13 @@ def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) 
         raise ValueError(
             f"times must lie in [{t[0]}, {t[-1]}] s, got [{times.min()}, {times.max()}]; poses are not extrapolated"
         )
-    if times.size:
-        first = max(int(np.searchsorted(t, times.min(), "right")) - 1, 0)
-        last = min(int(np.searchsorted(t, times.max(), "left")), len(t) - 1)
-        first = min(first, len(t) - 2)
-        t, T = t[first : max(last, first + 1) + 1], T[first : max(last, first + 1) + 1]
     result = np.broadcast_to(np.eye(4), (*times.shape, 4, 4)).copy()
+    if not times.size:  # older versions of SciPy refuse empty arrays
+        return result
+    first = max(int(np.searchsorted(t, times.min(), "right")) - 1, 0)
+    last = min(int(np.searchsorted(t, times.max(), "left")), len(t) - 1)
+    first = min(first, len(t) - 2)
+    t, T = t[first : max(last, first + 1) + 1], T[first : max(last, first + 1) + 1]
     result[..., :3, :3] = Slerp(t, Rotation.from_matrix(T[:, :3, :3]))(times).as_matrix()
     for axis in range(3):
         result[..., axis, 3] = np.interp(times, t, T[:, axis, 3])

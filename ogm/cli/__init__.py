@@ -35,12 +35,13 @@ def main() -> None:
         if not received:
             raise
         early = True
-    for number in (signal.SIGINT, signal.SIGTERM):  # all is done
-        signal.signal(number, signal.SIG_DFL)
+    ended = bool(received) and (early or bool(code))
+    for number in (signal.SIGINT, signal.SIGTERM):  # all is done; `timeout` sends its signal twice
+        signal.signal(number, signal.SIG_IGN if ended and number in received else signal.SIG_DFL)
     if early:
         print("ogm: interrupted; nothing was written", file=sys.stderr)
         code = code or 130
-    if received and code:
+    if ended:
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()

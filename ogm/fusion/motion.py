@@ -162,7 +162,7 @@ def _continued(
 
 def _twist(T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the constant motion (shift (3,), turn (3,)) that reaches a pose in one unit of time."""
-    turn = Rotation.from_matrix(T[:3, :3]).as_rotvec()
+    turn = Rotation.from_matrix(T[:3, :3].copy()).as_rotvec()
     return np.concatenate([np.linalg.solve(_mean_rotation(turn), T[:3, 3]), turn])
 
 

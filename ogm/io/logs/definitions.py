@@ -1,5 +1,6 @@
 """Message types: those that `rosbags` has of ROS 1 and ROS 2, and those of drivers that logs often lack."""
 
+import struct
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -85,7 +86,7 @@ def decode(channel: Channel, raw: bytes | memoryview) -> Any:
         if channel.type not in store.fielddefs:
             raise OgmError(f"the type {channel.type} is not known, and the log does not define it")
         return (store.deserialize_ros1 if ros == 1 else store.deserialize_cdr)(memoryview(raw), channel.type)
-    except (SerdeError, TypesysError, KeyError, ValueError, AssertionError, IndexError) as error:
+    except (SerdeError, TypesysError, KeyError, ValueError, AssertionError, IndexError, struct.error) as error:
         raise error if isinstance(error, OgmError) else OgmError(f"it is no whole {channel.type}: {error}") from error
 
 

@@ -113,7 +113,7 @@ def pose_message(T: ArrayLike) -> SimpleNamespace:
 
     array = check_pose(T)
     x, y, z = array[:3, 3].tolist()
-    quaternion = Rotation.from_matrix(array[:3, :3]).as_quat(canonical=True)
+    quaternion = Rotation.from_matrix(array[:3, :3].copy()).as_quat(canonical=True)  # SciPy before 1.17 wants to write
     return SimpleNamespace(
         position=SimpleNamespace(x=x, y=y, z=z),
         orientation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),
