@@ -139,7 +139,6 @@ def radial_velocities(
     *,
     beam: float = math.radians(1.8),
     margin: float = 2.5,
-    interval: float | None = None,
 ) -> RadialVelocities | None:
     """Return the radial velocities over ground of the detections that move, in the levelled vehicle frame.
 
@@ -150,7 +149,9 @@ def radial_velocities(
     Parameters
     ----------
     scan : Scan
-        With `Scan.doppler` against the sensor or over ground.
+        With `Scan.doppler` against the sensor or over ground. If it has a `Scan.doppler_interval`, speeds over ground
+        are taken to be less than half of it. If not, Doppler is taken as it is: **a folded one is wrong by its width**,
+        and so is the speed, as of a car that comes at 13 m/s towards a vehicle of 13 m/s whose radar folds at 23 m/s.
     mount : Mount
         Of the sensor.
     doppler_noise, azimuth_noise, range_noise : float
@@ -159,10 +160,6 @@ def radial_velocities(
         Directions are the same within this angle [rad].
     margin : float
         Behind is what is this much further away, and `range_noise` twice [m].
-    interval : float, optional
-        Width of the radar's interval of unambiguous Doppler [m/s]: speeds over ground are taken to be less than half of
-        it. By default Doppler is taken as it is: **a folded one is wrong by the interval**, and so is the speed, as of
-        a car that comes at 13 m/s towards a vehicle of 13 m/s whose radar folds at 23 m/s.
 
     Returns
     -------
@@ -182,7 +179,7 @@ def radial_velocities(
     place, from_sensor, distance = place[usable], from_sensor[usable], distance[usable]
     found = _over_ground(from_sensor, scan.doppler[usable], doppler_noise, azimuth_noise)
     speed, deviation = found or (np.zeros(len(place)), np.ones(len(place)))
-    if interval is not None:
+    if (interval := scan.doppler_interval) is not None:
         speed = (speed + interval / 2) % interval - interval / 2
     sectors = direction_sectors(beam)
     bearing = np.arctan2(from_sensor[:, 1], from_sensor[:, 0])

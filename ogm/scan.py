@@ -1,5 +1,6 @@
 """Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -44,13 +45,16 @@ class Scan:
         Radar cross section [dBsm].
     sensor : str
         Name of the sensor.
+    doppler_interval : float, optional
+        Width of the interval of unambiguous Doppler [m/s]: radial velocities may be wrong by multiples of it.
 
     Raises
     ------
     TypeError
         If `points` is no float array.
     ValueError
-        If `points` is not (N, 4) or (N, 3), a column has not one number per point, or `stamp` is no time in seconds.
+        If `points` is not (N, 4) or (N, 3), a column has not one number per point, `stamp` is no time in seconds, or
+        `doppler_interval` is not above 0.
     """
 
     points: NDArray[np.float32]
@@ -61,9 +65,12 @@ class Scan:
     doppler: NDArray[np.float32] | None = None
     rcs: NDArray[np.float32] | None = None
     sensor: str = ""
+    doppler_interval: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", _checked_points(self.points))
+        if self.doppler_interval is not None and not 0 < self.doppler_interval < math.inf:
+            raise ValueError(f"doppler_interval must be a width above 0 [m/s], got {self.doppler_interval}")
         if self.stamp is not None:
             object.__setattr__(self, "stamp", check_stamp(self.stamp))
         columns = {"time": np.float64, "ring": np.uint16, "doppler": np.float32, "rcs": np.float32}

@@ -62,12 +62,12 @@ def test_no_returns_are_directions(shape: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("keep", [np.array([True, False, True, False, False]), np.array([2, 0]), slice(1, None)])
 def test_select_keeps_columns_with_their_points_and_all_beams_without_echo(keep: Any) -> None:
     columns = {name: np.arange(5) * 10 for name in ("time", "ring", "doppler", "rcs")}
-    scan = Scan(POINTS, stamp=1.0, no_returns=np.eye(3), sensor="top", **columns)
+    scan = Scan(POINTS, stamp=1.0, no_returns=np.eye(3), sensor="top", doppler_interval=40.0, **columns)
     some = scan.select(keep)
     np.testing.assert_array_equal(some.points, POINTS[keep])
     for name in columns:
         np.testing.assert_array_equal(getattr(some, name), columns[name][keep])
-    assert (some.stamp, some.sensor) == (1.0, "top")
+    assert (some.stamp, some.sensor, some.doppler_interval) == (1.0, "top", 40.0)
     np.testing.assert_array_equal(some.no_returns, np.eye(3))
 
 
@@ -76,6 +76,12 @@ def test_a_scan_is_printed_on_one_line_and_cannot_be_changed() -> None:
     assert repr(scan) == "Scan(5 points, stamp 1.5 s, ring, no_returns)"
     with pytest.raises(FrozenInstanceError):
         scan.points = POINTS
+
+
+@pytest.mark.parametrize("width", [0.0, -1.0, np.inf, np.nan])
+def test_the_interval_of_doppler_is_a_width(width: float) -> None:
+    with pytest.raises(ValueError, match="doppler_interval must be a width above 0"):
+        Scan(POINTS, doppler_interval=width)
 
 
 # --- Mount ----------------------------------------------------------------------------------------

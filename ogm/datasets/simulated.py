@@ -14,6 +14,7 @@ from ogm.files import OgmError
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE, count_towns
+from ogm.simulation.radars import RADARS
 from ogm.simulation.sample import LABELS, SimulatedSample
 from ogm.simulation.store import FACTS, Store
 from ogm.state import CellState, Truth
@@ -140,7 +141,9 @@ class _Frames:
         if at.radar < 0:
             return RawFrame(_scan(self._sample(at.sample)))
         one = self._sweeps(at.sample)[at.sweep]
-        return RawFrame(one.detections.scan(one.stamp, self.radars[at.radar].name))
+        radar = self.radars[at.radar]
+        spec = RADARS.get(radar.radar)  # None for one of a later version
+        return RawFrame(one.detections.scan(one.stamp, radar.name, spec and spec.doppler_interval))
 
     def mount(self, k: int) -> Mount:
         """Return how the sensor of a frame is mounted; all sensors of a sample have one vehicle frame."""

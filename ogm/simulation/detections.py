@@ -52,11 +52,13 @@ class RadarSweep(NamedTuple):
     origin: NDArray[np.uint8]
     object: NDArray[np.int32]
 
-    def scan(self, stamp: float | None = None, sensor: str = "") -> Scan:
+    def scan(self, stamp: float | None = None, sensor: str = "", doppler_interval: float | None = None) -> Scan:
         """Return what a real radar gives: points with Doppler, against the sensor, and cross sections."""
         points = np.zeros((len(self.xyz), 4), np.float32)
         points[:, :3] = self.xyz
-        return Scan(points, stamp=stamp, doppler=self.doppler, rcs=self.rcs, sensor=sensor)
+        return Scan(
+            points, stamp=stamp, doppler=self.doppler, rcs=self.rcs, sensor=sensor, doppler_interval=doppler_interval
+        )
 
     @property
     def table(self) -> NDArray[np.float32]:

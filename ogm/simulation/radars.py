@@ -97,6 +97,11 @@ class RadarSpec:
         """The mode with the widest field of view, by which sensor models know the radar."""
         return max(self.modes, key=lambda mode: mode.half_width)
 
+    @property
+    def doppler_interval(self) -> float:
+        """Width of the interval of unambiguous radial velocities [m/s]."""
+        return self.velocity[1] - self.velocity[0]
+
 
 _DEGREE = math.pi / 180
 _KMH = 1 / 3.6

@@ -129,6 +129,7 @@ def test_frames_of_lidar_and_radars(store: Store) -> None:
     frame, lidar = rear[1], rear[0]
     assert frame.scan.sensor == "corner-rear-left"
     assert frame.scan.doppler is not None
+    assert (frame.scan.doppler_interval, lidar.scan.doppler_interval) == (44.0, None)
     assert frame.scan.rcs is not None
     # all sensors of a vehicle share its frame, around the lidar
     sample = store["validation"][0]
