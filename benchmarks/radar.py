@@ -167,11 +167,11 @@ def weights() -> Any:
 
 
 def timed() -> dict[str, float]:
-    """Return the median time of one sweep on the grid of 512 x 352 cells [ms], of 400 detections."""
-    rng, points = np.random.default_rng(0), np.zeros((400, 4), np.float32)
-    r, azimuth = rng.uniform(3, 60, 400), rng.uniform(-1, 1, 400)
+    """Return the median time of one sweep on the grid of 512 x 352 cells [ms], of 300 detections."""
+    rng, points = np.random.default_rng(0), np.zeros((300, 4), np.float32)
+    r, azimuth = rng.uniform(3, 60, 300), rng.uniform(-1, 1, 300)
     points[:, 0], points[:, 1] = r * np.cos(azimuth), r * np.sin(azimuth)
-    scan = Scan(points, doppler=-8 * np.cos(azimuth), rcs=rng.uniform(-20, 20, 400))
+    scan = Scan(points, doppler=-8 * np.cos(azimuth), rcs=rng.uniform(-20, 20, 300))
     mount, spec, result = Mount(0.6, AT), GridSpec.centered(), {}
     models: dict[str, Any] = {"RadarISM": RadarISM(spec, mount)}
     if weights() is not None:

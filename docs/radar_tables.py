@@ -53,7 +53,7 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
     tables = ["\n".join(rows) for rows in (lines, pairs, *([fits] if record["fit"] else []), counts)]
     if times := record.get("ms per sweep, 512 x 352 cells"):
         each = ", ".join(f"{name} {time:.1f} ms" for name, time in times.items())
-        tables.append(f"Time of one sweep of 400 detections on 512 x 352 cells, median, one core: {each}.")
+        tables.append(f"Time of one sweep of 300 detections on 512 x 352 cells, median, one core: {each}.")
     if "ARS548, recorded" in record:
         for key, edges in _edges(record["ARS548, recorded"]).items():
             rows = [_row([key.split()[0], *edges]), _rule(1, len(edges))]

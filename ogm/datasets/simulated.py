@@ -143,7 +143,7 @@ class _Frames:
         one = self._sweeps(at.sample)[at.sweep]
         radar = self.radars[at.radar]
         spec = RADARS.get(radar.radar)  # None for one of a later version
-        return RawFrame(one.detections.scan(one.stamp, radar.name, spec and spec.doppler_interval))
+        return RawFrame(one.detections.scan(one.stamp, radar.name, spec.doppler_interval if spec else None))
 
     def mount(self, k: int) -> Mount:
         """Return how the sensor of a frame is mounted; all sensors of a sample have one vehicle frame."""
