@@ -39,6 +39,7 @@ from ogm.state import CellState
 RELIABILITY = 0.25  # of radar beside lidar: of those tried on another drive, that with the best log loss
 MAPS = {"lidar": ("lidar",), "radar": ("radar",), "lidar and radar": ("lidar", "radar")}
 NO_DOPPLER = "lidar and radar, no Doppler"
+APPROACHING = 1.0  # [m/s] of its own motion towards the lidar
 MOTION = ("motion_ap", "motion_iou", "static_moving")
 STATIC = ("nll", "brier", "iou_free", "iou_occupied", "false_free")
 
@@ -109,16 +110,26 @@ def over_drive(frames: Sequence[Frame], maps: Mapping[str, tuple[Sequence[str], 
                 compared.compare(k, drive[k])
                 k += 1
         sums = next(iter(compared.recorder.results().values()))
-        result[name] = scores_of(sums, compared)
+        result[name] = scores_of(sums, compared, drive)
     return result
 
 
-def scores_of(sums: Any, compared: Compared) -> dict[str, Any]:
+def approaches(track: str, stamp: float, drive: Sequence[Snapshot]) -> bool:
+    """Return whether a vehicle drives towards the lidar by 1 m/s or more when it comes into sight."""
+    boxes = next(one.frame.boxes for one in drive if one.frame.stamp == stamp)
+    k = list(boxes.track).index(track)
+    toward = -boxes.center[k, :2] / np.hypot(*boxes.center[k, :2])
+    vehicle = not any(word in boxes.label[k] for word in ("pedestrian", "cycl"))
+    return vehicle and bool(boxes.velocity[k] @ toward >= APPROACHING)
+
+
+def scores_of(sums: Any, compared: Compared, drive: Sequence[Snapshot]) -> dict[str, Any]:
     motion, cells = score_motion(sums.motion), score(compared.cells)
     row: dict[str, Any] = {name: float(motion[name]) for name in MOTION}
     row |= {name: float(cells[name]) for name in STATIC}
     times = [one.seconds for one in sums.detections]
     row["seconds to detect"] = times  # of each object; infinite where it was never
+    row["approaching"] = [approaches(one.track, one.stamp, drive) for one in sums.detections]
     return row
 
 

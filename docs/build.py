@@ -18,7 +18,7 @@ from typing import Any
 
 from dynamic_tables import dynamic_tables
 from quality_tables import tables
-from radar_tables import fusion_tables, radar_tables
+from radar_tables import far_tables, fusion_tables, radar_tables
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
 
@@ -576,6 +576,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/radar.md": lambda: {
         "radar": "\n\n".join([*radar_tables(record("radar")), source("radar")]),
+        "radar-far": "\n\n".join([*far_tables(record("radar_far")), source("radar_far")]),
         "radar-fusion": "\n\n".join([*fusion_tables(record("radar_fusion")), source("radar_fusion")]),
     },
     "docs/reliability.md": reliability_tables,

@@ -1,9 +1,9 @@
-"""Tables of docs/radar.md, from the records radar.json and radar_fusion.json."""
+"""Tables of docs/radar.md, from the records radar.json, radar_fusion.json and radar_far.json."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-__all__ = ["fusion_tables", "radar_tables"]
+__all__ = ["far_tables", "fusion_tables", "radar_tables"]
 
 METRICS = {
     "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free",
@@ -13,6 +13,7 @@ FUSED = {
     "motion_ap": "AP of moving cells", "motion_iou": "IoU of moving", "static_moving": "static predicted moving",
     "nll": "log loss", "iou_free": "IoU free", "iou_occupied": "IoU occupied", "false_free": "false free",
 }  # fmt: skip
+STATIC_FUSED = ("nll", "iou_free", "iou_occupied", "false_free")
 FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
 
 
@@ -70,15 +71,42 @@ def fusion_tables(record: Mapping[str, Any]) -> list[str]:
     less = [_row(["minus lidar alone, mean over drives (95 %)", *FUSED.values()]), _rule(1, len(FUSED))]
     for name, one in record["minus lidar"].items():
         less.append(_row([name, *("{:+.3f} ({:+.3f} to {:+.3f})".format(*one[key]) for key in FUSED)]))
-    times = [_row(["", "moving objects in sight", "detected", "median time to detect [s]"]), _rule(1, 3)]
+    times = [_row(["", "objects", "in sight", "detected", "median time to detect [s]"]), _rule(2, 3)]
     for name, found in record["drives"].items():
-        seconds = [value for one in found for value in one["seconds to detect"]]
-        each = sorted(float("inf") if value is None else value for value in seconds)
-        middle = (each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2
-        detected = sum(value < float("inf") for value in each)
-        times.append(_row([name, str(len(each)), str(detected), f"{middle:.2f}" if middle < float("inf") else "never"]))
+        pairs = [pair for one in found for pair in zip(one["seconds to detect"], one["approaching"], strict=True)]
+        for group, wanted in (("all that move", (True, False)), ("approaching vehicles", (True,))):
+            seconds = [one for one, approaching in pairs if approaching in wanted]
+            times.append(_row([name, group, *_times(seconds)]))
     head = f"Drives: {len(record['drives']['lidar'])}, reliability of radar beside lidar: "
     return [f"{head}{record['reliability of radar']:g}.", *("\n".join(table) for table in (rows, less, times))]
+
+
+def far_tables(record: Mapping[str, Any]) -> list[str]:
+    """Return the tables of maps below and beyond 60 m, in clear air and in fog, with and without radar."""
+    drives, keys = record["drives"], [key for key in FUSED if key in STATIC_FUSED]
+    rows = [_row(["", *(FUSED[key] for key in keys), "moving participants in sight", "shown"]), _rule(1, len(keys) + 2)]
+    for name in drives[0]:
+        for band in drives[0][name]:
+            each = [one[name][band] for one in drives]
+            means = [sum(one[key] for one in each) / len(each) for key in keys]
+            seen, shown = (sum(one["traffic"][k] for one in each) for k in (0, 1))
+            rows.append(_row([f"{name}: {band}", *(f"{mean:.3f}" for mean in means), str(seen), str(shown)]))
+    less = [_row(["with radar minus without, mean over drives (95 %)", *(FUSED[key] for key in keys)])]
+    less.append(_rule(1, len(keys)))
+    for name, one in record["radar minus none"].items():
+        less.append(_row([name, *("{:+.3f} ({:+.3f} to {:+.3f})".format(*one[key]) for key in keys)]))
+    head = f"Drives: {len(drives)}, visibility in fog: {record['visibility in fog [m]']:g} m, "
+    return [f"{head}reliability of radar: {record['reliability of radar']:g}.", "\n".join(rows), "\n".join(less)]
+
+
+def _times(seconds: Sequence[float | None]) -> list[str]:
+    """Return how many objects there are, how many were detected, and the median time; None for never."""
+    each = sorted(float("inf") if value is None else value for value in seconds)
+    if not each:
+        return ["0", "0", "–"]
+    middle = (each[(len(each) - 1) // 2] + each[len(each) // 2]) / 2
+    detected = sum(value < float("inf") for value in each)
+    return [str(len(each)), str(detected), f"{middle:.2f}" if middle < float("inf") else "never"]
 
 
 def _edges(found: Mapping[str, Any]) -> dict[str, list[str]]:

@@ -121,6 +121,7 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
         half_width=corner.half_width,
         range_noise=corner.range_resolution / 3,
         azimuth_noise=corner.azimuth_resolution / 3,
+        reach=35.0,
         keep_moving=True,
     )
     np.testing.assert_array_equal(run_model(models, radar).mass, expected(radar.scan).mass)

@@ -8,7 +8,7 @@ from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount
 from ogm.simulation.radars import RADARS
 
-__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "radar_factory"]
+__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "radar_factory", "radar_numbers"]
 
 RADAR, DEEP_RADAR = "radar", "deep-radar"
 RADAR_MODELS = {  # name: description
@@ -16,6 +16,7 @@ RADAR_MODELS = {  # name: description
     DEEP_RADAR: "The network of radar that ogm ships (DeepRadarISM), trained on simulated sweeps.",
 }
 _NOISE = 0.2, math.radians(0.5)  # [m, rad] of radars that are not known
+_REACH = {"corner": {"reach": 35.0}}  # [m] for which few occupied cells are cleared in training towns; others: default
 
 
 def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSensorModel]:
@@ -42,9 +43,7 @@ def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSe
         from ogm.geometric import RadarISM
 
         def geometric(mount: Mount, sensor: str = "") -> InverseSensorModel:
-            half_width, along, across = _numbers(sensor)
-            noise = {"range_noise": along, "azimuth_noise": across}
-            return RadarISM(spec, mount, half_width=half_width, keep_moving=True, **noise)
+            return RadarISM(spec, mount, keep_moving=True, **radar_numbers(sensor))
 
         return geometric
     if name != DEEP_RADAR:
@@ -54,15 +53,18 @@ def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSe
     engine = DeepRadarISM.load().engine
 
     def learned(mount: Mount, sensor: str = "") -> InverseSensorModel:
-        half_width, _, across = _numbers(sensor)
-        return DeepRadarISM(engine, spec, mount, RadarNoise(half_width, azimuth_noise=across))
+        numbers = radar_numbers(sensor)
+        noise = RadarNoise(numbers["half_width"], azimuth_noise=numbers["azimuth_noise"])
+        return DeepRadarISM(engine, spec, mount, noise)
 
     return learned
 
 
-def _numbers(sensor: str) -> tuple[float, float, float]:
-    """Return half the field of view, and the errors along and across the beam [rad, m, rad]."""
-    known = RADARS.get(sensor.partition("-")[0])
-    if known is None:
-        return math.radians(60), *_NOISE
-    return known.widest.half_width, *known.widest.noise
+def radar_numbers(sensor: str) -> dict[str, float]:
+    """Return arguments of `RadarISM` for a sensor whose name begins as one of `RADARS`, such as ``ars548-front``."""
+    kind = sensor.partition("-")[0]
+    if kind not in RADARS:
+        return {"half_width": math.radians(60), "range_noise": _NOISE[0], "azimuth_noise": _NOISE[1]}
+    widest = RADARS[kind].widest
+    along, across = widest.noise
+    return {"half_width": widest.half_width, "range_noise": along, "azimuth_noise": across} | _REACH.get(kind, {})

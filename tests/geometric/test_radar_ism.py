@@ -117,7 +117,7 @@ def test_what_moves_does_not_mark_but_ends_what_is_cleared() -> None:
     only = scan.select(np.r_[0, np.flatnonzero(np.abs(bearing) > 0.2)])
     grid = RadarISM(SPEC, FRONT)(only)
     assert grid.occupied[cell(21.7, 0.0)] == 0
-    assert grid.free[cell(15.0, 0.0)] > 0.5
+    assert grid.free[cell(12.0, 0.0)] > 0.5
     assert grid.free[cell(25.0, 0.0)] == 0
     assert RadarISM(SPEC, FRONT, keep_moving=True)(only).occupied[cell(21.7, 0.0)] > 0.5
 
