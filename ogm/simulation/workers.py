@@ -17,8 +17,8 @@ import numpy as np
 
 from ogm.files import finish_zarr, temporary_folder
 from ogm.locks import sweep
+from ogm.pool import Submit, cluster, processes
 from ogm.simulation.plan import DatasetPlan, moment
-from ogm.simulation.pool import Submit, cluster, processes
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
 

@@ -32,7 +32,7 @@ def cluster(scheduler: str) -> Iterator[tuple[Submit, int]]:
     try:
         from distributed import Client
     except ImportError as error:
-        text = f'a scheduler needs Dask, which is missing ({error}): pip install "ogm-toolkit[sim]"'
+        text = f'a scheduler needs Dask, which is missing ({error}): pip install "ogm-toolkit[world]"'
         raise ImportError(text) from error
     with Client(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:
         count = len(client.ncores())
