@@ -5,7 +5,8 @@
 ...     world.integrate(grid, T_map_sensor, stamp=12.3)
 """
 
+from ogm.world.build import Progress, build_world, rebuild_world
 from ogm.world.layout import Layout
 from ogm.world.world_map import WorldMap
 
-__all__ = ["Layout", "WorldMap"]
+__all__ = ["Layout", "Progress", "WorldMap", "build_world", "rebuild_world"]

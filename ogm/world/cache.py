@@ -1,14 +1,25 @@
 """Tiles in memory: the ones used last, written back when others need their place."""
 
 from collections import OrderedDict
-from typing import Any
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from ogm.world.layout import TileIndex
-from ogm.world.tiles import TileStore
+from ogm.world.layout import Layout, TileIndex
 
-__all__ = ["TileCache"]
+__all__ = ["TileCache", "Tiles"]
+
+
+class Tiles(Protocol):
+    """Where tiles come from and go to, such as `ogm.world.tiles.TileStore`."""
+
+    layout: Layout
+
+    def read_tile(self, index: TileIndex) -> NDArray[Any]:
+        """Return a tile, zeros where there is none."""
+
+    def write_tile(self, index: TileIndex, tile: NDArray[Any]) -> None:
+        """Write a tile in one step."""
 
 
 class TileCache:
@@ -16,14 +27,14 @@ class TileCache:
 
     Parameters
     ----------
-    tiles : TileStore
+    tiles : Tiles
     memory : float
         [byte]; at least four tiles are kept.
     """
 
-    def __init__(self, tiles: TileStore, memory: float) -> None:
+    def __init__(self, tiles: Tiles, memory: float) -> None:
         layout = tiles.layout
-        self.tiles, self.most = tiles, max(4, int(memory / layout.empty_tile().nbytes))
+        self.tiles, self.most = tiles, max(4.0, memory / layout.empty_tile().nbytes)
         self._kept: OrderedDict[TileIndex, NDArray[Any]] = OrderedDict()
         self._changed: set[TileIndex] = set()
 
@@ -63,7 +74,7 @@ class TileCache:
         self._changed.clear()
 
     def _make_place(self) -> None:
-        while len(self._kept) >= self.most:
+        while len(self._kept) + 1 > self.most:
             oldest = next(iter(self._kept))
             if oldest in self._changed:
                 self._write(oldest)

@@ -12,7 +12,7 @@ from ogm.files import OgmError, update_hint
 from ogm.world.layout import LAYERS, TILES, Box, Layout, TileIndex
 from ogm.world.stores import Mode, Url, erase, is_remote, keys, load_zarr, local_path, open_store, reading, writing
 
-__all__ = ["FORMAT", "TileStore", "mass_of"]
+__all__ = ["FORMAT", "TileStore", "codecs", "mass_of"]
 
 FORMAT = "ogm.world/1"
 _LEVEL = 1  # of zstd: 3 packs 2 % better in twice the time
@@ -31,7 +31,10 @@ class TileStore:
     crs : str or None
     """
 
-    def __init__(self, url: Url, root: Any, attributes: Mapping[str, Any]) -> None:
+    def __init__(
+        self, url: Url, root: Any, attributes: Mapping[str, Any], storage: Mapping[str, str] | None = None
+    ) -> None:
+        self.storage = dict(storage or {})
         self.url, self.root, self.store = str(url), root, root.store
         self.layout = Layout(**{one.name: attributes[one.name] for one in fields(Layout)})
         self.crs: str | None = attributes["crs"]
@@ -57,7 +60,7 @@ class TileStore:
         attributes["sha256"] = attributes_checksum(attributes)
         with writing(url, url):
             root = zarr.open_group(place, mode="w", zarr_format=3)
-            store = cls(url, root, attributes)
+            store = cls(url, root, attributes, storage)
             store._make(0)
             root.attrs.put(attributes)  # last: until then it is no map
         return store
@@ -84,7 +87,7 @@ class TileStore:
         if attributes.get("sha256") != attributes_checksum(attributes):
             raise OgmError(f"the attributes of {url} are damaged (their SHA-256 differs): restore zarr.json")
         try:
-            return cls(url, root, attributes)
+            return cls(url, root, attributes, storage)
         except (ValueError, TypeError, KeyError) as error:
             raise OgmError(f"the attributes of {url} make no sense ({error}): restore zarr.json") from error
 
@@ -98,11 +101,8 @@ class TileStore:
             return count
 
     def _make(self, level: int) -> Any:
-        from zarr.codecs import BloscCodec, Crc32cCodec
-
-        codecs = [BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle"), Crc32cCodec()]
         array = self.root.create_array(
-            str(level), **self.layout.array(level), compressors=codecs, filters=None, fill_value=0
+            str(level), **self.layout.array(level), compressors=codecs(), filters=None, fill_value=0
         )
         self._arrays[str(level)] = array
         return array
@@ -165,6 +165,13 @@ class TileStore:
         of_level = f" of level {level}" if level else ""
         several = f"tile {tiles[0]}" if len(tiles) == 1 else f"tiles {tiles[0]} to {tiles[-1]}"
         return f"{several}{of_level} of {self.url}"
+
+
+def codecs() -> list[Any]:
+    """Return what chunks are packed and checked by."""
+    from zarr.codecs import BloscCodec, Crc32cCodec
+
+    return [BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle"), Crc32cCodec()]
 
 
 def mass_of(stored: NDArray[Any], layout: Layout) -> NDArray[np.float32]:

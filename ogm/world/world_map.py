@@ -1,34 +1,28 @@
 """Maps larger than memory: tiles in a folder, an archive or an object store, read and updated by window."""
 
-import math
 import os
 from collections.abc import Mapping
 from contextlib import ExitStack
-from typing import Any
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ogm.files import OgmError
-from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.map_lock import MapLock, locked
-from ogm.fusion.resample import ResampleMethod, view_layers
-from ogm.fusion.window import affine_between, samples_per_axis
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid
 from ogm.locks import locked as locked_folder
-from ogm.pose import check_pose, check_stamp
+from ogm.world import map_reading
 from ogm.world.cache import TileCache
-from ogm.world.kernels import integrate, merge
-from ogm.world.layout import LAYERS, WORLD_RULES, Box, Layout, StoredType, TileIndex, WorldRule, corners
+from ogm.world.drives import drive_names
+from ogm.world.integration import integrate_grid
+from ogm.world.kernels import merge
+from ogm.world.layout import WORLD_RULES, Layout, StoredType, WorldRule
 from ogm.world.overviews import make_overviews
-from ogm.world.stores import Mode, Url, is_remote, is_zip, local_path, reading, size
-from ogm.world.tiles import TileStore, mass_of
+from ogm.world.stores import Mode, Url, is_remote, is_zip, local_path
+from ogm.world.tiles import TileStore
 
 __all__ = ["MEMORY", "WorldMap"]
 
 MEMORY = 512e6  # [byte] of tiles that a map keeps
-_LATEST = 2**32 - 2  # [s] that the layers of the last stamp can hold
-_MASSES, _CONFLICT = slice(0, 2), slice(2, 4)
 
 
 class WorldMap:
@@ -48,6 +42,8 @@ class WorldMap:
         Resolution [m], cells along a side of a tile, type, rule, least unknown.
     crs : str or None
         Coordinate reference system of the map's axes.
+    store : TileStore
+        Its arrays.
     mode : {"r", "r+"}
 
     Notes
@@ -61,7 +57,8 @@ class WorldMap:
     def __init__(self, tiles: TileStore, mode: Mode, memory: float, lock_folder: bool = True) -> None:
         if not memory > 0:
             raise ValueError(f"memory must be above 0 bytes, got {memory}")
-        self._tiles, self.mode, self.layout, self.crs = tiles, mode, tiles.layout, tiles.crs
+        self.store, self.mode, self.layout, self.crs = tiles, mode, tiles.layout, tiles.crs
+        self._built: bool | None = None  # from drives; found out when it matters
         self.url, self.lock = tiles.url, MapLock()
         self._cache = TileCache(tiles, memory)
         self._open = ExitStack()
@@ -144,6 +141,10 @@ class WorldMap:
             raise ValueError(f"mode must be r or r+, got {mode!r}")
         return cls(TileStore.open(url, mode, storage), mode, memory)
 
+    window, layers, cells = map_reading.window, map_reading.layers, map_reading.cells
+    tiles, tile, levels = map_reading.tiles, map_reading.tile, map_reading.levels
+    damage, describe = map_reading.damage, map_reading.describe
+
     def __enter__(self) -> "WorldMap":
         return self
 
@@ -188,129 +189,8 @@ class WorldMap:
             If the map is open to read alone, a pose is not rigid or leans by more than 45 degrees, the stamp is out of
             its range, or the grid lies beyond the lattice.
         """
-        self._check_writable()
-        if not isinstance(grid, EvidentialGrid):
-            raise TypeError(f"a map is updated with an EvidentialGrid, got {type(grid).__name__}")
-        if not 0 <= reliability <= 1:
-            raise ValueError(f"reliability must be in [0, 1], got {reliability}")
-        when = _second(stamp)
-        T = check_pose(T_map_sensor, "T_map_sensor")
-        box = self.layout.around(corners(grid.spec, T))
-        self.layout.check_box(box)
-        base = affine_between(self.layout.spec(box), grid.spec, T)
-        mass, samples = np.ascontiguousarray(grid.mass, np.float32), samples_per_axis(self.layout.spec(box), grid.spec)
-        rule, most, total = WORLD_RULES[self.layout.rule], 1 - self.layout.min_unknown, 0
-        for index in self.layout.tiles_of(box):
-            affine, at = base.copy(), self.layout.box_of(index)
-            affine[:, 2] += base[:, :2] @ (at[0] - box[0], at[2] - box[2])
-            changed = integrate(
-                self._cache.get(index), ScanLookup(mass, affine, samples), reliability, rule, most, when
-            )
-            if changed:
-                self._cache.mark_changed(index)
-                total += changed
-        return total
-
-    @locked
-    def window(
-        self,
-        spec: GridSpec,
-        T_map_window: ArrayLike | None = None,  # noqa: N803
-        *,
-        method: ResampleMethod = "nearest",
-        level: int = 0,
-    ) -> EvidentialGrid:
-        """Return a part of the map as a grid.
-
-        Parameters
-        ----------
-        spec : GridSpec
-            The cells. Where they are cells of the map they are returned as they are stored, else resampled once.
-        T_map_window : (4, 4) array, optional
-            Takes the coordinates of `spec` to the map, for example the pose of a vehicle [m]; by default they are the
-            map's.
-        method : {"nearest", "area", "cautious"}
-            How cells are resampled, see `ogm.fusion.warp`.
-        level : int
-            Of overviews, whose cells have ``2**level`` times the side.
-
-        Returns
-        -------
-        EvidentialGrid
-            Unknown where nothing was seen.
-
-        Raises
-        ------
-        OgmError
-            If a tile is damaged, or there is no such level.
-        ValueError
-            If the window lies beyond the lattice, or would need more than 2**28 cells of the map.
-        """
-        box = self.layout.aligned(spec, level) if T_map_window is None else None
-        if box is not None:
-            return EvidentialGrid.trusted(spec, self._masses(box, level))
-        T = np.eye(4) if T_map_window is None else check_pose(T_map_window, "T_map_window")
-        around = self.layout.around(corners(spec, T), level, margin=2)
-        source = self.layout.spec(around, level)
-        return EvidentialGrid.trusted(spec, view_layers(self._masses(around, level), source, spec, T, method))
-
-    @locked
-    def layers(self, spec: GridSpec) -> LayeredGrid:
-        """Return what the map keeps beside the masses, for cells of the map.
-
-        Parameters
-        ----------
-        spec : GridSpec
-            Cells of the map, in its coordinates; see `cells`.
-
-        Returns
-        -------
-        LayeredGrid
-            ``free_to_occupied`` and ``occupied_to_free``, the greatest conflict [0, 1]; ``count`` of scans;
-            ``last_seen`` [s], a whole second to the precision of float32 (128 s at times of today), NaN where unknown.
-
-        Raises
-        ------
-        ValueError
-            If the cells of `spec` are none of the map.
-        """
-        box = self._aligned(spec)
-        stored = self._read(box, 0, slice(2, len(LAYERS)))
-        step = np.float32(self.layout.step)
-        stamp = stored[3].astype(np.float64) * 65536 + stored[4]
-        layers = {LAYERS[2]: stored[0] * step, LAYERS[3]: stored[1] * step, LAYERS[4]: stored[2].astype(np.float32)}
-        return LayeredGrid(spec, layers | {"last_seen": np.where(stamp > 0, stamp - 1, np.nan).astype(np.float32)})
-
-    def cells(self, extent: tuple[float, float, float, float] | None = None, level: int = 0) -> GridSpec:
-        """Return the cells of the map that cover an extent, by default all tiles.
-
-        Parameters
-        ----------
-        extent : (x_min, x_max, y_min, y_max), optional
-            [m]
-        level : int
-
-        Raises
-        ------
-        ValueError
-            If the map is empty and no extent is given, or there are more than 2**28 cells: take a higher level.
-        """
-        if extent is not None:
-            x0, x1, y0, y1 = extent
-            return self.layout.spec(self.layout.around(np.array([(x0, y0), (x1, y1)]), level, margin=0), level)
-        tiles = self.tiles()
-        if not tiles:
-            raise ValueError(f"{self.url} is empty: nothing was integrated, or not flushed")
-        low, high = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
-        n = self.layout.tile
-        i, j = (int(one) * n >> level for one in low)
-        k, m = (-(-int(one) * n >> level) for one in high)
-        return self.layout.spec((i, k, j, m), level)
-
-    @locked
-    def tiles(self) -> list[TileIndex]:
-        """Return the tiles that hold something, also those that are not written yet, in order; the store is listed."""
-        return sorted({*self._tiles.tiles(), *self._cache.changed})
+        self._check_plain()
+        return integrate_grid(self._cache, grid, T_map_sensor, stamp=stamp, reliability=reliability)
 
     @locked
     def merge(self, other: "WorldMap", rule: WorldRule | None = None) -> int:
@@ -328,7 +208,7 @@ class WorldMap:
         ValueError
             If the maps have other cells, or this one is open to read alone.
         """
-        self._check_writable()
+        self._check_plain()
         ours, theirs = self.layout, other.layout
         if (ours.resolution, ours.tile, ours.dtype) != (theirs.resolution, theirs.tile, theirs.dtype):
             raise ValueError(f"{other} has other cells than {self}: give both one resolution, tile and dtype")
@@ -342,25 +222,15 @@ class WorldMap:
         return len(found)
 
     @locked
-    def tile(self, index: TileIndex) -> NDArray[Any]:
-        """Return a copy of a tile as it is stored, (7, tile, tile)."""
-        return self._cache.get(index).copy() if index in self._cache else self._tiles.read_tile(index)
-
-    @property
-    def levels(self) -> int:
-        """Number of levels that there are, 1 without overviews."""
-        return self._tiles.levels
-
-    @locked
     def build_overviews(self) -> int:
         """Make the levels of half the resolution each, anew, until four tiles hold all; return their number.
 
         A cell of a level has the greatest occupied of its four cells, and the mean of free as far as the sum allows
         (`ogm.fusion.coarsen`, "occupied"): walls and poles stay visible. Overviews do not follow later changes.
         """
-        self._check_writable()
+        self.check_writable()
         self.flush()
-        return make_overviews(self._tiles)
+        return make_overviews(self.store)
 
     @locked
     def flush(self) -> None:
@@ -377,17 +247,6 @@ class WorldMap:
             self._open.close()
             self.mode = "r"
 
-    @locked
-    def damage(self) -> list[tuple[TileIndex, OgmError]]:
-        """Return the tiles that cannot be read, with the errors that tell why; all are read."""
-        found = []
-        for index in self._tiles.tiles():
-            try:
-                self._tiles.read_tile(index)
-            except OgmError as error:
-                found.append((index, error))
-        return found
-
     def copy_to(self, url: str | os.PathLike[str]) -> None:
         """Write all that is on disk, overviews too, to a new ``.zip`` archive in one step.
 
@@ -402,62 +261,25 @@ class WorldMap:
             raise ValueError(f"a copy is one .zip archive, got {url}: other tools copy folders and buckets")
         if self.mode == "r+":
             self.flush()
-        copy_to_zip(self._tiles.store, local_path(url))
+        copy_to_zip(self.store.store, local_path(url))
 
-    def describe(self) -> dict[str, str]:
-        """Return what the map holds, as names and values to print; all its objects are listed."""
-        tiles, layout = self.tiles(), self.layout
-        with reading(self.url):
-            stored = size(self._tiles.store, "")
-        facts = {
-            "map": self.url,
-            "cells": f"{layout.resolution:g} m, {layout.dtype}, {layout.rule}, unknown >= {layout.min_unknown:g}",
-            "tiles": f"{len(tiles)} of {layout.tile} x {layout.tile} cells, {self.levels} levels",
-            "size": f"{stored / 1e6:.1f} MB",
-        }
-        if tiles:
-            (i, j), (k, m) = np.min(tiles, axis=0), np.max(tiles, axis=0) + 1
-            side = layout.tile * layout.resolution
-            facts["extent"] = f"x {i * side:g} to {k * side:g} m, y {j * side:g} to {m * side:g} m"
-        return facts | ({"crs": self.crs} if self.crs else {})
-
-    def _check_writable(self) -> None:
+    def check_writable(self) -> None:
+        """Raise ValueError if the map is open to read alone."""
         if self.mode != "r+":
             raise ValueError(f"{self.url} is open to read alone, or closed: open it with the mode r+")
 
-    def _aligned(self, spec: GridSpec) -> Box:
-        box = self.layout.aligned(spec)
-        if box is None:
-            raise ValueError(f"{spec} has other cells than the map ({self.layout.resolution:g} m): see WorldMap.cells")
-        return box
+    def _check_plain(self) -> None:
+        """Raise where scans cannot be combined with the map."""
+        self.check_writable()
+        if self._built is None:
+            self._built = bool(drive_names(self.store))
+        if self._built:
+            raise OgmError(
+                f"{self.url} is built from drives, and its tiles are made from them: add drives by build_world, or "
+                "merge it into another map"
+            )
 
-    def _masses(self, box: Box, level: int) -> NDArray[np.float32]:
-        return mass_of(self._read(box, level, _MASSES), self.layout)
-
-    def _read(self, box: Box, level: int, layers: slice) -> NDArray[Any]:
-        """Return layers of some cells, (L, nx, ny), from the tiles in memory and else from the store."""
-        self.layout.check_box(box, level)
-        self.layout.spec(box, level)  # refuses too many cells
-        kept = [index for index in self.layout.tiles_of(box) if index in self._cache] if level == 0 else []
-        if not kept:
-            return self._tiles.read(box, level, layers)
-        out = np.zeros((layers.stop - layers.start, box[1] - box[0], box[3] - box[2]), self.layout.dtype)
-        for index in self.layout.tiles_of(box):
-            i, k, j, m = self.layout.box_of(index)
-            a, b, c, d = max(i, box[0]), min(k, box[1]), max(j, box[2]), min(m, box[3])
-            part = out[:, a - box[0] : b - box[0], c - box[2] : d - box[2]]
-            if index in self._cache:
-                part[:] = self._cache.get(index)[layers, a - i : b - i, c - j : d - j]
-            else:
-                part[:] = self._tiles.read((a, b, c, d), 0, layers)
-        return out
-
-
-def _second(stamp: float | None) -> int:
-    """Return a stamp as it is stored: its whole second plus 1, 0 if unknown."""
-    if stamp is None:
-        return 0
-    time = check_stamp(stamp)
-    if not 0 <= time <= _LATEST:
-        raise ValueError(f"stamp must be 0 to {_LATEST} s, got {time}")
-    return math.floor(time) + 1
+    def forget_tiles(self) -> None:
+        """Drop the tiles in memory, which another writer changes; changed ones must have been flushed."""
+        self._cache.clear()
+        self._built = None

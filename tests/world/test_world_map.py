@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference import SlowMap
+from world_reference import SlowMap
 
 from ogm.files import OgmError
 from ogm.fusion import EvidentialMapper
