@@ -210,7 +210,7 @@ def _print(world: "WorldMap") -> None:
 
 world_app.command(
     epilog="Examples:  ogm world build drives/ --out town --workers 2 · ogm world build a.mcap b.mcap --out "
-    "s3://maps/town --scheduler tcp://10.0.0.1:8786 · ogm world build kitti/00 --poses 00.txt --calib calib.txt --out 00"
+    "s3://maps/town --scheduler tcp://10.0.0.1:8786 · ogm world build kitti/00 --poses 00.txt --calib calib.txt --out k"
 )(build)
 world_app.command(epilog="Example:  ogm world rebuild town --drive kitti-00 --poses closed.g2o")(rebuild)
 world_app.command(epilog="Example:  ogm world info town")(info)
