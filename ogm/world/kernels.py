@@ -1,7 +1,7 @@
 """Numba kernels of map tiles: a measurement grid into a tile, one tile into another, a tile at another pose.
 
-A tile is (7, n, n): the layers of `ogm.world.layout.LAYERS`, as uint16 or as float32. Masses and conflict are kept in
-steps of 1/65535 and of 1/255 in uint16. Nothing is checked here.
+A tile is (7, n, n): the layers of `ogm.world.layout.LAYERS`, as uint16 or as float32. In uint16, masses are kept in
+steps of 1 / `MASS_STEPS`, conflict in steps of 1 / `CONFLICT_STEPS`. Nothing is checked here.
 """
 
 from typing import Any
@@ -12,21 +12,23 @@ from ogm.fusion.kernels import combine_cells
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import inline, vector
 
-__all__ = ["COUNT_LIMIT", "STEP", "integrate", "merge", "moved"]
+__all__ = ["CONFLICT_STEPS", "COUNT_LIMIT", "MASS_STEPS", "integrate", "merge", "moved"]
 
-STEP = np.float32(1 / 65535)  # of masses in uint16
+MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps are noise of the sensors, and do not pack
 COUNT_LIMIT = 65535
-_COARSE, _FULL, _HALF = np.float32(255), np.float32(65535), np.float32(0.5)
+_MASS, _CONFLICT, _HALF = np.float32(MASS_STEPS), np.float32(CONFLICT_STEPS), np.float32(0.5)
+_STEPS_16 = np.float32(1 / MASS_STEPS), np.float32(1 / CONFLICT_STEPS)
+_STEPS_32 = np.float32(1), np.float32(1)
 
 
 @inline
 def _mass_16(value: Any) -> Any:
-    return np.uint16(np.int32(value * _FULL + _HALF))
+    return np.uint16(np.int32(value * _MASS + _HALF))
 
 
 @inline
-def _conflict_16(value: Any) -> Any:  # 257 steps of 1/65535 are 1/255: both bytes are the same, and pack well
-    return np.uint16(np.int32(value * _COARSE + _HALF) * 257)
+def _conflict_16(value: Any) -> Any:
+    return np.uint16(np.int32(value * _CONFLICT + _HALF))
 
 
 @inline
@@ -40,9 +42,11 @@ def _pair_writer(pack: Any) -> Any:
     @vector
     def write_pairs(known: Any, pairs: Any, first: Any, second: Any) -> None:
         for k in range(first.size):
-            a, b = pack(pairs[2 * k]), pack(pairs[2 * k + 1])
-            has = known[2 * k] + known[2 * k + 1] > np.float32(0)
-            first[k], second[k] = (a, b) if has else (first[k], second[k])
+            a = pack(pairs[2 * k])
+            first[k] = a if known[2 * k] + known[2 * k + 1] > np.float32(0) else first[k]
+        for k in range(first.size):
+            b = pack(pairs[2 * k + 1])
+            second[k] = b if known[2 * k] + known[2 * k + 1] > np.float32(0) else second[k]
 
     return write_pairs
 
@@ -66,8 +70,9 @@ def _marker(floats: bool) -> Any:
     return mark_seen
 
 
-def _integrator(scale: Any, to_mass: Any, to_conflict: Any) -> Any:
+def _integrator(steps: Any, to_mass: Any, to_conflict: Any) -> Any:
     """Return the kernel for one type of tiles."""
+    step_mass, step_conflict = steps
     store_mass, store_conflict, mark = _pair_writer(to_mass), _pair_writer(to_conflict), _marker(to_mass is _same)
 
     @vector
@@ -81,8 +86,8 @@ def _integrator(scale: Any, to_mass: Any, to_conflict: Any) -> Any:
                 continue
             count = high - low
             known = z[2 * low : 2 * high]
-            _load(tile[0, i, low:high], tile[1, i, low:high], scale, m)
-            _load(tile[2, i, low:high], tile[3, i, low:high], scale, c)
+            _load(tile[0, i, low:high], tile[1, i, low:high], step_mass, m)
+            _load(tile[2, i, low:high], tile[3, i, low:high], step_conflict, c)
             if reliability != 1:
                 for k in range(2 * count):
                     known[k] *= reliability
@@ -96,8 +101,9 @@ def _integrator(scale: Any, to_mass: Any, to_conflict: Any) -> Any:
     return integrate_grid
 
 
-def _merger(scale: Any, to_mass: Any, to_conflict: Any) -> Any:
+def _merger(steps: Any, to_mass: Any, to_conflict: Any) -> Any:
     """Return the kernel for one type of tiles."""
+    step_mass, step_conflict = steps
 
     @vector
     def merge_tile(tile: Any, other: Any, rule: Any, limit: Any) -> None:
@@ -105,10 +111,10 @@ def _merger(scale: Any, to_mass: Any, to_conflict: Any) -> Any:
         z, d = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
         m, c = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
         for i in range(n):
-            _load(other[0, i], other[1, i], scale, z)
-            _load(other[2, i], other[3, i], scale, d)
-            _load(tile[0, i], tile[1, i], scale, m)
-            _load(tile[2, i], tile[3, i], scale, c)
+            _load(other[0, i], other[1, i], step_mass, z)
+            _load(other[2, i], other[3, i], step_conflict, d)
+            _load(tile[0, i], tile[1, i], step_mass, m)
+            _load(tile[2, i], tile[3, i], step_conflict, c)
             combine_cells(rule, m, c, z, limit)
             for k in range(n):
                 if tile[4, i, k] == 0:  # the other's as it is: combined with nothing it would be rounded again
@@ -132,8 +138,9 @@ def _load(first: Any, second: Any, scale: Any, out: Any) -> None:
         out[2 * k], out[2 * k + 1] = np.float32(first[k]) * scale, np.float32(second[k]) * scale
 
 
-_integrate_16, _integrate_32 = _integrator(STEP, _mass_16, _conflict_16), _integrator(np.float32(1), _same, _same)
-_merge_16, _merge_32 = _merger(STEP, _mass_16, _conflict_16), _merger(np.float32(1), _same, _same)
+_integrate_16 = _integrator(_STEPS_16, _mass_16, _conflict_16)
+_integrate_32 = _integrator(_STEPS_32, _same, _same)
+_merge_16, _merge_32 = _merger(_STEPS_16, _mass_16, _conflict_16), _merger(_STEPS_32, _same, _same)
 
 
 def integrate(tile: np.ndarray, scan: ScanLookup, reliability: float, rule: int, max_known: float, stamp: int) -> int:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER
 from ogm.grid import GridSpec
+from ogm.world.kernels import CONFLICT_STEPS, MASS_STEPS
 
 __all__ = ["LAYERS", "TILES", "WORLD_RULES", "Box", "Layout", "StoredType", "TileIndex", "WorldRule", "corners"]
 
@@ -38,10 +39,10 @@ class Layout:
     tile : int
         Cells along a side of a tile: a power of two, 16 to 4096.
     dtype : {"uint16", "float32"}
-        Of what is kept. In uint16 each mass is rounded to the nearest n / 65535.
+        Of what is kept. In uint16 masses are rounded to the nearest n / 4095, conflict to n / 255.
     rule : {"cautious", "dempster", "cumulative"}
     min_unknown : float
-        Lower bound of unknown, [1e-4, 1).
+        Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
 
     Raises
     ------
@@ -65,8 +66,9 @@ class Layout:
             raise ValueError(
                 f"rule must be one of {', '.join(WORLD_RULES)}, got {self.rule!r}: others depend on the order of scans"
             )
-        if not 1e-4 <= self.min_unknown < 1:
-            raise ValueError(f"min_unknown must be in [1e-4, 1), got {self.min_unknown}")
+        least = 1e-4 if self.dtype == "float32" else 1 / MASS_STEPS  # two masses that are rounded up must fit in
+        if not least <= self.min_unknown < 1:
+            raise ValueError(f"min_unknown must be in [{least:.3g}, 1) for {self.dtype}, got {self.min_unknown}")
 
     @property
     def cells(self) -> int:
@@ -74,9 +76,11 @@ class Layout:
         return TILES * self.tile
 
     @property
-    def step(self) -> float:
-        """What 1 in the file means as a mass."""
-        return 1 / 65535 if self.dtype == "uint16" else 1.0
+    def steps(self) -> dict[str, float]:
+        """What 1 means as stored: of masses, and of conflict."""
+        if self.dtype == "float32":
+            return {"mass": 1.0, "conflict": 1.0}
+        return {"mass": 1 / MASS_STEPS, "conflict": 1 / CONFLICT_STEPS}
 
     def array(self, level: int) -> dict[str, Any]:
         """Return shape, shards and chunks of the Zarr array of a level."""

@@ -47,7 +47,7 @@ def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
     assert box is not None
     array = dask.array.from_array(world.store.array(level), chunks=(1, tile, tile), asarray=True)
     cells = array[:, box[0] + offset : box[1] + offset, box[2] + offset : box[3] + offset]
-    step = np.float32(layout.step)
+    step = np.float32(layout.steps["mass"])
     described: dict[str, Any] = {}
     for k, name in enumerate(("free", "occupied")):
         mass = (cells[k].T * step).astype(np.float32)

@@ -85,7 +85,7 @@ def layers(self: Any, spec: GridSpec) -> LayeredGrid:
     """
     box = _aligned(self, spec)
     stored = _read(self, box, 0, slice(2, len(LAYERS)))
-    step = np.float32(self.layout.step)
+    step = np.float32(self.layout.steps["conflict"])
     stamp = stored[3].astype(np.float64) * 65536 + stored[4]
     layers = {LAYERS[2]: stored[0] * step, LAYERS[3]: stored[1] * step, LAYERS[4]: stored[2].astype(np.float32)}
     return LayeredGrid(spec, layers | {"last_seen": np.where(stamp > 0, stamp - 1, np.nan).astype(np.float32)})

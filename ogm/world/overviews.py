@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from ogm.fusion.resample import coarsen
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.world.kernels import MASS_STEPS
 from ogm.world.layout import Layout
 from ogm.world.tiles import TileStore, mass_of
 
@@ -43,6 +44,6 @@ def _halved(stored: NDArray[Any], layout: Layout) -> NDArray[Any]:
     half = coarsen(grid, 2, "occupied").mass
     if layout.dtype == "float32":
         return half.transpose(2, 0, 1)
-    steps = np.rint(half * np.float32(65535)).astype(np.uint16)
-    steps[..., 0] = np.minimum(steps[..., 0], 65535 - steps[..., 1])
+    steps = np.rint(half * np.float32(MASS_STEPS)).astype(np.uint16)
+    steps[..., 0] = np.minimum(steps[..., 0], MASS_STEPS - steps[..., 1])
     return steps.transpose(2, 0, 1)

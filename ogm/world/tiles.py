@@ -55,7 +55,7 @@ class TileStore:
             "crs": crs,
             "layers": list(LAYERS),
             "axes": "[layer, ix (x forward), iy (y left)]; cell 0 of the map is in the middle of the array",
-            "step": layout.step,
+            "steps": layout.steps,
         }
         attributes["sha256"] = attributes_checksum(attributes)
         with writing(url, url):
@@ -177,6 +177,6 @@ def codecs() -> list[Any]:
 def mass_of(stored: NDArray[Any], layout: Layout) -> NDArray[np.float32]:
     """Return stored masses (2, nx, ny) as masses (nx, ny, 2)."""
     mass = np.empty((*stored.shape[1:], 2), np.float32)
-    np.multiply(stored[0], np.float32(layout.step), out=mass[..., 0])
-    np.multiply(stored[1], np.float32(layout.step), out=mass[..., 1])
+    np.multiply(stored[0], np.float32(layout.steps["mass"]), out=mass[..., 0])
+    np.multiply(stored[1], np.float32(layout.steps["mass"]), out=mass[..., 1])
     return mass

@@ -48,8 +48,8 @@ class WorldMap:
 
     Notes
     -----
-    In uint16, masses are rounded to the nearest n / 65535 after every scan, so each scan adds an error of at most
-    1 / 131070, and evidence weaker than that is lost; conflict is kept in steps of 1 / 255. Nothing is ever forgotten:
+    In uint16, masses are rounded to the nearest n / 4095 after every scan, so each scan adds an error of at most
+    1 / 8190, and evidence weaker than that is lost; conflict is kept in steps of 1 / 255. Nothing is ever forgotten:
     forgetting depends on the order of scans. One writer at a time: a local folder is locked, an object store is not.
     One thread may change the map while others read it.
     """
@@ -96,7 +96,7 @@ class WorldMap:
         dtype : {"uint16", "float32"}
             Of what is stored.
         min_unknown : float
-            Lower bound of unknown, [1e-4, 1).
+            Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
         memory : float
             Of tiles in memory [byte].
         storage : mapping of str to str, optional

@@ -46,10 +46,10 @@ def test_scans_are_combined_as_the_slow_reference_does(
         expected["to_occupied"][at], expected["to_free"][at] = slow.conflict[i, j]
         expected["count"][at], seen[at] = slow.count[i, j], slow.seen[i, j]
     assert np.count_nonzero(expected["count"]) > 2000
-    # each of four scans adds half a step of 1/65535; near certainty the cumulative rule makes more of it
-    np.testing.assert_allclose(grid.free, expected["free"], atol=4e-4 if dtype == "uint16" else 2e-6)
-    np.testing.assert_allclose(grid.occupied, expected["occupied"], atol=4e-4 if dtype == "uint16" else 2e-6)
-    tolerance = 0.5 / 255 + 1e-4 if dtype == "uint16" else 2e-6
+    # each of four scans adds half a step of 1/4095; near certainty the cumulative rule makes more of it
+    np.testing.assert_allclose(grid.free, expected["free"], atol=5e-3 if dtype == "uint16" else 2e-6)
+    np.testing.assert_allclose(grid.occupied, expected["occupied"], atol=5e-3 if dtype == "uint16" else 2e-6)
+    tolerance = 0.5 / 255 + 1e-3 if dtype == "uint16" else 2e-6
     np.testing.assert_allclose(layers["free_to_occupied"], expected["to_occupied"], atol=tolerance)
     np.testing.assert_allclose(layers["occupied_to_free"], expected["to_free"], atol=tolerance)
     np.testing.assert_array_equal(layers["count"], expected["count"])
@@ -62,7 +62,7 @@ def test_a_scan_is_rounded_to_the_stated_step(tmp_path: Path, make_grid: MakeGri
     with WorldMap.create(tmp_path / "map", 0.5, 16) as world:
         world.integrate(bounded, np.eye(4))
         error = np.abs(world.window(grid.spec).mass.astype(float) - bounded.mass)
-    assert 0.4 / 65535 < error.max() <= 0.5 / 65535 + 1e-7
+    assert 0.4 / 4095 < error.max() <= 0.5 / 4095 + 1e-7
 
 
 def test_a_map_in_tiles_is_that_of_the_mapper(tmp_path: Path, make_grid: MakeGrid) -> None:
@@ -192,7 +192,7 @@ def test_overviews_keep_what_is_occupied(place: Place, make_grid: MakeGrid) -> N
             padded[i : i + full.spec.shape[0], j : j + full.spec.shape[1]] = full.occupied
             blocks = padded.reshape(half.spec.shape[0], n, half.spec.shape[1], n).max(axis=(1, 3))
             np.testing.assert_array_equal(half.occupied, blocks.astype(np.float32))
-            assert (half.free + half.occupied).max() <= 1
+            assert (half.free + half.occupied).max() <= 1 + 1e-6
             assert half.free.max() > 0.1
         assert world.build_overviews() == count
 
@@ -295,6 +295,7 @@ def test_a_map_open_to_read_does_not_change(tmp_path: Path, make_grid: MakeGrid)
         ({"rule": "yager"}, "depend on the order"),
         ({"dtype": "uint8"}, "uint16 or float32"),
         ({"min_unknown": 0}, "min_unknown"),
+        ({"min_unknown": 2e-4}, "min_unknown"),
         ({"memory": 0}, "memory"),
     ],
 )
