@@ -13,6 +13,20 @@ if TYPE_CHECKING:
 __all__ = ["world_to_xarray"]
 
 
+class _Part:
+    """Some cells of an array of layers: Dask lists all chunks of what it is given, and a map's lattice has 10¹³."""
+
+    ndim = 3
+
+    def __init__(self, array: Any, first: tuple[int, int], shape: tuple[int, int]) -> None:
+        self._array, self._first, self.dtype, self.shape = array, first, array.dtype, (array.shape[0], *shape)
+
+    def __getitem__(self, index: tuple[slice, slice, slice]) -> Any:
+        layers, *axes = index
+        moved = [slice(one.start + low, one.stop + low) for one, low in zip(axes, self._first, strict=True)]
+        return self._array[layers, *moved]
+
+
 def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
     """Return all tiles of a map as variables of Dask arrays; nothing is read before it is computed.
 
@@ -45,8 +59,8 @@ def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
     spec, layout = world.cells(level=level), world.layout
     box, offset, tile = layout.aligned(spec, level), layout.cells >> (level + 1), layout.tile
     assert box is not None
-    array = dask.array.from_array(world.store.array(level), chunks=(1, tile, tile), asarray=True)
-    cells = array[:, box[0] + offset : box[1] + offset, box[2] + offset : box[3] + offset]
+    part = _Part(world.store.array(level), (box[0] + offset, box[2] + offset), spec.shape)
+    cells = dask.array.from_array(part, chunks=(1, tile, tile), asarray=True)
     step = np.float32(layout.steps["mass"])
     described: dict[str, Any] = {}
     for k, name in enumerate(("free", "occupied")):
