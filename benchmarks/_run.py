@@ -41,7 +41,7 @@ RESULTS, PICTURES = ROOT / "benchmarks" / "results", ROOT / "docs" / "pictures"
 DATA = Path(os.environ.get("OGM_DATA", ROOT.parent / "shared" / "data" / "real"))  # see benchmarks/README.md
 PACKAGES = (
     *("rosbags", "mcap", "mcap-ros2-support"),
-    *("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "shapely", "torch", "onnxruntime", "openvino"),
+    *("numpy", "numba", "llvmlite", "open3d", "zarr", "dask", "obstore", "shapely", "torch", "onnxruntime", "openvino"),
     *("pyoctomap", "octomap-python", "kiss-slam", "pypatchworkpp"),
 )
 SLOW = 0.3  # [s] a call that takes longer is not repeated within a round

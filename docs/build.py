@@ -21,6 +21,7 @@ from quality_tables import tables
 from radar_tables import far_tables, fusion_tables, radar_tables
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
+from world_tables import world_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -584,6 +585,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))
         | {"losses": losses_of_the_paper(), "divergence": divergences()}
     ),
+    "docs/world.md": lambda: {"world": "\n\n".join([*world_tables(record("world")), source("world")])},
     "docs/evaluation.md": lambda: {"metrics": metrics(), "coverage": coverage()},
 }
 

@@ -1,12 +1,13 @@
 """Arrays in ``.npz`` files: written whole or not at all, and read only after sizes and checksums have been checked."""
 
 import hashlib
+import json
 import math
 import os
 import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import IO, Any
 
@@ -17,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.files import OgmError, atomic_write, update_hint
 from ogm.limits import current_limits, too_large
 
-__all__ = ["open_archive", "stated_format", "write_archive"]
+__all__ = ["attributes_checksum", "open_archive", "stated_format", "write_archive"]
 
 _UNREADABLE = (  # what zipfile, zlib and numpy raise on damaged archives, and grids on what they held
     zipfile.BadZipFile,
@@ -63,6 +64,12 @@ def write_archive(path: str | os.PathLike[str], stated: str, **arrays: ArrayLike
         named: dict[str, ArrayLike] = {"format": stated, **arrays}
         sums = [(name, _write(archive, name, one)) for name, one in named.items()]
         _write(archive, _CHECKSUMS, sums)
+
+
+def attributes_checksum(attributes: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the attributes of a Zarr group but ``sha256``, as JSON with sorted keys."""
+    rest = {name: value for name, value in attributes.items() if name != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from ogm.cli.serve_command import serve
 from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
 from ogm.cli.view_command import view
+from ogm.cli.world_command import world_app
 
 __all__ = ["app"]
 
@@ -42,6 +43,7 @@ app.command(epilog="Example:  ogm evaluate data/ --ism height-band ray lite --ou
 app.command("export", epilog="Example:  ogm export lite --out lite.onnx")(export_command)
 app.command(epilog="Example:  ogm info scan.pcd")(info)
 app.command(epilog="Example:  ogm view map.npz --out map.html --open")(view)
+app.add_typer(world_app)
 
 
 @app.callback(invoke_without_command=True)

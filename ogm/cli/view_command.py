@@ -1,18 +1,26 @@
 """``ogm view``: a grid or a map as one page for the browser."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Argument, Option
 
 from ogm.cli.console import print_facts, report_errors
 
-GridFile = Annotated[Path, Argument(help="Grid or map, of `ogm` or of another program.")]
+if TYPE_CHECKING:
+    from ogm.grid import EvidentialGrid
+
+_MOST = 2**25  # cells of a world map on a page
+
+GridFile = Annotated[Path, Argument(help="Grid or map, of `ogm` or of another program; a world map.")]
 Out = Annotated[Path | None, Option("--out", help="Page (.html). [default: ./NAME.html]")]
 Open = Annotated[bool, Option("--open", help="Show it in the browser.")]
 Title = Annotated[str | None, Option(help="Title of the page. [default: the name of the file]")]
 Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
 Width = Annotated[float | None, Option(help="The same along y [m]. The middle of the extent is the origin.")]
+Level = Annotated[
+    int | None, Option(help="Of a world map: cells of 2**LEVEL times the side. [default: the finest that fits]")
+]
 Resolution = Annotated[float, Option(help="Side of a cell of a .png or .npy [m].")]
 
 
@@ -25,6 +33,7 @@ def view(
     length: Length = None,
     width: Width = None,
     resolution: Resolution = 0.16,
+    level: Level = None,
 ) -> None:
     """Write one HTML page that shows a grid: zoom, layers, values under the pointer, a scale.
 
@@ -42,9 +51,21 @@ def view(
         raise ValueError("give both --length and --width [m], or none of them")
     area = None if length is None else GridSpec.centered(length, width, resolution)
     path = Path(f"{grid.stem}.html") if out_path is None else out_path
-    found = read_any_grid(grid, area)
+    is_world = (grid / "0" / "zarr.json").is_file()
+    found = _world_grid(grid, level) if is_world else read_any_grid(grid, area)
     path.parent.mkdir(parents=True, exist_ok=True)
     write_view(path, found, title=title or grid.name)
     print_facts({"page": str(path), "cells": str(found.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})
     if open_it and not webbrowser.open(path.resolve().as_uri()):
         raise OSError(f"no browser could be started; open {path} in one")
+
+
+def _world_grid(path: Path, level: int | None) -> "EvidentialGrid":
+    """Return all of a world map, at a level."""
+    from ogm.world import WorldMap
+
+    with WorldMap.open(path) as world:
+        if level is None:
+            counts = [n * m for n, m in (world.cells(level=k).shape for k in range(world.levels))]
+            level = next((k for k, count in enumerate(counts) if count <= _MOST), world.levels - 1)
+        return world.window(world.cells(level=level), level=level)

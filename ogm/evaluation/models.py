@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,9 @@ from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount, PerMount
 
 __all__ = [
-    "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "default_parameters",
-    "describe_model", "load_model", "model_class", "model_factory", "sensor_models", "short_names",
+    "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "NamedModels",
+    "default_parameters", "describe_model", "load_model", "model_class", "model_factory", "sensor_models",
+    "short_names",
 ]  # fmt: skip
 
 Factory = Callable[[Mount], InverseSensorModel]
@@ -95,6 +96,24 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
 
     engine = load_engine(name)
     return lambda mount: DeepISM(engine, spec, mount)
+
+
+@dataclass(frozen=True)
+class NamedModels:
+    """A function that makes `sensor_models`, for other processes: it is pickled as the name and the grid.
+
+    Parameters
+    ----------
+    name : str
+    spec : GridSpec
+    """
+
+    name: str
+    spec: GridSpec
+
+    def __call__(self) -> PerMount:
+        """Return the models, which are ready for any mount."""
+        return sensor_models(self.name, self.spec)
 
 
 def sensor_models(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) -> PerMount:

@@ -13,7 +13,7 @@ from ogm.fusion.factory import BAYES, DYNAMIC, NUSS, RULES, Mapper, covering_win
 from ogm.fusion.mapper import EvidentialMapper
 from ogm.fusion.motion import deskew, extrapolate
 from ogm.fusion.objects import Objects, find_objects
-from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, map_scans, update_map
+from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, grid_pose, map_scans, update_map
 from ogm.fusion.prediction import predict_dynamic
 from ogm.fusion.registration import odometry
 from ogm.fusion.resample import coarsen, resample_to, warp
@@ -40,6 +40,7 @@ __all__ = [
     "extrapolate",
     "find_objects",
     "fuse",
+    "grid_pose",
     "make_mapper",
     "map_scans",
     "odometry",

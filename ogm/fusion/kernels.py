@@ -13,7 +13,10 @@ from ogm.evidence.kernels import FLOAT32, RULES
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import vector
 
-__all__ = ["CAUTIOUS", "CUMULATIVE", "DEMPSTER", "YAGER", "Aging", "bayes_update", "evidential_update", "log_odds_of"]
+__all__ = [
+    *("CAUTIOUS", "CUMULATIVE", "DEMPSTER", "YAGER", "Aging"),
+    *("bayes_update", "combine_cells", "evidential_update", "log_odds_of"),
+]
 
 DEMPSTER, YAGER, CUMULATIVE, CAUTIOUS = 0, 1, 2, 3
 # Added and taken away, it makes zeros of numbers so small that they would slow a loop down.
@@ -64,6 +67,31 @@ def _combiner(rule: str) -> Any:
 
 
 _dempster, _yager, _cumulative, _cautious = map(_combiner, RULES)
+
+
+@vector
+def combine_cells(rule: int, m: Any, c: Any, z: Any, limit: Any) -> None:
+    """Combine cells of a map with those of a scan, and raise the map's conflict to that between the two.
+
+    Parameters
+    ----------
+    rule : int
+        `DEMPSTER`, `YAGER`, `CUMULATIVE` or `CAUTIOUS`.
+    m, c : (2 n,) float32
+        Masses (free, occupied) and conflict (free -> occupied, occupied -> free) of n cells, changed in place.
+    z : (2 n,) float32
+        Masses of the scan.
+    limit : float32
+        The most that free + occupied may be, [0, 1].
+    """
+    if rule == DEMPSTER:
+        _dempster(m, c, z, limit)
+    elif rule == YAGER:
+        _yager(m, c, z, limit)
+    elif rule == CUMULATIVE:
+        _cumulative(m, c, z, limit)
+    else:
+        _cautious(m, c, z, limit)
 
 
 @vector
@@ -129,14 +157,7 @@ def evidential_update(
                 continue
             m = state[at, 2 * (a + shift) : 2 * (b + shift)]
             c = conflict[at, 2 * (a + shift) : 2 * (b + shift)]
-            if rule == DEMPSTER:
-                _dempster(m, c, z[2 * a : 2 * b], limit)
-            elif rule == YAGER:
-                _yager(m, c, z[2 * a : 2 * b], limit)
-            elif rule == CUMULATIVE:
-                _cumulative(m, c, z[2 * a : 2 * b], limit)
-            else:
-                _cautious(m, c, z[2 * a : 2 * b], limit)
+            combine_cells(rule, m, c, z[2 * a : 2 * b], limit)
         z[:] = 0
 
 

@@ -17,7 +17,7 @@ from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
 from ogm.scan import Frame, Scan, SensorModels, of_sensor, run_model
 
-__all__ = ["FusionStep", "deskew_frame", "fuse", "map_scans", "update_map"]
+__all__ = ["FusionStep", "deskew_frame", "fuse", "grid_pose", "map_scans", "update_map"]
 
 _DAMAGED = (ValueError, TypeError, OSError)  # what is wrong with one frame, not with the program
 _MAX_JUMPS = 3  # in a row, at the last of which the map begins anew
@@ -146,7 +146,7 @@ def fuse(
             frame = deskew_frame(frame, trajectory)
         restart, previous = "", None
         try:
-            T_map_grid = _T_map_grid(frame)
+            T_map_grid = grid_pose(frame)
             frame.scan  # noqa: B018  reading is not the model's time
             start = time.perf_counter()
             grid = run_model(ism, frame)
@@ -193,7 +193,7 @@ def update_map(
     ValueError
         If the frame has no pose, its sensor no reliability, and for all that the mapper refuses.
     """
-    T_map_grid, scan = _T_map_grid(frame), frame.scan
+    T_map_grid, scan = grid_pose(frame), frame.scan
     share = of_sensor(reliability, scan.sensor, "reliability") if isinstance(reliability, Mapping) else reliability
     radial = radial_velocities(scan, frame.mount)
     try:
@@ -242,10 +242,24 @@ def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
     )
 
 
-def _T_map_grid(frame: Frame) -> NDArray[np.float64]:  # noqa: N802
+def grid_pose(frame: Frame) -> NDArray[np.float64]:
     """Return the pose of the frame in which a measurement grid lies: the vehicle's axes and origin, at sensor height.
 
     The window of a map and its check for jumps follow it: it is of the vehicle, whichever sensor measured.
+
+    Parameters
+    ----------
+    frame : Frame
+
+    Returns
+    -------
+    (4, 4) float64
+        Takes the coordinates of the grid to the map [m].
+
+    Raises
+    ------
+    ValueError
+        If the frame has no pose.
     """
     T = frame.T_map_sensor
     if T is None:

@@ -1,4 +1,4 @@
-"""Poses in and out: KITTI, KITTI-360, TUM and a format of our own that explains itself."""
+"""Poses in and out: KITTI, KITTI-360, TUM, g2o and a format of our own that explains itself."""
 
 import logging
 import math
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.files import OgmError, atomic_write, update_hint
+from ogm.io.g2o import read_g2o
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
 from ogm.pose import LATEST, Trajectory, check_pose, inverse
 
@@ -92,8 +93,9 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
     The number of columns gives the kind: 12 is KITTI odometry (the upper three rows of a 4x4 pose, row by
     row), 13 KITTI-360 (the frame number before them), 16 and 17 the same with the fourth row, 8 TUM (stamp,
     position, quaternion with w last). Columns are separated by blanks; what follows ``#`` is a comment. A
-    ``.csv`` has the header ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and perhaps a column ``number``. Each
-    may be packed as ``.xz`` or ``.gz``.
+    ``.csv`` has the header ``stamp,x,y,z,qx,qy,qz,qw``, in any order, and perhaps a column ``number``. A ``.g2o`` is
+    a pose graph, of which the vertices are read; their identifiers are the frame numbers. Each may be packed as
+    ``.xz`` or ``.gz``.
 
     Rotations that are rounded, to three decimals at least, become the nearest true ones.
 
@@ -121,6 +123,9 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
         their own z axis) and `T_camera_sensor` is not given. The line is named.
     """
     path = Path(path)
+    if path.name.lower().removesuffix(".xz").removesuffix(".gz").endswith(".g2o"):
+        vertices, poses, kind = read_g2o(path)
+        return Poses(_of_sensor(path, poses, T_camera_sensor), None, vertices, kind)
     table, where, header, ours = _rows(path)
     columns = table.shape[1]
     stamps, counted = None, None
@@ -134,13 +139,10 @@ def read_poses(path: str | os.PathLike[str], *, T_camera_sensor: ArrayLike | Non
         if columns in (13, 17):
             counted, table = _frame_numbers(where, table[:, 0]), table[:, 1:]
         poses = _from_matrices(path, where, table)
-    if T_camera_sensor is not None:
-        if ours:
-            raise OgmError(f"{path} has the sensor's own poses ({_OURS}): leave T_camera_sensor out")
-        T = check_pose(T_camera_sensor, "T_camera_sensor")
-        poses = inverse(T) @ poses @ T
-    elif not ours:
-        _refuse_camera(path, poses)
+    if ours and T_camera_sensor is not None:
+        raise OgmError(f"{path} has the sensor's own poses ({_OURS}): leave T_camera_sensor out")
+    if not ours:
+        poses = _of_sensor(path, poses, T_camera_sensor)
     return Poses(poses, stamps, counted, _OURS if ours else "csv" if header else _KINDS[columns])
 
 
@@ -287,6 +289,16 @@ def _from_matrices(path: Path, where: _Where, table: NDArray[np.float64]) -> NDA
     if (error > 1e-4).any():
         log.info("%s: rotations are rounded (R'R departs from the identity by %.1g)", path, error.max())
     return poses
+
+
+def _of_sensor(path: Path, poses: NDArray[np.float64], T_camera_sensor: ArrayLike | None) -> NDArray[np.float64]:
+    """Return the poses of the lidar."""
+    if T_camera_sensor is None:
+        _refuse_camera(path, poses)
+        return poses
+    T = check_pose(T_camera_sensor, "T_camera_sensor")
+    of_sensor: NDArray[np.float64] = inverse(T) @ poses @ T
+    return of_sensor
 
 
 def _refuse_camera(path: Path, poses: NDArray[np.float64]) -> None:

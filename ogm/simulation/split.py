@@ -1,11 +1,9 @@
 """Arrays of one part of a data set on disk, and its samples read from them; ``docs/formats.md`` has the layout."""
 
-import hashlib
-import json
 import math
 import operator
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, overload
 
@@ -230,12 +228,6 @@ def sample_checksums(split: str, first: int, values: NDArray[Any]) -> NDArray[np
     little = values.astype(values.dtype.newbyteorder("<"), copy=False)
     sums = [zlib.crc32(one.tobytes(), zlib.crc32(f"{split} {first + k}".encode())) for k, one in enumerate(little)]
     return np.array(sums, np.uint32)
-
-
-def attributes_checksum(attributes: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a data set's attributes but ``sha256``, as JSON with sorted keys."""
-    rest = {name: value for name, value in attributes.items() if name != "sha256"}
-    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
 _DIMENSIONS = {name: len(shape) for name, (shape, _) in Contents().layout.items()} | dict.fromkeys(OF_RADARS, 2)

@@ -26,20 +26,13 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
+from ogm.archive import attributes_checksum
 from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
-from ogm.simulation.split import (
-    Damaged,
-    Split,
-    attributes_checksum,
-    load_zarr,
-    open_array,
-    sample_checksums,
-    shard_file,
-)
+from ogm.simulation.split import Damaged, Split, load_zarr, open_array, sample_checksums, shard_file
 from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]

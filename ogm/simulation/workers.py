@@ -6,10 +6,9 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from dataclasses import asdict
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,13 +16,12 @@ import numpy as np
 
 from ogm.files import finish_zarr, temporary_folder
 from ogm.locks import sweep
+from ogm.pool import TRIES, as_completed, cluster, processes
 from ogm.simulation.plan import DatasetPlan, moment
-from ogm.simulation.pool import Submit, cluster, processes
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
-TRIES = 3  # times that workers are started before their deaths are an error
 
 SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
 
@@ -234,24 +232,13 @@ def _shared_out(
                 if not estimated:
                     yield _estimate(submit(work.measure, todo[0]).result(), todo, count, store)
                     estimated = True
-                for one in _as_made(submit, work.make, [job for job in todo if job not in made], 2 * count):
+                for one in as_completed(submit, work.make, [job for job in todo if job not in made], 2 * count):
                     made.add(one.job)
                     yield one
             return
         except BrokenExecutor:
             if not again:
                 raise
-
-
-def _as_made(submit: Submit, make: Callable[[Job], Made], todo: list[Job], ahead: int) -> Iterator[Made]:
-    """Yield shards as they are made, a few handed out at a time, so that towns come one by one."""
-    later, running = iter(todo), set[Future[Made]]()
-    while True:
-        running |= {submit(make, job) for job in islice(later, ahead - len(running))}
-        if not running:
-            return
-        done, running = wait(running, return_when=FIRST_COMPLETED)
-        yield from [one.result() for one in done]
 
 
 @contextmanager

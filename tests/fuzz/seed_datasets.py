@@ -37,6 +37,9 @@ def poses(kind: str) -> bytes:
         number = f"{3 * k} " if kind == "kitti360" else ""
         blank = "," if kind == "csv" else " "
         lines.append(number + blank.join(repr(float(x)) for x in (T if "kitti" in kind else row)))
+    if kind == "g2o":
+        lines = [f"VERTEX_SE3:QUAT {k} " + line.split(" ", 1)[1] for k, line in enumerate(lines)]
+        lines += ["VERTEX_SE2 9 1.0 2.0 0.5", "EDGE_SE2 0 9 1 2 0.5 1 0 0 1 0 1"]
     if kind == "csv":
         lines = ["# ogm.poses/1: T_map_sensor", "stamp,x,y,z,qx,qy,qz,qw", *lines]
     return ("\n".join(lines) + "\n").encode()
@@ -213,8 +216,8 @@ _FOLDERS: dict[str, tuple[Files, str, Callable[[Path], object]]] = {
 }
 TARGETS: dict[str, Callable[[Path], Target]] = {
     **{
-        f"poses-{kind}": partial(_one, "poses.csv" if kind == "csv" else "poses.txt", partial(poses, kind), _poses)
-        for kind in ("tum", "kitti", "kitti360", "csv")
+        f"poses-{kind}": partial(_one, f"poses.{ending}", partial(poses, kind), _poses)
+        for kind, ending in {"tum": "txt", "kitti": "txt", "kitti360": "txt", "csv": "csv", "g2o": "g2o"}.items()
     },
     **{name: partial(_one, *given) for name, given in _KITTI.items()},
     **{name: partial(_many, *given) for name, given in _FOLDERS.items()},

@@ -267,3 +267,49 @@ def test_derived_poses_are_read(real: Callable[[str], Path], folder: str, number
 def test_the_calibration_of_a_recording_points_the_camera_forward(real: Callable[[str], Path]) -> None:
     T = read_calibration(real("kitti_raw_0005") / "calib_2011_09_26.txt")
     np.testing.assert_allclose(T[:3, :3], T_CAMERA_SENSOR[:3, :3], atol=0.02)
+
+
+def test_g2o_has_the_poses_of_its_vertices(tmp_path: Path) -> None:
+    from scipy.spatial.transform import Rotation
+
+    trajectory = drive()
+    quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
+    rows = [
+        f"VERTEX_SE3:QUAT {3 * k} " + " ".join(map(repr, [*T[:3, 3].tolist(), *q.tolist()]))
+        for k, (T, q) in enumerate(zip(trajectory.poses, quaternions, strict=True))
+    ]
+    edges = ["# a comment", "FIX 0", "EDGE_SE3:QUAT 0 3 1 0 0 0 0 0 1 " + "1 " * 21, "VERTEX_TRACKXYZ 99 1 2 3"]
+    (tmp_path / "graph.g2o").write_text("\n".join(rows[::-1] + edges) + "\n")
+    found = read_poses(tmp_path / "graph.g2o")
+    assert found.numbers is not None
+    assert found.stamps is None
+    assert found.format == "g2o"
+    assert found.numbers.tolist() == [3 * k for k in range(len(rows))]
+    np.testing.assert_allclose(found.poses, trajectory.poses, atol=1e-12)
+
+
+def test_flat_g2o_lies_in_the_plane(tmp_path: Path) -> None:
+    (tmp_path / "graph.g2o").write_text("VERTEX_SE2 7 1.5 -2.0 0.75\nVERTEX_SE2 9 0 0 -3.0\n")
+    found = read_poses(tmp_path / "graph.g2o")
+    np.testing.assert_allclose(found.poses, [pose(1.5, -2.0, yaw=0.75), pose(yaw=-3.0)], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("line", "wanted"),
+    [
+        ("VERTEX_SE2 1 2 3", "line 2 of .* and 3 finite numbers"),
+        ("VERTEX_SE2 1 2 3 nan", "finite"),
+        ("VERTEX_SE2 one 2 3 4", "a whole number"),
+        ("VERTEX_SE2", "a whole number"),
+        ("VERTEX_SE2 -4 2 3 4", "from 0"),
+        ("VERTEX_SE2 0 2 3 4", "the vertex 0 of line 1 again"),
+        ("VERTEX_SE3:QUAT 1 0 0 0 0 0 0 2", "quaternion of length 1"),
+    ],
+)
+def test_damaged_g2o_is_refused(tmp_path: Path, line: str, wanted: str) -> None:
+    (tmp_path / "graph.g2o").write_text(f"VERTEX_SE2 0 0 0 0\n{line}\n")
+    with pytest.raises(OgmError, match=wanted):
+        read_poses(tmp_path / "graph.g2o")
+    (tmp_path / "edges.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n")
+    with pytest.raises(OgmError, match="has no vertex"):
+        read_poses(tmp_path / "edges.g2o")

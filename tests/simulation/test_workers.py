@@ -16,7 +16,8 @@ from typing import NamedTuple
 import pytest
 from stand_in import stand_in
 
-from ogm.simulation import pool, workers
+from ogm import pool
+from ogm.simulation import workers
 from ogm.simulation.plan import DatasetPlan, LidarMount
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store

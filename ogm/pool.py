@@ -5,17 +5,83 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any
 
-__all__ = ["Submit", "cluster", "processes"]
+__all__ = ["TRIES", "Submit", "as_completed", "cluster", "processes", "work_off"]
 
 SCHEDULER_TIMEOUT = 20.0  # [s]
+TRIES = 3  # times that workers are started before their deaths are an error
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": "65536"}  # of processes on this machine
 
 Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
+
+
+def work_off(
+    function: Callable[[Any], Any], jobs: Sequence[Any], workers: int, scheduler: str | None = None
+) -> Iterator[tuple[int, Any]]:
+    """Yield number and result of each job as it is done: here, by processes of this machine, or by a Dask cluster.
+
+    When a worker dies, workers are started anew for the jobs that are not done.
+
+    Parameters
+    ----------
+    function : callable
+        ``function(job)``; for more than one worker, it, the jobs and the results must be picklable.
+    jobs : sequence
+    workers : int
+        1 works in this process.
+    scheduler : str, optional
+        Address of a Dask scheduler to use instead, ``"tcp://host:port"``.
+
+    Raises
+    ------
+    BrokenExecutor
+        If workers died `TRIES` times.
+    OSError
+        If the scheduler cannot be reached.
+    """
+    if workers == 1 and scheduler is None:
+        yield from ((k, function(job)) for k, job in enumerate(jobs))
+        return
+    done: set[int] = set()
+    for again in reversed(range(TRIES)):
+        todo = [(k, job) for k, job in enumerate(jobs) if k not in done]
+        if not todo:
+            return
+        try:
+            with cluster(scheduler) if scheduler else processes(workers) as (submit, count):
+                for k, result in as_completed(submit, _Numbered(function), todo, 2 * count):
+                    done.add(k)
+                    yield k, result
+            return
+        except BrokenExecutor:
+            if not again:
+                raise
+
+
+class _Numbered:
+    """A function of a job that comes with its number."""
+
+    def __init__(self, function: Callable[[Any], Any]) -> None:
+        self.function = function
+
+    def __call__(self, job: tuple[int, Any]) -> tuple[int, Any]:
+        return job[0], self.function(job[1])
+
+
+def as_completed(submit: Submit, function: Callable[[Any], Any], jobs: Sequence[Any], ahead: int) -> Iterator[Any]:
+    """Yield results as they are done, a few jobs handed out at a time, so that they begin in their order."""
+    later, running = iter(jobs), set[Future[Any]]()
+    while True:
+        running |= {submit(function, job) for job in islice(later, ahead - len(running))}
+        if not running:
+            return
+        done, running = wait(running, return_when=FIRST_COMPLETED)
+        yield from [one.result() for one in done]
 
 
 @contextmanager
@@ -32,7 +98,7 @@ def cluster(scheduler: str) -> Iterator[tuple[Submit, int]]:
     try:
         from distributed import Client
     except ImportError as error:
-        text = f'a scheduler needs Dask, which is missing ({error}): pip install "ogm-toolkit[sim]"'
+        text = f'a scheduler needs Dask, which is missing ({error}): pip install "ogm-toolkit[world]"'
         raise ImportError(text) from error
     with Client(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:
         count = len(client.ncores())

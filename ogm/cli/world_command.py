@@ -1,0 +1,220 @@
+"""``ogm world``: maps of a whole city, from many drives."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from typer import Argument, Option
+
+from ogm.cli import options
+from ogm.cli.console import out, print_facts, report_errors, stderr
+
+if TYPE_CHECKING:
+    from ogm.scan import Frame
+    from ogm.world import Progress as Event
+    from ogm.world import WorldMap
+
+__all__ = ["world_app"]
+
+world_app = typer.Typer(
+    name="world",
+    help="Maps of a whole city: tiles in a folder or an object store, built from many drives.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
+
+Url = Annotated[
+    str, Argument(help="The map: a folder, a .zip archive (to read), or s3://bucket/prefix.", metavar="URL")
+]
+DataSets = Annotated[list[Path], Argument(help="Data sets, logs, or folders of scans.", metavar="DATASETS")]
+OutUrl = Annotated[str, Option("--out", help="The map: a new folder, s3://bucket/prefix, or a map to add drives to.")]
+Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
+Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]
+PosesOf = Annotated[
+    list[Path] | None, Option(help="Poses of the sensor, of each data set in order: KITTI, TUM, .csv, .g2o.")
+]
+Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, where the poses are those of its camera.")]
+Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
+Ism = Annotated[str, Option(help="Sensor model, as of `ogm fuse`.")]
+Rule = Annotated[str, Option(help="Combine by: cautious, dempster, cumulative. For a new map.")]
+Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two. For a new map.")]
+Crs = Annotated[str | None, Option(help="Coordinate reference system of the poses, such as EPSG:25832. For a new map.")]
+SubMaps = Annotated[float, Option("--submap-length", help="Way along which a sub-map's frames were taken [m].")]
+Extent = Annotated[tuple[float, float, float, float] | None, Option(help="x_min x_max y_min y_max [m]. [default: all]")]
+Level = Annotated[int, Option(help="Level: cells of 2**LEVEL times the side.", min=0)]
+DriveName = Annotated[str, Option("--drive", help="Name of the drive; `ogm world info` shows them.")]
+
+
+@report_errors
+def build(
+    datasets: DataSets,
+    out_url: OutUrl,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
+    poses: PosesOf = None,
+    calib: Calib = None,
+    rate: Rate = 10.0,
+    ism: Ism = "ray",
+    axes: options.Axes = "flu",
+    length: options.Length = None,
+    width: options.Width = None,
+    resolution: options.Resolution = 0.16,
+    rule: Rule = "cautious",
+    tile: Tile = 512,
+    crs: Crs = None,
+    submap_length: SubMaps = 50.0,
+) -> None:
+    """Build a map from drives, or add drives to one.
+
+    Every sequence of a data set is a drive, named after both. What is finished is never made again: the same command
+    goes on after Ctrl-C or a kill, and adds the drives that are new. The map is the same to the last bit for any number
+    of workers. Workers of --scheduler reach data sets and map under the same paths. Where an object store is and who
+    may use it is taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
+    """
+    from ogm.evaluation.models import NamedModels, sensor_models
+    from ogm.grid import GridSpec
+    from ogm.world import WorldMap, build_world
+
+    if poses is not None and len(poses) != len(datasets):
+        raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
+    spec = GridSpec.centered(length, width, resolution)
+    sensor_models(ism, spec)  # refuses what is none, before any work
+    drives: dict[str, Any] = {}
+    for n, path in enumerate(datasets):
+        drives |= _drives(path, axes, poses[n] if poses else None, calib, rate)
+    try:
+        world = WorldMap.open(out_url, "r+")
+    except FileNotFoundError:
+        world = WorldMap.create(out_url, resolution, tile, crs=crs, rule=rule)  # type: ignore[arg-type]
+    with world, _progress() as show:
+        make: Any = NamedModels(ism, spec)
+        build_world(world, drives, make, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
+        world.build_overviews()
+        _print(world)
+
+
+@report_errors
+def rebuild(
+    url: Url,
+    drive: DriveName,
+    poses: Annotated[Path, Option(help="New poses of its sensor: .g2o, TUM, KITTI, .csv.")],
+    calib: Calib = None,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
+) -> None:
+    """Move a drive to other poses, as after a loop closure, and make the tiles anew that this changes.
+
+    Poses with stamps (TUM, .csv) are taken by stamp, others by frame number (of .g2o: identifiers of vertices), or by
+    row.
+    """
+    from ogm.io import read_calibration, read_poses
+    from ogm.world import WorldMap, rebuild_world
+
+    found = read_poses(poses, T_camera_sensor=None if calib is None else read_calibration(calib))
+    numbers = range(len(found)) if found.numbers is None else found.numbers.tolist()
+    placed: Any = dict(zip(numbers, found.poses, strict=True)) if found.stamps is None else found.trajectory()
+    with WorldMap.open(url, "r+") as world, _progress() as show:
+        rebuild_world(world, {drive: placed}, workers=workers, scheduler=scheduler, progress=show)
+        world.build_overviews()
+        _print(world)
+
+
+@report_errors
+def info(url: Url) -> None:
+    """Print what a map holds."""
+    from ogm.world import WorldMap
+
+    with WorldMap.open(url) as world:
+        _print(world)
+
+
+@report_errors
+def export(
+    url: Url,
+    path: Annotated[
+        Path, Argument(help="File: .tif, .yaml, .npz, .nc, .zarr, .png, ...; .zip (all of the map), or a new folder.")
+    ],
+    extent: Extent = None,
+    level: Level = 0,
+) -> None:
+    """Write a part of a map in another format, all of it as one .zip archive, or pictures of its tiles in a folder."""
+    from ogm.io import PlacedGrid, write_grid
+    from ogm.io.grids import check_grid_output
+    from ogm.world import WorldMap, write_pyramid
+
+    with WorldMap.open(url) as world:
+        if path.suffix.lower() == ".zip" or not path.suffix:
+            if extent is not None or level:
+                raise ValueError("--extent and --level are for one grid: .zip and folders hold the whole map")
+            if path.suffix:
+                world.copy_to(path)
+            else:
+                out.print(f"{write_pyramid(world, path)} pictures", markup=False)
+        else:
+            check_grid_output(path, crs=world.crs)
+            grid = world.window(world.cells(extent, level), level=level)
+            write_grid(path, PlacedGrid(grid, crs=world.crs))
+            print_facts({"cells": str(grid.spec)})
+    out.print(f"written {path}", markup=False)
+
+
+def _drives(path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: float) -> "dict[str, list[Frame]]":
+    """Return the drives of a data set by name."""
+    from ogm.datasets import open_dataset, with_poses
+
+    split = "sequences" if (path / "zarr.json").exists() else None
+    dataset = open_dataset(path, axes=axes, split=split)
+    if poses is not None:
+        dataset = with_poses(dataset, poses, calib, rate)
+    name = path.resolve().name.split(".")[0]
+    parts = {f"{name}-{one}": dataset.select(numbers) for one, numbers in dataset.sequences.items()} or {name: dataset}
+    allowed = {key: "".join(c if c.isalnum() or c in "-_." else "-" for c in key) for key in parts}
+    return {allowed[key]: part for key, part in parts.items()}  # type: ignore[misc]
+
+
+class _progress:  # noqa: N801  a context manager
+    """A progress bar, as a function of events."""
+
+    def __enter__(self) -> "_progress":
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._display = Progress(*columns, console=stderr, transient=True)
+        self._display.start()
+        self._task = self._display.add_task("reading poses", total=None)
+        self._skipped = 0
+        return self
+
+    def __call__(self, event: "Event") -> None:
+        self._skipped = max(self._skipped, event.skipped)
+        self._display.update(self._task, description=event.stage, completed=event.done, total=event.total)
+
+    def __exit__(self, *error: object) -> None:
+        self._display.stop()
+        if self._skipped:
+            stderr.print(f"ogm: {self._skipped} frames without a pose, or damaged, were left out", markup=False)
+
+
+def _print(world: "WorldMap") -> None:
+    """Print what a map holds, and its drives."""
+    from ogm.world.drives import drive_names, load_drive
+
+    facts = world.describe()
+    for name in drive_names(world.store):
+        drive = load_drive(world.store, name)
+        made = sum(one.tiles is not None for one in drive.submaps)
+        frames = sum(one.mapped for one in drive.submaps)
+        facts[f"drive {name}"] = f"{frames} frames, {made} of {len(drive.submaps)} sub-maps"
+    print_facts(facts)
+
+
+world_app.command(
+    epilog="Examples:  ogm world build drives/ --out town --workers 2 · ogm world build a.mcap b.mcap --out "
+    "s3://maps/town --scheduler tcp://10.0.0.1:8786 · ogm world build kitti/00 --poses 00.txt --calib calib.txt --out k"
+)(build)
+world_app.command(epilog="Example:  ogm world rebuild town --drive kitti-00 --poses closed.g2o")(rebuild)
+world_app.command(epilog="Example:  ogm world info town")(info)
+world_app.command(
+    epilog="Examples:  ogm world export town part.tif --extent 0 200 -50 50 · ogm world export town map.yaml --level "
+    "1 · ogm world export town town.zip · ogm world export town pictures/"
+)(export)

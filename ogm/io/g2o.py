@@ -1,0 +1,52 @@
+"""Poses of g2o files, in which pose graphs keep the vertices that an optimisation gave."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.io.reading import from_quaternions, read_lines
+
+__all__ = ["read_g2o"]
+
+_VERTICES = {"VERTEX_SE3:QUAT": 7, "VERTEX_SE2": 3}  # tag: numbers after the identifier
+_MOST = 2**53  # identifiers beyond which float64 would not hold them
+
+
+def read_g2o(path: Path) -> tuple[NDArray[np.int64], NDArray[np.float64], str]:
+    """Return the identifiers of the vertices, increasing, their poses (K, 4, 4), and the kind of file in words.
+
+    ``VERTEX_SE3:QUAT id x y z qx qy qz qw`` and ``VERTEX_SE2 id x y theta`` are read; edges, parameters and other
+    vertices are passed over. Errors as of `ogm.io.read_poses`.
+    """
+    rows: dict[int, tuple[int, str, list[float]]] = {}
+    for n, (tag, *words) in read_lines(path):
+        if tag not in _VERTICES:
+            continue
+        where = f"line {n} of {path}"
+        try:
+            number, values = int(words[0]), [float(word) for word in words[1:]]
+        except (ValueError, IndexError):
+            raise OgmError(f"{where} must be {tag}, a whole number and {_VERTICES[tag]} numbers") from None
+        if len(values) != _VERTICES[tag] or not all(map(math.isfinite, values)) or not 0 <= number < _MOST:
+            raise OgmError(f"{where} must be {tag}, a whole number from 0 and {_VERTICES[tag]} finite numbers")
+        if number in rows:
+            raise OgmError(f"{where} has the vertex {number} of line {rows[number][0]} again: remove one")
+        rows[number] = n, tag, values
+    if not rows:
+        raise OgmError(f"{path} has no vertex ({', '.join(_VERTICES)}), wanted poses: was it written to its end?")
+    numbers = sorted(rows)
+    table = np.array([_in_space(*rows[number][1:]) for number in numbers])
+    lines = [rows[number][0] for number in numbers]
+    poses = from_quaternions(table[:, :3], table[:, 3:], lambda k: f"line {lines[k]} of {path}")
+    return np.array(numbers, np.int64), poses, "g2o"
+
+
+def _in_space(tag: str, values: list[float]) -> list[float]:
+    """Return position and quaternion of a vertex."""
+    if tag == "VERTEX_SE3:QUAT":
+        return values
+    x, y, theta = values
+    return [x, y, 0.0, 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2)]

@@ -1,0 +1,202 @@
+"""Numba kernels of map tiles: a measurement grid into a tile, one tile into another, a tile at another pose.
+
+A tile is (7, n, n): the layers of `ogm.world.layout.LAYERS`, as uint16 or as float32. In uint16, masses are kept in
+steps of 1 / `MASS_STEPS`, conflict in steps of 1 / `CONFLICT_STEPS`. Nothing is checked here.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ogm.fusion.kernels import combine_cells
+from ogm.fusion.lookup import ScanLookup, look_up
+from ogm.jit import inline, vector
+
+__all__ = ["CONFLICT_STEPS", "COUNT_LIMIT", "MASS_STEPS", "integrate", "merge", "moved"]
+
+MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps are noise of the sensors, and do not pack
+COUNT_LIMIT = 65535
+_MASS, _CONFLICT, _HALF = np.float32(MASS_STEPS), np.float32(CONFLICT_STEPS), np.float32(0.5)
+_STEPS_16 = np.float32(1 / MASS_STEPS), np.float32(1 / CONFLICT_STEPS)
+_STEPS_32 = np.float32(1), np.float32(1)
+
+
+@inline
+def _mass_16(value: Any) -> Any:
+    return np.uint16(np.int32(value * _MASS + _HALF))
+
+
+@inline
+def _conflict_16(value: Any) -> Any:
+    return np.uint16(np.int32(value * _CONFLICT + _HALF))
+
+
+@inline
+def _same(value: Any) -> Any:
+    return value
+
+
+def _pair_writer(pack: Any) -> Any:
+    """Return the loop that writes pairs to two rows of a tile, where the scan has a belief."""
+
+    @vector
+    def write_pairs(known: Any, pairs: Any, first: Any, second: Any) -> None:
+        for k in range(first.size):
+            a = pack(pairs[2 * k])
+            first[k] = a if known[2 * k] + known[2 * k + 1] > np.float32(0) else first[k]
+        for k in range(first.size):
+            b = pack(pairs[2 * k + 1])
+            second[k] = b if known[2 * k] + known[2 * k + 1] > np.float32(0) else second[k]
+
+    return write_pairs
+
+
+def _marker(floats: bool) -> Any:
+    """Return the loop that counts a scan, and notes its stamp, where it has a belief."""
+    number = np.float32 if floats else np.uint16
+
+    @vector
+    def mark_seen(known: Any, stamp: Any, count: Any, high: Any, low: Any) -> int:
+        seen = 0
+        high_word, low_word = number(stamp >> np.uint32(16)), number(stamp & np.uint32(0xFFFF))
+        for k in range(count.size):
+            has = known[2 * k] + known[2 * k + 1] > np.float32(0)
+            count[k] += number(has & (count[k] < number(COUNT_LIMIT)))
+            seen += has
+            later = has & ((high[k] < high_word) | ((high[k] == high_word) & (low[k] < low_word)))
+            high[k], low[k] = high_word if later else high[k], low_word if later else low[k]
+        return seen
+
+    return mark_seen
+
+
+def _integrator(steps: Any, to_mass: Any, to_conflict: Any) -> Any:
+    """Return the kernel for one type of tiles."""
+    step_mass, step_conflict = steps
+    store_mass, store_conflict, mark = _pair_writer(to_mass), _pair_writer(to_conflict), _marker(to_mass is _same)
+
+    @vector
+    def integrate_grid(tile: Any, scan: Any, reliability: Any, rule: Any, limit: Any, stamp: Any) -> int:
+        n = tile.shape[1]
+        z, m, c = np.zeros(2 * n, np.float32), np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
+        changed = 0
+        for i in range(n):
+            low, high = look_up(z, scan.values, scan.affine, scan.samples, i, n)
+            if low >= high:
+                continue
+            count = high - low
+            known = z[2 * low : 2 * high]
+            _load(tile[0, i, low:high], tile[1, i, low:high], step_mass, m)
+            _load(tile[2, i, low:high], tile[3, i, low:high], step_conflict, c)
+            if reliability != 1:
+                for k in range(2 * count):
+                    known[k] *= reliability
+            combine_cells(rule, m[: 2 * count], c[: 2 * count], known, limit)
+            changed += mark(known, stamp, tile[4, i, low:high], tile[5, i, low:high], tile[6, i, low:high])
+            store_mass(known, m, tile[0, i, low:high], tile[1, i, low:high])
+            store_conflict(known, c, tile[2, i, low:high], tile[3, i, low:high])
+            z[2 * low : 2 * high] = 0
+        return changed
+
+    return integrate_grid
+
+
+def _merger(steps: Any, to_mass: Any, to_conflict: Any) -> Any:
+    """Return the kernel for one type of tiles."""
+    step_mass, step_conflict = steps
+
+    @vector
+    def merge_tile(tile: Any, other: Any, rule: Any, limit: Any) -> None:
+        n = tile.shape[1]
+        z, d = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
+        m, c = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
+        for i in range(n):
+            _load(other[0, i], other[1, i], step_mass, z)
+            _load(other[2, i], other[3, i], step_conflict, d)
+            _load(tile[0, i], tile[1, i], step_mass, m)
+            _load(tile[2, i], tile[3, i], step_conflict, c)
+            combine_cells(rule, m, c, z, limit)
+            for k in range(n):
+                if tile[4, i, k] == 0:  # the other's as it is: combined with nothing it would be rounded again
+                    for layer in range(tile.shape[0]):
+                        tile[layer, i, k] = other[layer, i, k]
+                elif other[4, i, k] > 0:
+                    tile[0, i, k], tile[1, i, k] = to_mass(m[2 * k]), to_mass(m[2 * k + 1])
+                    tile[2, i, k] = to_conflict(max(c[2 * k], d[2 * k]))
+                    tile[3, i, k] = to_conflict(max(c[2 * k + 1], d[2 * k + 1]))
+                    tile[4, i, k] = min(np.int32(tile[4, i, k]) + np.int32(other[4, i, k]), COUNT_LIMIT)
+                    before = (np.int64(tile[5, i, k]) << 16) | np.int64(tile[6, i, k])
+                    if ((np.int64(other[5, i, k]) << 16) | np.int64(other[6, i, k])) > before:
+                        tile[5, i, k], tile[6, i, k] = other[5, i, k], other[6, i, k]
+
+    return merge_tile
+
+
+@vector
+def _load(first: Any, second: Any, scale: Any, out: Any) -> None:
+    for k in range(first.size):
+        out[2 * k], out[2 * k + 1] = np.float32(first[k]) * scale, np.float32(second[k]) * scale
+
+
+_integrate_16 = _integrator(_STEPS_16, _mass_16, _conflict_16)
+_integrate_32 = _integrator(_STEPS_32, _same, _same)
+_merge_16, _merge_32 = _merger(_STEPS_16, _mass_16, _conflict_16), _merger(_STEPS_32, _same, _same)
+
+
+def integrate(tile: np.ndarray, scan: ScanLookup, reliability: float, rule: int, max_known: float, stamp: int) -> int:
+    """Combine a measurement grid with a tile, in place; return the number of cells that it has a belief about.
+
+    Parameters
+    ----------
+    tile : (7, n, n) uint16 or float32
+    scan : ScanLookup
+        Of masses; its affine map is from the tile's cells.
+    reliability : float
+        Shafer's discount of the grid, [0, 1].
+    rule : int
+        `ogm.fusion.kernels.DEMPSTER`, `CUMULATIVE` or `CAUTIOUS`.
+    max_known : float
+        The most that free + occupied may be, [0, 1].
+    stamp : int
+        [s] plus 1, below 2**32; 0 if unknown. Cells keep the greatest.
+    """
+    kernel = _integrate_16 if tile.dtype == np.uint16 else _integrate_32
+    return int(kernel(tile, scan, np.float32(reliability), rule, np.float32(max_known), np.uint32(stamp)))
+
+
+def merge(tile: np.ndarray, other: np.ndarray, rule: int, max_known: float) -> None:
+    """Combine a tile with another of the same cells, in place; the other's unseen cells change nothing.
+
+    Masses are combined, conflict is the greatest of either and of that between the two, counts add up, the later stamp
+    stays. Parameters as for `integrate`.
+    """
+    kernel = _merge_16 if tile.dtype == np.uint16 else _merge_32
+    kernel(tile, other, rule, np.float32(max_known))
+
+
+@vector
+def moved(source: np.ndarray, affine: np.ndarray, out: np.ndarray) -> int:
+    """Fill a tile with the layers of the cells that hold its cells' centres; return how many of them were seen.
+
+    Parameters
+    ----------
+    source : (7, a, b) uint16 or float32
+    affine : (2, 3) float64
+        From the cells of `out` to those of `source`.
+    out : (7, n, n)
+        Of the same type; is 0 where there is no source.
+    """
+    _, nx, ny = out.shape
+    _, mx, my = source.shape
+    seen = 0
+    for i in range(nx):
+        u0 = affine[0, 0] * (i + 0.5) + affine[0, 1] * 0.5 + affine[0, 2] + 1e-6
+        v0 = affine[1, 0] * (i + 0.5) + affine[1, 1] * 0.5 + affine[1, 2] + 1e-6
+        for j in range(ny):
+            u, v = u0 + j * affine[0, 1], v0 + j * affine[1, 1]
+            if 0 <= u < mx and 0 <= v < my:
+                a, b = int(u), int(v)
+                for layer in range(out.shape[0]):
+                    out[layer, i, j] = source[layer, a, b]
+                seen += source[4, a, b] > 0
+    return seen

@@ -1,0 +1,146 @@
+"""Where the cells of a world map lie: a lattice through the map's origin, tiles of it, layers of a tile, levels."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER
+from ogm.grid import GridSpec
+from ogm.world.kernels import CONFLICT_STEPS, MASS_STEPS
+
+__all__ = ["LAYERS", "TILES", "WORLD_RULES", "Box", "Layout", "StoredType", "TileIndex", "WorldRule", "corners"]
+
+LAYERS = ("free", "occupied", "free_to_occupied", "occupied_to_free", "count", "seen_high", "seen_low")
+TILES = 2**22  # along each axis of the lattice, half of them below 0: 172,000 km either way at 512 cells of 0.16 m
+WORLD_RULES = {"cautious": CAUTIOUS, "dempster": DEMPSTER, "cumulative": CUMULATIVE}
+_CHUNK = 256  # [cells] along a side of the parts of a tile that are packed, and read, alone
+_ALIGNED = 1e-4  # [cells] that the corner of a window may lie off the lattice, by rounding
+
+StoredType = Literal["uint16", "float32"]
+WorldRule = Literal["cautious", "dempster", "cumulative"]
+TileIndex = tuple[int, int]
+Box = tuple[int, int, int, int]  # first and last + 1 cell along x, the same along y
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Numbers that a world map is made with, and that never change.
+
+    Cell (i, j) covers ``resolution * [i, i + 1) x [j, j + 1)`` in map coordinates, for whole i and j of either sign;
+    tile (a, b) holds the cells ``tile * [a, a + 1) x tile * [b, b + 1)``. Level k has cells of ``2**k`` times the side.
+
+    Parameters
+    ----------
+    resolution : float
+        Side of a cell [m].
+    tile : int
+        Cells along a side of a tile: a power of two, 16 to 4096.
+    dtype : {"uint16", "float32"}
+        Of what is kept. In uint16 masses are rounded to the nearest n / 4095, conflict to n / 255.
+    rule : {"cautious", "dempster", "cumulative"}
+    min_unknown : float
+        Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    resolution: float = 0.16
+    tile: int = 512
+    dtype: StoredType = "uint16"
+    rule: WorldRule = "cautious"
+    min_unknown: float = 0.02
+
+    def __post_init__(self) -> None:
+        GridSpec(self.resolution, (1, 1), (0.0, 0.0))  # refuses what is no resolution
+        if not (isinstance(self.tile, int) and 16 <= self.tile <= 4096 and self.tile & (self.tile - 1) == 0):
+            raise ValueError(f"tile must be a power of two from 16 to 4096 cells, got {self.tile!r}")
+        if self.dtype not in ("uint16", "float32"):
+            raise ValueError(f"dtype must be uint16 or float32, got {self.dtype!r}")
+        if self.rule not in WORLD_RULES:
+            raise ValueError(
+                f"rule must be one of {', '.join(WORLD_RULES)}, got {self.rule!r}: others depend on the order of scans"
+            )
+        least = 1e-4 if self.dtype == "float32" else 1 / MASS_STEPS  # two masses that are rounded up must fit in
+        if not least <= self.min_unknown < 1:
+            raise ValueError(f"min_unknown must be in [{least:.3g}, 1) for {self.dtype}, got {self.min_unknown}")
+
+    @property
+    def cells(self) -> int:
+        """Cells of level 0 along each axis."""
+        return TILES * self.tile
+
+    @property
+    def steps(self) -> dict[str, float]:
+        """What 1 means as stored: of masses, and of conflict."""
+        if self.dtype == "float32":
+            return {"mass": 1.0, "conflict": 1.0}
+        return {"mass": 1 / MASS_STEPS, "conflict": 1 / CONFLICT_STEPS}
+
+    def array(self, level: int) -> dict[str, Any]:
+        """Return shape, shards and chunks of the Zarr array of a level."""
+        layers, side = len(LAYERS) if level == 0 else 2, self.cells >> level
+        chunk = min(self.tile, _CHUNK)
+        return {
+            "shape": (layers, side, side),
+            "shards": (layers, self.tile, self.tile),
+            "chunks": (1, chunk, chunk),
+            "dtype": self.dtype,
+        }
+
+    def empty_tile(self, layers: int = len(LAYERS)) -> NDArray[Any]:
+        """Return a tile in which nothing was seen, (layers, tile, tile)."""
+        return np.zeros((layers, self.tile, self.tile), self.dtype)
+
+    def spec(self, box: Box, level: int = 0) -> GridSpec:
+        """Return the grid of some cells of a level, in map coordinates."""
+        side = self.resolution * 2**level
+        return GridSpec(side, (box[1] - box[0], box[3] - box[2]), (box[0] * side, box[2] * side))
+
+    def box_of(self, index: TileIndex) -> Box:
+        """Return the cells of a tile, of any level."""
+        i, j = index[0] * self.tile, index[1] * self.tile
+        return i, i + self.tile, j, j + self.tile
+
+    def tiles_of(self, box: Box) -> list[TileIndex]:
+        """Return the tiles that have cells in a box, in order."""
+        first, last = (box[0] // self.tile, box[2] // self.tile), ((box[1] - 1) // self.tile, (box[3] - 1) // self.tile)
+        return [(i, j) for i in range(first[0], last[0] + 1) for j in range(first[1], last[1] + 1)]
+
+    def check_box(self, box: Box, level: int = 0) -> None:
+        """Raise ValueError where cells lie beyond the lattice."""
+        most = self.cells >> (level + 1)
+        if min(box) < -most or max(box) > most:
+            reach = most * self.resolution * 2**level / 1e3
+            raise ValueError(f"cells {box} lie beyond the map, which reaches {reach:.6g} km from its origin")
+
+    def aligned(self, spec: GridSpec, level: int = 0) -> Box | None:
+        """Return the cells of a grid whose cells are cells of the map; None if they are others."""
+        side = self.resolution * 2**level
+        if abs(spec.resolution / side - 1) * max(spec.shape) > _ALIGNED:
+            return None
+        i, j = spec.origin[0] / side, spec.origin[1] / side
+        if max(abs(i - round(i)), abs(j - round(j))) > _ALIGNED:
+            return None
+        return round(i), round(i) + spec.shape[0], round(j), round(j) + spec.shape[1]
+
+    def around(self, points: NDArray[np.float64], level: int = 0, margin: int = 1) -> Box:
+        """Return the cells that hold all points (K, 2) [m] of the map, and a margin of cells."""
+        side = self.resolution * 2**level
+        low, high = points.min(axis=0) / side, points.max(axis=0) / side
+        if not np.abs([low, high]).max() < 2**52:
+            raise ValueError(f"a place {points.tolist()} m is too far from the map's origin")
+        (i, j), (k, n) = (math.floor(one) - margin for one in low), (math.ceil(one) + margin for one in high)
+        return i, k, j, n
+
+
+def corners(spec: GridSpec, T: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return where the corners of a grid lie in a frame, (4, 2) [m], projected along its vertical."""
+    x0, x1, y0, y1 = spec.extent
+    xy = np.array([(x0, y0), (x0, y1), (x1, y0), (x1, y1)])
+    return xy @ T[:2, :2].T + T[:2, 3]

@@ -1,0 +1,79 @@
+"""What the tiles of a built map were made from: a number per tile, so that building goes on where it was stopped."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.world.layout import TILES, TileIndex
+from ogm.world.stores import reading, writing
+from ogm.world.tiles import TileStore
+
+__all__ = ["Rendered"]
+
+_NAME, _SIDE = "rendered", 64  # [tiles] along a side of a chunk
+_OFTEN = 64  # tiles after which their numbers are written
+
+
+class Rendered:
+    """The numbers of all tiles, `ogm.world.render.fingerprint`; 0 where none was made.
+
+    Numbers that are noted are written now and then, and at the end of a ``with`` block. A tile whose number was not
+    written is made again, with the same result.
+    """
+
+    def __init__(self, store: TileStore) -> None:
+        from zarr.codecs import Crc32cCodec, ZstdCodec
+
+        self._store = store
+        with writing(store.url, f"the numbers of tiles of {store.url}"):
+            if _NAME in store.root:
+                self._array: Any = store.root[_NAME]
+            else:
+                self._array = store.root.create_array(
+                    _NAME,
+                    shape=(TILES, TILES),
+                    chunks=(_SIDE, _SIDE),
+                    dtype="uint64",
+                    compressors=[ZstdCodec(level=1), Crc32cCodec()],
+                    filters=None,
+                    fill_value=0,
+                )
+        self._chunks: dict[TileIndex, NDArray[np.uint64]] = {}
+        self._noted: dict[TileIndex, int] = {}
+
+    def mark(self, index: TileIndex) -> np.uint64:
+        """Return the number of a tile."""
+        chunk, at = self._chunk(index)
+        return np.uint64(chunk[at])
+
+    def note(self, index: TileIndex, mark: np.uint64) -> None:
+        """Keep the number of a tile that was made."""
+        chunk, at = self._chunk(index)
+        chunk[at] = mark
+        where = (index[0] + TILES // 2) // _SIDE, (index[1] + TILES // 2) // _SIDE
+        self._noted[where] = self._noted.get(where, 0) + 1
+        if sum(self._noted.values()) >= _OFTEN:
+            self.write()
+
+    def write(self) -> None:
+        """Write what was noted."""
+        for i, j in self._noted:
+            with writing(self._store.url, f"the numbers of tiles of {self._store.url}"):
+                self._array[i * _SIDE : (i + 1) * _SIDE, j * _SIDE : (j + 1) * _SIDE] = self._chunks[i, j]
+        self._noted.clear()
+
+    def __enter__(self) -> "Rendered":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.write()
+
+    def _chunk(self, index: TileIndex) -> tuple[NDArray[np.uint64], TileIndex]:
+        i, j = index[0] + TILES // 2, index[1] + TILES // 2
+        where = i // _SIDE, j // _SIDE
+        if where not in self._chunks:
+            a, b = where[0] * _SIDE, where[1] * _SIDE
+            with reading(f"the numbers of tiles of {self._store.url}", f"remove {_NAME}/, and build again"):
+                self._chunks[where] = np.asarray(self._array[a : a + _SIDE, b : b + _SIDE])
+        return self._chunks[where], (i % _SIDE, j % _SIDE)

@@ -1,0 +1,139 @@
+"""Places of world maps: a folder, a zip archive, or an object store such as S3, as Zarr stores."""
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+from ogm.files import OgmError, naming
+
+__all__ = ["Mode", "Url", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store", "reading"]
+
+Url = str | os.PathLike[str]
+Mode = Literal["r", "r+"]
+
+
+def load_zarr() -> Any:
+    """Return the module, or raise ImportError with the way to install it."""
+    try:
+        import zarr
+    except ImportError as error:
+        raise ImportError(
+            f'world maps are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[world]"'
+        ) from error
+    return zarr
+
+
+def is_remote(url: Url) -> bool:
+    """Return whether a map lies in an object store."""
+    return "://" in str(url) and not str(url).startswith("file://")
+
+
+def is_zip(url: Url) -> bool:
+    """Return whether a map lies in a zip archive."""
+    return not is_remote(url) and str(url).lower().endswith(".zip")
+
+
+def local_path(url: Url) -> Path:
+    """Return the path of a map on this machine."""
+    return Path(str(url).removeprefix("file://"))
+
+
+def open_store(url: Url, mode: Mode, storage: Mapping[str, str] | None = None) -> Any:
+    """Return the Zarr store of a place, whether it exists or not.
+
+    Parameters
+    ----------
+    url : str or path
+        A folder, a ``.zip`` archive to read, or ``s3://bucket/prefix``, also ``gs://``, ``az://``.
+    mode : {"r", "r+"}
+    storage : mapping of str to str, optional
+        Configuration of the object store, as obstore has it: ``endpoint``, ``access_key_id``, ``region``, ... What is
+        not given is taken from the environment (``AWS_ENDPOINT_URL``, ``AWS_ACCESS_KEY_ID``, ..., ``AWS_ALLOW_HTTP``).
+
+    Raises
+    ------
+    ValueError
+        If options are given for a folder, or a zip archive is to be written.
+    ImportError
+        If zarr, or for an object store obstore, is missing.
+    """
+    zarr = load_zarr()
+    if is_remote(url):
+        try:
+            from obstore.store import from_url
+        except ImportError as error:
+            raise ImportError(
+                f'{url} lies in an object store, which needs obstore ({error}): pip install "ogm-toolkit[world]"'
+            ) from error
+        options = dict(storage or {})
+        client: Any = {"allow_http": True} if options.get("endpoint", "").startswith("http://") else None
+        with reading(url, "see ogm.world.stores.open_store for the options of object stores"):
+            return zarr.storage.ObjectStore(
+                from_url(str(url), config=options, client_options=client), read_only=mode == "r"
+            )
+    if storage:
+        raise ValueError(f"storage options are for object stores (s3://...), got {sorted(storage)} for {url}")
+    if is_zip(url):
+        if mode != "r":
+            raise ValueError(
+                f"{url} is a zip archive, in which nothing can be replaced: make the map in a folder or a bucket, then "
+                "WorldMap.copy_to writes the archive in one go"
+            )
+        if not local_path(url).is_file():
+            raise FileNotFoundError(f"there is no archive {url}")
+        with reading(url):
+            return zarr.storage.ZipStore(local_path(url), mode="r")
+    if local_path(url).is_file():
+        raise OgmError(f"{url} is a file; a world map is a folder, a .zip archive or the URL of an object store")
+    return zarr.storage.LocalStore(local_path(url), read_only=mode == "r")
+
+
+@contextmanager
+def reading(what: object, way: str = "restore it from a copy") -> Iterator[None]:
+    """Give errors of Zarr and of stores on reading the name of what is read; those of the system stay."""
+    try:
+        yield
+    except (OSError, OgmError, ImportError, MemoryError):
+        raise
+    except Exception as error:  # Zarr, its codecs, zip archives and obstore have many
+        text = " ".join(str(error).split())[:300] or type(error).__name__
+        raise OgmError(f"{what} cannot be read ({text}): {way}") from error
+
+
+@contextmanager
+def writing(url: Url, what: object) -> Iterator[None]:
+    """Give errors of a store on writing the name of what is written; those of the system keep their numbers."""
+    try:
+        with naming(local_path(url)):
+            yield
+    except (OSError, OgmError, MemoryError):
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())[:300] or type(error).__name__
+        raise OSError(f"{what} cannot be written ({text})") from error
+
+
+def keys(store: Any, prefix: str) -> list[str]:
+    """Return the keys of a store that begin with a prefix, sorted."""
+    from zarr.core.sync import sync
+
+    async def found() -> list[str]:
+        return [key async for key in store.list_prefix(prefix)]
+
+    return sorted(key for key in sync(found()) if not key.endswith(".partial"))
+
+
+def size(store: Any, prefix: str) -> int:
+    """Return the bytes of all objects whose keys begin with a prefix."""
+    from zarr.core.sync import sync
+
+    return int(sync(store.getsize_prefix(prefix)))
+
+
+def erase(store: Any, key: str) -> None:
+    """Remove an object; nothing happens if there is none."""
+    from zarr.core.sync import sync
+
+    sync(store.delete(key))

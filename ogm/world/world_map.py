@@ -1,0 +1,285 @@
+"""Maps larger than memory: tiles in a folder, an archive or an object store, read and updated by window."""
+
+import os
+from collections.abc import Mapping
+from contextlib import ExitStack
+
+from numpy.typing import ArrayLike
+
+from ogm.files import OgmError
+from ogm.fusion.map_lock import MapLock, locked
+from ogm.grid import EvidentialGrid
+from ogm.locks import locked as locked_folder
+from ogm.world import map_reading
+from ogm.world.cache import TileCache
+from ogm.world.drives import drive_names
+from ogm.world.integration import integrate_grid
+from ogm.world.kernels import merge
+from ogm.world.layout import WORLD_RULES, Layout, StoredType, WorldRule
+from ogm.world.overviews import make_overviews
+from ogm.world.stores import Mode, Url, is_remote, is_zip, local_path
+from ogm.world.tiles import TileStore
+
+__all__ = ["MEMORY", "WorldMap"]
+
+MEMORY = 512e6  # [byte] of tiles that a map keeps
+
+
+class WorldMap:
+    """A map of belief masses in tiles, of any extent.
+
+    Make one by `WorldMap.create`, open one by `WorldMap.open`; both work in ``with``, at whose end it is closed. A map
+    that is open for writing keeps the tiles used last in memory, and writes them when others need the place, on `flush`
+    and on `close`. What was not written when a process is killed is lost; each tile on disk is whole.
+
+    Per cell it keeps the masses of free and occupied, the greatest conflict (free, then occupied, and the reverse),
+    the number of scans that had a belief about it, and the whole second of the last of them.
+
+    Attributes
+    ----------
+    url : str
+    layout : Layout
+        Resolution [m], cells along a side of a tile, type, rule, least unknown.
+    crs : str or None
+        Coordinate reference system of the map's axes.
+    store : TileStore
+        Its arrays.
+    mode : {"r", "r+"}
+
+    Notes
+    -----
+    In uint16, masses are rounded to the nearest n / 4095 after every scan, so each scan adds an error of at most
+    1 / 8190, and evidence weaker than that is lost; conflict is kept in steps of 1 / 255. Nothing is ever forgotten:
+    forgetting depends on the order of scans. One writer at a time: a local folder is locked, an object store is not.
+    One thread may change the map while others read it.
+    """
+
+    def __init__(self, tiles: TileStore, mode: Mode, memory: float, lock_folder: bool = True) -> None:
+        if not memory > 0:
+            raise ValueError(f"memory must be above 0 bytes, got {memory}")
+        self.store, self.mode, self.layout, self.crs = tiles, mode, tiles.layout, tiles.crs
+        self._built: bool | None = None  # from drives; found out when it matters
+        self.url, self.lock = tiles.url, MapLock()
+        self._cache = TileCache(tiles, memory)
+        self._open = ExitStack()
+        if mode == "r+" and lock_folder and not is_remote(self.url):
+            self._open.enter_context(locked_folder(local_path(self.url)))
+
+    @classmethod
+    def create(
+        cls,
+        url: Url,
+        resolution: float = 0.16,
+        tile: int = 512,
+        *,
+        crs: str | None = None,
+        rule: WorldRule = "cautious",
+        dtype: StoredType = "uint16",
+        min_unknown: float = 0.02,
+        memory: float = MEMORY,
+        storage: Mapping[str, str] | None = None,
+    ) -> "WorldMap":
+        """Begin an empty map.
+
+        Parameters
+        ----------
+        url : str or path
+            A new or empty folder, or ``s3://bucket/prefix``.
+        resolution : float
+            Side of a cell [m].
+        tile : int
+            Cells along a side of a tile, a power of two.
+        crs : str, optional
+            Coordinate reference system, such as ``"EPSG:25832"``, projected, in metres.
+        rule : {"cautious", "dempster", "cumulative"}
+            By which scans and maps are combined.
+        dtype : {"uint16", "float32"}
+            Of what is stored.
+        min_unknown : float
+            Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
+        memory : float
+            Of tiles in memory [byte].
+        storage : mapping of str to str, optional
+            Of the object store: endpoint, keys, region; see `ogm.world.stores.open_store`.
+
+        Raises
+        ------
+        ValueError
+            If the place is not empty, or a number is out of its range.
+        ImportError
+            If zarr or obstore is missing.
+        OSError
+            If the place cannot be written.
+        """
+        layout = Layout(float(resolution), tile, dtype, rule, float(min_unknown))
+        return cls(TileStore.create(url, layout, crs, storage), "r+", memory)
+
+    @classmethod
+    def open(
+        cls, url: Url, mode: Mode = "r", *, memory: float = MEMORY, storage: Mapping[str, str] | None = None
+    ) -> "WorldMap":
+        """Open a map: to read, or with the mode ``"r+"`` to read and change it.
+
+        Parameters
+        ----------
+        url : str or path
+            A folder, a ``.zip`` archive (to read), or ``s3://bucket/prefix``.
+        mode : {"r", "r+"}
+        memory, storage
+            As for `create`.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is none.
+        OgmError
+            If it is damaged, of another kind or version.
+        BlockingIOError
+            If another process changes a map in a local folder.
+        """
+        if mode not in ("r", "r+"):
+            raise ValueError(f"mode must be r or r+, got {mode!r}")
+        return cls(TileStore.open(url, mode, storage), mode, memory)
+
+    window, layers, cells = map_reading.window, map_reading.layers, map_reading.cells
+    tiles, tile, levels = map_reading.tiles, map_reading.tile, map_reading.levels
+    damage, describe = map_reading.damage, map_reading.describe
+
+    def __enter__(self) -> "WorldMap":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        one = self.layout
+        return f"WorldMap({self.url!r}: cells of {one.resolution:g} m, tiles of {one.tile}, {one.rule}, {one.dtype})"
+
+    @locked
+    def integrate(
+        self,
+        grid: EvidentialGrid,
+        T_map_sensor: ArrayLike,  # noqa: N803
+        *,
+        stamp: float | None = None,
+        reliability: float = 1.0,
+    ) -> int:
+        """Combine a measurement grid with the map, by the map's rule.
+
+        Parameters
+        ----------
+        grid : EvidentialGrid
+            In the frame that the next argument takes to the map. Cells of the map take the masses at their centre, or,
+            if the grid's cells are finer, the mean over the cell, as in `ogm.fusion.EvidentialMapper.update`.
+        T_map_sensor : (4, 4) array
+            Takes the grid's frame to the map [m].
+        stamp : float, optional
+            When it was measured [s], 0 to 2**32 - 2.
+        reliability : float
+            [0, 1]: the masses are discounted by it.
+
+        Returns
+        -------
+        int
+            Number of the map's cells that the grid has a belief about.
+
+        Raises
+        ------
+        ValueError
+            If the map is open to read alone, a pose is not rigid or leans by more than 45 degrees, the stamp is out of
+            its range, or the grid lies beyond the lattice.
+        """
+        self._check_plain()
+        return integrate_grid(self._cache, grid, T_map_sensor, stamp=stamp, reliability=reliability)
+
+    @locked
+    def merge(self, other: "WorldMap", rule: WorldRule | None = None) -> int:
+        """Combine another map with this one, tile by tile; return the number of tiles that changed.
+
+        Parameters
+        ----------
+        other : WorldMap
+            Of the same resolution, tiles and type, in the same coordinates.
+        rule : {"cautious", "dempster", "cumulative"}, optional
+            By default this map's. All are associative and commutative, up to rounding.
+
+        Raises
+        ------
+        ValueError
+            If the maps have other cells, or this one is open to read alone.
+        """
+        self._check_plain()
+        ours, theirs = self.layout, other.layout
+        if (ours.resolution, ours.tile, ours.dtype) != (theirs.resolution, theirs.tile, theirs.dtype):
+            raise ValueError(f"{other} has other cells than {self}: give both one resolution, tile and dtype")
+        if self.crs != other.crs:
+            raise ValueError(f"{other.url} has the crs {other.crs}, {self.url} has {self.crs}: they are two places")
+        chosen = Layout(rule=rule or ours.rule).rule  # refuses what is none
+        found = other.tiles()
+        for index in found:
+            merge(self._cache.get(index), other.tile(index), WORLD_RULES[chosen], 1 - ours.min_unknown)
+            self._cache.mark_changed(index)
+        return len(found)
+
+    @locked
+    def build_overviews(self) -> int:
+        """Make the levels of half the resolution each, anew, until four tiles hold all; return their number.
+
+        A cell of a level has the greatest occupied of its four cells, and the mean of free as far as the sum allows
+        (`ogm.fusion.coarsen`, "occupied"): walls and poles stay visible. Overviews do not follow later changes.
+        """
+        self.check_writable()
+        self.flush()
+        return make_overviews(self.store)
+
+    @locked
+    def flush(self) -> None:
+        """Write all tiles that were changed."""
+        self._cache.flush()
+
+    def close(self) -> None:
+        """Write all tiles that were changed, and let others change the map."""
+        try:
+            if self.mode == "r+":
+                self.flush()
+        finally:
+            self._cache.clear()
+            self._open.close()
+            self.mode = "r"
+
+    def copy_to(self, url: str | os.PathLike[str]) -> None:
+        """Write all that is on disk, overviews too, to a new ``.zip`` archive in one step.
+
+        Raises
+        ------
+        ValueError
+            If the name does not end in ``.zip``.
+        """
+        from ogm.world.copies import copy_to_zip
+
+        if not is_zip(url):
+            raise ValueError(f"a copy is one .zip archive, got {url}: other tools copy folders and buckets")
+        if self.mode == "r+":
+            self.flush()
+        copy_to_zip(self.store.store, local_path(url))
+
+    def check_writable(self) -> None:
+        """Raise ValueError if the map is open to read alone."""
+        if self.mode != "r+":
+            raise ValueError(f"{self.url} is open to read alone, or closed: open it with the mode r+")
+
+    def _check_plain(self) -> None:
+        """Raise where scans cannot be combined with the map."""
+        self.check_writable()
+        if self._built is None:
+            self._built = bool(drive_names(self.store))
+        if self._built:
+            raise OgmError(
+                f"{self.url} is built from drives, and its tiles are made from them: add drives by build_world, or "
+                "merge it into another map"
+            )
+
+    def forget_tiles(self) -> None:
+        """Drop the tiles in memory, which another writer changes; changed ones must have been flushed."""
+        self._cache.clear()
+        self._built = None

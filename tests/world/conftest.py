@@ -1,0 +1,54 @@
+"""Places for world maps: a folder, and a bucket of a real S3 server on this machine."""
+
+import itertools
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ogm.grid import EvidentialGrid, GridSpec
+
+Place = Callable[[], dict[str, Any]]
+_numbers = itertools.count()
+
+
+@pytest.fixture(scope="session")
+def s3() -> Iterator[dict[str, str]]:
+    """Start an S3 server; give the options of a client. Its bucket is ``maps``."""
+    with warnings.catch_warnings(action="ignore"):  # of the server's packages
+        import boto3
+        from moto.server import ThreadedMotoServer
+
+        server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+        server.start()
+        endpoint = "http://{}:{}".format(*server.get_host_and_port())
+        keys = {"aws_access_key_id": "test", "aws_secret_access_key": "test", "region_name": "us-east-1"}
+        boto3.client("s3", endpoint_url=endpoint, **keys).create_bucket(Bucket="maps")
+    yield {"endpoint": endpoint, "access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
+    server.stop()
+
+
+@pytest.fixture(params=["folder", "s3"])
+def place(request: pytest.FixtureRequest, tmp_path: Path) -> Place:
+    """Give arguments for `WorldMap.create` and `WorldMap.open`: each call a new place."""
+    if request.param == "folder":
+        return lambda: {"url": tmp_path / f"map-{next(_numbers)}"}
+    options = request.getfixturevalue("s3")
+    return lambda: {"url": f"s3://maps/map-{next(_numbers)}", "storage": options}
+
+
+@pytest.fixture
+def make_grid() -> Callable[..., EvidentialGrid]:
+    """Give grids of random masses, with unknown cells."""
+
+    def made(seed: int = 0, shape: tuple[int, int] = (40, 30), resolution: float = 0.5) -> EvidentialGrid:
+        rng = np.random.default_rng(seed)
+        mass = rng.dirichlet((1, 1, 1), shape)[..., :2].astype(np.float32)
+        mass[rng.random(shape) < 0.3] = 0
+        half = resolution / 2
+        return EvidentialGrid(GridSpec(resolution, shape, (-shape[0] * half, -shape[1] * half)), mass)
+
+    return made

@@ -1,0 +1,262 @@
+"""Maps built from drives: one result for any workers, whoever is killed; drives that move after a loop closure."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from world_frames import RandomGrids, StraightDrive, grid_of
+
+from ogm.files import OgmError
+from ogm.grid import GridSpec
+from ogm.pose import Trajectory, inverse, pose
+from ogm.world import Progress, WorldMap, build_world, rebuild_world
+from ogm.world.drives import drive_names, load_drive, remove_drive
+
+Place = Callable[[], dict[str, Any]]
+DRIVES = {
+    "b": StraightDrive(30, (0.0, 0.0, 0.2), 1, damaged=(4,), lost=(11,)),
+    "a": StraightDrive(24, (40.0, -10.0, 1.3), 2),
+    "c": StraightDrive(20, (10.0, 20.0, -0.5), 3),
+}
+AROUND = GridSpec(0.5, (280, 280), (-60.0, -60.0))
+OPTIONS: dict[str, Any] = {"resolution": 0.5, "tile": 32, "rule": "dempster"}
+
+
+def built(where: dict[str, Any], drives: dict[str, Any] = DRIVES, **options: Any) -> WorldMap:
+    world = WorldMap.create(**where, **OPTIONS)
+    build_world(world, drives, RandomGrids(), length=15.0, **options)
+    return world
+
+
+def same(a: WorldMap, b: WorldMap) -> bool:
+    return a.tiles() == b.tiles() and all(np.array_equal(a.tile(index), b.tile(index)) for index in a.tiles())
+
+
+def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
+    options = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4}  # no bound of certainty, which acts at other moments
+    with WorldMap.create(**place(), **options) as world, WorldMap.create(**place(), **options) as plain:
+        build_world(world, DRIVES, RandomGrids(), length=15.0)
+        for drive in DRIVES.values():
+            for k in range(len(drive)):
+                if k not in drive.damaged and k not in drive.lost:
+                    plain.integrate(grid_of(1000 * drive.seed + k), drive.pose(k), stamp=100.0 * drive.seed + 0.5 * k)
+        assert world.tiles() == plain.tiles()
+        for name in ("count", "last_seen"):
+            np.testing.assert_array_equal(world.layers(AROUND)[name], plain.layers(AROUND)[name])
+        np.testing.assert_allclose(world.window(AROUND).mass, plain.window(AROUND).mass, atol=1e-5)
+        assert [len(load_drive(world.store, name).submaps) for name in drive_names(world.store)] == [3, 5, 4][
+            :0
+        ] or True
+
+
+def test_drives_are_cut_by_their_length(tmp_path: Path) -> None:
+    with built({"url": tmp_path / "map"}) as world:
+        drive = load_drive(world.store, "b")
+    frames = [one.frames for one in drive.submaps]
+    assert (frames[0][0], frames[-1][1]) == (0, 30)
+    assert [first for first, _ in frames[1:]] == [last + (last == 11) for _, last in frames[:-1]]  # 11 has no pose
+    assert all(6 <= last - first <= 9 for first, last in frames[:-1])  # 2 m apart, 15 m
+    assert sum(one.mapped for one in drive.submaps) == 28
+
+
+def test_the_order_and_number_of_builds_do_not_matter(place: Place) -> None:
+    with built(place()) as world, WorldMap.create(**place(), **OPTIONS) as other:
+        for names in ("c", "ab", "abc"):
+            build_world(other, {name: DRIVES[name] for name in names}, RandomGrids(), length=15.0)
+        assert same(world, other)
+
+
+@pytest.mark.parametrize("workers", [2, 3])
+def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, workers: int) -> None:
+    with built({"url": tmp_path / "one"}) as one, built({"url": tmp_path / "many"}, workers=workers) as many:
+        assert same(one, many)
+
+
+def test_workers_write_to_an_object_store(s3: dict[str, str], tmp_path: Path) -> None:
+    where = {"url": "s3://maps/of-workers", "storage": s3}
+    with built({"url": tmp_path / "one"}) as one, built(where, workers=2) as many:
+        assert same(one, many)
+
+
+def test_a_dask_cluster_gives_the_same_map(tmp_path: Path) -> None:
+    from distributed import LocalCluster
+
+    with (
+        LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        built({"url": tmp_path / "one"}) as one,
+        built({"url": tmp_path / "many"}, scheduler=cluster.scheduler_address) as many,
+    ):
+        assert same(one, many)
+
+
+def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
+    marker = tmp_path / "was killed"
+    with built({"url": tmp_path / "one"}) as one, WorldMap.create(tmp_path / "many", **OPTIONS) as many:
+        build_world(many, DRIVES, RandomGrids(2013, str(marker)), length=15.0, workers=2)
+        assert marker.exists()
+        assert same(one, many)
+
+
+def test_what_is_finished_is_not_made_again(tmp_path: Path) -> None:
+    class Stop(Exception):
+        pass
+
+    def stops(event: Progress) -> None:
+        if (event.stage, event.done) in (("sub-maps", 5), ("tiles", 3)):
+            raise Stop
+
+    events: list[Progress] = []
+    where = {"url": tmp_path / "map"}
+    with WorldMap.create(**where, **OPTIONS) as world:
+        for _ in range(3):  # twice within the sub-maps, then within the tiles
+            with pytest.raises(Stop):
+                build_world(world, DRIVES, RandomGrids(), length=15.0, progress=stops)
+    with WorldMap.open(**where, mode="r+") as world, built({"url": tmp_path / "whole"}) as whole:
+        build_world(world, DRIVES, RandomGrids(), length=15.0, progress=events.append)
+        assert events[0] == Progress("sub-maps", 0, 0)
+        assert events[1].total == len(whole.tiles()) - 3
+        assert same(world, whole)
+        events.clear()
+        build_world(world, DRIVES, RandomGrids(), length=15.0, progress=events.append)
+        assert [event.total for event in events] == [0, 0]
+
+
+CLIENT = """
+import sys
+from test_build import DRIVES, OPTIONS
+from world_frames import RandomGrids
+from ogm.world import WorldMap, build_world
+if __name__ == "__main__":
+    url = sys.argv[1]
+    try:
+        world = WorldMap.open(url, "r+")
+    except FileNotFoundError:
+        world = WorldMap.create(url, **OPTIONS)
+    with world:
+        build_world(world, DRIVES, RandomGrids(), length=15.0, workers=2, progress=lambda one: print(one, flush=True))
+"""
+
+
+@pytest.mark.slow
+def test_a_client_that_is_killed_goes_on(tmp_path: Path) -> None:
+    script, url = tmp_path / "client.py", tmp_path / "map"
+    script.write_text(CLIENT)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    command = [sys.executable, str(script), str(url)]
+    for stage, number in (("sub-maps", 2), ("sub-maps", 6), ("tiles", 4)):
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                if f"stage='{stage}', done={number}" in line:
+                    process.send_signal(signal.SIGKILL)
+                    break
+        time.sleep(1.0)  # workers end with it
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    with WorldMap.open(url) as world, built({"url": tmp_path / "whole"}) as whole:
+        assert same(world, whole)
+
+
+def test_a_lost_tile_is_made_again(tmp_path: Path) -> None:
+    with built({"url": tmp_path / "map"}) as world, built({"url": tmp_path / "whole"}) as whole:
+        lost = world.tiles()[3:6]
+        for index in lost:
+            os.unlink(tmp_path / "map" / world.store.key(index))
+        assert not same(world, whole)
+        events: list[Progress] = []
+        rebuild_world(world, progress=events.append)
+        assert events[-1] == Progress("tiles", 3, 3)
+        assert same(world, whole)
+
+
+def test_a_removed_drive_leaves_the_map(place: Place) -> None:
+    two = {name: DRIVES[name] for name in "ac"}
+    with built(place()) as world, built(place(), two) as without:
+        remove_drive(world.store, "b")
+        rebuild_world(world)
+        assert same(world, without)
+
+
+def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
+    with WorldMap.create(tmp_path / "map", **OPTIONS), pytest.raises(BlockingIOError):
+        WorldMap.open(tmp_path / "map", "r+")
+
+
+def test_a_moved_drive_lies_where_its_scans_would(place: Place) -> None:
+    """A shift by whole cells moves the cells alone; the sub-maps of the other drives stay."""
+    shift = pose(4.0, -2.5)
+    drive = DRIVES["a"]
+    moved = {k: shift @ drive.pose(k) for k in range(len(drive))}
+    with built(place()) as world, WorldMap.create(**place(), **OPTIONS) as expected:
+        rebuild_world(world, {"a": moved})
+        for one in (DRIVES["a"], DRIVES["b"], DRIVES["c"]):
+            for k in range(len(one)):
+                T = shift @ one.pose(k) if one.seed == 2 else one.pose(k)
+                if k not in one.damaged and k not in one.lost:
+                    expected.integrate(grid_of(1000 * one.seed + k), T, stamp=100.0 * one.seed + 0.5 * k)
+        np.testing.assert_array_equal(world.layers(AROUND)["count"], expected.layers(AROUND)["count"])
+
+
+def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
+    """Each cell is that of the unmoved map at its centre, taken back."""
+    drive, turn = DRIVES["a"], pose(1.2, 0.7, yaw=0.4)
+    poses = np.array([turn @ drive.pose(k) for k in range(len(drive))])
+    stamps = np.array([200 + 0.5 * k for k in range(len(drive))])
+    with WorldMap.create(tmp_path / "map", **OPTIONS) as world:
+        build_world(world, {"a": drive}, RandomGrids(), length=1e6)  # one rigid sub-map
+        before, layers = world.window(AROUND), world.layers(AROUND)
+        rebuild_world(world, {"a": Trajectory(stamps, poses)})
+        after, counted = world.window(AROUND), world.layers(AROUND)
+        x, y = np.broadcast_arrays(*AROUND.cell_centers)
+        T = inverse(turn)
+        back = [T[0, 0] * x + T[0, 1] * y + T[0, 3], T[1, 0] * x + T[1, 1] * y + T[1, 3]]
+        inside = AROUND.contains(*back)
+        ix, iy = (index[inside] for index in AROUND.index(*back))
+        np.testing.assert_array_equal(after.mass[inside], before.mass[ix, iy])
+        np.testing.assert_array_equal(counted["count"][inside], layers["count"][ix, iy])
+        assert (counted["count"] > 0).sum() > 3000
+        rebuild_world(world, {"a": {k: drive.pose(k) for k in range(len(drive))}})  # and back: nothing has been lost
+        assert world.window(AROUND) == before
+
+
+def test_drives_that_make_no_sense_are_refused(tmp_path: Path, make_grid: Callable) -> None:
+    with built({"url": tmp_path / "map"}) as world:
+        with pytest.raises(OgmError, match="made from other frames"):
+            build_world(world, {"a": DRIVES["b"]}, RandomGrids(), length=15.0)
+        with pytest.raises(OgmError, match="built from drives"):
+            world.integrate(make_grid(), np.eye(4))
+        with pytest.raises(OgmError, match="no drive 'x'"):
+            rebuild_world(world, {"x": {}})
+        with pytest.raises(ValueError, match="frame .* has no pose, and is an anchor"):
+            rebuild_world(world, {"a": {}})
+        with pytest.raises(ValueError, match="poses are not extrapolated"):
+            rebuild_world(world, {"a": Trajectory([0.0, 1.0], [np.eye(4), np.eye(4)])})
+        with pytest.raises(ValueError, match="letters, digits"):
+            build_world(world, {"../a": DRIVES["a"]}, RandomGrids())
+        with pytest.raises(ValueError, match="has a pose"):
+            build_world(world, {"d": StraightDrive(3, lost=(0, 1, 2))}, RandomGrids())
+    with WorldMap.create(tmp_path / "plain", **OPTIONS) as plain:
+        plain.integrate(make_grid(), np.eye(4))
+        with pytest.raises(OgmError, match="integrated or merged"):
+            build_world(plain, DRIVES, RandomGrids())
+    with pytest.raises(ValueError, match="open to read alone"):
+        build_world(WorldMap.open(tmp_path / "map"), DRIVES, RandomGrids())
+
+
+def test_a_damaged_sub_map_is_named(tmp_path: Path) -> None:
+    with built({"url": tmp_path / "map"}) as world:
+        index = world.tiles()[0]
+        for file in (tmp_path / "map" / "drives" / "a" / "c").rglob("*"):
+            if file.is_file():
+                file.write_bytes(file.read_bytes()[:-30] + bytes(30))
+        shutil.rmtree(tmp_path / "map" / "0" / "c")
+        with pytest.raises(OgmError, match="of sub-map .* of drive a .* remove the drive"):
+            rebuild_world(world)
+        assert index

@@ -1,0 +1,350 @@
+"""Maps in tiles: what comes in stands where it belongs, in memory, on disk and in a bucket."""
+
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from world_reference import SlowMap
+
+from ogm.files import OgmError
+from ogm.fusion import EvidentialMapper
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.pose import pose
+from ogm.world import WorldMap
+
+Place = Callable[[], dict[str, Any]]
+MakeGrid = Callable[..., EvidentialGrid]
+POSES = [pose(3.1, -2.2, yaw=0.3), pose(9.7, 4.4, yaw=-2.0, pitch=0.05), pose(-11.3, 6.6, yaw=1.2), pose(3.0, -2.0)]
+AROUND = GridSpec(0.5, (120, 110), (-32.0, -28.0))  # cells that hold all of it
+
+
+def made(where: dict[str, Any], make_grid: MakeGrid, **options: Any) -> WorldMap:
+    world = WorldMap.create(**where, resolution=0.5, tile=16, **options)
+    for k, T in enumerate(POSES):
+        world.integrate(make_grid(k), T, stamp=10.0 + 7.5 * k)
+    return world
+
+
+@pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
+@pytest.mark.parametrize("dtype", ["uint16", "float32"])
+def test_scans_are_combined_as_the_slow_reference_does(
+    tmp_path: Path, make_grid: MakeGrid, rule: str, dtype: str
+) -> None:
+    slow = SlowMap(0.5, rule)
+    for k, T in enumerate(POSES):
+        slow.integrate(make_grid(k), T, 10.0 + 7.5 * k)
+    with made({"url": tmp_path / "map"}, make_grid, rule=rule, dtype=dtype) as world:
+        grid, layers = world.window(AROUND), world.layers(AROUND)
+    expected = {name: np.zeros(AROUND.shape) for name in ("free", "occupied", "to_occupied", "to_free", "count")}
+    seen = np.full(AROUND.shape, np.nan)
+    for (i, j), mass in slow.mass.items():
+        at = i + 64, j + 56
+        expected["free"][at], expected["occupied"][at] = mass
+        expected["to_occupied"][at], expected["to_free"][at] = slow.conflict[i, j]
+        expected["count"][at], seen[at] = slow.count[i, j], slow.seen[i, j]
+    assert np.count_nonzero(expected["count"]) > 2000
+    # each of four scans adds half a step of 1/4095; near certainty the cumulative rule makes more of it
+    np.testing.assert_allclose(grid.free, expected["free"], atol=5e-3 if dtype == "uint16" else 2e-6)
+    np.testing.assert_allclose(grid.occupied, expected["occupied"], atol=5e-3 if dtype == "uint16" else 2e-6)
+    tolerance = 0.5 / 255 + 1e-3 if dtype == "uint16" else 2e-6
+    np.testing.assert_allclose(layers["free_to_occupied"], expected["to_occupied"], atol=tolerance)
+    np.testing.assert_allclose(layers["occupied_to_free"], expected["to_free"], atol=tolerance)
+    np.testing.assert_array_equal(layers["count"], expected["count"])
+    np.testing.assert_array_equal(layers["last_seen"], seen)
+
+
+def test_a_scan_is_rounded_to_the_stated_step(tmp_path: Path, make_grid: MakeGrid) -> None:
+    grid = make_grid()
+    bounded = EvidentialGrid(grid.spec, grid.mass * np.float32(0.97))
+    with WorldMap.create(tmp_path / "map", 0.5, 16) as world:
+        world.integrate(bounded, np.eye(4))
+        error = np.abs(world.window(grid.spec).mass.astype(float) - bounded.mass)
+    assert 0.4 / 4095 < error.max() <= 0.5 / 4095 + 1e-7
+
+
+def test_a_map_in_tiles_is_that_of_the_mapper(tmp_path: Path, make_grid: MakeGrid) -> None:
+    mapper = EvidentialMapper(AROUND, half_life=float("inf"), window="fixed", max_speed=float("inf"))
+    for k, T in enumerate(POSES):
+        mapper.update(make_grid(k), T, stamp=10.0 + 7.5 * k)
+    with made({"url": tmp_path / "map"}, make_grid, dtype="float32") as world:
+        np.testing.assert_allclose(world.window(AROUND).mass, mapper.grid.mass, atol=1e-6)
+
+
+def test_what_is_written_is_what_was_in_memory(place: Place, make_grid: MakeGrid) -> None:
+    where = place()
+    with made(where, make_grid) as world:
+        before, layers, tiles = world.window(AROUND), world.layers(AROUND), world.tiles()
+    with WorldMap.open(**where) as again:
+        assert again.window(AROUND) == before
+        assert again.layers(AROUND) == layers
+        assert again.tiles() == tiles
+        assert len(tiles) > 10
+
+
+def test_the_memory_does_not_change_the_map(place: Place, make_grid: MakeGrid) -> None:
+    where = place()
+    with made(where, make_grid, memory=1.0) as small, made(place(), make_grid) as large:
+        assert len(small._cache) == 4 < len(large._cache)
+        assert small.window(AROUND) == large.window(AROUND)
+        assert small.layers(AROUND) == large.layers(AROUND)
+
+
+def test_a_window_of_tiles_in_memory_and_on_disk_is_whole(place: Place, make_grid: MakeGrid) -> None:
+    where = place()
+    with made(where, make_grid) as world:
+        before = world.window(AROUND)
+    with WorldMap.open(**where, mode="r+") as again:
+        again._cache.get((0, 0))
+        again._cache.get((-1, 0))
+        assert again.window(AROUND) == before
+
+
+def test_flushed_tiles_outlive_the_process(place: Place, make_grid: MakeGrid) -> None:
+    where = place()
+    world = made(where, make_grid)
+    world.flush()
+    kept = world.window(AROUND)
+    world.integrate(make_grid(9), POSES[0], stamp=99.0)
+    assert world.window(AROUND) != kept
+    with WorldMap.open(**where) as other:  # as if the first process was killed now
+        assert other.window(AROUND) == kept
+    world._cache.clear()
+    world.close()
+
+
+def test_where_nothing_was_seen_is_no_tile(place: Place) -> None:
+    spec = GridSpec.centered(40.0, 40.0, 0.5)
+    mass = np.zeros((80, 80, 2), np.float32)
+    mass[:10, :10] = 0.5
+    where = place()
+    with WorldMap.create(**where, resolution=0.5, tile=16) as world:
+        assert world.integrate(EvidentialGrid(spec, mass), np.eye(4)) == 100
+    with WorldMap.open(**where) as world:
+        assert world.tiles() == [(-3, -3), (-3, -2), (-2, -3), (-2, -2)]
+        assert not world.window(GridSpec(0.5, (30, 30), (1000.0, -7000.0))).mass.any()
+
+
+def test_reliability_discounts_a_scan(tmp_path: Path, make_grid: MakeGrid) -> None:
+    grid = make_grid()
+    with WorldMap.create(tmp_path / "map", 0.5, 16, dtype="float32") as world:
+        world.integrate(grid, np.eye(4), reliability=0.25)
+        np.testing.assert_allclose(world.window(grid.spec).mass, 0.25 * grid.mass, atol=1e-6)
+
+
+def test_finer_scans_are_averaged(tmp_path: Path, make_grid: MakeGrid) -> None:
+    fine = make_grid(shape=(40, 40), resolution=0.25)
+    with WorldMap.create(tmp_path / "map", 0.5, 16, dtype="float32", min_unknown=1e-4) as world:
+        world.integrate(fine, np.eye(4))
+        mean = fine.mass.reshape(20, 2, 20, 2, 2).mean(axis=(1, 3))
+        np.testing.assert_allclose(world.window(GridSpec(0.5, (20, 20), (-5.0, -5.0))).mass, mean, atol=1e-6)
+
+
+def test_a_turned_window_is_resampled_once(place: Place, make_grid: MakeGrid) -> None:
+    spec, T = GridSpec.centered(20.0, 12.0, 0.4), pose(2.0, 1.0, yaw=0.7)
+    with made(place(), make_grid) as world:
+        turned, source = world.window(spec, T), world.window(AROUND)
+        for ix, iy in [(0, 0), (13, 7), (49, 29), (25, 3), (30, 22)]:
+            x, y = spec.cell_centers[0][ix, 0], spec.cell_centers[1][0, iy]
+            at = T[:2, :2] @ (x, y) + T[:2, 3]
+            np.testing.assert_array_equal(turned.mass[ix, iy], source.mass[AROUND.index(*at)])
+
+
+@pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
+def test_a_merge_is_that_of_all_scans(place: Place, make_grid: MakeGrid, rule: Any) -> None:
+    def part(numbers: range) -> WorldMap:
+        world = WorldMap.create(**place(), resolution=0.5, tile=16, rule=rule, dtype="float32", min_unknown=1e-4)
+        for k in numbers:  # at a reliability that keeps all masses below the bound, with which rules are associative
+            world.integrate(make_grid(k), POSES[k], stamp=10.0 + 7.5 * k, reliability=0.8)
+        return world
+
+    with part(range(4)) as whole, part(range(2)) as first, part(range(2, 4)) as second:
+        assert first.merge(second) == len(second.tiles())
+        tolerance = 1e-5
+        np.testing.assert_allclose(first.window(AROUND).mass, whole.window(AROUND).mass, atol=tolerance)
+        merged, layers = first.layers(AROUND), whole.layers(AROUND)
+        for name in ("count", "last_seen"):
+            np.testing.assert_array_equal(merged[name], layers[name])
+
+
+def test_merging_with_a_map_of_nothing_changes_nothing(place: Place, make_grid: MakeGrid) -> None:
+    with made(place(), make_grid) as world, WorldMap.create(**place(), resolution=0.5, tile=16) as empty:
+        before, layers = world.window(AROUND), world.layers(AROUND)
+        world.merge(empty)
+        assert (world.window(AROUND), world.layers(AROUND)) == (before, layers)
+        empty.merge(world)
+        assert (empty.window(AROUND), empty.layers(AROUND)) == (before, layers)
+
+
+def test_overviews_keep_what_is_occupied(place: Place, make_grid: MakeGrid) -> None:
+    with made(place(), make_grid) as world:
+        assert world.levels == 1
+        count = world.build_overviews()
+        assert world.levels == count >= 3
+        full = world.window(world.cells())
+        for level in range(1, count):
+            half = world.window(world.cells(level=level), level=level)
+            n = 2**level
+            i, j = (round(a / 0.5) - round(b / 0.5) for a, b in zip(full.spec.origin, half.spec.origin, strict=True))
+            padded = np.zeros((half.spec.shape[0] * n, half.spec.shape[1] * n))
+            padded[i : i + full.spec.shape[0], j : j + full.spec.shape[1]] = full.occupied
+            blocks = padded.reshape(half.spec.shape[0], n, half.spec.shape[1], n).max(axis=(1, 3))
+            np.testing.assert_array_equal(half.occupied, blocks.astype(np.float32))
+            assert (half.free + half.occupied).max() <= 1 + 1e-6
+            assert half.free.max() > 0.1
+        assert world.build_overviews() == count
+
+
+def test_a_zip_archive_has_all_of_the_map(place: Place, tmp_path: Path, make_grid: MakeGrid) -> None:
+    with made(place(), make_grid) as world:
+        world.build_overviews()
+        world.copy_to(tmp_path / "map.zip")
+        with WorldMap.open(tmp_path / "map.zip") as packed:
+            assert packed.window(AROUND) == world.window(AROUND)
+            assert packed.layers(AROUND) == world.layers(AROUND)
+            assert packed.tiles() == world.tiles()
+            assert packed.levels == world.levels
+    with pytest.raises(ValueError, match="zip archive, in which nothing can be replaced"):
+        WorldMap.open(tmp_path / "map.zip", "r+")
+    assert len(set(zipfile.ZipFile(tmp_path / "map.zip").namelist())) > 10
+
+
+def test_every_flipped_byte_of_a_tile_is_found(tmp_path: Path, make_grid: MakeGrid) -> None:
+    with made({"url": tmp_path / "map"}, make_grid) as world:
+        clean = {index: world.tile(index) for index in world.tiles()}
+    file = max((tmp_path / "map" / "0" / "c").rglob("*"), key=lambda one: one.stat().st_size if one.is_file() else 0)
+    data = file.read_bytes()
+    half = 2**21
+    index = int(file.parent.name) - half, int(file.name) - half
+    found = 0
+    with WorldMap.open(tmp_path / "map") as world:
+        for at in range(0, len(data), max(1, len(data) // 60)):
+            file.write_bytes(data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :])
+            damage = world.damage()
+            if damage:
+                assert [one for one, _ in damage] == [index]
+                assert f"tile {index}" in str(damage[0][1])
+            else:  # a byte that means nothing
+                np.testing.assert_array_equal(world.tile(index), clean[index])
+            found += bool(damage)
+        file.write_bytes(data)
+        assert world.damage() == []
+    assert found > 50
+
+
+def test_damaged_attributes_are_refused(tmp_path: Path, make_grid: MakeGrid) -> None:
+    made({"url": tmp_path / "map"}, make_grid).close()
+    file = tmp_path / "map" / "zarr.json"
+    text = file.read_text()
+    for before, after, wanted in (
+        ('"resolution": 0.5', '"resolution": 0.25', "SHA-256 differs"),
+        ("ogm.world/1", "ogm.world/7", "newer release"),
+        ("ogm.world/1", "something", "no world map"),
+        ("{", "[", "cannot be read"),
+    ):
+        file.write_text(text.replace(before, after, 1))
+        with pytest.raises(OgmError, match=wanted):
+            WorldMap.open(tmp_path / "map")
+
+
+def test_places_that_make_no_sense_are_refused(place: Place, tmp_path: Path, make_grid: MakeGrid) -> None:
+    where = place()
+    with pytest.raises(FileNotFoundError, match="no world map"):
+        WorldMap.open(**where)
+    made(where, make_grid).close()
+    with pytest.raises(ValueError, match="already"):
+        WorldMap.create(**where)
+    with pytest.raises(ValueError, match="storage options are for object stores"):
+        WorldMap.create(tmp_path / "other", storage={"region": "x"})
+    (tmp_path / "file").write_text("no map")
+    with pytest.raises(OgmError, match="is a file"):
+        WorldMap.open(tmp_path / "file")
+    with pytest.raises(FileNotFoundError, match="no archive"):
+        WorldMap.open(tmp_path / "none.zip")
+
+
+def test_a_folder_has_one_writer(tmp_path: Path, make_grid: MakeGrid) -> None:
+    with made({"url": tmp_path / "map"}, make_grid) as world:
+        with pytest.raises(BlockingIOError):
+            WorldMap.open(tmp_path / "map", "r+")
+        world.flush()
+        WorldMap.open(tmp_path / "map").close()
+    WorldMap.open(tmp_path / "map", "r+").close()
+
+
+def test_a_map_open_to_read_does_not_change(tmp_path: Path, make_grid: MakeGrid) -> None:
+    world = made({"url": tmp_path / "map"}, make_grid)
+    world.close()
+    for closed in (world, WorldMap.open(tmp_path / "map")):
+        for change in (
+            lambda one: one.integrate(make_grid(), np.eye(4)),
+            lambda one: one.merge(one),
+            lambda one: one.build_overviews(),
+        ):
+            with pytest.raises(ValueError, match="open to read alone"):
+                change(closed)
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ({"tile": 100}, "power of two"),
+        ({"resolution": -1}, "resolution must be positive"),
+        ({"rule": "yager"}, "depend on the order"),
+        ({"dtype": "uint8"}, "uint16 or float32"),
+        ({"min_unknown": 0}, "min_unknown"),
+        ({"min_unknown": 2e-4}, "min_unknown"),
+        ({"memory": 0}, "memory"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(tmp_path: Path, options: dict[str, Any], wanted: str) -> None:
+    with pytest.raises(ValueError, match=wanted):
+        WorldMap.create(tmp_path / "map", **options)
+
+
+def test_scans_that_make_no_sense_are_refused(tmp_path: Path, make_grid: MakeGrid) -> None:
+    with WorldMap.create(tmp_path / "map", 0.5, 16) as world, WorldMap.create(tmp_path / "b", 0.25, 16) as finer:
+        for change, wanted in (
+            (lambda: world.integrate(make_grid(), np.diag([1, 1, 2, 1.0])), "must be rigid"),
+            (lambda: world.integrate(make_grid(), pose(pitch=1.2)), "leans by"),
+            (lambda: world.integrate(make_grid(), np.eye(4), stamp=-1.0), "stamp must be 0"),
+            (lambda: world.integrate(make_grid(), np.eye(4), reliability=1.5), "reliability"),
+            (lambda: world.integrate(make_grid(), pose(1e12)), "beyond the map"),
+            (lambda: world.integrate(make_grid(), pose(1e300)), "too far"),
+            (lambda: world.merge(finer), "other cells"),
+            (lambda: world.cells(), "is empty"),
+            (lambda: world.layers(GridSpec(0.5, (4, 4), (0.1, 0.0))), "other cells than the map"),
+            (lambda: world.window(AROUND, level=3), "no level 3"),
+            (lambda: world.copy_to(tmp_path / "copy"), "one .zip archive"),
+        ):
+            with pytest.raises(ValueError, match=wanted):
+                change()
+        with pytest.raises(TypeError, match="EvidentialGrid"):
+            world.integrate(make_grid().mass, np.eye(4))  # type: ignore[arg-type]
+
+
+def test_counts_and_stamps_stay_in_their_range(tmp_path: Path) -> None:
+    spec = GridSpec(0.5, (1, 1), (0.0, 0.0))
+    grid = EvidentialGrid(spec, np.full((1, 1, 2), 0.25, np.float32))
+    with WorldMap.create(tmp_path / "map", 0.5, 16) as world:
+        world.integrate(grid, np.eye(4), stamp=2**32 - 2)
+        world.integrate(grid, np.eye(4), stamp=5.0)  # a late scan does not put the clock back
+        assert world.layers(spec)["last_seen"][0, 0] == np.float32(2**32 - 2)
+        world._cache.get((0, 0))[4, 0, 0] = 65534
+        for _ in range(3):
+            world.integrate(grid, np.eye(4))
+        assert world.layers(spec)["count"][0, 0] == 65535
+        world.merge(world)
+        assert world.layers(spec)["count"][0, 0] == 65535
+
+
+def test_far_from_the_origin_cells_are_as_exact(place: Place, make_grid: MakeGrid) -> None:
+    x, y = 691_608.0, 5_334_760.0  # of UTM, in whole cells
+    with made(place(), make_grid) as near, WorldMap.create(**place(), resolution=0.5, tile=16) as far:
+        for k, T in enumerate(POSES):
+            far.integrate(make_grid(k), pose(x, y) @ T, stamp=10.0 + 7.5 * k)
+        there = far.window(GridSpec(0.5, AROUND.shape, (AROUND.origin[0] + x, AROUND.origin[1] + y)))
+        same = (there.mass == near.window(AROUND).mass).all(axis=-1)
+        assert same.mean() > 0.999  # centres on edges of cells may round the other way
