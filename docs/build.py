@@ -495,6 +495,24 @@ def metrics() -> str:
     return table(["key", "title", "better", "what it is"], rows).replace("---:", "---")
 
 
+def pythons() -> str:
+    """Return which extras have wheels on which Python."""
+    found = record("pythons")
+    names = list(found["without a wheel"])
+    versions = list(found["without a wheel"][names[0]])
+    rows = []
+    for name in names:
+        cells = []
+        for version in versions:
+            lacking = found["without a wheel"][name][version]
+            texts = dict.fromkeys(", ".join(one) for one in lacking.values())
+            by_system = [f"{', '.join(one)} ({system})" for system, one in lacking.items() if one]
+            cells.append("yes" if not any(texts) else f"no: {next(iter(texts)) if len(texts) == 1 else by_system[0]}")
+        rows.append([f"`{name}`" if name != "base" else "the base", *cells])
+    note = f"*`{found['command']}`, {found['date']}, uv {found['uv']}; [record](../benchmarks/results/pythons.json).*"
+    return table(["", *versions], rows).replace("---:", "---") + "\n\n" + note
+
+
 def coverage() -> str:
     """Return how often intervals hold the truth, least and most over how alike frames are."""
     cases = record("interval_coverage")["cases"]
@@ -574,6 +592,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/deep.md": lambda: {"combined": combined()},
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
+    "docs/project.md": lambda: {"pythons": pythons()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/radar.md": lambda: {
         "radar": "\n\n".join([*radar_tables(record("radar")), source("radar")]),

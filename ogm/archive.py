@@ -73,7 +73,7 @@ def attributes_checksum(attributes: Mapping[str, Any]) -> str:
 
 
 @contextmanager
-def open_archive(path: str | os.PathLike[str], wanted: str) -> Iterator[dict[str, NDArray]]:
+def open_archive(path: str | os.PathLike[str], wanted: str) -> Iterator[dict[str, NDArray[Any]]]:
     """Read the arrays that `write_archive` wrote. Nothing is unpickled.
 
     What is made of the arrays belongs into the ``with`` block: its errors are those of the file.
@@ -146,7 +146,7 @@ def _write(archive: zipfile.ZipFile, name: str, array: ArrayLike) -> str:
         return str(hashed.checksum)
 
 
-def _check(arrays: dict[str, tuple[NDArray, str]]) -> None:
+def _check(arrays: dict[str, tuple[NDArray[Any], str]]) -> None:
     """Compare the checksums, which older files lack, with those of what was read."""
     if _CHECKSUMS not in arrays:
         return
@@ -157,7 +157,7 @@ def _check(arrays: dict[str, tuple[NDArray, str]]) -> None:
             raise OgmError(f"its array {name} is damaged: another SHA-256 than when it was saved")
 
 
-def _read(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> tuple[NDArray, str]:
+def _read(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> tuple[NDArray[Any], str]:
     """Return an array and its checksum; its header must announce what the archive does, before there is memory."""
     name = item.filename.removesuffix(".npy")
     with archive.open(item) as file:

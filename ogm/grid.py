@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Self, overload
+from typing import Any, ClassVar, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -140,7 +140,7 @@ class GridSpec:
         return x, x + self.length, y, y + self.width
 
     @property
-    def cell_centers(self) -> tuple[NDArray, NDArray]:
+    def cell_centers(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """Coordinates of the cells' middles [m]: x as (nx, 1) and y as (1, ny), ready to broadcast."""
         x = self.origin[0] + (np.arange(self.shape[0]) + 0.5) * self.resolution
         y = self.origin[1] + (np.arange(self.shape[1]) + 0.5) * self.resolution
@@ -306,7 +306,7 @@ class EvidentialGrid:
             return NotImplemented
         return self.spec == other.spec and np.array_equal(self.mass, other.mass)
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Give numpy the masses, (nx, ny, 2); without a copy where none is asked for or needed."""
@@ -405,7 +405,7 @@ class LayeredGrid:
         same = self.spec == other.spec and self.layers.keys() == other.layers.keys()
         return same and all(np.array_equal(one, other[name], equal_nan=True) for name, one in self.layers.items())
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return f"LayeredGrid({self.spec}: {', '.join(self.layers)})"

@@ -5,6 +5,7 @@ keep loops off the vector units.
 """
 
 import logging
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from numba import njit
 
 __all__ = ["inline", "kernel", "log_compilation", "vector"]
 
-kernel = njit(cache=True, nogil=True, error_model="numpy")
-inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
-vector = njit(  # for loops whose input holds no NaN
+kernel: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy")
+inline: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+vector: Callable[..., Any] = njit(  # for loops whose input holds no NaN
     cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan"}
 )
 

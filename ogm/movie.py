@@ -76,6 +76,13 @@ class Movie:
         Greatest height of a panel [px].
     """
 
+    spec: GridSpec
+    titles: tuple[str, ...]
+    ground_z: float
+    panel: tuple[int, int]
+    size: tuple[int, int]
+    dots: GridSpec
+    duration: float
     write: _Write
 
     def __init__(self, spec: GridSpec, titles: Sequence[str], ground_z: float, tallest: int) -> None:

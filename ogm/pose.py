@@ -5,6 +5,7 @@
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,7 +114,7 @@ def inverse(T: ArrayLike) -> NDArray[np.float64]:
     return result
 
 
-def transform_points(T: ArrayLike, points: NDArray) -> NDArray:
+def transform_points(T: ArrayLike, points: NDArray[Any]) -> NDArray[Any]:
     """Take points through a transform; what stands behind x, y, z (intensity, ...) is kept.
 
     Parameters
@@ -136,7 +137,7 @@ def transform_points(T: ArrayLike, points: NDArray) -> NDArray:
     return result
 
 
-def rotate(R: NDArray[np.float64], xyz: NDArray) -> NDArray[np.float64]:
+def rotate(R: NDArray[np.float64], xyz: NDArray[Any]) -> NDArray[np.float64]:
     """Return ``R @ xyz``, computed by one core.
 
     BLAS spreads products of this shape over threads, whose waiting costs ten times what the product does.

@@ -425,8 +425,11 @@ class PerMount:
         factory: Callable[[Mount], InverseSensorModel],
         radar: Callable[[Mount, str], InverseSensorModel] | None = None,
     ) -> None:
-        self.model = lru_cache(maxsize=8)(factory)
-        self.radar = None if radar is None else lru_cache(maxsize=16)(radar)
+        self.factory: Callable[[Mount], InverseSensorModel] = factory
+        self.model: Callable[[Mount], InverseSensorModel] = lru_cache(maxsize=8)(factory)
+        self.radar: Callable[[Mount, str], InverseSensorModel] | None = None
+        if radar is not None:
+            self.radar = lru_cache(maxsize=16)(radar)
 
 
 SensorModels = InverseSensorModel | PerMount | Mapping[str, InverseSensorModel | PerMount]

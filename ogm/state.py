@@ -28,6 +28,8 @@ class OnDemand(Generic[T_co]):
         Of the field; without it, the field must be given.
     """
 
+    name: str
+
     def __init__(self, *default: T_co) -> None:
         self.default = default
 

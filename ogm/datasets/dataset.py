@@ -78,6 +78,16 @@ class Dataset(Sequence[Frame]):
         `with_odometry`.
     """
 
+    layout: Layout
+    trajectory: Trajectory | None
+    reader: FrameReader
+    description: str
+    name: str
+    format: str
+    motion_distorted: bool
+    files: tuple[Path, ...] | tuple[Path]
+    facts: dict[str, Any]
+
     def __init__(
         self,
         layout: Layout,

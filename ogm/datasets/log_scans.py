@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -49,6 +50,13 @@ class LogScans(Sequence[ScanRef]):
     OgmError
         If there is no such topic, or not one alone.
     """
+
+    log: LogReader
+    path: Path
+    topics: tuple[str, ...]
+    types: set[str]
+    transforms: LogTransforms
+    warnings: list[str]
 
     def __init__(self, log: LogReader, topic: str | Iterable[str] = ()) -> None:
         self.log, self.path = log, log.paths[0]

@@ -42,6 +42,9 @@ class LogTransforms:
         Why messages could not be read.
     """
 
+    buffer: TransformBuffer
+    source: str
+
     def __init__(self, log: LogReader, scans: Iterable[str] = ()) -> None:
         self.buffer, self.source = TransformBuffer(), "transforms"
         self._log = log

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.datasets.layout import EGO
+from ogm.datasets.layout import EGO, Layout
 from ogm.datasets.reader import FrameReader
 from ogm.grid import GridSpec
 from ogm.pose import inverse
@@ -32,6 +32,9 @@ class MotionReader:
     ----------
     reader : FrameReader
     """
+
+    reader: FrameReader
+    layout: Layout
 
     def __init__(self, reader: FrameReader) -> None:
         self.reader, self.layout = reader, reader.layout

@@ -4,6 +4,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -249,5 +250,5 @@ def _counted(has: NDArray[np.bool_]) -> str:
     return f"{np.count_nonzero(has)} of {len(has)} scans have a pose"
 
 
-def _span(values: NDArray) -> str:
+def _span(values: NDArray[Any]) -> str:
     return f"{values.min():.15g} ... {values.max():.15g}" if len(values) else "none"

@@ -1,5 +1,6 @@
 """A data set's scans and mounts, read on demand; the last scans are kept."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -31,6 +32,10 @@ class FrameReader:
     sensor_position : (x, y, z), optional
     """
 
+    layout: Layout
+    path: Path
+    sensor_position: tuple[float, float, float] | None
+
     def __init__(
         self,
         layout: Layout,
@@ -49,7 +54,7 @@ class FrameReader:
         self.groups: dict[str, list[int]] = {}  # frames whose sensor has one height
         for n, frame in enumerate(layout.frames):
             self.groups.setdefault(frame.sequence or frame.name, []).append(n)
-        self.raw = lru_cache(_KEPT)(self._read)
+        self.raw: Callable[[int], RawFrame] = lru_cache(_KEPT)(self._read)
         self._height = lru_cache(None)(self._find_height)
 
     def scan(self, n: int) -> Scan:

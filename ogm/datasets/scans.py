@@ -16,7 +16,7 @@ from ogm.io.axes import rotation_to_flu
 
 __all__ = ["scans"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _POSES = "poses of the scans (poses.txt, poses.csv, derived/poses*.txt)"
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from ogm import truth as rules
-from ogm.datasets.layout import EGO
+from ogm.datasets.layout import EGO, Layout
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.reader import FrameReader
 from ogm.files import OgmError
@@ -45,6 +45,10 @@ class RecordedTruth:
     others : {"all", "later"}
         Which neighbouring scans are taken.
     """
+
+    reader: FrameReader
+    layout: Layout
+    sources: tuple[str, ...]
 
     def __init__(self, reader: FrameReader, wanted: Sequence[str] = (), others: str = "all") -> None:
         unknown = [one for one in wanted if one not in SOURCES]

@@ -6,7 +6,7 @@ resumed, or that runs on more processes, sees the same.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -87,7 +87,7 @@ class Batch(NamedTuple):
         """Return what the network takes, on a device."""
         return self.pillars.to(device)
 
-    def arrays(self) -> dict[str, NDArray]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what the network takes, to be saved."""
         return {name: getattr(self.pillars, name).numpy() for name in ("features", "lengths", "cells")}
 
@@ -178,6 +178,13 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
 class EpochSampler(Sampler[tuple[int, int]]):
     """The order of an epoch: every frame once, the share of this process, from a position on."""
 
+    count: int
+    seed: int
+    rank: int
+    processes: int
+    epoch: int
+    skip: int
+
     def __init__(self, count: int, seed: int, rank: int = 0, processes: int = 1) -> None:
         self.count, self.seed, self.rank, self.processes = count, seed, rank, processes
         self.epoch, self.skip = 0, 0
@@ -264,13 +271,13 @@ def augment(
     return Scan(points, no_returns=no_returns), height, state
 
 
-def _in_sector(x: NDArray, y: NDArray, middle: float, half: float) -> NDArray[np.bool_]:
+def _in_sector(x: NDArray[Any], y: NDArray[Any], middle: float, half: float) -> NDArray[np.bool_]:
     """Return whether places are within an angle of a bearing, as seen from x = y = 0."""
     return np.cos(np.arctan2(y, x) - middle) >= np.cos(half)
 
 
 @kernel
-def _disturb(points: NDArray, errors: NDArray, T: NDArray, gain: float) -> None:
+def _disturb(points: NDArray[Any], errors: NDArray[Any], T: NDArray[Any], gain: float) -> None:
     """Add errors along the rays, apply T, and scale the intensities, in place."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]

@@ -69,6 +69,10 @@ class DeepISM:
     tenth of the fewest points of the training, or less, gives an unknown grid.
     """
 
+    mount: Mount
+    description: dict[str, Any]
+    spec: GridSpec
+
     def __init__(
         self,
         network: "Engine | PillarNetwork",

@@ -110,6 +110,14 @@ class PillarNetwork(nn.Module):
         If the spec's cells cannot be halved as often as the network does.
     """
 
+    config: NetworkConfig
+    spec: GridSpec
+    pillar: "PillarFeatures"
+    bearings: nn.Conv2d | None
+    blocks: nn.ModuleList
+    join: "AddNeck | ConcatenateNeck"
+    head: nn.Conv2d
+
     def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
         super().__init__()
         check_sides(spec, config.stride)
@@ -199,7 +207,7 @@ class PillarFeatures(nn.Module):
 
     def __init__(self, channels: int, scale: tuple[float, ...]) -> None:
         super().__init__()
-        self.linear = nn.Linear(FEATURES, channels, bias=False)
+        self.linear: nn.Linear = nn.Linear(FEATURES, channels, bias=False)
         self.norm: nn.Module = nn.BatchNorm1d(channels, eps=1e-3, momentum=0.01)
         inverse = np.float32(1) / np.array(scale, np.float32)  # torch would load its compiler on the device meta
         self.register_buffer("scale", torch.from_numpy(inverse), persistent=False)
@@ -221,7 +229,7 @@ class ConcatenateNeck(nn.Module):
 
     def __init__(self, channels: list[int], up: int) -> None:
         super().__init__()
-        self.ups = nn.ModuleList(
+        self.ups: nn.ModuleList = nn.ModuleList(
             nn.Sequential(nn.ConvTranspose2d(size, up, 2**k, 2**k, bias=False), _norm(up), nn.ReLU(inplace=True))
             for k, size in enumerate(channels)
         )
@@ -237,8 +245,8 @@ class AddNeck(nn.Module):
     def __init__(self, channels: list[int]) -> None:
         super().__init__()
         pairs = list(zip(channels[:-1], channels[1:], strict=True))
-        self.lateral = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in pairs)
-        self.merge = nn.ModuleList(_layer(fine, fine) for fine, _ in pairs)
+        self.lateral: nn.ModuleList = nn.ModuleList(nn.Conv2d(coarse, fine, 1) for fine, coarse in pairs)
+        self.merge: nn.ModuleList = nn.ModuleList(_layer(fine, fine) for fine, _ in pairs)
 
     def forward(self, scales: list[torch.Tensor]) -> list[torch.Tensor]:
         """Return a single (batch, channels of the finest scale, nx / 2, ny / 2)."""

@@ -63,6 +63,10 @@ class OnnxEngine:
     number of threads.
     """
 
+    description: dict[str, Any]
+    rays: bool
+    spec: GridSpec
+
     def __init__(
         self,
         path: str | os.PathLike[str],

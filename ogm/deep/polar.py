@@ -244,7 +244,7 @@ def view_of(spec: GridSpec, mount: Mount, noise: RadarNoise, polar: RadarGrid) -
 
 
 @kernel
-def write_masses(evidence: NDArray, width: int, view: PolarView, mass: NDArray) -> None:
+def write_masses(evidence: NDArray[Any], width: int, view: PolarView, mass: NDArray[Any]) -> None:
     """Write the masses of the cells that are seen: evidence between the four polar cells around each, bilinear.
 
     Parameters

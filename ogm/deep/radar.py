@@ -66,6 +66,10 @@ class DeepRadarISM:
         If a number of `noise` is out of its range.
     """
 
+    mount: Mount
+    noise: RadarNoise
+    spec: GridSpec
+
     def __init__(
         self,
         engine: "_Engine | RadarNetwork",

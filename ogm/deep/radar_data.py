@@ -57,7 +57,7 @@ class RadarBatch(NamedTuple):
         """Return what the network takes, on a device."""
         return self.features.to(device), self.places.to(device)
 
-    def arrays(self) -> dict[str, NDArray]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what the network takes, to be saved."""
         return {"features": self.features.numpy(), "places": self.places.numpy()}
 

@@ -43,6 +43,9 @@ class TorchRadarEngine:
     description : dict
     """
 
+    description: dict[str, Any]
+    network: RadarNetwork
+
     def __init__(self, network: RadarNetwork, description: Mapping[str, Any] | None = None) -> None:
         self.polar, self.description, self.network = network.spec, dict(description or {}), folded(network)
 

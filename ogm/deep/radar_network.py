@@ -61,6 +61,10 @@ class RadarNetwork(nn.Module):
         If the polar grid's cells cannot be halved as often as the network does.
     """
 
+    config: RadarConfig
+    spec: RadarGrid
+    join: AddNeck
+
     def __init__(self, config: RadarConfig, spec: RadarGrid) -> None:
         super().__init__()
         if any(n % config.stride for n in spec.shape):
@@ -68,9 +72,11 @@ class RadarNetwork(nn.Module):
         self.config, self.spec = config, spec
         channels = [size for size, _ in config.blocks]
         pairs = zip([len(CHANNELS), *channels], config.blocks, strict=False)
-        self.blocks = nn.ModuleList(down_block(before, *block, config.dropout) for before, block in pairs)
+        self.blocks: nn.ModuleList = nn.ModuleList(
+            down_block(before, *block, config.dropout) for before, block in pairs
+        )
         self.join = AddNeck(channels)
-        self.head = nn.Conv2d(channels[0], 2 * 4, 3, padding=1)
+        self.head: nn.Conv2d = nn.Conv2d(channels[0], 2 * 4, 3, padding=1)
         self.head.bias.data[:] = torch.tensor([1.0] * 4 + [-1.0] * 4)  # begin near the usual
 
     def forward(self, inputs: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:

@@ -43,6 +43,8 @@ class RadarOnnxEngine:
         If ONNX Runtime is not installed; the message holds the pip command that adds it.
     """
 
+    polar: RadarGrid
+
     def __init__(self, path: str | os.PathLike[str], *, threads: int | None = None) -> None:
         threads = default_threads() if threads is None else threads
         if threads < 1:

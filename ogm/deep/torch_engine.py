@@ -48,6 +48,11 @@ class TorchEngine:
         If there is no such device or precision.
     """
 
+    description: dict[str, Any]
+    rays: bool
+    spec: GridSpec
+    network: PillarNetwork
+
     def __init__(
         self,
         network: PillarNetwork,

@@ -39,7 +39,7 @@ class TrainingBatch(Protocol):
     def inputs(self, device: torch.device) -> Any:
         """Return what the network takes, on a device."""
 
-    def arrays(self) -> dict[str, NDArray]:
+    def arrays(self) -> dict[str, NDArray[Any]]:
         """Return what the network takes, to be saved."""
 
 
@@ -71,6 +71,17 @@ class TrainingRun:
     consistent : bool
         Whether network, average and step belong together.
     """
+
+    fabric: Fabric
+    recipe: Recipe
+    out: Path
+    steps_per_epoch: int
+    steps: int
+    optimizer: Any
+    step: int
+    epoch: int
+    best: float
+    consistent: bool
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from io import BytesIO
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +142,7 @@ def height_legend() -> dict[str, tuple[int, int, int]]:
     return {height: _shade(colour) for height, colour in legend.items()}
 
 
-def _dots(points: NDArray, spec: GridSpec, block: int, ground_z: float) -> NDArray[np.uint8]:
+def _dots(points: NDArray[Any], spec: GridSpec, block: int, ground_z: float) -> NDArray[np.uint8]:
     """Draw points, each as wide as two cells, so that they stay visible in small pictures."""
     nx, ny = spec.shape
     scale = block * 2  # `ogm.plot` draws two dots along a cell
@@ -158,7 +158,7 @@ def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, s
     return _encode(plot.cells_panel(colours[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
 
 
-def _blocks(cells: NDArray, size: int) -> NDArray:
+def _blocks(cells: NDArray[Any], size: int) -> NDArray[Any]:
     """Cut cells (nx, ny, ...) into blocks (nx / size, size, ny / size, size, ...); the far border is repeated."""
     (nx, ny), rest = cells.shape[:2], cells.shape[2:]
     padding = [(0, -nx % size), (0, -ny % size), *([(0, 0)] * len(rest))]

@@ -50,6 +50,9 @@ class Axis:
 class LikelihoodSearch:
     """The search for the least NLL: how often it was evaluated, and the best coordinates so far."""
 
+    best: NDArray[np.float64]
+    evaluations: int
+
     def __init__(
         self,
         likelihood: Likelihood,

@@ -240,6 +240,10 @@ class MethodRunner:
         The evaluated cells.
     """
 
+    methods: Mapping[str, Method]
+    spec: GridSpec
+    fused: list[FusedMethod]
+
     def __init__(self, methods: Mapping[str, Method], spec: GridSpec) -> None:
         self.methods, self.spec = methods, spec
         self.fused = [one for one in methods.values() if isinstance(one, FusedMethod)]
@@ -281,7 +285,7 @@ class MethodRunner:
 
 def _object_state(one: Any) -> str:
     """Return an object's repr without addresses, and a hash of the source file of its class or function."""
-    one = one.model.__wrapped__ if isinstance(one, PerMount) else one
+    one = one.factory if isinstance(one, PerMount) else one
     home = one if inspect.isroutine(one) else type(one)
     try:
         source = Path(inspect.getfile(home)).read_bytes()

@@ -1,6 +1,7 @@
 """Pictures of motion in one evaluated frame: masses with true and estimated arrows."""
 
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -78,7 +79,7 @@ def _means(
     at = np.nonzero(kept & (groups >= 0))
     group = groups[at]
     count = np.bincount(group)
-    columns: list[NDArray] = [*at, velocity[at][:, 0], velocity[at][:, 1]]
+    columns: list[NDArray[Any]] = [*at, velocity[at][:, 0], velocity[at][:, 1]]
     found = np.flatnonzero(count >= least)
     means = np.array([np.bincount(group, one)[found] / count[found] for one in columns]).reshape(4, -1)
     return means[:2].T, means[2:].T

@@ -161,7 +161,7 @@ def _results(
         yield number, FrameResult(sums, shares, pictures, motion)
 
 
-def _points(frame: Frame) -> tuple[NDArray | None, float]:
+def _points(frame: Frame) -> tuple[NDArray[Any] | None, float]:
     """Return points in the levelled vehicle frame, and the ground's z there."""
     try:
         scan, mount = frame.scan, frame.mount

@@ -7,14 +7,14 @@ intervals hold the truth.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 __all__ = ["MIN_DRIVES", "Comparison", "Interval", "compare_paired", "has_parts", "mean_interval", "ratio_interval"]
 
-Drives = Sequence[str] | NDArray | None
+Drives = Sequence[str] | NDArray[Any] | None
 LEVEL = 0.95
 MIN_DRIVES = 4  # that an interval needs, and the parts that one drive is cut into
 PART = 25  # frames: parts of fewer are alike, as scans within a drive are
@@ -139,8 +139,8 @@ def has_parts(drives: Sequence[str]) -> bool:
 
 
 class _Scale(NamedTuple):
-    there: Callable[[NDArray], NDArray]
-    back: Callable[[NDArray], NDArray]
+    there: Callable[[NDArray[Any]], NDArray[Any]]
+    back: Callable[[NDArray[Any]], NDArray[Any]]
 
 
 _PLAIN = _Scale(np.asarray, np.asarray)
@@ -148,14 +148,14 @@ _LOG = _Scale(np.log, np.exp)
 _LOG_ODDS = _Scale(lambda p: np.log(p / (1 - p)), lambda z: 1 / (1 + np.exp(-z)))
 
 
-def _scale_of(a: NDArray, b: NDArray) -> _Scale:
+def _scale_of(a: NDArray[Any], b: NDArray[Any]) -> _Scale:
     """Return the scale on which the spread of a ratio is even."""
     if (a < 0).any() or (b < 0).any():
         return _PLAIN
     return _LOG_ODDS if (b == 1).all() and (a <= 1).all() else _LOG
 
 
-def _student(a: NDArray, b: NDArray, groups: NDArray, scale: _Scale) -> tuple[Interval, float]:
+def _student(a: NDArray[Any], b: NDArray[Any], groups: NDArray[Any], scale: _Scale) -> tuple[Interval, float]:
     """Return sum(a) / sum(b) with its interval over groups, and the p value that it is 0 on the scale."""
     from scipy.special import stdtr, stdtrit
 
@@ -179,7 +179,7 @@ def _student(a: NDArray, b: NDArray, groups: NDArray, scale: _Scale) -> tuple[In
     return Interval(float(value), float(low), float(high)), float(p)
 
 
-def _both(first: ArrayLike, second: ArrayLike, drives: Drives) -> tuple[NDArray, NDArray, NDArray]:
+def _both(first: ArrayLike, second: ArrayLike, drives: Drives) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Return the values of the frames that have both, and the number of the group of each."""
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if a.ndim != 1 or a.shape != b.shape:

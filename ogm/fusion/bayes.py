@@ -50,6 +50,12 @@ class BinaryBayesMapper:
     Stamps, poses, jumps and threads are treated as `EvidentialMapper` does.
     """
 
+    half_life: float
+    match: Match
+    limits: tuple[float, float]
+    forget: Forget
+    lock: MapLock
+
     def __init__(
         self,
         spec: GridSpec,

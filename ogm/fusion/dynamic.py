@@ -85,6 +85,14 @@ class DynamicMapper:
     later ones with it, unless it is `RadialVelocities.dense`.
     """
 
+    particles: int
+    filter: DynamicFilter
+    matching: bool
+    seed: int
+    threads: int
+    settings: DynamicSettings
+    lock: MapLock
+
     def __init__(
         self,
         spec: GridSpec,

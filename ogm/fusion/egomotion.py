@@ -14,7 +14,7 @@ from ogm.pose import Trajectory, check_pose
 
 __all__ = ["EgoMotion", "EgoStates"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _X, _Y, _YAW, _SPEED, _YAW_RATE = range(5)
 _TOLERANCE = 1e-3  # [s] by which a stamp may lie before the last one; it then counts as equal
@@ -108,6 +108,8 @@ class EgoMotion:
     ImportError
         If filterpy is not there.
     """
+
+    stamp: float
 
     def __init__(
         self,

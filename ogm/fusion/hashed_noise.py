@@ -3,6 +3,7 @@
 They are the same from run to run, for any order in which they are computed, and so for any number of threads.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,8 @@ def _index(h: Any, k: int) -> Any:
     return (h >> _SHIFTS[k]) & _LAST
 
 
-hashed, index = inline(_hashed), inline(_index)
+hashed: Callable[..., Any] = inline(_hashed)
+index: Callable[..., Any] = inline(_index)
 
 
 def scan_key(seed: int, scan: int) -> np.uint64:

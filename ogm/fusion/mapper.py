@@ -87,6 +87,15 @@ class EvidentialMapper:
     whole state, that before or after an update. What belongs together is read with ``with mapper.lock:``.
     """
 
+    rule: Rule
+    half_life: tuple[float, float]
+    moving_half_life: float
+    discounting: Callable[..., Any]
+    forget: Forget
+    min_unknown: float
+    conflict_half_life: float
+    lock: MapLock
+
     def __init__(
         self,
         spec: GridSpec,

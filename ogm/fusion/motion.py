@@ -74,7 +74,14 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
 
 
 @kernel
-def _deskew(xyz: NDArray, time: NDArray, knots: NDArray, poses: NDArray, turns: NDArray, result: NDArray) -> None:
+def _deskew(
+    xyz: NDArray[Any],
+    time: NDArray[Any],
+    knots: NDArray[Any],
+    poses: NDArray[Any],
+    turns: NDArray[Any],
+    result: NDArray[Any],
+) -> None:
     """Write ``T(time[n]) @ xyz[n]`` to ``result[n, :3]``.
 
     Between knots k and k + 1, a share s of the way, ``T = (R_k exp(s w_k), t_k + s (t_k+1 - t_k))`` where w_k

@@ -1,5 +1,7 @@
 """Kernels that find the moving cells of a grid, and join them to groups. Nothing is checked here."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,7 +11,9 @@ __all__ = ["join_cells", "moving_cells"]
 
 
 @kernel
-def moving_cells(mass: NDArray, velocity: NDArray, dynamic: float, share: float, speed: float) -> NDArray:
+def moving_cells(
+    mass: NDArray[Any], velocity: NDArray[Any], dynamic: float, share: float, speed: float
+) -> NDArray[Any]:
     """Return the indices of the moving cells, (K, 2) int64, row by row."""
     nx, ny = mass.shape[:2]
     found = np.empty((nx * ny, 2), np.int64)
@@ -27,7 +31,9 @@ def moving_cells(mass: NDArray, velocity: NDArray, dynamic: float, share: float,
 
 
 @kernel
-def join_cells(cells: NDArray, velocity: NDArray, place: NDArray, reach: int, gate: tuple[float, float]) -> NDArray:
+def join_cells(
+    cells: NDArray[Any], velocity: NDArray[Any], place: NDArray[Any], reach: int, gate: tuple[float, float]
+) -> NDArray[Any]:
     """Return the number of the group of each cell, (K,) int64, in the order of their first cells.
 
     Sets are joined by union and find: the root of a set is its first cell.
@@ -75,7 +81,7 @@ def join_cells(cells: NDArray, velocity: NDArray, place: NDArray, reach: int, ga
 
 
 @kernel
-def _root(root: NDArray, k: int) -> int:
+def _root(root: NDArray[Any], k: int) -> int:
     while root[k] != k:
         root[k] = root[root[k]]
         k = root[k]

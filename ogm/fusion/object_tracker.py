@@ -77,6 +77,8 @@ class ObjectTracker:
         If filterpy is not there.
     """
 
+    settings: TrackerSettings
+
     def __init__(self, settings: TrackerSettings | None = None) -> None:
         self.settings = TrackerSettings() if settings is None else settings
         self._kalman = import_package("filterpy.kalman")

@@ -1,7 +1,7 @@
 """Objects of a dynamic grid: groups of moving cells, as boxes with a velocity."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -178,7 +178,7 @@ def find_objects(grid: DynamicGrid, settings: ObjectSettings | None = None) -> O
 
 
 def _covariance_of_mean(
-    cells: NDArray, away: NDArray, weight: NDArray, group: NDArray, settings: ObjectSettings
+    cells: NDArray[Any], away: NDArray[Any], weight: NDArray[Any], group: NDArray[Any], settings: ObjectSettings
 ) -> NDArray[np.float64]:
     """Return the covariance of each object's mean velocity, (B, 2, 2) [m²/s²].
 
@@ -194,7 +194,9 @@ def _covariance_of_mean(
     return mean + settings.min_deviation**2 * np.eye(2)
 
 
-def _boxes(xy: NDArray, group: NDArray, velocity: NDArray, resolution: float, settings: ObjectSettings) -> Boxes:
+def _boxes(
+    xy: NDArray[Any], group: NDArray[Any], velocity: NDArray[Any], resolution: float, settings: ObjectSettings
+) -> Boxes:
     """Return the boxes around the cells at `xy` (K, 2), which belong to the objects `group` (K,)."""
     count = len(velocity)
     if not count:
@@ -216,7 +218,7 @@ def _boxes(xy: NDArray, group: NDArray, velocity: NDArray, resolution: float, se
 
 
 def _extent(
-    xy: NDArray, group: NDArray, first: NDArray, yaw: NDArray, resolution: float
+    xy: NDArray[Any], group: NDArray[Any], first: NDArray[Any], yaw: NDArray[Any], resolution: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the centres and the sizes (B, 2) [m] of the boxes of given yaws; `xy` is sorted by group."""
     cosine, sine = np.cos(yaw), np.sin(yaw)

@@ -4,7 +4,7 @@ Nothing is checked here.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,11 +75,11 @@ class Arrivals(NamedTuple):
 
 @kernel
 def move_mass(
-    mass: NDArray,
-    label: NDArray,
+    mass: NDArray[Any],
+    label: NDArray[Any],
     particles: Particles,
     bodies: Bodies,
-    normals: NDArray,
+    normals: NDArray[Any],
     horizon: Horizon,
     resolution: float,
     out: Arrivals,
@@ -149,13 +149,13 @@ def move_mass(
 
 @kernel
 def cells_later(
-    mass: NDArray,
-    label: NDArray,
+    mass: NDArray[Any],
+    label: NDArray[Any],
     arrivals: Arrivals,
     horizon: Horizon,
-    result: NDArray,
-    velocity: NDArray,
-    covariance: NDArray,
+    result: NDArray[Any],
+    velocity: NDArray[Any],
+    covariance: NDArray[Any],
 ) -> None:
     """Compute masses, velocities and covariances of cells from what was in them and what arrives.
 

@@ -14,7 +14,7 @@ from ogm.pose import Trajectory, inverse
 
 __all__ = ["METHODS", "import_package", "odometry"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _MIN_POINTS = 100  # points within range, below which no scan is registered
 _LEAF = 0.25  # [m] between the points that small-gicp registers

@@ -23,6 +23,9 @@ class ScanHistory:
         Least time between two scans that are kept [s], so that sensors of any rate cost the same.
     """
 
+    seconds: float
+    spacing: float
+
     def __init__(self, seconds: float, spacing: float) -> None:
         self.seconds, self.spacing = seconds, spacing
         self._scans: deque[tuple[float, Corner, NDArray[np.bool_]]] = deque()

@@ -70,6 +70,11 @@ class UpdateGate:
         Whether the map forgets in time, so that a scan without a stamp is refused.
     """
 
+    max_speed: float
+    max_delay: float
+    needs_stamps: bool
+    scans: int
+
     def __init__(self, max_speed: float, max_delay: float, needs_stamps: bool) -> None:
         if not max_speed > 0:
             raise ValueError(f"max_speed must be greater than 0 m/s, got {max_speed}; infinity allows every jump")

@@ -100,6 +100,10 @@ class Window:
     mode : {"rolling", "fixed"}
     """
 
+    spec0: GridSpec
+    mode: WindowMode
+    corner: tuple[int, int]
+
     def __init__(self, spec: GridSpec, mode: WindowMode) -> None:
         self.spec0, self.mode = spec, check_choice("window", mode, WindowMode)
         self.corner = (0, 0)  # lattice index of the first cell

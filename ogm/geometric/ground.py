@@ -59,9 +59,7 @@ def local_ground(
        stray);
     4. cells without ground take a smooth surface through the known ones (pull-push, Gortler et al. 1996).
 
-    Parameters, returns : see `flat_ground`
-    max_slope : float
-        Steepest rise over run that is ground.
+    Parameters and result are those of `flat_ground`; `max_slope` is the steepest rise over run that is ground.
 
     Raises
     ------

@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,7 +168,7 @@ def _no_return_directions(scan: Scan, mount: Mount) -> NDArray[np.float32]:
     return np.ascontiguousarray(rotate(mount.T_vehicle_points[:3, :3], directions.T).T, np.float32)
 
 
-def _checked_height(height: NDArray, spec: GridSpec) -> NDArray[np.float32]:
+def _checked_height(height: NDArray[Any], spec: GridSpec) -> NDArray[np.float32]:
     """Check what a ground estimate returned: the kernels trust it."""
     if not isinstance(height, np.ndarray) or height.shape != spec.shape or not np.isfinite(height).all():
         got = f"shape {height.shape}" if isinstance(height, np.ndarray) else type(height).__name__

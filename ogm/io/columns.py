@@ -10,7 +10,7 @@ from ogm.files import OgmError
 
 __all__ = ["check_rings", "check_whole", "scale_intensities", "split_times", "times_from_stamp"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _SWEEP = 10.0  # [s] longer than any sweep: times that begin later are a clock's
 _FLASH = 1e-3  # [s] shorter than a sweep

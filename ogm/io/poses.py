@@ -19,7 +19,7 @@ from ogm.pose import LATEST, Trajectory, check_pose, inverse
 
 __all__ = ["Poses", "read_poses", "write_poses"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _OURS = "ogm.poses/1"
 _EXPLAINED = f"""# {_OURS}: T_map_sensor, the sensor's pose in the map at each stamp [s]; position x y z [m] and

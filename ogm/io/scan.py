@@ -16,7 +16,7 @@ from ogm.scan import Scan
 
 __all__ = ["FileFacts", "describe", "read_points", "read_scan", "read_scan_file"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 def read_points(path: str | os.PathLike[str], axes: Axes = "flu", **options: Any) -> np.ndarray:

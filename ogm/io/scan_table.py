@@ -2,7 +2,7 @@
 
 import logging
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from ogm.scan import Scan
 
 __all__ = ["FileFacts", "check_scales", "scan_from_table"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _BLOCK = 2**18  # rows that are converted at a time
 
@@ -100,7 +100,7 @@ def scan_from_table(
     del xyz
 
     # What else was measured.
-    def known(names: tuple[str, ...]) -> NDArray | None:
+    def known(names: tuple[str, ...]) -> NDArray[Any] | None:
         """Return the first column that is there, in the machine's order of bytes."""
         found = next((columns[name] for name in names if name in columns), None)
         return None if found is None else np.ascontiguousarray(found[kept], found.dtype.newbyteorder("="))
@@ -125,7 +125,7 @@ def scan_from_table(
 
 
 def _positions(
-    columns: list[NDArray], rotation: NDArray[np.float64], origin: NDArray[np.float64] | None
+    columns: list[NDArray[Any]], rotation: NDArray[np.float64], origin: NDArray[np.float64] | None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_], float]:
     """Return x, y, z as (3, N) in our axes, 0 or without meaning where there is no point; where; and their reach [m].
 

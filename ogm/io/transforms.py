@@ -22,7 +22,7 @@ __all__ = [
     "UnknownFrameError",
 ]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 
 class TransformError(OgmError):
@@ -106,6 +106,9 @@ class TransformBuffer:
     >>> buffer.lookup("map", "lidar", 10.5)[:3, 3]
     array([5. , 0. , 1.8])
     """
+
+    max_gap: float
+    keep: float | None
 
     def __init__(self, max_gap: float = 2.0, keep: float | None = None) -> None:
         self.max_gap, self.keep = max_gap, keep

@@ -23,6 +23,9 @@ class NewestFrames:
         When the frame that was taken last became available, by `time.monotonic` [s].
     """
 
+    dropped: int
+    due: float
+
     def __init__(self) -> None:
         self.dropped = 0
         self.due = 0.0

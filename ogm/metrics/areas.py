@@ -1,5 +1,7 @@
 """Areas and other summaries of curves of counts, and the columns that they share with the curves."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,7 +75,7 @@ def overlaps(confusion: NDArray[np.float64]) -> NDArray[np.float64]:
     return parts(both, np.where(true > 0, predicted + true - both, 0.0))
 
 
-def parts(some: NDArray | float, whole: NDArray | float) -> NDArray[np.float64]:
+def parts(some: NDArray[Any] | float, whole: NDArray[Any] | float) -> NDArray[np.float64]:
     """Return some / whole, NaN where the whole is 0."""
     return np.asarray(some, np.float64) / np.where(np.asarray(whole) > 0, whole, np.nan)
 

@@ -6,7 +6,7 @@ counts are those of the pooled cells (micro averages).
 
 from math import inf
 from operator import add
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,7 +181,9 @@ def accumulate(
     return sums
 
 
-def _count_high(mass: NDArray, state: NDArray[np.uint8], height_cm: NDArray[np.uint8], sums: ConfusionSums) -> None:
+def _count_high(
+    mass: NDArray[Any], state: NDArray[np.uint8], height_cm: NDArray[np.uint8], sums: ConfusionSums
+) -> None:
     """Count the occupied cells whose obstacle is not lower than each of `HEIGHTS`."""
     if height_cm.shape != state.shape:
         raise ValueError(f"height_cm must have the cells' shape {state.shape}, got {height_cm.shape}")
@@ -194,7 +196,7 @@ def _count_high(mass: NDArray, state: NDArray[np.uint8], height_cm: NDArray[np.u
         sums.high_detections[k] = detected[high].sum(axis=0)
 
 
-def _count_obstacles(mass: NDArray, state: NDArray[np.uint8], sums: ConfusionSums) -> NDArray[np.uint8]:
+def _count_obstacles(mass: NDArray[Any], state: NDArray[np.uint8], sums: ConfusionSums) -> NDArray[np.uint8]:
     """Count what needs the eight neighbours of a cell; return where an occupied cell lies within one cell."""
     from scipy import ndimage  # here, as it would double the time that the import takes
 
@@ -205,7 +207,7 @@ def _count_obstacles(mass: NDArray, state: NDArray[np.uint8], sums: ConfusionSum
     return near
 
 
-def _check(mass: NDArray, state: NDArray) -> None:
+def _check(mass: NDArray[Any], state: NDArray[Any]) -> None:
     if mass.ndim != 3 or mass.shape[-1] != 2 or mass.shape[:-1] != state.shape:
         raise ValueError(
             f"mass must have shape (nx, ny, 2) and state (nx, ny) of the same cells, got {mass.shape} and "
@@ -223,7 +225,7 @@ def _check(mass: NDArray, state: NDArray) -> None:
         check_mass(mass, ROUNDING)
 
 
-def _check_distance(distance: NDArray, state: NDArray) -> None:
+def _check_distance(distance: NDArray[Any], state: NDArray[Any]) -> None:
     if distance.shape != state.shape or distance.dtype.kind != "f":
         raise ValueError(
             f"distance must be a float array of the cells' shape {state.shape}, got {distance.dtype} "

@@ -77,7 +77,7 @@ def sum_divergences(
     return sums
 
 
-def to_truth(sums: DivergenceSums, scale: int, cells: NDArray, strength: float) -> NDArray[np.float64]:
+def to_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: float) -> NDArray[np.float64]:
     """Return the sums of KL[grid || truth] [nats] for every truth, (3,): the paper's direction, prediction first.
 
     A missed cell costs E - ln(1 + E), a false detection of evidence e in an unknown one ln(1 + e) - e / (1 + e). The
@@ -99,7 +99,7 @@ def to_truth(sums: DivergenceSums, scale: int, cells: NDArray, strength: float) 
     return np.maximum(sums.uniform_kl[scale] - known * (np.log1p(strength) * cells + strength * log_true), 0.0)
 
 
-def from_truth(sums: DivergenceSums, scale: int, cells: NDArray, strength: float) -> NDArray[np.float64]:
+def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: float) -> NDArray[np.float64]:
     """Return the sums of KL[truth || grid] [nats] for every truth, (3,): the other direction, see `to_truth`.
 
     It grows linearly with evidence that is not in the truth: a confident model pays for every cell whose truth is

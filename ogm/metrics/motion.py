@@ -6,7 +6,7 @@ up, as those of `ogm.metrics.counts`.
 
 from collections.abc import Mapping, Sequence
 from operator import add
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -228,7 +228,7 @@ def _histogram(errors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.bincount(place.astype(np.intp), minlength=BINS).astype(np.float64)
 
 
-def _check(grid: DynamicGrid, motion: Motion, labels: Sequence[str], arrays: Mapping[str, NDArray | None]) -> None:
+def _check(grid: DynamicGrid, motion: Motion, labels: Sequence[str], arrays: Mapping[str, NDArray[Any] | None]) -> None:
     shape = grid.spec.shape
     for name, array in {"motion.velocity": motion.velocity[..., 0], "motion.box": motion.box, **arrays}.items():
         if array is not None and array.shape != shape:

@@ -4,11 +4,13 @@ The number is known by histograms of two kinds of cells, positive and negative: 
 one level are ties. The results lie in [0, 1], and are NaN if one of the two kinds is absent.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 
-def auroc(positive: NDArray, negative: NDArray) -> float:
+def auroc(positive: NDArray[Any], negative: NDArray[Any]) -> float:
     """Return the chance that a positive cell has the higher number of two, a tie counting one half."""
     p, n = np.asarray(positive, np.float64), np.asarray(negative, np.float64)
     pairs = p.sum() * n.sum()
@@ -18,7 +20,7 @@ def auroc(positive: NDArray, negative: NDArray) -> float:
     return float(p @ (below + 0.5 * n) / pairs)
 
 
-def average_precision(positive: NDArray, negative: NDArray) -> float:
+def average_precision(positive: NDArray[Any], negative: NDArray[Any]) -> float:
     """Return the mean precision over the recall, cells being detected from the highest number down.
 
     The sum of precision times gain of recall over all thresholds, without interpolation: the area under the
@@ -31,7 +33,7 @@ def average_precision(positive: NDArray, negative: NDArray) -> float:
     return float(p @ (right / np.maximum(detected, 1e-300)) / right[-1])
 
 
-def false_positive_rate(positive: NDArray, negative: NDArray) -> float:
+def false_positive_rate(positive: NDArray[Any], negative: NDArray[Any]) -> float:
     """Return the share of negative cells above the highest threshold that finds 95 % of the positive ones."""
     p, n = np.asarray(positive, np.float64)[::-1], np.asarray(negative, np.float64)[::-1]
     if p.sum() == 0 or n.sum() == 0:

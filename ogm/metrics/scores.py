@@ -1,6 +1,6 @@
 """The scores that follow from counts, their meanings, and the reasons for missing ones."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -234,6 +234,6 @@ def _without_low(counts: ConfusionSums) -> dict[str, float]:
     return found
 
 
-def _calibration_error(bins: NDArray) -> float:
+def _calibration_error(bins: NDArray[Any]) -> float:
     count, claimed, happened = bins.T
     return float(parts(np.abs(claimed - happened).sum(), count.sum()))

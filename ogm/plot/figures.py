@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["save_picture", "show"]
 
-Shown = EvidentialGrid | DynamicGrid | NDArray | Panel
+Shown = EvidentialGrid | DynamicGrid | NDArray[Any] | Panel
 
 
 def show(*items: Shown, titles: Sequence[str] = ()) -> "Figure":

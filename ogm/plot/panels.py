@@ -1,6 +1,6 @@
 """Panels: pictures of grids from above, the vehicle facing up. Only here axes flip and colours are known."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,17 +58,19 @@ class Panel(NamedTuple):
     wheel: bool = False
 
 
-def upright(cells: NDArray) -> NDArray:
+def upright(cells: NDArray[Any]) -> NDArray[Any]:
     """Turn ``[ix, iy, ...]``, without a copy, into rows from the front to the back and columns from left to right."""
     return cells[::-1, ::-1]
 
 
-def colour_bytes(colours: NDArray) -> NDArray[np.uint8]:
+def colour_bytes(colours: NDArray[Any]) -> NDArray[np.uint8]:
     """Return colours in [0, 1] as bytes."""
     return np.round(255 * np.clip(colours, 0, 1)).astype(np.uint8)
 
 
-def cells_panel(colours: NDArray, spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]) -> Panel:
+def cells_panel(
+    colours: NDArray[Any], spec: GridSpec, title: str, legend: dict[str, tuple[float, float, float]]
+) -> Panel:
     """Show a colour for every cell.
 
     Parameters
@@ -152,12 +154,12 @@ def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None =
     return cells_panel(colours, layers.spec, title or f"velocity, up to {fastest:.3g} m/s", legend | {"none": BLACK})
 
 
-def heading_colours(heading: NDArray) -> NDArray[np.float64]:
+def heading_colours(heading: NDArray[Any]) -> NDArray[np.float64]:
     """Return red, green, blue [0, 1] of directions [rad], (..., 3)."""
     return 0.5 + 0.5 * np.cos(heading[..., None] - np.array([0, 2, -2]) * np.pi / 3)
 
 
-def colour_map(name: str, values: NDArray) -> NDArray[np.float64]:
+def colour_map(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
     """Return red, green, blue [0, 1] of values in [0, 1] by a colour map of matplotlib, (..., 3)."""
     from matplotlib import colormaps
 

@@ -1,5 +1,7 @@
 """Panels of points: each a dot in a colour of its own, or by its height over the ground."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +19,8 @@ SPARSE = 0.05  # share of a picture of which dots of one half cell cover less
 
 
 def dots_panel(
-    xyz: NDArray,
-    colours: NDArray,
+    xyz: NDArray[Any],
+    colours: NDArray[Any],
     spec: GridSpec,
     title: str,
     legend: dict[str, tuple[float, float, float]],
@@ -51,7 +53,7 @@ def dots_panel(
     return cells_panel(image, spec, title, legend)
 
 
-def _widen(image: NDArray, drawn: NDArray[np.bool_], width: int) -> None:
+def _widen(image: NDArray[Any], drawn: NDArray[np.bool_], width: int) -> None:
     """Copy each dot that is drawn to the cells behind it and beside it, where there is none."""
     for axis in (0, 1):
         to, of = (np.swapaxes(one, 0, axis) for one in (image, drawn))
@@ -88,13 +90,13 @@ def points_panel(
     return dots_panel(cloud, colours, spec, title or "points by height", legend, width)
 
 
-def height_colours(height: NDArray) -> NDArray[np.float64]:
+def height_colours(height: NDArray[Any]) -> NDArray[np.float64]:
     """Return red, green, blue [0, 1] of points by their height over ground [m], (..., 3): readable on black."""
     share = np.clip((height - LOWEST) / (HIGHEST - LOWEST), 0, 1)
     return colour_map("turbo", TURBO[0] + (TURBO[1] - TURBO[0]) * share)
 
 
-def _ground_z(cloud: NDArray) -> float:
+def _ground_z(cloud: NDArray[Any]) -> float:
     """Return about where the ground is [m]: most cells hold a point of it. 0 without points."""
     if not len(cloud):
         return 0.0

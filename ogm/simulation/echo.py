@@ -5,7 +5,7 @@ return, which is what Velodyne's calibrated intensities are up to 100.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +109,14 @@ def _patch(x: float, y: float, z: float, size: float) -> int:
 
 
 @kernel
-def reflect(directions: NDArray, T: NDArray, hits: Hits, optics: NDArray, coats: NDArray, strength: NDArray) -> None:
+def reflect(
+    directions: NDArray[Any],
+    T: NDArray[Any],
+    hits: Hits,
+    optics: NDArray[Any],
+    coats: NDArray[Any],
+    strength: NDArray[Any],
+) -> None:
     """Fill in how strong the return of each ray would be if nothing disturbed it.
 
     Parameters
@@ -176,7 +183,9 @@ def _neighbour(i: int, side: int, device: Device) -> tuple[int, int, float]:
 
 
 @kernel
-def _share_light(i: int, distance: NDArray, strength: NDArray, device: Device, seed: int) -> tuple[float, float, int]:
+def _share_light(
+    i: int, distance: NDArray[Any], strength: NDArray[Any], device: Device, seed: int
+) -> tuple[float, float, int]:
     """Return distance, strength and source of the light of ray i, whose beam's edge may lap over to neighbours."""
     d, p, source = 1.0 * distance[i], 1.0 * strength[i], i
     for side in range(4):
@@ -207,7 +216,7 @@ def _share_light(i: int, distance: NDArray, strength: NDArray, device: Device, s
 
 @kernel
 def receive(
-    hits: Hits, strength: NDArray, device: Device, air: Air, steady: NDArray, seed: int, image: RangeImage
+    hits: Hits, strength: NDArray[Any], device: Device, air: Air, steady: NDArray[Any], seed: int, image: RangeImage
 ) -> None:
     """Turn what the rays hit into what the lidar reports.
 

@@ -55,6 +55,10 @@ class PairFolder:
         If a cloud has no label or a label no cloud.
     """
 
+    path: Path
+    part: str
+    names: list[str]
+
     def __init__(self, path: str | os.PathLike[str], part: str) -> None:
         self.path, self.part = Path(path), part
         self.names = self._stems("input", ".pcd")

@@ -139,7 +139,7 @@ def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[
 
 def _save(
     path: str | os.PathLike[str],
-    images: Sequence[tuple[str, NDArray]],
+    images: Sequence[tuple[str, NDArray[Any]]],
     shape: tuple[int, int],
     size: tuple[float, float],
     font: int,

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import open3d
@@ -34,6 +35,9 @@ class Scene:
         Processor cores that Open3D uses; 0 for all. The results do not depend on it. Open3D holds Python's lock
         while it casts, so two scenes in two threads of one process gain nothing: use processes, or `threads`.
     """
+
+    threads: int
+    things: int
 
     def __init__(self, static: Mesh, *, threads: int = 0) -> None:
         if threads < 0:
@@ -107,7 +111,7 @@ class Scene:
             self._cast_batch(rays, hits.part(start, stop), wanted, salt, number + start)
         return hits
 
-    def _cast_batch(self, rays: NDArray[np.float32], hits: Hits, normals: NDArray, salt: int, number: int) -> None:
+    def _cast_batch(self, rays: NDArray[np.float32], hits: Hits, normals: NDArray[Any], salt: int, number: int) -> None:
         """Find what rays hit, and cast those again that glass lets through; `number` is that of the first ray."""
         hits.distance[:], hits.material[:], hits.object[:], hits.cosine[:] = np.inf, NOTHING, STATIC, 0
         index = np.arange(len(rays), dtype=np.int32)
@@ -118,7 +122,9 @@ class Scene:
                 return
             self._keep_nearest(hits, normals, index, *kernels.restart(hits, index, rays, SKIN))
 
-    def _keep_nearest(self, hits: Hits, normals: NDArray, index: NDArray, rays: NDArray, base: NDArray) -> None:
+    def _keep_nearest(
+        self, hits: Hits, normals: NDArray[Any], index: NDArray[Any], rays: NDArray[Any], base: NDArray[Any]
+    ) -> None:
         for shape in (self._static, self._moving):
             if not shape.empty:
                 kernels.keep_nearer(hits, index, rays, base, shape.cast(rays), normals)
@@ -143,7 +149,7 @@ class _Shape:
         return Answer(t, primitive, normals, self.materials, self.things)
 
 
-def _tensor(array: NDArray) -> "open3d.core.Tensor":
+def _tensor(array: NDArray[Any]) -> "open3d.core.Tensor":
     return open3d.core.Tensor.from_numpy(np.ascontiguousarray(array))
 
 

@@ -30,6 +30,11 @@ class Split(Sequence[SimulatedSample]):
     pickled and used by several processes at once.
     """
 
+    path: Path
+    name: str
+    contents: Contents
+    columns: tuple[str, ...]
+
     def __init__(self, path: Path, name: str, count: int, contents: Contents) -> None:
         self.path, self.name, self.contents = path, name, contents
         self.columns = contents.facts

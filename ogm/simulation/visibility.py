@@ -1,7 +1,7 @@
 """What no ray of a scan could tell: beyond its sector, behind blocked views, in fog and dust, out of reach."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,7 +86,7 @@ def _widen(low, high, directions, seeing, half):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def in_view(directions: NDArray, view: View) -> NDArray:
+def in_view(directions: NDArray[Any], view: View) -> NDArray[Any]:
     """Return which rays (N, 3), unit vectors in the sensor's frame, pass where beams see: (N,) bool."""
     result = np.zeros(len(directions), np.bool_)
     for i in range(len(directions)):
@@ -96,7 +96,7 @@ def in_view(directions: NDArray, view: View) -> NDArray:
 
 
 @kernel
-def _meet(direction: NDArray, ball: NDArray, far: float) -> tuple[float, float, float]:
+def _meet(direction: NDArray[Any], ball: NDArray[Any], far: float) -> tuple[float, float, float]:
     """Return where a ray from the origin enters and leaves a ball of dust [m] before `far`, and the optical depth."""
     along = direction[0] * ball[0] + direction[1] * ball[1] + direction[2] * ball[2]
     apart = ball[0] ** 2 + ball[1] ** 2 + ball[2] ** 2 - along * along
@@ -110,7 +110,7 @@ def _meet(direction: NDArray, ball: NDArray, far: float) -> tuple[float, float, 
 
 
 @kernel
-def lose_sight(distance: NDArray, directions: NDArray, ground: NDArray, view: View) -> None:
+def lose_sight(distance: NDArray[Any], directions: NDArray[Any], ground: NDArray[Any], view: View) -> None:
     """Set the distance of hits (N,) to inf where the lidar would see no bright surface.
 
     Hits of `ground` (N,) bool are seen as far as bright ground is at grazing incidence, all others as far as a bright
@@ -130,7 +130,12 @@ def lose_sight(distance: NDArray, directions: NDArray, ground: NDArray, view: Vi
 
 @kernel
 def beams_in_dust(
-    distance: NDArray, strength: NDArray, directions: NDArray, dust: NDArray, draws: NDArray, scattered: NDArray
+    distance: NDArray[Any],
+    strength: NDArray[Any],
+    directions: NDArray[Any],
+    dust: NDArray[Any],
+    draws: NDArray[Any],
+    scattered: NDArray[Any],
 ) -> None:
     """Let dust dim what beams return, or return light itself.
 

@@ -1,6 +1,7 @@
 """`local_ground` cell by cell."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ __all__ = ["ground_map", "lower_envelope"]
 Point = tuple[float, float, float]
 
 
-def lower_envelope(height: NDArray, rise: float) -> NDArray:
+def lower_envelope(height: NDArray[Any], rise: float) -> NDArray[Any]:
     """Return the lowest, over all cells, of a cell's height plus `rise` times its chamfer distance.
 
     Chamfer distance: sqrt(2) per diagonal step, 1 per straight step.
@@ -28,14 +29,14 @@ def lower_envelope(height: NDArray, rise: float) -> NDArray:
 
 
 def ground_map(
-    xyz: NDArray,
+    xyz: NDArray[Any],
     ground_point: Point,
     spec: GridSpec,
     max_slope: float,
     max_descent: float,
     low_tolerance: float,
     band: float,
-) -> NDArray:
+) -> NDArray[Any]:
     """Return the heights of `local_ground`, cell by cell and in its four steps.
 
     Parameters
@@ -99,7 +100,7 @@ def ground_map(
     return np.where(weight > 0, height, np.minimum(_pull_push(height, weight, ground_point[2]), limit))
 
 
-def _pull_push(height: NDArray, weight: NDArray, otherwise: float) -> NDArray:
+def _pull_push(height: NDArray[Any], weight: NDArray[Any], otherwise: float) -> NDArray[Any]:
     """Fill cells of weight 0 from means over blocks of 2 x 2, 4 x 4, ... cells, interpolated (recursive)."""
     if max(height.shape) <= 2:
         mean = (weight * height).sum() / weight.sum() if weight.sum() else otherwise

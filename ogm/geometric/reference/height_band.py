@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ def line_cells(start: tuple[int, int], end: tuple[int, int]) -> Iterator[tuple[i
         yield i0 + (a if di >= 0 else -a), j0 + (b if dj >= 0 else -b)
 
 
-def height_band_mass(xyz: NDArray, ism: HeightBandISM) -> NDArray[np.float32]:
+def height_band_mass(xyz: NDArray[Any], ism: HeightBandISM) -> NDArray[np.float32]:
     """Return the masses of `HeightBandISM`, without supersampling, by one line per return.
 
     Parameters

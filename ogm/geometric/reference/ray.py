@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,9 @@ from ogm.geometric.ray import RayISM
 __all__ = ["ray_grid_mass"]
 
 
-def ray_grid_mass(xyz: NDArray, no_returns: NDArray, ground: float, ism: RayISM, sectors: int) -> NDArray[np.float32]:
+def ray_grid_mass(
+    xyz: NDArray[Any], no_returns: NDArray[Any], ground: float, ism: RayISM, sectors: int
+) -> NDArray[np.float32]:
     """Return the masses of `RayISM` over flat ground, by a loop over cells and rays.
 
     Parameters
@@ -65,7 +67,7 @@ class Ray(NamedTuple):
     is_stopped: bool  # by an obstacle
 
 
-def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> list[Ray]:
+def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[Any]) -> list[Ray]:
     """Return the ray to each return, and count the half hits of obstacles."""
     spec, (x0, y0, z0) = ism.spec, ism.mount.origin.tolist()
     rays = []
@@ -88,7 +90,7 @@ def _returned_rays(xyz: NDArray, ground: float, ism: RayISM, hits: NDArray) -> l
     return rays
 
 
-def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray]:
+def _no_return_rays(no_returns: NDArray[Any], ground: float, ism: RayISM) -> list[Ray]:
     """Return the rays of beams without echo, up to the ground or to `max_range`."""
     step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
     rays = []
@@ -100,7 +102,7 @@ def _no_return_rays(no_returns: NDArray, ground: float, ism: RayISM) -> list[Ray
     return rays
 
 
-def chance_unnoticed(heights: NDArray, clearance: float, chance: float) -> float:
+def chance_unnoticed(heights: NDArray[Any], clearance: float, chance: float) -> float:
     """Return E_H[chance ** N(H)] for H uniform up to `clearance` and N(H) the number of `heights` below H."""
     heights = np.sort(np.clip(heights, 0, clearance))
     edges = np.unique([0, *heights, clearance])
@@ -108,7 +110,7 @@ def chance_unnoticed(heights: NDArray, clearance: float, chance: float) -> float
     return float(np.diff(edges) @ chance**passed) / clearance
 
 
-def chance_hidden(heights: NDArray, fades: NDArray, ism: RayISM) -> float:
+def chance_hidden(heights: NDArray[Any], fades: NDArray[Any], ism: RayISM) -> float:
     """Return the chance that something hangs between the rays that pass a bin, where an obstacle stopped others.
 
     `heights` are those of all rays in the bin, also where a ray would be if nothing had stopped it, from the lowest

@@ -92,7 +92,7 @@ def _pixels(placed: PlacedGrid, mode: MapMode) -> tuple[NDArray[np.uint8], str]:
     return np.stack([grey, alpha], axis=-1), "-scale.png"  # NAME.png may be a picture of the map
 
 
-def _rows(cells: NDArray) -> NDArray:
+def _rows(cells: NDArray[Any]) -> NDArray[Any]:
     """Turn cells (nx, ny) into rows from the greatest y down, (ny, nx), and back."""
     return np.ascontiguousarray(cells.T[::-1])
 

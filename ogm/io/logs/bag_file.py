@@ -40,6 +40,10 @@ class BagFile:
         If it is of another version, or encrypted.
     """
 
+    path: Path
+    index: dict[int, NDArray[np.int64]]
+    format: str
+
     def __init__(self, path: Path) -> None:
         self.path, self._file = path, RandomAccess(path)
         self.channels: dict[int, Channel] = {}

@@ -38,6 +38,10 @@ class McapFile:
         It begins with `MCAP_MAGIC`.
     """
 
+    path: Path
+    index: dict[int, NDArray[np.int64]]
+    format: str
+
     def __init__(self, path: Path) -> None:
         self.path, self._file = path, RandomAccess(path)
         self.channels: dict[int, Channel] = {}

@@ -15,7 +15,7 @@ from ogm.scan import Scan
 
 __all__ = ["scans_from_pcap"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _MOST = 20_000  # packets of one turn: that of the largest sensor has some 2500
 _LONGEST = 2**24  # [byte] of a packet or a block, as Wireshark has it

@@ -71,7 +71,7 @@ def scan_from_point_cloud2(
     return scan_from_table(table, where, axes, intensity_max=intensity_max, time_unit=time_unit, stamp=stamp)[0]
 
 
-def _columns(message: Any, where: str) -> tuple[dict[str, NDArray], tuple[int, int] | None]:
+def _columns(message: Any, where: str) -> tuple[dict[str, NDArray[Any]], tuple[int, int] | None]:
     """View every field for all points, and the raster of an organised cloud; of several values, the first."""
     height, width, step = int(message.height), int(message.width), int(message.point_step)
     row_step, data = int(message.row_step), as_bytes(message.data, where)
@@ -129,7 +129,7 @@ def point_cloud2(scan: Scan, *, frame_id: str, stamp: float | None = None) -> Si
         With the fields of the message, ``data`` as (bytes,) uint8: rosbags serialises it, `fill_message` copies it
         into a message of rclpy or rospy.
     """
-    columns: dict[str, NDArray] = dict(zip(("x", "y", "z", "intensity"), scan.points.T, strict=True))
+    columns: dict[str, NDArray[Any]] = dict(zip(("x", "y", "z", "intensity"), scan.points.T, strict=True))
     if scan.ring is not None:
         columns["ring"] = scan.ring
     for name in ("time", "doppler", "rcs"):

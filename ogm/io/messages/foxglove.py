@@ -58,7 +58,7 @@ def foxglove_grid(
     """
     library = optional("foxglove.messages", Path("foxglove.Grid"), "live", "made")
     nx, ny = grid.spec.shape
-    named: dict[str, NDArray] = {**layers_of(grid)}
+    named: dict[str, NDArray[Any]] = {**layers_of(grid)}
     for name, layer in LayeredGrid(grid.spec, layers or {}).layers.items():
         if name in named or name in _COLOURS:
             raise ValueError(f"the field {name!r} is the grid's own: give another name")

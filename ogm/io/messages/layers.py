@@ -18,7 +18,7 @@ from ogm.pose import pose
 
 __all__ = ["grid_from_grid_map", "grid_map", "layers_from_grid_map"]
 
-log = logging.getLogger(__name__)
+log: logging.Logger = logging.getLogger(__name__)
 
 _LABELS = ("column_index", "row_index")  # of an Eigen matrix in the order of its memory: column by column
 

@@ -114,6 +114,9 @@ class VelodyneDecoder:
         What they are of, for errors.
     """
 
+    library: Any
+    config: Any
+
     def __init__(
         self, packets: Sequence[Packet], model: str | None, calibration: str | os.PathLike[str] | None, where: str
     ) -> None:
@@ -139,7 +142,7 @@ class VelodyneDecoder:
             first, points = library.ScanDecoder(self.config).decode(vector)
         except Exception as error:
             raise OgmError(f"{where} has packets that do not decode: {error}") from error
-        columns: dict[str, NDArray] = dict(zip(_COLUMNS, np.asarray(points, np.float32).T, strict=False))
+        columns: dict[str, NDArray[Any]] = dict(zip(_COLUMNS, np.asarray(points, np.float32).T, strict=False))
         late = first.host - stamp
         columns["time"] = columns["time"].astype(np.float64) + (late if abs(late) <= _SAME_CLOCK else 0.0)
         table = Table("Velodyne packets", columns, None, 255.0)
@@ -147,7 +150,7 @@ class VelodyneDecoder:
         return replace(scan, no_returns=_directions(columns)) if no_returns else scan
 
 
-def _directions(columns: dict[str, NDArray]) -> NDArray[np.float32] | None:
+def _directions(columns: dict[str, NDArray[Any]]) -> NDArray[np.float32] | None:
     """Return the directions of beams without echo: what lacks in the raster of rings and firings."""
     row, column = (columns[name].astype(np.intp) for name in ("ring", "column"))
     if not row.size:

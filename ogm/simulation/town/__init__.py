@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import shapely
@@ -75,7 +76,7 @@ class Town:
     corner: Floats
     districts: tuple[tuple[Polygon, str], ...]
 
-    def ground_height(self, x: NDArray, y: NDArray) -> Floats:
+    def ground_height(self, x: NDArray[Any], y: NDArray[Any]) -> Floats:
         """Height of the ground at x, y [m]: bilinear in the raster, as at the edge beyond it."""
         return Raster(self.height, self.height_step, (float(self.corner[0]), float(self.corner[1])))(x, y)
 

@@ -66,7 +66,7 @@ def cover(plan: TownLayout, terrain: Terrain) -> tuple[Mesh, Mesh]:
     return Mesh(vertices, triangles.astype(np.uint32), material[owner]), _kerbs(vertices, triangles, unique, lowered)
 
 
-def _kerbs(vertices: NDArray, triangles: NDArray, code: NDArray, lowered: NDArray) -> Mesh:
+def _kerbs(vertices: NDArray[Any], triangles: NDArray[Any], code: NDArray[Any], lowered: NDArray[Any]) -> Mesh:
     """Close the steps between road and land: wherever an edge of the one runs along an edge of the other."""
     sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     place = code // 2

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -44,7 +44,7 @@ class Raster:
         return np.asarray(near * (1 - u) + far * u)
 
 
-def raster(values: NDArray, step: float, size: float) -> Raster:
+def raster(values: NDArray[Any], step: float, size: float) -> Raster:
     """Return a raster of a square of `size` metres around (0, 0)."""
     return Raster(values.astype(np.float32), step, (-size / 2, -size / 2))
 

@@ -1,0 +1,63 @@
+"""Which extras can be installed on which Python from wheels alone, by a run of uv's resolver: nothing is installed.
+
+    python benchmarks/pythons.py            # about 2 minutes; writes benchmarks/results/pythons.json
+
+Where an extra cannot be resolved, each of its requirements is resolved alone, to name the ones without a wheel.
+"""
+
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from datetime import UTC, datetime
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PYTHONS = ("3.11", "3.12", "3.13", "3.14")
+PLATFORMS = {"glibc 2.35": "x86_64-manylinux_2_35", "glibc 2.28": "x86_64-manylinux_2_28"}  # Ubuntu 22.04; RHEL 8
+
+
+def uv(*words: str, text: str = "") -> subprocess.CompletedProcess[str]:
+    """Run uv, which is installed beside Python."""
+    return subprocess.run([sys.executable, "-m", "uv", *words], input=text, capture_output=True, text=True, check=False)
+
+
+def without_wheel(requirements: list[str], python: str, platform: str) -> list[str]:
+    """Return what cannot be installed: all is well where they resolve together, else each is tried alone."""
+    words = ("pip", "compile", "--quiet", "--only-binary", ":all:", "--python-version", python)
+    words += ("--python-platform", platform, "-")
+    if uv(*words, text="\n".join(requirements)).returncode == 0:
+        return []
+    alone = [one for one in requirements if uv(*words, text=one).returncode]
+    return [re.split(r"[\[>=<]", one)[0] for one in alone] or ["together"]
+
+
+def main() -> None:
+    """Resolve every extra for every Python."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = {"base": project["dependencies"]}
+    extras |= {
+        name: project["dependencies"] + requirements
+        for name, requirements in project["optional-dependencies"].items()
+        if name not in ("all", "test", "dev", "bench", "docs")
+    }
+    missing = {
+        name: {
+            python: {system: without_wheel(requirements, python, platform) for system, platform in PLATFORMS.items()}
+            for python in PYTHONS
+        }
+        for name, requirements in extras.items()
+    }
+    record = {
+        "command": "python benchmarks/pythons.py",
+        "date": f"{datetime.now(UTC):%Y-%m-%d}",
+        "uv": uv("--version").stdout.split()[1],
+        "without a wheel": missing,
+    }
+    path = ROOT / "benchmarks" / "results" / "pythons.json"
+    path.write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Settings of the documentation site: ``./run docs`` builds it."""
+
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent)]
+
+from site_pages import with_links, write_pages  # noqa: E402
+
+import ogm  # noqa: E402
+
+project = "ogm"
+author = "the ogm developers"
+copyright = "2026, the ogm developers. Apache-2.0"  # noqa: A001
+version = release = ogm.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["_build", "pictures"]
+default_role = "py:obj"  # `name` in a docstring links where there is such a name
+nitpicky = False  # types of other packages are no links: the site is built without a network
+
+myst_heading_anchors = 4  # the anchors of GitHub: #what-it-reaches
+myst_enable_extensions = ["attrs_inline", "colon_fence"]
+
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_member_order = "bysource"
+autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_preserve_defaults = True
+autosummary_generate = False  # a page per package, written by site_pages.py
+napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_param = False  # types in docstrings are words, not links
+napoleon_use_ivar = True
+suppress_warnings = ["ref.python"]  # a word of a type that is also the name of several attributes
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 88
+
+html_theme = "pydata_sphinx_theme"
+html_title = f"ogm {version}"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+html_show_sourcelink = False
+html_copy_source = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_prev_next": True,
+    "navbar_align": "left",
+    "header_links_before_dropdown": 7,
+    "show_toc_level": 2,
+    "secondary_sidebar_items": ["page-toc"],
+    "footer_start": ["copyright"],
+    "footer_end": [],
+}
+html_sidebars = {"start": []}
+
+write_pages(HERE)
+
+
+def escape_formulas(app: object, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Keep |x| and ** of formulas in docstrings from being read as markup."""
+    lines[:] = [
+        line if line.startswith((">>>", "...")) else re.sub(r"(?<!`)(\||\*\*)", r"\\\1", line) for line in lines
+    ]
+
+
+def skip_fields(app: object, what: str, name: str, value: object, skip: bool, options: object) -> bool | None:
+    """Leave out the fields of named tuples: their class describes them."""
+    return True if type(value).__name__ == "_tuplegetter" else None
+
+
+def lead_to_pages(app: object, name: str, source: list[str]) -> None:
+    """Make links to files outside of docs/ lead to their pages of the site."""
+    if not name.startswith("generated/"):
+        source[0] = with_links(source[0], (HERE / name).parent, HERE, "../" * name.count("/"))
+
+
+def setup(app: Any) -> None:
+    """Connect the functions above."""
+    app.connect("autodoc-process-docstring", escape_formulas, priority=100)  # before napoleon
+    app.connect("autodoc-skip-member", skip_fields)
+    app.connect("source-read", lead_to_pages)
