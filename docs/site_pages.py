@@ -16,7 +16,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     ),
     "Evidence": ("ogm.evidence", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.combined", "ogm.doppler"),
-    "Maps over time": ("ogm.fusion", "ogm.live"),
+    "Maps over time": ("ogm.fusion", "ogm.live", "ogm.world"),
     "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.logs", "ogm.truth"),
     "Evaluation": ("ogm.evaluation", "ogm.metrics"),
     "Pictures": ("ogm.plot", "ogm.movie", "ogm.overview", "ogm.viewer"),
