@@ -296,4 +296,7 @@ def free_port() -> int:
 
 
 def test_no_example_is_left_out() -> None:
-    assert {path.stem for path in EXAMPLES.glob("*.py")} == {"own_driver", "ros2_node", "zenoh_bridge"}
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {
+        "own_driver", "ros2_node", "zenoh_bridge",
+        "own_sensor_model", "yard",  # tests/test_tutorials.py
+    }  # fmt: skip

@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from ogm.world.layout import Layout, TileIndex
+from ogm.world.layout import TileIndex, WorldLayout
 
 __all__ = ["TileCache", "Tiles"]
 
@@ -13,7 +13,7 @@ __all__ = ["TileCache", "Tiles"]
 class Tiles(Protocol):
     """Where tiles come from and go to, such as `ogm.world.tiles.TileStore`."""
 
-    layout: Layout
+    layout: WorldLayout
 
     def read_tile(self, index: TileIndex) -> NDArray[Any]:
         """Return a tile, zeros where there is none."""

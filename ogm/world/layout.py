@@ -11,7 +11,7 @@ from ogm.fusion.kernels import CAUTIOUS, CUMULATIVE, DEMPSTER
 from ogm.grid import GridSpec
 from ogm.world.kernels import CONFLICT_STEPS, MASS_STEPS
 
-__all__ = ["LAYERS", "TILES", "WORLD_RULES", "Box", "Layout", "StoredType", "TileIndex", "WorldRule", "corners"]
+__all__ = ["LAYERS", "TILES", "WORLD_RULES", "Box", "WorldLayout", "StoredType", "TileIndex", "WorldRule", "corners"]
 
 LAYERS = ("free", "occupied", "free_to_occupied", "occupied_to_free", "count", "seen_high", "seen_low")
 TILES = 2**22  # along each axis of the lattice, half of them below 0: 172,000 km either way at 512 cells of 0.16 m
@@ -26,7 +26,7 @@ Box = tuple[int, int, int, int]  # first and last + 1 cell along x, the same alo
 
 
 @dataclass(frozen=True)
-class Layout:
+class WorldLayout:
     """Numbers that a world map is made with, and that never change.
 
     Cell (i, j) covers ``resolution * [i, i + 1) x [j, j + 1)`` in map coordinates, for whole i and j of either sign;

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ogm.fusion.resample import coarsen
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.world.kernels import MASS_STEPS
-from ogm.world.layout import Layout
+from ogm.world.layout import WorldLayout
 from ogm.world.tiles import TileStore, mass_of
 
 __all__ = ["make_overviews"]
@@ -37,7 +37,7 @@ def make_overviews(store: TileStore) -> int:
     return level + 1
 
 
-def _halved(stored: NDArray[Any], layout: Layout) -> NDArray[Any]:
+def _halved(stored: NDArray[Any], layout: WorldLayout) -> NDArray[Any]:
     """Return stored masses (2, n, n) at half the resolution, stored again."""
     n = stored.shape[1]
     grid = EvidentialGrid.trusted(GridSpec(1.0, (n, n), (0.0, 0.0)), mass_of(stored, layout))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ogm.archive import attributes_checksum
 from ogm.files import OgmError, update_hint
-from ogm.world.layout import LAYERS, TILES, Box, Layout, TileIndex
+from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout
 from ogm.world.stores import Mode, Url, erase, is_remote, keys, load_zarr, local_path, open_store, reading, writing
 
 __all__ = ["FORMAT", "TileStore", "codecs", "mass_of"]
@@ -27,7 +27,7 @@ class TileStore:
     Attributes
     ----------
     url : str
-    layout : Layout
+    layout : WorldLayout
     crs : str or None
     """
 
@@ -36,12 +36,14 @@ class TileStore:
     ) -> None:
         self.storage = dict(storage or {})
         self.url, self.root, self.store = str(url), root, root.store
-        self.layout = Layout(**{one.name: attributes[one.name] for one in fields(Layout)})
+        self.layout = WorldLayout(**{one.name: attributes[one.name] for one in fields(WorldLayout)})
         self.crs: str | None = attributes["crs"]
         self._arrays: dict[str, Any] = {}
 
     @classmethod
-    def create(cls, url: Url, layout: Layout, crs: str | None, storage: Mapping[str, str] | None = None) -> "TileStore":
+    def create(
+        cls, url: Url, layout: WorldLayout, crs: str | None, storage: Mapping[str, str] | None = None
+    ) -> "TileStore":
         """Begin an empty map in a new or empty place; errors as those of `WorldMap.create`."""
         zarr, place = load_zarr(), open_store(url, "r+", storage)
         if not is_remote(url) and local_path(url).is_dir() and any(local_path(url).iterdir()):
@@ -174,7 +176,7 @@ def codecs() -> list[Any]:
     return [BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle"), Crc32cCodec()]
 
 
-def mass_of(stored: NDArray[Any], layout: Layout) -> NDArray[np.float32]:
+def mass_of(stored: NDArray[Any], layout: WorldLayout) -> NDArray[np.float32]:
     """Return stored masses (2, nx, ny) as masses (nx, ny, 2)."""
     mass = np.empty((*stored.shape[1:], 2), np.float32)
     np.multiply(stored[0], np.float32(layout.steps["mass"]), out=mass[..., 0])

@@ -15,7 +15,7 @@ from ogm.world.cache import TileCache
 from ogm.world.drives import drive_names
 from ogm.world.integration import integrate_grid
 from ogm.world.kernels import merge
-from ogm.world.layout import WORLD_RULES, Layout, StoredType, WorldRule
+from ogm.world.layout import WORLD_RULES, StoredType, WorldLayout, WorldRule
 from ogm.world.overviews import make_overviews
 from ogm.world.stores import Mode, Url, is_remote, is_zip, local_path
 from ogm.world.tiles import TileStore
@@ -38,7 +38,7 @@ class WorldMap:
     Attributes
     ----------
     url : str
-    layout : Layout
+    layout : WorldLayout
         Resolution [m], cells along a side of a tile, type, rule, least unknown.
     crs : str or None
         Coordinate reference system of the map's axes.
@@ -111,7 +111,7 @@ class WorldMap:
         OSError
             If the place cannot be written.
         """
-        layout = Layout(float(resolution), tile, dtype, rule, float(min_unknown))
+        layout = WorldLayout(float(resolution), tile, dtype, rule, float(min_unknown))
         return cls(TileStore.create(url, layout, crs, storage), "r+", memory)
 
     @classmethod
@@ -214,7 +214,7 @@ class WorldMap:
             raise ValueError(f"{other} has other cells than {self}: give both one resolution, tile and dtype")
         if self.crs != other.crs:
             raise ValueError(f"{other.url} has the crs {other.crs}, {self.url} has {self.crs}: they are two places")
-        chosen = Layout(rule=rule or ours.rule).rule  # refuses what is none
+        chosen = WorldLayout(rule=rule or ours.rule).rule  # refuses what is none
         found = other.tiles()
         for index in found:
             merge(self._cache.get(index), other.tile(index), WORLD_RULES[chosen], 1 - ours.min_unknown)
