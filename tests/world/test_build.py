@@ -40,6 +40,9 @@ def same(a: WorldMap, b: WorldMap) -> bool:
     return a.tiles() == b.tiles() and all(np.array_equal(a.tile(index), b.tile(index)) for index in a.tiles())
 
 
+SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", marks=pytest.mark.slow)], indirect=True)
+
+
 def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
     options = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4}  # no bound of certainty, which acts at other moments
     with WorldMap.create(**place(), **options) as world, WorldMap.create(**place(), **options) as plain:
@@ -67,6 +70,7 @@ def test_drives_are_cut_by_their_length(tmp_path: Path) -> None:
     assert sum(one.mapped for one in drive.submaps) == 28
 
 
+@SLOWLY_IN_S3
 def test_the_order_and_number_of_builds_do_not_matter(place: Place) -> None:
     with built(place()) as world, WorldMap.create(**place(), **OPTIONS) as other:
         for names in ("c", "ab", "abc"):
@@ -74,12 +78,13 @@ def test_the_order_and_number_of_builds_do_not_matter(place: Place) -> None:
         assert same(world, other)
 
 
-@pytest.mark.parametrize("workers", [2, 3])
+@pytest.mark.parametrize("workers", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, workers: int) -> None:
     with built({"url": tmp_path / "one"}) as one, built({"url": tmp_path / "many"}, workers=workers) as many:
         assert same(one, many)
 
 
+@pytest.mark.slow
 def test_workers_write_to_an_object_store(s3: dict[str, str], tmp_path: Path) -> None:
     where = {"url": "s3://maps/of-workers", "storage": s3}
     with built({"url": tmp_path / "one"}) as one, built(where, workers=2) as many:
@@ -176,6 +181,7 @@ def test_a_lost_tile_is_made_again(tmp_path: Path) -> None:
         assert same(world, whole)
 
 
+@SLOWLY_IN_S3
 def test_a_removed_drive_leaves_the_map(place: Place) -> None:
     two = {name: DRIVES[name] for name in "ac"}
     with built(place()) as world, built(place(), two) as without:
@@ -189,6 +195,7 @@ def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
         WorldMap.open(tmp_path / "map", "r+")
 
 
+@SLOWLY_IN_S3
 def test_a_moved_drive_lies_where_its_scans_would(place: Place) -> None:
     """A shift by whole cells moves the cells alone; the sub-maps of the other drives stay."""
     shift = pose(4.0, -2.5)
