@@ -10,18 +10,19 @@ import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
-from PIL import GifImagePlugin, Image, ImageDraw, ImageFont
+from PIL import GifImagePlugin, Image, ImageDraw
 
 from ogm import plot
+from ogm.colours import Colours, colours
 from ogm.files import atomic_write
 from ogm.grid import GridSpec
+from ogm.plot.drawing import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
 
 __all__ = ["Movie", "open_movie"]
 
@@ -128,79 +129,48 @@ class Movie:
         shown = (dots._replace(image=dots.image[-height:, -width:]), *panels)
         frame = Image.new("RGB", self.size, BACKGROUND)
         draw = ImageDraw.Draw(frame)
-        draw.text((GAP, BAR // 2), line, INK, _font(13, "DejaVuSansMono"), anchor="lm")
+        draw.text((GAP, BAR // 2), plain(line), INK, font(13), anchor="lm")
         left, top = GAP, BAR + TITLE
         for panel, title in zip(shown, self.titles, strict=True):
-            draw.text((left, top - TITLE // 2), title, INK, _font(13), anchor="lm")
-            _draw_legend(draw, left, top + height + LEGEND // 2, panel.legend)
-            one = Image.fromarray(np.ascontiguousarray(panel.image))
-            if one.size != self.panel:
-                way = Image.Resampling.NEAREST if one.size[0] < width else Image.Resampling.BOX
-                one = one.resize(self.panel, way)
-            self._draw_arrows(one, panel)
+            draw.text((left, top - TITLE // 2), plain(title), INK, font(13), anchor="lm")
+            draw_legend(draw, left, top + height + LEGEND // 2, panel, 11, (INK, FAINT))
+            one = scaled(panel, self.panel)
+            draw_marks(one, panel, HEAD, WHEEL)
             frame.paste(one, (left, top))
             self._mark(draw, left, top)
             left += width + GAP
         return frame
 
-    def _draw_arrows(self, image: Image.Image, panel: plot.Panel) -> None:
-        """Draw the boxes and arrows of a panel, and the wheel of its headings, into its picture."""
-        (_, x_max, _, y_max), pixels = panel.spec.extent, self.panel[1] / panel.spec.length  # per metre
-        draw = ImageDraw.Draw(image)
-        for corners in panel.outlines:
-            dots = [tuple(one) for one in (np.array([y_max, x_max]) - corners[:, ::-1]) * pixels]
-            draw.line([*dots, dots[0]], (255, 255, 255), 3)
-            draw.line([*dots, dots[0]], (0, 0, 0), 1)
-        for x, y, dx, dy in panel.arrows:
-            start, way = np.array([y_max - y, x_max - x]) * pixels, -np.array([dy, dx]) * pixels
-            head = way * min(1.0, HEAD / max(math.hypot(*way), 1e-9))
-            tip, neck, side = start + way, start + way - head, 0.45 * head[::-1] * (-1, 1)
-            shaft, triangle = [tuple(start), tuple(neck)], [tuple(one) for one in (tip, neck + side, neck - side)]
-            draw.line(shaft, (255, 255, 255), 4)
-            draw.polygon(triangle, (255, 255, 255), (255, 255, 255), 2)
-            draw.line(shaft, (0, 0, 0), 2)
-            draw.polygon(triangle, (0, 0, 0))
-        if panel.wheel:
-            wheel = Image.fromarray(plot.heading_wheel(WHEEL))
-            image.paste(wheel, (image.width - WHEEL - 4, 4), wheel)
-
     def _mark(self, draw: Any, left: int, top: int) -> None:
         """Draw the vehicle, and into the first panel a scale."""
-        x_min, x_max, y_min, y_max = self.spec.extent
-        pixels = self.panel[1] / self.spec.length  # per metre
-        if x_min <= 0 < x_max and y_min <= 0 < y_max:
-            x, y = left + y_max * pixels, top + x_max * pixels
-            draw.polygon([(x, y - 7), (x - 5, y + 5), (x + 5, y + 5)], (255, 255, 255), (0, 0, 0))
+        draw_vehicle(draw, self.spec, (left, top), self.panel[1], 5)
         if left == GAP:
+            pixels = self.panel[1] / self.spec.length  # per metre
             metres = _round_length(self.spec.width / 3)
             x, y = left + 8, top + self.panel[1] - 9
             draw.line([(x, y), (x + metres * pixels, y)], INK, 2)
-            draw.text((x, y - 5), f"{metres:g} m", INK, _font(12), anchor="ls")
+            draw.text((x, y - 5), f"{metres:g} m", INK, font(12), anchor="ls")
 
 
-def _draw_legend(draw: Any, x: int, y: int, legend: dict[str, tuple[float, float, float]]) -> None:
-    """Draw what the colours of a panel mean, in a line."""
-    for name, colour in legend.items():
-        draw.rectangle([x, y - 5, x + 10, y + 5], tuple(round(255 * one) for one in colour), FAINT)
-        draw.text((x + 15, y), name, INK, _font(11), anchor="lm")
-        x += 25 + round(_font(11).getlength(name))
-
-
-@lru_cache
 def palette() -> Image.Image:
     """Return an image with the colours of all panels as its palette: the same for every frame, against flicker."""
+    return _palette_with(colours())
+
+
+@cache
+def _palette_with(chosen: Colours) -> Image.Image:
     steps = np.arange(11) / 10
-    green, red = np.array(plot.GREEN), np.array(plot.RED)
-    belief = [free * green + occupied * red for free in steps for occupied in steps if free + occupied < 1 + 1e-9]
+    belief = chosen.mix(np.array([(free, one) for free in steps for one in steps if free + one < 1 + 1e-9]))
     conflict = (np.linspace(plot.BLACK, one, 16) for one in (plot.APPEARED, plot.WENT_AWAY))
     heights = plot.height_colours(np.linspace(plot.LOWEST, plot.HIGHEST, 48))
     grey = np.linspace(plot.BLACK, (1, 1, 1), 28)
     headings = plot.heading_colours(np.arange(24) * np.pi / 12)
     moving = (headings, 0.75 * headings + 0.25 * 0.5, 0.5 * headings + 0.5 * 0.5)  # mixed with the grey of unknown
     drawn = np.array([BACKGROUND, INK, FAINT]) / 255
-    colours = np.concatenate([belief, *conflict, heights, grey, *moving, drawn, np.full((1, 3), 0.08)])
+    all_of_them = np.concatenate([belief, *conflict, heights, grey, *moving, drawn, np.full((1, 3), 0.08)])
     image = Image.new("P", (1, 1))
-    image.putpalette(np.round(255 * np.pad(colours, ((0, 256 - len(colours)), (0, 0)))).astype(np.uint8).tobytes())
+    padded = np.pad(all_of_them, ((0, 256 - len(all_of_them)), (0, 0)))
+    image.putpalette(np.round(255 * padded).astype(np.uint8).tobytes())
     return image
 
 
@@ -223,12 +193,6 @@ def _round_length(most: float) -> float:
     """Return the largest of 1, 2, 5, 10, 20, 50, ... m that is at most some length."""
     power = 10.0 ** math.floor(math.log10(most))
     return max(one * power for one in (1, 2, 5) if one * power <= most)
-
-
-@lru_cache
-def _font(size: int, name: str = "DejaVuSans") -> Any:
-    path = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / f"{name}.ttf"
-    return ImageFont.truetype(str(path), size)  # Pillow takes paths from 10.1 on
 
 
 @contextmanager

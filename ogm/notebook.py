@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ogm import plot
+from ogm.colours import colours
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
@@ -37,7 +38,7 @@ NEAREST, FURTHEST = 5.0, 60.0  # [m] around the sensor that are shown, by where 
 
 
 def grid_png(grid: EvidentialGrid) -> bytes:
-    """Return a picture of belief: green free, red occupied, black unknown."""
+    """Return a picture of belief, in the colours of `ogm.colours`."""
     mass, spec = _shrunk(grid.spec, lambda rows: mass_to_bytes(grid.mass[rows]), halve_mass)
     shares = np.divide(mass, FULL, dtype=np.float32)
     return _png([plot.mass_panel(EvidentialGrid.trusted(spec, shares))])
@@ -48,7 +49,7 @@ def grid_html(grid: EvidentialGrid) -> str:
     free, occupied = (float(one.mean()) for one in (grid.free, grid.occupied))
     shares = {"free": free, "occupied": occupied, "unknown": max(0.0, 1 - free - occupied)}
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
-    text = "belief: green free, red occupied, black unknown; x, forward, is up"
+    text = f"belief: {colours().text}; x, forward, is up"
     return _html("EvidentialGrid", _spec_facts(grid.spec) | facts, grid_png(grid), text)
 
 

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.rotation import matrix_to_quaternion, matrix_to_vector, quaternion_to_matrix, vector_to_matrix
+
 __all__ = ["LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "pose", "rotate", "transform_points"]
 
 LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds, and float64 holds no microseconds
@@ -34,10 +36,9 @@ def pose(
     -------
     (4, 4) float64
     """
-    from scipy.spatial.transform import Rotation  # here, so that reading points does not load it
-
     T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("xyz", [roll, pitch, yaw]).as_matrix()
+    for turn in ((0, 0, yaw), (0, pitch, 0), (roll, 0, 0)):
+        T[:3, :3] = T[:3, :3] @ vector_to_matrix(turn)
     T[:3, 3] = x, y, z
     return check_pose(T)
 
@@ -157,21 +158,18 @@ def rotate(R: NDArray[np.float64], xyz: NDArray[Any]) -> NDArray[np.float64]:
 
 def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:
     """Interpolate 2 poses or more: positions on a straight line, rotations on the shortest arc (slerp)."""
-    from scipy.spatial.transform import Rotation, Slerp
-
     times = np.asarray(at, np.float64)
     if times.size and not (times.min() >= t[0] and times.max() <= t[-1]):
         raise ValueError(
             f"times must lie in [{t[0]}, {t[-1]}] s, got [{times.min()}, {times.max()}]; poses are not extrapolated"
         )
     result = np.broadcast_to(np.eye(4), (*times.shape, 4, 4)).copy()
-    if not times.size:  # older versions of SciPy refuse empty arrays
-        return result
-    first = max(int(np.searchsorted(t, times.min(), "right")) - 1, 0)
-    last = min(int(np.searchsorted(t, times.max(), "left")), len(t) - 1)
-    first = min(first, len(t) - 2)
-    t, T = t[first : max(last, first + 1) + 1], T[first : max(last, first + 1) + 1]
-    result[..., :3, :3] = Slerp(t, Rotation.from_matrix(T[:, :3, :3]))(times).as_matrix()
+    before = np.clip(np.searchsorted(t, times, "right") - 1, 0, len(t) - 2)
+    share = (times - t[before]) / (t[before + 1] - t[before])
+    used, place = np.unique(before, return_inverse=True)
+    R, after = (quaternion_to_matrix(matrix_to_quaternion(T[at, :3, :3])) for at in (used, used + 1))  # exact rotations
+    turns = matrix_to_vector(np.swapaxes(R, 1, 2) @ after)[place.reshape(times.shape)]
+    result[..., :3, :3] = R[place.reshape(times.shape)] @ vector_to_matrix(share[..., None] * turns)
     for axis in range(3):
         result[..., axis, 3] = np.interp(times, t, T[:, axis, 3])
     return result

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.colours import colours
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.overview import FULL, Steps
@@ -35,12 +36,12 @@ def mass_layers(stored: int) -> list[Layer]:
     state = plot.mass_panel(_masses(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])))  # in the order of CellState
     both, scale = [[stored, 0], [stored, 1]], ["0", "0.5", "1"]
     return [
-        _layer("belief", "sum", both, [free, occupied], "mixed by the masses of the cell", swatches=plot.LEGEND),
+        _layer("belief", "sum", both, [free, occupied], "mixed by the masses of the cell", swatches=colours().legend),
         _layer("free", "sum", both[:1], [free], "mass of free", scale),
         _layer("occupied", "sum", both[1:], [occupied], "mass of occupied", scale),
         _layer("unknown", "unknown", both, [unknown], "mass of unknown: 1 − free − occupied", scale),
         _layer("probability", "probability", both, [grey], "of occupied: occupied + unknown / 2", scale),
-        _layer("state", "state", both, [state], "the greatest of the three masses", swatches=plot.LEGEND),
+        _layer("state", "state", both, [state], "the greatest of the three masses", swatches=colours().legend),
     ]
 
 

@@ -28,7 +28,7 @@ def add(film: movie.Movie, k: int, stamp: float) -> None:
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_frames_come_back_as_they_were_written(suffix: str) -> None:
-    frames = [Image.new("RGB", (21, 13), colour) for colour in ((26, 204, 51), (237, 41, 41), (0, 0, 0))]
+    frames = [Image.new("RGB", (21, 13), colour) for colour in ((41, 120, 217), (255, 166, 31), (0, 0, 0))]
     frames[1].paste((240, 240, 240), (3, 4, 9, 8))
     file = io.BytesIO()
     with movie._WRITERS[suffix](file, (21, 13)) as write:
@@ -122,7 +122,7 @@ def test_colours_of_the_panels_are_exact_in_a_gif(tmp_path: Path) -> None:
         film.add(np.zeros((1, 4), np.float32), shown, "", 0.0)
     with Image.open(tmp_path / "m.gif") as read:
         colours = {colour for _, colour in read.convert("RGB").getcolors(2**24)}
-    assert {(26, 204, 51), (237, 41, 41)} <= colours
+    assert {(41, 120, 217), (255, 166, 31)} <= colours
 
 
 def test_other_formats_are_refused(tmp_path: Path) -> None:

@@ -105,9 +105,6 @@ def test_public_classes_have_names_of_their_own() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_examples_of_the_documentation_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run a page's Python blocks, one after the other, on the shipped scan; then its interactive examples."""
-    import matplotlib.pyplot
-
-    matplotlib.use("Agg")
     packed = (ROOT / "ogm/data/vls128_road.pcd.xz").read_bytes()
     (tmp_path / "drive").mkdir()
     for name in ("scan.pcd.xz", "drive/000000.pcd.xz", "drive/000001.pcd.xz"):
@@ -124,7 +121,6 @@ def test_examples_of_the_documentation_run(page: Path, tmp_path: Path, monkeypat
         str(page), module_relative=False, optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
     )
     assert found.failed == 0
-    matplotlib.pyplot.close("all")
 
 
 @pytest.mark.parametrize(

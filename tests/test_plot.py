@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 import pytest
 from moving import SPEC as MOVING
@@ -11,7 +10,6 @@ from moving import street
 
 from ogm import Boxes, DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, plot, read_scan
 
-matplotlib.use("Agg")
 SPEC = GridSpec(1.0, (7, 5), (-2.0, -2.0))
 
 
@@ -27,8 +25,8 @@ def ell() -> EvidentialGrid:
 
 def test_front_is_up_and_left_is_left(ell: EvidentialGrid) -> None:
     image = plot.mass_panel(ell).image
-    red = image[..., 0] > 200
-    assert ["".join(".#"[cell] for cell in row) for row in red.astype(int)] == [
+    orange = image[..., 0] > 200
+    assert ["".join(".#"[cell] for cell in row) for row in orange.astype(int)] == [
         ".##..",
         "..#..",
         "..#..",
@@ -37,7 +35,7 @@ def test_front_is_up_and_left_is_left(ell: EvidentialGrid) -> None:
         ".....",
         ".....",
     ]
-    assert (image[~red][:, 1] > 80).all()  # the rest is green
+    assert (image[~orange][:, 2] > 80).all()  # the rest is blue
 
 
 def test_vacuous_is_black_and_grey_and_bright() -> None:
@@ -76,11 +74,34 @@ def test_points_lie_where_their_cells_are() -> None:
 
 def test_show_draws_everything_side_by_side(ell: EvidentialGrid) -> None:
     cloud = np.zeros((1, 4), np.float32)
-    figure = plot.show(cloud, ell, plot.unknown_panel(ell), titles=["a", "b", "c"])
-    assert [axis.get_title() for axis in figure.axes] == ["a", "b", "c"]
-    left, right, back, front = figure.axes[1].images[0].get_extent()
-    assert (left, right, back, front) == (3.0, -2.0, -2.0, 5.0)
-    matplotlib.pyplot.close(figure)
+    picture = plot.show(cloud, ell, plot.unknown_panel(ell), titles=["a", "b", "c"])
+    orange = np.asarray(picture).astype(int)
+    orange = (orange[..., 0] > 200) & (np.abs(orange[..., 1] - 166) < 3) & (orange[..., 2] < 60)
+    rows, columns = np.nonzero(orange[:900])  # without the legend
+    cell = 129  # [px]: 900 px are 7 cells
+    assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (3 * cell, 2 * cell)
+    assert np.count_nonzero(orange[:900]) == 4 * cell**2
+    assert columns.min() > picture.width / 3  # the second of three
+    assert columns.max() < picture.width * 2 / 3
+    one, two = plot.show(ell), plot.show(ell, titles=["wall"])
+    assert one.size == two.size
+    apart = np.argwhere((np.asarray(one) != np.asarray(two)).any(axis=-1))
+    assert 0 < apart[:, 0].max() < 60  # the title, above
+
+
+def test_titles_that_do_not_fit_are_cut_and_signs_that_the_font_lacks_replaced(ell: EvidentialGrid) -> None:
+    def text(title: str) -> bytes:
+        return plot.show(ell, titles=[title]).tobytes()
+
+    assert text("Stra\u00dfe \u00e9\u6f22") == text("Stra?e e?")
+    assert text("m$\\frac$") != text("mfrac")
+    assert plot.show(ell, titles=["x" * 400]).size == plot.show(ell).size
+    assert text("a" * 400 + "b") != text("a" * 400 + "c")  # the end is kept
+
+
+def test_axes_have_round_numbers() -> None:
+    for length, step in ((7.0, 1.0), (10.0, 2.0), (81.92, 20.0), (56.32, 10.0), (0.9, 0.2), (3000.0, 500.0)):
+        assert plot.figures._step(length) == pytest.approx(step)
 
 
 @pytest.mark.parametrize("call", [plot.show, lambda *a, **k: plot.save_picture("x.png", *a, **k)])
@@ -296,12 +317,24 @@ def test_the_wheel_has_forward_up_and_left_left() -> None:
 
 
 def test_arrows_point_where_things_go_in_a_figure() -> None:
-    figure = plot.show(street(), plot.mass_panel(street().to_evidential()))
-    (quiver,) = (one for axis in figure.axes for one in axis.collections)
-    ends = quiver.get_offsets() + np.stack([quiver.U, quiver.V], axis=-1)
+    panel = plot.dynamic_panel(street())
+    assert panel.title == "heading of what moves, arrows: 1 s"
+    ends = panel.arrows[:, 1::-1] + panel.arrows[:, :1:-1]
     assert sorted(np.round(ends, 5).tolist()) == [[1.0, 17.0], [1.2, -6.0], [3.0, 3.0]]  # y, x [m]
-    assert figure.axes[0].get_title() == "heading of what moves, arrows: 1 s"
-    matplotlib.pyplot.close(figure)
+    with_arrows, without = (np.asarray(plot.show(one)) for one in (panel, panel._replace(arrows=panel.arrows[:0])))
+    drawn = np.argwhere((with_arrows != without).any(axis=-1))
+    wide, high = plot.figures._size(panel)
+    pixels = high / panel.spec.length
+    left, top = plot.figures.AXIS, plot.figures.MARGIN + plot.figures.TITLE
+    assert with_arrows.shape[1] == left + wide + plot.figures.MARGIN
+    for x, y, dx, dy in panel.arrows:
+        share = np.linspace(0, 1, 20)[:, None]
+        line = (np.array([panel.spec.extent[1] - x, panel.spec.extent[3] - y]) - share * [dx, dy]) * pixels + [
+            top,
+            left,
+        ]
+        line = line[line[:, 0] > top + 4]  # inside
+        assert np.linalg.norm(drawn[:, None] - line, axis=-1).min(axis=0).max() < 4
 
 
 def test_boxes_are_outlined_and_have_the_arrows() -> None:
@@ -309,8 +342,4 @@ def test_boxes_are_outlined_and_have_the_arrows() -> None:
     panel = plot.dynamic_panel(street(), seconds=2.0, boxes=turned)
     np.testing.assert_allclose(panel.arrows, [[5, 1, 0, 4]])
     np.testing.assert_allclose(panel.outlines[0], [[4, 3], [6, 3], [6, -1], [4, -1]], atol=1e-12)
-    figure = plot.show(panel)
-    shown = {tuple(one.get_xy()[0].round(6)) for one in figure.axes[0].patches}
-    assert shown == {(3.0, 4.0), (0.5, -2.0)}  # y, x of the left front corner
-    matplotlib.pyplot.close(figure)
     assert len(plot.dynamic_panel(street(), boxes=Boxes.empty()).arrows) == 0

@@ -70,8 +70,8 @@ def test_a_grid_is_shown_front_up_and_left_left() -> None:
     side = image.shape[0] // 7
     assert image.shape == (7 * side, 5 * side, 3)
     assert side > 20  # few cells are drawn large
-    red = image[side // 2 :: side, side // 2 :: side, 0] > 200
-    assert np.argwhere(red).tolist() == [[0, 1], [0, 2], [1, 2], [2, 2]]
+    orange = image[side // 2 :: side, side // 2 :: side, 0] > 200
+    assert np.argwhere(orange).tolist() == [[0, 1], [0, 2], [1, 2], [2, 2]]
 
 
 def test_a_large_grid_becomes_a_small_picture_that_keeps_what_is_occupied() -> None:
@@ -82,10 +82,10 @@ def test_a_large_grid_becomes_a_small_picture_that_keeps_what_is_occupied() -> N
     grid = EvidentialGrid(spec, mass)
     image = pixels(grid._repr_png_()).astype(int)
     assert max(image.shape) <= 520
-    red = np.argwhere((image[..., 0] > 200) & (image[..., 1] < 80))
-    assert len(red) == 1
-    assert red[0, 0] < 0.2 * image.shape[0]
-    assert red[0, 1] < 0.2 * image.shape[1]
+    orange = np.argwhere((image[..., 0] > 200) & (image[..., 2] < 80))
+    assert len(orange) == 1
+    assert orange[0, 0] < 0.2 * image.shape[0]
+    assert orange[0, 1] < 0.2 * image.shape[1]
     assert len(grid._repr_html_()) < 50_000
 
 
@@ -169,7 +169,8 @@ def test_a_notebook_gets_both_kinds() -> None:
     "make", ["EvidentialGrid.vacuous(GridSpec.centered())", "LayeredGrid(GridSpec.centered(), {})"]
 )
 def test_drawing_is_loaded_when_a_notebook_asks(make: str) -> None:
-    code = f"import sys; from ogm import *; grid = {make}; before = set(sys.modules); grid._repr_html_(); "
+    code = f"import sys; from ogm import EvidentialGrid, GridSpec, LayeredGrid; grid = {make}; "
+    code += "before = set(sys.modules); grid._repr_html_(); "
     code += (
         "print(*sorted({m.split('.')[0] for m in before} & {'PIL', 'matplotlib'}), '|', 'matplotlib' in sys.modules)"
     )

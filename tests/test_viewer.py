@@ -245,14 +245,14 @@ def cells_of(page: Page, dx: int = 15, dy: int = 15) -> np.ndarray:
 
 
 def test_front_is_up_and_left_is_left(shown: Page, grid: EvidentialGrid) -> None:
-    red = np.array([[one[0] > 200 and one[1] < 60 for one in row] for row in cells_of(shown)])
+    orange = np.array([[one[0] > 200 and one[2] < 60 for one in row] for row in cells_of(shown)])
     expected = np.zeros(SPEC.shape, bool)
     for x in (2.25, 2.75, 3.25, 3.75, 4.25, 4.75):
         for y in (0.25, 0.75):
             expected[SPEC.index(x, y)] = True
     for x, y in ((4.25, 1.25), (4.25, 1.75), (4.75, 1.25), (4.75, 1.75)):
         expected[SPEC.index(x, y)] = True
-    assert np.array_equal(red, expected)
+    assert np.array_equal(orange, expected)
     for dx, dy in ((16, 0), (-16, 0), (0, 16), (0, -16)):  # to their borders
         assert np.array_equal(cells_of(shown, dx, dy), cells_of(shown))
     picture = shown.picture()
@@ -461,11 +461,11 @@ def test_single_occupied_cells_are_visible_from_afar(large: tuple[Path, Evidenti
     assert page.run("document.body.dataset.level") == "4"
     assert "16 × 16 cells" in page.run("document.getElementById('level').textContent")
     picture = page.picture()[:, :400].astype(int)
-    red = np.argwhere((picture[..., 0] > 180) & (picture[..., 1] < 90))
-    assert 3 <= len(red) <= 12
-    assert np.count_nonzero((picture[..., 1] > 150) & (picture[..., 0] < 60)) > 50_000
+    orange = np.argwhere((picture[..., 0] > 180) & (picture[..., 2] < 90))
+    assert 3 <= len(orange) <= 12
+    assert np.count_nonzero((picture[..., 2] > 150) & (picture[..., 0] < 60)) > 50_000
     # the values are those of one cell, also from afar
-    top, left = red[np.argsort(np.abs(red - red.mean(axis=0)).sum(axis=1))[0]]
+    top, left = orange[np.argsort(np.abs(orange - orange.mean(axis=0)).sum(axis=1))[0]]
     page.mouse("mouseMoved", int(left), int(top))
     page.settle()
     found = values(page)

@@ -1,5 +1,6 @@
 """All commands as one `app`: demo, map, fuse, serve, convert, simulate, train, calibrate, evaluate, ..."""
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -17,8 +18,17 @@ from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
 from ogm.cli.view_command import view
 from ogm.cli.world_command import world_app
+from ogm.colours import use_colours
 
 __all__ = ["app"]
+
+
+class ColourSet(StrEnum):
+    """The names of `ogm.colours.COLOURS`."""
+
+    SAFE = "safe"
+    PAPER = "paper"
+
 
 app = typer.Typer(
     name="ogm",
@@ -47,7 +57,13 @@ app.add_typer(world_app)
 
 
 @app.callback(invoke_without_command=True)
-def _options(version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False) -> None:
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+    colors: Annotated[
+        ColourSet, typer.Option(help="safe: blue is free and orange occupied; paper: green is free and red occupied.")
+    ] = ColourSet.SAFE,
+) -> None:
+    use_colours(colors)
     if version:
         out.print(f"ogm {ogm.__version__}")
         raise typer.Exit

@@ -111,8 +111,11 @@ def evaluate(
     from ogm.evaluation import evaluate as run_evaluation
     from ogm.evaluation import write_report
     from ogm.evaluation.runner import REPORT_FILES
+    from ogm.extras import import_extra
     from ogm.grid import GridSpec
 
+    for package in ("scipy", "matplotlib"):  # before hours of work
+        import_extra(package, "evaluate")
     rules = _words(fused, "--fused", RULES)
     sources = _words(truth, "--truth", SOURCES)
     if frames < 1:

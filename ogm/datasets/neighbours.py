@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, grey_erosion, median_filter
 
 from ogm.datasets.layout import EGO
+from ogm.extras import import_extra
 from ogm.grid import GridSpec
 from ogm.scan import Boxes
 from ogm.state import Truth
@@ -159,12 +159,13 @@ def find_ground(xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
     low = np.full(shape, np.nan)
     low.flat[squares] = z[order][first + (_LOW * count).astype(int)]
 
-    ground = low[tuple(distance_transform_edt(np.isnan(low), return_distances=False, return_indices=True))]
-    usual = median_filter(ground, _MEDIAN)
+    ndimage = import_extra("scipy.ndimage", "evaluate")
+    ground = low[tuple(ndimage.distance_transform_edt(np.isnan(low), return_distances=False, return_indices=True))]
+    usual = ndimage.median_filter(ground, _MEDIAN)
     ground = np.where(ground < usual - _PIT, usual, ground)
     steps = np.arange(-_RADIUS, _RADIUS + 1)
     cone = -_SLOPE * _SQUARE * np.hypot(*np.meshgrid(steps, steps))
-    ceiling = grey_erosion(ground, structure=cone) + _STEP  # how high ground may lie by the squares around
+    ceiling = ndimage.grey_erosion(ground, structure=cone) + _STEP  # how high ground may lie by the squares around
     known = (low >= usual - _PIT) & (low <= ceiling)
     result[drawn] = known.flat[flat] & (np.abs(z - low.flat[flat]) <= _BAND)
     return result

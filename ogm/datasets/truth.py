@@ -5,12 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from ogm import truth as rules
 from ogm.datasets.layout import EGO, Layout
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.reader import FrameReader
+from ogm.extras import import_extra
 from ogm.files import OgmError
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
@@ -207,4 +207,4 @@ def _near(points: NDArray[np.float32]) -> NDArray[np.bool_]:
     inside = TRUTH_SPEC.contains(points[:, 0], points[:, 1])
     result[TRUTH_SPEC.index(points[inside, 0], points[inside, 1])] = True
     reach = int(np.ceil(_AT_MOVING_POINTS / TRUTH_SPEC.resolution))
-    return np.asarray(binary_dilation(result, iterations=reach))
+    return np.asarray(import_extra("scipy.ndimage", "evaluate").binary_dilation(result, iterations=reach))

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ogm.colours import colours
 from ogm.evaluation.result import Evaluation
 from ogm.evaluation.text import clean
+from ogm.extras import import_extra
 from ogm.files import atomic_write
 from ogm.metrics import METRICS
-from ogm.plot import LEGEND, Panel
+from ogm.plot import Panel
 
 __all__ = ["draw_frames", "draw_metrics", "frame_panels"]
 
@@ -37,8 +39,7 @@ def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "
     title, note : str
         Above and below the picture.
     """
-    from matplotlib.figure import Figure
-
+    Figure = import_extra("matplotlib.figure", "evaluate").Figure
     width, height = max(13.0, 3.4 * len(result.methods)), 3.1 * 3 + 1.1
     figure = Figure(figsize=(width, height))
     axes = figure.subplots(3, 4).ravel()
@@ -93,7 +94,7 @@ def frame_panels(pictures: Mapping[str, bytes], result: Evaluation, frame: int) 
         if key in pictures:
             with Image.open(io.BytesIO(pictures[key]), formats=("WEBP",)) as picture:
                 image = np.asarray(picture.convert("RGB"))
-            panels.append(Panel(image, result.spec, title, LEGEND if key.startswith("mass") else {}))
+            panels.append(Panel(image, result.spec, title, colours().legend if key.startswith("mass") else {}))
     return panels
 
 
@@ -108,9 +109,8 @@ def draw_frames(path: str | Path, rows: Sequence[tuple[str, Sequence[Panel]]], t
         A frame's name and its pictures.
     title : str
     """
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Patch
-
+    Figure = import_extra("matplotlib.figure", "evaluate").Figure
+    Patch = import_extra("matplotlib.patches", "evaluate").Patch
     columns = len(rows[0][1])
     first = rows[0][1][0].spec
     width, height = 2.6, 2.6 * first.length / first.width

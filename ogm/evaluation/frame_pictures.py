@@ -8,10 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.colours import colours
 from ogm.grid import GridSpec
 from ogm.state import predict_state
 
-__all__ = ["ERRORS", "STATES", "Shade", "draw_frame", "error_classes", "height_legend"]
+__all__ = ["ERRORS", "Shade", "draw_frame", "error_classes", "height_legend", "true_states"]
 
 STEPS = 8  # of a mass, so that pictures without loss stay small
 SHARPEST = 0.85  # a picture with loss is taken where it is smaller than this share of the one without
@@ -35,13 +36,16 @@ def _shade(colour: tuple[float, float, float]) -> tuple[int, int, int]:
 
 IGNORED = (82, 84, 90)
 
-# In rising order of priority where many cells share one dot of the screen.
-STATES = {
-    "ignored": Shade(IGNORED, "the truth makes no statement; left out of every metric"),
-    "unknown": Shade(_shade(plot.BLACK), "not observable"),
-    "free": Shade(_shade(plot.GREEN), "free"),
-    "occupied": Shade(_shade(plot.RED), "occupied"),
-}
+
+def true_states() -> dict[str, Shade]:
+    """Return the colours of true states, in rising order of priority where many cells share one dot of the screen."""
+    return {
+        "ignored": Shade(IGNORED, "the truth makes no statement; left out of every metric"),
+        "unknown": Shade(_shade(colours().unknown), "not observable"),
+        "free": Shade(_shade(colours().free), "free"),
+        "occupied": Shade(_shade(colours().occupied), "occupied"),
+    }
+
 
 # Right cells are grey, wrong ones coloured. The colours differ in lightness too, for eyes that confuse red and green.
 ERRORS = {
@@ -56,7 +60,7 @@ ERRORS = {
     "false free": Shade((255, 236, 40), "occupied, but predicted free: the dangerous error"),
 }
 
-_RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `STATES`
+_RANK = np.array([1, 2, 3, 0], np.uint8)  # of a true state, in `true_states`
 _NAMES = (  # [true state][predicted state], both in the order of `CellState`
     ("right unknown", "false known", "false known"),
     ("missed free", "right free", "false occupied"),
@@ -128,7 +132,7 @@ def draw_frame(
         raise ValueError(f"the truth has {truth.shape} cells, but the spec has {spec.shape}")
     block = max(1, -(-max(spec.shape) // LONGEST))
     pictures = {} if points is None else {"points": _encode(_dots(points, spec, block, ground_z))}
-    pictures["truth"] = _painted(STATES, _RANK[truth], block, spec)
+    pictures["truth"] = _painted(true_states(), _RANK[truth], block, spec)
     for k, mass in enumerate(masses):
         errors = error_classes(truth, mass)
         pictures[f"mass {k}"] = _belief(_blocks(mass, block).mean(axis=(1, 3), dtype=np.float32), spec)
@@ -154,8 +158,8 @@ def _dots(points: NDArray[Any], spec: GridSpec, block: int, ground_z: float) -> 
 
 def _painted(shades: dict[str, Shade], classes: NDArray[np.uint8], block: int, spec: GridSpec) -> bytes:
     """Paint every cell by its class; a block shows the last of its classes."""
-    colours = np.array([shade.colour for shade in shades.values()], np.float32) / 255
-    return _encode(plot.cells_panel(colours[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
+    table = np.array([shade.colour for shade in shades.values()], np.float32) / 255
+    return _encode(plot.cells_panel(table[_blocks(classes, block).max(axis=(1, 3))], spec, "", {}).image)
 
 
 def _blocks(cells: NDArray[Any], size: int) -> NDArray[Any]:
@@ -167,7 +171,7 @@ def _blocks(cells: NDArray[Any], size: int) -> NDArray[Any]:
 
 
 def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
-    """Draw masses in the colours of `ogm.plot`: sharp in steps of 1/8, or smooth where that is much smaller."""
+    """Draw masses in the colours of `ogm.colours`: sharp in steps of 1/8, or smooth where that is much smaller."""
     rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
     if len(rough) < SMALL * mass.size:
         return rough
@@ -176,8 +180,7 @@ def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
 
 
 def _mixed(mass: NDArray[np.floating], spec: GridSpec) -> NDArray[np.uint8]:
-    colours = mass @ np.array([plot.GREEN, plot.RED], np.float32)
-    return plot.cells_panel(colours, spec, "", {}).image
+    return plot.cells_panel(colours().mix(mass), spec, "", {}).image
 
 
 def _encode(image: NDArray[np.uint8], lossless: bool = True, quality: int = 50) -> bytes:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ogm.evaluation.likelihood import Likelihood
 from ogm.evaluation.statistics import MIN_DRIVES
+from ogm.extras import import_extra
 
 __all__ = ["Axis", "LikelihoodSearch"]
 
@@ -99,7 +100,7 @@ class LikelihoodSearch:
 
     def minimise(self) -> None:
         """Search for the least mean over drives."""
-        from scipy.optimize import minimize  # doubles the time of the import
+        minimize = import_extra("scipy.optimize", "evaluate").minimize
 
         minimize(
             lambda x: self.of_drives(x).mean(),

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
+from ogm.colours import colours
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import GridSpec
 from ogm.metrics import predicted_moving
@@ -21,7 +22,6 @@ LEAST, LEAST_MASS = 2, 0.3  # cells of a block that are predicted moving with a 
 SECONDS = 1.0  # of motion that an arrow shows
 ARROWS = {"true motion": (255, 255, 255), "estimated motion": (255, 196, 0)}
 _DIM = 0.45  # of the masses behind the arrows
-_STATIC, _DYNAMIC = np.array(plot.RED), np.array((0.1, 0.55, 1.0))
 
 
 def draw_motion(grid: DynamicGrid, motion: Motion) -> bytes:
@@ -42,9 +42,9 @@ def draw_motion(grid: DynamicGrid, motion: Motion) -> bytes:
     """
     from PIL import Image, ImageDraw
 
-    colours = grid.free[..., None] * np.array(plot.GREEN) * _DIM + grid.static[..., None] * _STATIC * _DIM
-    colours = np.clip(colours + grid.dynamic[..., None] * _DYNAMIC, 0, 1).astype(np.float32)
-    image = plot.cells_panel(np.rint(colours * 16) / np.float32(16), grid.spec, "", {}).image
+    shades = colours().mix(np.stack([grid.free, grid.static], axis=-1)) * _DIM
+    shades = np.clip(shades + grid.dynamic[..., None] * np.array(colours().dynamic), 0, 1).astype(np.float32)
+    image = plot.cells_panel(np.rint(shades * 16) / np.float32(16), grid.spec, "", {}).image
     image = np.ascontiguousarray(image.repeat(DOTS, axis=0).repeat(DOTS, axis=1))
     picture = Image.fromarray(image)
     pen = ImageDraw.Draw(picture)

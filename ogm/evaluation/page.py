@@ -13,7 +13,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from ogm.evaluation.chart_data import HEADLINE, chart_data, group_metrics
-from ogm.evaluation.frame_pictures import ERRORS, STATES, height_legend
+from ogm.evaluation.frame_pictures import ERRORS, height_legend, true_states
 from ogm.evaluation.motion import MOTION_HEADLINE, group_motion
 from ogm.evaluation.motion_pictures import ARROWS
 from ogm.evaluation.summary import best_value, summarize
@@ -107,7 +107,7 @@ def _legends(pictures: Pictures) -> dict[str, list[tuple[str, tuple[int, int, in
     found = {}
     if any("points" in one for one in pictures.values()):
         found["points"] = [(height, colour, "") for height, colour in height_legend().items()]
-    states = [(name, *shade) for name, shade in STATES.items()]
+    states = [(name, *shade) for name, shade in true_states().items()]
     found["truth"] = [(name, colour, "" if text == name else text) for name, colour, text in states]
     found["masses"] = [(name, colour, "") for name, colour, _ in states if name != "ignored"]
     if any(name.startswith("motion") for one in pictures.values() for name in one):

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.extras import import_extra
+
 __all__ = ["MIN_DRIVES", "Comparison", "Interval", "compare_paired", "has_parts", "mean_interval", "ratio_interval"]
 
 Drives = Sequence[str] | NDArray[Any] | None
@@ -157,7 +159,7 @@ def _scale_of(a: NDArray[Any], b: NDArray[Any]) -> _Scale:
 
 def _student(a: NDArray[Any], b: NDArray[Any], groups: NDArray[Any], scale: _Scale) -> tuple[Interval, float]:
     """Return sum(a) / sum(b) with its interval over groups, and the p value that it is 0 on the scale."""
-    from scipy.special import stdtr, stdtrit
+    special = import_extra("scipy.special", "evaluate")
 
     nothing = float("nan")
     if not len(a) or b.sum() == 0:
@@ -173,9 +175,9 @@ def _student(a: NDArray[Any], b: NDArray[Any], groups: NDArray[Any], scale: _Sca
             return Interval(*[float(value)] * 3), 0.0 if value else nothing
         middle, each = scale.there(value), scale.there(without)
         error = np.sqrt((count - 1) / count * ((each - each.mean()) ** 2).sum())
-        reach = stdtrit(effective - 1, 0.5 + LEVEL / 2) * error
+        reach = special.stdtrit(effective - 1, 0.5 + LEVEL / 2) * error
         low, high = scale.back(np.array([middle - reach, middle + reach]))
-        p = 2 * stdtr(effective - 1, -abs(middle) / error)
+        p = 2 * special.stdtr(effective - 1, -abs(middle) / error)
     return Interval(float(value), float(low), float(high)), float(p)
 
 

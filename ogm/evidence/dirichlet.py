@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from ogm.evidence.arrays import Array, check_alike, check_float, dtype_name, maybe_any, refuse
+from ogm.extras import import_extra
 
 _HALF_LOG_2PI = 0.9189385332046727
 _SERIES_FROM = 10.0  # from here on six terms of the asymptotic series are exact to 1e-15
@@ -227,9 +228,7 @@ def _special(xp: Any) -> Any:
     """Return the module of special functions; scipy's is loaded here, as it would double the import time."""
     if xp is not np:
         return xp.special
-    from scipy import special
-
-    return special
+    return import_extra("scipy.special", "evaluate")
 
 
 def _with_sum(xp: Any, alpha: Any) -> Any:

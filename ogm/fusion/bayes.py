@@ -9,7 +9,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
 from ogm.fusion import map_access
 from ogm.fusion.kernels import bayes_update, log_odds_of
@@ -105,7 +104,7 @@ class BinaryBayesMapper:
     @locked
     def probability(self) -> NDArray[np.float32]:
         """Probability of occupied, (nx, ny), on the cells of `grid`."""
-        p: NDArray[np.float32] = expit(self._window.unrolled(self._log_odds))
+        p: NDArray[np.float32] = np.exp(-np.logaddexp(0, -self._window.unrolled(self._log_odds)))
         return p
 
     @property

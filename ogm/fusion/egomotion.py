@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincinv
 
-from ogm.fusion.registration import import_package
+from ogm.extras import import_extra
 from ogm.pose import Trajectory, check_pose
 
 __all__ = ["EgoMotion", "EgoStates"]
@@ -124,7 +123,7 @@ class EgoMotion:
         gate: float = 0.999,
         patience: int = 5,
     ) -> None:
-        kalman = import_package("filterpy.kalman")
+        kalman = import_extra("filterpy.kalman", "track")
         T = check_pose(np.eye(4) if T_map_vehicle is None else T_map_vehicle, "T_map_vehicle")
         start = [T[0, 3], T[1, 3], math.atan2(T[1, 0], T[0, 0]), speed, yaw_rate]
         sigmas = _deviations(deviation, 5)
@@ -144,7 +143,8 @@ class EgoMotion:
         self._filter.x, self._filter.P = np.array(start, np.float64), np.diag(sigmas**2)
         self._noise = acceleration**2, yaw_acceleration**2
         # Quantiles of chi-square for 1, 2 and 3 measured numbers; scipy.stats would be a slow import.
-        self._limits = {count: 2 * float(gammaincinv(count / 2, gate)) for count in (1, 2, 3)}
+        quantile = import_extra("scipy.special", "track").gammaincinv  # filterpy brings it
+        self._limits = {count: 2 * float(quantile(count / 2, gate)) for count in (1, 2, 3)}
         self._patience = patience
         self._in_a_row = dict.fromkeys(("speed", "yaw_rate", "position", "pose"), 0)
         self.refused = dict.fromkeys(self._in_a_row, 0)

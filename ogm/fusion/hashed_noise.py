@@ -4,10 +4,10 @@ They are the same from run to run, for any order in which they are computed, and
 """
 
 from collections.abc import Callable
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from ogm.jit import inline
 
@@ -15,7 +15,7 @@ __all__ = ["NORMALS", "UNIT", "hashed", "index", "scan_key"]
 
 _BITS = 12  # of a hash that choose one number
 _SIZE = 1 << _BITS
-_QUANTILES = ndtri((np.arange(_SIZE) + 0.5) / _SIZE)
+_QUANTILES = np.array([NormalDist().inv_cdf((k + 0.5) / _SIZE) for k in range(_SIZE)])
 NORMALS = (_QUANTILES / _QUANTILES.std()).astype(np.float32)  # mean 0, standard deviation 1
 UNIT = np.float32(1 / _SIZE)  # (index + 1/2) * UNIT is uniform in (0, 1)
 _LAST = np.uint64(_SIZE - 1)

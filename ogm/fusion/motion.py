@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
 from ogm.jit import kernel
 from ogm.pose import Trajectory, inverse
+from ogm.rotation import matrix_to_vector, vector_to_matrix
 
 __all__ = ["deskew", "extrapolate"]
 
@@ -68,7 +68,7 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
         low = min(low, high - 2)
         part = Trajectory(trajectory.stamps[low:high], trajectory.poses[low:high])
         relative = inverse(part.at(np.clip(stamp, part.stamps[0], part.stamps[-1]))) @ part.poses
-        turns = Rotation.from_matrix(np.swapaxes(relative[:-1, :3, :3], 1, 2) @ relative[1:, :3, :3]).as_rotvec()
+        turns = matrix_to_vector(np.swapaxes(relative[:-1, :3, :3], 1, 2) @ relative[1:, :3, :3])
         _deskew(cloud[:, :3].astype(np.float64), times, knots[low:high], relative, turns, result)
     return result
 
@@ -169,14 +169,14 @@ def _continued(
 
 def _twist(T: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the constant motion (shift (3,), turn (3,)) that reaches a pose in one unit of time."""
-    turn = Rotation.from_matrix(T[:3, :3].copy()).as_rotvec()
+    turn = matrix_to_vector(T[:3, :3])
     return np.concatenate([np.linalg.solve(_mean_rotation(turn), T[:3, 3]), turn])
 
 
 def _rigid(twist: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the pose that a constant motion (shift, turn) reaches in one unit of time."""
     T = np.eye(4)
-    T[:3, :3] = Rotation.from_rotvec(twist[3:]).as_matrix()
+    T[:3, :3] = vector_to_matrix(twist[3:])
     T[:3, 3] = _mean_rotation(twist[3:]) @ twist[:3]
     return T
 

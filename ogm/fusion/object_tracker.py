@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
+from ogm.extras import import_extra
 from ogm.fusion.arcs import arc, integrated_noise
 from ogm.fusion.objects import Objects
-from ogm.fusion.registration import import_package
 
 __all__ = ["ObjectTracker", "TrackerSettings"]
 
@@ -81,7 +80,8 @@ class ObjectTracker:
 
     def __init__(self, settings: TrackerSettings | None = None) -> None:
         self.settings = TrackerSettings() if settings is None else settings
-        self._kalman = import_package("filterpy.kalman")
+        self._kalman = import_extra("filterpy.kalman", "track")
+        self._assignment = import_extra("scipy.optimize", "track").linear_sum_assignment
         self.reset()
 
     def __repr__(self) -> str:
@@ -167,7 +167,7 @@ class ObjectTracker:
         size = np.linalg.slogdet(S)[1]
         size -= size.min()
         none = self.settings.gate + size.max()  # the cost of no pair, which no pair inside the gate exceeds
-        tracks, objects = linear_sum_assignment(np.where(inside, distance + size, none))
+        tracks, objects = self._assignment(np.where(inside, distance + size, none))
         good = inside[tracks, objects]
         of_object[objects[good]] = tracks[good]
         return of_object

@@ -2,11 +2,11 @@
 
 import math
 from functools import cache
+from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion.arcs import arc
@@ -159,7 +159,7 @@ def _normals() -> NDArray[np.float32]:
     root = 1.1673039782614187
     steps = root ** -np.arange(1.0, 5.0)
     uniform = (0.5 + np.arange(1, NORMALS + 1)[:, None] * steps) % 1
-    normals = ndtri(uniform)
+    normals = np.vectorize(NormalDist().inv_cdf)(uniform)
     normals -= normals.mean(axis=0)
     table = np.linalg.solve(np.linalg.cholesky(np.cov(normals.T)), normals.T).T.astype(np.float32)  # uncorrelated
     table.flags.writeable = False

@@ -1,6 +1,5 @@
 """Odometry: poses of scans from the scans alone, by packages that register lidar scans."""
 
-import importlib
 import itertools
 import logging
 from collections.abc import Callable, Iterable, Iterator
@@ -9,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.extras import import_extra
 from ogm.fusion.motion import deskew, extrapolate
 from ogm.pose import Trajectory, inverse
 
-__all__ = ["METHODS", "import_package", "odometry"]
+__all__ = ["METHODS", "odometry"]
 
 log: logging.Logger = logging.getLogger(__name__)
 
@@ -141,13 +141,13 @@ def _cloud(
 
 def _kiss_icp(range_max: float) -> _Register:
     """Return the registration of KISS-ICP, without its own de-skewing, which is for the end of a scan."""
-    load_config = import_package("kiss_icp.config.parser").load_config
+    load_config = import_extra("kiss_icp.config.parser", "track").load_config
     config = load_config(None)
     config.data.deskew = False
     config.data.max_range = range_max
     config.mapping.voxel_size = range_max / 100
     config.registration.max_num_threads = 1  # with more, the order of sums, and so rounding, varies
-    pipeline = import_package("kiss_icp.kiss_icp").KissICP(config)
+    pipeline = import_extra("kiss_icp.kiss_icp", "track").KissICP(config)
 
     def register(cloud: NDArray[np.float64], guess: NDArray[np.float64]) -> NDArray[np.float64]:
         pipeline.last_delta = np.linalg.inv(pipeline.last_pose) @ guess
@@ -159,7 +159,7 @@ def _kiss_icp(range_max: float) -> _Register:
 
 def _small_gicp(_range_max: float) -> _Register:
     """Return a registration of each scan to a map of Gaussian voxels."""
-    small_gicp = import_package("small_gicp")
+    small_gicp = import_extra("small_gicp", "track")
     voxels = small_gicp.GaussianVoxelMap(_VOXEL)
     voxels.set_lru(horizon=_HORIZON, clear_cycle=10)
 
@@ -178,15 +178,6 @@ def _small_gicp(_range_max: float) -> _Register:
 
 
 METHODS: dict[str, Callable[[float], _Register]] = {"kiss-icp": _kiss_icp, "small-gicp": _small_gicp}
-
-
-def import_package(module: str) -> Any:
-    """Return a module that is installed with the extra "track", or raise an error that names it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        package = module.split(".")[0].replace("_", "-")
-        raise ImportError(f'{package} is not installed: pip install "ogm-toolkit[track]"', name=error.name) from error
 
 
 def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from ogm.files import OgmError, atomic_write, update_hint
 from ogm.io.g2o import read_g2o
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
 from ogm.pose import LATEST, Trajectory, check_pose, inverse
+from ogm.rotation import matrix_to_quaternion
 
 __all__ = ["Poses", "read_poses", "write_poses"]
 
@@ -169,9 +170,7 @@ def write_poses(path: str | os.PathLike[str], trajectory: Trajectory, numbers: A
     ending = path.suffix.lower()
     if ending not in (".csv", ".txt", ".tum"):
         raise ValueError(f"cannot write poses to {path}: name it .csv (ours), .txt or .tum (TUM)")
-    from scipy.spatial.transform import Rotation
-
-    quaternions = Rotation.from_matrix(trajectory.poses[:, :3, :3]).as_quat()
+    quaternions = matrix_to_quaternion(trajectory.poses[:, :3, :3])
     rows = np.column_stack([trajectory.stamps, trajectory.poses[:, :3, 3], quaternions]).tolist()
     names = list(_NAMES)
     if numbers is not None:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ogm.files import OgmError
 from ogm.limits import current_limits, too_large
 from ogm.pose import check_pose
+from ogm.rotation import quaternion_to_matrix
 
 _UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
 _CHUNK = 2**20  # [byte] unpacked in one step
@@ -257,8 +258,6 @@ def from_quaternions(
     where : function
         The place of row k in the file, for the error.
     """
-    from scipy.spatial.transform import Rotation
-
     length = np.linalg.norm(quaternions, axis=1)
     bad = ~(np.isfinite(positions).all(axis=1) & (np.abs(length - 1) <= _UNIT))
     if bad.any():
@@ -269,7 +268,7 @@ def from_quaternions(
         )
     poses = np.tile(np.eye(4), (len(positions), 1, 1))
     if len(poses):
-        poses[:, :3, :3] = Rotation.from_quat(quaternions).as_matrix()
+        poses[:, :3, :3] = quaternion_to_matrix(quaternions)
     poses[:, :3, 3] = positions
     return poses
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evidence import check_mass
+from ogm.extras import import_extra
 from ogm.metrics.counting import DETECTION, count_cells, count_neighbours, count_ranges
 from ogm.metrics.divergence import MIN_EVIDENCE, from_truth, sum_divergences, to_truth
 from ogm.state import CellState, predict_state
@@ -198,7 +199,7 @@ def _count_high(
 
 def _count_obstacles(mass: NDArray[Any], state: NDArray[np.uint8], sums: ConfusionSums) -> NDArray[np.uint8]:
     """Count what needs the eight neighbours of a cell; return where an occupied cell lies within one cell."""
-    from scipy import ndimage  # here, as it would double the time that the import takes
+    ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the time that the import takes
 
     groups, count = ndimage.label(state == CellState.OCCUPIED, np.ones((3, 3)))
     near, best = np.zeros(state.shape, np.uint8), np.zeros(count + 1)

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import import_extra
 from ogm.jit import inline, vector
 from ogm.state import CellState
 
@@ -105,7 +106,7 @@ def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: 
     It grows linearly with evidence that is not in the truth: a confident model pays for every cell whose truth is
     unknown.
     """
-    from scipy.special import digamma  # here, as it would double the time that the import takes
+    digamma = import_extra("scipy.special", "evaluate").digamma  # here: it would double the time of the import
 
     # Expectations of ln p under Dir(1 + E, 1), for the true state and the other.
     one, alpha, total = (float(digamma(x)) for x in (1.0, 1.0 + strength, 2.0 + strength))
@@ -124,7 +125,7 @@ def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: 
 @lru_cache(maxsize=1)
 def _table() -> NDArray[np.float64]:
     """Return places x and, at each, Taylor's coefficients of ln Gamma up to the fifth, (places, 8); one is spare."""
-    from scipy import special  # here, as it would double the time that the import takes
+    special = import_extra("scipy.special", "evaluate")  # here, as it would double the time that the import takes
 
     within = 1 + (np.arange(1 << _BITS) + 0.5) / (1 << _BITS)
     x = (2.0 ** np.arange(_OCTAVES)[:, None] * within).ravel()

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
+from ogm.extras import import_extra
 from ogm.metrics.areas import above, parts
 from ogm.metrics.motion import FASTEST, MOVING, STILL
 from ogm.metrics.scores import Metric
@@ -99,7 +100,7 @@ def accumulate_prediction(
     ValueError
         If the truth has no motion, or the shapes do not fit.
     """
-    from scipy.ndimage import binary_dilation, maximum_filter  # here, as it would double the time of the import
+    ndimage = import_extra("scipy.ndimage", "evaluate")  # here, as it would double the time of the import
 
     if truth.motion is None:
         raise ValueError("the truth has no motion to compare with: open a data set whose objects have velocities")
@@ -111,10 +112,10 @@ def accumulate_prediction(
     speed = np.hypot(truth.motion.velocity[..., 0], truth.motion.velocity[..., 1])
     moving, known = speed > MOVING, (speed > MOVING) | (speed < STILL)
     mass, square = moving_mass(predicted), np.ones((3, 3))
-    near = binary_dilation(moving, square)
+    near = ndimage.binary_dilation(moving, square)
     for row, cells in enumerate((known & ~near, known & near)):
         sums.predicted_hist[row] = _histogram(mass[cells])
-    sums.found_hist[:] = _histogram(maximum_filter(mass, footprint=square, mode="constant")[moving & occupied])
+    sums.found_hist[:] = _histogram(ndimage.maximum_filter(mass, footprint=square, mode="constant")[moving & occupied])
 
     probability = (predicted.occupied.astype(np.float64) + 1.0 - predicted.free) / 2
     touched = moving if moving_now is None else moving | moving_now

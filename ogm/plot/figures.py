@@ -1,29 +1,36 @@
-"""Panels side by side, with axes and legends: shown by matplotlib, or written to a file."""
+"""Panels side by side, with axes and legends, as a picture or in a file."""
 
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.files import atomic_write
 from ogm.grid import EvidentialGrid
-from ogm.plot.moving import dynamic_panel, heading_wheel
+from ogm.plot.drawing import SMOOTH, draw_legend, draw_marks, draw_vehicle, font, legend_width, plain, scaled
+from ogm.plot.moving import dynamic_panel
 from ogm.plot.panels import Panel, mass_panel
 from ogm.plot.points import points_panel
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 __all__ = ["save_picture", "show"]
 
 Shown = EvidentialGrid | DynamicGrid | NDArray[Any] | Panel
 
+TALLEST, WIDEST, LIKED = 1024, 1600, 900  # [px] of a panel at most, and its height where cells are whole pixels
+GAP, MARGIN, AXIS = 26, 14, 84  # [px] between panels, around the picture, left of the first panel
+TITLE, TICKS = 34, 50  # [px] heights of titles, and of numbers and name of the axis below
+TEXT, SMALL = 20, 16  # [px] sizes of titles and of all else
+INK, FRAME = (20, 20, 20), (150, 150, 150)
+FEWEST = 4  # steps along an axis
+MOST = 100  # letters of a title
 
-def show(*items: Shown, titles: Sequence[str] = ()) -> "Figure":
+
+def show(*items: Shown, titles: Sequence[str] = ()) -> Image.Image:
     """Draw grids, clouds and panels side by side.
 
     Parameters
@@ -36,18 +43,15 @@ def show(*items: Shown, titles: Sequence[str] = ()) -> "Figure":
 
     Returns
     -------
-    matplotlib.figure.Figure
-        A notebook shows it by itself; in a script, call ``matplotlib.pyplot.show()``, or use `save_picture`.
+    PIL.Image.Image
+        A notebook shows it by itself; in a script, use its ``show()``, or `save_picture`.
 
     Raises
     ------
     ValueError
         If there is nothing to show, or `titles` has another length, or points come without a grid.
     """
-    import matplotlib.pyplot as plt
-
-    panels = _panels(items, titles)
-    return _draw(plt.figure(figsize=_size(panels), layout="constrained"), panels)
+    return _draw(_panels(items, titles))
 
 
 def save_picture(path: str | os.PathLike[str], *items: Shown, titles: Sequence[str] = ()) -> None:
@@ -60,17 +64,11 @@ def save_picture(path: str | os.PathLike[str], *items: Shown, titles: Sequence[s
     *items, titles
         As for `show`.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     if Path(path).suffix.lower() != ".png":
         raise ValueError(f"a picture is saved as .png, got {path}")
-    panels = _panels(items, titles)
-    figure = Figure(figsize=_size(panels), layout="constrained")
-    FigureCanvasAgg(figure)
-    _draw(figure, panels)
+    picture = show(*items, titles=titles)
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=110, bbox_inches="tight", pad_inches=0.12)
+        picture.save(file, "PNG", optimize=True)
 
 
 def _panels(items: Sequence[Shown], titles: Sequence[str]) -> list[Panel]:
@@ -95,52 +93,70 @@ def _panels(items: Sequence[Shown], titles: Sequence[str]) -> list[Panel]:
     return panels
 
 
-def _size(panels: Sequence[Panel]) -> tuple[float, float]:
-    """Figure size [inch] at which the panels stand 7 inches tall."""
-    widths = [6.4 * panel.spec.width / panel.spec.length + 0.9 for panel in panels]
-    return min(max(sum(widths), 4.0), 40.0), 7.6
+def _size(panel: Panel) -> tuple[int, int]:
+    """Return width and height of a panel [px]: whole pixels per cell where that fits."""
+    rows, columns = panel.spec.shape
+    scale = min(TALLEST / rows, WIDEST / columns)
+    if scale >= 1:
+        scale = max(1, min(round(LIKED / rows), int(scale)))
+    return max(1, round(columns * scale)), max(1, round(rows * scale))
 
 
-def _shown(title: str, most: int = 40) -> str:
-    """Cut a title to what fits over a panel, and replace what the font cannot show."""
-    title = title.encode("latin-1", "replace").decode("latin-1")
-    return title if len(title) <= most else f"{title[: most // 2 - 1]}...{title[-most // 2 + 2 :]}"
+def _shown(title: str, width: int) -> str:
+    """Cut a title to what fits over a panel, and replace what the font does not have."""
+    text = title = plain(title)
+    most = min(len(title), MOST)
+    while most > 8 and font(TEXT).getlength(title) > width:
+        most -= 1
+        title = f"{text[: most // 2 - 1]}...{text[-most // 2 + 2 :]}"
+    return title
 
 
-def _draw(figure: "Figure", panels: Sequence[Panel]) -> "Figure":
-    from matplotlib.offsetbox import AnchoredOffsetbox, OffsetImage
-    from matplotlib.patches import Patch, Polygon
+def _draw(panels: Sequence[Panel]) -> Image.Image:
+    sizes = [_size(panel) for panel in panels]
+    slots = [max(size[0], legend_width(panel, SMALL)) for size, panel in zip(sizes, panels, strict=True)]
+    tallest = max(height for _, height in sizes)
+    width = AXIS + sum(slots) + GAP * (len(panels) - 1) + MARGIN
+    picture = Image.new("RGB", (width, MARGIN + TITLE + tallest + TICKS + TITLE), "white")
+    draw, left, top = ImageDraw.Draw(picture), AXIS, MARGIN + TITLE
+    for k, (panel, (wide, high), slot) in enumerate(zip(panels, sizes, slots, strict=True)):
+        corner = left + (slot - wide) // 2, top
+        image = scaled(panel, (wide, high))
+        draw_marks(image, panel, 16, 80, SMOOTH)
+        picture.paste(image, corner)
+        draw.rectangle([corner[0] - 1, top - 1, corner[0] + wide, top + high], outline=FRAME)
+        draw_vehicle(draw, panel.spec, corner, high, 6)
+        draw.text((left + slot // 2, top - TITLE // 2), _shown(panel.title, slot), INK, font(TEXT), anchor="mm")
+        _draw_axes(picture, panel, corner, (wide, high), first=k == 0)
+        legend = left + (slot - legend_width(panel, SMALL)) // 2
+        draw_legend(draw, legend, top + high + TICKS + TITLE // 2, panel, SMALL, (INK, FRAME))
+        left += slot + GAP
+    return picture
 
-    axes = figure.subplots(1, len(panels), squeeze=False)[0]
-    for k, (axis, panel) in enumerate(zip(axes, panels, strict=True)):
-        x_min, x_max, y_min, y_max = panel.spec.extent
-        axis.imshow(panel.image, extent=(y_max, y_min, x_min, x_max), interpolation="nearest", aspect="equal")
-        if panel.spec.contains(0.0, 0.0):
-            axis.plot(0, 0, marker="^", markersize=7, color="white", markeredgecolor="black", markeredgewidth=0.8)
-        for corners in panel.outlines:
-            for colour, width in (("white", 2.4), ("black", 1.2)):
-                axis.add_patch(Polygon(corners[:, ::-1], fill=False, edgecolor=colour, linewidth=width))
-        if len(panel.arrows):
-            x, y, dx, dy = panel.arrows.T
-            heads = {"headwidth": 3.5, "headlength": 4, "headaxislength": 3.5, "minlength": 0}
-            arrows = axis.quiver(y, x, dy, dx, angles="xy", scale_units="xy", scale=1, units="dots", width=3.2, **heads)
-            arrows.set(facecolor="black", edgecolor="white", linewidth=0.8)
-        if panel.wheel:
-            wheel = OffsetImage(heading_wheel(120), zoom=0.25)
-            axis.add_artist(AnchoredOffsetbox("upper right", child=wheel, pad=0.2, borderpad=0.3))
-        axis.set_title(_shown(panel.title), fontsize=11, parse_math=False)
-        axis.set_xlabel("y, left [m]")
-        if k == 0:
-            axis.set_ylabel("x, forward [m]")
-        handles = [Patch(facecolor=c, edgecolor="0.6", label=name) for name, c in panel.legend.items()]
-        axis.legend(
-            handles=handles,
-            loc="upper center",
-            bbox_to_anchor=(0.5, -0.09),
-            ncols=len(handles),
-            frameon=False,
-            fontsize=9,
-            handlelength=1.2,
-            columnspacing=1.0,
-        )
-    return figure
+
+def _draw_axes(picture: Image.Image, panel: Panel, corner: tuple[int, int], size: tuple[int, int], first: bool) -> None:
+    """Draw numbers [m] along the axes of a panel, and their names; those of x only for the first."""
+    (left, top), (wide, high), draw = corner, size, ImageDraw.Draw(picture)
+    x_min, x_max, y_min, y_max = panel.spec.extent
+    pixels = high / panel.spec.length  # per metre
+    step = _step(min(x_max - x_min, y_max - y_min) if first else y_max - y_min)
+    for y in np.arange(np.ceil(y_min / step), np.floor(y_max / step) + 1) * step:
+        at = left + (y_max - y) * pixels
+        draw.line([(at, top + high), (at, top + high + 5)], INK)
+        draw.text((at, top + high + 7), f"{y:g}", INK, font(SMALL), anchor="ma")
+    draw.text((left + wide // 2, top + high + TICKS - 22), "y, left [m]", INK, font(SMALL), anchor="ma")
+    if first:
+        for x in np.arange(np.ceil(x_min / step), np.floor(x_max / step) + 1) * step:
+            at = top + (x_max - x) * pixels
+            draw.line([(left - 6, at), (left - 1, at)], INK)
+            draw.text((left - 9, at), f"{x:g}", INK, font(SMALL), anchor="rm")
+        name = Image.new("L", (high, SMALL + 6))
+        ImageDraw.Draw(name).text((high // 2, name.height // 2), "x, forward [m]", 255, font(SMALL), anchor="mm")
+        upright = name.transpose(Image.Transpose.ROTATE_90)
+        picture.paste(INK, (MARGIN, top), upright)
+
+
+def _step(length: float) -> float:
+    """Return a round number of metres of which some fit into a length: 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** np.floor(np.log10(length / FEWEST))
+    return float(max(one * power for one in (1, 2, 5) if one * power <= length / FEWEST))

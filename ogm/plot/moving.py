@@ -2,8 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.plot.panels import Panel, cells_panel, heading_colours
@@ -68,11 +66,20 @@ def moving_groups(grid: DynamicGrid) -> NDArray[np.int32]:
         faster = np.maximum(grid.speed[of_x, of_y][both], grid.speed[to_x, to_y][both])
         alike = np.hypot(*apart.T) <= np.maximum(1.0, 0.5 * faster)
         pairs.append(np.stack([number[of_x, of_y][both][alike], number[to_x, to_y][both][alike]]))
-    of, to = np.concatenate(pairs, axis=1).astype(np.int32)  # scipy 1.11 finds no components of int64
-    _, label = connected_components(coo_array((np.ones(len(of), bool), (of, to)), (count, count)), directed=False)
     groups = np.zeros(grid.spec.shape, np.int32)
-    groups[moving] = 1 + label
+    groups[moving] = 1 + _components(count, *np.concatenate(pairs, axis=1))
     return groups
+
+
+def _components(count: int, of: NDArray[np.intp], to: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the number of the connected component of each of some nodes, by pairs of nodes that are connected."""
+    label = np.arange(count)
+    while (apart := label[of] != label[to]).any():
+        low, high = np.minimum(label[of], label[to])[apart], np.maximum(label[of], label[to])[apart]
+        np.minimum.at(label, high, low)
+        while (label != label[label]).any():  # each node to the lowest of its component so far
+            label = label[label]
+    return np.unique(label, return_inverse=True)[1]
 
 
 def moving_arrows(grid: DynamicGrid, seconds: float = 1.0) -> NDArray[np.float64]:

@@ -5,12 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.colours import colours
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.plot.colour_maps import colour_map
 
 __all__ = [
     "Panel",
     "cells_panel",
-    "colour_map",
     "conflict_panel",
     "heading_colours",
     "layer_panel",
@@ -23,8 +24,7 @@ __all__ = [
 ]
 
 CONFLICT_LAYERS, VELOCITY_LAYERS = ("free_to_occupied", "occupied_to_free"), ("velocity_x", "velocity_y")
-GREEN, RED, BLACK = (0.10, 0.80, 0.20), (0.93, 0.16, 0.16), (0.0, 0.0, 0.0)
-LEGEND = {"free": GREEN, "occupied": RED, "unknown": BLACK}
+BLACK = (0.0, 0.0, 0.0)
 APPEARED, WENT_AWAY = (1.0, 0.62, 0.10), (0.25, 0.62, 1.0)
 NO_VALUE = (0.16, 0.17, 0.19)
 
@@ -85,9 +85,8 @@ def cells_panel(
 
 
 def mass_panel(grid: EvidentialGrid, title: str = "") -> Panel:
-    """Show belief: green free, red occupied, black unknown, mixed by their masses."""
-    colours = grid.free[..., None] * np.array(GREEN) + grid.occupied[..., None] * np.array(RED)
-    return cells_panel(colours, grid.spec, title or "belief", LEGEND)
+    """Show belief: the colours of `ogm.colours` for free, occupied and unknown, mixed by their masses."""
+    return cells_panel(colours().mix(grid.mass), grid.spec, title or "belief", colours().legend)
 
 
 def probability_panel(grid: EvidentialGrid, title: str = "") -> Panel:
@@ -157,10 +156,3 @@ def velocity_panel(layers: LayeredGrid, title: str = "", fastest: float | None =
 def heading_colours(heading: NDArray[Any]) -> NDArray[np.float64]:
     """Return red, green, blue [0, 1] of directions [rad], (..., 3)."""
     return 0.5 + 0.5 * np.cos(heading[..., None] - np.array([0, 2, -2]) * np.pi / 3)
-
-
-def colour_map(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
-    """Return red, green, blue [0, 1] of values in [0, 1] by a colour map of matplotlib, (..., 3)."""
-    from matplotlib import colormaps
-
-    return colormaps[name](np.clip(values, 0, 1))[..., :3]

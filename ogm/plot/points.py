@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
-from ogm.plot.panels import Panel, cells_panel, colour_map
+from ogm.plot.colour_maps import colour_map
+from ogm.plot.panels import Panel, cells_panel
 
 __all__ = ["dots_panel", "height_colours", "points_panel"]
 

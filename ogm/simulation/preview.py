@@ -6,10 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image, ImageDraw
 
 from ogm import plot
+from ogm.colours import colours
 from ogm.files import atomic_write
 from ogm.grid import GridSpec
+from ogm.plot.drawing import font, plain
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
 from ogm.simulation.sample import SimulatedSample
@@ -36,12 +39,12 @@ SKY = np.array([0.72, 0.82, 0.93])
 
 
 def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
-    """Show a truth grid: green free, red occupied, black unknown, grey to be ignored."""
-    colours = np.empty((4, 3))
+    """Show a truth grid: free, occupied and unknown in the colours of `ogm.colours`, grey to be ignored."""
+    shades = np.empty((4, 3))
     order = [CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]
-    colours[order] = *plot.LEGEND.values(), GREY
-    legend = plot.LEGEND | ({"ignored": GREY} if truth.ignored.any() else {})
-    return plot.cells_panel(colours[truth.state], truth.spec, title, legend)
+    shades[order] = *colours().legend.values(), GREY
+    legend = colours().legend | ({"ignored": GREY} if truth.ignored.any() else {})
+    return plot.cells_panel(shades[truth.state], truth.spec, title, legend)
 
 
 def sample_panels(sample: SimulatedSample, spec: GridSpec = PAPER_GRID) -> tuple[plot.Panel, plot.Panel]:
@@ -81,8 +84,7 @@ def contact_sheet(path: str | os.PathLike[str], store: Store) -> None:
             sample = store[name][int(numbers[k])]
             tiles.append((f"{sample.split} {sample.index}: {sample.lidar}", _tile(sample)))
     columns = max(1, min(COLUMNS, len(tiles)))
-    rows = max(1, -(-len(tiles) // columns))
-    _save(path, tiles, (rows, columns), (3.56 * columns, 2.75 * rows), 9, 100)
+    _save(path, tiles, columns, 13)
 
 
 def _tile(sample: SimulatedSample) -> NDArray[np.uint8]:
@@ -93,7 +95,7 @@ def _tile(sample: SimulatedSample) -> NDArray[np.uint8]:
     brightest = blocks.sum(axis=-1).argmax(axis=-1)
     points = np.take_along_axis(blocks, brightest[..., None, None], axis=2)[:, :, 0]
     cells = truth.image.reshape(256, 2, 176, 2, 3).swapaxes(1, 2).reshape(256, 176, 4, 3)
-    reddest = cells[..., 0].argmax(axis=-1)
+    reddest = cells[..., 0].argmax(axis=-1)  # occupied
     labels = np.take_along_axis(cells, reddest[..., None, None], axis=2)[:, :, 0]
     return np.concatenate([points, np.full((256, 4, 3), 255, np.uint8), labels], axis=1)
 
@@ -132,31 +134,19 @@ class Camera(NamedTuple):
 
 def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[np.uint8]]]) -> None:
     """Write pictures below each other to one PNG file, each with a title."""
-    shares = [image.shape[0] / image.shape[1] for _, image in views]
-    size = (14.0, 14.0 * sum(shares) + 0.4 * len(views))
-    _save(path, views, (len(views), 1), size, 12, 110, height_ratios=shares)
+    _save(path, views, 1, 24)
 
 
-def _save(
-    path: str | os.PathLike[str],
-    images: Sequence[tuple[str, NDArray[Any]]],
-    shape: tuple[int, int],
-    size: tuple[float, float],
-    font: int,
-    dpi: int,
-    **layout: Any,
-) -> None:
-    """Write pictures with titles in rows and columns, `size` inches in all."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=size, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(*shape, squeeze=False, **layout).ravel()
-    for axis, (title, image) in zip(axes, images, strict=False):
-        axis.imshow(image, interpolation="nearest")
-        axis.set_title(title, fontsize=font, parse_math=False)
-    for axis in axes:
-        axis.set_axis_off()
+def _save(path: str | os.PathLike[str], images: Sequence[tuple[str, NDArray[Any]]], columns: int, text: int) -> None:
+    """Write pictures of one size to a PNG file, in rows, each below its title in a font of some size [px]."""
+    high, wide = images[0][1].shape[:2] if images else (0, 0)
+    gap, line = text // 2, 2 * text
+    rows = -(-len(images) // columns)
+    sheet = Image.new("RGB", (columns * (wide + gap) + gap, rows * (high + line) + gap), "white")
+    draw = ImageDraw.Draw(sheet)
+    for k, (title, image) in enumerate(images):
+        left, top = gap + k % columns * (wide + gap), k // columns * (high + line)
+        draw.text((left + wide // 2, top + line // 2), plain(title), "black", font(text), anchor="mm")
+        sheet.paste(Image.fromarray(np.ascontiguousarray(image)), (left, top + line))
     with atomic_write(path) as file:
-        figure.savefig(file, format="png", dpi=dpi)
+        sheet.save(file, "PNG")

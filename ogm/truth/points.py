@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.extras import import_extra
 from ogm.grid import GridSpec
 from ogm.scan import Boxes
 from ogm.state import PARTICIPANT, CellState, Truth
@@ -83,7 +84,7 @@ def height_above_ground(xyz: ArrayLike, is_ground: ArrayLike) -> NDArray[np.floa
     ValueError
         If shapes disagree, a number is not finite, or the points lie further apart than any scan's.
     """
-    from scipy.ndimage import distance_transform_edt
+    distance_transform_edt = import_extra("scipy.ndimage", "evaluate").distance_transform_edt
 
     xyz, is_ground = np.asarray(xyz, np.float64), np.asarray(is_ground)
     if xyz.ndim != 2 or xyz.shape[1] < 3:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.extras import import_extra
 from ogm.grid import GridSpec
 from ogm.state import CellState, Truth
 
@@ -111,7 +112,7 @@ def contradicted(
     -------
     (nx, ny) bool
     """
-    from scipy.ndimage import binary_dilation
+    binary_dilation = import_extra("scipy.ndimage", "evaluate").binary_dilation
 
     spec = truth.spec
     ground, standing = np.zeros(spec.shape, bool), np.zeros(spec.shape, bool)

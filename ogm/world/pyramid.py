@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.colours import colours
 from ogm.files import atomic_write
 from ogm.world.world_map import WorldMap
 
@@ -18,8 +19,8 @@ def write_pyramid(world: WorldMap, folder: str | os.PathLike[str]) -> int:
     """Write a picture per tile of every level, ``z/x/y.png``; return how many.
 
     Level z = 0 is the coarsest; x counts along the map's x, to the right, and y against its y, downwards, both from the
-    same corner at all levels, which ``tiles.json`` states with the side of a cell. Red is the mass of occupied, green
-    that of free, and what is unknown is transparent. Tiles in which nothing was seen have no picture.
+    same corner at all levels, which ``tiles.json`` states with the side of a cell. Free and occupied have the colours
+    of `ogm.colours`, and what is unknown is transparent. Tiles in which nothing was seen have no picture.
 
     Parameters
     ----------
@@ -72,5 +73,5 @@ def _colours(mass: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return red, green, blue and opacity of masses (nx, ny, 2), greatest y first."""
     known = mass.sum(axis=-1)
     share = mass / np.maximum(known, 1e-6)[..., None]
-    colours = np.stack([share[..., 1], share[..., 0], np.zeros_like(known), known], axis=-1)
-    return np.ascontiguousarray(np.rint(255 * colours).astype(np.uint8)[:, ::-1].swapaxes(0, 1))
+    shades = np.concatenate([colours().mix(share), known[..., None]], axis=-1)
+    return np.ascontiguousarray(np.rint(255 * shades).astype(np.uint8)[:, ::-1].swapaxes(0, 1))

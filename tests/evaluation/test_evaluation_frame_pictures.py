@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ogm import plot
-from ogm.evaluation.frame_pictures import ERRORS, STATES, draw_frame, error_classes, height_legend
+from ogm.colours import colours
+from ogm.evaluation.frame_pictures import ERRORS, draw_frame, error_classes, height_legend, true_states
 from ogm.grid import GridSpec
 from ogm.state import CellState, predict_state
 
@@ -76,17 +77,17 @@ def test_the_first_row_is_the_front_and_the_first_column_the_left() -> None:
     views = draw_frame(None, state, [mass], SPEC)
     truth, belief, errors = (seen(views[name]) for name in ("truth", "mass 0", "error 0"))
     assert truth.shape == belief.shape == errors.shape == (16, 12, 3)
-    assert tuple(truth[0, 0]) == STATES["free"].colour
-    assert tuple(truth[0, -1]) == STATES["occupied"].colour
+    assert tuple(truth[0, 0]) == true_states()["free"].colour
+    assert tuple(truth[0, -1]) == true_states()["occupied"].colour
     assert tuple(errors[0, -1]) == ERRORS["missed occupied"].colour
-    assert belief[0, 0, 1] > 150 > 80 > belief[-1, -1, 1]
+    assert belief[0, 0, 2] > 150 > 80 > belief[-1, -1, 2]  # blue is free
 
 
 def test_masses_have_the_colours_of_plot() -> None:
     state, mass = blank()
     mass[...] = np.linspace(0, 1, 16)[:, None, None] * np.array([0.6, 0.4])
     shown = seen(draw_frame(None, state, [mass], SPEC)["mass 0"]).astype(float)
-    expected = plot.cells_panel(mass @ np.array([plot.GREEN, plot.RED]), SPEC, "", {}).image
+    expected = plot.cells_panel(colours().mix(mass), SPEC, "", {}).image
     assert np.abs(shown - expected).max() <= 255 / 8  # masses are shown in steps of 1/8
     assert np.abs(shown - expected).mean() < 8
 
@@ -97,7 +98,7 @@ def test_soft_masses_are_smooth_where_that_is_smaller() -> None:
     soft = (0.5 + 0.4 * np.sin(x) * np.cos(y))[..., None] * np.array([0.9, 0.1])
     soft += np.random.default_rng(0).uniform(0, 0.02, soft.shape)
     view = draw_frame(None, np.zeros(spec.shape, np.uint8), [soft.astype(np.float32)], spec)["mass 0"]
-    expected = plot.cells_panel(soft @ np.array([plot.GREEN, plot.RED]), spec, "", {}).image
+    expected = plot.cells_panel(colours().mix(soft), spec, "", {}).image
     assert np.abs(seen(view).astype(float) - expected).mean() < 4
     assert len(view) < 5000
 
@@ -145,7 +146,7 @@ def test_blocks_of_long_grids_show_the_class_of_highest_priority() -> None:
         "error 0": (534, 4, 3),
     }
     assert (seen(views["error 0"]) == ERRORS["false free"].colour).all(axis=2).sum() == 1
-    assert (seen(views["truth"]) == STATES["occupied"].colour).all(axis=2).sum() == 1
+    assert (seen(views["truth"]) == true_states()["occupied"].colour).all(axis=2).sum() == 1
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (7, 5), (3, 40)])

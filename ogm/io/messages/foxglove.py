@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ogm.colours import colours
 from ogm.files import OgmError
 from ogm.grid import LayeredGrid
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
@@ -31,7 +32,7 @@ def foxglove_grid(
 ) -> Any:
     """Return a grid as a ``foxglove.Grid``, with fields free, occupied and unknown, and a colour.
 
-    The colour is red by occupied and green by free; unknown is transparent.
+    The colours are those of `ogm.colours`, mixed by the masses; unknown is transparent.
 
     Parameters
     ----------
@@ -63,8 +64,8 @@ def foxglove_grid(
         if name in named or name in _COLOURS:
             raise ValueError(f"the field {name!r} is the grid's own: give another name")
         named[name] = layer
-    colours = (grid.occupied, grid.free, np.zeros_like(grid.free), 1 - grid.unknown)
-    named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, colours, strict=True)}
+    shown = (*np.moveaxis(colours().mix(np.stack([grid.free, grid.occupied], axis=-1)), -1, 0), 1 - grid.unknown)
+    named |= {name: np.rint(255 * one).astype(np.uint8) for name, one in zip(_COLOURS, shown, strict=True)}
     kind = np.dtype([(name, layer.dtype.newbyteorder("<")) for name, layer in named.items()])
     cells = np.empty((ny, nx), kind)
     for name, layer in named.items():

@@ -12,6 +12,7 @@ from ogm.io.messages.plain import describe_message, frame_of, header, reads_mess
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose
+from ogm.rotation import matrix_to_quaternion
 
 __all__ = [
     "pose_message",
@@ -109,11 +110,9 @@ def tf_message(transforms: Iterable[StampedTransform]) -> SimpleNamespace:
 
 def pose_message(T: ArrayLike) -> SimpleNamespace:
     """Return a transform (4, 4) as a ``geometry_msgs/Pose``; w of its quaternion is not negative."""
-    from scipy.spatial.transform import Rotation
-
     array = check_pose(T)
     x, y, z = array[:3, 3].tolist()
-    quaternion = Rotation.from_matrix(array[:3, :3].copy()).as_quat(canonical=True)  # SciPy before 1.17 wants to write
+    quaternion = matrix_to_quaternion(array[:3, :3])
     return SimpleNamespace(
         position=SimpleNamespace(x=x, y=y, z=z),
         orientation=SimpleNamespace(**dict(zip("xyzw", quaternion.tolist(), strict=True))),

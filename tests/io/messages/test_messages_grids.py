@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
+from ogm.colours import colours
 from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.messages import (
@@ -197,7 +198,9 @@ def test_foxglove_grid(T):
             offset = j * message.row_stride + i * message.cell_stride + field.offset
             value = np.frombuffer(message.data, "<" + kinds[field.type], 1, offset)[0]
             layer = {"free": grid.free, "occupied": grid.occupied, "unknown": grid.unknown, "conflict": conflict}
-            colour = {"red": grid.occupied, "green": grid.free, "blue": 0 * grid.free, "alpha": 1 - grid.unknown}
+            mixed = colours().mix(np.stack([grid.free, grid.occupied], axis=-1))
+            colour = dict(zip(("red", "green", "blue"), np.moveaxis(mixed, -1, 0), strict=True))
+            colour["alpha"] = 1 - grid.unknown
             if field.name in layer:
                 assert value == np.float32(layer[field.name][i, j])
             else:
