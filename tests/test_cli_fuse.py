@@ -167,7 +167,7 @@ def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(scans: Path, poses
         film.seek(FRAMES - 1)
         assert film.info["duration"] == 1000
         colours = {colour for _, colour in film.convert("RGB").getcolors(2**24)}
-    assert {(26, 204, 51), (237, 41, 41)} <= colours  # free and occupied, as in `ogm.plot`
+    assert {(41, 120, 217), (255, 166, 31)} <= colours  # free and occupied, as in `ogm.colours`
     assert not (tmp_path / "map.npz").exists()
 
 

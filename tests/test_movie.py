@@ -41,7 +41,8 @@ def test_frames_come_back_as_they_were_written(suffix: str) -> None:
             film.seek(k)
             shown = np.asarray(film.convert("RGB")).astype(int)
             assert film.info["duration"] == duration
-            assert np.abs(shown - np.asarray(frame)).max() <= (0 if suffix != ".webp" else 60)
+            away = np.abs(shown - np.asarray(frame))
+            assert away.mean() < 8 if suffix == ".webp" else not away.any()  # WebP is lossy
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

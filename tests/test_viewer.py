@@ -501,7 +501,7 @@ def test_a_long_way_over_many_tiles_is_drawn_in_bounded_memory(large: tuple[Path
     page.settle()
     assert values(page)["cell"] == "(1400, 1501)"
     assert values(page)["occupied"] == "1.000"
-    assert page.picture()[310, 310].tolist() == pytest.approx([237, 41, 41], abs=2)
+    assert page.picture()[310, 310].tolist() == pytest.approx([255, 166, 31], abs=2)
     assert (page.errors, page.requests) == ([], [path.as_uri()])
 
 
