@@ -8,7 +8,10 @@ from typing import Any, Literal
 
 from ogm.files import OgmError, naming
 
-__all__ = ["Mode", "Url", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store", "reading"]
+__all__ = [
+    *("Mode", "Url", "children", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
+    *("read_object", "reading", "size", "writing"),
+]
 
 Url = str | os.PathLike[str]
 Mode = Literal["r", "r+"]
@@ -123,6 +126,25 @@ def keys(store: Any, prefix: str) -> list[str]:
         return [key async for key in store.list_prefix(prefix)]
 
     return sorted(key for key in sync(found()) if not key.endswith(".partial"))
+
+
+def children(store: Any, prefix: str) -> list[str]:
+    """Return the names directly below a prefix, sorted."""
+    from zarr.core.sync import sync
+
+    async def found() -> list[str]:
+        return [key async for key in store.list_dir(prefix)]
+
+    return sorted(key.rstrip("/") for key in sync(found()))
+
+
+def read_object(store: Any, key: str) -> bytes | None:
+    """Return the content of an object; None if there is none."""
+    from zarr.core.buffer import default_buffer_prototype
+    from zarr.core.sync import sync
+
+    found = sync(store.get(key, default_buffer_prototype()))
+    return None if found is None else bytes(found.to_bytes())
 
 
 def size(store: Any, prefix: str) -> int:
