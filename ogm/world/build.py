@@ -30,10 +30,9 @@ from ogm.world.integration import integrate_grid
 from ogm.world.layout import TileIndex
 from ogm.world.render import Part, fingerprint, parts_of_tiles, render_tile
 from ogm.world.rendered import Rendered
-from ogm.world.stores import is_remote, local_path, writing
+from ogm.world.stores import writing
 from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
-from ogm.world.writer import sweep_partial
 
 __all__ = ["Progress", "build_world", "rebuild_world"]
 
@@ -120,7 +119,7 @@ def build_world(
         if one.tiles is None
     ]
     by_name, skipped = {drive.name: drive for drive in planned}, 0
-    with pool.work_off(make, jobs, store) as results:
+    with pool.work_off(make, jobs, store.url) as results:
         progress(Progress("sub-maps", 0, len(jobs)))
         for done, (n, made) in enumerate(results, 1):
             drive, number = by_name[jobs[n].drive], jobs[n].number
@@ -179,9 +178,9 @@ class _Pool(NamedTuple):
 
     @contextmanager
     def work_off(
-        self, function: Callable[[Any], Any], jobs: Sequence[Any], store: TileStore
+        self, function: Callable[[Any], Any], jobs: Sequence[Any], url: str
     ) -> Iterator[Iterator[tuple[int, Any]]]:
-        """Yield the results; in the end no worker writes, and nothing that one had begun to write stays."""
+        """Yield the results; in the end no worker of this machine writes."""
         try:
             working: Any = work_off(function, jobs, self.workers, self.scheduler)
             with closing(working) as results:
@@ -192,11 +191,8 @@ class _Pool(NamedTuple):
                 raise
             raise OSError(
                 f"workers died ({type(error).__name__}), as when memory runs out; finished sub-maps and tiles of "
-                f"{store.url} are complete: the same command goes on, perhaps with fewer workers"
+                f"{url} are complete: the same command goes on, perhaps with fewer workers"
             ) from error
-        finally:
-            if not is_remote(store.url):
-                sweep_partial(local_path(store.url))
 
 
 class _Place(NamedTuple):
@@ -306,7 +302,7 @@ def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[Til
     for index, _ in jobs:  # a tile that is written is that of its number, or has none
         rendered.note(index, np.uint64(0))
     rendered.write()
-    with rendered, pool.work_off(_RenderTile(_Place.of(store)), jobs, store) as results:
+    with rendered, pool.work_off(_RenderTile(_Place.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
         for done, (n, _) in enumerate(results, 1):
             rendered.note(jobs[n][0], marks[jobs[n][0]])

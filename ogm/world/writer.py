@@ -22,10 +22,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from ogm.files import finish_zarr
 from ogm.locks import locked
 from ogm.world.stores import Url, is_remote, local_path, read_object, reading, writing
 
-__all__ = ["WRITER", "check_writer", "one_writer", "sweep_partial"]
+__all__ = ["WRITER", "check_writer", "one_writer"]
 
 WRITER = "writer.json"  # key of the object
 RENEWED, DEAD = 5.0, 30.0  # [s] between renewals; without one after which a writer counts as dead
@@ -90,17 +91,19 @@ def _in_folder(folder: Path, token: str) -> Iterator[None]:
     with locked(folder):
         mark = folder / WRITER
         if mark.exists():  # the last writer was killed
-            sweep_partial(folder)
+            _sweep(folder)
         try:
             with writing(folder, folder):
                 mark.write_bytes(_content(token))
             yield
         finally:
+            finish_zarr()
             mark.unlink(missing_ok=True)
+            _sweep(folder)  # of an interrupt, or of a worker that was killed
 
 
-def sweep_partial(folder: Path) -> None:
-    """Remove what Zarr had begun to write below a folder when its process was killed; no one must write there."""
+def _sweep(folder: Path) -> None:
+    """Remove what Zarr had begun to write below a folder; no one must write there."""
     for parent, _, names in os.walk(folder):
         for name in names:
             if name.endswith(".partial"):
