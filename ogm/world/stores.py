@@ -98,8 +98,10 @@ def reading(what: object, way: str = "restore it from a copy") -> Iterator[None]
     """Give errors of Zarr and of stores on reading the name of what is read; those of the system stay."""
     try:
         yield
-    except (OSError, OgmError, ImportError, MemoryError):
+    except (OSError, OgmError, ImportError):
         raise
+    except MemoryError as error:  # a made-up index or size, most likely
+        raise OgmError(f"{what} cannot be read: it states more bytes than there is memory for; {way}") from error
     except Exception as error:  # Zarr, its codecs, zip archives and obstore have many
         text = " ".join(str(error).split())[:300] or type(error).__name__
         raise OgmError(f"{what} cannot be read ({text}): {way}") from error

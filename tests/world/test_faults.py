@@ -1,4 +1,4 @@
-"""World maps of which something is lost, damaged, or changed by two at once; builders and schedulers that are killed."""
+"""World maps of which something is lost, damaged, or changed by two at once; builders and schedulers killed."""
 
 import json
 import os
