@@ -17,7 +17,7 @@ from importlib import resources
 from typing import IO, Any, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, StrictUndefined, Template
 from markupsafe import Markup
 from numpy.typing import NDArray
 
@@ -28,7 +28,7 @@ from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
 from ogm.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
 
-__all__ = ["TILE", "write_view"]
+__all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]
 
 TILE = 512  # [cells] along a side; even, so that no block of 2 x 2 cells lies in two tiles
 ROUGHEST = 64  # [cells] along the longer side of the last level: on any screen, a cell of it is wider than a pixel
@@ -143,13 +143,39 @@ def _mass_rows(grid: EvidentialGrid, of: slice) -> NDArray[np.uint8]:
     return mass_to_bytes(upright(grid.mass)[of])
 
 
+def page_of_tiles(**facts: Any) -> bytes:
+    """Return a page that loads its tiles from where it comes from, ``tiles/STORED/LEVEL/ROW/COLUMN``.
+
+    Parameters
+    ----------
+    **facts
+        ``title, tile, layers, resolution, shape, origin, stored``, as `write_view` gives them to the page.
+    """
+    facts |= {"made": f"{datetime.now():%Y-%m-%d %H:%M}", "roughest": ROUGHEST}
+    parts = _parts()
+    streamed = Markup((resources.files("ogm") / "data" / "view_streamed.js").read_text("utf-8"))  # noqa: S704
+    return b"".join(one(facts, streamed) for one in parts)
+
+
+def _parts() -> tuple[Callable[..., bytes], Callable[..., bytes]]:
+    """Return what renders the page up to its tiles, and the rest of it."""
+    folder = resources.files("ogm") / "data"
+    code = {name: Markup((folder / f"view.{name}").read_text("utf-8")) for name in ("css", "js")}  # noqa: S704
+    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
+    head, tail = (environment.from_string(one) for one in (folder / "view.html").read_text("utf-8").split(_TILES))
+
+    def render(template: Template, facts: dict[str, Any], streamed: Markup | None = None) -> bytes:
+        text = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+        shown = template.render(**code, **facts, streamed=streamed, data=Markup(text))  # noqa: S704
+        return shown.encode("utf-8", "replace")
+
+    return partial(render, head), partial(render, tail)
+
+
 def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored], pool: Executor) -> None:
     """Write the page from top to bottom; the tiles go to the file as they are made."""
-    parts = resources.files("ogm") / "data"
-    code = {name: Markup((parts / f"view.{name}").read_text("utf-8")) for name in ("css", "js")}  # noqa: S704
-    environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined)
-    head, tail = (environment.from_string(one) for one in (parts / "view.html").read_text("utf-8").split(_TILES))
-    file.write(head.render(**code, **facts).encode("utf-8", "replace"))
+    head, tail = _parts()
+    file.write(head(facts))
     facts["stored"] = [{"names": one.names, "first": one.first, "low": one.low, "step": one.step} for one in stored]
     for number, one in enumerate(stored):
         totals = np.zeros(len(one.names))
@@ -161,8 +187,7 @@ def _write_page(file: IO[bytes], facts: dict[str, Any], stored: Sequence[_Stored
                     file.write(b'<script type="text/plain" id="%d/%d/%d/%d">' % (number, level, row, column))
                     file.write(packed + b"</script>\n")
         facts["stored"][number]["means"] = list(totals / (np.prod(facts["shape"]) * FULL))
-    text = json.dumps(facts, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    file.write(tail.render(**code, data=Markup(text)).encode("utf-8", "replace"))  # noqa: S704
+    file.write(tail(facts))
 
 
 def _strips(stored: _Stored, shape: tuple[int, int]) -> Iterator[tuple[int, int, list[NDArray[np.uint8]]]]:

@@ -82,7 +82,7 @@ def make_sample(plan: Any, split: str, index: int, threads: int = 0) -> Any:
 def make_inputs(command: str, folder: Path) -> None:
     """Make the input of a command."""
     make = {"train": _make_data, "evaluate": _make_data, "fuse": _make_drive, "serve": _make_drive}
-    make |= {"convert": _make_map}
+    make |= {"convert": _make_map, "world": _make_drive}
     make.get(command, lambda folder: None)(folder)
 
 
@@ -144,6 +144,10 @@ def cases() -> dict[str, Case]:
     for kind in ("tif", "nc", "zarr", "yaml", "png", "mcap", "bag"):
         words = ["convert", "../in/map.npz", f"out/map.{kind}"]
         found[f"convert {kind}"] = Case(words, words, "", whole_maps)
+    for workers in (1, 2):
+        words = ["world", "build", "../in/drive", "--out", "out/map", "--ism", "height-band", *SMALL, "--tile", "16"]
+        words += ["--submap-length", "0.9", "--workers", str(workers)]
+        found[f"world build, {workers} worker{'s' * (workers > 1)}"] = Case(words, words, "", whole_world)
     found["serve"] = Case(["serve", *drive, "--port", "0", "--rate", "1"], [], outputs=False)
     return found
 
@@ -200,6 +204,20 @@ def whole_maps(out: Path) -> None:
         if path.suffix in (".npz", ".mcap", ".db3", ".bag", ".tif", ".nc", ".zarr", ".yaml"):
             read_placed_grid(path, GridSpec.centered(48, 32, 0.1))
     _whole_pictures(out)
+
+
+def whole_world(out: Path) -> None:
+    """Read all tiles and the descriptions of drives."""
+    from ogm.world import WorldMap
+    from ogm.world.drives import drive_names, has_drive, load_drive
+
+    if (out / "map" / "zarr.json").exists():
+        with WorldMap.open(out / "map") as world:
+            for _, error in world.damage() if (out / "map" / "0").exists() else ():
+                raise error
+            for name in drive_names(world.store):
+                if has_drive(world.store, name):
+                    load_drive(world.store, name)
 
 
 def _whole_pictures(out: Path) -> None:

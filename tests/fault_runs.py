@@ -40,6 +40,7 @@ MODULES = {  # what a command imports
     "evaluate": ("ogm.evaluation", "ogm.datasets", "zarr", "matplotlib.figure", "jinja2"),
     "fuse": ("ogm.cli.fuse_run", "ogm.evaluation.models", "ogm.geometric", "ogm.viewer", "mcap", "rosbags.rosbag1"),
     "convert": ("ogm.io.grids", "rasterio", "xarray", "netCDF4", "zarr", "mcap", "rosbags.rosbag1"),
+    "world": ("ogm.world", "ogm.datasets", "ogm.evaluation.models", "ogm.geometric", "rich.progress"),
     "serve": ("ogm.datasets", "ogm.evaluation.models", "ogm.geometric", "ogm.live"),
 }
 

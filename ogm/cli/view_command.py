@@ -12,8 +12,12 @@ if TYPE_CHECKING:
 
 _MOST = 2**25  # cells of a world map on a page
 
-GridFile = Annotated[Path, Argument(help="Grid or map, of `ogm` or of another program; a world map.")]
-Out = Annotated[Path | None, Option("--out", help="Page (.html). [default: ./NAME.html]")]
+GridFile = Annotated[
+    str,
+    Argument(help="Grid or map, of `ogm` or of another program; a world map: folder, .zip, s3://...", metavar="GRID"),
+]
+Out = Annotated[Path | None, Option("--out", help="Page (.html). [default: ./NAME.html; world maps are served]")]
+Port = Annotated[int, Option(help="Port at which a world map is served. [default: a free one]", min=0, max=65535)]
 Open = Annotated[bool, Option("--open", help="Show it in the browser.")]
 Title = Annotated[str | None, Option(help="Title of the page. [default: the name of the file]")]
 Length = Annotated[float | None, Option(help="Extent along x of a .png or .npy, which do not hold it [m].")]
@@ -34,12 +38,16 @@ def view(
     width: Width = None,
     resolution: Resolution = 0.16,
     level: Level = None,
+    port: Port = 0,
 ) -> None:
     """Write one HTML page that shows a grid: zoom, layers, values under the pointer, a scale.
 
     The page needs no other file and no network, and works with 100 million cells and more. Its layers are belief, free,
     occupied, unknown, probability and state; of a dynamic map also what moves and its velocity. Of a layered grid, they
     are its own.
+
+    A world map is served to the browsers of this machine until Ctrl-C, whatever its size: its page loads the tiles that
+    are shown. With --out, it is written as a page instead, at a level that fits.
     """
     import webbrowser
 
@@ -50,17 +58,36 @@ def view(
     if (length is None) != (width is None):
         raise ValueError("give both --length and --width [m], or none of them")
     area = None if length is None else GridSpec.centered(length, width, resolution)
-    path = Path(f"{grid.stem}.html") if out_path is None else out_path
-    is_world = (grid / "0" / "zarr.json").is_file()
-    found = _world_grid(grid, level) if is_world else read_any_grid(grid, area)
+    local = Path(grid)
+    is_world = "://" in grid or local.suffix == ".zip" or (local / "0" / "zarr.json").is_file()
+    if is_world and out_path is None and level is None:
+        _serve(grid, title or local.name, port, open_it)
+        return
+    path = Path(f"{local.stem}.html") if out_path is None else out_path
+    found = _world_grid(grid, level) if is_world else read_any_grid(local, area)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_view(path, found, title=title or grid.name)
+    write_view(path, found, title=title or local.name)
     print_facts({"page": str(path), "cells": str(found.spec), "size": f"{path.stat().st_size / 1e6:.1f} MB"})
     if open_it and not webbrowser.open(path.resolve().as_uri()):
         raise OSError(f"no browser could be started; open {path} in one")
 
 
-def _world_grid(path: Path, level: int | None) -> "EvidentialGrid":
+def _serve(url: str, title: str, port: int, open_it: bool) -> None:
+    """Serve a world map until the command is interrupted."""
+    import threading
+    import webbrowser
+
+    from ogm.world import WorldMap
+    from ogm.world.view_server import serve_world
+
+    with WorldMap.open(url) as world, serve_world(world, title, port) as address:
+        print_facts({"page": address, "map": world.url, "levels": str(world.levels), "ends by": "Ctrl-C"})
+        if open_it and not webbrowser.open(address):
+            raise OSError(f"no browser could be started; open {address} in one")
+        threading.Event().wait()
+
+
+def _world_grid(path: str, level: int | None) -> "EvidentialGrid":
     """Return all of a world map, at a level."""
     from ogm.world import WorldMap
 

@@ -44,7 +44,7 @@ Crs = Annotated[str | None, Option(help="Coordinate reference system of the pose
 SubMaps = Annotated[float, Option("--submap-length", help="Way along which a sub-map's frames were taken [m].")]
 Extent = Annotated[tuple[float, float, float, float] | None, Option(help="x_min x_max y_min y_max [m]. [default: all]")]
 Level = Annotated[int, Option(help="Level: cells of 2**LEVEL times the side.", min=0)]
-DriveName = Annotated[str, Option("--drive", help="Name of the drive; `ogm world info` shows them.")]
+DriveName = Annotated[str | None, Option("--drive", help="Name of the drive; `ogm world info` shows them.")]
 
 
 @report_errors
@@ -83,7 +83,10 @@ def build(
     sensor_models(ism, spec)  # refuses what is none, before any work
     drives: dict[str, Any] = {}
     for n, path in enumerate(datasets):
-        drives |= _drives(path, axes, poses[n] if poses else None, calib, rate)
+        found = _drives(path, axes, poses[n] if poses else None, calib, rate)
+        if twice := sorted(found.keys() & drives.keys()):
+            raise ValueError(f"two drives are named {twice[0]}, after their data sets: rename one of these")
+        drives |= found
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:
@@ -98,8 +101,8 @@ def build(
 @report_errors
 def rebuild(
     url: Url,
-    drive: DriveName,
-    poses: Annotated[Path, Option(help="New poses of its sensor: .g2o, TUM, KITTI, .csv.")],
+    drive: DriveName = None,
+    poses: Annotated[Path | None, Option(help="New poses of its sensor: .g2o, TUM, KITTI, .csv.")] = None,
     calib: Calib = None,
     workers: Workers = 1,
     scheduler: Scheduler = None,
@@ -107,16 +110,21 @@ def rebuild(
     """Move a drive to other poses, as after a loop closure, and make the tiles anew that this changes.
 
     Poses with stamps (TUM, .csv) are taken by stamp, others by frame number (of .g2o: identifiers of vertices), or by
-    row.
+    row. Without --drive and --poses, all tiles are read, and those that are lost or damaged are made anew.
     """
     from ogm.io import read_calibration, read_poses
     from ogm.world import WorldMap, rebuild_world
 
-    found = read_poses(poses, T_camera_sensor=None if calib is None else read_calibration(calib))
-    numbers = range(len(found)) if found.numbers is None else found.numbers.tolist()
-    placed: Any = dict(zip(numbers, found.poses, strict=True)) if found.stamps is None else found.trajectory()
+    if (drive is None) != (poses is None):
+        raise ValueError("give both --drive and --poses, or none of them to mend the map")
+    moved: dict[str, Any] = {}
+    if drive is not None and poses is not None:
+        found = read_poses(poses, T_camera_sensor=None if calib is None else read_calibration(calib))
+        numbers = range(len(found)) if found.numbers is None else found.numbers.tolist()
+        by_number = dict(zip(numbers, found.poses, strict=True))
+        moved[drive] = by_number if found.stamps is None else found.trajectory()
     with WorldMap.open(url, "r+") as world, _progress() as show:
-        rebuild_world(world, {drive: placed}, workers=workers, scheduler=scheduler, progress=show)
+        rebuild_world(world, moved, workers=workers, scheduler=scheduler, progress=show)
         world.build_overviews()
         _print(world)
 

@@ -41,16 +41,24 @@ async function unpack(text) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
+// Promises the bytes of a tile; null where the page has none. Pages of maps that are served have a function of their own.
+const loadTile = window.loadTile || (key => { const place = $(key); return place && unpack(place.textContent); });
+
 // Returns the bytes of a tile, NOTHING where it holds none, undefined until they are unpacked.
 function tile(stored, level, row, column) {
   const key = `${stored}/${level}/${row}/${column}`, found = bytes.take(key);
   if (found !== undefined || loading.has(key) || loading.size >= 8) return found;
-  const place = $(key);
-  if (place === null) { bytes.put(key, NOTHING); return NOTHING; }
+  const coming = loadTile(key);
+  if (coming === null) { bytes.put(key, NOTHING); return NOTHING; }
   loading.add(key);
-  unpack(place.textContent).then(
-    got => { loading.delete(key); bytes.put(key, got); redraw(); },
-    error => { bytes.put(key, NOTHING); loading.delete(key); fail(`A tile of this page is damaged (${error.message}): make the page again.`); },
+  coming.then(
+    got => { loading.delete(key); bytes.put(key, got.length ? got : NOTHING); redraw(); },
+    error => {
+      bytes.put(key, NOTHING);
+      loading.delete(key);
+      fail(window.loadTile ? `A tile is not shown: ${error.message}` : `A tile of this page is damaged (${error.message}): make the page again.`);
+      redraw();
+    },
   );
   return undefined;
 }

@@ -1,7 +1,7 @@
 """World maps built from drives by any number of workers: frames to sub-maps, sub-maps to tiles."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -19,10 +19,12 @@ from ogm.world.drives import (
     begin_drive,
     drive_array,
     drive_names,
+    has_drive,
     load_drive,
-    remove_drive,
+    lost_tiles,
     save_drive,
     split_drive,
+    submap_key,
 )
 from ogm.world.integration import integrate_grid
 from ogm.world.layout import TileIndex
@@ -106,7 +108,10 @@ def build_world(
     store = _writable(world)
     pool = _Pool(workers, scheduler)
     planned = [_begin(store, split_drive(name, drives[name], repr(make_model), length)) for name in sorted(drives)]
-    make = _Make(store.url, store.storage, make_model)
+    for drive in planned:
+        for number in lost_tiles(store, drive):
+            drive.submaps[number] = replace(drive.submaps[number], tiles=None)
+    make = _Make(_Place.of(store), make_model)
     jobs = [
         _Job(drive.name, k, _part(drives[drive.name], one))
         for drive in planned
@@ -114,9 +119,9 @@ def build_world(
         if one.tiles is None
     ]
     by_name, skipped = {drive.name: drive for drive in planned}, 0
-    with _explained(store.url):
+    with pool.work_off(make, jobs, store.url) as results:
         progress(Progress("sub-maps", 0, len(jobs)))
-        for done, (n, made) in enumerate(pool.work_off(make, jobs), 1):
+        for done, (n, made) in enumerate(results, 1):
             drive, number = by_name[jobs[n].drive], jobs[n].number
             frames = drive.submaps[number].frames
             drive.submaps[number] = replace(drive.submaps[number], tiles=made.tiles, mapped=made.mapped)
@@ -144,7 +149,8 @@ def rebuild_world(
         Open for writing, built by `build_world`.
     trajectories : mapping of str to Trajectory, or to a mapping of int to (4, 4) array
         By name of the drive: poses ``T_map_sensor`` by stamp, or by frame number. Drives that are not named stay. None
-        makes tiles anew that are missing, or whose drive was removed.
+        reads all tiles, and makes those anew that are damaged; missing ones, and those of drives that were removed, are
+        made in any case.
     workers, scheduler, progress
         As for `build_world`.
 
@@ -160,7 +166,8 @@ def rebuild_world(
         moved.append(drive.along(poses) if isinstance(poses, Trajectory) else drive.by_number(poses))
     for drive in moved:
         save_drive(store, drive)
-    _render(store, _Pool(workers, scheduler), progress)
+    damaged = [] if trajectories else [index for index, _ in world.damage()]
+    _render(store, _Pool(workers, scheduler), progress, damaged)
 
 
 class _Pool(NamedTuple):
@@ -169,8 +176,38 @@ class _Pool(NamedTuple):
     workers: int
     scheduler: str | None
 
-    def work_off(self, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        return work_off(function, jobs, self.workers, self.scheduler)
+    @contextmanager
+    def work_off(
+        self, function: Callable[[Any], Any], jobs: Sequence[Any], url: str
+    ) -> Iterator[Iterator[tuple[int, Any]]]:
+        """Yield the results; in the end no worker of this machine writes."""
+        try:
+            working: Any = work_off(function, jobs, self.workers, self.scheduler)
+            with closing(working) as results:
+                yield results
+        except BaseException as error:
+            finish_zarr()
+            if type(error).__name__ not in _DIED:
+                raise
+            raise OSError(
+                f"workers died ({type(error).__name__}), as when memory runs out; finished sub-maps and tiles of "
+                f"{url} are complete: the same command goes on, perhaps with fewer workers"
+            ) from error
+
+
+class _Place(NamedTuple):
+    """Where workers find the map, and the token of its writer."""
+
+    url: str
+    storage: Mapping[str, str]
+    writer: str
+
+    @classmethod
+    def of(cls, store: TileStore) -> "_Place":
+        return cls(store.url, store.storage, store.writer)
+
+    def open(self) -> TileStore:
+        return TileStore.open(self.url, "r+", self.storage, self.writer)
 
 
 class _Job(NamedTuple):
@@ -191,11 +228,11 @@ class _Made(NamedTuple):
 class _Make:
     """The task that makes a sub-map."""
 
-    def __init__(self, url: str, storage: Mapping[str, str], make_model: MakeModel) -> None:
-        self.url, self.storage, self.make_model = url, storage, make_model
+    def __init__(self, place: _Place, make_model: MakeModel) -> None:
+        self.place, self.make_model = place, make_model
 
     def __call__(self, job: _Job) -> _Made:
-        store = TileStore.open(self.url, "r+", self.storage)
+        store = self.place.open()
         submap = _SubMapTiles(store, job.drive, job.number)
         cache, mapped = TileCache(submap, float("inf")), 0
         for frame, grid in map_scans(
@@ -234,35 +271,55 @@ class _SubMapTiles:
         i, k, j, m = self.layout.box_of(index)
         offset = self.layout.cells // 2
         with writing(self._store.url, f"tile {index} of sub-map {self._number} of drive {self._name}"):
+            self._store.check_writer()
             self._array[self._number, :, i + offset : k + offset, j + offset : m + offset] = tile
 
 
 class _RenderTile:
     """The task that makes a tile of the map from sub-maps."""
 
-    def __init__(self, url: str, storage: Mapping[str, str]) -> None:
-        self.url, self.storage = url, storage
+    def __init__(self, place: _Place) -> None:
+        self.place = place
 
     def __call__(self, job: tuple[TileIndex, list[Part]]) -> None:
-        store = TileStore.open(self.url, "r+", self.storage)
+        store = self.place.open()
         store.write_tile(job[0], render_tile(store, *job))
 
 
-def _render(store: TileStore, pool: _Pool, progress: Tell) -> None:
-    """Make the tiles whose parts have changed, or that are missing; remove those that have no part any more."""
+def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[TileIndex] = ()) -> None:
+    """Make the tiles whose parts have changed, or that are missing or damaged; remove those that have no part."""
     drives = [load_drive(store, name) for name in drive_names(store)]
     sources = {one.name: one.source for one in drives}
-    wanted, rendered, there = parts_of_tiles(store, drives), Rendered(store), set(store.tiles())
+    wanted, rendered = parts_of_tiles(store, drives), Rendered(store)
+    there = set(store.tiles())
+    sound = there.difference(damaged)
     for index in sorted(there - wanted.keys()):
         store.write_tile(index, store.layout.empty_tile())
         rendered.note(index, np.uint64(0))
     marks = {index: fingerprint(parts, sources) for index, parts in wanted.items()}
-    jobs = [(index, wanted[index]) for index in wanted if index not in there or rendered.mark(index) != marks[index]]
-    with _explained(store.url), rendered:
+    jobs = [(index, wanted[index]) for index in wanted if index not in sound or rendered.mark(index) != marks[index]]
+    _check_parts(store, drives, [part for _, parts in jobs for part in parts])
+    for index, _ in jobs:  # a tile that is written is that of its number, or has none
+        rendered.note(index, np.uint64(0))
+    rendered.write()
+    with rendered, pool.work_off(_RenderTile(_Place.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
-        for done, (n, _) in enumerate(pool.work_off(_RenderTile(store.url, store.storage), jobs), 1):
+        for done, (n, _) in enumerate(results, 1):
             rendered.note(jobs[n][0], marks[jobs[n][0]])
             progress(Progress("tiles", done, len(jobs)))
+
+
+def _check_parts(store: TileStore, drives: Iterable[Drive], parts: Iterable[Part]) -> None:
+    """Raise OgmError if tiles of sub-maps are needed that are not there: they would be taken for unseen."""
+    needed = {(part.drive, part.number, index) for part in parts for index in part.tiles}
+    for drive in drives:
+        lost = lost_tiles(store, drive)
+        missing = [(n, index) for n, tiles in lost.items() for index in tiles if (drive.name, n, index) in needed]
+        if missing:
+            raise OgmError(
+                f"{len(missing)} tiles of sub-maps of drive {drive.name} of {store.url} are lost, such as "
+                f"{submap_key(store, drive.name, *missing[0])}: `ogm world build` with that drive makes them anew"
+            )
 
 
 def _writable(world: WorldMap) -> TileStore:
@@ -280,37 +337,21 @@ def _writable(world: WorldMap) -> TileStore:
 
 
 def _begin(store: TileStore, drive: Drive) -> Drive:
-    """Return a drive as far as it is made; begin it if there is none."""
-    if drive.name not in drive_names(store):
+    """Return a drive as far as it is made; begin it if there is none, or if its description is lost."""
+    if not has_drive(store, drive.name):
         begin_drive(store, drive)
         return drive
     found = load_drive(store, drive.name)
     if found.source == drive.source:
         return found
     if not any(one.tiles is not None for one in found.submaps):
-        remove_drive(store, drive.name)
         begin_drive(store, drive)
         return drive
     raise OgmError(
         f"{store.url} has a drive {drive.name} that was made from other frames or poses, by another model or of "
-        "another length of sub-maps: remove it (ogm.world.remove_drive), or give the new one another name"
+        "another length of sub-maps: give the new one another name, or remove the old one's folder, or prefix"
     )
 
 
 def _part(frames: Sequence[Frame], submap: SubMap) -> Sequence[Frame]:
     return frames[slice(*submap.frames)]
-
-
-@contextmanager
-def _explained(url: str) -> Iterator[None]:
-    """Add to errors of dead workers what to do about them."""
-    try:
-        yield
-    except BaseException as error:
-        finish_zarr()
-        if type(error).__name__ not in _DIED:
-            raise
-        raise OSError(
-            f"workers died ({type(error).__name__}), as when memory runs out; finished sub-maps and tiles of {url} are "
-            "complete: the same command goes on, perhaps with fewer workers"
-        ) from error

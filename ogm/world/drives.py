@@ -2,7 +2,10 @@
 
 import hashlib
 import math
+import operator
+import shutil
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,16 +16,18 @@ from ogm.archive import attributes_checksum
 from ogm.files import OgmError
 from ogm.pose import Trajectory, check_pose
 from ogm.scan import Frame
-from ogm.world.layout import LAYERS, TileIndex
-from ogm.world.stores import reading, writing
-from ogm.world.tiles import TileStore, codecs
+from ogm.world.layout import LAYERS, TILES, TileIndex
+from ogm.world.packing import checked_array, codecs
+from ogm.world.stores import children, erase, is_remote, keys, local_path, read_object, reading, writing
+from ogm.world.tiles import TileStore
 
 __all__ = [
-    *("Drive", "SubMap", "begin_drive", "drive_array", "drive_names", "load_drive", "remove_drive", "save_drive"),
-    "split_drive",
+    *("Drive", "SubMap", "begin_drive", "drive_array", "drive_names", "has_drive", "load_drive", "lost_tiles"),
+    *("remove_drive", "save_drive", "split_drive", "submap_key"),
 ]
 
 _GROUP, _FORMAT = "drives", "ogm.drive/1"
+_MEND = "remove its folder, or prefix, and build it again"
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,32 +182,34 @@ def split_drive(name: str, frames: Sequence[Frame], model: str, length: float) -
 
 
 def drive_names(store: TileStore) -> list[str]:
-    """Return the names of the drives of a map, sorted."""
+    """Return the names of the drives of a map, sorted; also of those whose description is lost."""
     with reading(store.url):
-        return sorted(store.root[_GROUP]) if _GROUP in store.root else []
+        return [name for name in children(store.store, f"{store.prefix}{_GROUP}") if name != "zarr.json"]
+
+
+def has_drive(store: TileStore, name: str) -> bool:
+    """Return whether there is a drive of a name, with its description."""
+    with reading(store.url):
+        return read_object(store.store, f"{store.prefix}{_GROUP}/{name}/zarr.json") is not None
 
 
 def begin_drive(store: TileStore, drive: Drive) -> None:
     """Make the array of a drive: (sub-maps, layers, cells, cells), a shard per sub-map and tile."""
-    of_level = store.layout.array(0)
-    many = {
-        name: (first, *of_level[name]) for name, first in (("shape", len(drive.submaps)), ("shards", 1), ("chunks", 1))
-    }
     with writing(store.url, f"drive {drive.name} of {store.url}"):
+        store.check_writer()
         store.root.require_group(_GROUP).create_array(
             drive.name,
-            **many,
-            dtype=store.layout.dtype,
-            compressors=codecs(),
-            filters=None,
-            fill_value=0,
+            **_array(store, len(drive.submaps)),
+            **codecs(),
             attributes=_attributes(drive),
+            overwrite=True,  # a description that is lost left sub-maps
         )
 
 
 def save_drive(store: TileStore, drive: Drive) -> None:
     """Write what is known of a drive: anchors, and the sub-maps that are made, in one step."""
     with writing(store.url, f"drive {drive.name} of {store.url}"):
+        store.check_writer()
         drive_array(store, drive.name).attrs.put(_attributes(drive))
 
 
@@ -214,32 +221,66 @@ def load_drive(store: TileStore, name: str) -> Drive:
     OgmError
         If there is none of that name, or it is damaged.
     """
-    attributes = dict(drive_array(store, name).attrs)
+    array = drive_array(store, name)
+    attributes = dict(array.attrs)
     if attributes.get("sha256") != attributes_checksum(attributes):
-        raise OgmError(f"the attributes of drive {name} of {store.url} are damaged: restore zarr.json, or remove it")
+        raise OgmError(f"the attributes of drive {name} of {store.url} are damaged: {_MEND}")
     try:
         if attributes["format"] != _FORMAT:
             raise ValueError(f"it has the format {attributes['format']}")
-        return Drive(name, str(attributes["source"]), [_submap(one) for one in attributes["submaps"]])
-    except (ValueError, TypeError, KeyError) as error:
-        raise OgmError(f"drive {name} of {store.url} makes no sense ({error}): remove it and build again") from error
+        drive = Drive(name, str(attributes["source"]), [_submap(one, store) for one in attributes["submaps"]])
+        checked_array(array, **_array(store, len(drive.submaps)))
+        return drive
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise OgmError(f"drive {name} of {store.url} makes no sense ({error}): {_MEND}") from error
 
 
 def drive_array(store: TileStore, name: str) -> Any:
     """Return the Zarr array of a drive."""
-    with reading(f"drive {name} of {store.url}"):
-        try:
+    with reading(f"drive {name} of {store.url}", _MEND):
+        with suppress(KeyError):
             return store.root[f"{_GROUP}/{name}"]
-        except KeyError:
-            there = ", ".join(drive_names(store)) or "none"
-            raise OgmError(f"{store.url} has no drive {name!r}; there are: {there}") from None
+        names = drive_names(store)
+        if name in names:
+            raise OgmError(f"drive {name} of {store.url} has lost its zarr.json: {_MEND}")
+        raise OgmError(f"{store.url} has no drive {name!r}; there are: {', '.join(names) or 'none'}")
+
+
+def submap_key(store: TileStore, name: str, number: int, index: TileIndex) -> str:
+    """Return the key of the object that holds a tile of a sub-map."""
+    i, j = (one + TILES // 2 for one in index)
+    return f"{store.prefix}{_GROUP}/{name}/c/{number}/0/{i}/{j}"
+
+
+def lost_tiles(store: TileStore, drive: Drive) -> dict[int, list[TileIndex]]:
+    """Return the tiles of finished sub-maps that are not there, by number of the sub-map; the store is listed."""
+    with reading(store.url):
+        there = set(keys(store.store, f"{store.prefix}{_GROUP}/{drive.name}/c/"))
+    lost: dict[int, list[TileIndex]] = {}
+    for number, one in enumerate(drive.submaps):
+        for index in one.tiles or ():
+            if submap_key(store, drive.name, number, index) not in there:
+                lost.setdefault(number, []).append(index)
+    return lost
 
 
 def remove_drive(store: TileStore, name: str) -> None:
     """Remove a drive and its sub-maps; the tiles of the map follow when it is built, or rebuilt."""
-    drive_array(store, name)
+    if name not in drive_names(store):
+        drive_array(store, name)  # raises the error
     with writing(store.url, f"drive {name} of {store.url}"):
-        del store.root[_GROUP][name]
+        store.check_writer()
+        for key in keys(store.store, f"{store.prefix}{_GROUP}/{name}/"):  # zarr.json last: it can be removed again
+            erase(store.store, key)
+        if not is_remote(store.url):
+            shutil.rmtree(local_path(store.url) / _GROUP / name, ignore_errors=True)
+
+
+def _array(store: TileStore, count: int) -> dict[str, Any]:
+    """Return shape, shards, chunks and type of the array of a drive of so many sub-maps."""
+    of_level = store.layout.array(0)
+    first = {"shape": count, "shards": 1, "chunks": 1}
+    return {name: (first[name], *value) if name in first else value for name, value in of_level.items()}
 
 
 def _attributes(drive: Drive) -> dict[str, Any]:
@@ -259,8 +300,10 @@ def _attributes(drive: Drive) -> dict[str, Any]:
     return attributes | {"sha256": attributes_checksum(attributes)}
 
 
-def _submap(found: Mapping[str, Any]) -> SubMap:
+def _submap(found: Mapping[str, Any], store: TileStore) -> SubMap:
     made, now = (check_pose(np.reshape(found[name], (4, 4)), name) for name in ("made", "pose"))
-    tiles = None if found["tiles"] is None else tuple((int(i), int(j)) for i, j in found["tiles"])
+    tiles = None if found["tiles"] is None else tuple((operator.index(i), operator.index(j)) for i, j in found["tiles"])
+    for index in tiles or ():
+        store.layout.check_box(store.layout.box_of(index))
     first, last = found["frames"]
     return SubMap((first, last), found["anchor"], found["stamp"], made, now, tiles, found["mapped"])

@@ -11,8 +11,8 @@ from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.pose import check_pose
 from ogm.world.layout import LAYERS, Box, TileIndex, corners
+from ogm.world.packing import mass_of
 from ogm.world.stores import reading, size
-from ogm.world.tiles import mass_of
 
 __all__ = ["cells", "damage", "describe", "layers", "levels", "tile", "tiles", "window"]
 

@@ -9,7 +9,8 @@ from ogm.fusion.resample import coarsen
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.world.kernels import MASS_STEPS
 from ogm.world.layout import WorldLayout
-from ogm.world.tiles import TileStore, mass_of
+from ogm.world.packing import mass_of
+from ogm.world.tiles import TileStore
 
 __all__ = ["make_overviews"]
 
@@ -18,13 +19,12 @@ def make_overviews(store: TileStore) -> int:
     """Make all levels above 0 anew, tile by tile, until four tiles hold all; return the number of levels."""
     layout, level, tiles = store.layout, 0, store.tiles()
     n = layout.tile
-    for above in range(1, store.levels):
-        for index in store.tiles(above):
-            store.write_tile(index, layout.empty_tile(2), above)
+    for above in reversed(range(1, store.levels)):
+        store.remove_level(above)
     while level == 0 or (tiles and np.ptp(tiles, axis=0).max() > 1):
         level += 1
         there, tiles = set(tiles), sorted({(i >> 1, j >> 1) for i, j in tiles})
-        store.array(level, create=True)
+        store.make_level(level)
         for index in tiles:
             made = layout.empty_tile(2)
             for di, dj in ((0, 0), (0, 1), (1, 0), (1, 1)):

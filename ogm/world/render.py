@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.fusion.window import affine_between
-from ogm.world.drives import Drive, drive_array
+from ogm.world.drives import Drive, drive_array, submap_key
 from ogm.world.kernels import merge, moved
 from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, corners
+from ogm.world.packing import checked_layers
 from ogm.world.stores import reading
 from ogm.world.tiles import TileStore
 
@@ -107,8 +108,9 @@ class _Drives:
         i, k, j, m = store.layout.box_of(index)
         offset = store.layout.cells // 2
         what = f"tile {index} of sub-map {part.number} of drive {part.drive} of {store.url}"
-        with reading(what, "remove the drive and build it again"):
+        key = submap_key(store, part.drive, part.number, index)
+        with reading(what, f"remove {key}, and `ogm world build` with that drive makes it anew"):
             if part.drive not in self._arrays:
                 self._arrays[part.drive] = drive_array(store, part.drive)
             rows, columns = slice(i + offset, k + offset), slice(j + offset, m + offset)
-            return np.asarray(self._arrays[part.drive][part.number, :, rows, columns])
+            return checked_layers(np.asarray(self._arrays[part.drive][part.number, :, rows, columns]))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.world.layout import TILES, TileIndex
+from ogm.world.packing import checked_array
 from ogm.world.stores import reading, writing
 from ogm.world.tiles import TileStore
 
@@ -13,6 +14,7 @@ __all__ = ["Rendered"]
 
 _NAME, _SIDE = "rendered", 64  # [tiles] along a side of a chunk
 _OFTEN = 64  # tiles after which their numbers are written
+_MEND = f"remove {_NAME}/, and build again: all tiles are made anew"
 
 
 class Rendered:
@@ -25,20 +27,17 @@ class Rendered:
     def __init__(self, store: TileStore) -> None:
         from zarr.codecs import Crc32cCodec, ZstdCodec
 
-        self._store = store
-        with writing(store.url, f"the numbers of tiles of {store.url}"):
-            if _NAME in store.root:
-                self._array: Any = store.root[_NAME]
-            else:
-                self._array = store.root.create_array(
-                    _NAME,
-                    shape=(TILES, TILES),
-                    chunks=(_SIDE, _SIDE),
-                    dtype="uint64",
-                    compressors=[ZstdCodec(level=1), Crc32cCodec()],
-                    filters=None,
-                    fill_value=0,
-                )
+        self._store, what = store, f"the numbers of tiles of {store.url}"
+        wanted: dict[str, Any] = {"shape": (TILES, TILES), "chunks": (_SIDE, _SIDE), "dtype": "uint64"}
+        with reading(what, _MEND):
+            self._array: Any = store.root.get(_NAME, None)
+            if self._array is not None:
+                checked_array(self._array, "zstd", **wanted)
+        if self._array is None:
+            packed = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "filters": None, "fill_value": 0}
+            with writing(store.url, what):
+                store.check_writer()
+                self._array = store.root.create_array(_NAME, **wanted, **packed)
         self._chunks: dict[TileIndex, NDArray[np.uint64]] = {}
         self._noted: dict[TileIndex, int] = {}
 
@@ -60,6 +59,7 @@ class Rendered:
         """Write what was noted."""
         for i, j in self._noted:
             with writing(self._store.url, f"the numbers of tiles of {self._store.url}"):
+                self._store.check_writer()
                 self._array[i * _SIDE : (i + 1) * _SIDE, j * _SIDE : (j + 1) * _SIDE] = self._chunks[i, j]
         self._noted.clear()
 
@@ -74,6 +74,6 @@ class Rendered:
         where = i // _SIDE, j // _SIDE
         if where not in self._chunks:
             a, b = where[0] * _SIDE, where[1] * _SIDE
-            with reading(f"the numbers of tiles of {self._store.url}", f"remove {_NAME}/, and build again"):
+            with reading(f"the numbers of tiles of {self._store.url}", _MEND):
                 self._chunks[where] = np.asarray(self._array[a : a + _SIDE, b : b + _SIDE])
         return self._chunks[where], (i % _SIDE, j % _SIDE)

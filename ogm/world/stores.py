@@ -8,7 +8,10 @@ from typing import Any, Literal
 
 from ogm.files import OgmError, naming
 
-__all__ = ["Mode", "Url", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store", "reading"]
+__all__ = [
+    *("Mode", "Url", "children", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
+    *("read_object", "reading", "size", "writing"),
+]
 
 Url = str | os.PathLike[str]
 Mode = Literal["r", "r+"]
@@ -95,8 +98,10 @@ def reading(what: object, way: str = "restore it from a copy") -> Iterator[None]
     """Give errors of Zarr and of stores on reading the name of what is read; those of the system stay."""
     try:
         yield
-    except (OSError, OgmError, ImportError, MemoryError):
+    except (OSError, OgmError, ImportError):
         raise
+    except MemoryError as error:  # a made-up index or size, most likely
+        raise OgmError(f"{what} cannot be read: it states more bytes than there is memory for; {way}") from error
     except Exception as error:  # Zarr, its codecs, zip archives and obstore have many
         text = " ".join(str(error).split())[:300] or type(error).__name__
         raise OgmError(f"{what} cannot be read ({text}): {way}") from error
@@ -123,6 +128,25 @@ def keys(store: Any, prefix: str) -> list[str]:
         return [key async for key in store.list_prefix(prefix)]
 
     return sorted(key for key in sync(found()) if not key.endswith(".partial"))
+
+
+def children(store: Any, prefix: str) -> list[str]:
+    """Return the names directly below a prefix, sorted."""
+    from zarr.core.sync import sync
+
+    async def found() -> list[str]:
+        return [key async for key in store.list_dir(prefix)]
+
+    return sorted(key.rstrip("/") for key in sync(found()))
+
+
+def read_object(store: Any, key: str) -> bytes | None:
+    """Return the content of an object; None if there is none."""
+    from zarr.core.buffer import default_buffer_prototype
+    from zarr.core.sync import sync
+
+    found = sync(store.get(key, default_buffer_prototype()))
+    return None if found is None else bytes(found.to_bytes())
 
 
 def size(store: Any, prefix: str) -> int:

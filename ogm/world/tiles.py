@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 from ogm.archive import attributes_checksum
 from ogm.files import OgmError, update_hint
 from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout
+from ogm.world.packing import checked_array, checked_layers, codecs
 from ogm.world.stores import Mode, Url, erase, is_remote, keys, load_zarr, local_path, open_store, reading, writing
+from ogm.world.writer import WRITER, check_writer
 
-__all__ = ["FORMAT", "TileStore", "codecs", "mass_of"]
+__all__ = ["FORMAT", "TileStore"]
 
 FORMAT = "ogm.world/1"
-_LEVEL = 1  # of zstd: 3 packs 2 % better in twice the time
+_MEND = "`ogm world rebuild` makes it anew if the map is built from drives; else restore it from a copy"
 
 
 class TileStore:
@@ -29,12 +31,14 @@ class TileStore:
     url : str
     layout : WorldLayout
     crs : str or None
+    writer : str
+        Token of `ogm.world.writer.one_writer` that writing needs to be current; "" where nobody asks.
     """
 
     def __init__(
         self, url: Url, root: Any, attributes: Mapping[str, Any], storage: Mapping[str, str] | None = None
     ) -> None:
-        self.storage = dict(storage or {})
+        self.storage, self.writer = dict(storage or {}), ""
         self.url, self.root, self.store = str(url), root, root.store
         self.layout = WorldLayout(**{one.name: attributes[one.name] for one in fields(WorldLayout)})
         self.crs: str | None = attributes["crs"]
@@ -46,11 +50,10 @@ class TileStore:
     ) -> "TileStore":
         """Begin an empty map in a new or empty place; errors as those of `WorldMap.create`."""
         zarr, place = load_zarr(), open_store(url, "r+", storage)
-        if not is_remote(url) and local_path(url).is_dir() and any(local_path(url).iterdir()):
-            raise ValueError(f"{url} holds files already; give a new or empty folder, or WorldMap.open it")
         with reading(url):
-            if is_remote(url) and keys(place, ""):
-                raise OgmError(f"{url} holds objects already; give another prefix, or WorldMap.open it")
+            if set(keys(place, "")) - {WRITER}:
+                kind = "objects already; give another prefix" if is_remote(url) else "files already; give a new folder"
+                raise OgmError(f"{url} holds {kind}, or WorldMap.open it")
         attributes: dict[str, Any] = {
             "format": FORMAT,
             **asdict(layout),
@@ -61,14 +64,11 @@ class TileStore:
         }
         attributes["sha256"] = attributes_checksum(attributes)
         with writing(url, url):
-            root = zarr.open_group(place, mode="w", zarr_format=3)
-            store = cls(url, root, attributes, storage)
-            store._make(0)
-            root.attrs.put(attributes)  # last: until then it is no map
-        return store
+            root = zarr.create_group(place, zarr_format=3, attributes=attributes)  # one object: a map, or none
+            return cls(url, root, attributes, storage)
 
     @classmethod
-    def open(cls, url: Url, mode: Mode, storage: Mapping[str, str] | None = None) -> "TileStore":
+    def open(cls, url: Url, mode: Mode, storage: Mapping[str, str] | None = None, writer: str = "") -> "TileStore":
         """Open a map; errors as those of `WorldMap.open`."""
         zarr = load_zarr()
         place = open_store(url, mode, storage)
@@ -89,7 +89,9 @@ class TileStore:
         if attributes.get("sha256") != attributes_checksum(attributes):
             raise OgmError(f"the attributes of {url} are damaged (their SHA-256 differs): restore zarr.json")
         try:
-            return cls(url, root, attributes, storage)
+            opened = cls(url, root, attributes, storage)
+            opened.writer = writer
+            return opened
         except (ValueError, TypeError, KeyError) as error:
             raise OgmError(f"the attributes of {url} make no sense ({error}): restore zarr.json") from error
 
@@ -102,34 +104,49 @@ class TileStore:
                 count += 1
             return count
 
-    def _make(self, level: int) -> Any:
-        array = self.root.create_array(
-            str(level), **self.layout.array(level), compressors=codecs(), filters=None, fill_value=0
-        )
-        self._arrays[str(level)] = array
-        return array
-
-    def array(self, level: int, create: bool = False) -> Any:
-        """Return the Zarr array of a level."""
+    def array(self, level: int) -> Any:
+        """Return the Zarr array of a level; of a map that is open for writing, level 0 is made if it is not there."""
         name = str(level)
         if name not in self._arrays:
-            with reading(f"level {level} of {self.url}"):
+            with reading(f"level {level} of {self.url}", "restore its zarr.json from a copy"):
                 if name in self.root:
-                    self._arrays[name] = self.root[name]
-                elif create:
-                    return self._make(level)
+                    self._arrays[name] = checked_array(self.root[name], **self.layout.array(level))
+                elif level == 0 and not self.store.read_only:
+                    self.make_level(0)
+                elif level == 0:
+                    raise OgmError(f"{self.url} has no tiles, and not their array: open it for writing once")
                 else:
                     raise OgmError(
                         f"{self.url} has no level {level}: WorldMap.build_overviews makes levels, it has {self.levels}"
                     )
         return self._arrays[name]
 
+    def make_level(self, level: int) -> None:
+        """Make the Zarr array of a level, if it is not there."""
+        name = str(level)
+        if name not in self._arrays and (level == 0 or name not in self.root):
+            with writing(self.url, f"level {level} of {self.url}"):
+                self._arrays[name] = self.root.create_array(name, **self.layout.array(level), **codecs())
+
+    def remove_level(self, level: int) -> None:
+        """Remove a level of overviews, with its tiles."""
+        self._arrays.pop(str(level), None)
+        with writing(self.url, f"level {level} of {self.url}"):
+            self.check_writer()
+            for key in reversed(keys(self.store, f"{self.prefix}{level}/")):  # zarr.json last
+                erase(self.store, key)
+
+    def check_writer(self) -> None:
+        """Raise BlockingIOError if another process has become the writer of the map."""
+        if self.writer:
+            check_writer(self.url, self.store, self.writer)
+
     def read(self, box: Box, level: int = 0, layers: slice = slice(None)) -> NDArray[Any]:
         """Return the layers of some cells as they are stored, (L, nx, ny)."""
         array, offset = self.array(level), self.layout.cells >> (level + 1)
-        with reading(self._place(box, level), "restore that part from a copy, or build the map again"):
+        with reading(self._place(box, level), _MEND if level == 0 else "WorldMap.build_overviews makes it anew"):
             found = array[layers, box[0] + offset : box[1] + offset, box[2] + offset : box[3] + offset]
-        return np.asarray(found)
+            return checked_layers(np.asarray(found), layers)
 
     def read_tile(self, index: TileIndex, level: int = 0) -> NDArray[Any]:
         """Return a tile as it is stored, (L, tile, tile); zeros where there is none."""
@@ -137,9 +154,10 @@ class TileStore:
 
     def write_tile(self, index: TileIndex, tile: NDArray[Any], level: int = 0) -> None:
         """Write a tile in one step; one in which nothing was seen is removed."""
-        array, offset = self.array(level, create=True), self.layout.cells >> (level + 1)
+        array, offset = self.array(level), self.layout.cells >> (level + 1)
         i, k, j, n = self.layout.box_of(index)
         with writing(self.url, self._place((i, k, j, n), level)):
+            self.check_writer()
             if tile.any():
                 array[:, i + offset : k + offset, j + offset : n + offset] = tile
             else:
@@ -148,7 +166,7 @@ class TileStore:
     def tiles(self, level: int = 0) -> list[TileIndex]:
         """Return the tiles that there are, in order; the store is listed."""
         half = TILES >> (level + 1)
-        prefix = f"{self._prefix}{level}/c/0/"
+        prefix = f"{self.prefix}{level}/c/0/"
         with reading(self.url):
             found = [key.removeprefix(prefix).split("/") for key in keys(self.store, prefix)]
         return sorted((int(i) - half, int(j) - half) for i, j in found)
@@ -156,10 +174,11 @@ class TileStore:
     def key(self, index: TileIndex, level: int = 0) -> str:
         """Return the key of a tile's object."""
         half = TILES >> (level + 1)
-        return f"{self._prefix}{level}/c/0/{index[0] + half}/{index[1] + half}"
+        return f"{self.prefix}{level}/c/0/{index[0] + half}/{index[1] + half}"
 
     @property
-    def _prefix(self) -> str:
+    def prefix(self) -> str:
+        """What the keys of all its objects begin with."""
         return f"{self.root.path}/" if self.root.path else ""
 
     def _place(self, box: Box, level: int) -> str:
@@ -167,18 +186,3 @@ class TileStore:
         of_level = f" of level {level}" if level else ""
         several = f"tile {tiles[0]}" if len(tiles) == 1 else f"tiles {tiles[0]} to {tiles[-1]}"
         return f"{several}{of_level} of {self.url}"
-
-
-def codecs() -> list[Any]:
-    """Return what chunks are packed and checked by."""
-    from zarr.codecs import BloscCodec, Crc32cCodec
-
-    return [BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle"), Crc32cCodec()]
-
-
-def mass_of(stored: NDArray[Any], layout: WorldLayout) -> NDArray[np.float32]:
-    """Return stored masses (2, nx, ny) as masses (nx, ny, 2)."""
-    mass = np.empty((*stored.shape[1:], 2), np.float32)
-    np.multiply(stored[0], np.float32(layout.steps["mass"]), out=mass[..., 0])
-    np.multiply(stored[1], np.float32(layout.steps["mass"]), out=mass[..., 1])
-    return mass

@@ -1,15 +1,15 @@
 """Maps larger than memory: tiles in a folder, an archive or an object store, read and updated by window."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from typing import Any
 
 from numpy.typing import ArrayLike
 
 from ogm.files import OgmError
 from ogm.fusion.map_lock import MapLock, locked
 from ogm.grid import EvidentialGrid
-from ogm.locks import locked as locked_folder
 from ogm.world import map_reading
 from ogm.world.cache import TileCache
 from ogm.world.drives import drive_names
@@ -17,8 +17,9 @@ from ogm.world.integration import integrate_grid
 from ogm.world.kernels import merge
 from ogm.world.layout import WORLD_RULES, StoredType, WorldLayout, WorldRule
 from ogm.world.overviews import make_overviews
-from ogm.world.stores import Mode, Url, is_remote, is_zip, local_path
+from ogm.world.stores import Mode, Url, is_zip, local_path, open_store
 from ogm.world.tiles import TileStore
+from ogm.world.writer import one_writer
 
 __all__ = ["MEMORY", "WorldMap"]
 
@@ -50,20 +51,18 @@ class WorldMap:
     -----
     In uint16, masses are rounded to the nearest n / 4095 after every scan, so each scan adds an error of at most
     1 / 8190, and evidence weaker than that is lost; conflict is kept in steps of 1 / 255. Nothing is ever forgotten:
-    forgetting depends on the order of scans. One writer at a time: a local folder is locked, an object store is not.
+    forgetting depends on the order of scans. One writer at a time (`ogm.world.writer`).
     One thread may change the map while others read it.
     """
 
-    def __init__(self, tiles: TileStore, mode: Mode, memory: float, lock_folder: bool = True) -> None:
+    def __init__(self, tiles: TileStore, mode: Mode, memory: float, held: ExitStack | None = None) -> None:
         if not memory > 0:
             raise ValueError(f"memory must be above 0 bytes, got {memory}")
         self.store, self.mode, self.layout, self.crs = tiles, mode, tiles.layout, tiles.crs
         self._built: bool | None = None  # from drives; found out when it matters
         self.url, self.lock = tiles.url, MapLock()
         self._cache = TileCache(tiles, memory)
-        self._open = ExitStack()
-        if mode == "r+" and lock_folder and not is_remote(self.url):
-            self._open.enter_context(locked_folder(local_path(self.url)))
+        self._held = held or ExitStack()  # the right to write
 
     @classmethod
     def create(
@@ -109,10 +108,11 @@ class WorldMap:
         ImportError
             If zarr or obstore is missing.
         OSError
-            If the place cannot be written.
+            If the place cannot be written, or another process is writing there.
         """
         layout = WorldLayout(float(resolution), tile, dtype, rule, float(min_unknown))
-        return cls(TileStore.create(url, layout, crs, storage), "r+", memory)
+        place = open_store(url, "r+", storage)
+        return cls._writing(url, place, memory, lambda: TileStore.create(url, layout, crs, storage))
 
     @classmethod
     def open(
@@ -135,11 +135,23 @@ class WorldMap:
         OgmError
             If it is damaged, of another kind or version.
         BlockingIOError
-            If another process changes a map in a local folder.
+            If another process has the map open for writing. In an object store it takes a few seconds to find out
+            whether it lives, and half a minute after it was killed.
         """
         if mode not in ("r", "r+"):
             raise ValueError(f"mode must be r or r+, got {mode!r}")
-        return cls(TileStore.open(url, mode, storage), mode, memory)
+        tiles = TileStore.open(url, mode, storage)
+        return cls(tiles, mode, memory) if mode == "r" else cls._writing(url, tiles.store, memory, lambda: tiles)
+
+    @classmethod
+    def _writing(cls, url: Url, place: Any, memory: float, tiles: Callable[[], TileStore]) -> "WorldMap":
+        """Return a map that is open for writing, by this process alone."""
+        with ExitStack() as held:
+            writer = held.enter_context(one_writer(url, place))
+            opened = tiles()
+            opened.writer = writer
+            return cls(opened, "r+", memory, held.pop_all())
+        raise AssertionError
 
     window, layers, cells = map_reading.window, map_reading.layers, map_reading.cells
     tiles, tile, levels = map_reading.tiles, map_reading.tile, map_reading.levels
@@ -244,7 +256,7 @@ class WorldMap:
                 self.flush()
         finally:
             self._cache.clear()
-            self._open.close()
+            self._held.close()
             self.mode = "r"
 
     def copy_to(self, url: str | os.PathLike[str]) -> None:

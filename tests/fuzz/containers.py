@@ -14,6 +14,8 @@ import zlib
 from collections.abc import Callable
 from typing import Any
 
+import google_crc32c
+import numcodecs
 import numpy as np
 from records import COUNTS, Inner, change_bag, change_database, change_mcap
 
@@ -69,6 +71,38 @@ def change_npy(rng: random.Random, data: bytes, inner: Inner) -> bytes:
             shape = rng.choice(([], shape[::-1], [*shape, 1], [1, *shape], [1] * 40, [0, 2**62, 2**62], shape[:-1]))
     text = repr(head | {"shape": tuple(shape)}).encode() + b"\n"
     return data[:8] + (len(text) % 2**16).to_bytes(2, "little") + text + data[10 + size :]
+
+
+def change_shard(rng: random.Random, data: bytes, inner: Inner) -> bytes:
+    """Change a chunk of a shard of Zarr, packed or not, or where the index places it; the sums are right again."""
+    count = next((n for n in range(1, min(33, len(data) // 16)) if _sum(data[-16 * n - 4 : -4]) == data[-4:]), 0)
+    if not count:
+        raise ValueError("no shard")
+    index = list(struct.iter_unpack("<QQ", data[-16 * count - 4 : -4]))
+    chunks = [data[at : at + size - 4] if size < 2**32 else None for at, size in index]
+    k = rng.choice([n for n, chunk in enumerate(chunks) if chunk])
+    match rng.randrange(6):
+        case 0:
+            chunks[k] = rng.choice(chunks)
+        case 1:
+            chunks[k] = None
+        case 2 | 3:
+            codec = numcodecs.Blosc("zstd", 1, rng.choice((0, 1, 2)), typesize=rng.choice((1, 2, 4)))
+            chunks[k] = codec.encode(inner(rng, codec.decode(chunks[k])))
+        case _:
+            chunks[k] = inner(rng, chunks[k] or b"")
+    out, entries = b"", []
+    for chunk in chunks:
+        entries.append((len(out), len(chunk) + 4) if chunk is not None else (2**64 - 1, 2**64 - 1))
+        out += b"" if chunk is None else chunk + _sum(chunk)
+    if rng.random() < 0.15:
+        entries[k] = (rng.choice(COUNTS) % 2**64, rng.choice(COUNTS) % 2**64)
+    packed = b"".join(struct.pack("<QQ", *one) for one in entries)
+    return out + packed + _sum(packed)
+
+
+def _sum(data: bytes) -> bytes:
+    return struct.pack("<I", google_crc32c.value(data))
 
 
 def change_png(rng: random.Random, data: bytes, inner: Inner) -> bytes:
@@ -249,5 +283,6 @@ CHANGES: tuple[tuple[Callable[[str, bytes], bool], Callable[[random.Random, byte
     (lambda name, data: data[:8] == b"SQLite f" and len(data) >= 4096, change_database),
     (lambda name, data: data[:5] == b"\x89MCAP" and data[-8:] == data[:8], change_mcap),
     (lambda name, data: data[:13] == b"#ROSBAG V2.0\n", change_bag),
+    (lambda name, data: "/c/" in name, change_shard),
     (lambda name, data: name.endswith((".onnx", ".pb")), change_protobuf),
 )

@@ -12,6 +12,8 @@ from typing import Any
 
 import containers
 
+from ogm.archive import attributes_checksum
+
 __all__ = ["change"]
 
 INTEGERS = (
@@ -80,6 +82,8 @@ def change(rng: random.Random, name: str, data: bytes, pool: list[bytes]) -> byt
 
 def _by_format(rng: random.Random, name: str, data: bytes, again: containers.Inner) -> bytes:
     """Change a file by what it is made of; a ValueError if nothing of it is known."""
+    if name.endswith("zarr.json") and b'"sha256"' in data:
+        return change_attributes(rng, data)
     if name.endswith(".json"):
         return change_json(rng, data)
     if name.endswith(".safetensors"):
@@ -210,6 +214,18 @@ def change_json(rng: random.Random, data: bytes) -> bytes:
             case _:
                 holder[key] = json.loads(_dumped(rng.choice(VALUES)))
     return _dumped(value)
+
+
+def change_attributes(rng: random.Random, data: bytes) -> bytes:
+    """Change the description of a Zarr group or array; most often, the checksum of its attributes is right again."""
+    changed = change_json(rng, data)
+    with suppress(ValueError, AttributeError, RecursionError):
+        value = json.loads(changed)
+        attributes = value.get("attributes")
+        if isinstance(attributes, dict) and "sha256" in attributes and rng.random() < 0.8:
+            attributes["sha256"] = attributes_checksum(attributes)
+            return _dumped(value)
+    return changed
 
 
 def _dumped(value: Any) -> bytes:

@@ -36,8 +36,9 @@ def every_target() -> dict[str, Maker]:
     import seed_messages
     import seed_networks
     import seed_points
+    import seed_worlds
 
-    modules = (seed_points, seed_grids, seed_datasets, seed_logs, seed_messages, seed_networks)
+    modules = (seed_points, seed_grids, seed_datasets, seed_logs, seed_messages, seed_networks, seed_worlds)
     return {name: maker for module in modules for name, maker in module.TARGETS.items()}
 
 

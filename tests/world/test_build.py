@@ -55,9 +55,7 @@ def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
         for name in ("count", "last_seen"):
             np.testing.assert_array_equal(world.layers(AROUND)[name], plain.layers(AROUND)[name])
         np.testing.assert_allclose(world.window(AROUND).mass, plain.window(AROUND).mass, atol=1e-5)
-        assert [len(load_drive(world.store, name).submaps) for name in drive_names(world.store)] == [3, 5, 4][
-            :0
-        ] or True
+        assert all(load_drive(world.store, name).finished for name in drive_names(world.store))
 
 
 def test_drives_are_cut_by_their_length(tmp_path: Path) -> None:
@@ -264,6 +262,6 @@ def test_a_damaged_sub_map_is_named(tmp_path: Path) -> None:
             if file.is_file():
                 file.write_bytes(file.read_bytes()[:-30] + bytes(30))
         shutil.rmtree(tmp_path / "map" / "0" / "c")
-        with pytest.raises(OgmError, match="of sub-map .* of drive a .* remove the drive"):
+        with pytest.raises(OgmError, match="of sub-map .* of drive a .* remove drives/a/c/"):
             rebuild_world(world)
         assert index

@@ -1,0 +1,174 @@
+"""A world map as a page for the browser, whose tiles come from disk, or from the object store, when they are shown."""
+
+import re
+import threading
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.files import OgmError
+from ogm.overview import FULL, halve_mass, mass_to_bytes
+from ogm.plot import upright
+from ogm.view_layers import mass_layers
+from ogm.viewer import ROUGHEST, page_of_tiles
+from ogm.world.world_map import WorldMap
+
+__all__ = ["WorldPage", "serve_world"]
+
+_MOST = 2**25  # cells of the coarsest level, which is read at once
+_TILE = re.compile(r"/tiles/0/(\d{1,2})/(\d{1,8})/(\d{1,8})")
+
+
+class WorldPage:
+    """The page of a map and its tiles, as `ogm.viewer` has them: rows from the front, columns from the left.
+
+    Parameters
+    ----------
+    world : WorldMap
+    title : str
+        Of the page; by default the map's URL.
+
+    Raises
+    ------
+    ValueError
+        If the map is empty, or too large to be shown without overviews.
+    """
+
+    def __init__(self, world: WorldMap, title: str = "") -> None:
+        tiles = world.tiles()
+        if not tiles:
+            raise ValueError(f"{world.url} is empty")
+        self.world, self.title = world, title or world.url
+        n, unit = world.layout.tile, 2 ** (world.levels - 1)
+        low, high = np.min(tiles, axis=0) * n // unit, -(-(np.max(tiles, axis=0) + 1) * n // unit)  # coarsest cells
+        self.low, self.high = low.tolist(), high.tolist()
+        self.shape = tuple(int(one) * unit for one in high - low)
+        if np.prod(high - low) > _MOST:
+            raise ValueError(f"{world.url} has no overviews: WorldMap.build_overviews makes them")
+
+    @cached_property
+    def html(self) -> bytes:
+        """The page, without tiles."""
+        side = self.world.layout.resolution
+        unit = 2 ** (self.world.levels - 1)
+        means = self._rough[0].mean(axis=(0, 1)) / FULL
+        stored = {"names": ["free", "occupied"], "first": 0, "low": 0.0, "step": 1 / FULL, "means": means.tolist()}
+        return page_of_tiles(
+            title=self.title,
+            tile=self.world.layout.tile,
+            layers=mass_layers(0),
+            resolution=side,
+            shape=self.shape,
+            origin=tuple(one * unit * side for one in self.low),
+            stored=[stored],
+        )
+
+    def tile(self, level: int, row: int, column: int) -> bytes:
+        """Return a tile of the page: all free, then all occupied, in steps of 1/255, row by row; none of zeros.
+
+        Raises
+        ------
+        ValueError
+            If the page has no such tile.
+        OgmError
+            If it cannot be read.
+        """
+        n = self.world.layout.tile
+        shape = [-(-size // 2**level) for size in self.shape]
+        last = self.world.levels - 1 + len(self._rough) - 1
+        if level > last or row * n >= shape[0] or column * n >= shape[1]:
+            raise ValueError(f"there is no tile {row}, {column} of level {level}")
+        a, b, c, d = row * n, min((row + 1) * n, shape[0]), column * n, min((column + 1) * n, shape[1])
+        if level >= self.world.levels:
+            cells = self._rough[level - self.world.levels + 1][a:b, c:d]
+        else:
+            i, j = (one << self.world.levels - 1 - level for one in self.high)
+            spec = self.world.layout.spec((i - b, i - a, j - d, j - c), level)
+            cells = mass_to_bytes(upright(self.world.window(spec, level=level).mass))
+        return np.moveaxis(cells, -1, 0).tobytes() if cells.any() else b""
+
+    @cached_property
+    def _rough(self) -> list[NDArray[np.uint8]]:
+        """All cells of the coarsest level of the map, and of levels of half the resolution each for far views."""
+        (i, j), (k, m), level = self.low, self.high, self.world.levels - 1
+        grid = self.world.window(self.world.layout.spec((i, k, j, m), level), level=level)
+        levels = [mass_to_bytes(upright(grid.mass))]
+        while max(self.shape) > ROUGHEST * 2 ** (level + len(levels) - 1):
+            levels.append(halve_mass(levels[-1]))
+        return levels
+
+
+@contextmanager
+def serve_world(world: WorldMap, title: str = "", port: int = 0) -> Iterator[str]:
+    """Show a map to browsers of this machine for the time of the ``with`` block; yield the address of the page.
+
+    The page scrolls and zooms through a map of any size. It asks for the tiles on the screen, which are read from the
+    map then; what is written to the map meanwhile is seen when the page is loaded again.
+
+    Parameters
+    ----------
+    world : WorldMap
+        With overviews, unless it is small.
+    title : str
+    port : int
+        0 takes a free one.
+
+    Raises
+    ------
+    ValueError
+        As `WorldPage`.
+    OSError
+        If the port is taken.
+    """
+    page = WorldPage(world, title)
+
+    class Handler(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            host = self.headers.get("Host", "").rpartition(":")[0]
+            if host not in ("127.0.0.1", "localhost"):  # another site that has its name point here
+                self._answer(403, b"for this machine alone")
+            elif self.path == "/":
+                self._answer(200, page.html, "text/html; charset=utf-8")
+            elif found := _TILE.fullmatch(self.path):
+                self._tile(*map(int, found.groups()))
+            else:
+                self._answer(404, b"there is no such page")
+
+        def _tile(self, level: int, row: int, column: int) -> None:
+            try:
+                self._answer(200, zlib.compress(page.tile(level, row, column), 1), packed=True)
+            except OgmError as error:
+                self._answer(500, str(error).encode())
+            except ValueError as error:
+                self._answer(404, str(error).encode())
+
+        def _answer(self, status: int, body: bytes, kind: str = "", packed: bool = False) -> None:
+            self.send_response(status)
+            kind = kind or ("application/octet-stream" if packed else "text/plain; charset=utf-8")
+            headers = {"Content-Type": kind, "Content-Length": str(len(body)), "Cache-Control": "no-store"}
+            headers |= {"X-Content-Type-Options": "nosniff"} | ({"Content-Encoding": "deflate"} if packed else {})
+            for name, value in headers.items():
+                self.send_header(name, value)
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *given: Any) -> None:
+            """Print nothing."""
+
+    with ThreadingHTTPServer(("127.0.0.1", port), Handler) as server:
+        server.daemon_threads = True
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/"
+        finally:
+            server.shutdown()
+            thread.join()
