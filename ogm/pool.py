@@ -11,10 +11,11 @@ from contextlib import contextmanager
 from itertools import islice
 from typing import Any
 
-__all__ = ["TRIES", "Submit", "as_completed", "cluster", "processes", "work_off"]
+__all__ = ["TRIES", "Submit", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
 
 SCHEDULER_TIMEOUT = 20.0  # [s]
 TRIES = 3  # times that workers are started before their deaths are an error
+DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": "65536"}  # of processes on this machine
 
 Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
@@ -61,6 +62,20 @@ def work_off(
         except BrokenExecutor:
             if not again:
                 raise
+
+
+@contextmanager
+def deaths_explained(finished: str) -> Iterator[None]:
+    """Make errors of dead workers an OSError with the way out; `finished` is what they had finished, in words."""
+    try:
+        yield
+    except Exception as error:
+        if type(error).__name__ not in DIED:
+            raise
+        raise OSError(
+            f"workers died ({type(error).__name__}), as when memory runs out; {finished} that were finished are kept: "
+            "the same command goes on, perhaps with fewer --workers"
+        ) from error
 
 
 class _Numbered:

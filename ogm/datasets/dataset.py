@@ -140,7 +140,8 @@ class Dataset(Sequence[Frame]):
         return facts_html(f"Dataset {self.name}", self.describe())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopened, (self._options, self.layout.frames, self.facts, self._numbers, self.trajectory)
+        options = dict(self._options) | {"path": [Path(one).absolute() for one in self._options["path"]]}
+        return _reopened, (options, self.layout.frames, self.facts, self._numbers, self.trajectory)
 
     def select(self, numbers: Iterable[int]) -> "Dataset":
         """Return the data set of some frames, by their numbers in this one; they share what was read."""
