@@ -21,8 +21,9 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
-from ogm.deep.data import PLAIN, Batch, EpochSampler, PillarDataset, training_ranges
+from ogm.deep.data import PLAIN, Batch, PillarDataset, training_ranges
 from ogm.deep.network import NetworkConfig, PillarNetwork
+from ogm.deep.order import EpochSampler, ShardSampler
 from ogm.deep.recipe import LOSSES, Recipe, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
@@ -179,7 +180,10 @@ def run_training(
         As of `train`.
     """
     recipe, fabric, out = run.recipe, run.fabric, run.out
-    order = EpochSampler(len(frames), recipe.seed, fabric.global_rank, fabric.world_size)
+    place, shards = (recipe.seed, fabric.global_rank, fabric.world_size), getattr(frames, "shards", None)
+    order = EpochSampler(len(frames), *place)
+    if shards is not None:
+        order = ShardSampler(shards, *place, batch=recipe.batch)
     loader = _loader(frames, order, recipe.batch, workers, joined)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out) if fabric.is_global_zero else nullcontext():
@@ -281,7 +285,10 @@ def _loader(
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
     ahead: Any = 4 if workers else None
-    options = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": joined, "drop_last": True}
+    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": joined}
+    if workers and isinstance(order, ShardSampler):  # connections do not survive a fork
+        options |= {"multiprocessing_context": "spawn", "persistent_workers": True}
+    options["drop_last"] = True
     given: Any = frames
     return DataLoader(given, batch, sampler=order, **options)
 

@@ -167,5 +167,5 @@ def test_models_by_name_go_to_other_processes(name: str) -> None:
     again = pickle.loads(pickle.dumps([model, model]))
     assert again[0] is again[1]
     scan = Scan(np.random.default_rng(0).uniform(-8, 8, (50, 4)).astype(np.float32) * [1, 1, 0.1, 0])
-    frame = Frame(scan, Mount(1.6, pose(z=1.6)))
+    frame = Frame(scan, Mount(1.6, pose(z=1.6)), None, None)
     np.testing.assert_array_equal(run_model(again[0], frame).mass, run_model(model, frame).mass)
