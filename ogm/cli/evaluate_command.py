@@ -13,6 +13,7 @@ from rich.text import Text
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
 from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
 from ogm.locks import locked
+from ogm.remote import as_path
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -35,10 +36,11 @@ FEW = 6  # methods that have a column each
 
 
 Data = Annotated[
-    Path,
+    Any,
     typer.Argument(
+        parser=as_path,
         help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
-        "`ogm simulate` made, or a folder of truth grids.",
+        "`ogm simulate` made (also s3://bucket/data), or a folder of truth grids.",
         metavar="DATA",
     ),
 ]

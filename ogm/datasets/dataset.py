@@ -179,7 +179,7 @@ class Dataset(Sequence[Frame]):
 
     @property
     def shards(self) -> NDArray[np.int64] | None:
-        """Which frames lie together in an object store, where reading all that do costs little more than reading one."""
+        """Which frames lie together, where reading all that do costs little more than one: in object stores."""
         return None if self.layout.shards is None else self.layout.shards[list(self._numbers)]
 
     @property
@@ -339,7 +339,9 @@ def _layout(paths: Sequence[Path], options: Mapping[str, Any]) -> Layout | None:
     path, spec = paths[0], options["spec"]
     if remote := [one for one in paths if isinstance(one, ObjectPath)]:
         if len(paths) > 1 or not (path / "zarr.json").exists():
-            raise FileNotFoundError(f"{remote[0]} is no data set that `ogm simulate` made; others are no object stores'")
+            raise FileNotFoundError(
+                f"{remote[0]} is no data set that `ogm simulate` made; others are no object stores'"
+            )
         return simulated(path, options["split"], options["others"], options["sensors"])
     if len(paths) == 1 and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")

@@ -40,7 +40,9 @@ class _Place(NamedTuple):
     radar: int = -1  # of the data set's radars
 
 
-def simulated(path: Path | ObjectPath, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()) -> Layout:
+def simulated(
+    path: Path | ObjectPath, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()
+) -> Layout:
     """Return the finished samples of a split.
 
     Parameters

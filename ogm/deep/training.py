@@ -38,7 +38,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
 
-__all__ = ["ValidationScores", "check_recipe", "launch", "run_training", "train", "validate"]
+__all__ = ["ValidationScores", "check_recipe", "launch", "make_loader", "run_training", "train", "validate"]
 
 _SAVE_EVERY = 120.0  # [s]
 
@@ -184,7 +184,7 @@ def run_training(
     order = EpochSampler(len(frames), *place)
     if shards is not None:
         order = ShardSampler(shards, *place, batch=recipe.batch)
-    loader = _loader(frames, order, recipe.batch, workers, joined)
+    loader = make_loader(frames, order, recipe.batch, workers, joined)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out) if fabric.is_global_zero else nullcontext():
         _refuse_other_run(out, resume)
@@ -278,9 +278,10 @@ def _has_bfloat16() -> bool:
     return bool(asked and asked())
 
 
-def _loader(
+def make_loader(
     frames: Frames, order: EpochSampler, batch: int, workers: int | None, joined: Callable[[Sequence[Any]], Any]
 ) -> DataLoader[Any]:
+    """Return what loads batches in an order, by so many processes beside this one; None takes half the cores."""
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))

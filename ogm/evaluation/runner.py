@@ -19,6 +19,7 @@ from ogm.evaluation.tasks import Draw, FrameTask, Progress
 from ogm.grid import GridSpec
 from ogm.locks import locked
 from ogm.metrics import ConfusionSums
+from ogm.remote import ObjectPath
 from ogm.scan import Frame
 
 __all__ = ["REPORT_FILES", "evaluate", "package_versions"]
@@ -168,7 +169,7 @@ def _open_cache(out: Path, task: FrameTask, settings: Mapping[str, Any], stack: 
     """Open the folder of finished frames, with all that decides what they hold; it is locked until `stack` ends."""
     methods, spec, dataset = task.methods, task.spec, task.dataset
     grids = [path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()]
-    files = [*map(Path, getattr(dataset, "files", ())), *grids]
+    files = [Path(one) for one in (*getattr(dataset, "files", ()), *grids) if not isinstance(one, ObjectPath)]
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file, but the report is a folder")
     if out.resolve() in {(path if path.is_dir() else path.parent).resolve() for path in files}:

@@ -265,7 +265,7 @@ def open_array(path: Any, mode: str = "r") -> Any:
     zarr = load_zarr()
     try:
         if isinstance(path, ObjectPath):
-            return zarr.open_array(path.objects.zarr, path=path.key, mode=mode)
+            return zarr.open_array(path.objects.zarr, path=path.key, mode=mode, zarr_format=3)
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
         raise not_whole(f"{path} is missing") from error

@@ -21,12 +21,14 @@ S3 = Mapping[str, str]
 
 
 def sample(index: int, split: str) -> SimulatedSample:
-    rng = np.random.default_rng((index, len(split)))
+    rng, objects = np.random.default_rng((index, len(split))), np.zeros(2, OBJECT)
+    for name in ("length", "width", "height", "x"):
+        objects[name] = rng.uniform(1, 5, 2)
     arrays = {
         "steps": rng.integers(0, 5000, BEAMS.shape).astype(np.uint16),
         "intensities": rng.integers(0, 256, BEAMS.shape).astype(np.uint8),
         "truth": Truth(TRUTH_SPEC, rng.integers(0, 3, TRUTH_SPEC.shape).astype(np.uint8)),
-        "objects": np.zeros(2, OBJECT),
+        "objects": objects,
     }
     poses = {"T_world_sensor": np.eye(4), "T_vehicle_sensor": np.eye(4) + np.eye(4, k=3)[[2, 1, 0, 3]] * 1.8}
     rest = {"velocity": np.zeros(3), "yaw_rate": 0.0, "stamp": 0.1 * index, "scenario": index // 10}
@@ -38,7 +40,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A data set of which a shard in the middle is not made."""
     path = tmp_path_factory.mktemp("remote") / "data"
     store = Store.create(path, {"seed": 1}, {"training": 30, "sequences": 5}, [BEAMS], {"ogm": "0"})
-    for split, shard, numbers in (("training", 0, range(10)), ("training", 2, range(20, 30)), ("sequences", 0, range(5))):
+    for split, shard, numbers in (
+        ("training", 0, range(10)),
+        ("training", 2, range(20, 30)),
+        ("sequences", 0, range(5)),
+    ):
         store.write(split, shard, [sample(k, split) for k in numbers])
     return path
 

@@ -16,6 +16,7 @@ from ogm.fusion import FusedDrive, fuse_drives
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan
 
+
 def frame(name: str, k: int) -> Frame:
     return Frame(Scan(np.zeros((0, 4), np.float32)), Mount(1.0), None, None, pose(k), float(k), f"{name} {k}")
 

@@ -1,0 +1,172 @@
+"""How fast does a training read its samples from a folder and from an object store? Measured.
+
+    python benchmarks/data_store.py DATA [--samples N ...] [--seconds S]
+
+DATA is a data set that `ogm simulate` made. Its training samples are repeated, as files with checksums of their own, to
+N: the work of reading is that of N different samples. The object store is an S3 server (moto) on this machine, a
+process of its own that shares the processors. Writes benchmarks/results/data_store.json.
+"""
+
+import os
+
+os.environ["OGM_CORES"] = str(len(os.sched_getaffinity(0)))
+import _run as run  # first: it sets the number of threads
+
+# isort: split
+import argparse
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import obstore
+import torch
+
+from ogm.datasets import open_dataset
+from ogm.deep.data import Batch, PillarDataset
+from ogm.deep.order import EpochSampler, ShardSampler
+from ogm.deep.recipe import LITE_RECIPE
+from ogm.deep.training import make_loader
+from ogm.grid import GridSpec
+from ogm.remote import as_path, object_store
+from ogm.simulation.split import open_array, sample_checksums, shard_file
+from ogm.simulation.store import SHARD, Store
+
+SPEC = GridSpec.centered()
+KEYS = {"access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
+BATCH = 8
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--samples", type=int, nargs="+", default=[1000, 10_000])
+    parser.add_argument("--seconds", type=float, default=10.0, help="of each row, once it runs (10)")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "data_store.json")
+    options = parser.parse_args()
+    record: dict[str, Any] = run.environment() | {"cores": run.CORES, "batch": BATCH, "model": "ray masses of lite"}
+    with tempfile.TemporaryDirectory(dir=options.data.parent) as folder, s3_server() as storage:
+        rows = []
+        for count in options.samples:
+            path = Path(folder) / str(count)
+            repeat(options.data, path, count)
+            place = f"s3://samples/{count}"
+            size, seconds = upload(path, place, storage)
+            rows.append({"samples": count, "bytes": size, "upload_s": seconds, "source": len(finished(options.data))})
+            for where, given in (("folder", str(path)), ("s3", place)):
+                rows[-1] |= {f"{where}": measured(given, storage if where == "s3" else {}, count, options.seconds)}
+        record["sets"] = rows
+    run.write_json(options.out, record)
+
+
+def finished(path: Path) -> np.ndarray:
+    return Store.open(path)["training"].finished
+
+
+def repeat(source: Path, path: Path, count: int) -> None:
+    """Make a data set of the whole shards of another, again and again: links to its files, and new checksums."""
+    old = Store.open(source)
+    numbers = finished(source)
+    whole = [int(k) for k in np.unique(numbers // SHARD) if np.isin(range(k * SHARD, (k + 1) * SHARD), numbers).all()]
+    new = Store.create(path, old.plan, {"training": count}, old.beams, old.versions)
+    checked = old.contents.checked
+    arrays = {name: open_array(source / "training" / name) for name in checked}
+    samples = {k: {name: one[k * SHARD : (k + 1) * SHARD] for name, one in arrays.items()} for k in whole}
+    sums = open_array(path / "training" / "checksums", "r+")
+    for shard in range(count // SHARD):
+        at = whole[shard % len(whole)]
+        first = shard * SHARD
+        columns = [sample_checksums("training", first, samples[at][name]) for name in checked]
+        sums[first : first + SHARD] = np.stack(columns, axis=-1)
+        for name in checked:
+            link = shard_file(path / "training", name, shard)
+            link.parent.mkdir(parents=True, exist_ok=True)
+            os.link(shard_file(source / "training", name, at), link)
+    assert new.counts["training"] == count
+
+
+@contextmanager
+def s3_server() -> Iterator[dict[str, str]]:
+    """Start an S3 server in a process of its own, with a bucket."""
+    command = [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", "5617"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as server:
+        endpoint = "http://127.0.0.1:5617"
+        try:
+            for _ in range(600):
+                try:
+                    urllib.request.urlopen(urllib.request.Request(f"{endpoint}/samples", method="PUT"))
+                    break
+                except OSError:
+                    time.sleep(0.1)
+            yield KEYS | {"endpoint": endpoint}
+        finally:
+            server.kill()
+
+
+def upload(path: Path, url: str, storage: dict[str, str]) -> tuple[int, float]:
+    """Copy a data set; return its bytes and the seconds."""
+    store, start, size = object_store(url, storage), time.perf_counter(), 0
+    for file in path.rglob("*"):
+        if file.is_file():
+            data = file.read_bytes()
+            obstore.put(store, str(file.relative_to(path)), data)
+            size += len(data)
+    return size, time.perf_counter() - start
+
+
+def measured(place: str, storage: dict[str, str], count: int, seconds: float) -> dict[str, Any]:
+    """Return the rows of one place: orders, loading processes and ranks, each in a process of its own."""
+    rows: dict[str, Any] = {}
+    for order, loaders in (("shards", 0), ("all", 0), ("shards", 1), ("shards", 2)):
+        rows[f"{order}, {loaders} loading"] = in_process(place, storage, count, seconds, order, loaders)
+    return rows
+
+
+def in_process(place: str, storage: dict[str, str], *words: Any) -> dict[str, Any]:
+    command = [sys.executable, __file__, "--row", place, json.dumps(storage), *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return dict(json.loads(done.stdout.splitlines()[-1]))
+
+
+def row(place: str, storage: str, count: int, seconds: float, order: str, loaders: int) -> dict[str, Any]:
+    """Open a data set and take batches for some seconds; nothing is done with them."""
+    path = as_path(place, json.loads(storage))
+    start = time.perf_counter()
+    frames = open_dataset(path, split="training")
+    opening = time.perf_counter() - start
+    where = np.array(frames.facts["samples"]) // SHARD
+    sampler = ShardSampler(where, 1, batch=BATCH) if order == "shards" else EpochSampler(len(frames), 1)
+    recipe = LITE_RECIPE
+    dataset = PillarDataset(frames, SPEC, recipe.augmentation, recipe.network.z_range, rays=True)
+    dataset[0]  # compiles kernels
+    torch.set_num_threads(1)
+    batches = iter(make_loader(dataset, sampler, BATCH, loaders, Batch.joined))
+    next(batches)  # the loading processes have started
+    taken, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        taken += len(next(batches).numbers)
+    rate = taken / (time.perf_counter() - start)
+    found = {"samples_per_s": rate, "opening_s": opening, "samples": taken}
+    found["resident_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    if loaders == 0 and storage != "{}":
+        found |= {
+            "requests_per_sample": path.objects.requests / taken,
+            "mb_per_sample": path.objects.bytes / taken / 1e6,
+        }
+    return found
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--row"]:
+        place, storage, count, seconds, order, loaders = sys.argv[2:]
+        print(json.dumps(row(place, storage, int(count), float(seconds), order, int(loaders))))
+    else:
+        main()
