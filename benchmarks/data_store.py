@@ -21,7 +21,7 @@ import sys
 import tempfile
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ import torch
 from ogm.datasets import open_dataset
 from ogm.deep.data import Batch, PillarDataset
 from ogm.deep.order import EpochSampler, ShardSampler
-from ogm.deep.recipe import LITE_RECIPE
+from ogm.deep.recipe import LITE_RECIPE, mean_loss
 from ogm.deep.training import make_loader
 from ogm.grid import GridSpec
 from ogm.remote import as_path, object_store
@@ -127,7 +127,21 @@ def measured(place: str, storage: dict[str, str], count: int, seconds: float) ->
     rows: dict[str, Any] = {}
     for order, loaders in (("shards", 0), ("all", 0), ("shards", 1), ("shards", 2)):
         rows[f"{order}, {loaders} loading"] = in_process(place, storage, count, seconds, order, loaders)
+    rows["training"] = in_process(place, storage, count, 3 * seconds, "training", 1)
+    rows["two ranks"] = two_ranks(place, storage, count, seconds)
     return rows
+
+
+def two_ranks(place: str, storage: dict[str, str], count: int, seconds: float) -> list[float]:
+    """Return the samples/s of two training processes at the same time, each with one that loads."""
+    words = [place, json.dumps(storage), str(count), str(seconds)]
+    both = [
+        subprocess.Popen(
+            [sys.executable, __file__, "--row", *words, f"rank {rank} of 2", "1"], stdout=subprocess.PIPE, text=True
+        )
+        for rank in range(2)
+    ]
+    return [json.loads(one.communicate()[0].splitlines()[-1])["samples_per_s"] for one in both]
 
 
 def in_process(place: str, storage: dict[str, str], *words: Any) -> dict[str, Any]:
@@ -143,18 +157,27 @@ def row(place: str, storage: str, count: int, seconds: float, order: str, loader
     frames = open_dataset(path, split="training")
     opening = time.perf_counter() - start
     where = np.array(frames.facts["samples"]) // SHARD
-    sampler = ShardSampler(where, 1, batch=BATCH) if order == "shards" else EpochSampler(len(frames), 1)
+    rank = (int(order.split()[1]), 2) if order.startswith("rank") else (0, 1)
+    sampler = EpochSampler(len(frames), 1) if order == "all" else ShardSampler(where, 1, *rank, batch=BATCH)
     recipe = LITE_RECIPE
     dataset = PillarDataset(frames, SPEC, recipe.augmentation, recipe.network.z_range, rays=True)
     dataset[0]  # compiles kernels
     torch.set_num_threads(1)
     batches = iter(make_loader(dataset, sampler, BATCH, loaders, Batch.joined))
     next(batches)  # the loading processes have started
-    taken, start = 0, time.perf_counter()
+    step = training_step() if order == "training" else lambda batch: None
+    step(next(batches))
+    taken, waited, start = 0, 0.0, time.perf_counter()
     while time.perf_counter() - start < seconds:
-        taken += len(next(batches).numbers)
-    rate = taken / (time.perf_counter() - start)
-    found = {"samples_per_s": rate, "opening_s": opening, "samples": taken}
+        before = time.perf_counter()
+        batch = next(batches)
+        waited += time.perf_counter() - before
+        step(batch)
+        taken += len(batch.numbers)
+    rate, share = (value / (time.perf_counter() - start) for value in (taken, waited))
+    found = {"samples_per_s": rate, "waiting": share, "opening_s": opening, "samples": taken}
+    del batches  # ends the loading processes
+    found["loading_mb"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3 if loaders else 0.0
     found["resident_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     if loaders == 0 and storage != "{}":
         found |= {
@@ -162,6 +185,20 @@ def row(place: str, storage: str, count: int, seconds: float, order: str, loader
             "mb_per_sample": path.objects.bytes / taken / 1e6,
         }
     return found
+
+
+def training_step() -> Callable[[Batch], None]:
+    """Return what a training of `lite` on one core does with a batch."""
+    network = LITE_RECIPE.network.build(SPEC)
+    optimizer = torch.optim.AdamW(network.parameters())
+
+    def step(batch: Batch) -> None:
+        loss = mean_loss(network(batch.pillars), batch.state, LITE_RECIPE, 1.0)
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+
+    return step
 
 
 if __name__ == "__main__":

@@ -41,6 +41,11 @@ except ImportError as error:
 __all__ = ["ValidationScores", "check_recipe", "launch", "make_loader", "run_training", "train", "validate"]
 
 _SAVE_EVERY = 120.0  # [s]
+_PEER_ENDED = (
+    "Connection closed by peer",
+    "Connection reset by peer",
+    "ncclRemoteError",
+)  # in errors of torch.distributed
 
 
 class Frames(Protocol):
@@ -131,6 +136,8 @@ def train(
         If the memory does not suffice.
     BlockingIOError
         If another process trains in `out`.
+    OSError
+        If another process of the training ended; the state after the last step is saved.
     """
     check_recipe(validation, recipe, out, resume)
     network = recipe.network
@@ -199,6 +206,13 @@ def run_training(
                 if run.consistent:  # else the state that was saved before is the one to resume from
                     run.save()
                 raise
+            except RuntimeError as error:
+                if not any(text in str(error) for text in _PEER_ENDED):
+                    raise
+                if run.consistent:
+                    run.save()
+                text = f"another process of the training in {out} ended: start all again with --resume"
+                raise OSError(text) from error
     return out / "best.safetensors"
 
 

@@ -17,7 +17,7 @@ from ogm.scan import Frame
 
 __all__ = ["FusedDrive", "fuse_drives"]
 
-_FORMAT = "ogm.drive/1"
+_FORMAT = "ogm.fused/1"
 _NOTE = "drive.json"
 FuseDrive = Callable[[Sequence[Frame], Path], Mapping[str, Any]]
 

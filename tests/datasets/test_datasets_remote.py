@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ogm import remote
 from ogm.datasets import open_dataset
 from ogm.files import OgmError
 from ogm.remote import ObjectPath, as_path, object_store
@@ -60,6 +61,11 @@ def uploaded(folder: Path, s3: S3) -> S3:
     return s3
 
 
+@pytest.fixture(autouse=True)
+def nothing_in_memory() -> None:
+    remote._objects.cache_clear()
+
+
 @pytest.mark.parametrize("split", ["training", "sequences"])
 def test_frames_in_a_bucket_are_those_of_the_folder(folder: Path, uploaded: S3, split: str) -> None:
     here, there = open_dataset(folder, split=split), open_dataset(URL, storage=uploaded, split=split)
@@ -99,8 +105,6 @@ def test_a_shard_is_one_request_for_each_array(uploaded: S3) -> None:
 def test_what_was_read_is_forgotten_beyond_the_limit(uploaded: S3, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ogm.remote.CACHE", 1e4)
     place = as_path(URL, uploaded)
-    place.objects._kept.clear()
-    place.objects._size = 0
     split = Store.open(place)["training"]
     for k in (0, 20, 1, 21):
         split[k]

@@ -48,8 +48,9 @@ def test_two_nodes_learn_from_frames_of_their_own_and_resume(tmp_path: Path) -> 
         seen = [one for node in read for one in node[8 * epoch : 8 * epoch + 8]]
         assert len(set(seen)) == 16
         assert set(seen) <= set(range(18))
-    assert on_two_nodes(stopped, 12, 18 + 8 * 5 + 6) == [130, 130]  # within the sixth epoch, on both
+    assert on_two_nodes(stopped, 12, 18 + 8 * 5 + 6) == [1, -9]  # within the sixth epoch
     assert len(curve(stopped)) == 5
+    assert torch.load(stopped / "state.pt", weights_only=True)["step"] == 11  # the first has saved what was done
     assert on_two_nodes(stopped, 12) == [0, 0]
     states = [torch.load(one / "state.pt", weights_only=True) for one in (whole, stopped)]
     for name, value in states[0]["network"].items():

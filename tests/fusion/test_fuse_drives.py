@@ -73,7 +73,7 @@ def test_what_was_not_fused_here_is_not_touched(tmp_path: Path) -> None:
     (tmp_path / "b" / "drive.json").write_text("[1")
     with pytest.raises(OgmError, match="cannot be read"):
         fused(tmp_path)
-    (tmp_path / "b" / "drive.json").write_text(json.dumps({"format": "ogm.drive/9", "key": "", "facts": {}}))
+    (tmp_path / "b" / "drive.json").write_text(json.dumps({"format": "ogm.fused/9", "key": "", "facts": {}}))
     with pytest.raises(OgmError, match="other options"):
         fused(tmp_path)
     with pytest.raises(ValueError, match="becomes that of a folder"):
