@@ -127,6 +127,10 @@ def measured(place: str, storage: dict[str, str], count: int, seconds: float) ->
     rows: dict[str, Any] = {}
     for order, loaders in (("shards", 0), ("all", 0), ("shards", 1), ("shards", 2)):
         rows[f"{order}, {loaders} loading"] = in_process(place, storage, count, seconds, order, loaders)
+    if storage:
+        rows |= {
+            f"requests, {order}": in_process(place, storage, count, seconds, order, -1) for order in ("shards", "all")
+        }
     rows["training"] = in_process(place, storage, count, 3 * seconds, "training", 1)
     rows["two ranks"] = two_ranks(place, storage, count, seconds)
     return rows
@@ -161,6 +165,8 @@ def row(place: str, storage: str, count: int, seconds: float, order: str, loader
     sampler = EpochSampler(len(frames), 1) if order == "all" else ShardSampler(where, 1, *rank, batch=BATCH)
     recipe = LITE_RECIPE
     dataset = PillarDataset(frames, SPEC, recipe.augmentation, recipe.network.z_range, rays=True)
+    if loaders < 0:
+        return requests(path, [int(where[i]) for _, i in sampler], 640 if order == "shards" else 100, seconds)
     dataset[0]  # compiles kernels
     torch.set_num_threads(1)
     batches = iter(make_loader(dataset, sampler, BATCH, loaders, Batch.joined))
@@ -179,12 +185,22 @@ def row(place: str, storage: str, count: int, seconds: float, order: str, loader
     del batches  # ends the loading processes
     found["loading_mb"] = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e3 if loaders else 0.0
     found["resident_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-    if loaders == 0 and storage != "{}":
-        found |= {
-            "requests_per_sample": path.objects.requests / taken,
-            "mb_per_sample": path.objects.bytes / taken / 1e6,
-        }
     return found
+
+
+def requests(path: Any, shards: list[int], begun: int, seconds: float) -> dict[str, Any]:
+    """Return requests and bytes per sample when so many samples have been read, by reading the objects alone."""
+    names, part, objects = Store.open(path).contents.layout, path / "training", path.objects
+    before, start, taken = (0, 0), 0.0, 0
+    for k, shard in enumerate(shards):
+        if k == begun:
+            before, start = (objects.requests, objects.bytes), time.perf_counter()
+        if start and time.perf_counter() - start > seconds and taken >= 100:
+            break
+        path.fetch(shard_file(part, name, shard).key for name in names)
+        taken = k + 1 - begun
+    counts = (objects.requests - before[0]) / taken, (objects.bytes - before[1]) / taken / 1e6
+    return {"requests_per_sample": counts[0], "mb_per_sample": counts[1], "samples": taken}
 
 
 def training_step() -> Callable[[Batch], None]:

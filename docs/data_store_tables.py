@@ -28,24 +28,26 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
     lines.append(_row("training of `lite` on one core", *[f"{one['samples_per_s']:.1f}" for one in trained]))
     lines.append(_row("of its time it waits", *[f"{100 * one['waiting']:.0f} %" for one in trained]))
     small, large = sets[0], sets[-1]
-    few, one, many = (each["s3"][name] for each, name in ((small, "shards, 0 loading"), (large, "shards, 0 loading"),
-                                                          (large, "all, 0 loading")))  # fmt: skip
+    few, one = (each["s3"]["shards, 0 loading"] for each in (small, large))
+    read, many = (large["s3"][f"requests, {order}"] for order in ("shards", "all"))
     count, per_sample, opening = large["samples"], large["bytes"] / large["samples"], one["opening_s"]
-    requests, factor = one["requests_per_sample"], LARGE / large["samples"]
+    requests, factor = read["requests_per_sample"], LARGE / large["samples"]
+    source, kept = f"{large['source']} simulated samples", large["s3"]["shards, 1 loading"]["loading_mb"]
     facts = [
-        f"{large['source']} simulated samples, repeated with checksums of their own; {per_sample / 1e3:.0f} kB each. Each row "
-        f"takes batches of {record['batch']} for some seconds, with augmentation and the inputs of `lite`. The S3 server "
-        "(moto, in Python) and whatever else the machine did share its processors: the ratios of the rows tell more "
-        "than the rates.",
-        f"From S3, shard by shard: {requests:.2f} requests and {one['mb_per_sample']:.2f} MB a sample; all frames shuffled: "
-        f"{many['requests_per_sample']:.1f} requests and {many['mb_per_sample']:.2f} MB. A process that loads has "
-        f"{large['s3']['shards, 1 loading']['loading_mb']:.0f} MB, one that trains and loads {one['resident_mb']:.0f} MB "
-        f"({few['resident_mb']:.0f} MB with {small['samples']:,} samples). Opening takes {opening:.1f} s with {count:,} "
-        f"samples ({few['opening_s']:.1f} s with {small['samples']:,}): a request per shard.",
-        f"Extrapolated to {LARGE:,} samples, not measured: {LARGE * per_sample / 1e9:.1f} GB and {LARGE * requests:,.0f} "
-        f"requests per epoch, {opening * factor:.0f} s to open. This assumes that requests and bytes per sample stay, that "
-        "opening grows with the number of shards, and that the store answers as fast as this one. Where an answer takes 30 "
-        "ms, the seven requests of a shard at the same time cost 3 ms per sample and process, which more processes hide.",
+        f"{source}, repeated with checksums of their own; {per_sample / 1e3:.0f} kB each. Each row takes batches "
+        f"of {record['batch']} for some seconds, with augmentation and the inputs of `lite`. The S3 server (moto, "
+        "in Python) and whatever else the machine did share its processors: the ratios of the rows tell more than "
+        "the rates.",
+        f"From S3, shard by shard: {requests:.2f} requests and {read['mb_per_sample']:.2f} MB a sample; all frames "
+        f"shuffled: {many['requests_per_sample']:.1f} requests and {many['mb_per_sample']:.2f} MB. A process that "
+        f"loads has {kept:.0f} MB, one that trains and loads {one['resident_mb']:.0f} MB "
+        f"({few['resident_mb']:.0f} MB with {small['samples']:,} samples). Opening takes {opening:.1f} s with "
+        f"{count:,} samples ({few['opening_s']:.1f} s with {small['samples']:,}): a request per shard.",
+        f"Extrapolated to {LARGE:,} samples, not measured: {LARGE * per_sample / 1e9:.1f} GB and "
+        f"{LARGE * requests:,.0f} requests per epoch, {opening * factor:.0f} s to open. This assumes that requests "
+        "and bytes per sample stay, that opening grows with the number of shards, and that the store answers as "
+        "fast as this one. Where an answer takes 30 ms, the seven requests of a shard at the same time cost 3 ms "
+        "per sample and process, which more processes hide.",
     ]
     return ["\n".join(lines), *facts]
 

@@ -5,7 +5,7 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import islice
@@ -23,7 +23,7 @@ Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
 
 def work_off(
     function: Callable[[Any], Any], jobs: Sequence[Any], workers: int, scheduler: str | None = None
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Yield number and result of each job as it is done: here, by processes of this machine, or by a Dask cluster.
 
     When a worker dies, workers are started anew for the jobs that are not done.

@@ -177,7 +177,7 @@ def fuse(
 
     def opened(paths: list[Path]) -> "Dataset":
         split = "sequences" if (paths[0] / "zarr.json").exists() else None
-        return open_dataset(paths, sensors=sensor or (), split=split, **reading)  # type: ignore[arg-type]
+        return open_dataset(paths, sensors=sensor or (), split=split, **reading)
 
     if each_drive:
         _check_many(poses, sequence, given)

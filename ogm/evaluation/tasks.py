@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,7 +132,8 @@ class FrameTask:
         return list(parts.values())
 
 
-class _Packed(NamedTuple):
+@dataclass(frozen=True)
+class _Packed:
     """A task and its cache as bytes: a worker unpacks them once for all parts."""
 
     data: bytes

@@ -5,6 +5,7 @@ import json
 import os
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -102,7 +103,8 @@ class _Job(NamedTuple):
     frames: Sequence[Frame]
 
 
-class _Task(NamedTuple):
+@dataclass(frozen=True)
+class _Task:
     """What a worker does with a drive."""
 
     fuse_drive: FuseDrive

@@ -80,7 +80,12 @@ class Store:
         OgmError
             If the folder holds something else, or a data set of another version.
         """
-        path = as_path(path)
+        given: Any = as_path(path)
+        return cls._opened(given)
+
+    @classmethod
+    def _opened(cls, path: Any) -> "Store":
+        """Open a data set at a Path or an ObjectPath."""
         try:
             attributes = decode_json((path / "zarr.json").read_bytes(), path)["attributes"]
             found = attributes["format"]
