@@ -14,7 +14,7 @@ import _run as run  # first: it sets the number of threads
 
 # isort: split
 import argparse
-import json
+import multiprocessing
 import resource
 import subprocess
 import sys
@@ -52,30 +52,40 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0, help="of each row, once it runs (10)")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "data_store.json")
     options = parser.parse_args()
-    record: dict[str, Any] = run.environment() | {"cores": run.CORES, "batch": BATCH, "model": "ray masses of lite"}
+    record: dict[str, Any] = run.environment() | {"batch": BATCH}
     with tempfile.TemporaryDirectory(dir=options.data.parent) as folder, s3_server() as storage:
         rows = []
         for count in options.samples:
             path = Path(folder) / str(count)
-            repeat(options.data, path, count)
+            in_process(repeat, options.data, path, count)
             place = f"s3://samples/{count}"
-            size, seconds = upload(path, place, storage)
-            rows.append({"samples": count, "bytes": size, "upload_s": seconds, "source": len(finished(options.data))})
+            size, seconds = in_process(upload, path, place, storage)
+            rows.append(
+                {
+                    "samples": count,
+                    "bytes": size,
+                    "upload_s": seconds,
+                    "source": in_process(source_samples, options.data),
+                }
+            )
             for where, given in (("folder", str(path)), ("s3", place)):
                 rows[-1] |= {f"{where}": measured(given, storage if where == "s3" else {}, count, options.seconds)}
         record["sets"] = rows
     run.write_json(options.out, record)
 
 
-def finished(path: Path) -> np.ndarray:
-    return Store.open(path)["training"].finished
+def whole_shards(path: Path) -> list[int]:
+    numbers = Store.open(path)["training"].finished
+    return [int(k) for k in np.unique(numbers // SHARD) if np.isin(range(k * SHARD, (k + 1) * SHARD), numbers).all()]
+
+
+def source_samples(path: Path) -> int:
+    return len(whole_shards(path)) * SHARD
 
 
 def repeat(source: Path, path: Path, count: int) -> None:
     """Make a data set of the whole shards of another, again and again: links to its files, and new checksums."""
-    old = Store.open(source)
-    numbers = finished(source)
-    whole = [int(k) for k in np.unique(numbers // SHARD) if np.isin(range(k * SHARD, (k + 1) * SHARD), numbers).all()]
+    old, whole = Store.open(source), whole_shards(source)
     new = Store.create(path, old.plan, {"training": count}, old.beams, old.versions)
     checked = old.contents.checked
     arrays = {name: open_array(source / "training" / name) for name in checked}
@@ -126,37 +136,47 @@ def measured(place: str, storage: dict[str, str], count: int, seconds: float) ->
     """Return the rows of one place: orders, loading processes and ranks, each in a process of its own."""
     rows: dict[str, Any] = {}
     for order, loaders in (("shards", 0), ("all", 0), ("shards", 1), ("shards", 2)):
-        rows[f"{order}, {loaders} loading"] = in_process(place, storage, count, seconds, order, loaders)
+        rows[f"{order}, {loaders} loading"] = in_process(row, place, storage, count, seconds, order, loaders)
     if storage:
         rows |= {
-            f"requests, {order}": in_process(place, storage, count, seconds, order, -1) for order in ("shards", "all")
+            f"requests, {order}": in_process(row, place, storage, count, seconds, order, -1)
+            for order in ("shards", "all")
         }
-    rows["training"] = in_process(place, storage, count, 3 * seconds, "training", 1)
+    rows["training"] = in_process(row, place, storage, count, 3 * seconds, "training", 1)
     rows["two ranks"] = two_ranks(place, storage, count, seconds)
     return rows
 
 
-def two_ranks(place: str, storage: dict[str, str], count: int, seconds: float) -> list[float]:
+def two_ranks(*words: Any) -> list[float]:
     """Return the samples/s of two training processes at the same time, each with one that loads."""
-    words = [place, json.dumps(storage), str(count), str(seconds)]
-    both = [
-        subprocess.Popen(
-            [sys.executable, __file__, "--row", *words, f"rank {rank} of 2", "1"], stdout=subprocess.PIPE, text=True
-        )
-        for rank in range(2)
-    ]
-    return [json.loads(one.communicate()[0].splitlines()[-1])["samples_per_s"] for one in both]
+    both = [started(row, *words, f"rank {rank} of 2", 1) for rank in range(2)]
+    return [wait()["samples_per_s"] for wait in both]
 
 
-def in_process(place: str, storage: dict[str, str], *words: Any) -> dict[str, Any]:
-    command = [sys.executable, __file__, "--row", place, json.dumps(storage), *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return dict(json.loads(done.stdout.splitlines()[-1]))
+def in_process(function: Callable[..., Any], *words: Any) -> Any:
+    """Call a function in a process of its own, which has all modules but no connections, threads or data."""
+    return started(function, *words)()
 
 
-def row(place: str, storage: str, count: int, seconds: float, order: str, loaders: int) -> dict[str, Any]:
+def started(function: Callable[..., Any], *words: Any) -> Callable[[], Any]:
+    """Start a function in a process of its own; return what waits for its result."""
+    context = multiprocessing.get_context("fork")
+    here, there = context.Pipe()
+    process = context.Process(target=lambda: there.send(function(*words)))
+    process.start()
+    there.close()
+
+    def wait() -> Any:
+        result = here.recv()
+        process.join()
+        return result
+
+    return wait
+
+
+def row(place: str, storage: dict[str, str], count: int, seconds: float, order: str, loaders: int) -> dict[str, Any]:
     """Open a data set and take batches for some seconds; nothing is done with them."""
-    path = as_path(place, json.loads(storage))
+    path = as_path(place, storage)
     start = time.perf_counter()
     frames = open_dataset(path, split="training")
     opening = time.perf_counter() - start
@@ -218,8 +238,4 @@ def training_step() -> Callable[[Batch], None]:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--row"]:
-        place, storage, count, seconds, order, loaders = sys.argv[2:]
-        print(json.dumps(row(place, storage, int(count), float(seconds), order, int(loaders))))
-    else:
-        main()
+    main()

@@ -140,12 +140,12 @@ class ObjectPath:
         self.objects.read(list(keys))
 
     @property
-    def objects(self) -> "Objects":
+    def objects(self) -> "KeptObjects":
         """The objects below the URL, of this process."""
         return _objects(self.url, tuple(sorted(self.storage.items())), os.getpid())
 
 
-class Objects:
+class KeptObjects:
     """Objects of a place; the last ones that were read are kept, whole.
 
     Parameters
@@ -219,14 +219,14 @@ class Objects:
 
 
 @lru_cache(8)
-def _objects(url: str, storage: tuple[tuple[str, str], ...], process: int) -> Objects:
+def _objects(url: str, storage: tuple[tuple[str, str], ...], process: int) -> KeptObjects:
     """Return the objects of a place, once per process: a fork has no connections."""
-    return Objects(url, dict(storage))
+    return KeptObjects(url, dict(storage))
 
 
 @lru_cache(1)
 def _zarr_store() -> Any:
-    """Return the class of Zarr stores over `Objects`; Zarr is imported when it is needed."""
+    """Return the class of Zarr stores over `KeptObjects`; Zarr is imported when it is needed."""
     from zarr.abc.store import OffsetByteRequest, RangeByteRequest, Store, SuffixByteRequest
 
     class ObjectsStore(Store):
@@ -234,7 +234,7 @@ def _zarr_store() -> Any:
 
         supports_writes = supports_deletes = supports_listing = False
 
-        def __init__(self, objects: Objects) -> None:
+        def __init__(self, objects: KeptObjects) -> None:
             super().__init__(read_only=True)
             self.objects = objects
 

@@ -16,7 +16,7 @@ from ogm.cli.options import File
 from ogm.io.grids import MAP_ENDINGS, check_grid_output
 
 if TYPE_CHECKING:
-    from ogm.cli.fuse_drive import FuseInto
+    from ogm.cli.one_drive import FuseInto
     from ogm.datasets import Dataset
 
 ENDINGS = {  # of what each option writes
@@ -150,7 +150,7 @@ def fuse(
     command goes on after Ctrl-C or a kill, and adds the drives that are new. One map of many drives is made by `ogm
     world build`.
     """
-    from ogm.cli.fuse_drive import FuseInto, FuseOptions, Outputs, fuse_drive
+    from ogm.cli.one_drive import FuseInto, FuseOptions, Outputs, fuse_drive
     from ogm.cli.fuse_run import check_rule
     from ogm.datasets import open_dataset
     from ogm.evaluation.models import describe_model, sensor_models
