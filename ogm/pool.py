@@ -5,16 +5,17 @@ import multiprocessing.resource_tracker
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import islice
 from typing import Any
 
-__all__ = ["TRIES", "Submit", "as_completed", "cluster", "processes", "work_off"]
+__all__ = ["TRIES", "Submit", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
 
 SCHEDULER_TIMEOUT = 20.0  # [s]
 TRIES = 3  # times that workers are started before their deaths are an error
+DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
 ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": "65536"}  # of processes on this machine
 
 Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
@@ -22,7 +23,7 @@ Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
 
 def work_off(
     function: Callable[[Any], Any], jobs: Sequence[Any], workers: int, scheduler: str | None = None
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Yield number and result of each job as it is done: here, by processes of this machine, or by a Dask cluster.
 
     When a worker dies, workers are started anew for the jobs that are not done.
@@ -61,6 +62,20 @@ def work_off(
         except BrokenExecutor:
             if not again:
                 raise
+
+
+@contextmanager
+def deaths_explained(finished: str) -> Iterator[None]:
+    """Make errors of dead workers an OSError with the way out; `finished` is what they had finished, in words."""
+    try:
+        yield
+    except Exception as error:
+        if type(error).__name__ not in DIED:
+            raise
+        raise OSError(
+            f"workers died ({type(error).__name__}), as when memory runs out; {finished} that were finished are kept: "
+            "the same command goes on, perhaps with fewer --workers"
+        ) from error
 
 
 class _Numbered:

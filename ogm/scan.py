@@ -411,6 +411,8 @@ class InverseSensorModel(Protocol):
 class PerMount:
     """A sensor model for every mount, for pipelines over frames whose sensors are mounted differently.
 
+    It can be pickled, for other processes, if its functions can.
+
     Parameters
     ----------
     factory : function
@@ -430,6 +432,9 @@ class PerMount:
         self.radar: Callable[[Mount, str], InverseSensorModel] | None = None
         if radar is not None:
             self.radar = lru_cache(maxsize=16)(radar)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return PerMount, (self.factory, getattr(self.radar, "__wrapped__", None))
 
 
 SensorModels = InverseSensorModel | PerMount | Mapping[str, InverseSensorModel | PerMount]

@@ -511,7 +511,8 @@ def test_a_page_shows_the_map_and_its_conflict(scans: Path, poses: Path, tmp_pat
         assert ("free_to_occupied" in page.read_text()) == has_conflict
 
 
-def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(scans: Path, tmp_path: Path) -> None:
+@pytest.fixture
+def sequences(scans: Path, tmp_path: Path) -> Path:
     """Two sequences of KITTI odometry, the second with scans 5 to 8 of the drive."""
     for name, numbers in (("00", range(4)), ("07", range(4, 8))):
         folder = tmp_path / "sequences" / name
@@ -521,11 +522,54 @@ def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(
         kitti(folder / "poses.txt", POSES[list(numbers)], None)
         identity = " ".join(map(str, np.eye(4)[:3].ravel()))
         (folder / "calib.txt").write_text(f"P0: {identity}\nTr: {identity}\n")
+    return tmp_path
+
+
+def test_a_data_set_with_its_own_poses_needs_none_and_a_drive_is_picked_by_name(
+    sequences: Path, tmp_path: Path
+) -> None:
     saved = tmp_path / "p.csv"
     words = ("--out", tmp_path / "m.npz", "--save-poses", saved, *SMALL)
     for given, first in (((), 0), (("--sequence", "07"), 4), (("--sequence", 1), 4)):
-        result = ogm("fuse", tmp_path, *given, *words)
+        result = ogm("fuse", sequences, *given, *words)
         assert result.exit_code == 0, result.output
         assert "4 mapped, 0 skipped" in result.output
         assert ("drive: 00, the first of 2" in result.output) is (given == ())
         assert np.allclose(read_poses(saved).poses[0], POSES[first], atol=1e-6)
+
+
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_each_drive_has_the_files_that_it_has_alone(sequences: Path, tmp_path: Path, workers: int) -> None:
+    (sequences / "sequences" / "00" / "velodyne" / "000002.bin").write_bytes(b"damaged")
+    folder, alone = tmp_path / "maps", tmp_path / "alone"
+    words = ("--out", folder / "m.npz", "--picture", folder / "p.png", "--workers", workers, *SMALL)
+    for repeated in (False, True):
+        result = ogm("fuse", sequences, "--each-drive", *words)
+        assert result.exit_code == 2, result.output  # for the damaged scan
+        assert "000002 is skipped" in result.output
+        assert result.output.count("was finished before") == 2 * repeated
+    for name in ("00", "07"):
+        ogm("fuse", sequences, "--sequence", name, "--out", alone / "m.npz", "--picture", alone / "p.png", *SMALL)
+        (drive,) = [path for path in folder.iterdir() if path.name.endswith(f"-{name}")]
+        assert sorted(path.name for path in drive.iterdir()) == ["drive.json", "m.npz", "p.png"]
+        assert (drive / "p.png").read_bytes() == (alone / "p.png").read_bytes()
+        assert EvidentialGrid.load(drive / "m.npz") == EvidentialGrid.load(alone / "m.npz")
+    result = ogm("fuse", sequences, "--each-drive", *words, "--rule", "dempster")
+    assert "by other options" in result.output
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--workers", 2), "are for --each-drive"),
+        (("--each-drive", "--sequence", "00"), "are of one drive"),
+        (("--each-drive", "--out", "a/m.npz", "--picture", "b/p.png"), "lie in one folder, got a, b"),
+    ],
+)
+def test_options_of_many_drives_that_exclude_others(
+    scans: Path, tmp_path: Path, words: tuple[object, ...], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = ogm("fuse", scans, *words)
+    assert result.exit_code == 2
+    assert message in result.output

@@ -11,8 +11,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
-from ogm.cli.options import FixedFrame, FolderAxes, Sensor, Topic, TruthSources, parsed_axes
+from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
 from ogm.locks import locked
+from ogm.remote import as_path
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -35,10 +36,11 @@ FEW = 6  # methods that have a column each
 
 
 Data = Annotated[
-    Path,
+    Any,
     typer.Argument(
+        parser=as_path,
         help="A data set with truth: a recording (KITTI, SemanticKITTI, nuScenes, Argoverse 2, ...), what "
-        "`ogm simulate` made, or a folder of truth grids.",
+        "`ogm simulate` made (also s3://bucket/data), or a folder of truth grids.",
         metavar="DATA",
     ),
 ]
@@ -91,6 +93,8 @@ def evaluate(
     every: Annotated[int, typer.Option(help="Evaluate every N-th frame; maps fuse all.", metavar="N")] = 1,
     frames: Annotated[int, typer.Option(help="Frames with pictures in the report.")] = 100,
     seed: Annotated[int, typer.Option(help="Random seed of --samples.")] = 0,
+    workers: Workers = 1,
+    scheduler: Scheduler = None,
     out_folder: Annotated[
         Path, typer.Option("--out", help="Folder for report.html, report.json, frames.csv, metrics.png, frames.png.")
     ] = Path("report"),
@@ -105,7 +109,9 @@ def evaluate(
     The number after +- is half of the 95 % interval of the mean: over drives, or over parts of one long drive, as
     scans of a drive are alike. Fewer than four drives have none.
 
-    Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run.
+    Finished frames are kept in the folder frames of --out: repeat the command to resume an interrupted run, with any
+    number of --workers. They share out the frames, or with --fused the drives; those of --scheduler see DATA and --out
+    under the same paths.
     """
     from ogm.datasets import SOURCES, open_dataset
     from ogm.evaluation import evaluate as run_evaluation
@@ -145,6 +151,8 @@ def evaluate(
         spec,
         frames=numbers,
         out=out_folder,
+        workers=workers,
+        scheduler=scheduler,
         progress=lambda k: ticked(k, "evaluating (the first frame compiles kernels)"),
     )
     if result.reused:

@@ -1,20 +1,23 @@
 """``ogm fuse``: the scans of a drive to one map that remembers and forgets."""
 
 import tempfile
-from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
+from rich.progress import track
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import one_line, out, print_facts, report_errors
-from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
+from ogm.cli.console import one_line, out, print_facts, report_errors, stderr
+from ogm.cli.drive import add_drives, check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
-from ogm.io.grids import MAP_ENDINGS, GridLog, check_grid_output, write_grid
-from ogm.io.logs import LOG_ENDINGS
+from ogm.io.grids import MAP_ENDINGS, check_grid_output
+
+if TYPE_CHECKING:
+    from ogm.cli.one_drive import FuseInto
+    from ogm.datasets import Dataset
 
 ENDINGS = {  # of what each option writes
     "--out": MAP_ENDINGS,
@@ -78,6 +81,14 @@ Message = Annotated[
 ]
 Picture = Annotated[File, Option(help="Last scan: points, measurement, map, conflict (.png). [default: map.png]")]
 Page = Annotated[File, Option(help="Page for a browser: the map and its conflict, zoom, values of each cell (.html).")]
+EachDrive = Annotated[
+    bool,
+    Option(
+        "--each-drive",
+        help="Fuse every drive of every data set of SCANS; the outputs, all in one folder, go into one for each drive "
+        "there.",
+    ),
+]
 MovieFile = Annotated[File, Option(help="Film of the drive, at its own pace: .gif, .webp or .png (animated).")]
 
 
@@ -115,6 +126,9 @@ def fuse(
     picture: Picture = None,
     movie: MovieFile = None,
     page: Page = None,
+    each_drive: EachDrive = False,
+    workers: options.Workers = 1,
+    scheduler: options.Scheduler = None,
 ) -> None:
     """Fuse the scans of a drive into one map.
 
@@ -131,72 +145,91 @@ def fuse(
     A scan that is damaged, has no pose, or whose pose or stamp jumps is skipped with a message, and the exit code is 2.
     After three jumps in a row the map so far is saved as NAME.before-jump-1.npz and begins anew. Ctrl-C, or an error
     half-way through the mapping, writes what there is.
+
+    With --each-drive, a drive is the work of one of --workers. Its folder appears when all in it is written: the same
+    command goes on after Ctrl-C or a kill, and adds the drives that are new. One map of many drives is made by `ogm
+    world build`.
     """
-    from ogm.cli.fuse_run import FusionRun, check_rule
+    from ogm.cli.one_drive import FuseInto, FuseOptions, Outputs, fuse_drive
+    from ogm.cli.fuse_run import check_rule
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import sensor_models
-    from ogm.fusion import covering_window, make_mapper, rolling_window
-    from ogm.fusion import fuse as fused
+    from ogm.evaluation.models import describe_model, sensor_models
+    from ogm.fusion import make_mapper
     from ogm.grid import GridSpec
-    from ogm.movie import open_movie
-    from ogm.viewer import write_view
 
     if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
     check_pose_options(poses, calib, odometry, save_poses, first)
-    outputs = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses, "--page": page}
-    _prepare_outputs(outputs, scans)
+    given = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses, "--page": page}
+    _prepare_outputs(given, scans)
+    outputs = Outputs(*given.values())
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
-    model = sensor_models(ism, spec)
+    sensor_models(ism, spec)  # refuses what is none, before any work
     rule, count = check_rule(rule, dynamic, particles)
-    make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]  # refuses what is none, before any work
-    reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit}
-    split = "sequences" if (scans[0] / "zarr.json").exists() else None
-    placed = {
-        "sensor_height": sensor_height,
-        "sensor_position": sensor_position,
-        "topic": topic or (),
-        "frame": fixed_frame,
-        "sensors": sensor or (),
-    }
-    dataset = open_dataset(scans, **reading, **placed, split=split)  # type: ignore[arg-type]
-    dataset = pick_drive(dataset, sequence, sensor_height)
-    if deskew and not dataset.motion_distorted:
-        raise ValueError("leave out --deskew: the points of this data set are not (or not all) distorted by motion")
-    dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
-    known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
-    cells = rolling_window(spec) if window == "rolling" else covering_window(spec, np.array(known))
-    mapper = make_mapper(rule, cells, half_life, window, count)  # type: ignore[arg-type]
+    make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]
+    how = FuseOptions(
+        ism, spec, rule, half_life, window, count, deskew, radar_reliability, tuple(sensor or ()), message
+    )
+    reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit, "topic": topic or ()}
+    reading |= {"sensor_height": sensor_height, "sensor_position": sensor_position, "frame": fixed_frame}
 
-    base = out_path or picture or movie or page or Path("map.npz")
-    run = FusionRun(dataset, mapper, spec, (Path(ism).stem, rule), base)
-    times = (dataset.trajectory or True) if deskew else False
-    radars = dataset.facts.get("radars", {})
-    beside = "lidar" in (sensor or ()) and radars
-    reliability = {"": 1.0} | dict.fromkeys(radars, radar_reliability) if beside else 1.0
-    steps = fused(dataset, model, mapper, deskew=times, reliability=reliability, on_error=run.report)
-    titles = ("points by height", *run.titles)
-    is_log = out_path is not None and out_path.suffix.lower() in LOG_ENDINGS
-    log = GridLog(out_path, message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
-    with open_movie(movie, spec, titles, run.ground_z) if movie else nullcontext() as film, log as maps:
-        code = run.map_all(steps, film, maps)
-        if run.last is None:
-            raise (typer.Exit(code) if code == 130 else ValueError("no scan could be mapped; nothing is written"))
-        if out_path is not None and not is_log:
-            write_grid(out_path, run.placed)
-        if save_poses is not None:
-            run.save_poses(save_poses)
-        if picture is not None:
-            run.save_picture(picture)
-        if page is not None:
-            write_view(page, run.map, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
+    def opened(paths: list[Path]) -> "Dataset":
+        split = "sequences" if (paths[0] / "zarr.json").exists() else None
+        return open_dataset(paths, sensors=sensor or (), split=split, **reading)
+
+    if each_drive:
+        _check_many(poses, sequence, given)
+        drives: dict[str, Dataset] = {}
+        for path in scans:
+            add_drives(drives, path, opened([path]))
+        how = replace(how, odometry=odometry, rate=rate, first=first, weights=describe_model(ism)[1])
+        fuse_one = FuseInto(how, outputs.within(Path()))
+        raise typer.Exit(_fuse_each(drives, fuse_one, outputs.base.parent, workers, scheduler))
+    if workers > 1 or scheduler is not None:
+        raise ValueError("--workers and --scheduler are for --each-drive: the scans of one drive follow each other")
+    dataset = pick_drive(opened(scans), sequence, sensor_height)
+    dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
+    run, code = fuse_drive(dataset, how, outputs)
     print_facts(run.facts())
-    written = zip(("map", "picture", "movie", "poses", "page"), outputs.values(), strict=True)
+    written = zip(("map", "picture", "movie", "poses", "page"), given.values(), strict=True)
     out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)
     if code:
         raise typer.Exit(code)
+
+
+def _check_many(poses: Path | None, sequence: str | None, given: dict[str, Path | None]) -> None:
+    """Refuse options of one drive, and outputs in several folders."""
+    if poses is not None or sequence is not None:
+        raise ValueError("--poses and --sequence are of one drive: leave them out, or leave out --each-drive")
+    folders = sorted({str(path.parent) for path in given.values() if path})
+    if len(folders) > 1:
+        raise ValueError(f"with --each-drive all outputs lie in one folder, got {', '.join(folders)}")
+
+
+def _fuse_each(
+    drives: "dict[str, Dataset]", fuse_one: "FuseInto", folder: Path, workers: int, scheduler: str | None
+) -> int:
+    """Fuse drives into folders of their own, print what was done, and return the exit code."""
+    from ogm.fusion import fuse_drives
+
+    code, done, rows = 0, 0, dict[str, Any]()
+    made = fuse_drives(drives, fuse_one, folder, workers=workers, scheduler=scheduler)
+    try:
+        for one in track(made, "fusing drives", len(drives), console=stderr, transient=True):
+            done += not one.error
+            code = max(code, 2 if one.error else one.facts["code"])
+            for text in [one.error] if one.error else one.facts["messages"]:
+                stderr.print(f"ogm: {one.name}: {text}", markup=False)
+            rows[one.name] = "nothing is written" if one.error else f"{one.facts['scans']}, {one.facts['path']}"
+            rows[one.name] += ", was finished before" if one.reused else ""
+    except KeyboardInterrupt:
+        kept = f"{done} of {len(drives)} drives are finished and kept in {folder}"
+        raise KeyboardInterrupt(f"{kept}: repeat the command to go on") from None
+    print_facts({name: rows[name] for name in drives})
+    out.print(f"written {folder}", markup=False, soft_wrap=True)
+    return code
 
 
 def _prepare_outputs(wanted: dict[str, Path | None], inputs: list[Path]) -> None:

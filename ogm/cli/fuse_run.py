@@ -1,7 +1,7 @@
 """A run of ``ogm fuse``: what was mapped, and what of it is drawn, saved and printed."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
@@ -53,6 +53,8 @@ class FusionRun:
         Of sensor model and rule.
     base : Path
         The main output: maps before a restart are saved beside it.
+    tell : function, optional
+        Takes messages about scans. By default they are printed, and a progress bar is shown.
     """
 
     dataset: Dataset
@@ -60,6 +62,7 @@ class FusionRun:
     spec: GridSpec
     names: tuple[str, str]
     base: Path
+    tell: Callable[[str], object] | None = None
     last: FusionStep | None = None
     taken: list[int] = field(default_factory=list)  # numbers of the frames that were mapped
     failed: int = 0
@@ -87,7 +90,8 @@ class FusionRun:
 
     def map_all(self, steps: Iterator[FusionStep], film: Movie | None, maps: GridLog | None = None) -> int:
         """Map all scans; return the exit code: 0, 2 after skipped scans or an error, 130 after Ctrl-C."""
-        steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
+        if self.tell is None:
+            steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
         try:
             for k, step in enumerate(steps):
                 if step.grid is None:
@@ -110,13 +114,20 @@ class FusionRun:
 
     def stopped(self, why: str, code: int) -> int:
         """Print why the mapping ends early."""
-        stderr.print(f"ogm: {why} after {len(self.taken)} scans; what there is gets written", markup=False)
+        self.message(f"{why} after {len(self.taken)} scans; what there is gets written")
         return code
 
     def report(self, frame: Frame, error: Exception) -> None:
         """Print why a scan is skipped."""
         self.failed += 1
-        stderr.print(f"ogm: {frame.name} is skipped: {one_line(error)}", markup=False)
+        self.message(f"{frame.name} is skipped: {one_line(error)}")
+
+    def message(self, text: str) -> None:
+        """Print or pass on what happened."""
+        if self.tell is not None:
+            self.tell(text)
+        else:
+            stderr.print(f"ogm: {text}", markup=False)
 
     def note(self, k: int, step: FusionStep) -> None:
         """Take down what was mapped, and save the map that a restart would lose."""
@@ -126,7 +137,7 @@ class FusionRun:
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             step.previous_map.save(path)
             why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
-            stderr.print(f"ogm: {step.frame.name}: {why}", markup=False)
+            self.message(f"{step.frame.name}: {why}")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)

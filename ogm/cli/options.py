@@ -61,3 +61,5 @@ Sensor = Annotated[
 FixedFrame = Annotated[
     str | None, Option("--frame", help="Of a log: fixed frame of the poses. [default: map, odom, world or the root]")
 ]
+Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
+Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]

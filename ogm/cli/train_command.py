@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ogm.cli.console import out, print_facts, report_errors, stderr
+from ogm.remote import as_path
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -38,7 +39,15 @@ class LossName(StrEnum):
 
 @report_errors
 def train_command(
-    data: Annotated[Path, typer.Argument(help="Data set of `ogm simulate`, or a recording with truth.")],
+    data: Annotated[
+        Any,
+        typer.Argument(
+            parser=as_path,
+            help="Data set of `ogm simulate`, which may lie in an object store (s3://bucket/data), or a recording with "
+            "truth.",
+            metavar="DATA",
+        ),
+    ],
     model: Annotated[
         Preset,
         typer.Option(
@@ -47,8 +56,12 @@ def train_command(
         ),
     ] = Preset.lite,
     validation: Annotated[
-        Path | None,
-        typer.Option(help="Data set that the weights are chosen by. [default: the validation split of DATA]"),
+        Any,
+        typer.Option(
+            parser=as_path,
+            metavar="DATA",
+            help="Data set that the weights are chosen by. [default: the validation split of DATA]",
+        ),
     ] = None,
     out_folder: Annotated[Path | None, typer.Option("--out", help="The run's folder. [default: runs/MODEL]")] = None,
     initial: Annotated[
@@ -66,7 +79,7 @@ def train_command(
     resolution: Annotated[float, typer.Option(help="Side of a cell [m].")] = 0.16,
     accelerator: Annotated[str, typer.Option(help="cpu, cuda or auto.")] = "auto",
     devices: Annotated[int, typer.Option(help="Accelerators, or processes, per machine.")] = 1,
-    nodes: Annotated[int, typer.Option(help="Machines; start the command on each, as Lightning asks.")] = 1,
+    nodes: Annotated[int, typer.Option(help="Machines: start the command on each, see docs/cluster.md.")] = 1,
     precision: Annotated[
         str | None, typer.Option(help="32-true or bf16-mixed. [default: bf16-mixed where there is hardware for it]")
     ] = None,
@@ -77,7 +90,8 @@ def train_command(
     """Train a network on frames with truth.
 
     Writes best.safetensors and best.json (weights, recipe, provenance), log.csv, a picture per epoch, and state.pt
-    every two minutes, from which --resume goes on.
+    every two minutes, from which --resume goes on. Where an object store is and who may read it is taken from
+    AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
     """
     _need_torch()
     from ogm.deep.recipe import PRESETS
@@ -163,7 +177,7 @@ def _network(source: str | None) -> "PillarNetwork | None":
         return load_network(path)[0]
 
 
-def _open(path: Path, split: str) -> "Dataset":
+def _open(path: Any, split: str) -> "Dataset":
     """Open a split of a simulated data set, or a recording; warn where samples are missing."""
     from ogm.datasets import open_dataset
 

@@ -9,9 +9,10 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import out, print_facts, report_errors, stderr
+from ogm.cli.drive import add_drives
 
 if TYPE_CHECKING:
-    from ogm.scan import Frame
+    from ogm.datasets import Dataset
     from ogm.world import Progress as Event
     from ogm.world import WorldMap
 
@@ -30,8 +31,6 @@ Url = Annotated[
 ]
 DataSets = Annotated[list[Path], Argument(help="Data sets, logs, or folders of scans.", metavar="DATASETS")]
 OutUrl = Annotated[str, Option("--out", help="The map: a new folder, s3://bucket/prefix, or a map to add drives to.")]
-Workers = Annotated[int, Option(help="Processes of this machine.", min=1)]
-Scheduler = Annotated[str | None, Option(help="Use a Dask cluster instead: tcp://host:port.")]
 PosesOf = Annotated[
     list[Path] | None, Option(help="Poses of the sensor, of each data set in order: KITTI, TUM, .csv, .g2o.")
 ]
@@ -51,8 +50,8 @@ DriveName = Annotated[str | None, Option("--drive", help="Name of the drive; `og
 def build(
     datasets: DataSets,
     out_url: OutUrl,
-    workers: Workers = 1,
-    scheduler: Scheduler = None,
+    workers: options.Workers = 1,
+    scheduler: options.Scheduler = None,
     poses: PosesOf = None,
     calib: Calib = None,
     rate: Rate = 10.0,
@@ -83,10 +82,7 @@ def build(
     sensor_models(ism, spec)  # refuses what is none, before any work
     drives: dict[str, Any] = {}
     for n, path in enumerate(datasets):
-        found = _drives(path, axes, poses[n] if poses else None, calib, rate)
-        if twice := sorted(found.keys() & drives.keys()):
-            raise ValueError(f"two drives are named {twice[0]}, after their data sets: rename one of these")
-        drives |= found
+        add_drives(drives, path, _open(path, axes, poses[n] if poses else None, calib, rate))
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:
@@ -104,8 +100,8 @@ def rebuild(
     drive: DriveName = None,
     poses: Annotated[Path | None, Option(help="New poses of its sensor: .g2o, TUM, KITTI, .csv.")] = None,
     calib: Calib = None,
-    workers: Workers = 1,
-    scheduler: Scheduler = None,
+    workers: options.Workers = 1,
+    scheduler: options.Scheduler = None,
 ) -> None:
     """Move a drive to other poses, as after a loop closure, and make the tiles anew that this changes.
 
@@ -168,18 +164,13 @@ def export(
     out.print(f"written {path}", markup=False)
 
 
-def _drives(path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: float) -> "dict[str, list[Frame]]":
-    """Return the drives of a data set by name."""
+def _open(path: Path, axes: Any, poses: Path | None, calib: Path | None, rate: float) -> "Dataset":
+    """Return a data set with its poses."""
     from ogm.datasets import open_dataset, with_poses
 
     split = "sequences" if (path / "zarr.json").exists() else None
     dataset = open_dataset(path, axes=axes, split=split)
-    if poses is not None:
-        dataset = with_poses(dataset, poses, calib, rate)
-    name = path.resolve().name.split(".")[0]
-    parts = {f"{name}-{one}": dataset.select(numbers) for one, numbers in dataset.sequences.items()} or {name: dataset}
-    allowed = {key: "".join(c if c.isalnum() or c in "-_." else "-" for c in key) for key in parts}
-    return {allowed[key]: part for key, part in parts.items()}  # type: ignore[misc]
+    return dataset if poses is None else with_poses(dataset, poses, calib, rate)
 
 
 class _progress:  # noqa: N801  a context manager

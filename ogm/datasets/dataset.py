@@ -32,6 +32,7 @@ from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS
 from ogm.pose import Trajectory
+from ogm.remote import ObjectPath, as_path, is_remote
 from ogm.scan import Frame
 from ogm.state import Truth
 
@@ -95,7 +96,7 @@ class Dataset(Sequence[Frame]):
         numbers: Sequence[int] | None = None,
         trajectory: Trajectory | None = None,
     ) -> None:
-        path = Path(options["path"][0])
+        path = as_path(options["path"][0])
         self.layout, self._options, self.trajectory = layout, options, trajectory
         self.reader = FrameReader(layout, path, options["sensor_height"], options["sensor_position"])
         self._motion = MotionReader(self.reader)
@@ -140,7 +141,10 @@ class Dataset(Sequence[Frame]):
         return facts_html(f"Dataset {self.name}", self.describe())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _reopened, (self._options, self.layout.frames, self.facts, self._numbers, self.trajectory)
+        options = dict(self._options) | {"path": [as_path(one).absolute() for one in self._options["path"]]}
+        if self.layout.itself:
+            return Dataset, (self.layout, options, self._numbers, self.trajectory)
+        return _reopened, (options, self.layout.frames, self.facts, self._numbers, self.trajectory)
 
     def select(self, numbers: Iterable[int]) -> "Dataset":
         """Return the data set of some frames, by their numbers in this one; they share what was read."""
@@ -172,6 +176,11 @@ class Dataset(Sequence[Frame]):
         """Numbers of the frames that may have a truth: all but radar sweeps between a simulated lidar's turns."""
         known = self.layout.has_truth
         return [n for n, k in enumerate(self._numbers) if known is None or known(k)]
+
+    @property
+    def shards(self) -> NDArray[np.int64] | None:
+        """Which frames lie together, where reading all that do costs little more than one: in object stores."""
+        return None if self.layout.shards is None else self.layout.shards[list(self._numbers)]
 
     @property
     def sequences(self) -> dict[str, list[int]]:
@@ -209,8 +218,9 @@ class Dataset(Sequence[Frame]):
 
 
 def open_dataset(
-    path: str | Path | Sequence[str | Path],
+    path: str | Path | ObjectPath | Sequence[str | Path],
     *,
+    storage: Mapping[str, str] | None = None,
     axes: Axes = "flu",
     intensity_max: float | None = None,
     time_unit: float | None = None,
@@ -234,7 +244,10 @@ def open_dataset(
         SUSTechPOINTS, a sequence of RadarScenes or several, labelled range images, what ``ogm simulate`` made, or a
         folder of truth grids. What lies in it decides. A log of ROS 1 or ROS 2 (.bag, .db3, .mcap, or a folder of its
         parts) is one drive: the scans of `topic`, in the order of their headers' stamps, with poses by the transforms
-        or the odometry in it. A capture of a Velodyne (.pcap) is one drive without poses.
+        or the odometry in it. A capture of a Velodyne (.pcap) is one drive without poses. What ``ogm simulate`` made
+        may also lie in an object store, ``s3://bucket/prefix``.
+    storage : mapping of str to str, optional
+        Of a data set in an object store: where that is and who may read, see `ogm.remote.as_path`.
     axes, intensity_max, time_unit
         Of files of scans, as for `ogm.io.read_scan`; those of data sets are known.
     sensor_height : float, optional
@@ -279,9 +292,11 @@ def open_dataset(
         If it is no known data set, lacks what `truth` or `split` ask for, a part of it is damaged or missing, or an
         option does not belong to it.
     """
-    given = [path] if isinstance(path, str | Path) else list(path)
+    given: list[Any] = [path] if isinstance(path, str | Path | ObjectPath) else list(path)
     if not given:
         raise ValueError("there is no path to open: give files of scans, or a folder")
+    if storage or any(is_remote(one) for one in given):
+        given = [as_path(one, storage) for one in given]
     options = {
         "path": given,
         "reading": {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit},
@@ -297,7 +312,7 @@ def _opened(options: Mapping[str, Any]) -> Layout:
     """Return the layout of a data set by the options of `open_dataset`."""
     if options["others"] not in _OTHERS:
         raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {options['others']!r}")
-    paths, reading = [Path(one) for one in options["path"]], options["reading"]
+    paths, reading = [as_path(one) for one in options["path"]], options["reading"]
     path, layout = paths[0], _layout(paths, options)
     if layout is None:
         grids = "it holds grids: give spec, their cells, to open them"
@@ -322,6 +337,12 @@ def _opened(options: Mapping[str, Any]) -> Layout:
 def _layout(paths: Sequence[Path], options: Mapping[str, Any]) -> Layout | None:
     """Return what the first layout that knows the paths makes of them."""
     path, spec = paths[0], options["spec"]
+    if remote := [one for one in paths if isinstance(one, ObjectPath)]:
+        if len(paths) > 1 or not (path / "zarr.json").exists():
+            raise FileNotFoundError(
+                f"{remote[0]} is no data set that `ogm simulate` made; others are no object stores'"
+            )
+        return simulated(path, options["split"], options["others"], options["sensors"])
     if len(paths) == 1 and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
     if len(paths) == 1 and (path / "zarr.json").exists():

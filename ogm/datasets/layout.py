@@ -112,6 +112,10 @@ class Layout:
         What else there is to know, as JSON can hold it.
     files : tuple of Path
         Files and folders that it is read from; its path where empty.
+    shards : (len(frames),) int array, optional
+        Which frames lie together, where reading all that do costs little more than reading one: in object stores.
+    itself : bool
+        Whether it can be pickled, so that other processes need not open the path again.
     """
 
     format: str
@@ -138,6 +142,8 @@ class Layout:
     name: str = ""
     facts: Mapping[str, Any] = field(default_factory=dict)
     files: tuple[Path, ...] = ()
+    shards: NDArray[np.int64] | None = None
+    itself: bool = False
 
 
 def kinds_of(labelled: LabelledPoints) -> NDArray[np.uint8]:

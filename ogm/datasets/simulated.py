@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 from ogm.datasets.layout import EGO, FrameRef, Layout, RawFrame
 from ogm.files import OgmError
 from ogm.pose import inverse, pose
+from ogm.remote import ObjectPath
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.radars import RADARS
 from ogm.simulation.sample import LABELS, SimulatedSample
-from ogm.simulation.store import FACTS, Store
+from ogm.simulation.store import FACTS, SHARD, Store
 from ogm.state import CellState, Truth
 from ogm.truth import ignore_cells
 
@@ -39,12 +40,14 @@ class _Place(NamedTuple):
     radar: int = -1  # of the data set's radars
 
 
-def simulated(path: Path, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()) -> Layout:
+def simulated(
+    path: Path | ObjectPath, split: str | None = None, others: str = "all", sensors: Sequence[str] = ()
+) -> Layout:
     """Return the finished samples of a split.
 
     Parameters
     ----------
-    path : Path
+    path : Path or ObjectPath
         Of the data set, see `Store.open`.
     split : str, optional
         "training" or "train", "validation" or "val", "test", "sequences"; by default the first of validation,
@@ -66,16 +69,12 @@ def simulated(path: Path, split: str | None = None, others: str = "all", sensors
     name = next((one for one in (*_SPLITS, *found) if len(found.get(one, ()))), None)
     if name is None:
         raise OgmError(_no_sample(store, wanted))
-    made = _Frames(store, name, found[name], sensors)
+    made = _Frames(store, name, found[name], sensors, others == "later")
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
     if others == "later":
         description += " Maps may know such cells from other frames: they are left out."
-
-    def truth(k: int) -> Truth:
-        one = made.truth(k)
-        return one if others == "all" else ignore_cells(one, one.state == CellState.UNKNOWN)
-
+    remote = isinstance(path, ObjectPath)
     return Layout(
         "simulated data set",
         tuple(made.refs),
@@ -83,21 +82,26 @@ def simulated(path: Path, split: str | None = None, others: str = "all", sensors
         boxes=made.boxes,
         ego_footprint=None,
         mount=made.mount,
-        truth=truth,
+        truth=made.truth,
         has_truth=made.has_truth,
         description=description,
         stamped=made.drive,
         motion_distorted=store.plan.get("in_motion", 0.0) == 1.0,
-        name=f"{path.name or path.resolve().name}, {name}",
+        name=f"{path.name or path.absolute().name}, {name}",
         facts={"split": name, "plan": store.plan, "versions": store.versions} | made.facts,
-        files=(path / "zarr.json", path / name),
+        files=() if remote else (path / "zarr.json", path / name),  # type: ignore[arg-type]
+        shards=made.shards if remote else None,
+        itself=True,
     )
 
 
 class _Frames:
-    """The frames of a split: scans of its samples' lidars, and sweeps of radars."""
+    """The frames of a split: scans of its samples' lidars, and sweeps of radars. They go to other processes as such."""
 
-    def __init__(self, store: Store, name: str, numbers: NDArray[np.int64], sensors: Sequence[str]) -> None:
+    def __init__(
+        self, store: Store, name: str, numbers: NDArray[np.int64], sensors: Sequence[str], unknown_ignored: bool
+    ) -> None:
+        self.unknown_ignored = unknown_ignored
         self.part, self.numbers, self.radars, self.drive = store[name], numbers, store.radars, name == "sequences"
         facts = self.part.facts[numbers]
         poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
@@ -132,8 +136,23 @@ class _Frames:
             "towns": count_towns(store.plan, name, scenarios),
             "radars": {self.radars[k].name: self.radars[k].radar for k in chosen},
         }
-        self._sample = lru_cache(2)(lambda k: self.part[int(numbers[k])])
-        self._sweeps = lru_cache(2)(lambda k: self.part.sweeps(int(numbers[k])))
+        self._keep_last()
+
+    def _keep_last(self) -> None:
+        self._sample = lru_cache(2)(lambda k: self.part[int(self.numbers[k])])
+        self._sweeps = lru_cache(2)(lambda k: self.part.sweeps(int(self.numbers[k])))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name not in ("_sample", "_sweeps")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._keep_last()
+
+    @property
+    def shards(self) -> NDArray[np.int64]:
+        """The shard that each frame lies in."""
+        return self.numbers[[place.sample for place in self.places]] // SHARD
 
     def read(self, k: int) -> RawFrame:
         """Return a scan."""
@@ -163,7 +182,8 @@ class _Frames:
         """Return the truth around the lidar, or raise OgmError for a sweep at another time."""
         if not self.has_truth(k):
             raise OgmError(f"{self.refs[k].name} lies between the lidar's turns, whose truth is known: there is none")
-        return self._sample(self.places[k].sample).truth
+        one = self._sample(self.places[k].sample).truth
+        return ignore_cells(one, one.state == CellState.UNKNOWN) if self.unknown_ignored else one
 
     def boxes(self, k: int) -> Boxes:
         """Return the objects in the frame of the sensor, at the time of the lidar's scan."""

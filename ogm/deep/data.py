@@ -4,14 +4,14 @@ The augmentation of a frame follows from the seed, the epoch and the frame's num
 resumed, or that runs on more processes, sees the same.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.utils.data import Dataset, Sampler
+from torch.utils.data import Dataset
 
 from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, ray_masses, to_ground_frame
 from ogm.grid import GridSpec
@@ -19,7 +19,7 @@ from ogm.jit import kernel
 from ogm.scan import Frame, Scan
 from ogm.state import CellState
 
-__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "EpochSampler", "PillarDataset", "augment", "training_ranges"]
+__all__ = ["PLAIN", "ROTATION", "Augmentation", "Batch", "PillarDataset", "augment", "training_ranges"]
 
 
 @dataclass(frozen=True)
@@ -131,6 +131,11 @@ class PillarDataset(Dataset[Batch]):
     def __len__(self) -> int:
         return len(self.frames)
 
+    @property
+    def shards(self) -> NDArray[np.int64] | None:
+        """Which frames lie together, if their data set knows."""
+        return getattr(self.frames, "shards", None)
+
     def __getitem__(self, key: "int | tuple[int, int]") -> Batch:
         """Return frame i, as augmented in an epoch if the key is (epoch, i)."""
         epoch, i = key if isinstance(key, tuple) else (0, key)
@@ -154,7 +159,7 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
     ----------
     dataset : PillarDataset
     count : int
-        Frames that are read at most, evenly spread.
+        Frames that are read at most, evenly spread; of data sets in object stores, evenly spread shards of frames.
 
     Returns
     -------
@@ -162,8 +167,13 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
         ``height``: of the sensor above ground [m]. ``points``: in a scan. ``intensity``: a scan's mean on the grid, of
         98 % of the scans, widened by two standard deviations of the augmentation's factor.
     """
-    rows = []
-    for i in np.unique(np.linspace(0, len(dataset) - 1, count).astype(int)).tolist():
+    rows, shards = [], dataset.shards
+    chosen = np.linspace(0, len(dataset) - 1, count).astype(int)
+    if shards is not None:
+        every = np.unique(shards)
+        several = max(1, len(every) * count // len(dataset))
+        chosen = np.flatnonzero(np.isin(shards, every[np.linspace(0, len(every) - 1, several).astype(int)]))[:count]
+    for i in np.unique(chosen).tolist():
         frame = dataset.frames[i]
         (batch,) = PillarDataset([frame], dataset.spec, PLAIN, dataset.z_range)
         intensity = batch.pillars.features[:, 3]
@@ -173,29 +183,6 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
     low[2], high[2] = np.quantile(np.array(rows)[:, 2], (0.01, 0.99)).tolist()
     factor = float(np.exp(2 * dataset.augmentation.gain))
     return {"height": (low[0], high[0]), "points": (low[1], high[1]), "intensity": (low[2] / factor, high[2] * factor)}
-
-
-class EpochSampler(Sampler[tuple[int, int]]):
-    """The order of an epoch: every frame once, the share of this process, from a position on."""
-
-    count: int
-    seed: int
-    rank: int
-    processes: int
-    epoch: int
-    skip: int
-
-    def __init__(self, count: int, seed: int, rank: int = 0, processes: int = 1) -> None:
-        self.count, self.seed, self.rank, self.processes = count, seed, rank, processes
-        self.epoch, self.skip = 0, 0
-
-    def __len__(self) -> int:
-        return self.count // self.processes - self.skip
-
-    def __iter__(self) -> Iterator[tuple[int, int]]:
-        order = np.random.default_rng((self.seed, self.epoch)).permutation(self.count)
-        order = order[: self.count // self.processes * self.processes][self.rank :: self.processes]
-        return iter([(self.epoch, int(i)) for i in order[self.skip :]])
 
 
 def augment(

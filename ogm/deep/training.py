@@ -21,8 +21,9 @@ from torch import nn
 from torch.utils.data import DataLoader
 
 from ogm.deep import losses
-from ogm.deep.data import PLAIN, Batch, EpochSampler, PillarDataset, training_ranges
+from ogm.deep.data import PLAIN, Batch, PillarDataset, training_ranges
 from ogm.deep.network import NetworkConfig, PillarNetwork
+from ogm.deep.order import EpochSampler, ShardSampler
 from ogm.deep.recipe import LOSSES, Recipe, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
@@ -37,9 +38,14 @@ try:
 except ImportError as error:
     raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
 
-__all__ = ["ValidationScores", "check_recipe", "launch", "run_training", "train", "validate"]
+__all__ = ["ValidationScores", "check_recipe", "launch", "make_loader", "run_training", "train", "validate"]
 
 _SAVE_EVERY = 120.0  # [s]
+_PEER_ENDED = (
+    "Connection closed by peer",
+    "Connection reset by peer",
+    "ncclRemoteError",
+)  # in errors of torch.distributed
 
 
 class Frames(Protocol):
@@ -130,6 +136,8 @@ def train(
         If the memory does not suffice.
     BlockingIOError
         If another process trains in `out`.
+    OSError
+        If another process of the training ended; the state after the last step is saved.
     """
     check_recipe(validation, recipe, out, resume)
     network = recipe.network
@@ -179,8 +187,11 @@ def run_training(
         As of `train`.
     """
     recipe, fabric, out = run.recipe, run.fabric, run.out
-    order = EpochSampler(len(frames), recipe.seed, fabric.global_rank, fabric.world_size)
-    loader = _loader(frames, order, recipe.batch, workers, joined)
+    place, shards = (recipe.seed, fabric.global_rank, fabric.world_size), getattr(frames, "shards", None)
+    order = EpochSampler(len(frames), *place)
+    if shards is not None:
+        order = ShardSampler(shards, *place, batch=recipe.batch)
+    loader = make_loader(frames, order, recipe.batch, workers, joined)
     out.mkdir(parents=True, exist_ok=True)
     with locked(out) if fabric.is_global_zero else nullcontext():
         _refuse_other_run(out, resume)
@@ -195,6 +206,13 @@ def run_training(
                 if run.consistent:  # else the state that was saved before is the one to resume from
                     run.save()
                 raise
+            except RuntimeError as error:
+                if not any(text in str(error) for text in _PEER_ENDED):
+                    raise
+                if run.consistent:
+                    run.save()
+                text = f"another process of the training in {out} ended: start all again with --resume"
+                raise OSError(text) from error
     return out / "best.safetensors"
 
 
@@ -274,14 +292,18 @@ def _has_bfloat16() -> bool:
     return bool(asked and asked())
 
 
-def _loader(
+def make_loader(
     frames: Frames, order: EpochSampler, batch: int, workers: int | None, joined: Callable[[Sequence[Any]], Any]
 ) -> DataLoader[Any]:
+    """Return what loads batches in an order, by so many processes beside this one; None takes half the cores."""
     if workers is None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
         workers = min(12, max(1, cores // 2))
     ahead: Any = 4 if workers else None
-    options = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": joined, "drop_last": True}
+    options: dict[str, Any] = {"num_workers": workers, "prefetch_factor": ahead, "collate_fn": joined}
+    if workers and isinstance(order, ShardSampler):  # connections do not survive a fork
+        options |= {"multiprocessing_context": "spawn", "persistent_workers": True}
+    options["drop_last"] = True
     given: Any = frames
     return DataLoader(given, batch, sampler=order, **options)
 

@@ -99,14 +99,19 @@ class ResultCache:
         self.note(finished=False)
 
     def missing(self, numbers: Iterable[int]) -> list[int]:
-        """Return those of some frames that are not finished, or whose files are damaged."""
+        """Return those of some frames that are not finished, or whose files are damaged; damaged files are removed."""
         found = []
         for number in numbers:
             try:
                 self.load(number)
             except _UNREADABLE:
+                self._path(number).unlink(missing_ok=True)
                 found.append(number)
         return found
+
+    def count(self, numbers: Iterable[int]) -> int:
+        """Return how many of some frames are finished, once `missing` has removed what is damaged."""
+        return sum(self._path(number).exists() for number in numbers)
 
     def load(self, frame: int) -> FrameResult:
         """Return a finished frame; raise one of many errors if its file is missing or damaged, see `missing`."""

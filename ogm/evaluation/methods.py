@@ -5,6 +5,7 @@ import logging
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -104,7 +105,7 @@ class FusedMethod:
             memory = np.min(mapper.half_life)
             detail = "no decay" if np.isinf(memory) else f"half-life {memory:g} s"
         description = f"The scans of {name} fused over time by {kind}, {detail}."
-        return cls(model, lambda: make_mapper(rule, window), description)
+        return cls(model, partial(make_mapper, rule, window), description)
 
     def check(self, name: str, frames: Sequence[Frame]) -> None:
         """Refuse frames that a map cannot fuse; `name` is that of the method."""
@@ -171,7 +172,7 @@ class PrecomputedGrids:
         """
         if not folder.is_dir():
             raise FileNotFoundError(f"there is no folder {folder}; precomputed grids come in a folder")
-        files = grid_files(folder)
+        files = grid_files(folder.absolute())  # for other processes
         if not files:
             raise ValueError(f"{folder} holds no grids (.npz, .npy, .png); see `ogm map --out FOLDER`")
         return cls(files, f"Grids of the folder {folder.resolve().name}, {len(files)} files.", resampling)

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -134,9 +135,21 @@ def sensor_models(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     """
     lidar, _, radar = name.partition("+")
     of_radar = radar_factory(lidar if lidar in RADAR_MODELS and not radar else radar or RADAR, spec)
+    again = partial(sensor_models, name, spec, drop_ego_returns=drop_ego_returns)
     if lidar in RADAR_MODELS:
-        return PerMount(lambda mount: of_radar(mount, ""), of_radar)
-    return PerMount(model_factory(lidar, spec, drop_ego_returns=drop_ego_returns), of_radar)
+        return _Named(lambda mount: of_radar(mount, ""), of_radar, again)
+    return _Named(model_factory(lidar, spec, drop_ego_returns=drop_ego_returns), of_radar, again)
+
+
+class _Named(PerMount):
+    """What `sensor_models` returns: it is pickled as the call that made it."""
+
+    def __init__(self, factory: Factory, radar: Callable[[Mount, str], InverseSensorModel], again: Any) -> None:
+        super().__init__(factory, radar)
+        self._again = again
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return self._again, ()
 
 
 def model_class(name: str) -> Any:

@@ -1,6 +1,6 @@
 """`evaluate`: methods on the frames of a data set, frame by frame, with resume."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
@@ -12,22 +12,20 @@ from numpy.typing import NDArray
 
 from ogm.evaluation.cache import FrameResult, ResultCache, code_state, files_state
 from ogm.evaluation.frame_pictures import draw_frame
-from ogm.evaluation.methods import Method, MethodRunner, PrecomputedGrids, SingleScanMethod, as_methods
-from ogm.evaluation.motion import MotionCollector, compare_motion
-from ogm.evaluation.motion_pictures import draw_motion
+from ogm.evaluation.methods import Method, PrecomputedGrids, SingleScanMethod, as_methods
+from ogm.evaluation.motion import MotionCollector
 from ogm.evaluation.result import Evaluation, FrameInfo
+from ogm.evaluation.tasks import Draw, FrameTask, Progress
 from ogm.grid import GridSpec
 from ogm.locks import locked
-from ogm.metrics import ConfusionSums, accumulate, distances
-from ogm.pose import transform_points
+from ogm.metrics import ConfusionSums
+from ogm.remote import ObjectPath
 from ogm.scan import Frame
 
 __all__ = ["REPORT_FILES", "evaluate", "package_versions"]
 
 REPORT_FILES = ("report.html", "report.json", "frames.csv", "metrics.png", "frames.png")
 PACKAGES = ("ogm-toolkit", "numpy", "numba", "scipy", "torch", "zarr")
-Draw = Callable[..., dict[str, bytes]]
-Progress = Callable[[Iterable[int]], Iterable[int]]
 
 
 def evaluate(
@@ -37,6 +35,8 @@ def evaluate(
     *,
     frames: Iterable[int] | None = None,
     out: str | Path | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
     progress: Progress = iter,
     draw: Draw = draw_frame,
 ) -> Evaluation:
@@ -61,8 +61,16 @@ def evaluate(
     out : path, optional
         Folder for finished frames, in ``frames/``, with their pictures. If all data, methods and settings are those of
         an interrupted run there, it is resumed. An own callable is the same if its `repr` and its source file are.
+    workers : int
+        1 works in this process; more start processes of this machine, and a script that calls this must guard its own
+        code by ``if __name__ == "__main__":``. They share out frames, or with fused methods sequences. The result is
+        the same to the last bit. Methods and data set must be picklable, as those by name and of `ogm.datasets` are.
+    scheduler : str, optional
+        Address of a Dask scheduler to use instead, ``"tcp://host:port"``, whose workers see data set and `out` under
+        the same paths.
     progress : function
-        Iterates over the numbers of the frames that are read, and may draw a progress bar.
+        Iterates over the numbers of the frames that are read, or with several workers finished, and may draw a progress
+        bar.
     draw : function
         Draws a frame for `out`, see `ogm.evaluation.frame_pictures.draw_frame`.
 
@@ -71,8 +79,12 @@ def evaluate(
     ValueError
         If there is no method or no frame, a frame has no truth, a grid covers another area than `spec`, or `out` holds
         an unfinished run with other settings.
+    TypeError
+        If methods, data set or `draw` cannot be pickled for other processes.
     BlockingIOError
         If another process evaluates into `out`.
+    OSError
+        If workers die again and again, the disk is full, or the scheduler cannot be reached. Finished frames stay.
     KeyboardInterrupt
         With `out`, the message counts the finished frames.
     """
@@ -85,25 +97,33 @@ def evaluate(
     facts = {
         name: {"description": one.description, "weights": getattr(one, "weights", None)} for name, one in used.items()
     }
-    runner, cache, reused = MethodRunner(used, spec), None, 0
+    task, alone = FrameTask(used, spec, dataset, draw if out else None), workers == 1 and scheduler is None
+
+    def results(wanted: Sequence[int], cache: ResultCache | None = None) -> Iterator[tuple[int, FrameResult | None]]:
+        return (
+            task.run(wanted, progress, cache) if alone else task.share_out(wanted, progress, cache, workers, scheduler)
+        )
+
+    cache: ResultCache | None = None
+    reused = 0
     rows: Iterable[FrameResult]
     with ExitStack() as stack:
         if out is None:
-            rows = (one for _, one in _results(runner, dataset, numbers, progress, None))
+            found = results(numbers)
+            rows = (one for _, one in (found if alone else sorted(found)))  # type: ignore[misc]
         else:
-            parts = {"data": data, "methods": facts, "frames": infos, "numbers": numbers}
-            cache = _open_cache(Path(out), runner, dataset, parts, stack)
+            settings = {"data": data, "methods": facts, "frames": infos, "numbers": numbers}
+            cache = _open_cache(Path(out), task, settings, stack)
             missing = cache.missing(numbers)
-            done = reused = len(numbers) - len(missing)
+            reused = len(numbers) - len(missing)
             if not reused:
                 for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
                     (Path(out) / name).unlink(missing_ok=True)
             try:
-                for number, one in _results(runner, dataset, missing, progress, draw):
-                    cache.save(number, one)
-                    done += 1
+                for _ in results(missing, cache):
+                    pass
             except KeyboardInterrupt:
-                kept = f"{done} of {len(numbers)} frames are finished and kept"
+                kept = f"{cache.count(numbers)} of {len(numbers)} frames are finished and kept"
                 raise KeyboardInterrupt(f"{kept}: repeat the command to resume") from None
             rows = map(cache.load, numbers)
         motion = MotionCollector(tuple(used))
@@ -132,52 +152,6 @@ def package_versions() -> dict[str, str]:
     return found
 
 
-def _results(
-    runner: MethodRunner, dataset: Sequence[Frame], numbers: Sequence[int], progress: Progress, draw: Draw | None
-) -> Iterator[tuple[int, FrameResult]]:
-    """Yield the results of some frames, in order."""
-    spec, wanted, away = runner.spec, set(numbers), distances(runner.spec)
-    for number in progress(_frames_to_read(dataset, numbers, bool(runner.fused))):
-        frame = dataset[number]
-        if number not in wanted:
-            runner.update(frame)
-            continue
-        if frame.truth is None:
-            raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
-        truth = frame.truth.crop(spec)
-        state = truth.state
-        masses = [grid.mass for grid in runner.grids(frame).values()]
-        sums = tuple(accumulate(mass, state, away, truth.height_cm) for mass in masses)
-        shares = np.bincount(state.ravel(), minlength=4) / state.size
-        dynamic = runner.dynamic_grids()
-        moved = truth.motion if dynamic else None
-        motion = {} if moved is None else {k: compare_motion(*one, moved, frame.boxes) for k, one in dynamic.items()}
-        pictures: dict[str, bytes] = {}
-        if draw is not None:
-            points, ground_z = _points(frame)
-            pictures = draw(points, state, masses, spec, ground_z)
-            if moved is not None:
-                pictures |= {f"motion {k}": draw_motion(dynamic[k][0], moved) for k in motion}
-        yield number, FrameResult(sums, shares, pictures, motion)
-
-
-def _points(frame: Frame) -> tuple[NDArray[Any] | None, float]:
-    """Return points in the levelled vehicle frame, and the ground's z there."""
-    try:
-        scan, mount = frame.scan, frame.mount
-    except ValueError:  # a folder of truth grids has no scans
-        return None, 0.0
-    return transform_points(mount.T_vehicle_points, scan.points), mount.ground_point[2]
-
-
-def _frames_to_read(dataset: Sequence[Frame], numbers: Sequence[int], fused: bool) -> list[int]:
-    """Return the given frames; for fused methods with all frames before them in their sequences."""
-    if not fused:
-        return list(numbers)
-    last = {dataset[k].sequence: k for k in numbers}
-    return [k for k in range(len(dataset)) if k <= last.get(dataset[k].sequence, -1)]
-
-
 def _checked(methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: Sequence[int]) -> tuple[FrameInfo, ...]:
     """Return what the evaluated frames are, after a check of what the methods need of them."""
     if not numbers or not 0 <= numbers[0] <= numbers[-1] < len(dataset):
@@ -191,13 +165,11 @@ def _checked(methods: Mapping[str, Method], dataset: Sequence[Frame], numbers: S
     return tuple(FrameInfo(one.name, one.sequence, one.stamp) for one in frames)
 
 
-def _open_cache(
-    out: Path, runner: MethodRunner, dataset: Any, settings: Mapping[str, Any], stack: ExitStack
-) -> ResultCache:
+def _open_cache(out: Path, task: FrameTask, settings: Mapping[str, Any], stack: ExitStack) -> ResultCache:
     """Open the folder of finished frames, with all that decides what they hold; it is locked until `stack` ends."""
-    methods, spec = runner.methods, runner.spec
+    methods, spec, dataset = task.methods, task.spec, task.dataset
     grids = [path for one in methods.values() if isinstance(one, PrecomputedGrids) for path in one.files.values()]
-    files = [*map(Path, getattr(dataset, "files", ())), *grids]
+    files = [Path(one) for one in (*getattr(dataset, "files", ()), *grids) if not isinstance(one, ObjectPath)]
     if out.exists() and not out.is_dir():
         raise ValueError(f"{out} is a file, but the report is a folder")
     if out.resolve() in {(path if path.is_dir() else path.parent).resolve() for path in files}:

@@ -6,6 +6,7 @@
 """
 
 from ogm.fusion.bayes import BinaryBayesMapper
+from ogm.fusion.drives import FusedDrive, fuse_drives
 from ogm.fusion.dynamic import DynamicMapper
 from ogm.fusion.dynamic_settings import DynamicSettings
 from ogm.fusion.egomotion import EgoMotion
@@ -29,6 +30,7 @@ __all__ = [
     "DynamicSettings",
     "EgoMotion",
     "EvidentialMapper",
+    "FusedDrive",
     "FusionStep",
     "Mapper",
     "Objects",
@@ -40,6 +42,7 @@ __all__ = [
     "extrapolate",
     "find_objects",
     "fuse",
+    "fuse_drives",
     "grid_pose",
     "make_mapper",
     "map_scans",

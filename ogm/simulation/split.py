@@ -4,7 +4,6 @@ import math
 import operator
 import zlib
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, overload
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
 from ogm.files import OgmError
+from ogm.remote import ObjectPath
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
 from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.sample import OBJECT, SimulatedSample, Weather
@@ -30,12 +30,12 @@ class Split(Sequence[SimulatedSample]):
     pickled and used by several processes at once.
     """
 
-    path: Path
+    path: Any  # Path or ObjectPath
     name: str
     contents: Contents
     columns: tuple[str, ...]
 
-    def __init__(self, path: Path, name: str, count: int, contents: Contents) -> None:
+    def __init__(self, path: Any, name: str, count: int, contents: Contents) -> None:
         self.path, self.name, self.contents = path, name, contents
         self.columns = contents.facts
         self._count = count
@@ -149,6 +149,9 @@ class Split(Sequence[SimulatedSample]):
         i += len(self) if i < 0 else 0
         if not 0 <= i < len(self):
             raise IndexError(f"{self.name} has {len(self)} samples, there is no number {index}")
+        if isinstance(self.path, ObjectPath):  # all of a shard at once: the time is that of the requests
+            part = self.path / self.name
+            self.path.fetch(shard_file(part, name, i // SHARD).key for name in self.contents.layout)
         row = self._shard("facts", i // SHARD)[i % SHARD]
         if not row[0]:
             raise ValueError(
@@ -163,6 +166,8 @@ class Split(Sequence[SimulatedSample]):
     @property
     def facts(self) -> NDArray[np.float64]:
         """What is known of every sample beside its arrays, (n, `columns`); zeros where it is not made."""
+        if isinstance(self.path, ObjectPath):  # all at once, zeros for shards that are not there
+            return np.asarray(self._array("facts")[: len(self)], np.float64)
         shards = [self._shard("facts", shard) for shard in range(-(-len(self) // SHARD))]
         return np.concatenate([np.zeros((0, len(self.columns))), *shards])
 
@@ -238,8 +243,8 @@ def sample_checksums(split: str, first: int, values: NDArray[Any]) -> NDArray[np
 _DIMENSIONS = {name: len(shape) for name, (shape, _) in Contents().layout.items()} | dict.fromkeys(OF_RADARS, 2)
 
 
-def shard_file(split: Path, name: str, shard: int) -> Path:
-    """Return the file that holds a shard of an array."""
+def shard_file(split: Any, name: str, shard: int) -> Any:
+    """Return the file or the object that holds a shard of an array."""
     dimensions = 1 + _DIMENSIONS[name]
     return split.joinpath(name, "c", str(shard), *["0"] * (dimensions - 1))
 
@@ -255,10 +260,12 @@ def load_zarr() -> Any:
     return zarr
 
 
-def open_array(path: Path, mode: str = "r") -> Any:
+def open_array(path: Any, mode: str = "r") -> Any:
     """Return a Zarr array, or raise `Damaged` where there is none that can be read."""
     zarr = load_zarr()
     try:
+        if isinstance(path, ObjectPath):
+            return zarr.open_array(path.objects.zarr, path=path.key, mode=mode, zarr_format=3)
         return zarr.open_array(path, mode=mode)
     except FileNotFoundError as error:
         raise not_whole(f"{path} is missing") from error

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from ogm.archive import attributes_checksum
 from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
+from ogm.remote import ObjectPath, as_path
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
@@ -55,7 +56,7 @@ class Store:
     counts: dict[str, int]
     contents: Contents
 
-    def __init__(self, path: Path, attributes: Mapping[str, Any]) -> None:
+    def __init__(self, path: Any, attributes: Mapping[str, Any]) -> None:
         self.path = path
         self.format = str(attributes["format"])
         self.plan: dict[str, Any] = dict(attributes["plan"])
@@ -69,8 +70,8 @@ class Store:
         self.contents = Contents(self.beams, self.radars, self.format != OLDER, gaps)
 
     @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> "Store":
-        """Open a data set to read.
+    def open(cls, path: str | os.PathLike[str] | ObjectPath) -> "Store":
+        """Open a data set to read, from a folder or an object store (``s3://...``, see `ogm.remote.as_path`).
 
         Raises
         ------
@@ -79,7 +80,12 @@ class Store:
         OgmError
             If the folder holds something else, or a data set of another version.
         """
-        path = Path(path)
+        given: Any = as_path(path)
+        return cls._opened(given)
+
+    @classmethod
+    def _opened(cls, path: Any) -> "Store":
+        """Open a data set at a Path or an ObjectPath."""
         try:
             attributes = decode_json((path / "zarr.json").read_bytes(), path)["attributes"]
             found = attributes["format"]

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ogm.files import OgmError, naming
+from ogm.remote import is_remote, object_store
 
 __all__ = [
     *("Mode", "Url", "children", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
@@ -26,11 +27,6 @@ def load_zarr() -> Any:
             f'world maps are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[world]"'
         ) from error
     return zarr
-
-
-def is_remote(url: Url) -> bool:
-    """Return whether a map lies in an object store."""
-    return "://" in str(url) and not str(url).startswith("file://")
 
 
 def is_zip(url: Url) -> bool:
@@ -64,18 +60,8 @@ def open_store(url: Url, mode: Mode, storage: Mapping[str, str] | None = None) -
     """
     zarr = load_zarr()
     if is_remote(url):
-        try:
-            from obstore.store import from_url
-        except ImportError as error:
-            raise ImportError(
-                f'{url} lies in an object store, which needs obstore ({error}): pip install "ogm-toolkit[world]"'
-            ) from error
-        options = dict(storage or {})
-        client: Any = {"allow_http": True} if options.get("endpoint", "").startswith("http://") else None
         with reading(url, "see ogm.world.stores.open_store for the options of object stores"):
-            return zarr.storage.ObjectStore(
-                from_url(str(url), config=options, client_options=client), read_only=mode == "r"
-            )
+            return zarr.storage.ObjectStore(object_store(str(url), storage or {}), read_only=mode == "r")
     if storage:
         raise ValueError(f"storage options are for object stores (s3://...), got {sorted(storage)} for {url}")
     if is_zip(url):

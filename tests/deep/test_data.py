@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, EpochSampler, PillarDataset, augment, training_ranges
+from ogm.deep.data import PLAIN, ROTATION, Augmentation, Batch, PillarDataset, augment, training_ranges
+from ogm.deep.order import EpochSampler
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
 

@@ -1,8 +1,7 @@
 """Places for world maps: a folder, and a bucket of a real S3 server on this machine."""
 
 import itertools
-import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +12,6 @@ from ogm.grid import EvidentialGrid, GridSpec
 
 Place = Callable[[], dict[str, Any]]
 _numbers = itertools.count()
-
-
-@pytest.fixture(scope="session")
-def s3() -> Iterator[dict[str, str]]:
-    """Start an S3 server; give the options of a client. Its bucket is ``maps``."""
-    with warnings.catch_warnings(action="ignore"):  # of the server's packages
-        import boto3
-        from moto.server import ThreadedMotoServer
-
-        server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
-        server.start()
-        endpoint = "http://{}:{}".format(*server.get_host_and_port())
-        keys = {"aws_access_key_id": "test", "aws_secret_access_key": "test", "region_name": "us-east-1"}
-        boto3.client("s3", endpoint_url=endpoint, **keys).create_bucket(Bucket="maps")
-    yield {"endpoint": endpoint, "access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
-    server.stop()
 
 
 @pytest.fixture(params=["folder", "s3"])

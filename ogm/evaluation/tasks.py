@@ -1,0 +1,157 @@
+"""The work of an evaluation: some frames by all methods, here or in parts that are independent of each other."""
+
+import copy
+import pickle
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.evaluation.cache import FrameResult, ResultCache
+from ogm.evaluation.methods import FusedMethod, Method, MethodRunner
+from ogm.evaluation.motion import compare_motion
+from ogm.evaluation.motion_pictures import draw_motion
+from ogm.grid import GridSpec
+from ogm.metrics import accumulate, distances
+from ogm.pool import deaths_explained, work_off
+from ogm.pose import transform_points
+from ogm.scan import Frame
+
+__all__ = ["Draw", "FrameTask", "Progress"]
+
+_TOGETHER = 20  # frames that a worker evaluates at a time, where they do not depend on each other
+
+Draw = Callable[..., dict[str, bytes]]
+Progress = Callable[[Iterable[int]], Iterable[int]]
+
+
+@dataclass(frozen=True)
+class FrameTask:
+    """What is done with frames.
+
+    Parameters
+    ----------
+    methods : dict of str to method
+    spec : GridSpec
+        The evaluated cells.
+    dataset : sequence of Frame
+    draw : function, optional
+        Draws the pictures of a frame, see `ogm.evaluation.frame_pictures.draw_frame`.
+    """
+
+    methods: Mapping[str, Method]
+    spec: GridSpec
+    dataset: Sequence[Frame]
+    draw: Draw | None
+
+    def run(
+        self, numbers: Sequence[int], progress: Progress = iter, cache: ResultCache | None = None
+    ) -> Iterator[tuple[int, FrameResult | None]]:
+        """Evaluate frames in this process; yield each number, in order, with its result if that is not in the cache."""
+        runner = MethodRunner(self.methods, self.spec)
+        wanted, away = set(numbers), distances(self.spec)
+        for number in progress(self._to_read(numbers)):
+            frame = self.dataset[number]
+            if number not in wanted:
+                runner.update(frame)
+                continue
+            result = self._evaluate(runner, frame, away)
+            if cache is not None:
+                cache.save(number, result)
+            yield number, None if cache is not None else result
+
+    def share_out(
+        self, numbers: Sequence[int], progress: Progress, cache: ResultCache | None, workers: int, scheduler: str | None
+    ) -> Iterator[tuple[int, FrameResult | None]]:
+        """Evaluate frames by processes of this machine or by a Dask cluster; yield as `run`, in any order."""
+        if cache is not None:
+            cache = copy.copy(cache)
+            cache.folder = cache.folder.resolve()
+        try:
+            packed = _Packed(pickle.dumps((self, cache)))
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise TypeError(
+                f"methods and data set go to other processes, so they must be picklable ({error}): give functions and "
+                "classes of modules, no lambdas, or use one worker"
+            ) from error
+        parts = self._parts(numbers)
+        ticks = iter(progress([number for part in parts for number in part]))
+        next(ticks, None)  # shows a bar, before the first part is done
+        with closing(work_off(packed, parts, workers, scheduler)) as done, deaths_explained("frames"):
+            for k, found in done:
+                for _ in islice(ticks, len(parts[k])):
+                    pass
+                yield from found
+
+    def _evaluate(self, runner: MethodRunner, frame: Frame, away: NDArray[Any]) -> FrameResult:
+        """Return the result of a frame, which is the next of its sequence."""
+        spec = self.spec
+        if frame.truth is None:
+            raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
+        truth = frame.truth.crop(spec)
+        state = truth.state
+        masses = [grid.mass for grid in runner.grids(frame).values()]
+        sums = tuple(accumulate(mass, state, away, truth.height_cm) for mass in masses)
+        shares = np.bincount(state.ravel(), minlength=4) / state.size
+        dynamic = runner.dynamic_grids()
+        moved = truth.motion if dynamic else None
+        motion = {} if moved is None else {k: compare_motion(*one, moved, frame.boxes) for k, one in dynamic.items()}
+        pictures: dict[str, bytes] = {}
+        if self.draw is not None:
+            points, ground_z = _points(frame)
+            pictures = self.draw(points, state, masses, spec, ground_z)
+            if moved is not None:
+                pictures |= {f"motion {k}": draw_motion(dynamic[k][0], moved) for k in motion}
+        return FrameResult(sums, shares, pictures, motion)
+
+    @property
+    def _fuses(self) -> bool:
+        return any(isinstance(one, FusedMethod) for one in self.methods.values())
+
+    def _to_read(self, numbers: Sequence[int]) -> list[int]:
+        """Return the given frames; for fused methods with all frames before them in their sequences."""
+        if not self._fuses:
+            return list(numbers)
+        last = {self.dataset[k].sequence: k for k in numbers}
+        return [k for k in range(len(self.dataset)) if k <= last.get(self.dataset[k].sequence, -1)]
+
+    def _parts(self, numbers: Sequence[int]) -> list[list[int]]:
+        """Return the frames in parts that do not depend on each other: sequences, where methods fuse."""
+        if not self._fuses:
+            size = max(1, min(_TOGETHER, len(numbers) // 8))
+            return [list(numbers[k : k + size]) for k in range(0, len(numbers), size)]
+        parts: dict[str, list[int]] = {}
+        for k in numbers:
+            parts.setdefault(self.dataset[k].sequence, []).append(k)
+        return list(parts.values())
+
+
+@dataclass(frozen=True)
+class _Packed:
+    """A task and its cache as bytes: a worker unpacks them once for all parts."""
+
+    data: bytes
+
+    def __call__(self, part: list[int]) -> list[tuple[int, FrameResult | None]]:
+        with _one_at_a_time:
+            task, cache = _unpacked(self.data)
+            return list(task.run(part, cache=cache))
+
+
+_unpacked = lru_cache(1)(pickle.loads)
+_one_at_a_time = threading.Lock()  # a Dask worker with several threads still has one set of methods
+
+
+def _points(frame: Frame) -> tuple[NDArray[Any] | None, float]:
+    """Return points in the levelled vehicle frame, and the ground's z there."""
+    try:
+        scan, mount = frame.scan, frame.mount
+    except ValueError:  # a folder of truth grids has no scans
+        return None, 0.0
+    return transform_points(mount.T_vehicle_points, scan.points), mount.ground_point[2]
