@@ -491,7 +491,19 @@ def metrics() -> str:
     def cell(text: str) -> str:
         return text.replace("|", "∣")
 
-    rows = [[f"`{name}`", one.title, one.better or "-", cell(one.description)] for name, one in METRICS.items()]
+    rows = [
+        [f"`{name}`", one.title, one.better or "-", cell(one.description)]
+        for name, one in METRICS.items()
+        if not name.startswith("from")
+    ]
+    left_out = {"from10_": "0.10 m, such as low kerbs", "from50_": "0.50 m, such as kerbs, low walls and plants"}
+    place = 1 + next(k for k, row in enumerate(rows) if row[0] == "`missed_obstacles`")
+    rows[place:place] = [
+        [f"`{prefix}...`", METRICS[f"{prefix}iou_free"].title.replace("IoU free", "..."), "",
+         f"{', '.join(name.removeprefix(prefix) for name in METRICS if name.startswith(prefix))} without occupied cells "
+         f"whose obstacle is lower than {what}"]
+        for prefix, what in left_out.items()
+    ]  # fmt: skip
     return table(["key", "title", "better", "what it is"], rows).replace("---:", "---")
 
 
