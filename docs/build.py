@@ -613,7 +613,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     },
     "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
-        sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))
+        sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed")))
         | {"losses": losses_of_the_paper(), "divergence": divergences()}
     ),
     "docs/world.md": lambda: {"world": "\n\n".join([*world_tables(record("world")), source("world")])},

@@ -114,11 +114,7 @@ def _pairs(part: Record, names: Iterable[str], metrics: Sequence[str], titles: T
         for m in there:
             one = pair[m]
             wins, ties, losses = one["wins, ties, losses"]
-            cells = [
-                f"{wins} / {ties} / {losses}",
-                _with_ends(one["difference"]),
-                _p(one["p"]),
-            ]
+            cells = [f"{wins} / {ties} / {losses}", _with_ends(one["difference"]), _p(one["p"])]
             rows.append([name if m == there[0] else "", titles[m], *cells])
     return _markdown(["", "", "wins / ties / losses", "difference (95 %)", "p"], rows, left=2)
 
