@@ -56,8 +56,9 @@ def _sentences_of_models(record: Record) -> dict[str, str]:
             "1/12 at best."
         ),
         "places": (
-            f"Pooled IoU of free {value(pooled['iou_free'])}, of occupied {value(pooled['iou_occupied'])}; in known towns "
-            f"with other traffic (20 validation frames)\n{value(known['iou_free'])} and {value(known['iou_occupied'])}."
+            f"Pooled IoU of free {value(pooled['iou_free'])}, of occupied {value(pooled['iou_occupied'])}; in known "
+            f"towns with other traffic (20 validation frames)\n{value(known['iou_free'])} and "
+            f"{value(known['iou_occupied'])}."
         ),
     }  # fmt: skip
 
@@ -78,9 +79,9 @@ def _sentence_of_speed(record: Record) -> str:
     times = {name: f"{one['median']:.3g} ms" for name, one in record["times [ms]"].items()}
     lite, paper = (f"{record['summary'][name]['scans per second']:.3g}" for name in ("lite", "paper"))
     return (
-        f"- **Ours** (`{record['command']}`, [table](results.md#time-of-the-network)): on two CPU cores, points to grid, "
-        f"`lite`\n  {lite} scans per second, the network of the paper's size {paper}; baseline {times['HeightBandISM']}, "
-        f"`RayISM` {times['RayISM']}. No GPU was measured."
+        f"- **Ours** (`{record['command']}`, [table](results.md#time-of-the-network)): on two CPU cores, points to "
+        f"grid, `lite`\n  {lite} scans per second, the network of the paper's size {paper}; baseline "
+        f"{times['HeightBandISM']}, `RayISM` {times['RayISM']}. No GPU was measured."
     )
 
 
@@ -98,8 +99,8 @@ def _sentences_of_town(town: Record) -> dict[str, str]:
     }
     return {
         "quality: unknown": (
-            f"Of the truly unknown cells, `lite` predicts {claimed['lite']} known, `ray` {claimed['ray']}, the baseline "
-            f"{claimed['height-band']} ([quality](quality.md))."
+            f"Of the truly unknown cells, `lite` predicts {claimed['lite']} known, `ray` {claimed['ray']}, the "
+            f"baseline {claimed['height-band']} ([quality](quality.md))."
         ),
         "quality: divergence": (
             f"The released code would report a KL of {value(published['KL, deep'])} for `lite` and "
@@ -121,8 +122,8 @@ def _sentence_of_real(recordings: Record) -> str:
     others = "; ".join(f"`{m}` on {', '.join(names)}" for m, names in best.items() if names and m != "lite")
     return (
         f"IoU of occupied on labelled cells is highest for `lite` on {len(best['lite'])} of {count} sets"
-        f"{', for ' + others if others else ''}\n([quality](quality.md#real-recordings); false alarms cost nothing on two "
-        "sets)."
+        f"{', for ' + others if others else ''}\n([quality](quality.md#real-recordings); false alarms cost nothing on "
+        "two sets)."
     )
 
 
