@@ -24,7 +24,7 @@ from ogm import GridSpec
 from ogm.geometric import RayISM, flat_ground, ground_height, local_ground
 
 COARSE = GridSpec(1.0, (82, 57), SPEC.origin)  # [m] the cells that RayISM estimates the ground on
-OBSTACLE_HEIGHT = RayISM.obstacle_height  # [m] the default: 0.1
+OBSTACLE_HEIGHT = RayISM.obstacle_height  # [m]
 THRESHOLDS = np.arange(0.05, 0.401, 0.025)  # [m]
 LOCAL, FLAT = "local_ground", "flat_ground"
 OVER_THRESHOLD, AT_RECALL = f"{LOCAL} over obstacle_height", f"{LOCAL} at the obstacle recall of {PATCHWORK}"

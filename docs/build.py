@@ -26,10 +26,11 @@ from world_tables import world_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
+RECORDS = "../benchmarks/results"  # from docs/
 MODELS = ("height-band", "height-band-released", "ray", "lite")
 QUALITY = (
     *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
-    *("ece", "ece_relative", "auroc_unknown", "mean_unknown", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl"),
+    *("ece", "ece_relative", "auroc_unknown", "mean_unknown", "kl_e10"),
 )
 LOSSES = (  # titles of what is compared of trainings; the last is what the reverse KL minimises
     *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known"),
@@ -87,7 +88,13 @@ def source(name: str) -> str:
 
 def section(title: str, name: str, *parts: str) -> str:
     """Return a section of the page of results."""
-    return "\n\n".join([f"## {title}", *parts, source(name)])
+    found = record(name)
+    facts = found.get("environment", found)
+    cpu = re.sub(r"\((R|TM)\)| Processor| @.*", "", facts["cpu"])
+    cores = "1 core" if facts["cores used"] == 1 else f"{facts['cores used']} cores"
+    made = f"*`{facts['command']}`, {facts['date'].split()[0]}, {cpu}, {cores}; [record]({RECORDS}/{name}.json).*"
+    outdated = [f"**Outdated:** {found['outdated']}"] if "outdated" in found else []
+    return "\n\n".join([f"## {title}", *parts, made, *outdated])
 
 
 # --- One table each -------------------------------------------------------------------------------------
@@ -371,7 +378,7 @@ def deep_speed() -> str:
         ["`RayISM`, `HeightBandISM` in the same run", f"{ms('RayISM')}, {ms('HeightBandISM')}", ""],
     ]
     networks_table = table(["57,600 points, two cores", "`lite`", "`paper`"], rows)
-    return networks_table + deep_engines(found) if "differences in mass" in found else networks_table
+    return f"{networks_table}\n\n{deep_engines(found)}" if "differences in mass" in found else networks_table
 
 
 def deep_engines(found: dict) -> str:
@@ -384,7 +391,7 @@ def deep_engines(found: dict) -> str:
         start = f"{starts[engine]['best [s]']:.2g} s" if engine in starts else ""
         rows.append([engine, f"{times[name]['median']:.3g} ms", f"{faster:.2f}", start, f"{error['largest']:.1e}"])
     heads = ["`lite`, points to `EvidentialGrid`", "time", "times as fast as torch", "import to first grid"]
-    return "\n" + table([*heads, "largest difference of a mass"], rows)
+    return table([*heads, "largest difference of a mass"], rows)
 
 
 def fusion(part: str) -> str:
@@ -419,8 +426,8 @@ def fusion_speed() -> str:
     times = record("fusion_speed")["times [ms]"]
     titles = {
         "copy": "copying the map, the conflict layers and the scan",
-        "update, as it comes": "**update with the defaults**",
-        "update, slow twin": "update, the reference in numpy",
+        "update, default": "**update with the defaults**",
+        "update, numpy reference": "update, the reference in numpy",
         "scipy": "interpolating the map with scipy, combining in numpy",
         "RayISM + update": "**`RayISM` and update**",
     }
@@ -453,8 +460,16 @@ def logs() -> str:
 def live() -> str:
     """Return whether `ogm serve` keeps up."""
     found = record("live")["verdicts"]
-    rows = [[one["what"], f"{one['got']:.3g} {one['unit']}".strip(), f"{one['wanted']:g}"] for one in found]
-    return table(["`ogm serve`, a viewer receives all", "measured", "at most"], rows)
+    rows = [
+        [
+            one["what"],
+            f"{one['got']:.3g} {one['unit']}".strip(),
+            f"{one['wanted']:g}",
+            "" if one["met"] else "**missed**",
+        ]
+        for one in found
+    ]
+    return table(["`ogm serve`, a viewer receives all", "measured", "at most", ""], rows)
 
 
 def truth_modes() -> str:
@@ -492,7 +507,19 @@ def metrics() -> str:
     def cell(text: str) -> str:
         return text.replace("|", "∣")
 
-    rows = [[f"`{name}`", one.title, one.better or "-", cell(one.description)] for name, one in METRICS.items()]
+    rows = [
+        [f"`{name}`", one.title, one.better or "-", cell(one.description)]
+        for name, one in METRICS.items()
+        if not name.startswith("from")
+    ]
+    lower = {"from10_": "0.10 m, such as low kerbs", "from50_": "0.50 m, such as kerbs, low walls and plants"}
+    place = 1 + next(k for k, row in enumerate(rows) if row[0] == "`missed_obstacles`")
+    rows[place:place] = [
+        [f"`{prefix}...`", METRICS[f"{prefix}iou_free"].title.replace("IoU free", "..."), "",
+         f"{', '.join(name.removeprefix(prefix) for name in METRICS if name.startswith(prefix))}, but occupied cells "
+         f"whose obstacle is lower than {what} are left out"]
+        for prefix, what in lower.items()
+    ]  # fmt: skip
     return table(["key", "title", "better", "what it is"], rows).replace("---:", "---")
 
 
@@ -536,16 +563,15 @@ def coverage() -> str:
 
 def results() -> str:
     """Return the page of results."""
-    boxes = "Real scans with annotated boxes, by a benchmark of commit 28273fa that `ogm evaluate` has replaced since:"
+    boxes = "First generation of `lite`, benchmark of commit 28273fa (today: `ogm evaluate`)."
     parts = [
         "# Results",
-        "All tables of this page are made by `python docs/build.py` from the records of the benchmarks. Sensor "
-        "models on real and simulated data side by side: [quality.md](quality.md). What is compared in each: "
-        "[benchmarks](../benchmarks/README.md), and [how far intervals can be trusted](evaluation.md#intervals).",
+        "Made by `python docs/build.py` from the records of the [benchmarks](../benchmarks/README.md). "
+        "[Models compared](quality.md); [what intervals are worth](evaluation.md#intervals).",
         section(
             "Sensor models, simulated test drive",
             "deep_quality",
-            *(f"{extent()}. Intervals: {record('deep_quality')['intervals']}.", deep_quality(), deep_targets()),
+            *(f"{extent()}; {record('deep_quality')['intervals']}.", deep_quality(), deep_targets()),
             deep_occupied(),
         ),
         section("Objects in real scans", "deep_real", boxes, deep_boxes()),
@@ -556,9 +582,9 @@ def results() -> str:
         section(
             "Maps over time, 12 simulated test drives",
             "fusion_quality",
-            *("Behind `RayISM`:", fusion("maps"), "Behind `lite`:", fusion("maps behind lite")),
+            *("Behind `RayISM`:", fusion("maps"), "Behind the first generation of `lite`:", fusion("maps behind lite")),
         ),
-        section("Maps over time, a real drive", "fusion_real", fusion_real()),
+        section("Maps over time, a real drive", "fusion_real", "First generation of `lite`.", fusion_real()),
         section("Time of a map update", "fusion_speed", fusion_speed()),
         section("Time of logs", "logs", logs()),
         section("Live, 10 minutes at 10 Hz", "live", live()),
@@ -602,7 +628,7 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     },
     "docs/reliability.md": reliability_tables,
     "docs/reproduction.md": lambda: (
-        sentences(record("quality"), record("deep_quality"), extent(), record("fusion_quality"))
+        sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed")))
         | {"losses": losses_of_the_paper(), "divergence": divergences()}
     ),
     "docs/simulation.md": lambda: {

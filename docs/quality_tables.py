@@ -8,21 +8,17 @@ __all__ = ["tables"]
 Record = Mapping[str, Any]
 Titles = Mapping[str, str]
 TOWN = (
-    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_occupied_known", "false_free", "missed_occupied"),
-    *("false_occupied", "missed_obstacles", "free_recall_1", "ap_occupied_near", "ece", "ece_relative"),
-    *("interval_violation", "auroc_unknown", "aurc", "mean_unknown", "kl_e10", "kl_e1", "kl_e1_scaled", "legacy_kl"),
+    *("nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "false_free", "missed_occupied", "missed_obstacles"),
+    *("free_recall_1", "ece", "ece_relative", "auroc_unknown", "aurc", "mean_unknown", "kl_e10", "kl_e1"),
 )
-PAIRS = (
-    *("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_obstacles", "auroc_unknown", "kl_e10", "kl_e1"),
-)
-OLD = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "auroc_unknown", "kl_e10")
+PAIRS = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_obstacles", "kl_e1")
+RELEASED = "height-band-released"  # predicts no cell: left out of most tables
 LOW = ("false_free", "missed_occupied", "iou_occupied", "iou_free")  # with and without low obstacles
 HEIGHTS = {"": "0.05 m", "from10_": "0.10 m", "from50_": "0.50 m"}
 RANGE = {"iou_occupied": 3, "false_free": 3, "missed_occupied": 3, "free_recall_1": 3}
-DRIVES = (
-    *("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "missed_obstacles", "free_recall_1"),
-    *("ece_relative", "mean_unknown", "kl_e10"),
-)
+DRIVES = ("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "free_recall_1", "mean_unknown")
+MEMORY = ("brier", "iou_occupied", "false_free")
+BASELINE_RULES = ("cautious", "dempster", "bayes")  # of the maps behind the baselines
 FUSED = (
     "ray",
     "ray + cautious",
@@ -46,7 +42,6 @@ def tables(record: Record) -> dict[str, str]:
             "town": _town(town, TOWN, titles),
             "pairs": _pairs(town, _reversed(town["models"]), PAIRS, titles),
             "range": _range(town, titles),
-            "published": _published(town["as the released code would report"]),
         }
         if all("from10_false_free" in one["mean"] for one in town["models"].values()):
             found["low"] = _low(town, titles)
@@ -54,20 +49,18 @@ def tables(record: Record) -> dict[str, str]:
         found["reliability"] = (
             "![Share of cells that are free, and occupied, by the belief in it](pictures/quality_reliability.png)"
         )
-    if old := record.get("old"):
-        found |= {"old": f"{_extent(old)}\n\n{_town(old, OLD, titles)}"}
     if drives := record.get("drives"):
-        note = f"**Outdated:** {drives['outdated']}\n\n" if "outdated" in drives else ""
-        found |= {"drives": note + _list(drives["models"], DRIVES, titles), "memory": note + _memory(drives, titles)}
+        shown = _maps(drives)
+        note = f" **Outdated:** {record['outdated']}" if "outdated" in record else ""
+        found["drives"] = f"{_extent(drives)}{note}\n\n{_list(shown, DRIVES, titles)}"
+        found["memory"] = _memory(drives, shown, titles)
     if real := record.get("real"):
         found |= {"real": _real(real, "alone", titles), "real-fused": _real(real, "fused", titles)}
     return found
 
 
 def _extent(part: Record) -> str:
-    """Return what the means of a part are over. Older records took the frames of ten drives for independent."""
-    if "extent" not in part:
-        return f"Means over {part['frames']} frames of 10 drives in 1 town. Intervals: {part['intervals']}: too narrow."
+    """Return what the means of a part are over."""
     return f"Means over {part['extent']}. Intervals: {part['intervals']}."
 
 
@@ -79,12 +72,26 @@ def _town(part: Record, metrics: Sequence[str], titles: Titles) -> str:
 
 def _low(part: Record, titles: Titles) -> str:
     """Compare scores of all obstacles with those that leave low ones out."""
-    rows = []
+    models, rows = _predicting(part["models"]), []
     for metric in LOW:
         for prefix, height in HEIGHTS.items():
-            cells = [_with_ends(one["mean"][prefix + metric]) for one in part["models"].values()]
+            cells = [_with_ends(one["mean"][prefix + metric]) for one in models.values()]
             rows.append([titles[metric] if not prefix else "", height, *cells])
-    return _markdown(["mean (95 %)", "obstacles from", *part["models"]], rows, left=2)
+    return _markdown(["mean (95 %)", "obstacles from", *models], rows, left=2)
+
+
+def _predicting(models: Record) -> Record:
+    return {name: one for name, one in models.items() if name != RELEASED}
+
+
+def _maps(part: Record) -> Record:
+    """Return the models and the maps that are shown: of the baselines, those of a few rules."""
+    bands = ("height-band", RELEASED)
+    return {
+        name: one
+        for name, one in part["models"].items()
+        if name.partition(" + ")[0] not in bands or name.partition(" + ")[2] in ("", *BASELINE_RULES)
+    }
 
 
 def _list(models: Record, metrics: Sequence[str], titles: Titles) -> str:
@@ -107,14 +114,9 @@ def _pairs(part: Record, names: Iterable[str], metrics: Sequence[str], titles: T
         for m in there:
             one = pair[m]
             wins, ties, losses = one["wins, ties, losses"]
-            cells = [
-                f"{wins} / {ties} / {losses}",
-                _with_ends(one["difference"]),
-                _with_ends(one["ratio"]),
-                _p(one["p"]),
-            ]
+            cells = [f"{wins} / {ties} / {losses}", _with_ends(one["difference"]), _p(one["p"])]
             rows.append([name if m == there[0] else "", titles[m], *cells])
-    return _markdown(["", "", "wins / ties / losses", "difference (95 %)", "ratio (95 %)", "p"], rows, left=2)
+    return _markdown(["", "", "wins / ties / losses", "difference (95 %)", "p"], rows, left=2)
 
 
 def _range(part: Record, titles: Titles) -> str:
@@ -125,42 +127,28 @@ def _range(part: Record, titles: Titles) -> str:
     ]
     rows = []
     for m, digits in RANGE.items():
-        for k, (name, one) in enumerate(part["models"].items()):
+        for k, (name, one) in enumerate(_predicting(part["models"]).items()):
             values = [_value(value, digits) for value in one["by range"][m]]
             rows.append([titles[m] if k == 0 else "", f"`{name}`", *values])
     return _markdown(["", "", *bins], rows, left=2)
 
 
-def _published(published: Record) -> str:
-    lower = "frames in which the geometric one is lower"
-    rows = [
-        ["KL, deep", _value(published["KL, deep"])],
-        ["KL, geometric, as plotted: the mean of both", _value(published["KL, geometric, mean of both"])],
-        ["KL, geometric itself", _value(published["KL, geometric itself"])],
-        [lower, str(published[lower])],
-        ["accuracy, deep", _value(published["accuracy, deep"])],
-        ["accuracy, geometric", _value(published["accuracy, geometric"])],
-    ]
-    return _markdown([f"as the released code reports `{published['deep']}` and `{published['geometric']}`", ""], rows)
-
-
-def _memory(part: Record, titles: Titles) -> str:
+def _memory(part: Record, names: Iterable[str], titles: Titles) -> str:
     """Compare each map with the scans that it is made of."""
-    metrics = ("brier", "iou_occupied", "iou_free", "false_free", "missed_occupied")
     rows = []
-    for name in part["models"]:
+    for name in names:
         scans, plus, _ = name.partition(" + ")
         one = part["paired"].get(f"{name} against {scans}") if plus else None
-        if one is not None:
-            rows.append([f"`{name}`", *(_with_ends(one[m]["ratio"]) for m in metrics)])
-    return _markdown(["map against its scans: ratio of means (95 %)", *(titles[m] for m in metrics)], rows)
+        if one is not None and scans != RELEASED:
+            rows.append([f"`{name}`", *(_with_ends(one[m]["ratio"]) for m in MEMORY)])
+    return _markdown(["map against its scans: ratio of means (95 %)", *(titles[m] for m in MEMORY)], rows)
 
 
 def _real(recordings: Record, kind: str, titles: Titles) -> str:
     rows = []
     for name, one in recordings.items():
         part = one.get(kind)
-        models = (part or {"models": {}})["models"]
+        models = _predicting((part or {"models": {}})["models"])
         shown = {m: scores for m, scores in models.items() if kind == "alone" or m in FUSED}
         for k, (method, scores) in enumerate(shown.items()):
             rows.append([_what(name, part) if k == 0 else "", f"`{method}`"])

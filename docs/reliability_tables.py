@@ -134,10 +134,10 @@ def _soak(record: Mapping[str, Any]) -> list[str]:
         )
     if "streams" in found:
         ratios = [f"{one['two threads / one']:.2f} ({LONG[name]})" for name, one in found["streams"]["chains"].items()]
-        parts.append(f"Two threads with a stream each map so many times as many scans as one: {', '.join(ratios)}.")
+        parts.append(f"Scans mapped by two threads with a stream each, over one: {', '.join(ratios)}.")
     loads = [one["load at start"][0] for one in found.values() if one.get("load at start")]
     if max(loads, default=0) > BUSY:
-        parts.append(f"Other programs ran on the machine: load at the start {min(loads):.1f} to {max(loads):.1f}.")
+        parts.append(f"The machine was busy: load at the start {min(loads):.1f} to {max(loads):.1f}.")
     missed = [row for one in found.values() for row in one["verdicts"] if not row["met"]]
     if missed:
         texts = [
@@ -156,7 +156,7 @@ def _second_half(memory: Sequence[float]) -> float:
 
 def _huge(model: Mapping[str, Any]) -> str:
     seconds, peak = model["processor time [s]"], model["peak above that [MB]"]
-    return f"{seconds:.1f} s of processor time, {peak:.0f} MB more at the peak"
+    return f"{seconds:.1f} s of processor time, {peak:.0f} MB more"
 
 
 if __name__ == "__main__":

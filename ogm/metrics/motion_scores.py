@@ -14,7 +14,7 @@ _ALL, _STATIC = GROUPS.index("moving"), GROUPS.index("static")
 _TABLE = """\
 motion_ap | AP moving | higher | average precision of the score, belief in dynamic times min(speed, 2 m/s), for cells \
 that move faster than 1 m/s among those that the scan shows as occupied
-motion_iou | IoU moving | higher | IoU of cells predicted moving (score above 1 m/s) and moving ones
+motion_iou | IoU moving | higher | IoU of cells predicted moving (score above 0.6 m/s) and moving ones
 motion_precision | precision moving | higher | share of the cells predicted moving that move
 motion_recall | recall moving | higher | share of the moving cells that are predicted moving
 static_moving | static predicted moving | lower | share of the static cells that are predicted moving
