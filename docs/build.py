@@ -59,6 +59,7 @@ MAIN_MAPS = (  # those that docs/fusion.md compares
     *("Bayes, plausibility, limits as Dempster, 0.5 s", "Yager, never forgets", "cumulative, 1 s"),
     "cumulative, evidence fades, 0.5 s",
 )
+MAIN_COLUMNS = ("static_iou_occupied", "static_false_free", "static_known", "appear_first", "body_recall", "view_ece")
 MAP_COLUMNS = {
     "static_iou_occupied": "IoU occupied",
     "static_false_free": "false free (P < 1/4)",
@@ -397,7 +398,7 @@ def deep_engines(found: dict) -> str:
     return "\n" + table([*heads, "largest difference of a mass"], rows)
 
 
-def fusion(part: str, names: Sequence[str] = tuple(MAPS)) -> str:
+def fusion(part: str, names: Sequence[str] = tuple(MAPS), columns: Sequence[str] = tuple(MAP_COLUMNS)) -> str:
     """Return what maps reach on simulated test drives, behind a sensor model."""
     maps = record("fusion_quality")[part]
     rows = []
@@ -406,12 +407,11 @@ def fusion(part: str, names: Sequence[str] = tuple(MAPS)) -> str:
             continue
         means, ratio = (maps[name]["mean and 95 % interval"], maps[name]["ratio to the classical filter"]["ghost_area"])
         cells = [
-            f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}"
-            for key in MAP_COLUMNS
+            f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}" for key in columns
         ]
         cells.append(f"{ratio[0]:.2f} ({ratio[1]:.2f} to {ratio[2]:.2f})")
         rows.append([MAPS[name], *cells])  # fmt: skip
-    return table(["map", *MAP_COLUMNS.values(), "ghosts, x Bayes"], rows)
+    return table(["map", *(MAP_COLUMNS[key] for key in columns), "ghosts, x Bayes"], rows)
 
 
 def fusion_real(without: Sequence[str] = ()) -> str:
@@ -610,7 +610,8 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/fusion.md": lambda: {
         "simulated": "\n\n".join(
-            ["Behind `RayISM`:", fusion("maps", MAIN_MAPS), "Behind `lite`:", fusion("maps behind lite", MAIN_MAPS)]
+            f"Behind {model}:\n\n{fusion(part, MAIN_MAPS, MAIN_COLUMNS)}"
+            for model, part in (("`RayISM`", "maps"), ("`lite`", "maps behind lite"))
         ),
         "real": fusion_real(("Yager", "cumulative", "matched")),
     },

@@ -7,16 +7,18 @@ from typing import Any
 __all__ = ["dynamic_tables"]
 
 HYBRID, PLAIN, NUSS = "hybrid, matching, 200k", "hybrid, 200k", "Nuss, 1M"
-TITLES = {HYBRID: "**`DynamicMapper`**", PLAIN: "... without matching", NUSS: "Nuss' filter, a million particles"}
+TITLES = {HYBRID: "**`DynamicMapper`**", PLAIN: "no matching", NUSS: "Nuss' filter"}
 Column = tuple[str, int, int, bool]  # heading, digits, factor, whether all drives are taken together
 MOTION: dict[str, Column] = {
     "motion_ap": ("AP", 3, 1, False),
     "static_moving": ("static predicted moving [%]", 2, 100, False),
     "velocity_median": ("velocity: median error [m/s]", 2, 1, False),
-    "velocity_rmse": ("RMSE", 2, 1, False),
+    "velocity_rmse": ("RMSE [m/s]", 2, 1, False),
+    "time_to_detect": ("time to detect [s]", 2, 1, True),
+}
+STATES: dict[str, Column] = {
     "pedestrian_normalised_mean": ("pedestrians: error / speed", 2, 1, True),
     "inside_95": ("in the 95 % ellipse [%]", 0, 100, True),
-    "time_to_detect": ("time to detect [s]", 2, 1, True),
     "moving_occupied": ("moving cells more occupied than free [%]", 0, 100, True),
     "static_iou_occupied": ("static IoU", 3, 1, False),
     "ghost_area": ("ghosts [m²]", 2, 1, False),
@@ -25,15 +27,15 @@ RECORDED: dict[str, Column] = {
     "motion_ap": ("AP", 3, 1, True),
     "static_moving": ("static predicted moving [%]", 2, 100, True),
     "vehicle_velocity_median": ("van: median error [m/s]", 2, 1, True),
-    "cyclist_velocity_median": ("cyclist", 2, 1, True),
+    "cyclist_velocity_median": ("cyclist [m/s]", 2, 1, True),
     "inside_95": ("in the 95 % ellipse [%]", 0, 100, True),
 }
 LATER: dict[str, Column] = {
     f"{metric}_{h}": (f"{title} {h} s", 2, 1, True)
-    for metric, title in (("recall", "recall,"), ("precision", "precision,"), ("recall_at_70", "recall at 70 %,"))
-    for h in ("0.5", "1", "2")
-}
-WORDS = {key: column[0].split(" [")[0] for key, column in MOTION.items()}  # of the targets in the record
+    for metric, title in (("recall", "recall,"), ("precision", "precision,"))
+    for h in ("0.5", "1")
+} | {f"recall_at_70_{h}": (f"recall at 70 %, {h} s", 2, 1, True) for h in ("0.5", "1", "2")}
+WORDS = {key: column[0].split(" [")[0] for key, column in (MOTION | STATES).items()}  # of the targets in the record
 WORDS |= {"velocity_rmse": "RMSE of velocities", "brier_moving_2": "Brier score of predictions, 2 s,"}
 
 
@@ -41,11 +43,17 @@ def dynamic_tables(found: Mapping[str, Any]) -> list[str]:
     """Return the tables of motion, of predictions, and of the targets that were missed."""
     runs = found["runs"]
     real = [run for run in runs if run.startswith("KITTI")]
-    parts = ["**Simulated drives** (means of 12 drives ± half of the 95 % interval):"]
-    parts += [_table(MOTION, _rows(runs, [run for run in runs if run not in real], ()))]
+    simulated = _rows(runs, [run for run in runs if run not in real], ())
+    parts = [
+        "**Simulated drives** (means of 12 drives ± half of the 95 % interval; Nuss' filter with a million particles):"
+    ]
+    parts += [_table(MOTION, simulated), _table(STATES, simulated)]
     parts += ["**KITTI**, with all layers and with fewer:", _table(RECORDED, _rows(runs, real, ("conflict layer",)))]
     later = _rows(runs, [run for run in runs if run not in real[1:]], (PLAIN,), "recall_0.5")
-    parts += ["**Predictions** of the cells of moving objects, one cell of tolerance:", _table(LATER, later)]
+    parts += [
+        "**Predictions** of the cells of moving objects, one cell of tolerance (64 layers: KITTI; at 70 % precision):",
+        _table(LATER, later),
+    ]
     reached = sum(target[-1] for target in found["targets"])
     lines = ["| target, behind | missed | measured | wanted |", "|---|---|---:|---:|"]
     for run, name, (value, low, high), limit, met in found["targets"]:
@@ -61,7 +69,7 @@ def _rows(
 ) -> dict[str, Any]:
     """Return the maps of some runs by "run: map"; readings of a map by speed alone stay in the record."""
     return {
-        f"{run if run.startswith('KITTI') else f'`{run}`'}: {TITLES.get(name, name)}": one
+        f"{f'`{run}`' if run.islower() else run.removeprefix('KITTI, ')}: {TITLES.get(name, name)}": one
         for run in names
         for name, one in runs[run].items()
         if name not in without and "speed alone" not in name and one["pooled"].get(needed) is not None
@@ -85,5 +93,9 @@ def _cell(one: Mapping[str, Any], key: str, digits: int, factor: int, together: 
     value, low, high = interval
     if value is None:
         return ""
-    half = f" ± {factor * (high - low) / 2:.{digits}f}" if low is not None and high is not None and high > low else ""
+    half = (
+        f"\xa0±\xa0{factor * (high - low) / 2:.{digits}f}"
+        if low is not None and high is not None and high > low
+        else ""
+    )
     return f"{factor * value:.{digits}f}{half}"
