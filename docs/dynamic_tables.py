@@ -14,10 +14,10 @@ MOTION: dict[str, Column] = {
     "static_moving": ("static predicted moving [%]", 2, 100, False),
     "velocity_median": ("velocity: median error [m/s]", 2, 1, False),
     "velocity_rmse": ("RMSE [m/s]", 2, 1, False),
-    "time_to_detect": ("time to detect [s]", 2, 1, True),
 }
-STATES: dict[str, Column] = {
-    "pedestrian_normalised_mean": ("pedestrians: error / speed", 2, 1, True),
+STATES: dict[str, Column] = {  # without intervals
+    "time_to_detect": ("time to detect [s]", 2, 1, True),
+    "pedestrian_normalised_mean": ("people: error / speed", 2, 1, True),
     "inside_95": ("in the 95 % ellipse [%]", 0, 100, True),
     "moving_occupied": ("moving cells more occupied than free [%]", 0, 100, True),
     "static_iou_occupied": ("static IoU", 3, 1, False),
@@ -47,7 +47,7 @@ def dynamic_tables(found: Mapping[str, Any]) -> list[str]:
     parts = [
         "**Simulated drives** (means of 12 drives ± half of the 95 % interval; Nuss' filter with a million particles):"
     ]
-    parts += [_table(MOTION, simulated), _table(STATES, simulated)]
+    parts += [_table(MOTION, simulated), _table(STATES, simulated, False)]
     parts += ["**KITTI**, with all layers and with fewer:", _table(RECORDED, _rows(runs, real, ("conflict layer",)))]
     later = _rows(runs, [run for run in runs if run not in real[1:]], (PLAIN,), "recall_0.5")
     parts += [
@@ -76,8 +76,10 @@ def _rows(
     }
 
 
-def _table(columns: Mapping[str, Column], maps: Mapping[str, Any]) -> str:
+def _table(columns: Mapping[str, Column], maps: Mapping[str, Any], intervals: bool = True) -> str:
     values = {name: [_cell(one, key, *column[1:]) for key, column in columns.items()] for name, one in maps.items()}
+    if not intervals:
+        values = {name: [text.partition("\xa0")[0] for text in row] for name, row in values.items()}
     some = [k for k in range(len(columns)) if any(row[k] for row in values.values())]
     heads = [list(columns.values())[k][0] for k in some]
     lines = [f"| map | {' | '.join(heads)} |", f"|---|{'---:|' * len(heads)}"]

@@ -7,7 +7,7 @@ __all__ = ["far_tables", "fusion_tables", "radar_tables"]
 
 METRICS = {
     "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free",
-    "iou_occupied": "IoU occupied", "missed_occupied": "missed", "ece": "ECE", "auroc_unknown": "AUROC unknown",
+    "iou_occupied": "IoU occupied", "ece": "ECE", "auroc_unknown": "AUROC unknown",
 }  # fmt: skip
 FUSED = {
     "motion_ap": "AP of moving cells", "motion_iou": "IoU of moving", "static_moving": "static predicted moving",
