@@ -12,7 +12,7 @@ Definitions, see `ogm.metrics.MOTION_METRICS`, `PREDICTION_METRICS` and `fusion_
 
 * cells: those that the scan shows as occupied (> 1/2), from the tenth scan of a drive on; on KITTI within 35 m and the
   view in which objects are labelled. Moving is what is faster than 1 m/s in truth, static what is slower than 0.3 m/s;
-* predicted moving: a score, belief in dynamic times min(speed, 2 m/s), above 1 m/s. Nuss' filter has no belief in
+* predicted moving: a score, belief in dynamic times min(speed, 2 m/s), above 0.6 m/s. Nuss' filter has no belief in
   static: there it is a velocity above 1 m/s and more than two standard deviations from 0, and for average precision
   and predictions belief in dynamic is 1 - exp(-m²/2), m being the number of standard deviations, which gives it twice
   the average precision of the speed alone (also in the tables);

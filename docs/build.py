@@ -42,21 +42,33 @@ MAPS = {  # name in the record -> title
     "classical Bayes": "classical Bayes (0.12 to 0.97, never forgets)",
     "cautious, dynamic decay, 0.04 s": "**`EvidentialMapper` with its defaults**",
     "Dempster, 2 s": "Dempster, 2 s",
+    "Dempster, dynamic decay, 0.5 s": "Dempster, dynamic decay, 0.5 s",
+    "Dempster, evidence fades, 0.5 s": "Dempster, evidence fades, 0.5 s",
+    "Bayes, pignistic, 5 s": "Bayes, 5 s",
     "Bayes, plausibility, limits as Dempster, 0.5 s": "Bayes by plausibility, limits as Dempster, 0.5 s",
     "Yager, never forgets": "Yager, never forgets",
     "PCR6, 2 s": "PCR6, 2 s",
     "cumulative, 1 s": "cumulative, 1 s",
+    "cumulative, dynamic decay, 0.2 s": "cumulative, dynamic decay, 0.2 s",
+    "cumulative, evidence fades, 0.5 s": "cumulative, evidence fades, 0.5 s",
     "cautious, 1 s": "cautious, 1 s",
     "cautious, 2 s": "cautious, 2 s",
     "averaging, never forgets": "averaging, never forgets",
     "weighted, 2 s": "weighted, 2 s",
 }
+MAIN_MAPS = (  # those that docs/fusion.md compares
+    *("scan alone", "classical Bayes", "cautious, dynamic decay, 0.04 s", "Dempster, 2 s"),
+    *("Bayes, plausibility, limits as Dempster, 0.5 s", "Yager, never forgets", "cumulative, 1 s"),
+    "cumulative, evidence fades, 0.5 s",
+)
+MAIN_COLUMNS = ("static_iou_occupied", "static_false_free", "appear_first", "body_recall", "view_ece")
 MAP_COLUMNS = {
     "static_iou_occupied": "IoU occupied",
     "static_false_free": "false free (P < 1/4)",
     "static_brier": "Brier",
     "static_known": "known and right",
     "ghost_area": "ghosts [m²]",
+    "ghost_1s": "... older than 1 s",
     "appear_first": "new obstacle seen at once",
     "body_recall": "moving cells occupied",
     "view_ece": "ECE",
@@ -394,31 +406,37 @@ def deep_engines(found: dict) -> str:
     return table([*heads, "largest difference of a mass"], rows)
 
 
-def fusion(part: str) -> str:
+def fusion(part: str, names: Sequence[str] = tuple(MAPS), columns: Sequence[str] = tuple(MAP_COLUMNS)) -> str:
     """Return what maps reach on simulated test drives, behind a sensor model."""
     maps = record("fusion_quality")[part]
     rows = []
-    for name, title in MAPS.items():
+    for name in names:
         if name not in maps:
             continue
         means, ratio = (maps[name]["mean and 95 % interval"], maps[name]["ratio to the classical filter"]["ghost_area"])
         cells = [
-            f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}"
-            for key in MAP_COLUMNS
+            f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}" for key in columns
         ]
         cells.append(f"{ratio[0]:.2f} ({ratio[1]:.2f} to {ratio[2]:.2f})")
-        rows.append([title, *cells])  # fmt: skip
-    return table(["map", *MAP_COLUMNS.values(), "ghosts, x Bayes"], rows)
+        rows.append([MAPS[name], *cells])  # fmt: skip
+    return table(["map", *(MAP_COLUMNS[key] for key in columns), "ghosts, x Bayes"], rows)
 
 
-def fusion_real() -> str:
-    """Return what maps reach on a real drive."""
-    drive = record("fusion_real")["recordings"]["KITTI drive 0005"]["maps"]["mean"]
+def fusion_real(without: Sequence[str] = ()) -> str:
+    """Return what maps reach on a real drive, but for some rules and columns."""
+    drive = record("fusion_real")["recordings"]["KITTI drive 0005"]
+    moving, trails = drive["maps"]["moving boxes"]["models"], drive["trails"]["models"]
     columns = {"complete": "known", "iou_occupied": "IoU occupied", "false_free": "false free", "brier": "Brier"}
-    rows = [
-        [name, *(f"{100 * means[key]:.1f}" for key in columns)] for name, means in drive.items() if name.count(",") == 1
-    ]
-    return table(["KITTI drive 0005 [%]", *columns.values()], rows)
+    columns = {key: title for key, title in columns.items() if title not in without}
+    rows = []
+    for name, means in drive["maps"]["mean"].items():
+        if name not in trails or name.rpartition(", ")[2] in without:
+            continue
+        _, after, *_, ages = trails[name]["marked"].values()  # cells, share above P = 1/2 by age, ..., of all ages
+        values = *(means[key] for key in columns), moving[name]["occupied"], moving[name]["free"], after[0]
+        rows.append([name, *(f"{100 * value:.1f}" for value in (*values, next(iter(ages.values()))))])
+    heads = *columns.values(), "moving: occupied", "moving: free", "trails after 0.1 s", "all trails"
+    return table(["KITTI drive 0005 [%]", *heads], rows)
 
 
 def fusion_speed() -> str:
@@ -618,6 +636,13 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/lite.md": lambda: {"results": headline()},
     "docs/deep.md": lambda: {"combined": combined()},
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
+    "docs/fusion.md": lambda: {
+        "simulated": "\n\n".join(
+            f"Behind {model}:\n\n{fusion(part, MAIN_MAPS, MAIN_COLUMNS)}"
+            for model, part in (("`RayISM`", "maps"), ("`lite`", "maps behind lite"))
+        ),
+        "real": fusion_real(("Yager", "cumulative", "matched", "Brier")),
+    },
     "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
     "docs/project.md": lambda: {"pythons": pythons()},
     "docs/quality.md": lambda: tables(record("quality")),

@@ -7,18 +7,18 @@ __all__ = ["far_tables", "fusion_tables", "radar_tables"]
 
 METRICS = {
     "nll": "log loss", "brier": "Brier", "iou_free": "IoU free", "false_free": "false free",
-    "iou_occupied": "IoU occupied", "missed_occupied": "missed", "ece": "ECE", "auroc_unknown": "AUROC unknown",
+    "iou_occupied": "IoU occupied", "ece": "ECE", "auroc_unknown": "AUROC unknown",
 }  # fmt: skip
 FUSED = {
     "motion_ap": "AP of moving cells", "motion_iou": "IoU of moving", "static_moving": "static predicted moving",
     "nll": "log loss", "iou_free": "IoU free", "iou_occupied": "IoU occupied", "false_free": "false free",
 }  # fmt: skip
 STATIC_FUSED = ("nll", "iou_free", "iou_occupied", "false_free")
-FITTED = ("free_mass", "hit_mass", "extent", "behind", "reach", "margin", "beam")
+ALIKE = "RadarISM, static"  # without what moves: nearly the same scores
 
 
 def radar_tables(record: Mapping[str, Any]) -> list[str]:
-    """Return the tables of scores, of pairs, of fits, of detections, and of the recorded frame."""
+    """Return the tables of scores, of pairs, of detections, and of the recorded frame."""
     radars = record["radars"]
     lines = [
         f"Frames: {record['frames']}, drives: {record['drives']}.",
@@ -27,19 +27,17 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
     ]
     lines.append(_rule(2, len(METRICS)))
     for name, found in radars.items():
-        for model, scores in found["scores"].items():
-            lines.append(_row([name, model, *(f"{scores[key]:.3f}" for key in METRICS)]))
+        scores = {model: one for model, one in found["scores"].items() if model != ALIKE}
+        lines += [_row([name, model, *(f"{one[key]:.3f}" for key in METRICS)]) for model, one in scores.items()]
     pairs = [_row(["`RadarISM` minus another, mean over drives (95 %)", "log loss", "Brier", "IoU free", "false free"])]
     pairs.append(_rule(1, 4))
     for name, found in radars.items():
         compared = found["RadarISM minus another, mean over drives, 95 %"]
-        for other in compared["nll"]:
+        for other in (other for other in compared["nll"] if other in ("rays (RayISM)", "Werber 2015")):
             numbers = (compared[key][other] for key in ("nll", "brier", "iou_free", "false_free"))
             pairs.append(
                 _row([f"{name}: {other}", *(f"{m:+.3f} ({low:+.3f} to {high:+.3f})" for m, low, high in numbers)])
             )
-    fits = [_row(["fitted to", *(f"`{key}`" for key in FITTED)]), _rule(1, len(FITTED))]
-    fits += [_row([name, *(f"{fit[key]:.3g}" for key in FITTED)]) for name, fit in record["fit"].items()]
     head = ["radar", "detections (least, median, most)", "objects", "ground", "ghosts", "clutter"]
     counts = [_row([*head, "Doppler of standing things, 5 to 95 % [m/s]", "time of a sweep [s]"]), _rule(1, 7)]
     for name, found in radars.items():
@@ -51,7 +49,7 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
         counts.append(
             _row([name, f"{least}, {middle:.0f}, {most}", *shares, spread, f"{one['seconds per sweep']:.3f}"])
         )
-    tables = ["\n".join(rows) for rows in (lines, pairs, *([fits] if record["fit"] else []), counts)]
+    tables = ["\n".join(rows) for rows in (lines, pairs, counts)]
     if times := record.get("ms per sweep, 512 x 352 cells"):
         each = ", ".join(f"{name} {time:.1f} ms" for name, time in times.items())
         tables.append(f"Time of one sweep of 300 detections on 512 x 352 cells, median, one core: {each}.")

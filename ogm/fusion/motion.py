@@ -19,8 +19,8 @@ def deskew(points: NDArray[Any], time: ArrayLike, trajectory: Trajectory, stamp:
     """Return each point where the sensor would have measured it at `stamp`.
 
     A point measured at time t becomes ``inverse(T_map_sensor(stamp)) @ T_map_sensor(t) @ point``. Between its
-    poses the trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.Trajectory`. That
-    is right for static objects; dynamic ones stay distorted by their own motion.
+    poses the trajectory follows a straight line and turns on the shortest arc, as in `ogm.pose.Trajectory` (to 1e-5
+    m). That is right for static objects; dynamic ones stay distorted by their own motion.
 
     Parameters
     ----------
