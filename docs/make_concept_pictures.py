@@ -59,7 +59,11 @@ def main() -> None:
     figure, axes = plt.subplots(figsize=(9.2, 3.0), layout="constrained")
     a, b = np.array(MAP), np.array(SCAN)
     found = [a, b, evidence.discount(b, 0.5), *(getattr(evidence, name)(a, b) for name in RULES)]
-    bars(axes, found, ["map", "scan", "scan,\nreliability ½", *("cautious" if "cautious" in name else name for name in RULES)])
+    bars(
+        axes,
+        found,
+        ["map", "scan", "scan,\nreliability ½", *("cautious" if "cautious" in name else name for name in RULES)],
+    )
     axes.axvline(2.5, color="#999999", linewidth=1, linestyle=":")
     axes.set_title("map and scan, combined by", fontsize=10, loc="right", pad=8)
     save(figure, axes, "concepts_rules")
