@@ -8,7 +8,9 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
+from site_links import broken_links  # noqa: E402
 from site_pages import with_links, write_pages  # noqa: E402
+from sphinx.util.logging import getLogger  # noqa: E402
 
 import ogm  # noqa: E402
 
@@ -24,7 +26,7 @@ default_role = "py:obj"  # `name` in a docstring links where there is such a nam
 nitpicky = False  # types of other packages are no links: the site is built without a network
 
 myst_heading_anchors = 4  # the anchors of GitHub: #what-it-reaches
-myst_enable_extensions = ["attrs_inline", "colon_fence"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "html_image"]
 
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
@@ -79,8 +81,16 @@ def lead_to_pages(app: object, name: str, source: list[str]) -> None:
         source[0] = with_links(source[0], (HERE / name).parent, HERE, "../" * name.count("/"))
 
 
+def check_links(app: Any, error: Exception | None) -> None:
+    """Warn of links that lead nowhere; with ``-W`` the build fails."""
+    if error is None and app.builder.name == "html":
+        for line in broken_links(Path(app.outdir)):
+            getLogger(__name__).warning(line)
+
+
 def setup(app: Any) -> None:
     """Connect the functions above."""
     app.connect("autodoc-process-docstring", escape_formulas, priority=100)  # before napoleon
     app.connect("autodoc-skip-member", skip_fields)
     app.connect("source-read", lead_to_pages)
+    app.connect("build-finished", check_links)

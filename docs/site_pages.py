@@ -17,13 +17,16 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "Evidence": ("ogm.evidence", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.combined", "ogm.doppler"),
     "Maps over time": ("ogm.fusion", "ogm.live", "ogm.world"),
-    "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.logs", "ogm.truth"),
-    "Evaluation": ("ogm.evaluation", "ogm.metrics"),
+    "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
+    "Evaluation": ("ogm.evaluation", "ogm.evaluation.models", "ogm.metrics"),
     "Pictures": ("ogm.plot", "ogm.movie", "ogm.overview", "ogm.viewer"),
-    "Training": ("ogm.deep.training", "ogm.deep.losses", "ogm.deep.data", "ogm.deep.export", "ogm.deep.engines"),
+    "Training": tuple(f"ogm.deep.{name}" for name in ("training", "recipe", "losses", "data", "export", "engines")),
     "Simulation": tuple(
         f"ogm.simulation.{name}"
-        for name in ("plan", "recipe", "dataset", "sample", "store", "sensors", "lidar", "mounts", "radars", "radar")
+        for name in (
+            *("plan", "recipe", "dataset", "sample", "store", "sensors", "lidar", "mounts", "radars", "radar"),
+            *("scene", "mesh", "materials"),
+        )
     ),
 }
 MODULES = tuple(name for modules in REFERENCE.values() for name in modules)
@@ -81,7 +84,8 @@ def comment(module: str, name: str) -> str:
     """Return the comment at the definition of a constant, in the module or where that imports it from."""
     source = inspect.getsource(importlib.import_module(module))
     lines = source.splitlines()
-    for node in ast.parse(source).body:
+    body = ast.parse(source).body
+    for node in [*body, *(one for top in body if isinstance(top, ast.If) for one in top.body)]:  # if TYPE_CHECKING:
         if isinstance(node, ast.ImportFrom) and node.module and name in {one.name for one in node.names}:
             return comment(node.module, name)
         targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]

@@ -30,47 +30,45 @@ def map_cloud(
 def main() -> None:
     import rclpy
     from nav_msgs.msg import OccupancyGrid
-    from rclpy.node import Node
     from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
     from sensor_msgs.msg import PointCloud2
     from tf2_msgs.msg import TFMessage
 
-    class GridNode(Node):
-        """Maps the newest cloud as soon as tf has its time."""
-
-        def __init__(self) -> None:
-            super().__init__("ogm")
-            self.map_frame = self.declare_parameter("map_frame", "odom").value
-            spec, mount = GridSpec.centered(), Mount(self.declare_parameter("sensor_height", 1.8).value)
-            self.ism, self.mapper = RayISM(spec, mount), EvidentialMapper(rolling_window(spec))
-            warm_up(self.ism, self.mapper)
-            self.transforms, self.waiting = TransformBuffer(keep=10.0), None
-            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            static = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            self.publisher = self.create_publisher(OccupancyGrid, "map", latched)
-            self.create_subscription(TFMessage, "/tf", self.add_transforms, 100)
-            self.create_subscription(TFMessage, "/tf_static", lambda tf: self.add_transforms(tf, True), static)
-            self.create_subscription(PointCloud2, "points", self.take_cloud, qos_profile_sensor_data)
-
-        def add_transforms(self, message: TFMessage, static: bool = False) -> None:
-            for transform in transforms_from_tf(message):
-                self.transforms.add(transform, static)
-            self.map_waiting()
-
-        def take_cloud(self, cloud: PointCloud2) -> None:
-            self.waiting = cloud  # an older one that still waits is dropped
-            self.map_waiting()
-
-        def map_waiting(self) -> None:
-            cloud, self.waiting = self.waiting, None
-            try:
-                if cloud is not None:
-                    plain = map_cloud(cloud, self.transforms, self.ism, self.mapper, self.map_frame)
-                    self.publisher.publish(fill_message(OccupancyGrid(), plain))
-            except ExtrapolationError as error:
-                self.waiting = cloud if error.seconds > 0 else None  # tf comes a little later
-            except ValueError as error:
-                self.get_logger().warning(f"a cloud is skipped: {error}", throttle_duration_sec=5.0)
-
     rclpy.init()
-    rclpy.spin(GridNode())
+    node = rclpy.create_node("ogm")
+    map_frame = node.declare_parameter("map_frame", "odom").value
+    spec, mount = GridSpec.centered(), Mount(node.declare_parameter("sensor_height", 1.8).value)
+    ism, mapper, transforms = RayISM(spec, mount), EvidentialMapper(rolling_window(spec)), TransformBuffer(keep=10.0)
+    warm_up(ism, mapper)
+    latched, static = (QoSProfile(depth=n, durability=DurabilityPolicy.TRANSIENT_LOCAL) for n in (1, 100))
+    publisher = node.create_publisher(OccupancyGrid, "map", latched)
+    waiting: list[Any] = []  # the newest cloud, until tf has its time
+
+    def map_waiting() -> None:
+        try:
+            if waiting:
+                plain = map_cloud(waiting[0], transforms, ism, mapper, map_frame)
+                publisher.publish(fill_message(OccupancyGrid(), plain))
+                waiting.clear()
+        except ValueError as error:
+            if not isinstance(error, ExtrapolationError) or error.seconds <= 0:  # else tf comes a little later
+                node.get_logger().warning(f"a cloud is skipped: {error}", throttle_duration_sec=5.0)
+                waiting.clear()
+
+    def take_tf(message: TFMessage, static: bool = False) -> None:
+        for transform in transforms_from_tf(message):
+            transforms.add(transform, static)
+        map_waiting()
+
+    def take_cloud(cloud: PointCloud2) -> None:
+        waiting[:] = [cloud]
+        map_waiting()
+
+    node.create_subscription(TFMessage, "/tf", take_tf, 100)
+    node.create_subscription(TFMessage, "/tf_static", lambda message: take_tf(message, True), static)
+    node.create_subscription(PointCloud2, "points", take_cloud, qos_profile_sensor_data)
+    rclpy.spin(node)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,16 +1,15 @@
 """A live map over Zenoh: PointCloud2 and tf in, OccupancyGrid out, all as CDR bytes, without ROS.
 
-    python examples/zenoh_bridge.py --sensor-height 1.8 --connect tcp/192.168.1.20:7447
+    python examples/zenoh_bridge.py [CONFIG.json5]
 
-zenoh-bridge-ros2dds names topics as ROS 2 does, without the slash in front: those names are the keys here.
+The keys are topics as zenoh-bridge-ros2dds names them: as in ROS 2, without the slash in front. A configuration of
+Zenoh may name endpoints to connect to; without one, peers find each other.
 """
 
-import argparse
-import json
-import time
+import sys
 from collections.abc import Iterator
+from queue import Empty, SimpleQueue
 from threading import Event
-from typing import Any
 
 import zenoh
 import zenoh.ext
@@ -23,74 +22,47 @@ from ogm.io.messages import occupancy_grid, scan_from_point_cloud2, transforms_f
 from ogm.io.transforms import TransformBuffer, TransformError
 from ogm.live import LiveReport, serve, warm_up
 
-TYPES = get_typestore(Stores.ROS2_HUMBLE)
-PATIENCE = 0.2  # [s] for which a cloud waits for its transform
+TYPES, TF, CLOUD = get_typestore(Stores.ROS2_HUMBLE), "tf2_msgs/msg/TFMessage", "sensor_msgs/msg/PointCloud2"
+EARLIER = zenoh.ext.HistoryConfig(detect_late_publishers=True)  # static transforms are sent once
 
 
-def frames(session: zenoh.Session, mount: Mount, map_frame: str, stop: Event) -> Iterator[Frame]:
-    """Yield the newest cloud with its pose, again and again."""
-    clouds = session.declare_subscriber("points", zenoh.handlers.RingChannel(1))
-    tf = session.declare_subscriber("tf", zenoh.handlers.FifoChannel(1000))
-    earlier = zenoh.ext.HistoryConfig(detect_late_publishers=True)  # static transforms are sent once
-    tf_static = zenoh.ext.declare_advanced_subscriber(
-        session, "tf_static", zenoh.handlers.FifoChannel(1000), history=earlier
-    )
-    transforms = TransformBuffer(keep=10.0)
-
-    def pose_of(cloud: Any, stamp: float) -> Any:
-        until = time.monotonic() + PATIENCE
-        while True:
-            for subscriber in (tf, tf_static):
-                while (sample := subscriber.try_recv()) is not None:
-                    message = TYPES.deserialize_cdr(sample.payload.to_bytes(), "tf2_msgs/msg/TFMessage")
-                    for transform in transforms_from_tf(message):
-                        transforms.add(transform, static=subscriber is tf_static)
-            try:
-                return transforms.lookup(map_frame, cloud.header.frame_id.lstrip("/"), stamp)
-            except TransformError as error:  # a frame may not be announced yet; the past does not come again
-                if getattr(error, "seconds", 1.0) <= 0 or time.monotonic() > until:
-                    raise
-            time.sleep(0.002)
-
+def frames(samples: SimpleQueue[zenoh.Sample], mount: Mount, map_frame: str, stop: Event) -> Iterator[Frame]:
+    """Yield each cloud when its pose is known, unless the next one comes before."""
+    transforms, cloud = TransformBuffer(keep=10.0), None
     while not stop.is_set():
-        sample = clouds.try_recv()
-        if sample is None:
-            time.sleep(0.002)
-            continue
         try:
-            cloud = TYPES.deserialize_cdr(sample.payload.to_bytes(), "sensor_msgs/msg/PointCloud2")
-            scan = scan_from_point_cloud2(cloud)
-            yield Frame(scan, mount, None, None, T_map_sensor=pose_of(cloud, scan.stamp), stamp=scan.stamp)
+            sample = samples.get(timeout=0.1)
+            key, data = str(sample.key_expr), sample.payload.to_bytes()
+            if key == "points":
+                cloud = TYPES.deserialize_cdr(data, CLOUD)
+            else:
+                for transform in transforms_from_tf(TYPES.deserialize_cdr(data, TF)):
+                    transforms.add(transform, static=key == "tf_static")
+            if cloud is not None:
+                scan = scan_from_point_cloud2(cloud)
+                T_map_sensor = transforms.lookup(map_frame, cloud.header.frame_id.lstrip("/"), scan.stamp)
+                cloud = None
+                yield Frame(scan, mount, None, None, T_map_sensor=T_map_sensor, stamp=scan.stamp)
         except Exception as error:  # whatever the bytes are
-            print(f"a cloud is skipped: {error}")
+            if not isinstance(error, Empty | TransformError) or getattr(error, "seconds", 1.0) <= 0:
+                print(f"a cloud is skipped: {error}")
+                cloud = None  # else its transform may come yet
 
 
 def bridge(session: zenoh.Session, mount: Mount, map_frame: str = "odom", stop: Event | None = None) -> LiveReport:
-    """Map what comes until `stop` is set, or Ctrl-C."""
-    spec, stop = GridSpec.centered(), stop or Event()
-    ism, mapper = RayISM(spec, mount), EvidentialMapper(rolling_window(spec))
+    ism, mapper = RayISM(GridSpec.centered(), mount), EvidentialMapper(rolling_window(GridSpec.centered()))
     warm_up(ism, mapper)
-    publisher = session.declare_publisher("map")
+    samples, stop, publisher = SimpleQueue[zenoh.Sample](), stop or Event(), session.declare_publisher("map")
+    subscribers = [session.declare_subscriber(key, samples.put) for key in ("points", "tf")]
+    subscribers.append(zenoh.ext.declare_advanced_subscriber(session, "tf_static", samples.put, history=EARLIER))
 
     def publish(step: FusionStep, mapper: EvidentialMapper) -> None:
         message = occupancy_grid(mapper.grid, frame_id=map_frame, stamp=step.frame.stamp)
         publisher.put(bytes(TYPES.serialize_cdr(message, "nav_msgs/msg/OccupancyGrid")))
 
-    return serve(frames(session, mount, map_frame, stop), ism, mapper, publish, stop=stop, on_report=print)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sensor-height", type=float, required=True, help="above ground [m]")
-    parser.add_argument("--map-frame", default="odom")
-    parser.add_argument("--connect", help="a Zenoh endpoint; by default peers are found by multicast")
-    given = parser.parse_args()
-    config = zenoh.Config()
-    if given.connect:
-        config.insert_json5("connect/endpoints", json.dumps([given.connect]))
-    with zenoh.open(config) as session:
-        print(bridge(session, Mount(given.sensor_height), given.map_frame))
+    return serve(frames(samples, mount, map_frame, stop), ism, mapper, publish, stop=stop, on_report=print)
 
 
 if __name__ == "__main__":
-    main()
+    with zenoh.open(zenoh.Config.from_file(sys.argv[1]) if sys.argv[1:] else zenoh.Config()) as session:
+        print(bridge(session, Mount(sensor_height=1.8)))  # [m] above the ground

@@ -1,4 +1,13 @@
-"""Motion from the Doppler of a scan: of the sensor itself, of what moves, and radial velocities as measurements."""
+"""Motion from the Doppler of a scan: of the sensor itself, of what moves, and radial velocities as measurements.
+
+>>> import numpy as np
+>>> from ogm import Scan
+>>> from ogm.doppler import sensor_velocity
+>>> azimuth = np.linspace(-1, 1, 50)
+>>> xyz = 20 * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth]).astype(np.float32)
+>>> sensor_velocity(Scan(xyz, doppler=-8.0 * np.cos(azimuth))).round(3)     # [m/s]: ahead, past what stands still
+array([8., 0.])
+"""
 
 import math
 from typing import NamedTuple

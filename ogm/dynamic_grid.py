@@ -1,4 +1,14 @@
-"""`DynamicGrid`: belief in free, static and dynamic for every cell, and the velocity of what is dynamic."""
+"""`DynamicGrid`: belief in free, static and dynamic for every cell, and the velocity of what is dynamic.
+
+>>> import numpy as np
+>>> from ogm import GridSpec
+>>> from ogm.dynamic_grid import DynamicGrid
+>>> spec, nan = GridSpec(0.2, (4, 3), (0.0, 0.0)), np.float32(np.nan)
+>>> mass = np.full((4, 3, 3), (0.1, 0.6, 0.0), np.float32)                  # free, static, dynamic
+>>> grid = DynamicGrid(spec, mass, np.full((4, 3, 2), nan), np.full((4, 3, 2, 2), nan))
+>>> round(float(grid.occupied[0, 0]), 3), round(float(grid.unknown[0, 0]), 3)
+(0.6, 0.3)
+"""
 
 import os
 from dataclasses import dataclass

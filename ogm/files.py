@@ -1,4 +1,9 @@
-"""Files that are either whole or not there, and the error for those that are wrong."""
+"""Files that are either whole or not there, and the error for those that are wrong.
+
+>>> from ogm.files import atomic_write
+>>> with atomic_write("notes.txt", "w") as file:       # after an error or a crash, the old file or none is there
+...     _ = file.write("whole")
+"""
 
 import contextlib
 import errno

@@ -1,4 +1,13 @@
-"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`."""
+"""Geometry and data of one grid: `GridSpec`, `EvidentialGrid` and `LayeredGrid`.
+
+>>> import numpy as np
+>>> from ogm import EvidentialGrid, GridSpec
+>>> spec = GridSpec.centered(length=20.0, width=10.0, resolution=0.5)
+>>> spec.shape, spec.origin
+((40, 20), (-10.0, -5.0))
+>>> EvidentialGrid(spec, np.full((*spec.shape, 2), (0.6, 0.1), np.float32)).at(3.0, 1.0)
+Opinion(free=0.60, occupied=0.10, unknown=0.30)
+"""
 
 import os
 from collections.abc import Mapping

@@ -1,6 +1,14 @@
 """Films of a drive: points, measurement, map and conflict of every scan, side by side, the vehicle facing up.
 
 Frames are written, or spooled to disk, as they come: memory stays flat for any number of them.
+
+>>> import numpy as np
+>>> from ogm import EvidentialGrid, GridSpec, plot
+>>> from ogm.movie import open_movie
+>>> grid = EvidentialGrid.vacuous(GridSpec.centered(length=20.0, width=10.0, resolution=0.5))
+>>> with open_movie("drive.gif", grid.spec, ["points", "scan", "map", "conflict"], ground_z=-1.8) as movie:
+...     for k in range(2):
+...         movie.add(np.zeros((0, 4), np.float32), [plot.mass_panel(grid)] * 3, f"scan {k}", 0.1 * k)
 """
 
 import math

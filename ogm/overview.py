@@ -6,6 +6,13 @@ A level is made from the one before. A block of 2 x 2 cells has
   of its cells. So a cell that is occupied is occupied at every level;
 * other numbers: those of the cell that is furthest from zero, which for a velocity is the fastest cell; no value only
   where none of its cells has one.
+
+>>> import numpy as np
+>>> from ogm.overview import halve_mass, mass_to_bytes
+>>> free = np.full((2, 2, 2), (0.8, 0.0), np.float32)
+>>> free[0, 0] = 0.0, 0.9                                                   # one of four cells is occupied
+>>> halve_mass(mass_to_bytes(free))[0, 0].tolist()
+[0, 230]
 """
 
 from typing import NamedTuple

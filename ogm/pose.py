@@ -2,6 +2,14 @@
 
 ``T_map_sensor @ (x, y, z, 1)`` takes sensor coordinates to map coordinates, so a chain reads like its names:
 ``T_map_vehicle @ T_vehicle_sensor = T_map_sensor``.
+
+>>> import numpy as np
+>>> from ogm.pose import inverse, pose, transform_points
+>>> T_map_vehicle = pose(x=10.0, yaw=np.pi / 2)
+>>> transform_points(T_map_vehicle, np.array([[1.0, 0.0, 0.0]])).round(6)
+array([[10.,  1.,  0.]])
+>>> np.allclose(T_map_vehicle @ inverse(T_map_vehicle), np.eye(4))
+True
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,12 @@
-"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models."""
+"""Input of the library: `Scan`, `Mount`, `Boxes`, the `Frame` that holds them, and the interface of sensor models.
+
+>>> import numpy as np
+>>> from ogm import Mount, Scan
+>>> points = np.array([[5.0, 0.0, -1.8, 0.3], [8.0, 1.0, 0.2, 0.7]], np.float32)    # x, y, z [m], intensity
+>>> scan, mount = Scan(points, stamp=12.5), Mount(sensor_height=1.8)
+>>> len(scan), scan.stamp, mount.sensor_height
+(2, 12.5, 1.8)
+"""
 
 import math
 from collections.abc import Callable, Mapping, Sequence

@@ -1,4 +1,10 @@
-"""States of cells: what the truth holds, and what a belief predicts."""
+"""States of cells: what the truth holds, and what a belief predicts.
+
+>>> import numpy as np
+>>> from ogm.state import CellState, predict_state
+>>> [CellState(one).name for one in predict_state(np.array([[0.7, 0.1], [0.1, 0.7], [0.2, 0.2]]))]
+['FREE', 'OCCUPIED', 'UNKNOWN']
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -3,6 +3,10 @@
 The page holds the numbers of the cells as bytes, in tiles of 512 x 512 cells: at full resolution, and at levels of half
 the resolution each (`ogm.overview`). Tiles are deflated and stand in the page as base64; the browser unpacks those that
 are on the screen. Tiles without any number are left out.
+
+>>> from ogm import EvidentialGrid, GridSpec
+>>> from ogm.viewer import write_view
+>>> _ = write_view("map.html", EvidentialGrid.vacuous(GridSpec.centered(resolution=0.5)), title="nothing yet")
 """
 
 import json

@@ -1,6 +1,7 @@
 """Every example is run: the own driver whole, the ROS 2 node on a stand-in for rclpy, the bridge over real sessions."""
 
 import importlib.util
+import runpy
 import sys
 import threading
 import time
@@ -143,10 +144,6 @@ def test_an_own_driver_is_served() -> None:
 # The node.
 
 
-def test_the_node_is_at_most_80_lines() -> None:
-    assert len((EXAMPLES / "ros2_node.py").read_text().splitlines()) <= 80
-
-
 def test_the_node_makes_the_map_of_its_scans() -> None:
     """The plain function, on messages of rosbags."""
     node, transforms = example("ros2_node"), TransformBuffer()
@@ -167,7 +164,7 @@ def test_the_node_makes_the_map_of_its_scans() -> None:
 
 
 class FakeNode:
-    """What the example uses of rclpy.node.Node."""
+    """What the example uses of a node."""
 
     last: "FakeNode"
 
@@ -202,8 +199,7 @@ def fake_ros(monkeypatch: pytest.MonkeyPatch, spin: Callable[[FakeNode], None]) 
 
     policy = SimpleNamespace(TRANSIENT_LOCAL=1)
     found = {
-        "rclpy": {"init": lambda: None, "spin": spin},
-        "rclpy.node": {"Node": FakeNode},
+        "rclpy": {"init": lambda: None, "create_node": FakeNode, "spin": spin},
         "rclpy.qos": {"DurabilityPolicy": policy, "QoSProfile": SimpleNamespace, "qos_profile_sensor_data": object()},
         **{name: {} for name in ("nav_msgs", "sensor_msgs", "tf2_msgs")},
         "nav_msgs.msg": {"OccupancyGrid": OccupancyGrid},
@@ -225,7 +221,7 @@ def test_the_node_publishes_a_map_for_every_cloud(monkeypatch: pytest.MonkeyPatc
         node.subscriptions["points"](cut)
 
     fake_ros(monkeypatch, spin)
-    example("ros2_node").main()
+    runpy.run_path(str(EXAMPLES / "ros2_node.py"), run_name="__main__")
     node = FakeNode.last
     assert set(node.subscriptions) == {"tf", "tf_static", "points"}
     assert len(node.published) == 5
@@ -254,7 +250,6 @@ def test_the_bridge_maps_clouds_of_another_session() -> None:
     lines: list[str] = []
     stop, reports = threading.Event(), []
     module.print = lambda *words: lines.append(" ".join(map(str, words)))
-    module.PATIENCE = 20.0  # a busy machine brings a transform late
     port = free_port()
     with (
         zenoh.open(config(listen=f"tcp/127.0.0.1:{port}")) as ours,
@@ -295,8 +290,10 @@ def free_port() -> int:
         return int(one.getsockname()[1])
 
 
-def test_no_example_is_left_out() -> None:
+def test_no_example_is_left_out_and_none_is_long() -> None:
     assert {path.stem for path in EXAMPLES.glob("*.py")} == {
         "own_driver", "ros2_node", "zenoh_bridge",
-        "own_sensor_model", "yard",  # tests/test_tutorials.py
+        "own_sensor_model", "read_live_map", "yard",  # tests/test_tutorials.py
     }  # fmt: skip
+    for path in EXAMPLES.glob("*.py"):
+        assert sum(bool(line.strip()) for line in path.read_text().splitlines()) <= 60, path.name

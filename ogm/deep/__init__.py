@@ -1,6 +1,13 @@
 """Deep inverse sensor models: networks, losses, training; the trained models are `DeepISM` and `DeepRadarISM`.
 
 They run exported networks without torch. All else that is named here needs torch and is loaded on first use.
+
+>>> import numpy as np
+>>> from ogm import Mount, Scan
+>>> from ogm.deep import DeepISM
+>>> deep = DeepISM.load("lite", mount=Mount(sensor_height=1.9))             # the network that ogm ships
+>>> deep(Scan(np.zeros((0, 4), np.float32))).mass.shape
+(512, 352, 2)
 """
 
 import importlib

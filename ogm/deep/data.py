@@ -2,6 +2,10 @@
 
 The augmentation of a frame follows from the seed, the epoch and the frame's number alone: a training that is
 resumed, or that runs on more processes, sees the same.
+
+>>> from ogm.deep.data import PLAIN, Augmentation
+>>> PLAIN.turn, Augmentation().turn, Augmentation(sector=0.25).sector       # shares of the frames
+(0, 0.5, 0.25)
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,10 @@
-"""Weights by name or by path, and the engine that runs them: ONNX Runtime, OpenVINO or torch."""
+"""Weights by name or by path, and the engine that runs them: ONNX Runtime, OpenVINO or torch.
+
+>>> from ogm.deep.engines import weights_of
+>>> with weights_of("lite") as path:
+...     print(path.name)
+lite.safetensors
+"""
 
 import os
 from collections.abc import Iterator

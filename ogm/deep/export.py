@@ -9,6 +9,11 @@ before it, a linear layer and a maximum over the points of a pillar, is in its m
 The metadata describes every array: ``format``, ``input`` (JSON: weight, bias, rays, z_range, multiple),
 ``description`` (JSON of the weights: spec, network, recipe, ...), ``weights`` (their SHA-256), ``features``,
 ``feature_map``, ``sensor_coords`` and ``mass``; the last entry, ``sha256``, is that of all bytes before it.
+
+>>> from ogm.deep.checkpoint import load_network
+>>> from ogm.deep.export import export_onnx
+>>> network, description = load_network("runs/lite/best.safetensors")       # doctest: +SKIP
+>>> export_onnx(network, "lite.onnx", description=description)              # doctest: +SKIP
 """
 
 import importlib

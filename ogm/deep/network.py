@@ -89,8 +89,10 @@ class NetworkConfig:
         return PillarNetwork(self, spec)
 
 
+# PointPillars as van Kempen et al. 2021 describe it, for accelerators
 PAPER = NetworkConfig(64, ((64, 4), (128, 6), (256, 6)), join="concatenate", dropout=0.1, z_range=(-1.2, 2.8))
 _SCALE = (40.0, 28.0, 2.0, 0.5, 0.05, 0.05, 0.3, 0.08, 0.08)
+# For processors without an accelerator: that of the shipped weights, but for the inputs of rays
 LITE = NetworkConfig(16, ((32, 2), (48, 3), (80, 3), (112, 4)), join="add", bearings=True, scale=_SCALE)
 
 

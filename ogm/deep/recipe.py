@@ -1,4 +1,10 @@
-"""Recipes: the settings of a training; ours and the paper's."""
+"""Recipes: the settings of a training; ours and the paper's.
+
+>>> from dataclasses import replace
+>>> from ogm.deep.recipe import LITE_RECIPE
+>>> replace(LITE_RECIPE, epochs=3, batch=2).epochs
+3
+"""
 
 import math
 from collections.abc import Callable
@@ -79,7 +85,7 @@ class Recipe:
 LITE_RECIPE = Recipe(  # that of the shipped weights, which began with others and took half the learning rate
     replace(LITE, rays=True), epochs=11, batch=4, augmentation=Augmentation(sector=0.25)
 )
-PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are their code's
+PAPER_RECIPE = Recipe(  # van Kempen et al. 2021, Sec. V; the learning rate and the dropout are those of the code
     replace(PAPER, evidence="relu"),
     epochs=100,
     batch=5,

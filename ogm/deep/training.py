@@ -3,6 +3,12 @@
 A run is a folder. ``best.safetensors`` and ``best.json`` are the averaged weights with the lowest validation loss,
 ``state.pt`` holds all that is needed to resume, ``log.csv`` the learning curve, and ``epoch-NNN.png`` shows fixed
 validation frames.
+
+>>> from ogm import GridSpec, open_dataset
+>>> from ogm.deep.recipe import LITE_RECIPE
+>>> from ogm.deep.training import train
+>>> data = [open_dataset("data", split=name) for name in ("train", "val")]  # doctest: +SKIP
+>>> train(*data, GridSpec.centered(), Path("runs/lite"), LITE_RECIPE)       # doctest: +SKIP
 """
 
 import math

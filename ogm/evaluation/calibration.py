@@ -3,7 +3,9 @@
 >>> from ogm.datasets import open_dataset
 >>> from ogm.evaluation import calibrate
 >>> fitted = calibrate(open_dataset("data/", split="train"), "ray")                                # doctest: +SKIP
->>> fitted.save("ray.json")                    # a model's name from now on: evaluate({"mine": "ray.json"}, ...)
+>>> fitted.save("ray.json")                                                                        # doctest: +SKIP
+
+``"ray.json"`` is a model's name from now on: ``evaluate({"mine": "ray.json"}, ...)``.
 """
 
 import json

@@ -1,4 +1,12 @@
-"""Sensor models by name: geometric ones, also fitted, the network that ogm ships, both combined, own weights, radar."""
+"""Sensor models by name: geometric ones, also fitted, the network that ogm ships, both combined, own weights, radar.
+
+>>> from ogm import GridSpec, Mount
+>>> from ogm.evaluation.models import MODELS, load_model
+>>> "combined" in MODELS
+True
+>>> load_model("ray", GridSpec.centered(), Mount(sensor_height=1.8)).spec.shape
+(512, 352)
+"""
 
 import hashlib
 from collections.abc import Callable, Sequence

@@ -4,6 +4,12 @@ Masses are arrays of pairs ``(free, occupied)`` with any leading shape, in numpy
 what is not committed is unknown. Results come in the caller's library and dtype, and torch gradients flow.
 
 See `docs/evidence.md` for every rule with its formula, properties and edge policy.
+
+>>> import numpy as np
+>>> from ogm import evidence
+>>> a, b = np.array([0.5, 0.2]), np.array([0.1, 0.6])
+>>> evidence.dempster(a, b).round(3), evidence.discount(a, 0.5)
+(array([0.338, 0.529]), array([0.25, 0.1 ]))
 """
 
 from ogm.evidence.arrays import check_mass, renormalize

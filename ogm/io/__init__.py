@@ -1,6 +1,15 @@
 """Point clouds, poses and labels in: any supported file to metres, x forward, y left, z up. Grids both ways.
 
 A new format of point clouds goes to `ogm.io.formats`; the labels of a data set are read by the module of its name.
+
+>>> import numpy as np
+>>> from ogm import EvidentialGrid, GridSpec
+>>> from ogm.io import read_grid, write_grid
+>>> grid = EvidentialGrid(GridSpec(0.1, (2, 1), (0.0, 0.0)), np.array([[[1, 0]], [[0, 1]]], np.float32))
+>>> write_grid("map.yaml", grid)                                            # for nav2's map_server
+>>> read_grid("map.yaml").mass[:, 0]
+array([[1., 0.],
+       [0., 1.]], dtype=float32)
 """
 
 from ogm.io.argoverse2 import read_argoverse2

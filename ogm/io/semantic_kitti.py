@@ -11,6 +11,7 @@ from ogm.io.reading import read_bytes
 
 __all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 
+# Class by its number, as in the labels of SemanticKITTI
 SEMANTIC_KITTI = {
     **{0: "unlabeled", 1: "outlier", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on-rails"},
     **{18: "truck", 20: "other-vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist", 40: "road"},

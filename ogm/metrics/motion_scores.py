@@ -67,6 +67,7 @@ def _described() -> dict[str, Metric]:
     return found
 
 
+# By name: title, which way is better, description
 MOTION_METRICS = _described()
 
 

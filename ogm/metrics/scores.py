@@ -96,6 +96,7 @@ legacy_kl | released code's KL | lower | categorical KL of clipped evidence, as 
 legacy_accuracy | released code's accuracy |  | share of cells predicted unknown, which the EviLOG code reports as \
 accuracy
 """  # name | title | better | description
+# By name: title, which way is better, description
 METRICS = {name: Metric(*rest) for name, *rest in (row.split(" | ") for row in _TABLE.splitlines())}
 
 _NEEDS = {

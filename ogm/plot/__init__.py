@@ -1,4 +1,9 @@
-"""Pictures of points and grids, the vehicle facing up. The only place that flips axes or knows colours."""
+"""Pictures of points and grids, the vehicle facing up. The only place that flips axes or knows colours.
+
+>>> from ogm import EvidentialGrid, GridSpec, plot
+>>> grid = EvidentialGrid.vacuous(GridSpec.centered(length=20.0, width=10.0, resolution=0.5))
+>>> plot.save_picture("grid.png", grid, plot.probability_panel(grid), titles=["masses", "probability"])
+"""
 
 from ogm.plot.figures import save_picture, show
 from ogm.plot.moving import dynamic_panel, heading_wheel, moving_arrows, moving_groups

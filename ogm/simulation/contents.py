@@ -17,6 +17,7 @@ __all__ = ["FACTS", "OBJECTS", "OF_RADARS", "POSES", "SHARD", "SWEEP", "UNMEASUR
 SHARD = 10  # samples per shard: they become complete together
 OBJECTS = 160  # rows for objects per sample; of more, the first are kept
 POSES = [f"T_{name}_sensor_{row}{column}" for name in ("world", "vehicle") for row in range(3) for column in range(4)]
+# Names of the numbers that are kept of each sample, beside its arrays
 FACTS = (
     *("made", "lidar", "objects", "scenario", "stamp"),
     *POSES,

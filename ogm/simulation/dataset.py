@@ -2,6 +2,12 @@
 
 `make_sample` is a pure function of a plan, the name of a split and a number: the same on any machine with the
 same versions of the libraries, whatever else is made at the same time.
+
+>>> from ogm.simulation.dataset import make_sample, simulate
+>>> from ogm.simulation.plan import DatasetPlan
+>>> plan = DatasetPlan(samples=1, validation=0, test=0, town_size=240)
+>>> store = simulate("data", plan, workers=1)                               # doctest: +SKIP
+>>> points = make_sample(plan, "training", 0).points                        # doctest: +SKIP
 """
 
 import logging

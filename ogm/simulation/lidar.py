@@ -1,4 +1,18 @@
-"""One turn of a lidar in a scene: ranges and intensities as a real one reports them."""
+"""One turn of a lidar in a scene: ranges and intensities as a real one reports them.
+
+>>> import numpy as np
+>>> from ogm.pose import pose
+>>> from ogm.simulation.lidar import scan, to_points
+>>> from ogm.simulation.materials import Material
+>>> from ogm.simulation.mesh import box
+>>> from ogm.simulation.scene import Scene
+>>> from ogm.simulation.sensors import LIDARS
+>>> road = Scene(box([-100, -100, -1], [100, 100, 0], Material.ASPHALT))
+>>> image = scan(road, LIDARS["vlp-16"], pose(z=1.9), np.random.default_rng(1))
+>>> points, *_ = to_points(image, LIDARS["vlp-16"])
+>>> bool(np.abs(points[:, 2] + 1.9).max() < 0.2)                            # the road, below the sensor
+True
+"""
 
 import math
 from typing import Any

@@ -1,4 +1,9 @@
-"""Which lidars and radars a data set has, how they are mounted, and how often."""
+"""Which lidars and radars a data set has, how they are mounted, and how often.
+
+>>> from ogm.simulation.mounts import only, radars_at
+>>> only("vlp-16")[0].lidar, [radar.name for radar in radars_at(["ars548"])]
+('vlp-16', ['ars548-front'])
+"""
 
 import math
 from collections.abc import Iterable

@@ -1,4 +1,9 @@
-"""What a data set shall hold: `DatasetPlan`, and which drive each of its samples is taken from."""
+"""What a data set shall hold: `DatasetPlan`, and which drive each of its samples is taken from.
+
+>>> from ogm.simulation.plan import DatasetPlan, only
+>>> DatasetPlan(samples=20, validation=4, test=0, town_size=240, mounts=only("os1-64")).counts
+{'training': 20, 'validation': 4, 'test': 0, 'sequences': 0}
+"""
 
 import math
 from collections.abc import Iterable, Mapping

@@ -4,6 +4,19 @@ Every ray of a fan takes power to what it hits, and from mirrors (ground at a gr
 lies behind them. The power comes back by the radar equation, and is summed in bins of range, Doppler and azimuth. What
 exceeds the noise and its neighbours is a detection. Left out: rotating wheels and moving limbs, interference between
 radars, weather, paths with more than one mirror, range side lobes.
+
+>>> import numpy as np
+>>> from ogm.pose import pose
+>>> from ogm.simulation.materials import Material
+>>> from ogm.simulation.mesh import box, merge
+>>> from ogm.simulation.radar import sweep
+>>> from ogm.simulation.radars import RADARS
+>>> from ogm.simulation.scene import Scene
+>>> road = box([-100, -100, -1], [100, 100, 0], Material.ASPHALT)
+>>> scene = Scene(merge([road, box([20, -1, 0], [24, 1, 1.5], Material.PAINT_DARK)]))
+>>> found = sweep(scene, RADARS["ars548"], pose(z=0.5), np.random.default_rng(1))
+>>> bool((np.abs(found.xyz[:, 0] - 20) < 1).any())                          # the car ahead
+True
 """
 
 import math

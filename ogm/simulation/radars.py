@@ -1,4 +1,9 @@
-"""Radars by their numbers: field of view, resolution, reach."""
+"""Radars by their numbers: field of view, resolution, reach.
+
+>>> from ogm.simulation.radars import RADARS
+>>> sorted(RADARS), max(mode.range_max for mode in RADARS["ars548"].modes)
+(['ars408', 'ars548', 'corner'], 300.0)
+"""
 
 import math
 from dataclasses import dataclass

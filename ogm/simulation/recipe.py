@@ -3,6 +3,10 @@
 The default of `DatasetPlan` is the paper's recipe: clear weather, intact sensors. ``gen2`` holds what a sensor model
 meets beside that and must not be wrong about: other lidars and mounts, calibration errors, sectors, blocked views, lost
 packets, dead layers, fog, rain and dust, and country roads between banks, ditches, high grass and woods.
+
+>>> from ogm.simulation.recipe import RECIPES
+>>> RECIPES["gen2"].samples, len({mount.lidar for mount in RECIPES["gen2"].mounts})
+(4800, 14)
 """
 
 import math
@@ -164,6 +168,7 @@ class DataRecipe:
 _ROOF, _MIDDLE, _SLIGHT = (1.7, 2.4), (-0.4, 0.4), 0.04  # [m], [m], [rad]
 _DEGREE = math.pi / 180
 
+# Other lidars and mounts, faults, bad weather, country roads: see docs/simulation.md
 GEN2 = DataRecipe(
     samples=4800,
     mounts=(

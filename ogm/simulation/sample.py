@@ -1,6 +1,10 @@
 """One sample of a data set: the lidar's range image, the truth around it, and the traffic participants nearby.
 
 Needs numpy only, so that data sets are read where the simulator is not installed.
+
+>>> from ogm.simulation.sample import Weather
+>>> Weather(fog=50.0)                                                       # visibility [m]
+Weather(rain=0.0, fog=50.0, wet=0.0, dust=0.0)
 """
 
 from collections.abc import Mapping
@@ -18,11 +22,11 @@ __all__ = ["LABELS", "OBJECT", "RANGE_STEP", "Beams", "SimulatedSample", "Weathe
 
 RANGE_STEP = 0.004  # [m] in which ranges are kept, as Velodyne's packets do
 LABELS = ("car", "van", "truck", "trailer", "bus", "motorcycle", "bicycle", "pedestrian")
+_BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
 # One traffic participant. label: number in LABELS; x, y, z: middle of the upright box in the sensor's frame [m];
 # length, width, height [m]; yaw: of the forward axis about the sensor's z axis [rad]; vx, vy: velocity over ground
 # along the sensor's x and y axes [m/s]; track: the same for one participant in all samples of a scenario;
 # returns: points of this sample on it.
-_BOX = ("x", "y", "z", "length", "width", "height", "yaw", "vx", "vy")
 OBJECT = np.dtype(
     [("label", np.uint8), *((name, np.float32) for name in _BOX), ("track", np.int32), ("returns", np.int32)]
 )

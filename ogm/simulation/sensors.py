@@ -1,4 +1,9 @@
-"""Lidars by their numbers: where the beams point, how far and how exactly they measure."""
+"""Lidars by their numbers: where the beams point, how far and how exactly they measure.
+
+>>> from ogm.simulation.sensors import LIDARS
+>>> LIDARS["vlp-32c"].shape, LIDARS["vlp-32c"].directions().shape           # layers and columns of a turn
+((32, 1800), (32, 1800, 3))
+"""
 
 import math
 from collections.abc import Sequence
@@ -220,6 +225,7 @@ def _radians(degrees: Sequence[float]) -> tuple[float, ...]:
     return tuple(map(math.radians, degrees))
 
 
+# Lidars by name; one of your own may be added
 LIDARS = {
     name: LidarSpec(name, _radians(elevations), _radians(offsets), step, **others)
     for name, (elevations, offsets, step, others) in PATTERNS.items()

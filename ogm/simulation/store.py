@@ -1,11 +1,10 @@
 """Data sets on disk: one Zarr v3 group per split, ten samples per shard, a checksum on every chunk.
 
-Reading needs numpy and zarr, neither Open3D nor Dask::
+Reading needs numpy and zarr, neither Open3D nor Dask.
 
-    from ogm.simulation.store import Store
-
-    sample = Store.open("data")["training"][0]
-    sample.points, sample.truth, sample.objects, sample.T_world_sensor
+>>> from ogm.simulation.store import Store
+>>> sample = Store.open("data")["training"][0]                              # doctest: +SKIP
+>>> sample.points, sample.truth, sample.objects, sample.T_world_sensor      # doctest: +SKIP
 
 ``docs/formats.md`` has the layout: per split the arrays steps, intensities, truth, heights, objects, checksums, facts.
 A shard's facts are written last, in one step, so a row whose first number is 1 marks a complete sample.

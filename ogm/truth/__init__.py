@@ -17,6 +17,12 @@ Real data sets give several kinds of evidence: classes of points, boxes, the roa
 same place. Each makes a truth of its own (`truth_from_points`, `truth_from_boxes`, `truth_from_road`,
 `truth_from_scans`), and `combine_truths` makes one of them; unlabelled cells are to be ignored there, not unknown.
 The simulator's rays are counted by `ogm.truth.rays`, which is compiled and not imported here.
+
+>>> from ogm import Boxes, GridSpec
+>>> from ogm.truth import cells_in_boxes
+>>> car = Boxes([[2.0, 0.0, 0.8]], [[4.0, 2.0, 1.6]], [0.0])                # centre, size [m], yaw
+>>> int(cells_in_boxes(car, GridSpec(0.5, (16, 8), (-2.0, -2.0))).sum())
+32
 """
 
 from ogm.truth.boxes import (

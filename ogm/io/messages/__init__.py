@@ -3,6 +3,13 @@
 A message is any object with the message's field names, of rosbags, rclpy, rospy or a decoded MCAP. Functions return
 messages as trees of `types.SimpleNamespace` with numpy arrays: rosbags serialises them by the name of their type, and
 `fill_message` copies them into messages of rclpy and rospy.
+
+>>> import numpy as np
+>>> from ogm import Scan
+>>> from ogm.io.messages import point_cloud2, scan_from_point_cloud2
+>>> message = point_cloud2(Scan(np.ones((5, 4), np.float32)), frame_id="lidar", stamp=12.5)
+>>> message.width, message.header.frame_id, scan_from_point_cloud2(message).stamp
+(5, 'lidar', 12.5)
 """
 
 from ogm.io.messages.captures import scans_from_pcap

@@ -20,6 +20,7 @@ from ogm.scan import Scan
 
 __all__ = ["PACKET_BYTES", "VELODYNE_MODELS", "Packet", "VelodyneDecoder", "scan_from_velodyne_scan"]
 
+# Names of Velodynes, and those that velodyne-decoder has for them
 VELODYNE_MODELS = {
     "VLP-16": "VLP16",
     "Puck LITE": "PuckLite",
