@@ -22,6 +22,7 @@ class TruthMode(StrEnum):
 
     aimed = "aimed"
     hd = "hd"
+    none = "none"
 
 
 @report_errors
@@ -59,7 +60,7 @@ def simulate(
         TruthMode | None,
         typer.Option(
             help="Observe the truth by rays aimed at every cell, or by the paper's lidar of 3000 layers. "
-            "[default: aimed]"
+            "none makes scans alone, for maps, in a sixth of the time. [default: aimed]"
         ),
     ] = None,
     bad_weather: Annotated[

@@ -72,7 +72,9 @@ def simulated(
     made = _Frames(store, name, found[name], sensors, others == "later")
     rays = _RAYS.get(str(store.plan.get("truth")), "rays from the sensor's place")
     description = f"Simulated: what {rays} hit; participants with 50 returns or more as a whole; without a hit unknown."
-    if others == "later":
+    if not made.observed:
+        description = ""
+    elif others == "later":
         description += " Maps may know such cells from other frames: they are left out."
     remote = isinstance(path, ObjectPath)
     return Layout(
@@ -103,6 +105,7 @@ class _Frames:
     ) -> None:
         self.unknown_ignored = unknown_ignored
         self.part, self.numbers, self.radars, self.drive = store[name], numbers, store.radars, name == "sequences"
+        self.observed = store.plan.get("truth") != "none"
         facts = self.part.facts[numbers]
         poses = np.tile(np.eye(4), (2, len(facts), 1, 1))
         first = FACTS.index("T_world_sensor_00")
@@ -174,12 +177,14 @@ class _Frames:
         return Mount(radar.z, pose(radar.x - x, radar.y - y, radar.z, yaw=radar.yaw), EGO)
 
     def has_truth(self, k: int) -> bool:
-        """Return whether a scan was taken at the time of the sample."""
+        """Return whether there is truth at the time of a scan."""
         stamp = self.refs[k].stamp
-        return stamp is None or abs(stamp - self.stamps[self.places[k].sample]) < 1e-6
+        return self.observed and (stamp is None or abs(stamp - self.stamps[self.places[k].sample]) < 1e-6)
 
     def truth(self, k: int) -> Truth:
-        """Return the truth around the lidar, or raise OgmError for a sweep at another time."""
+        """Return the truth around the lidar, or raise OgmError where there is none."""
+        if not self.observed:
+            raise OgmError("the data set was made without truth (--truth none): make one with it in a new folder")
         if not self.has_truth(k):
             raise OgmError(f"{self.refs[k].name} lies between the lidar's turns, whose truth is known: there is none")
         one = self._sample(self.places[k].sample).truth

@@ -149,7 +149,7 @@ def make_sample(plan: DatasetPlan, split: str, index: int, threads: int = 0) -> 
 
 
 def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *, salt: int = 0) -> Truth:
-    """Observe the truth around the sensor, in the way that the plan wants.
+    """Observe the truth around the sensor, in the way that the plan wants; all is unknown if it wants none.
 
     Parameters
     ----------
@@ -160,6 +160,8 @@ def truth_of(plan: DatasetPlan, here: SceneSetup, returns: NDArray[np.int64], *,
     salt : int
         Decides which rays pass through glass.
     """
+    if plan.truth == "none":
+        return Truth(TRUTH_SPEC, np.zeros(TRUTH_SPEC.shape, np.uint8))
     low, high = (bound(the_ego_body().mesh.vertices, axis=0) for bound in (np.min, np.max))
     middle = here.state.ego @ pose((low[0] + high[0]) / 2, (low[1] + high[1]) / 2)
     ego = cells_in_boxes(boxes_seen_from(inverse(here.T_world_sensor), [middle], [high - low]), TRUTH_SPEC)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ogm.datasets import open_dataset, with_poses
+from ogm.files import OgmError
 from ogm.pose import pose
 from ogm.scan import Mount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
@@ -77,6 +78,15 @@ def test_without_a_split_the_one_that_has_samples_is_taken_and_named(store: Path
     assert dataset[11].name == "sequence 1 frame 1"
     assert dataset[3].stamp == pytest.approx(20.3)
     assert "rays from the sensor's place, aimed at every cell, hit" in dataset.description
+
+
+def test_drives_without_truth_have_none(tmp_path: Path) -> None:
+    made = Store.create(tmp_path, {"seed": 1, "truth": "none"}, {"sequences": 1}, [BEAMS], {"ogm": "0"})
+    made.write("sequences", 0, [sample("sequences", 0)])
+    dataset = open_dataset(tmp_path)
+    assert (dataset.with_truth, dataset.description) == ([], "")
+    with pytest.raises(OgmError, match="without truth"):
+        dataset[0].truth  # noqa: B018
 
 
 def test_splits_have_short_names(store: Path) -> None:

@@ -99,7 +99,7 @@ def test_only_the_counts_of_a_plan_may_grow() -> None:
         ({"samples": -1}, "samples must be a whole number"),
         ({"seed": 1.5}, "seed must be a whole number"),
         ({"samples": 0, "validation": 0, "test": 0}, "would be empty"),
-        ({"truth": "drawn"}, '"aimed" or "hd"'),
+        ({"truth": "drawn"}, '"aimed", "hd" or "none"'),
         ({"mounts": ()}, "mounts are empty"),
         ({"town_size": 3.0}, "town_size must be in 240 ... 1000 m"),
         ({"towns": 11}, "towns must be in 1 ... 10, the number of drives"),

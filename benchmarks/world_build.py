@@ -1,0 +1,273 @@
+"""Builds of twenty drives: do two workers use two cores, is the map the same everywhere, what do 1e9 cells cost?
+
+    python benchmarks/world_build.py DRIVES [--only NAME ...] [--quick]
+
+DRIVES is a data set with sequences of one town that `ogm simulate` made; the command of the record is in
+benchmarks/README.md. Two cores. `--only` measures one part anew and keeps the others of the record: town (the map by two
+workers, by a Dask cluster of two, and by that cluster into an S3 server on this machine), workers (one against two),
+cells (1e9, of synthetic tiles). Writes benchmarks/results/world_build.json and docs/pictures/world.png.
+"""
+
+import os
+
+os.environ["OGM_CORES"] = "2"
+
+import _run as run  # first: it sets the number of threads
+
+# isort: split
+import argparse
+import json
+import resource
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.datasets import Dataset, open_dataset
+from ogm.evaluation.models import NamedModels
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.plot import conflict_panel, layer_panel, mass_panel
+from ogm.pose import pose
+from ogm.world import WorldMap, build_world
+
+MODEL = NamedModels("ray", GridSpec.centered())
+PARTS = ("town", "workers", "cells")
+PATCH = 256  # [cells] along the side of the part of the town that synthetic tiles repeat
+MEMORY = 200e6  # [byte] of tiles that the large map keeps in memory
+Drives = Mapping[str, Dataset]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("drives", type=Path)
+    parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="parts to measure")
+    parser.add_argument("--workers-drives", type=int, default=20, help="drives that one and two workers build (20)")
+    parser.add_argument("--cells", type=float, default=1e9, help="cells of the large map (1e9)")
+    parser.add_argument("--folder", type=Path, help="where maps are made; the town's stays there")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "world_build.json")
+    parser.add_argument("--picture", type=Path, default=run.PICTURES / "world.png")
+    parser.add_argument("--quick", action="store_true", help="two drives, few cells, to see that it runs")
+    options = parser.parse_args()
+    record: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
+    dataset = open_dataset(options.drives, split="sequences")
+    drives = {f"drive-{n:02d}": dataset.select(numbers) for n, numbers in enumerate(dataset.sequences.values())}
+    if options.quick:
+        drives = {name: part[:12] for name, part in list(drives.items())[:2]}
+        options.cells = min(options.cells, 1e7)
+    with tempfile.TemporaryDirectory(dir=options.folder) as temporary:
+        base = options.folder or Path(temporary)
+        for name in options.only:
+            if name == "town":
+                record[name] = run.environment() | town(drives, base, Path(temporary))
+                with WorldMap.open(base / "town") as world:
+                    picture(world, record, options.picture)
+            elif name == "workers":
+                chosen = dict(list(drives.items())[: options.workers_drives])
+                record[name] = run.environment() | one_and_two(chosen, Path(temporary))
+            else:
+                with WorldMap.open(base / "town") as world:
+                    patch = seen_patch(world)
+                record[name] = run.environment() | many_cells(patch, Path(temporary) / "cells", options.cells)
+            run.write_json(options.out, record)
+    print(f"written {options.out}")
+
+
+def build(place: Mapping[str, Any], drives: Drives, **how: Any) -> float:
+    """Build a map anew, with overviews; return the seconds without those."""
+    with WorldMap.create(**place) as world:
+        start = time.perf_counter()
+        build_world(world, drives, MODEL, **how)
+        seconds = time.perf_counter() - start
+        world.build_overviews()
+    return round(seconds, 1)
+
+
+def town(drives: Drives, base: Path, temporary: Path) -> dict[str, Any]:
+    """Build the town in a folder by two workers, there by a cluster, and in S3 by that; compare the maps."""
+    found: dict[str, Any] = {"drives": len(drives), "frames": sum(map(len, drives.values())), "seconds": {}}
+    here = {"url": base / "town"}
+    found["seconds"]["two workers"] = build(here, drives, workers=2)
+    with cluster() as scheduler, s3_server() as storage:
+        for name, place in (
+            ("Dask, two workers", {"url": temporary / "dask"}),
+            ("Dask, two workers, S3", {"url": "s3://maps/town", "storage": storage}),
+        ):
+            found["seconds"][name] = build(place, drives, scheduler=scheduler)
+            found.setdefault("the same", {})[name] = same(here, place)
+    with WorldMap.open(**here) as world:
+        found["tiles"], found["levels"] = len(world.tiles()), world.levels
+        found["seen_cells"] = sum(int((world.tile(index)[4] > 0).sum()) for index in world.tiles())
+    print("town", found)
+    return found
+
+
+def same(first: Mapping[str, Any], second: Mapping[str, Any]) -> bool:
+    """Return whether two maps hold the same numbers in all layers of all tiles, and the same overviews."""
+    with WorldMap.open(**first) as a, WorldMap.open(**second) as b:
+        if a.levels != b.levels or a.tiles() != b.tiles():
+            return False
+        return all(
+            a.store.tiles(level) == b.store.tiles(level)
+            and all(
+                np.array_equal(a.store.read_tile(index, level), b.store.read_tile(index, level))
+                for index in a.store.tiles(level)
+            )
+            for level in range(a.levels)
+        )
+
+
+@contextmanager
+def cluster() -> Iterator[str]:
+    """Start a scheduler of Dask and two workers, each a process; yield the address."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    dask = [sys.executable, "-m", "dask"]
+    one = os.environ | dict.fromkeys(run.THREADS, "1")
+    started = [subprocess.Popen([*dask, "scheduler", "--host", address, "--no-dashboard"], env=one)]
+    started += [
+        subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], env=one) for _ in range(2)
+    ]
+    try:
+        from distributed import Client
+
+        with Client(address, timeout=120, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=120)
+        yield address
+    finally:
+        for process in reversed(started):
+            process.terminate()
+            process.wait()
+
+
+@contextmanager
+def s3_server() -> Iterator[dict[str, str]]:
+    """Start a server of S3 on this machine; yield how it is reached. Its bucket is ``maps``."""
+    import boto3
+    from moto.server import ThreadedMotoServer
+
+    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    server.start()
+    endpoint = "http://{}:{}".format(*server.get_host_and_port())
+    keys = {"aws_access_key_id": "test", "aws_secret_access_key": "test", "region_name": "us-east-1"}
+    boto3.client("s3", endpoint_url=endpoint, **keys).create_bucket(Bucket="maps")
+    try:
+        yield {"endpoint": endpoint, "access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}
+    finally:
+        server.stop()
+
+
+def one_and_two(drives: Drives, base: Path) -> dict[str, Any]:
+    """Time the build by one worker and by two, from what is compiled already."""
+    first = next(iter(drives))
+    build({"url": base / "warm"}, {first: drives[first][:5]})
+    seconds = {count: build({"url": base / f"by-{count}"}, drives, workers=count) for count in (1, 2)}
+    found = {
+        "drives": len(drives),
+        "frames": sum(map(len, drives.values())),
+        "seconds": {str(count): one for count, one in seconds.items()},
+        "gain": round(seconds[1] / seconds[2], 2),
+        "load": [round(one, 2) for one in os.getloadavg()],
+    }
+    print("workers", found)
+    return found
+
+
+def seen_patch(world: WorldMap) -> EvidentialGrid:
+    """Return a square of the town, mirrored to 510 x 510 cells, in which nearly all was seen."""
+    spec = world.cells()
+    known = world.window(spec).mass.sum(axis=-1) > 0
+    sums = known.cumsum(axis=0, dtype=np.int64).cumsum(axis=1)
+    sums = np.pad(sums, ((1, 0), (1, 0)))
+    inside = sums[PATCH:, PATCH:] - sums[:-PATCH, PATCH:] - sums[PATCH:, :-PATCH] + sums[:-PATCH, :-PATCH]
+    i, j = np.unravel_index(inside.argmax(), inside.shape)
+    low = [o + 0.16 * int(k) for o, k in zip(spec.origin, (i, j), strict=True)]
+    p = world.window(GridSpec(0.16, (PATCH, PATCH), (low[0], low[1]))).mass[:-1, :-1]
+    p[p.sum(axis=-1) == 0] = 0.1
+    mass = np.concatenate([np.concatenate([p, p[:, ::-1]], axis=1), np.concatenate([p[::-1], p[::-1, ::-1]], axis=1)])
+    return EvidentialGrid(GridSpec(0.16, mass.shape[:2], (0.16, 0.16)), mass)
+
+
+def many_cells(grid: EvidentialGrid, url: Path, cells: float) -> dict[str, Any]:
+    """Integrate a grid into as many tiles as there are cells, each tile once; watch memory, time and space."""
+    per_tile = grid.mass.shape[0] * grid.mass.shape[1]
+    count = int(np.ceil(cells / per_tile))
+    columns = int(np.ceil(np.sqrt(count)))
+    resident, begin = [], time.perf_counter()
+    with WorldMap.create(url, memory=MEMORY) as world:
+        for n in range(count):
+            i, j = divmod(n, columns)
+            world.integrate(grid, pose(i * 81.92, j * 81.92), stamp=float(n))
+            if (n + 1) * 20 // count > n * 20 // count:  # twenty times
+                resident.append(_resident())
+                print(f"  {(n + 1) / count:.0%} {resident[-1] / 1e6:.0f} MB", flush=True)
+    seconds = time.perf_counter() - begin
+    begin = time.perf_counter()
+    with WorldMap.open(url, "r+", memory=MEMORY) as world:
+        levels = world.build_overviews()
+        resident.append(_resident())
+        overviews = time.perf_counter() - begin
+        checked = [world.tile(index) for index in world.tiles()[:: max(count // 20, 1)]]
+        whole = all(int((tile[4] == 1).sum()) == per_tile for tile in checked)
+        tiles = len(world.tiles())
+    found = {
+        "cells": count * per_tile,
+        "tiles": tiles,
+        "seconds": round(seconds, 1),
+        "overviews_seconds": round(overviews, 1),
+        "levels": levels,
+        "bytes_per_cell": {name: round(_size(url / name) / (count * per_tile), 3) for name in ("0",)},
+        "gigabytes": round(_size(url) / 1e9, 2),
+        "objects": sum(1 for one in url.rglob("*") if one.is_file()),
+        "resident_mb": [round(one / 1e6) for one in resident],
+        "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
+        "tiles_checked": len(checked) if whole else 0,
+    }
+    print("cells", found)
+    return found
+
+
+def _resident() -> int:
+    """Return the memory that this process has now [byte]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+
+def _size(folder: Path) -> int:
+    """Return the bytes of all files below a folder."""
+    return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
+
+
+def picture(world: WorldMap, record: Mapping[str, Any], path: Path) -> None:
+    """Draw the town: masses, conflict, number of scans."""
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    from ogm.plot import show
+
+    everything = world.cells()
+    counts: NDArray[np.float32] = world.layers(everything)["count"]
+    x, y = (np.flatnonzero((counts > 1).any(axis=axis)) for axis in (1, 0))
+    corner = [low + 0.16 * float(one[0]) for low, one in zip(everything.origin, (x, y), strict=True)]
+    spec = GridSpec(0.16, (int(np.ptp(x)) + 1, int(np.ptp(y)) + 1), (corner[0], corner[1]))
+    grid, layers = world.window(spec), world.layers(spec)
+    panels = [
+        mass_panel(grid, f"town of {record['town']['drives']} drives"),
+        conflict_panel(layers, "greatest conflict"),
+        layer_panel(layers, "count", "number of scans"),
+    ]
+    figure = show(*panels)
+    run.save_picture(figure, path, run.caption(record["town"]), dpi=100)
+    pyplot.close(figure)
+
+
+if __name__ == "__main__":
+    main()
