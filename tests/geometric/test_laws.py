@@ -163,7 +163,7 @@ def test_beams_without_echo_clear_the_ground_they_pass() -> None:
 def test_beams_without_echo_add_the_share_that_their_source_is_reliable() -> None:
     spec = GridSpec.centered(40.0, 40.0, 0.5)
     beams = np.array(
-        [(1, a, -0.08 - 0.06 * (k % 7) / 7) for k, a in enumerate(np.linspace(-0.2, 0.2, 900))], np.float32
+        [(1, a, -0.02 - 0.03 * (k % 7) / 7) for k, a in enumerate(np.linspace(-0.2, 0.2, 900))], np.float32
     )
     beams /= np.linalg.norm(beams, axis=1, keepdims=True)
     road = at(*[(r, a * r, 0.0) for r in (4.0, 12.0) for a in np.arange(-0.2, 0.2, 0.004)])
@@ -176,6 +176,37 @@ def test_beams_without_echo_add_the_share_that_their_source_is_reliable() -> Non
     assert (together - alone).max() > 0.3
     is_capped = together >= 0.97
     np.testing.assert_allclose(free(0.25)[~is_capped], (0.75 * alone + 0.25 * together)[~is_capped], atol=1e-5)
+
+
+def in_fog(visibility: float) -> Scan:
+    """Return a scan of level ground in fog: all echoes up to some distance, none beyond, none from the sky."""
+    azimuth, fall = np.meshgrid(np.linspace(-0.4, 0.4, 400), np.linspace(-0.03, 0.4, 80))
+    beams = np.stack([np.cos(azimuth), np.sin(azimuth), -fall], -1).reshape(-1, 3)
+    reach = np.where(beams[:, 2] < 0, -HEIGHT / np.minimum(beams[:, 2], -1e-9), np.inf)
+    echo = reach < visibility
+    road = np.pad(beams[echo] * reach[echo, None], ((0, 0), (0, 1))).astype(np.float32)
+    return Scan(
+        road, no_returns=(beams[~echo] / np.linalg.norm(beams[~echo], axis=1, keepdims=True)).astype(np.float32)
+    )
+
+
+def test_silence_tells_nothing_from_where_the_ground_gives_no_echo() -> None:
+    """A lidar that gets no echo of the ground beyond 12 m would get none of an obstacle there."""
+    spec = GridSpec.centered(60.0, 40.0, 0.5)
+    ism = RayISM(spec, MOUNT, no_return_weight=1.0)
+    clear, fog = ism(in_fog(60.0)), ism(in_fog(12.0))
+    for x in (5.0, 9.0):
+        assert fog.at(x, 1.1).free == pytest.approx(clear.at(x, 1.1).free, abs=0.02)
+    assert clear.at(25.0, 1.1).free > 0.8
+    assert fog.mass[spec.index(14.0, 0.0)[0] :].max() == 0
+
+
+def test_where_all_of_the_ground_gives_echoes_silence_has_its_whole_weight() -> None:
+    spec, whole = GridSpec.centered(60.0, 40.0, 0.5), in_fog(60.0)
+    sky = Scan(whole.points[:0], no_returns=whole.no_returns)  # the same beams, and nothing to compare with
+    free = [RayISM(spec, MOUNT, ground=flat_ground)(one).free for one in (whole, sky, Scan(whole.points))]
+    assert (free[0] >= free[1] - 1e-6).all()
+    assert (free[0] > free[2]).mean() > 0.05
 
 
 def test_a_black_car_that_swallows_its_beams_is_not_free() -> None:

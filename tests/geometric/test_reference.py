@@ -87,6 +87,28 @@ def test_ray_model_equals_the_loop_over_cells_and_rays(
     assert (slow[..., 1] > 0.5).mean() > 0.02
 
 
+@pytest.mark.parametrize("reach", [4.0, 9.0, 100.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_ray_model_equals_the_loop_in_fog(seed: int, reach: float) -> None:
+    """The farther a return, the more likely it is lost."""
+    points, rng = flat_cloud(seed, HEIGHT, count=900), np.random.default_rng(seed)
+    lost = rng.random(len(points)) > np.exp(-((np.hypot(points[:, 0], points[:, 1]) / reach) ** 2))
+    up = np.stack([np.cos(angle := np.linspace(0, 6, 90)), np.sin(angle), 0 * angle + 0.02], 1)
+    beams = np.concatenate([points[lost, :3], up])
+    beams = (beams / np.linalg.norm(beams, axis=1, keepdims=True)).astype(np.float32)
+    mount = Mount(HEIGHT, ego_footprint=(0.0, 0.0, 0.0, 0.0))
+    ism = RayISM(SPEC, mount, ground=flat_ground, azimuth_step=2 * math.pi / 64, no_return_weight=1.0)
+    kept = points[~lost]
+    slow = reference.ray_grid_mass(kept[:, :3].astype(np.float64), beams, -HEIGHT, ism, sectors=64)
+    fast = ism(Scan(kept, no_returns=beams)).mass
+    assert (np.abs(fast - slow).max(-1) > 2e-4).mean() < 0.01
+    assert np.abs(fast - slow).mean() < 1e-3
+    trust = reference.silence_reliability(kept[:, :3].astype(np.float64), beams, -HEIGHT, ism)
+    assert (np.diff(trust) <= 1e-12).all()
+    assert trust[0] > 0.8
+    assert (trust[-1] == 0) == (reach < 100)
+
+
 @pytest.mark.parametrize(
     ("height", "p_miss", "range_noise"), [(1.0, 1e-4, 0.03), (1.7, 0.05, 0.03), (2.5, 1e-4, 1.0), (5.0, 1e-4, 0.03)]
 )

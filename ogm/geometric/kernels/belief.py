@@ -9,6 +9,7 @@ from ogm.geometric.kernels.arguments import SectorRays
 from ogm.geometric.kernels.breaks import PROFILE_BITS, ground_breaks
 from ogm.geometric.kernels.classify import DEEP, FACE_OF_STEP, NO_RETURN, NONE, OBSTACLE, classify_rays
 from ogm.geometric.kernels.polar import ROW_BITS
+from ogm.geometric.kernels.silence import silence_reliability
 from ogm.jit import kernel, vector
 
 __all__ = ["clear_sectors", "ray_mass"]
@@ -37,8 +38,8 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     ``min(d / hidden_height, 1)``, times the chance that the obstacle reaches so far back, which falls to 0 at
     `hidden_depth`. A gap that ends at the clearance counts twice. Belief is reduced by the largest of these.
 
-    Beams without echo are one source of evidence of reliability `no_return_weight`: belief is that without them,
-    plus this share of what they add.
+    Beams without echo are one source of evidence. Its reliability is `no_return_weight` times what
+    `silence_reliability` gives: belief is that without them, plus this share of what they add.
 
     Parameters
     ----------
@@ -59,6 +60,9 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
     whole = np.empty((3, most), np.int32)
     found = SectorRays(np.empty(most, np.int8), whole[0], whole[1], whole[2])
     breaks = ground_breaks(rays, limits, polar, numbers)
+    weight = np.full(bins, np.float32(numbers.no_return_weight))
+    if rays.point.shape[0] > points.x.shape[0]:
+        weight *= silence_reliability(rays, limits, polar)
     part = np.empty(PARTS, np.float32)
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
@@ -74,10 +78,10 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
         _mark_breaks(rays.point[first:last], points, cells, found, work.hits)
         free = work.free[s, :end]
         if _free_belief(rays.table[first:last], found, limits, row, hidden_bins, False, part, free):
-            weight, alone = np.float32(numbers.no_return_weight), free.copy()
+            alone = free.copy()
             _free_belief(rays.table[first:last], found, limits, row, hidden_bins, True, part, free)
             for k in range(end):
-                free[k] = alone[k] + weight * max(free[k] - alone[k], np.float32(0.0))
+                free[k] = alone[k] + weight[k] * max(free[k] - alone[k], np.float32(0.0))
         for k in range(end):
             free[k] *= breaks.reliability[s >> PROFILE_BITS, k]
 

@@ -7,7 +7,7 @@ kernels' short cuts. Tests compare the two, and `benchmarks/speed.py` times one 
 from ogm.geometric.reference.breaks import Beam, Break, classify, find_breaks, profiles_of
 from ogm.geometric.reference.ground import ground_map, lower_envelope
 from ogm.geometric.reference.height_band import height_band_mass, line_cells
-from ogm.geometric.reference.ray import ray_grid_mass
+from ogm.geometric.reference.ray import ray_grid_mass, silence_reliability
 
 __all__ = [
     "Beam",
@@ -20,4 +20,5 @@ __all__ = [
     "lower_envelope",
     "profiles_of",
     "ray_grid_mass",
+    "silence_reliability",
 ]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ogm.geometric.ray import RayISM
 
-__all__ = ["ray_grid_mass"]
+__all__ = ["ray_grid_mass", "silence_reliability"]
 
 
 def ray_grid_mass(
@@ -37,7 +37,7 @@ def ray_grid_mass(
     """
     hits = np.zeros(ism.spec.shape)
     rays = _returned_rays(xyz, ground, ism, hits) + _no_return_rays(no_returns, ground, ism)
-    free = _polar_free(rays, ground, ism, sectors)
+    free = _polar_free(rays, silence_reliability(xyz, no_returns, ground, ism), ism, ground, sectors)
     spec, (x0, y0, _) = ism.spec, ism.mount.origin.tolist()
     x_min, x_max, y_min, y_max = ism.mount.ego_footprint
     mass = np.zeros((*spec.shape, 2), np.float32)
@@ -125,11 +125,45 @@ def chance_hidden(heights: NDArray[Any], fades: NDArray[Any], ism: RayISM) -> fl
     return min(worst, 1.0)
 
 
-def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> NDArray[np.float64]:
-    """Return the belief in free of every polar bin, (sectors, bins)."""
+def _bins(ism: RayISM) -> int:
+    """Return how many bins the polar grid has from the sensor to the farthest corner."""
     spec, (x, y, _) = ism.spec, ism.mount.origin.tolist()
     x0, x1, y0, y1 = spec.extent
-    bins = math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
+    return math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
+
+
+def silence_reliability(xyz: NDArray[Any], no_returns: NDArray[Any], ground: float, ism: RayISM) -> NDArray[np.float64]:
+    """Return how much beams without echo tell about each polar bin, over flat ground, (bins,).
+
+    By the max-min formula of monotone regression: the chance that a surface in bin k gives no echo is the largest, over
+    the bins i up to k, of the smallest share that is lost from i to any bin from k on.
+    """
+    (x0, y0, z0), step, bins = ism.mount.origin.tolist(), ism.spec.resolution, _bins(ism)
+    seen, lost = np.zeros(bins), np.zeros(bins)
+    for x, y in xyz[:, :2].tolist():
+        if (r := math.hypot(x - x0, y - y0)) >= step:
+            seen[min(int(r / step), bins - 1)] += 1
+    for dx, dy, dz in no_returns.tolist():
+        run = math.hypot(dx, dy)
+        meets = (k for k in range(bins) if z0 - ground + dz / run * (k + 0.5) * step < 0)
+        if (k := next(meets, bins)) < min(bins, int(ism.max_range * run / step)):
+            lost[k] += 1
+    known = np.flatnonzero(seen + lost)
+    reliability = np.ones(bins)
+    for k in range(bins):
+        here = known[known >= k][0] if (known >= k).any() else known[-1] if len(known) else None
+        if here is not None:
+            before, after = known[known <= here], known[known >= here]
+            share = max(min(lost[i : j + 1].sum() / (seen + lost)[i : j + 1].sum() for j in after) for i in before)
+            reliability[k] = max(1 - 2 * share, 0)
+    return reliability
+
+
+def _polar_free(
+    rays: list[Ray], silence: NDArray[np.float64], ism: RayISM, ground: float, sectors: int
+) -> NDArray[np.float64]:
+    """Return the belief in free of every polar bin, (sectors, bins)."""
+    bins = len(silence)
     by_sector: list[list[Ray]] = [[] for _ in range(sectors)]
     for ray in sorted(rays, key=lambda ray: ray.slope):
         by_sector[min(int(ray.azimuth % (2 * math.pi) * sectors / (2 * math.pi)), sectors - 1)].append(ray)
@@ -138,7 +172,7 @@ def _polar_free(rays: list[Ray], ground: float, ism: RayISM, sectors: int) -> ND
         chance = ism.p_miss ** (sectors / (2 * math.pi) / (k + 0.5))  # a cell sees some of the sector's rays
         alone = _bin_free([ray for ray in by_sector[s] if not ray.is_silent], k, chance, ground, ism)
         together = _bin_free(by_sector[s], k, chance, ground, ism)
-        free[s, k] = alone + ism.no_return_weight * max(together - alone, 0)
+        free[s, k] = alone + ism.no_return_weight * silence[k] * max(together - alone, 0)
     return free
 
 
