@@ -18,12 +18,9 @@ Definitions
   one saw something.
 """
 
-import _run as run  # first: it sets the number of threads
 
 # isort: split
-import argparse
 import shutil
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,15 +29,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation import compare_paired, mean_interval
 from ogm.evaluation.models import NamedModels
 from ogm.fusion import map_scans
 from ogm.fusion.pipeline import grid_pose
-from ogm.grid import EvidentialGrid, GridSpec
-from ogm.plot import mass_panel
-from ogm.scan import Boxes
+from ogm.grid import GridSpec
 from ogm.simulation.plan import SEQUENCE, DatasetPlan
-from ogm.simulation.preview import truth_panel
 from ogm.simulation.static_truth import static_truth
 from ogm.state import CellState, Truth
 from ogm.truth import cells_in_boxes
