@@ -72,10 +72,10 @@ def rule_tables(record: Mapping[str, Any]) -> list[str]:
     cells = report["cells"]
     return [
         "\n".join(table),
-        f"{report['drives']} drives through {report['towns']} towns, {report['frames']:,} scans; {cells['free']:,} free and "
-        f"{cells['occupied']:,} occupied cells, {cells['left']:,} that parked cars left. The default was chosen on "
-        f"{fit['drives']} drives through another town. Its differences to the rule `cautious` without discount, in pairs "
-        f"of {report['tiles']} tiles, 95 % intervals: {found}.",
+        f"{report['drives']} drives through {report['towns']} towns, {report['frames']:,} scans; "
+        f"{cells['free']:,} free and {cells['occupied']:,} occupied cells, {cells['left']:,} that parked cars left. "
+        f"The default was chosen on {fit['drives']} drives through another town. Its differences to `cautious` without "
+        f"discount, in pairs of {report['tiles']} tiles, 95 % intervals: {found}.",
     ]
 
 
@@ -86,9 +86,9 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
         town = record["town"]
         equal = "the same to the last bit" if all(town["the same"].values()) else "NOT the same"
         result.append(
-            f"{town['drives']} drives, {town['frames']:,} scans, {town['seen_cells']:,} seen cells: by two workers of this "
-            f"machine, by a Dask scheduler with two workers, and by those into S3 (moto on loopback): {equal} in all "
-            f"layers, tiles and {town['levels']} levels."
+            f"{town['drives']} drives, {town['frames']:,} scans, {town['seen_cells']:,} seen cells: by two workers of "
+            f"this machine, by a Dask scheduler with two workers, and by those into S3 (moto on loopback): {equal} in "
+            f"all layers, tiles and {town['levels']} levels."
         )
     if "workers" in record:
         one = record["workers"]
@@ -99,11 +99,11 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
     big = record["cells"]
     resident = big["resident_mb"]
     result.append(
-        f"{big['cells']:.3g} cells in {big['tiles']:,} tiles, synthetic: a square of the simulated town, mirrored, all of it "
-        f"seen, once into each tile, with 200 MB of tiles in memory: {big['seconds']:.0f} s, and "
-        f"{big['overviews_seconds']:.0f} s for {big['levels'] - 1} levels of overviews; {big['gigabytes']:.2f} GB in "
-        f"{big['objects']:,} files, {big['bytes_per_cell']:.2f} bytes per cell. The process has {resident[0]} MB after a "
-        f"twentieth and {max(resident[:-1])} MB at most until all is in."
+        f"{big['cells']:.3g} cells in {big['tiles']:,} tiles, synthetic: a square of the simulated town, mirrored, all "
+        f"of it seen, once into each tile, with 200 MB of tiles in memory: {big['seconds']:.0f} s, "
+        f"and {big['overviews_seconds']:.0f} s for {big['levels'] - 1} levels of overviews; "
+        f"{big['gigabytes']:.2f} GB in {big['objects']:,} files, {big['bytes_per_cell']:.2f} bytes per cell. The process "
+        f"has {resident[0]} MB after a twentieth and {max(resident[:-1])} MB at most until all is in."
     )
     return result
 
