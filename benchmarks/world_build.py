@@ -1,11 +1,11 @@
-"""Builds of twenty drives: do two workers use two cores, is the map the same everywhere, what do 1e9 cells cost?
+"""Twenty drives into one map by one worker and many, in S3 the same, and 1e9 cells: what do they take? Measured.
 
     python benchmarks/world_build.py DRIVES [--only NAME ...] [--quick]
 
 DRIVES is a data set with sequences of one town that `ogm simulate` made; the command of the record is in
-benchmarks/README.md. Two cores. `--only` measures one part anew and keeps the others of the record: town (the map by two
-workers, by a Dask cluster of two, and by that cluster into an S3 server on this machine), workers (one against two),
-cells (1e9, of synthetic tiles). Writes benchmarks/results/world_build.json and docs/pictures/world.png.
+benchmarks/README.md. Two cores. `--only` measures one part anew and keeps the others of the record: town (the map by
+two workers, by a Dask cluster of two, and by that cluster into an S3 server on this machine), workers (one against
+two), cells (1e9, of synthetic tiles). Writes benchmarks/results/world_build.json and docs/pictures/world.png.
 """
 
 import os
@@ -17,6 +17,7 @@ import _run as run  # first: it sets the number of threads
 # isort: split
 import argparse
 import json
+import logging
 import resource
 import socket
 import subprocess
@@ -37,7 +38,7 @@ from ogm.evaluation.models import NamedModels
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.plot import conflict_panel, layer_panel, mass_panel
 from ogm.pose import pose
-from ogm.world import WorldMap, build_world
+from ogm.world import Progress, WorldMap, build_world
 
 MODEL = NamedModels("ray", GridSpec.centered())
 PARTS = ("town", "workers", "cells")
@@ -133,9 +134,10 @@ def cluster() -> Iterator[str]:
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     dask = [sys.executable, "-m", "dask"]
     one = os.environ | dict.fromkeys(run.THREADS, "1")
-    started = [subprocess.Popen([*dask, "scheduler", "--host", address, "--no-dashboard"], env=one)]
-    started += [
-        subprocess.Popen([*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], env=one) for _ in range(2)
+    commands = [["scheduler", "--host", address], *[["worker", address, "--nthreads", "1"]] * 2]
+    started = [
+        subprocess.Popen([*dask, *command, "--no-dashboard"], env=one, stderr=subprocess.DEVNULL)
+        for command in commands
     ]
     try:
         from distributed import Client
@@ -155,6 +157,7 @@ def s3_server() -> Iterator[dict[str, str]]:
     import boto3
     from moto.server import ThreadedMotoServer
 
+    logging.getLogger("werkzeug").setLevel(logging.ERROR)  # a line per request
     server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
     server.start()
     endpoint = "http://{}:{}".format(*server.get_host_and_port())
@@ -167,15 +170,29 @@ def s3_server() -> Iterator[dict[str, str]]:
 
 
 def one_and_two(drives: Drives, base: Path) -> dict[str, Any]:
-    """Time the build by one worker and by two, from what is compiled already."""
+    """Time the build by one worker and by two, all compiled before; by one also on the processor, in parts."""
     first = next(iter(drives))
     build({"url": base / "warm"}, {first: drives[first][:5]})
-    seconds = {count: build({"url": base / f"by-{count}"}, drives, workers=count) for count in (1, 2)}
+    marks: list[tuple[str, float]] = []
+
+    def mark(event: Progress) -> None:
+        marks.append((event.stage, time.process_time()))
+
+    seconds = {"1": build({"url": base / "one"}, drives, progress=mark)}
+    seconds["2"] = build({"url": base / "two"}, drives, workers=2)
+    parts = {}
+    for stage in ("sub-maps", "tiles"):
+        times = [at for name, at in marks if name == stage]
+        parts[stage] = {"tasks": len(times) - 1, "cpu_seconds": round(times[-1] - times[0], 2)}
     found = {
         "drives": len(drives),
         "frames": sum(map(len, drives.values())),
-        "seconds": {str(count): one for count, one in seconds.items()},
-        "gain": round(seconds[1] / seconds[2], 2),
+        "seconds": seconds,
+        "gain": round(seconds["1"] / seconds["2"], 2),
+        "one worker": parts,
+        "the same": same({"url": base / "one"}, {"url": base / "two"}),
+        "bytes": {name: _size(base / "one" / name) for name in ("0", "drives")},
+        "objects": {name: _count(base / "one" / name) for name in ("0", "drives")},
         "load": [round(one, 2) for one in os.getloadavg()],
     }
     print("workers", found)
@@ -225,9 +242,9 @@ def many_cells(grid: EvidentialGrid, url: Path, cells: float) -> dict[str, Any]:
         "seconds": round(seconds, 1),
         "overviews_seconds": round(overviews, 1),
         "levels": levels,
-        "bytes_per_cell": {name: round(_size(url / name) / (count * per_tile), 3) for name in ("0",)},
+        "bytes_per_cell": round(_size(url / "0") / (count * per_tile), 3),
         "gigabytes": round(_size(url) / 1e9, 2),
-        "objects": sum(1 for one in url.rglob("*") if one.is_file()),
+        "objects": _count(url),
         "resident_mb": [round(one / 1e6) for one in resident],
         "peak_mb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3),
         "tiles_checked": len(checked) if whole else 0,
@@ -244,6 +261,11 @@ def _resident() -> int:
 def _size(folder: Path) -> int:
     """Return the bytes of all files below a folder."""
     return sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
+
+
+def _count(folder: Path) -> int:
+    """Return the number of files below a folder."""
+    return sum(one.is_file() for one in folder.rglob("*"))
 
 
 def picture(world: WorldMap, record: Mapping[str, Any], path: Path) -> None:

@@ -18,42 +18,46 @@ Definitions
   one saw something.
 """
 
+import _run as run  # first: it sets the number of threads
 
 # isort: split
-import shutil
-from collections.abc import Iterator
+import argparse
+import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from _world_towns import TILE, Scans, Tiles, Town, around, cut_all, map_drives, parked_cells, towns_of, truth_of
 from numpy.typing import NDArray
 
-from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation.models import NamedModels
-from ogm.fusion import map_scans
-from ogm.fusion.pipeline import grid_pose
-from ogm.grid import GridSpec
-from ogm.simulation.plan import SEQUENCE, DatasetPlan
-from ogm.simulation.static_truth import static_truth
+from ogm.datasets import Dataset
+from ogm.evaluation import compare_paired
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.plot import mass_panel, show
+from ogm.simulation.plan import DatasetPlan
+from ogm.simulation.preview import truth_panel
 from ogm.state import CellState, Truth
-from ogm.truth import cells_in_boxes
-from ogm.world import WorldMap
 from ogm.world.kernels import MASS_STEPS, merge
 from ogm.world.layout import WORLD_RULES, TileIndex
 
-SPEC = GridSpec.centered()
-APART = 25.0  # [m] between the places that the truth is looked at from
-PARKED = 1000  # tracks of parked vehicles begin here
 LEAST = 0.01  # of a probability whose logarithm is taken
-Tiles = dict[TileIndex, NDArray[Any]]
+SUMS = (
+    *("free", "occupied", "ghosts", "false_free", "hit", "free_hit", "loss_free", "loss_occupied"),
+    *("left", "left_occupied", "left_free"),
+    *("next", "next_loss", "next_occupied", "next_false_free", "next_free", "next_ghosts"),
+)
+HIGHER = ("iou_occupied", "iou_free", "left_free")
+ENOUGH = 300  # cells of either state that a tile needs to be compared
+WIDE = 256  # [cells] of the picture
 
 
 class Rule(NamedTuple):
-    """A rule for the scans of a drive, and one between drives.
+    """How scans are combined to the map of a drive, and the maps of drives to that of the town.
 
     Attributes
     ----------
-    scans, drives : str
+    scans : Scans
+    drives : str
         In `WORLD_RULES`.
     reliability : float
         Shafer's discount of each drive's map before it is combined.
@@ -63,92 +67,94 @@ class Rule(NamedTuple):
         Share of the masses of earlier drives that stays where a later one has a belief.
     """
 
-    scans: str
+    scans: Scans
     drives: str
     reliability: float = 1.0
     bound: float = 0.02
     keep: float = 1.0
 
 
-class Town(NamedTuple):
-    """A town, its truth, and the drives through it."""
-
-    name: str
-    drives: dict[str, Dataset]
-    truth: dict[TileIndex, NDArray[np.uint8]]
-    parked: dict[str, dict[TileIndex, NDArray[np.bool_]]]
-
-
-def towns_of(path: Path, limit: int | None) -> Iterator[tuple[str, dict[str, Dataset], DatasetPlan, str]]:
-    """Yield the towns of a data set with their drives in order."""
-    dataset = open_dataset(path)
-    plan, split = DatasetPlan.from_dict(dataset.facts["plan"]), dataset.facts["split"]
-    count = plan.test_towns if split == "test" else plan.towns
-    for town in range(count):
-        chosen = {}
-        for name, numbers in dataset.sequences.items():
-            drive = int(name.split()[-1])
-            if drive % count == town:
-                chosen[f"drive-{drive:03d}"] = dataset.select(numbers[:: limit or 1])
-        if chosen and all(len(one) for one in chosen.values()):
-            yield f"{path.name}-{town}", chosen, plan, split
+BEFORE, CHOSEN = "cautious", "cautious, drives x 0.8"
+_CAUTIOUS, _DEMPSTER, _CUMULATIVE = map(Scans, ("cautious", "dempster", "cumulative"))
+RULES = {
+    BEFORE: Rule(_CAUTIOUS, "cautious"),
+    "cautious, drives x 0.9": Rule(_CAUTIOUS, "cautious", reliability=0.9),
+    CHOSEN: Rule(_CAUTIOUS, "cautious", reliability=0.8),
+    "cautious, drives x 0.7": Rule(_CAUTIOUS, "cautious", reliability=0.7),
+    "cautious, scans x 0.9": Rule(Scans("cautious", 0.9), "cautious"),
+    "Dempster": Rule(_DEMPSTER, "dempster"),
+    "Dempster, drives x 0.8": Rule(_DEMPSTER, "dempster", reliability=0.8),
+    "Dempster, scans x 0.1": Rule(Scans("dempster", 0.1), "dempster"),
+    "cumulative": Rule(_CUMULATIVE, "cumulative"),
+    "cumulative, unknown at least 0.2": Rule(_CUMULATIVE, "cumulative", bound=0.2),
+    "cumulative, scans x 0.3": Rule(Scans("cumulative", 0.3), "cumulative"),
+    "scans cautious, drives Dempster": Rule(_CAUTIOUS, "dempster"),
+    "scans cautious, drives cumulative": Rule(_CAUTIOUS, "cumulative"),
+    "cautious, earlier drives x 0.5": Rule(_CAUTIOUS, "cautious", keep=0.5),
+    "cautious, the last drive alone": Rule(_CAUTIOUS, "cautious", keep=0.0),
+}
 
 
-def truth_of(spec: GridSpec, drives: dict[str, Dataset], plan: DatasetPlan, split: str) -> Truth:
-    """Return the static truth of all cells of a map."""
-    places: list[NDArray[np.float64]] = []
-    numbers = []
-    for part in drives.values():
-        for ref in part.refs:
-            at = np.asarray(ref.T_map_sensor)[:2, 3]
-            if not places or np.linalg.norm(np.array(places) - at, axis=1).min() > APART:
-                places.append(at)
-                words = ref.name.split()  # "test 12", or "sequence 3 frame 12"
-                numbers.append(int(words[-1]) + (SEQUENCE * int(words[1]) if split == "sequences" else 0))
-    print(f"  truth from {len(numbers)} places")
-    return static_truth(plan, split, numbers, spec, threads=1)
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
+    parser.add_argument("fit", type=Path)
+    parser.add_argument("report", type=Path)
+    parser.add_argument("--every", type=int, default=1, help="take every N-th scan of FIT (1)")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "world_rules.json")
+    parser.add_argument("--picture", type=Path, default=run.PICTURES / "world_rules.png")
+    options = parser.parse_args()
+    record: dict[str, Any] = run.environment() | {"chosen": CHOSEN}
+    with tempfile.TemporaryDirectory() as folder:
+        for part, path, every in (("fit", options.fit, options.every), ("report", options.report, 1)):
+            found = [prepare(*one, Path(folder)) for one in towns_of(path, every)]
+            record[part] = summary(found)
+    picture(*found[0], record, options.picture)
+    run.write_json(options.out, record)
+    print(f"written {options.out} and {options.picture}")
 
 
-def parked_cells(part: Dataset, spec: GridSpec) -> NDArray[np.bool_]:
-    """Return the cells under vehicles that were parked during a drive."""
-    seen: set[str] = set()
-    covered = np.zeros(spec.shape, np.bool_)
-    for k in range(0, len(part), 5):
-        frame = part[k]
-        boxes, T = frame.boxes, frame.T_map_sensor
-        if boxes is None or T is None:
+def prepare(
+    name: str, drives: dict[str, Dataset], plan: DatasetPlan, split: str, folder: Path
+) -> tuple[Town, dict[Scans, dict[str, Tiles]]]:
+    """Return a town with its truth, and the maps of its drives."""
+    maps = map_drives(drives, folder / name, {rule.scans: None for rule in RULES.values()})
+    tiles = sorted({index for one in next(iter(maps.values())).values() for index in one})
+    spec = around(tiles)
+    truth = truth_of(spec, drives, plan, split).state
+    parked = {one: cut_all(parked_cells(part, spec), tiles, spec) for one, part in drives.items()}
+    return Town(name, drives, cut_all(truth, tiles, spec), parked), maps
+
+
+def summary(found: list[tuple[Town, dict[Scans, dict[str, Tiles]]]]) -> dict[str, Any]:
+    """Return the figures of every rule, and its differences to `BEFORE` in pairs of tiles, with intervals."""
+    sums = {name: [] for name in RULES}
+    for town, maps in found:
+        for name, rule in RULES.items():
+            sums[name] += evaluate(town, maps[rule.scans], rule).values()
+            print(f"{town.name}: {name}", flush=True)
+    each = {name: scores(np.array(one)) for name, one in sums.items()}
+    seen = np.array(sums[BEFORE])
+    large = (seen[:, SUMS.index("occupied")] > ENOUGH) & (seen[:, SUMS.index("free")] > ENOUGH)
+    rules = {}
+    for name, one in sums.items():
+        rules[name] = {key: round(float(value), 4) for key, value in scores(np.sum(one, axis=0)).items()}
+        if name == BEFORE:
             continue
-        new = [k for k, track in enumerate(boxes.track) if int(track) >= PARKED and track not in seen]
-        if new:
-            seen |= {boxes.track[k] for k in new}
-            covered |= cells_in_boxes(boxes.select(new).moved(T), spec)
-    return covered
-
-
-def map_drives(drives: dict[str, Dataset], folder: Path) -> dict[str, dict[str, Tiles]]:
-    """Return the map of each drive alone in tiles, by each of `WORLD_RULES` for its scans."""
-    model, found = NamedModels("ray", SPEC)(), {rule: dict[str, Tiles]() for rule in WORLD_RULES}
-    for name, part in drives.items():
-        worlds = {rule: WorldMap.create(folder / f"{name}-{rule}", rule=rule) for rule in WORLD_RULES}  # type: ignore[arg-type]
-        for frame, grid in map_scans(part, model):
-            for world in worlds.values():
-                world.integrate(grid, grid_pose(frame))
-        for rule, world in worlds.items():
-            found[rule][name] = {index: world.tile(index) for index in world.tiles()}
-            world.close()
-        shutil.rmtree(folder)
-    return found
-
-
-def cut(array: NDArray[Any], index: TileIndex, spec: GridSpec, n: int) -> NDArray[Any]:
-    """Return the cells of a tile from an array over `spec`, which is made of whole tiles."""
-    i, j = (round(o / spec.resolution) for o in spec.origin)
-    a, b = index[0] * n - i, index[1] * n - j
-    return array[a : a + n, b : b + n]
-
-
-SUMS = ("free", "occupied", "ghosts", "false_free", "hit", "free_hit", "loss_free", "loss_occupied", "left", "left_occupied",
-        "left_free", "next", "next_loss", "next_occupied", "next_false_free", "next_free", "next_ghosts")  # fmt: skip
+        pairs = {}
+        for key in each[name]:
+            better = "higher" if key in HIGHER else "lower"
+            compared = compare_paired(each[name][key][large], each[BEFORE][key][large], better)
+            pairs[key] = [round(float(value), 4) for value in compared.difference]
+        rules[name]["difference"] = pairs
+    counted = dict(zip(SUMS, np.sum(sums[BEFORE], axis=0).astype(int).tolist(), strict=True))
+    return {
+        "towns": len(found),
+        "drives": sum(len(town.drives) for town, _ in found),
+        "frames": sum(len(part) for town, _ in found for part in town.drives.values()),
+        "tiles": int(large.sum()),
+        "cells": {key: counted[key] for key in ("free", "occupied", "left", "next")},
+        "rules": rules,
+    }
 
 
 def combine(tile: NDArray[Any], part: NDArray[Any], rule: Rule) -> None:
@@ -177,9 +183,7 @@ def evaluate(town: Town, drives: dict[str, Tiles], rule: Rule) -> dict[TileIndex
             half = MASS_STEPS / 2
             now_free, now_occupied = part[0] > half, part[1] > half
             if tile is None:
-                tile = part.copy()
-                if rule.reliability < 1:
-                    tile[:2] = np.rint(tile[:2] * rule.reliability).astype(tile.dtype)
+                tile = np.zeros_like(part)
             else:
                 both = (part[4] > 0) & (tile[4] > 0)
                 next_occupied = both & (occupied | (free & parked))
@@ -192,7 +196,7 @@ def evaluate(town: Town, drives: dict[str, Tiles], rule: Rule) -> dict[TileIndex
                 sums["next_free"] += np.count_nonzero(next_free)
                 sums["next_false_free"] += np.count_nonzero(m[0][next_occupied] > 0.5)
                 sums["next_ghosts"] += np.count_nonzero(m[1][next_free] > 0.5)
-                combine(tile, part, rule)
+            combine(tile, part, rule)
             stood = parked & now_occupied & free
             gone[stood], was[stood] = False, True
             gone[now_occupied] = False
@@ -238,3 +242,45 @@ def scores(sums: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
             "next_false_free": s["next_false_free"] / s["next_occupied"],
             "next_ghosts": s["next_ghosts"] / s["next_free"],
         }
+
+
+def final(drives: dict[str, Tiles], index: TileIndex, rule: Rule) -> NDArray[Any]:
+    """Return a tile of all drives by a rule."""
+    tile = None
+    for tiles in drives.values():
+        if index in tiles:
+            if tile is None:
+                tile = np.zeros_like(tiles[index])
+            combine(tile, tiles[index], rule)
+    assert tile is not None
+    return tile
+
+
+def picture(
+    town: Town,
+    maps: dict[Scans, dict[str, Tiles]],
+    record: dict[str, Any],
+    path: Path,
+    chosen: tuple[str, ...] = (BEFORE, CHOSEN),
+) -> None:
+    """Draw the truth and some rules at the tile in which most parked cars have left, 40 m of it."""
+    first = next(iter(RULES.values())).scans
+    last = {index: evaluate(town, maps[first], RULES[BEFORE]).get(index) for index in town.truth}
+    index = max(last, key=lambda one: 0 if last[one] is None else last[one][SUMS.index("left")])
+    truth = town.truth[index]
+    spec = around([index])
+    left = np.any([town.parked[name][index] for name in town.parked], axis=0) & (truth == CellState.FREE)
+    i, j = (int(np.clip(np.median(one) - WIDE // 2, 0, TILE - WIDE)) for one in np.nonzero(left))
+    part = (slice(i, i + WIDE), slice(j, j + WIDE))
+    small = GridSpec(spec.resolution, (WIDE, WIDE), (spec.origin[0] + i * 0.16, spec.origin[1] + j * 0.16))
+    panels = [truth_panel(Truth(small, np.ascontiguousarray(truth[part])), "the town without traffic")]
+    for name in chosen:
+        tile = final(maps[RULES[name].scans], index, RULES[name])[:2, part[0], part[1]]
+        mass = np.moveaxis(tile, 0, -1).astype(np.float32) / MASS_STEPS
+        panels.append(mass_panel(EvidentialGrid(small, np.ascontiguousarray(mass)), name))
+    figure = show(*panels)
+    run.save_picture(figure, path, run.caption(record), dpi=100)
+
+
+if __name__ == "__main__":
+    main()

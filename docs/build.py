@@ -22,7 +22,7 @@ from quality_tables import tables
 from radar_tables import far_tables, fusion_tables, radar_tables
 from reliability_tables import reliability_tables
 from reproduction_sentences import sentences
-from world_tables import world_tables
+from world_tables import build_tables, cost_tables, rule_tables, world_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -659,7 +659,12 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "docs/simulation.md": lambda: {
         "data_store": "\n\n".join([*data_store_tables(record("data_store")), source("data_store")])
     },
-    "docs/world.md": lambda: {"world": "\n\n".join([*world_tables(record("world")), source("world")])},
+    "docs/world.md": lambda: {
+        "world": "\n\n".join([*world_tables(record("world")), source("world")]),
+        "rules": "\n\n".join([*rule_tables(record("world_rules")), source("world_rules")]),
+        "build": "\n\n".join([*build_tables(record("world_build")), source("world_build")]),
+        "cost": "\n\n".join(cost_tables(record("world"), record("world_build"))),
+    },
     "docs/evaluation.md": lambda: {"metrics": metrics(), "coverage": coverage()},
 }
 

@@ -1,9 +1,13 @@
-"""Tables of docs/world.md, from the record world.json."""
+"""Tables of docs/world.md, from the records world.json, world_build.json and world_rules.json."""
 
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["world_tables"]
+__all__ = ["build_tables", "cost_tables", "rule_tables", "world_tables"]
+
+# Of the cost model: what no measurement of ours gives.
+CELLS, PASSES, STREET, SUBMAP, LOOP = 1e12, 5, 40.0, 50.0, 20e3  # drives of a place; [m] of width, length, a drive
+PUT, GIGABYTE = 5e-6, 0.023  # [USD] of a request that writes, of a month
 
 
 def world_tables(record: Mapping[str, Any]) -> list[str]:
@@ -41,6 +45,107 @@ def world_tables(record: Mapping[str, Any]) -> list[str]:
         f"{max(resident)} MB at most in between.",
     ]
     return ["\n".join(times), "\n".join(sizes), *facts]
+
+
+def rule_tables(record: Mapping[str, Any]) -> list[str]:
+    """Return the table of the rules, on the towns that the default was not chosen on, and what was counted."""
+    titles = {
+        "iou_occupied": "IoU occupied",
+        "iou_free": "IoU free",
+        "ghosts": "ghosts",
+        "false_free": "false free",
+        "loss_both": "log loss",
+        "left_occupied": "left: occupied",
+        "left_free": "left: free",
+        "next_false_free": "next drive: false free",
+    }
+    table = [_row("rule", *titles.values()), "|---|" + "---:|" * len(titles)]
+    for name, one in record["report"]["rules"].items():
+        shown = f"**{name}**" if name == record["chosen"] else name
+        table.append(_row(shown, *(f"{one[key]:.3f}" for key in titles)))
+    better = record["report"]["rules"][record["chosen"]]["difference"]
+    found = ", ".join(
+        f"{title} {better[key][0]:+.3f} ({better[key][1]:+.3f} to {better[key][2]:+.3f})"
+        for key, title in titles.items()
+    )
+    report, fit = record["report"], record["fit"]
+    cells = report["cells"]
+    return [
+        "\n".join(table),
+        f"{report['drives']} drives through {report['towns']} towns, {report['frames']:,} scans; "
+        f"{cells['free']:,} free and {cells['occupied']:,} occupied cells, {cells['left']:,} that parked cars left. "
+        f"The default was chosen on {fit['drives']} drives through another town. Its differences to `cautious` without "
+        f"discount, in pairs of {report['tiles']} tiles, 95 % intervals: {found}.",
+    ]
+
+
+def build_tables(record: Mapping[str, Any]) -> list[str]:
+    """Return what was measured of builds by several workers, and of the large map."""
+    result = []
+    if "town" in record:
+        town = record["town"]
+        equal = "the same to the last bit" if all(town["the same"].values()) else "NOT the same"
+        result.append(
+            f"{town['drives']} drives, {town['frames']:,} scans, {town['seen_cells']:,} seen cells: by two workers of "
+            f"this machine, by a Dask scheduler with two workers, and by those into S3 (moto on loopback): {equal} in "
+            f"all layers, tiles and {town['levels']} levels."
+        )
+    if "workers" in record:
+        one = record["workers"]
+        result.append(
+            f"{one['drives']} drives, {one['frames']:,} scans: {one['seconds']['1']:.0f} s by one worker, "
+            f"{one['seconds']['2']:.0f} s by two, x {one['gain']:.2f}."
+        )
+    big = record["cells"]
+    resident = big["resident_mb"]
+    result.append(
+        f"{big['cells']:.3g} cells in {big['tiles']:,} tiles, synthetic: a square of the simulated town, mirrored, all "
+        f"of it seen, once into each tile, with 200 MB of tiles in memory: {big['seconds']:.0f} s, "
+        f"and {big['overviews_seconds']:.0f} s for {big['levels'] - 1} levels of overviews; "
+        f"{big['gigabytes']:.2f} GB in {big['objects']:,} files, {big['bytes_per_cell']:.2f} bytes per cell. The process "
+        f"has {resident[0]} MB after a twentieth and {max(resident[:-1])} MB at most until all is in."
+    )
+    return result
+
+
+def cost_tables(world: Mapping[str, Any], build: Mapping[str, Any]) -> list[str]:
+    """Return what 1e12 cells would take, by what was measured."""
+    sizes, one = world["disk"]["bytes_per_seen_cell"], build["workers"]
+    seen_per_tile = world["disk"]["seen_cells"] / world["disk"]["tiles"]
+    area = 0.16**2
+    street = CELLS * area / STREET  # [m]
+    scans = street * PASSES  # one per metre
+    per_scan = one["one worker"]["sub-maps"]["cpu_seconds"] / one["frames"]
+    submaps = street * PASSES / SUBMAP
+    tiles = CELLS / seen_per_tile
+    per_submap = one["objects"]["drives"] / one["one worker"]["sub-maps"]["tasks"]  # tiles of a sub-map
+    parts = submaps * per_submap
+    per_part = one["one worker"]["tiles"]["cpu_seconds"] / one["objects"]["drives"]
+    drives_bytes = one["bytes"]["drives"] / one["objects"]["drives"] * parts
+    map_bytes = CELLS * (sizes["all layers"] + sizes["overviews"])
+    again = LOOP * STREET / area / seen_per_tile  # tiles of the map that it has cells in
+    reread = again * parts / tiles
+    hours = 3600.0
+    objects = tiles * 4 / 3 + parts
+    price, month = f"{PUT * 1e6:.0f} USD a million", f"{GIGABYTE} USD per GB and month"
+    rows = [
+        (f"streets, seen {STREET:.0f} m wide", f"{street / 1e3:,.0f} km"),
+        (f"scans, {PASSES} drives everywhere, one per metre", f"{scans:.2g}"),
+        (f"scans to sub-maps, {1e3 * per_scan:.0f} ms each", f"{scans * per_scan / hours:,.0f} core hours"),
+        (
+            f"sub-maps to tiles, {1e3 * per_part:.0f} ms per tile of a sub-map",
+            f"{parts * per_part / hours:,.0f} core hours",
+        ),
+        ("the map, all layers and overviews", f"{map_bytes / 1e12:.1f} TB"),
+        ("sub-maps", f"{drives_bytes / 1e12:.1f} TB"),
+        ("objects: tiles and overviews", f"{tiles * 4 / 3 / 1e6:.0f} million"),
+        ("objects: tiles of sub-maps", f"{parts / 1e6:.0f} million"),
+        (f"writing them once, at {price}", f"{objects * PUT:,.0f} USD"),
+        (f"keeping them, at {month}", f"{(map_bytes + drives_bytes) / 1e9 * GIGABYTE:,.0f} USD a month"),
+        (f"a loop closure moves a drive of {LOOP / 1e3:.0f} km: tiles made anew", f"{again:,.0f}"),
+        ("from tiles of sub-maps", f"{reread:,.0f}, {reread * per_part / hours:.1f} core hours"),
+    ]
+    return ["\n".join([_row("1e12 seen cells", "by the model"), "|---|---:|", *(_row(*row) for row in rows)])]
 
 
 def _row(*cells: str) -> str:

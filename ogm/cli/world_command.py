@@ -38,6 +38,7 @@ Calib = Annotated[Path | None, Option(help="KITTI's calib.txt, where the poses a
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Ism = Annotated[str, Option(help="Sensor model, as of `ogm fuse`.")]
 Rule = Annotated[str, Option(help="Combine by: cautious, dempster, cumulative. For a new map.")]
+Trust = Annotated[float, Option("--drive-reliability", help="Discount of each drive's map, (0, 1]. For a new map.")]
 Tile = Annotated[int, Option(help="Cells along a side of a tile, a power of two. For a new map.")]
 Crs = Annotated[str | None, Option(help="Coordinate reference system of the poses, such as EPSG:25832. For a new map.")]
 SubMaps = Annotated[float, Option("--submap-length", help="Way along which a sub-map's frames were taken [m].")]
@@ -61,6 +62,7 @@ def build(
     width: options.Width = None,
     resolution: options.Resolution = 0.16,
     rule: Rule = "cautious",
+    drive_reliability: Trust = 0.8,
     tile: Tile = 512,
     crs: Crs = None,
     submap_length: SubMaps = 50.0,
@@ -86,7 +88,14 @@ def build(
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:
-        world = WorldMap.create(out_url, resolution, tile, crs=crs, rule=rule)  # type: ignore[arg-type]
+        world = WorldMap.create(
+            out_url,
+            resolution,
+            tile,
+            crs=crs,
+            rule=rule,
+            drive_reliability=drive_reliability,  # type: ignore[arg-type]
+        )
     with world, _progress() as show:
         make: Any = NamedModels(ism, spec)
         build_world(world, drives, make, length=submap_length, workers=workers, scheduler=scheduler, progress=show)

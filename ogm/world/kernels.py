@@ -12,7 +12,7 @@ from ogm.fusion.kernels import combine_cells
 from ogm.fusion.lookup import ScanLookup, look_up
 from ogm.jit import inline, vector
 
-__all__ = ["CONFLICT_STEPS", "COUNT_LIMIT", "MASS_STEPS", "integrate", "merge", "moved"]
+__all__ = ["CONFLICT_STEPS", "COUNT_LIMIT", "MASS_STEPS", "discount", "integrate", "merge", "moved"]
 
 MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps are noise of the sensors, and do not pack
 COUNT_LIMIT = 65535
@@ -172,6 +172,13 @@ def merge(tile: np.ndarray, other: np.ndarray, rule: int, max_known: float) -> N
     """
     kernel = _merge_16 if tile.dtype == np.uint16 else _merge_32
     kernel(tile, other, rule, np.float32(max_known))
+
+
+def discount(tile: np.ndarray, reliability: float) -> None:
+    """Discount the masses of a tile by Shafer's rule, in place; they are rounded as they are stored."""
+    if reliability < 1:
+        masses = tile[:2] * np.float32(reliability)
+        tile[:2] = masses if tile.dtype == np.float32 else np.rint(masses)
 
 
 @vector

@@ -43,6 +43,8 @@ class WorldLayout:
     rule : {"cautious", "dempster", "cumulative"}
     min_unknown : float
         Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
+    drive_reliability : float
+        Shafer's discount of the map of each drive before it is combined with those of the others, (0, 1].
 
     Raises
     ------
@@ -55,6 +57,7 @@ class WorldLayout:
     dtype: StoredType = "uint16"
     rule: WorldRule = "cautious"
     min_unknown: float = 0.02
+    drive_reliability: float = 0.8
 
     def __post_init__(self) -> None:
         GridSpec(self.resolution, (1, 1), (0.0, 0.0))  # refuses what is no resolution
@@ -69,6 +72,8 @@ class WorldLayout:
         least = 1e-4 if self.dtype == "float32" else 1 / MASS_STEPS  # two masses that are rounded up must fit in
         if not least <= self.min_unknown < 1:
             raise ValueError(f"min_unknown must be in [{least:.3g}, 1) for {self.dtype}, got {self.min_unknown}")
+        if not 0 < self.drive_reliability <= 1:
+            raise ValueError(f"drive_reliability must be in (0, 1], got {self.drive_reliability}")
 
     @property
     def cells(self) -> int:

@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Mapping
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from ogm.fusion.window import affine_between
 from ogm.world.drives import Drive, drive_array, submap_key
-from ogm.world.kernels import merge, moved
+from ogm.world.kernels import discount, merge, moved
 from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, corners
 from ogm.world.packing import checked_layers
 from ogm.world.stores import reading
@@ -74,25 +75,33 @@ def fingerprint(parts: Iterable[Part], sources: Mapping[str, str]) -> np.uint64:
 def render_tile(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> NDArray[Any]:
     """Return a tile, (7, tile, tile), combined from its parts by the rule of the map.
 
+    The sub-maps of a drive are combined first; what they give is discounted, and combined with the other drives.
     Sub-maps that were moved are resampled once, by nearest cells.
     """
     layout, drives = store.layout, _Drives(store)
     tile, rule, most = layout.empty_tile(), WORLD_RULES[layout.rule], 1 - layout.min_unknown
-    for one in parts:
-        if one.correction is None:
-            merge(tile, drives.read(one, index), rule, most)
-            continue
-        rows, columns = zip(*one.tiles, strict=True)
-        i, j, n = min(rows), min(columns), layout.tile
-        source = np.zeros((len(LAYERS), (max(rows) - i + 1) * n, (max(columns) - j + 1) * n), tile.dtype)
-        for at in one.tiles:
-            a, b = (at[0] - i) * n, (at[1] - j) * n
-            source[:, a : a + n, b : b + n] = drives.read(one, at)
-        area = layout.spec((i * n, i * n + source.shape[1], j * n, j * n + source.shape[2]))
-        affine = affine_between(layout.spec(layout.box_of(index)), area, one.correction)
-        part = layout.empty_tile()
-        if moved(source, affine, part):
-            merge(tile, part, rule, most)
+    for _, of_drive in groupby(parts, lambda one: one.drive):
+        drive = layout.empty_tile()
+        for one in of_drive:
+            part = drives.read(one, index) if one.correction is None else _moved_tile(drives, index, one)
+            merge(drive, part, rule, most)
+        discount(drive, layout.drive_reliability)
+        merge(tile, drive, rule, most)
+    return tile
+
+
+def _moved_tile(drives: "_Drives", index: TileIndex, part: Part) -> NDArray[Any]:
+    """Return what a sub-map that was moved has in a tile."""
+    layout = drives.layout
+    rows, columns = zip(*part.tiles, strict=True)
+    i, j, n = min(rows), min(columns), layout.tile
+    tile = layout.empty_tile()
+    source = np.zeros((len(LAYERS), (max(rows) - i + 1) * n, (max(columns) - j + 1) * n), tile.dtype)
+    for at in part.tiles:
+        a, b = (at[0] - i) * n, (at[1] - j) * n
+        source[:, a : a + n, b : b + n] = drives.read(part, at)
+    area = layout.spec((i * n, i * n + source.shape[1], j * n, j * n + source.shape[2]))
+    moved(source, affine_between(layout.spec(layout.box_of(index)), area, part.correction), tile)
     return tile
 
 
@@ -100,7 +109,7 @@ class _Drives:
     """The arrays of the drives that a tile needs."""
 
     def __init__(self, store: TileStore) -> None:
-        self._store, self._arrays = store, dict[str, Any]()
+        self.layout, self._store, self._arrays = store.layout, store, dict[str, Any]()
 
     def read(self, part: Part, index: TileIndex) -> NDArray[Any]:
         """Return a tile of a sub-map, (7, tile, tile)."""

@@ -75,6 +75,7 @@ class WorldMap:
         rule: WorldRule = "cautious",
         dtype: StoredType = "uint16",
         min_unknown: float = 0.02,
+        drive_reliability: float = 0.8,
         memory: float = MEMORY,
         storage: Mapping[str, str] | None = None,
     ) -> "WorldMap":
@@ -96,6 +97,8 @@ class WorldMap:
             Of what is stored.
         min_unknown : float
             Lower bound of unknown, [1 / 4095, 1), in float32 [1e-4, 1).
+        drive_reliability : float
+            Shafer's discount of the map of each drive that `build_world` combines with those of others, (0, 1].
         memory : float
             Of tiles in memory [byte].
         storage : mapping of str to str, optional
@@ -110,7 +113,7 @@ class WorldMap:
         OSError
             If the place cannot be written, or another process is writing there.
         """
-        layout = WorldLayout(float(resolution), tile, dtype, rule, float(min_unknown))
+        layout = WorldLayout(float(resolution), tile, dtype, rule, float(min_unknown), float(drive_reliability))
         place = open_store(url, "r+", storage)
         return cls._writing(url, place, memory, lambda: TileStore.create(url, layout, crs, storage))
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from world_frames import RandomGrids, StraightDrive, grid_of
 
+from ogm.evidence import cumulative, dempster, discount, normalized_cautious
 from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.pose import Trajectory, inverse, pose
@@ -26,6 +27,7 @@ DRIVES = {
     "a": StraightDrive(24, (40.0, -10.0, 1.3), 2),
     "c": StraightDrive(20, (10.0, 20.0, -0.5), 3),
 }
+RULES = {"cautious": normalized_cautious, "dempster": dempster, "cumulative": cumulative}
 AROUND = GridSpec(0.5, (280, 280), (-60.0, -60.0))
 OPTIONS: dict[str, Any] = {"resolution": 0.5, "tile": 32, "rule": "dempster"}
 
@@ -44,7 +46,8 @@ SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", ma
 
 
 def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
-    options = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4}  # no bound of certainty, which acts at other moments
+    # no bound of certainty, which acts at other moments, and no discount
+    options = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4, "drive_reliability": 1.0}
     with WorldMap.create(**place(), **options) as world, WorldMap.create(**place(), **options) as plain:
         build_world(world, DRIVES, RandomGrids(), length=15.0)
         for drive in DRIVES.values():
@@ -56,6 +59,22 @@ def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
             np.testing.assert_array_equal(world.layers(AROUND)[name], plain.layers(AROUND)[name])
         np.testing.assert_allclose(world.window(AROUND).mass, plain.window(AROUND).mass, atol=1e-5)
         assert all(load_drive(world.store, name).finished for name in drive_names(world.store))
+
+
+@pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
+def test_the_map_of_each_drive_is_discounted_before_it_meets_the_others(tmp_path: Path, rule: str) -> None:
+    """Whatever the number of its sub-maps, and in whatever order drives are built."""
+    options = OPTIONS | {"rule": rule, "dtype": "float32", "min_unknown": 1e-4}
+    alone = []
+    for name in "ab":
+        with WorldMap.create(tmp_path / name, **options, drive_reliability=1.0) as world:
+            build_world(world, {name: DRIVES[name]}, RandomGrids(), length=15.0)
+            alone.append(discount(world.window(AROUND).mass, 0.7))
+    with WorldMap.create(tmp_path / "both", **options, drive_reliability=0.7) as world:
+        for name in "ba":
+            build_world(world, {name: DRIVES[name]}, RandomGrids(), length=15.0)
+        np.testing.assert_allclose(world.window(AROUND).mass, RULES[rule](*alone), atol=2e-5)
+    assert np.all([one.sum(axis=-1) > 0 for one in alone], axis=0).sum() > 20  # cells of both
 
 
 def test_drives_are_cut_by_their_length(tmp_path: Path) -> None:

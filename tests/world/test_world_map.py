@@ -296,6 +296,8 @@ def test_a_map_open_to_read_does_not_change(tmp_path: Path, make_grid: MakeGrid)
         ({"dtype": "uint8"}, "uint16 or float32"),
         ({"min_unknown": 0}, "min_unknown"),
         ({"min_unknown": 2e-4}, "min_unknown"),
+        ({"drive_reliability": 0}, "drive_reliability"),
+        ({"drive_reliability": 1.1}, "drive_reliability"),
         ({"memory": 0}, "memory"),
     ],
 )
