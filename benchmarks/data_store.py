@@ -49,7 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n", 1)[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--samples", type=int, nargs="+", default=[1000, 10_000])
-    parser.add_argument("--seconds", type=float, default=10.0, help="of each row, once it runs (10)")
+    parser.add_argument("--seconds", type=float, default=6.0, help="of each row, once it runs (6)")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "data_store.json")
     options = parser.parse_args()
     record: dict[str, Any] = run.environment() | {"batch": BATCH}
@@ -68,10 +68,10 @@ def main() -> None:
                     "source": in_process(source_samples, options.data),
                 }
             )
-            for where, given in (("folder", str(path)), ("s3", place)):
-                rows[-1] |= {f"{where}": measured(given, storage if where == "s3" else {}, count, options.seconds)}
-        record["sets"] = rows
-    run.write_json(options.out, record)
+            large = count == max(options.samples)
+            rows[-1]["folder"] = measured(large, str(path), {}, count, options.seconds)
+            rows[-1]["s3"] = measured(large, place, storage, count, options.seconds)
+            run.write_json(options.out, record | {"sets": rows})
 
 
 def whole_shards(path: Path) -> list[int]:
@@ -132,19 +132,18 @@ def upload(path: Path, url: str, storage: dict[str, str]) -> tuple[int, float]:
     return size, time.perf_counter() - start
 
 
-def measured(place: str, storage: dict[str, str], count: int, seconds: float) -> dict[str, Any]:
-    """Return the rows of one place: orders, loading processes and ranks, each in a process of its own."""
-    rows: dict[str, Any] = {}
-    for order, loaders in (("shards", 0), ("all", 0), ("shards", 1), ("shards", 2)):
-        rows[f"{order}, {loaders} loading"] = in_process(row, place, storage, count, seconds, order, loaders)
-    if storage:
-        rows |= {
-            f"requests, {order}": in_process(row, place, storage, count, seconds, order, -1)
-            for order in ("shards", "all")
-        }
-    rows["training"] = in_process(row, place, storage, count, 3 * seconds, "training", 1)
-    rows["two ranks"] = two_ranks(place, storage, count, seconds)
-    return rows
+def measured(large: bool, *words: Any) -> dict[str, Any]:
+    """Return the rows of one place, each measured in a process of its own; of the largest set more."""
+    found = {
+        f"{order}, {loaders} loading": in_process(row, *words, order, loaders)
+        for order, loaders in (("all", 0), ("shards", 0), ("shards", 1))
+    }
+    if large:
+        found["training"] = in_process(row, *words, "training", 1)
+        found["two ranks"] = two_ranks(*words)
+        if words[1]:
+            found |= {f"requests, {order}": in_process(row, *words, order, -1) for order in ("shards", "all")}
+    return found
 
 
 def two_ranks(*words: Any) -> list[float]:

@@ -8,8 +8,7 @@ __all__ = ["data_store_tables"]
 ROWS = {
     "all, 0 loading": "one process, all frames shuffled",
     "shards, 0 loading": "one process, shard by shard",
-    "shards, 1 loading": "one process that loads beside the training, shard by shard",
-    "shards, 2 loading": "two that load",
+    "shards, 1 loading": "one process that loads beside it, shard by shard",
 }
 LARGE = 100_000  # samples, to which is extrapolated
 
@@ -21,12 +20,10 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
     places = [one[where] for one in sets for where in ("folder", "s3")]
     lines = [_row("samples/s", *heads), _row("---", *["---:"] * len(heads)).replace(" ", "")]
     lines += [_row(title, *[f"{one[name]['samples_per_s']:.1f}" for one in places]) for name, title in ROWS.items()]
-    lines.append(
-        _row("two training processes, one each that loads", *[f"{sum(one['two ranks']):.1f}" for one in places])
-    )
-    trained = [one["training"] for one in places]
-    lines.append(_row("training of `lite` on one core", *[f"{one['samples_per_s']:.1f}" for one in trained]))
-    lines.append(_row("of its time it waits", *[f"{100 * one['waiting']:.0f} %" for one in trained]))
+    parts = [("two training processes, one each that loads", "two ranks", lambda both: f"{sum(both):.1f}")]
+    parts += [("training of `lite` on one core", "training", lambda one: f"{one['samples_per_s']:.1f}")]
+    parts += [("of its time it waits", "training", lambda one: f"{100 * one['waiting']:.0f} %")]
+    lines += [_row(title, *[show(one[name]) if name in one else "" for one in places]) for title, name, show in parts]
     small, large = sets[0], sets[-1]
     few, one = (each["s3"]["shards, 0 loading"] for each in (small, large))
     read, many = (large["s3"][f"requests, {order}"] for order in ("shards", "all"))

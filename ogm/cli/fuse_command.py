@@ -153,9 +153,9 @@ def fuse(
     world build`.
     """
     from ogm.cli.fuse_run import check_rule
-    from ogm.cli.one_drive import FuseInto, FuseOptions, Outputs, fuse_drive
+    from ogm.cli.one_drive import FuseInto, FuseOptions, Outputs, fuse_drive, load_models
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import describe_model, sensor_models
+    from ogm.evaluation.models import describe_model
     from ogm.fusion import make_mapper
     from ogm.grid import GridSpec
 
@@ -169,7 +169,7 @@ def fuse(
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
     ism = chosen_model(ism, spec)
-    sensor_models(ism, spec)  # refuses what is none, before any work
+    load_models(ism, spec)  # refuses what is none, before any work
     rule, count = check_rule(rule, dynamic, particles)
     make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]
     how = FuseOptions(

@@ -21,9 +21,9 @@ from ogm.io.logs import LOG_ENDINGS
 from ogm.movie import open_movie
 from ogm.viewer import write_view
 
-__all__ = ["FuseInto", "FuseOptions", "Outputs", "fuse_drive"]
+__all__ = ["FuseInto", "FuseOptions", "Outputs", "fuse_drive", "load_models"]
 
-_models = lru_cache(1)(sensor_models)
+load_models = lru_cache(1)(sensor_models)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def fuse_drive(
     radars = dataset.facts.get("radars", {})
     beside = "lidar" in o.sensors and radars
     reliability = {"": 1.0} | dict.fromkeys(radars, o.radar_reliability) if beside else 1.0
-    steps = fuse(dataset, _models(o.ism, spec), mapper, deskew=times, reliability=reliability, on_error=run.report)
+    steps = fuse(dataset, load_models(o.ism, spec), mapper, deskew=times, reliability=reliability, on_error=run.report)
     is_log = outputs.map is not None and outputs.map.suffix.lower() in LOG_ENDINGS
     log = GridLog(outputs.map, o.message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
     titles = ("points by height", *run.titles)
