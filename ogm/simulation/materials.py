@@ -1,9 +1,16 @@
-"""What surfaces are made of: how a lidar at 905 nm sees them, and their colours in pictures."""
+"""What surfaces are made of: how a lidar at 905 nm sees them, and their colours in pictures.
+
+>>> from ogm.simulation.materials import GROUND, Material
+>>> Material.ASPHALT in GROUND, Material.ASPHALT.optics.retro
+(True, 0.0)
+"""
 
 from enum import IntEnum
 from typing import NamedTuple, Self
 
 import numpy as np
+
+__all__ = ["GROUND", "Material", "Optics", "table"]
 
 
 class Optics(NamedTuple):

@@ -1,4 +1,11 @@
-"""Triangles with a material each, and the few shapes that everything in a town is put together from."""
+"""Triangles with a material each, and the few shapes that everything in a town is put together from.
+
+>>> from ogm.simulation.materials import Material
+>>> from ogm.simulation.mesh import box, merge
+>>> road, car = box([0, -5, -1], [90, 5, 0], Material.ASPHALT), box([20, -1, 0], [24, 1, 1.5], Material.PAINT_DARK)
+>>> merge([road, car]).triangles.shape
+(24, 3)
+"""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -7,6 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.simulation.materials import Material
+
+__all__ = ["Mesh", "box", "cylinder", "ellipsoid", "empty", "loft", "merge", "quads", "sheet", "wall"]
 
 
 class Mesh(NamedTuple):

@@ -1,4 +1,14 @@
-"""The world that rays are cast at: what stands still built once, what moves built anew for each frame."""
+"""The world that rays are cast at: what stands still built once, what moves built anew for each frame.
+
+>>> import numpy as np
+>>> from ogm.pose import pose
+>>> from ogm.simulation.materials import Material
+>>> from ogm.simulation.mesh import box
+>>> from ogm.simulation.scene import Scene
+>>> road = Scene(box([-100, -100, -1], [100, 100, 0], Material.ASPHALT))
+>>> road.cast(pose(z=2.0), np.array([[0, 0, -1]], np.float32)).distance      # [m]
+array([2.], dtype=float32)
+"""
 
 import os
 from collections.abc import Sequence
