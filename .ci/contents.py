@@ -1,4 +1,4 @@
-"""Check that a wheel and a source distribution hold what they must: python .ci/contents.py dist"""
+"""Check that a wheel and a source distribution hold what they must: `python .ci/contents.py dist`."""
 
 import sys
 import tarfile
