@@ -16,6 +16,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the backgrou
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give tests that share a fixture of their module to one worker of pytest-xdist, which makes it once."""
+    for item in items:
+        fixtures = getattr(item, "_fixtureinfo", None)
+        defined = (
+            [one for name in item.fixturenames for one in fixtures.name2fixturedefs.get(name, ())] if fixtures else []
+        )
+        if any(one.scope == "module" for one in defined):
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.split("::")[0]))
+
+
 @pytest.fixture
 def real() -> Callable[[str], Path]:
     """Give the path of a real recording beside the project, or skip the test."""

@@ -234,7 +234,7 @@ def frames(count: int) -> list[RadarFrame]:
 
 @pytest.fixture(scope="module")
 def recipe() -> Recipe:
-    return Recipe(RadarConfig(((8, 1), (8, 1))), epochs=8, batch=4, warmup=2, learning_rate=1e-2, average=0.5)
+    return Recipe(RadarConfig(((8, 1), (8, 1))), epochs=6, batch=4, warmup=2, learning_rate=1e-2, average=0.5)
 
 
 @pytest.fixture(scope="module")

@@ -34,7 +34,7 @@ def tolerated(draw: Any, dtype: Any, states: int) -> np.ndarray:
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("name", RULES)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(data=st.data())
 def test_every_rule_maps_tolerated_masses_to_tolerated_masses(name: str, dtype: Any, data: Any) -> None:
     states = 3 if name == "bold" else 2
