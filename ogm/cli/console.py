@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import typer
 from rich.console import Console
@@ -16,6 +16,9 @@ from rich.text import Text
 
 from ogm.cli.interrupts import received
 from ogm.files import OF_DISK
+
+if TYPE_CHECKING:
+    from ogm.grid import GridSpec
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -54,6 +57,18 @@ class SafeFormatter(logging.Formatter):
 
 out = SafeConsole(highlight=False)
 stderr = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
+
+
+def chosen_model(name: str | None, spec: "GridSpec") -> str:
+    """Return the name of the sensor model; where none was given the default, with a line where it is not `combined`."""
+    from ogm.evaluation.models import default_model
+
+    if name is not None:
+        return name
+    usual, reason = default_model(spec)
+    if reason:
+        stderr.print(f"sensor model {usual}: {reason}", markup=False)
+    return usual
 
 
 def report_errors(command: Callable[P, R]) -> Callable[P, R]:

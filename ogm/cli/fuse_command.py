@@ -10,7 +10,7 @@ import typer
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import one_line, out, print_facts, report_errors
+from ogm.cli.console import chosen_model, one_line, out, print_facts, report_errors
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
 from ogm.io.grids import MAP_ENDINGS, GridLog, check_grid_output, write_grid
@@ -32,12 +32,14 @@ SavePoses = Annotated[File, Option(help="Write the poses of the scans that were 
 Rate = Annotated[float, Option(help="Rate of the scans [Hz], where neither they nor the poses have stamps.")]
 Drive = Annotated[str | None, Option(help="Drive of a data set: its name or number. [default: the first]")]
 First = Annotated[int | None, Option(help="Map the first so many scans only. [default: all]")]
-Model = Annotated[
-    str,
-    Option(
-        help="Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of "
-        "`ogm calibrate`; of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
-    ),
+_MODELS = (
+    "Sensor model: ray, height-band, lite, combined, weights that `ogm train` wrote, or the .json of `ogm calibrate`; "
+    "of radars: radar, deep-radar; of both: ray+radar, lite+deep-radar, ..."
+)
+Model = Annotated[str, Option(help=_MODELS)]
+UsualModel = Annotated[
+    str | None,
+    Option(help=f"{_MODELS} [default: combined; ray where the network is not installed or does not suit the grid]"),
 ]
 Deskew = Annotated[bool, Option("--deskew", help="Undo the ego motion during a scan, by the times of its points.")]
 RadarReliability = Annotated[
@@ -94,7 +96,7 @@ def fuse(
     fixed_frame: options.FixedFrame = None,
     first: First = None,
     sensor: options.Sensor = None,
-    ism: Model = "ray",
+    ism: UsualModel = None,
     axes: options.Axes = "flu",
     sensor_height: options.SensorHeight = None,
     sensor_position: options.SensorPosition = None,
@@ -149,6 +151,7 @@ def fuse(
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
+    ism = chosen_model(ism, spec)
     model = sensor_models(ism, spec)
     rule, count = check_rule(rule, dynamic, particles)
     make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]  # refuses what is none, before any work

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from functools import partial
 from importlib.resources import as_file, files
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli import options
-from ogm.cli.console import distinct, first_call, one_line, out, report_errors, stderr, ticked
+from ogm.cli.console import chosen_model, distinct, first_call, one_line, out, report_errors, stderr, ticked
 from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
 
 if TYPE_CHECKING:
@@ -25,28 +24,32 @@ DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by t
     "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98),
     "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45),
 }
-DEMO_MODELS = {"height-band": "height band (paper's baseline)", "ray": "RayISM", "lite": "deep (lite)"}
+DEMO_MODELS = {
+    "height-band": "height band (paper's baseline)",
+    "ray": "RayISM",
+    "lite": "deep (lite)",
+    "combined": "combined (RayISM, lite)",
+}
 
 
 @report_errors
 def demo(
     out_folder: Annotated[Path, typer.Option("--out", help="Folder for the pictures and ogm-demo.npz.")] = Path("."),
 ) -> None:
-    """Map two shipped scans and draw them: points, two geometric models, the learned one.
+    """Map two shipped scans and draw them: points, two geometric models, the learned one, the two combined.
 
     A road around a Velodyne VLS-128: ogm-demo.png, ogm-demo.npz. What a Hesai AT128 sees of a yard, 120 degrees:
     ogm-demo-sector.png.
     """
     from ogm import Mount, plot, read_scan
-    from ogm.evaluation.models import LITE, load_model
+    from ogm.evaluation.models import COMBINED, LITE, load_model
     from ogm.grid import GridSpec
 
     out_folder.mkdir(parents=True, exist_ok=True)
-    models = dict(DEMO_MODELS)
-    if not find_spec("onnxruntime"):
-        stderr.print('without the learned model: `pip install "ogm-toolkit[deep]"` adds it', markup=False)
-        del models[LITE]
     spec, table, pictures = GridSpec.centered(), _table(), []
+    best, models = chosen_model(None, spec), dict(DEMO_MODELS)
+    if best != COMBINED:
+        del models[LITE], models[COMBINED]
     for output, (file, axes, height) in DEMO_SCANS.items():
         with as_file(files("ogm") / "data" / file) as path:
             scan, grids = read_scan(path, axes=axes), {}
@@ -60,7 +63,7 @@ def demo(
         pictures.append(out_folder / f"{output}.png")
         plot.save_picture(pictures[-1], cloud, *grids.values(), titles=["", *grids])
         if len(pictures) == 1:
-            grids[DEMO_MODELS["ray"]].save(out_folder / f"{output}.npz")
+            grids[DEMO_MODELS[best]].save(out_folder / f"{output}.npz")
     out.print(f"Two scans on {_cells(spec)}")
     out.print(table)
     out.print(f"pictures {pictures[0]}, {pictures[1]}   grid {pictures[0].with_suffix('.npz')}", markup=False)
@@ -76,12 +79,13 @@ def map_(
         ),
     ],
     ism: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Sensor model: ray, height-band, height-band-released, lite, combined, radar, deep-radar, what `ogm "
-            "train` or `ogm export` wrote, or the .json of `ogm calibrate`."
+            help="Sensor model: combined, ray, height-band, height-band-released, lite, radar, deep-radar, what `ogm "
+            "train` or `ogm export` wrote, or the .json of `ogm calibrate`. [default: combined; ray where the network "
+            "is not installed or does not suit the grid]"
         ),
-    ] = "ray",
+    ] = None,
     axes: options.Axes = "flu",
     sensor_height: options.SensorHeight = None,
     sensor_position: options.SensorPosition = None,
@@ -119,7 +123,7 @@ def map_(
         "frame": fixed_frame,
         "sensors": sensor or (),
     }
-    dataset = open_dataset(scans, **reading, **placed)  # type: ignore[arg-type]
+    dataset, ism = open_dataset(scans, **reading, **placed), chosen_model(ism, spec)  # type: ignore[arg-type]
     model = _model(ism, spec, sensor_height, sensor_position)
     estimated = sensor_height is None and ism != RELEASED and dataset.format.startswith(("scans", "log"))
     names = [frame.name.replace("/", "_") for frame in dataset]

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,8 @@ from ogm.scan import InverseSensorModel, Mount, PerMount
 
 __all__ = [
     "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "NamedModels",
-    "default_parameters", "describe_model", "load_model", "model_class", "model_factory", "sensor_models",
-    "short_names",
+    "default_model", "default_parameters", "describe_model", "load_model", "model_class", "model_factory",
+    "sensor_models", "short_names",
 ]  # fmt: skip
 
 Factory = Callable[[Mount], InverseSensorModel]
@@ -36,6 +37,32 @@ MODELS = {  # name: description
     COMBINED: "ray and lite, combined cell by cell (CombinedISM).",
     **RADAR_MODELS,
 }
+
+
+NETWORK_CELL, NETWORK_MULTIPLE = 0.16, 16  # [m] side of the cells of `lite`, and what the sides of its grids divide by
+
+
+def default_model(spec: GridSpec) -> tuple[str, str]:
+    """Return the name of the model to use where none is given, and why it is not `combined`.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill.
+
+    Returns
+    -------
+    name : str
+        ``"combined"``, or ``"ray"`` where the network cannot run.
+    reason : str
+        What `combined` lacks; empty if nothing.
+    """
+    if find_spec("onnxruntime") is None:
+        return RAY, 'without the learned model, which `pip install "ogm-toolkit[deep]"` adds'
+    if spec.resolution != NETWORK_CELL or any(n % NETWORK_MULTIPLE for n in spec.shape):
+        need = f"cells of {NETWORK_CELL:g} m, their number along x and y a multiple of {NETWORK_MULTIPLE}"
+        return RAY, f"the learned model needs {need}"
+    return COMBINED, ""
 
 
 def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: bool = False) -> InverseSensorModel:
