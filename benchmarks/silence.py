@@ -1,10 +1,11 @@
 """Does a lidar's map clear in fog what the lidar does not see? Drives in clear air and in fog, with silence or without.
 
-    python benchmarks/silence.py [--drives N] [--scans N] [--seed N] [--out FILE] [--keep FOLDER]
+    python benchmarks/silence.py [--drives N] [--scans N] [--seed N] [--keep FOLDER] [--out FILE] [--before FILE]
 
 Drives of `radar_far.py`, or of another seed, their lidar alone. Compared are the last scans of each drive and the map
 of all (`DynamicMapper`): by `RayISM` with beams without echo, and without ("echoes alone", `no_return_weight` 0). Scans
-are kept in --keep, so that another version of ogm can map the same ones. Writes benchmarks/results/silence.json.
+are kept in --keep, so that an earlier version of ogm can map the same ones (`PYTHONPATH=FOLDER`): --before takes its
+record over. Writes benchmarks/results/silence.json.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -12,6 +13,7 @@ import radar_far
 
 # isort: split
 import argparse
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -110,6 +112,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=radar_far.PLAN.seed)
     parser.add_argument("--out", type=Path, default=run.RESULTS / "silence.json")
     parser.add_argument("--keep", type=Path, default=run.ROOT / "runs" / "silence")
+    parser.add_argument("--before", type=Path, help="record of an earlier version, to be kept beside")
     given = parser.parse_args()
     radar_far.PLAN = replace(radar_far.PLAN, seed=given.seed, radars=())
     drives = [compared(drive(k, given.scans, given.keep)) for k in range(given.drives)]
@@ -120,6 +123,8 @@ def main() -> None:
             means.setdefault(key, {})[what] = {m: round(float(np.nanmean([s[m] for s in scores])), 4) for m in METRICS}
         print(key, means[key], flush=True)
     record = {"environment": run.environment(), "drives": given.drives, "scans": given.scans, "seed": given.seed}
+    if given.before:
+        record["before"] = json.loads(given.before.read_text())["means over drives"]
     run.write_json(given.out, record | {"means over drives": means})
 
 

@@ -179,6 +179,23 @@ def steps() -> str:
     return table(["step, free / occupied [%]", *(place.replace("at", "ahead,") for place in places)], rows)
 
 
+def silence() -> str:
+    """Return what maps of a lidar clear in fog: before silence was weighed, with it, and without silent beams."""
+    found = record("silence")
+    ways = (found["before"], "with silence"), (found["means over drives"], "with silence")
+    ways = (*ways, (found["means over drives"], "echoes alone"))
+    rows = []
+    for sky in dict.fromkeys(key.rpartition(", ")[0] for key in found["before"]):
+        for what in ("scan", "map"):
+            cells = [
+                " / ".join(f"{means[f'{sky}, {way}'][what][metric]:.3f}" for means, way in ways)
+                for metric in ("false_free", "nll", "iou_free", "iou_occupied")
+            ]
+            rows.append([f"{sky}: {what}", *cells])
+    head = ("before / now / echoes alone", "false free", "log loss", "IoU free", "IoU occupied")
+    return "\n\n".join([table(head, rows), source("silence")])
+
+
 def calibration() -> str:
     """Return the fitted parameters of `RayISM`, and what they change in unseen towns."""
     found = record("calibration")
@@ -643,7 +660,12 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         ),
         "real": fusion_real(("Yager", "cumulative", "matched", "Brier")),
     },
-    "docs/geometric.md": lambda: {"calibration": calibration(), "steps": steps(), "time": speed_steps()},
+    "docs/geometric.md": lambda: {
+        "calibration": calibration(),
+        "silence": silence(),
+        "steps": steps(),
+        "time": speed_steps(),
+    },  # fmt: skip
     "docs/project.md": lambda: {"pythons": pythons()},
     "docs/quality.md": lambda: tables(record("quality")),
     "docs/radar.md": lambda: {

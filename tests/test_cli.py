@@ -41,6 +41,7 @@ def test_demo_writes_pictures_and_a_table(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "208680" in result.output
     assert "10198" in result.output
+    assert result.output.count("combined") == 2
     assert (tmp_path / "ogm-demo.png").stat().st_size > 50_000
     assert (tmp_path / "ogm-demo-sector.png").stat().st_size > 20_000
     grid = EvidentialGrid.load(tmp_path / "ogm-demo.npz")
@@ -114,6 +115,18 @@ def test_the_default_extent_follows_the_resolution(
     result = ogm("map", scan, "--resolution", resolution, "--out", path)
     assert result.exit_code == 0, result.output
     assert EvidentialGrid.load(path).spec.shape == shape
+    assert "sensor model ray: the learned model needs cells of 0.16 m" in result.output.replace("\n", " ")
+
+
+def test_without_the_network_the_model_is_ray(scan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = ("map", scan, "--length", 20.48, "--width", 20.48, "--sensor-height", 1.7, "--out")
+    whole = ogm(*words, tmp_path / "whole.npz")
+    assert "cells of 0.16 m, combined" in whole.output
+    assert "sensor model" not in whole.output
+    monkeypatch.setattr("ogm.evaluation.models.find_spec", lambda name: None)
+    alone = ogm(*words, tmp_path / "alone.npz")
+    assert 'sensor model ray: without the learned model, which `pip install "ogm-toolkit[deep]"` adds' in alone.output
+    assert "cells of 0.16 m, ray" in alone.output
 
 
 def test_folders_of_outputs_are_made_before_the_work(scan: Path, tmp_path: Path) -> None:

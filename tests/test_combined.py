@@ -12,7 +12,8 @@ from hypothesis.extra.numpy import arrays
 
 from ogm import evidence
 from ogm.combined import CombinedISM, FreeGate, StateReliability
-from ogm.evaluation.models import COMBINATION, load_model, model_factory
+from ogm.evaluation import models
+from ogm.evaluation.models import COMBINATION, default_model, load_model, model_factory
 from ogm.evidence import check_mass
 from ogm.evidence.kernels import RULES
 from ogm.geometric import HeightBandISM, RayISM
@@ -244,3 +245,19 @@ def test_lite_alone_clears_no_cell_in_the_named_model():
     network: StateReliability = COMBINATION["reliability"][1]
     gate: FreeGate = COMBINATION["free_gates"][1]
     assert 10 / 12 * network.free * gate.share <= 0.5 + 1e-9
+
+
+def test_the_default_model_is_combined_where_the_network_runs(monkeypatch):
+    pytest.importorskip("onnxruntime")
+    engine = load_model("lite", GridSpec.centered(), Mount(1.9)).engine
+    assert default_model(engine.spec) == ("combined", "")
+    assert default_model(GridSpec.centered()) == ("combined", "")
+    sides = [default_model(GridSpec(0.16, (n, 512), (-0.08 * n, -40.96)))[0] for n in (496, 500, 512)]
+    assert sides == ["combined", "ray", "combined"]
+    with pytest.raises(ValueError, match="500"):
+        engine.on(GridSpec(0.16, (500, 512), (-40.0, -40.96)))
+    assert "cells of 0.16 m" in default_model(GridSpec.centered(resolution=0.2))[1]
+    monkeypatch.setattr(models, "find_spec", lambda name: None)
+    name, reason = default_model(GridSpec.centered())
+    assert name == "ray"
+    assert 'pip install "ogm-toolkit[deep]"' in reason
