@@ -52,6 +52,7 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--only", choices=PARTS, nargs="+", default=PARTS, help="parts to measure")
     parser.add_argument("--workers-drives", type=int, default=20, help="drives that one and two workers build (20)")
+    parser.add_argument("--every", type=int, default=1, help="take every N-th scan of the drives (1)")
     parser.add_argument("--cells", type=float, default=1e9, help="cells of the large map (1e9)")
     parser.add_argument("--folder", type=Path, help="where maps are made; the town's stays there")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "world_build.json")
@@ -60,7 +61,10 @@ def main() -> None:
     options = parser.parse_args()
     record: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
     dataset = open_dataset(options.drives, split="sequences")
-    drives = {f"drive-{n:02d}": dataset.select(numbers) for n, numbers in enumerate(dataset.sequences.values())}
+    drives = {
+        f"drive-{n:02d}": dataset.select(numbers[:: options.every])
+        for n, numbers in enumerate(dataset.sequences.values())
+    }
     if options.quick:
         drives = {name: part[:12] for name, part in list(drives.items())[:2]}
         options.cells = min(options.cells, 1e7)
@@ -78,6 +82,7 @@ def main() -> None:
                 with WorldMap.open(base / "town") as world:
                     patch = seen_patch(world)
                 record[name] = run.environment() | many_cells(patch, Path(temporary) / "cells", options.cells)
+            record |= run.environment()
             run.write_json(options.out, record)
     print(f"written {options.out}")
 
