@@ -302,6 +302,7 @@ def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[Til
     for index, _ in jobs:  # a tile that is written is that of its number, or has none
         rendered.note(index, np.uint64(0))
     rendered.write()
+    store.make_level(0)  # before several workers would
     with rendered, pool.work_off(_RenderTile(_Place.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
         for done, (n, _) in enumerate(results, 1):
