@@ -291,9 +291,9 @@ def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[Til
     drives = [load_drive(store, name) for name in drive_names(store)]
     sources = {one.name: one.source for one in drives}
     wanted, rendered = parts_of_tiles(store, drives), Rendered(store)
-    there = set(store.tiles())
-    sound = there.difference(damaged)
-    for index in sorted(there - wanted.keys()):
+    there, broken = set(store.tiles()), set(damaged)
+    sound = there - broken
+    for index in sorted((there - wanted.keys()) | broken):  # Zarr reads what it replaces, and would fail
         store.write_tile(index, store.layout.empty_tile())
         rendered.note(index, np.uint64(0))
     marks = {index: fingerprint(parts, sources) for index, parts in wanted.items()}
