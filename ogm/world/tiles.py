@@ -32,7 +32,7 @@ class TileStore:
     layout : WorldLayout
     crs : str or None
     writer : str
-        Token of `ogm.world.writer.one_writer` that writing needs to be current; "" where nobody asks.
+        Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
     """
 
     def __init__(
