@@ -8,16 +8,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ogm.files import OgmError, finish_zarr
-from ogm.fusion.pipeline import grid_pose, map_scans
 from ogm.pool import work_off
 from ogm.pose import Trajectory
-from ogm.scan import Frame, SensorModels
-from ogm.world.cache import TileCache
+from ogm.scan import Frame
 from ogm.world.drives import (
     Drive,
     SubMap,
     begin_drive,
-    drive_array,
     drive_names,
     has_drive,
     load_drive,
@@ -26,17 +23,15 @@ from ogm.world.drives import (
     split_drive,
     submap_key,
 )
-from ogm.world.integration import integrate_grid
 from ogm.world.layout import TileIndex
-from ogm.world.render import Part, fingerprint, parts_of_tiles, render_tile
+from ogm.world.render import Part, fingerprint, parts_of_tiles
 from ogm.world.rendered import Rendered
-from ogm.world.stores import writing
+from ogm.world.tasks import MakeModel, MakeSubMap, MapPlace, RenderTile, SubMapJob
 from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
 
 __all__ = ["Progress", "build_world", "rebuild_world"]
 
-MakeModel = Callable[[], SensorModels]
 _DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
 
 
@@ -111,9 +106,9 @@ def build_world(
     for drive in planned:
         for number in lost_tiles(store, drive):
             drive.submaps[number] = replace(drive.submaps[number], tiles=None)
-    make = _Make(_Place.of(store), make_model)
+    make = MakeSubMap(MapPlace.of(store), make_model)
     jobs = [
-        _Job(drive.name, k, _part(drives[drive.name], one))
+        SubMapJob(drive.name, k, _part(drives[drive.name], one))
         for drive in planned
         for k, one in enumerate(drive.submaps)
         if one.tiles is None
@@ -195,105 +190,14 @@ class _Pool(NamedTuple):
             ) from error
 
 
-class _Place(NamedTuple):
-    """Where workers find the map, and the token of its writer."""
-
-    url: str
-    storage: Mapping[str, str]
-    writer: str
-
-    @classmethod
-    def of(cls, store: TileStore) -> "_Place":
-        return cls(store.url, store.storage, store.writer)
-
-    def open(self) -> TileStore:
-        return TileStore.open(self.url, "r+", self.storage, self.writer)
-
-
-class _Job(NamedTuple):
-    """A sub-map to be made."""
-
-    drive: str
-    number: int
-    frames: Sequence[Frame]
-
-
-class _Made(NamedTuple):
-    """A sub-map that is on disk."""
-
-    tiles: tuple[TileIndex, ...]
-    mapped: int
-
-
-class _Make:
-    """The task that makes a sub-map."""
-
-    def __init__(self, place: _Place, make_model: MakeModel) -> None:
-        self.place, self.make_model = place, make_model
-
-    def __call__(self, job: _Job) -> _Made:
-        store = self.place.open()
-        submap = _SubMapTiles(store, job.drive, job.number)
-        cache, mapped = TileCache(submap, float("inf")), 0
-        for frame, grid in map_scans(
-            [one for one in job.frames if one.T_map_sensor is not None], _model(self.make_model)
-        ):
-            integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
-            mapped += 1
-        tiles = tuple(cache.changed)
-        cache.flush()
-        return _Made(tiles, mapped)
-
-
-_models: dict[MakeModel, SensorModels] = {}  # of this process, the last one
-
-
-def _model(make_model: MakeModel) -> SensorModels:
-    if make_model not in _models:
-        _models.clear()
-        _models[make_model] = make_model()
-    return _models[make_model]
-
-
-class _SubMapTiles:
-    """The tiles of a sub-map that is made, for a `TileCache`."""
-
-    def __init__(self, store: TileStore, drive: str, number: int) -> None:
-        self.layout, self._store, self._number = store.layout, store, number
-        self._array, self._name = drive_array(store, drive), drive
-
-    def read_tile(self, index: TileIndex) -> np.ndarray:
-        """Return an empty tile: a sub-map is always made from its first frame on."""
-        return self.layout.empty_tile()
-
-    def write_tile(self, index: TileIndex, tile: np.ndarray) -> None:
-        """Write a tile in one step."""
-        i, k, j, m = self.layout.box_of(index)
-        offset = self.layout.cells // 2
-        with writing(self._store.url, f"tile {index} of sub-map {self._number} of drive {self._name}"):
-            self._store.check_writer()
-            self._array[self._number, :, i + offset : k + offset, j + offset : m + offset] = tile
-
-
-class _RenderTile:
-    """The task that makes a tile of the map from sub-maps."""
-
-    def __init__(self, place: _Place) -> None:
-        self.place = place
-
-    def __call__(self, job: tuple[TileIndex, list[Part]]) -> None:
-        store = self.place.open()
-        store.write_tile(job[0], render_tile(store, *job))
-
-
 def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[TileIndex] = ()) -> None:
     """Make the tiles whose parts have changed, or that are missing or damaged; remove those that have no part."""
     drives = [load_drive(store, name) for name in drive_names(store)]
     sources = {one.name: one.source for one in drives}
     wanted, rendered = parts_of_tiles(store, drives), Rendered(store)
-    there = set(store.tiles())
-    sound = there.difference(damaged)
-    for index in sorted(there - wanted.keys()):
+    there, broken = set(store.tiles()), set(damaged)
+    sound = there - broken
+    for index in sorted((there - wanted.keys()) | broken):  # Zarr reads what it replaces, and would fail
         store.write_tile(index, store.layout.empty_tile())
         rendered.note(index, np.uint64(0))
     marks = {index: fingerprint(parts, sources) for index, parts in wanted.items()}
@@ -302,7 +206,8 @@ def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[Til
     for index, _ in jobs:  # a tile that is written is that of its number, or has none
         rendered.note(index, np.uint64(0))
     rendered.write()
-    with rendered, pool.work_off(_RenderTile(_Place.of(store)), jobs, store.url) as results:
+    store.make_level(0)  # before several workers would
+    with rendered, pool.work_off(RenderTile(MapPlace.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
         for done, (n, _) in enumerate(results, 1):
             rendered.note(jobs[n][0], marks[jobs[n][0]])

@@ -32,7 +32,7 @@ class TileStore:
     layout : WorldLayout
     crs : str or None
     writer : str
-        Token of `ogm.world.writer.one_writer` that writing needs to be current; "" where nobody asks.
+        Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
     """
 
     def __init__(
@@ -109,10 +109,10 @@ class TileStore:
         name = str(level)
         if name not in self._arrays:
             with reading(f"level {level} of {self.url}", "restore its zarr.json from a copy"):
+                if level == 0 and not self.store.read_only:
+                    self.make_level(0)
                 if name in self.root:
                     self._arrays[name] = checked_array(self.root[name], **self.layout.array(level))
-                elif level == 0 and not self.store.read_only:
-                    self.make_level(0)
                 elif level == 0:
                     raise OgmError(f"{self.url} has no tiles, and not their array: open it for writing once")
                 else:
@@ -124,9 +124,13 @@ class TileStore:
     def make_level(self, level: int) -> None:
         """Make the Zarr array of a level, if it is not there."""
         name = str(level)
-        if name not in self._arrays and (level == 0 or name not in self.root):
+        if name not in self._arrays and name not in self.root:
             with writing(self.url, f"level {level} of {self.url}"):
-                self._arrays[name] = self.root.create_array(name, **self.layout.array(level), **codecs())
+                try:
+                    self._arrays[name] = self.root.create_array(name, **self.layout.array(level), **codecs())
+                except ValueError:
+                    if name not in self.root:  # else another worker was faster, and `array` reads it
+                        raise
 
     def remove_level(self, level: int) -> None:
         """Remove a level of overviews, with its tiles."""

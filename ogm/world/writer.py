@@ -1,7 +1,7 @@
 """One writer of a map at a time: a lock of the folder, or a lease in the object store.
 
 A folder is locked by the system (`ogm.locks`), which frees the lock when a process ends, however it ends. Object stores
-have no locks: there the object ``writer.json`` is a lease, written on the condition that nobody else has written it,
+have no locks: there the object ``writer.json`` is a lease, written on the condition that no other has written it,
 and renewed every `RENEWED` seconds. A lease that has not changed for `DEAD` seconds, by the clock of who waits for it,
 is that of a process which was killed, and is taken over.
 
@@ -66,7 +66,7 @@ def check_writer(url: str, place: Any, token: str) -> None:
 class _Lease(NamedTuple):
     """What ``writer.json`` holds, and the version of the object that it was read from."""
 
-    token: str  # empty: nobody writes
+    token: str  # empty: it is free
     who: str = ""
     version: dict[str, str] | None = None
 
@@ -75,7 +75,7 @@ class _Lease(NamedTuple):
         try:
             found = json.loads(content)
             return cls(str(found["token"]), str(found["who"]), version)
-        except (ValueError, TypeError, KeyError):  # not ours: nobody renews it
+        except (ValueError, TypeError, KeyError):  # not ours, and not renewed
             return cls("unknown", "unknown", version)
 
 
@@ -174,7 +174,7 @@ def _renew(store: Any, token: str, held: list[dict[str, str]], ended: threading.
 
 
 def _found(store: Any) -> _Lease:
-    """Return what the object holds; a lease of nobody if there is none."""
+    """Return what the object holds; a free lease if there is none."""
     import obstore
 
     with suppress(FileNotFoundError):
