@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from ogm.plot import GREEN, RED
+from ogm.colours import colours
 from ogm.state import CellState
 
 
@@ -48,7 +48,7 @@ ROWS = (
     Row("parked car at 12 m", "car"),
     Row("ghosts beside", "around", y0=-1.5, center=3.5),
 )
-STATES = ("black", GREEN, RED, "0.6")  # by `CellState`
+STATES = ("black", colours().free, colours().occupied, "0.6")  # by `CellState`
 PARTS = ("tab:gray", "tab:blue", "tab:orange", "tab:purple")
 
 
@@ -65,7 +65,7 @@ def gallery(scenes: Mapping[str, Scene], before: Mapping[str, NDArray], now: Map
         truth.set_title("truth", fontsize=8, pad=2)
         for ax, masses, when in zip(maps, (before, now), ("before", "now"), strict=True):
             mass = masses[row.name]
-            ax.imshow(_upright(mass[..., :1] * np.array(GREEN) + mass[..., 1:] * np.array(RED)), extent=SPEC.extent)
+            ax.imshow(_upright(colours().mix(mass)), extent=SPEC.extent)
             free, occupied = 100 * (mass[one.regions[row.region]] > 0.5).mean(axis=0)
             ax.set_title(f"{when}: {free:.0f} % free, {occupied:.0f} % occupied", fontsize=8, pad=2)
         for ax in (truth, *maps):

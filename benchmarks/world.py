@@ -17,7 +17,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from numcodecs import Blosc
 
@@ -205,10 +204,7 @@ def windows(world: WorldMap, count: int) -> dict[str, Any]:
 
 def picture(world: WorldMap, record: dict[str, Any], path: Path) -> None:
     """Draw the town: masses, conflict, number of scans."""
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from ogm.plot import show
+    from ogm.plot import save_picture
 
     everything = world.cells()
     x, y = (np.flatnonzero((world.layers(everything)["count"] > 1).any(axis=axis)) for axis in (1, 0))
@@ -220,9 +216,7 @@ def picture(world: WorldMap, record: dict[str, Any], path: Path) -> None:
         conflict_panel(layers, "greatest conflict"),
         layer_panel(layers, "count", "number of scans"),
     ]
-    figure = show(*panels)
-    run.save_picture(figure, path, run.caption(record), dpi=100)
-    pyplot.close(figure)
+    save_picture(path, *panels)
 
 
 if __name__ == "__main__":
