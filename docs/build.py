@@ -255,7 +255,8 @@ def combined() -> str:
     tables.append(table(["`combined` minus a part (95 %)", "log loss", "false free", "Brier"], rows))
     cost = found["cost [ms]"]
     text = (
-        f"Cost on one core, best of many calls ({found.get('cost measured', 'the same run')}): `ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms, `combined` "
+        f"Cost on one core, best of many calls ({found.get('cost measured', 'the same run')}): "
+        f"`ray` {cost['ray']:.1f} ms, `lite` {cost['lite']:.1f} ms, `combined` "
         f"{cost['combined']:.1f} ms, of which combining {cost['combining alone']:.2f} ms (copying both grids: "
         f"{cost['copy of both grids']:.2f} ms)."
     )

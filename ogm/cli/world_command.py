@@ -93,8 +93,8 @@ def build(
             resolution,
             tile,
             crs=crs,
-            rule=rule,
-            drive_reliability=drive_reliability,  # type: ignore[arg-type]
+            rule=rule,  # type: ignore[arg-type]
+            drive_reliability=drive_reliability,
         )
     with world, _progress() as show:
         make: Any = NamedModels(ism, spec)

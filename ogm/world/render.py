@@ -92,6 +92,7 @@ def render_tile(store: TileStore, index: TileIndex, parts: Iterable[Part]) -> ND
 
 def _moved_tile(drives: "_Drives", index: TileIndex, part: Part) -> NDArray[Any]:
     """Return what a sub-map that was moved has in a tile."""
+    assert part.correction is not None
     layout = drives.layout
     rows, columns = zip(*part.tiles, strict=True)
     i, j, n = min(rows), min(columns), layout.tile
