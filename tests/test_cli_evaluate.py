@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from ogm.cli import app, evaluate_command
 from ogm.deep.checkpoint import save_network
 from ogm.deep.network import NetworkConfig, PillarNetwork
-from ogm.evaluation import cache, report, runner
+from ogm.evaluation import cache, report, runner, tasks
 from ogm.fusion import BAYES, DYNAMIC, NUSS, RULES, EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
@@ -220,7 +220,7 @@ def interrupted(monkeypatch: pytest.MonkeyPatch, after: int) -> None:
             raise KeyboardInterrupt
         return accumulate(*words)
 
-    monkeypatch.setattr(runner, "accumulate", stopping)
+    monkeypatch.setattr(tasks, "accumulate", stopping)
 
 
 @pytest.mark.parametrize("folder", ["a", "a/frames"])

@@ -82,13 +82,13 @@ def ogm(*words: object) -> str:
 
 def test_fuse_maps_lidar_and_radar_into_one_map(data: Path, tmp_path: Path) -> None:
     both, alone = tmp_path / "both.npz", tmp_path / "alone.npz"
-    assert "20 mapped" in ogm("fuse", data, "--sensor", "lidar", "--sensor", "radar", "--out", both)
-    assert "10 mapped" in ogm("fuse", data, "--out", alone)
+    assert "20 mapped" in ogm("fuse", data, "--ism", "ray", "--sensor", "lidar", "--sensor", "radar", "--out", both)
+    assert "10 mapped" in ogm("fuse", data, "--ism", "ray", "--out", alone)
     maps = [EvidentialGrid.load(path) for path in (both, alone)]
     with_radar, without = (one.occupied[one.spec.index(20.05, 0.0)] for one in maps)
     assert with_radar > 0.05
     assert without == 0
-    ogm("fuse", data, "--sensor", "lidar", "--sensor", "radar", "--radar-reliability", 1, "--out", both)
+    ogm("fuse", data, "--ism", "ray", "--sensor", "lidar", "--sensor", "radar", "--radar-reliability", 1, "--out", both)
     trusted = EvidentialGrid.load(both)
     assert trusted.occupied[trusted.spec.index(20.05, 0.0)] > 3 * with_radar
 
