@@ -130,8 +130,10 @@ def test_data_sets(path: Path) -> None:
     assert not [*store["training"].damage()]
     for index, found in enumerate(store["training"]):
         wanted = sample(index)
-        for name in ("steps", "intensities", "objects", "T_world_sensor", "T_vehicle_sensor", "velocity"):
+        for name in ("steps", "intensities", "objects", "velocity"):
             np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name), err_msg=name)
+        for name in ("T_world_sensor", "T_vehicle_sensor"):  # computed anew here: the last digit may differ
+            np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=0, atol=3e-16, err_msg=name)
         for name in ("beams", "yaw_rate", "stamp", "split", "index", "scenario", "weather"):
             assert getattr(found, name) == getattr(wanted, name), name
         np.testing.assert_array_equal(found.truth.state, wanted.truth.state)
