@@ -19,7 +19,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
     "Maps over time": ("ogm.fusion", "ogm.live", "ogm.world"),
     "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
     "Evaluation": ("ogm.evaluation", "ogm.evaluation.models", "ogm.metrics"),
-    "Pictures": ("ogm.plot", "ogm.movie", "ogm.overview", "ogm.viewer"),
+    "Pictures": ("ogm.plot", "ogm.colours", "ogm.movie", "ogm.overview", "ogm.viewer"),
     "Training": tuple(f"ogm.deep.{name}" for name in ("training", "recipe", "losses", "data", "export", "engines")),
     "Simulation": tuple(
         f"ogm.simulation.{name}"

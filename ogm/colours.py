@@ -1,4 +1,13 @@
-"""The colours of free, occupied and unknown: one definition for pictures, films, reports, viewers and messages."""
+"""The colours of free, occupied and unknown: one definition for pictures, films, reports, viewers and messages.
+
+>>> from ogm.colours import colours, use_colours
+>>> colours().text
+'blue free, orange occupied, black unknown'
+>>> use_colours("paper")  # green and red, as in van Kempen et al. (2021)
+>>> colours().text
+'green free, red occupied, black unknown'
+>>> use_colours("safe")
+"""
 
 from typing import Any, NamedTuple
 

@@ -21,7 +21,20 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md")])
 INTERNAL = {  # modules with __all__ that are not for users
-    *("archive", "cli", "jit", "locks", "notebook", "pool", "view_layers", "geometric.reference", "io.formats"),
+    *(
+        "archive",
+        "cli",
+        "extras",
+        "jit",
+        "locks",
+        "notebook",
+        "pool",
+        "remote",
+        "rotation",
+        "view_layers",
+        "geometric.reference",
+        "io.formats",
+    ),
     "io.grids",  # its names are in ogm.io
     *("simulation.town", "simulation.traffic"),
 }
@@ -128,7 +141,11 @@ def test_commands_of_the_documentation_have_the_options_that_they_are_given() ->
     count = 0
     for page in PAGES:
         blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
-        lines = [line for block in blocks for line in re.findall(r"^\$ (?:\S*/)?ogm (.+)$", block, re.MULTILINE)]
+        lines = [
+            line
+            for block in blocks
+            for line in re.findall(r"^\$ (?:\S*/)?ogm (.+)$", block.replace("\\\n", " "), re.MULTILINE)
+        ]
         for line in lines:
             command, words = top, shlex.split(line, comments=True)
             while hasattr(command, "commands") and words and not words[0].startswith("-"):
