@@ -142,8 +142,8 @@ def test_the_page_scrolls_and_zooms_through_the_map(town: WorldMap, browse: Call
         assert first  # those on the screen
         assert len(first) < 40
         post, free = at(4, 4), at(60, 60)
-        assert post[0] > free[0] + 40  # red, and green beside it
-        assert free[1] > post[1] + 40
+        assert post[0] > free[0] + 40  # orange, and blue beside it
+        assert free[2] > post[2] + 40
         page.mouse("mouseMoved", *middle)
         page.settle()
         shown = dict(
