@@ -138,14 +138,15 @@ def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[
 
 
 def _save(path: str | os.PathLike[str], images: Sequence[tuple[str, NDArray[Any]]], columns: int, text: int) -> None:
-    """Write pictures of one size to a PNG file, in rows, each below its title in a font of some size [px]."""
-    high, wide = images[0][1].shape[:2] if images else (0, 0)
+    """Write pictures of one width to a PNG file, in rows, each below its title in a font of some size [px]."""
+    wide = images[0][1].shape[1] if images else 0
     gap, line = text // 2, 2 * text
-    rows = -(-len(images) // columns)
-    sheet = Image.new("RGB", (columns * (wide + gap) + gap, rows * (high + line) + gap), "white")
+    rows = [images[k : k + columns] for k in range(0, len(images), columns)]
+    tops = np.cumsum([0, *(line + max(len(image) for _, image in row) for row in rows)])
+    sheet = Image.new("RGB", (columns * (wide + gap) + gap, int(tops[-1]) + gap), "white")
     draw = ImageDraw.Draw(sheet)
     for k, (title, image) in enumerate(images):
-        left, top = gap + k % columns * (wide + gap), k // columns * (high + line)
+        left, top = gap + k % columns * (wide + gap), int(tops[k // columns])
         draw.text((left + wide // 2, top + line // 2), plain(title), "black", font(text), anchor="mm")
         sheet.paste(Image.fromarray(np.ascontiguousarray(image)), (left, top + line))
     with atomic_write(path) as file:
