@@ -16,6 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from data_store_tables import data_store_tables
 from dynamic_tables import dynamic_tables
 from quality_tables import tables
 from radar_tables import far_tables, fusion_tables, radar_tables
@@ -678,6 +679,9 @@ PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
         sentences(*map(record, ("quality", "deep_quality", "fusion_quality", "deep_speed")))
         | {"losses": losses_of_the_paper(), "divergence": divergences()}
     ),
+    "docs/simulation.md": lambda: {
+        "data_store": "\n\n".join([*data_store_tables(record("data_store")), source("data_store")])
+    },
     "docs/world.md": lambda: {
         "world": "\n\n".join([*world_tables(record("world")), source("world")]),
         "rules": "\n\n".join([*rule_tables(record("world_rules")), source("world_rules")]),

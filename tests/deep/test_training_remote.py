@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from conftest import BEAMS, sample
+from walls import BEAMS, sample
 
 from ogm.datasets import open_dataset
 from ogm.deep import order

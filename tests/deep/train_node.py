@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import torch
-from conftest import frame
+from walls import frame
 
 from ogm.deep.network import NetworkConfig
 from ogm.deep.recipe import Recipe
