@@ -94,8 +94,7 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
         one = record["workers"]
         result.append(
             f"{one['drives']} drives, {one['frames']:,} scans: {one['seconds']['1']:.0f} s by one worker, "
-            f"{one['seconds']['2']:.0f} s by two, x {one['gain']:.2f} (1.7 wanted). "
-            f"The load of the machine with two cores was {one['load'][0]:.0f}."
+            f"{one['seconds']['2']:.0f} s by two, x {one['gain']:.2f} (1.7 wanted)."
         )
     big = record["cells"]
     resident = big["resident_mb"]
