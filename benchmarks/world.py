@@ -3,7 +3,7 @@
     python benchmarks/world.py DRIVES [--kilometres N] [--quick]
 
 DRIVES is a data set with sequences that `ogm simulate` made, of one town; the command of the record is in
-benchmarks/README.md. One core. Writes benchmarks/results/world.json and docs/pictures/world.png.
+benchmarks/README.md. One core. Writes benchmarks/results/world.json.
 """
 
 import _run as run  # first: it sets the number of threads
@@ -25,7 +25,6 @@ from ogm.evaluation.models import NamedModels
 from ogm.fusion import EvidentialMapper, map_scans, rolling_window
 from ogm.fusion.pipeline import grid_pose
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.plot import conflict_panel, layer_panel, mass_panel
 from ogm.pose import pose
 from ogm.world import WorldMap, build_world
 from ogm.world.kernels import merge
@@ -40,7 +39,6 @@ def main() -> None:
     parser.add_argument("drives", type=Path)
     parser.add_argument("--kilometres", type=float, default=20.0, help="length of the long drive (20)")
     parser.add_argument("--out", type=Path, default=run.RESULTS / "world.json")
-    parser.add_argument("--picture", type=Path, default=run.PICTURES / "world.png")
     parser.add_argument("--quick", action="store_true", help="few repetitions, to see that it runs")
     options = parser.parse_args()
     record: dict[str, Any] = run.environment() | {"cells": "512 x 352 of 0.16 m, tiles of 512 x 512"}
@@ -68,9 +66,8 @@ def main() -> None:
         with WorldMap.open(base / "town") as world:
             record["disk"] = on_disk(world, base / "town")
             record["window"] = windows(world, 20 if options.quick else 200)
-            picture(world, record, options.picture)
     run.write_json(options.out, record)
-    print(f"written {options.out} and {options.picture}")
+    print(f"written {options.out}")
 
 
 def first_scans(frames: Any, count: int) -> Scans:
@@ -200,23 +197,6 @@ def windows(world: WorldMap, count: int) -> dict[str, Any]:
     low, median, high = (round(1e3 * float(q), 2) for q in np.percentile(seconds, (25, 50, 75)))
     print(f"window {median} ms ({low} to {high})")
     return {"ms": [median, low, high], "windows": count}
-
-
-def picture(world: WorldMap, record: dict[str, Any], path: Path) -> None:
-    """Draw the town: masses, conflict, number of scans."""
-    from ogm.plot import save_picture
-
-    everything = world.cells()
-    x, y = (np.flatnonzero((world.layers(everything)["count"] > 1).any(axis=axis)) for axis in (1, 0))
-    corner = [low + 0.16 * float(one[0]) for low, one in zip(everything.origin, (x, y), strict=True)]
-    spec = GridSpec(0.16, (int(np.ptp(x)) + 1, int(np.ptp(y)) + 1), (corner[0], corner[1]))
-    grid, layers = world.window(spec), world.layers(spec)
-    panels = [
-        mass_panel(grid, f"town of {record['build']['drives']} drives"),
-        conflict_panel(layers, "greatest conflict"),
-        layer_panel(layers, "count", "number of scans"),
-    ]
-    save_picture(path, *panels)
 
 
 if __name__ == "__main__":

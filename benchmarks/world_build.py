@@ -29,14 +29,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation.models import NamedModels
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.plot import conflict_panel, layer_panel, mass_panel
+from ogm.plot import conflict_panel, layer_panel, mass_panel, save_picture
 from ogm.pose import pose
 from ogm.world import Progress, WorldMap, build_world
 
@@ -275,11 +274,6 @@ def _count(folder: Path) -> int:
 
 def picture(world: WorldMap, record: Mapping[str, Any], path: Path) -> None:
     """Draw the town: masses, conflict, number of scans."""
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from ogm.plot import show
-
     everything = world.cells()
     counts: NDArray[np.float32] = world.layers(everything)["count"]
     x, y = (np.flatnonzero((counts > 1).any(axis=axis)) for axis in (1, 0))
@@ -291,9 +285,7 @@ def picture(world: WorldMap, record: Mapping[str, Any], path: Path) -> None:
         conflict_panel(layers, "greatest conflict"),
         layer_panel(layers, "count", "number of scans"),
     ]
-    figure = show(*panels)
-    run.save_picture(figure, path, run.caption(record["town"]), dpi=100)
-    pyplot.close(figure)
+    save_picture(path, *panels)
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from ogm.datasets import Dataset
 from ogm.evaluation import compare_paired
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.plot import mass_panel, show
+from ogm.plot import mass_panel, save_picture
 from ogm.simulation.plan import DatasetPlan
 from ogm.simulation.preview import truth_panel
 from ogm.state import CellState, Truth
@@ -278,8 +278,7 @@ def picture(
         tile = final(maps[RULES[name].scans], index, RULES[name])[:2, part[0], part[1]]
         mass = np.moveaxis(tile, 0, -1).astype(np.float32) / MASS_STEPS
         panels.append(mass_panel(EvidentialGrid(small, np.ascontiguousarray(mass)), name))
-    figure = show(*panels)
-    run.save_picture(figure, path, run.caption(record), dpi=100)
+    save_picture(path, *panels)
 
 
 if __name__ == "__main__":

@@ -261,13 +261,13 @@ def _zarr_store() -> Any:
             return await self.objects.get(key) is not None
 
         async def set(self, key: str, value: Any) -> None:
-            raise NotImplementedError
+            self._check_writable()
 
         async def delete(self, key: str) -> None:
-            raise NotImplementedError
+            self._check_writable()
 
-        def list(self) -> Any:
-            raise NotImplementedError
+        def list(self, prefix: str = "") -> Any:
+            raise OSError(f"the objects of {self.objects.url} are not listed, but read by name")
 
         list_prefix = list_dir = list
 

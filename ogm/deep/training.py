@@ -4,6 +4,7 @@ A run is a folder. ``best.safetensors`` and ``best.json`` are the averaged weigh
 ``state.pt`` holds all that is needed to resume, ``log.csv`` the learning curve, and ``epoch-NNN.png`` shows fixed
 validation frames.
 
+>>> from pathlib import Path
 >>> from ogm import GridSpec, open_dataset
 >>> from ogm.deep.recipe import LITE_RECIPE
 >>> from ogm.deep.training import train
@@ -43,16 +44,13 @@ try:
 
     from ogm.deep.training_run import TrainingBatch, TrainingRun, draw_predictions
 except ImportError as error:
-    raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[deep,sim]"') from error
+    raise ImportError(f'training lacks a package ({error}): pip install "ogm-toolkit[train,sim]"') from error
 
 __all__ = ["ValidationScores", "check_recipe", "launch", "make_loader", "run_training", "train", "validate"]
 
 _SAVE_EVERY = 120.0  # [s]
-_PEER_ENDED = (
-    "Connection closed by peer",
-    "Connection reset by peer",
-    "ncclRemoteError",
-)  # in errors of torch.distributed
+# In errors of torch.distributed
+_PEER_ENDED = ("Connection closed by peer", "Connection reset by peer", "ncclRemoteError")
 
 
 class Frames(Protocol):

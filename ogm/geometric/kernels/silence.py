@@ -75,9 +75,8 @@ def _count_surfaces(rays, limits, polar, seen, lost):
                 if run >= 1:
                     seen[int(min(run, last)) & 0x7FFF] += 1
                 continue
-            while (
-                k < polar.bins and slope >= ground[k & 0x7FFF]
-            ):  # rays are sorted by slope: the next meets it no nearer
+            # Rays are sorted by slope: the next meets the ground no nearer
+            while k < polar.bins and slope >= ground[k & 0x7FFF]:
                 k += 1
             if k < polar.bins and k < int(min(run, np.float32(1e6))):
                 lost[k & 0x7FFF] += 1
