@@ -63,6 +63,8 @@ class WorldLayout:
         GridSpec(self.resolution, (1, 1), (0.0, 0.0))  # refuses what is no resolution
         if not (isinstance(self.tile, int) and 16 <= self.tile <= 4096 and self.tile & (self.tile - 1) == 0):
             raise ValueError(f"tile must be a power of two from 16 to 4096 cells, got {self.tile!r}")
+        if not math.isfinite(self.resolution * self.cells):
+            raise ValueError(f"resolution must leave the map's corner finite [m], got {self.resolution}")
         if self.dtype not in ("uint16", "float32"):
             raise ValueError(f"dtype must be uint16 or float32, got {self.dtype!r}")
         if self.rule not in WORLD_RULES:
