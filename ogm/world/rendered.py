@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ogm.world.layout import TILES, TileIndex
 from ogm.world.packing import checked_array
-from ogm.world.stores import reading, writing
+from ogm.world.stores import read_object, reading, writing
 from ogm.world.tiles import TileStore
 
 __all__ = ["Rendered"]
@@ -30,9 +30,9 @@ class Rendered:
         self._store, what = store, f"the numbers of tiles of {store.url}"
         wanted: dict[str, Any] = {"shape": (TILES, TILES), "chunks": (_SIDE, _SIDE), "dtype": "uint64"}
         with reading(what, _MEND):
-            self._array: Any = store.root.get(_NAME, None)
-            if self._array is not None:
-                checked_array(self._array, "zstd", **wanted)
+            self._array: Any = None
+            if read_object(store.store, f"{store.prefix}{_NAME}/zarr.json") is not None:
+                self._array = checked_array(store.root[_NAME], "zstd", **wanted)
         if self._array is None:
             packed = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "filters": None, "fill_value": 0}
             with writing(store.url, what):
