@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numcodecs import Blosc
+from numcodecs import Zstd
 
 from ogm.datasets import open_dataset
 from ogm.evaluation.models import NamedModels
@@ -158,7 +158,7 @@ def _resident() -> int:
 
 def on_disk(world: WorldMap, folder: Path) -> dict[str, Any]:
     """Return the bytes per seen cell: of the tiles, and of each layer packed as they are."""
-    codec, sizes, seen = Blosc("zstd", 1, Blosc.SHUFFLE), np.zeros(len(LAYERS)), 0
+    codec, sizes, seen = Zstd(3), np.zeros(len(LAYERS)), 0
     for index in world.tiles():
         tile = world.tile(index)
         seen += int((tile[4] > 0).sum())

@@ -250,13 +250,17 @@ def shard_file(split: Any, name: str, shard: int) -> Any:
 
 
 def load_zarr() -> Any:
-    """Return the module, or raise ImportError with the way to install it."""
+    """Return the module, which unpacks Blosc by `CheckedBlosc`, or raise ImportError with the way to install it."""
     try:
         import zarr
+
+        from ogm.simulation.blosc import CheckedBlosc
     except ImportError as error:
         raise ImportError(
             f'data sets are kept with zarr, which is missing ({error}): pip install "ogm-toolkit[sim]"'
         ) from error
+    zarr.registry.register_codec("blosc", CheckedBlosc)
+    zarr.config.set({"codecs.blosc": f"{CheckedBlosc.__module__}.{CheckedBlosc.__qualname__}"})
     return zarr
 
 

@@ -10,18 +10,20 @@ from ogm.world.layout import LAYERS, WorldLayout
 
 __all__ = ["checked_array", "checked_layers", "codecs", "mass_of"]
 
-_LEVEL = 1  # of zstd: 3 packs 2 % better in twice the time
+_LEVEL = 3  # of zstd
 
 
 def codecs() -> dict[str, Any]:
-    """Return what chunks are packed and checked by, as `zarr.create_array` takes it."""
-    from zarr.codecs import BloscCodec, Crc32cCodec
+    """Return what chunks are packed and checked by, as `zarr.create_array` takes it.
 
-    packed = BloscCodec(cname="zstd", clevel=_LEVEL, shuffle="shuffle")
-    return {"compressors": [packed, Crc32cCodec()], "filters": None, "fill_value": 0}
+    Blosc packs 9 % better, but reads beyond its memory where a crafted chunk has a right checksum.
+    """
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    return {"compressors": [ZstdCodec(level=_LEVEL), Crc32cCodec()], "filters": None, "fill_value": 0}
 
 
-def checked_array(array: Any, packed: str = "blosc", **wanted: Any) -> Any:
+def checked_array(array: Any, **wanted: Any) -> Any:
     """Return a Zarr array, if its description is that of a map: damage there would show other numbers.
 
     Raises
@@ -39,7 +41,7 @@ def checked_array(array: Any, packed: str = "blosc", **wanted: Any) -> Any:
         codecs = codecs[0]["configuration"]["codecs"]
     names, endian = [one["name"] for one in codecs], codecs[0].get("configuration", {}).get("endian")
     key = described["chunk_key_encoding"]
-    if names != ["bytes", packed, "crc32c"] or endian != "little" or array.fill_value != 0:
+    if names != ["bytes", "zstd", "crc32c"] or endian != "little" or array.fill_value != 0:
         raise ValueError(f"it is packed by {', '.join(names)}, {endian} endian, filled with {array.fill_value}")
     if key["name"] != "default" or key.get("configuration", {}).get("separator", "/") != "/":
         raise ValueError(f"its tiles are named by {key}")

@@ -32,7 +32,7 @@ class Rendered:
         with reading(what, _MEND):
             self._array: Any = None
             if read_object(store.store, f"{store.prefix}{_NAME}/zarr.json") is not None:
-                self._array = checked_array(store.root[_NAME], "zstd", **wanted)
+                self._array = checked_array(store.root[_NAME], **wanted)
         if self._array is None:
             packed = {"compressors": [ZstdCodec(level=1), Crc32cCodec()], "filters": None, "fill_value": 0}
             with writing(store.url, what):

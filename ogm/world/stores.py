@@ -1,5 +1,6 @@
 """Places of world maps: a folder, a zip archive, or an object store such as S3, as Zarr stores."""
 
+import errno
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -84,11 +85,13 @@ def reading(what: object, way: str = "restore it from a copy") -> Iterator[None]
     """Give errors of Zarr and of stores on reading the name of what is read; those of the system stay."""
     try:
         yield
-    except (OSError, OgmError, ImportError):
+    except (OgmError, ImportError):
         raise
     except MemoryError as error:  # a made-up index or size, most likely
         raise OgmError(f"{what} cannot be read: it states more bytes than there is memory for; {way}") from error
     except Exception as error:  # Zarr, its codecs, zip archives and obstore have many
+        if isinstance(error, OSError) and error.errno != errno.EINVAL:  # that is a place no file has, in an archive
+            raise
         text = " ".join(str(error).split())[:300] or type(error).__name__
         raise OgmError(f"{what} cannot be read ({text}): {way}") from error
 

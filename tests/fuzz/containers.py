@@ -87,7 +87,8 @@ def change_shard(rng: random.Random, data: bytes, inner: Inner) -> bytes:
         case 1:
             chunks[k] = None
         case 2 | 3:
-            codec = numcodecs.Blosc("zstd", 1, rng.choice((0, 1, 2)), typesize=rng.choice((1, 2, 4)))
+            blosc = numcodecs.Blosc("zstd", 1, rng.choice((0, 1, 2)), typesize=rng.choice((1, 2, 4)))
+            codec = numcodecs.Zstd(1) if chunks[k][:4] == b"\x28\xb5\x2f\xfd" else blosc
             chunks[k] = codec.encode(inner(rng, codec.decode(chunks[k])))
         case _:
             chunks[k] = inner(rng, chunks[k] or b"")

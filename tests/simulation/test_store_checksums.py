@@ -2,12 +2,14 @@
 
 import json
 import shutil
+import struct
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import google_crc32c
 import pytest
 from damage import check_flips
 
@@ -47,6 +49,29 @@ def test_flipped_bits_are_found(store: Store) -> None:
     for file in sorted(one for one in store.path.rglob("*") if one.is_file()):
         found += check_flips(file, read, 6, str(store.path))
     assert found["refused"] > 60
+
+
+@pytest.mark.parametrize(("at", "size"), [(4, 2**31), (8, 0), (8, 2**30), (12, 2**31), (12, 1), (0, 0)])
+def test_blosc_never_unpacks_a_chunk_whose_sizes_are_wrong(store: Store, at: int, size: int) -> None:
+    """Checksums are right; ``at`` 0 stands for a chunk that ends within its header."""
+    file = next(one for one in (store.path / "training/steps/c").rglob("0") if one.is_file())
+    data = bytearray(file.read_bytes())
+    assert data[-4:] == sum_of(data[-164:-4])  # of the index of ten chunks
+    offset, length = struct.unpack_from("<QQ", data, len(data) - 164)
+    if at:
+        struct.pack_into("<I", data, offset + at, size)
+    else:
+        length = 15
+        struct.pack_into("<QQ", data, len(data) - 164, offset, length)
+    data[offset + length - 4 : offset + length] = sum_of(data[offset : offset + length - 4])
+    data[-4:] = sum_of(data[-164:-4])
+    file.write_bytes(data)
+    with pytest.raises(Damaged, match=r"steps damaged on disk .*packed by Blosc do not hold a chunk of"):
+        Store.open(store.path)["training"][0]
+
+
+def sum_of(data: bytes | bytearray) -> bytes:
+    return struct.pack("<I", google_crc32c.value(bytes(data)))
 
 
 @pytest.mark.parametrize("array", ["steps", "intensities", "truth", "heights", "objects", "facts"])

@@ -39,6 +39,7 @@ _LAYERS = {
     "velocity_covariance_yy": "variance of velocity_y",
 }
 _CHUNK = 1024  # [cells] side of a chunk
+_CODECS = {"bytes", "crc32c", "gzip", "sharding_indexed", "transpose", "zstd"}  # of Zarr arrays that are read
 _STRIP = 2**18  # cells that are read at once, at least
 _SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
 _READ_ERRORS = (
@@ -244,6 +245,18 @@ def _check_chunks(layers: "Dataset") -> None:
             raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
 
 
+def _check_packing(path: Path) -> None:
+    """Refuse arrays that are packed in other ways than ours: Blosc, for one, reads beyond its memory if told to."""
+    for described in sorted(path.glob("*/zarr.json")):
+        left = list(json.loads(described.read_bytes())["codecs"])
+        while left:
+            codec = left.pop()
+            if codec["name"] not in _CODECS:
+                raise OgmError(f"{described.parent} is packed by {codec['name']}, wanted {', '.join(sorted(_CODECS))}")
+            inside = codec.get("configuration", {})
+            left += [*inside.get("codecs", ()), *inside.get("index_codecs", ())]
+
+
 def write_scientific(path: Path, placed: PlacedGrid) -> None:
     """Write NetCDF-4 (``.nc``) or Zarr 3 (``.zarr``)."""
     check_scientific(path)
@@ -279,6 +292,7 @@ def read_scientific(path: Path) -> PlacedGrid:
     try:
         if path.suffix.lower() == ".zarr":
             # format 3 alone: the filters of format 2 can unpickle
+            _check_packing(path)
             zarr = {"engine": "zarr", "zarr_format": 3, "consolidated": False}
             opened = xarray.open_dataset(path, **zarr, decode_times=False, cache=False)
         else:

@@ -206,6 +206,15 @@ def test_a_zarr_folder_with_huge_chunks_or_of_format_2_is_not_read(tmp_path: Pat
         read_grid(old)
 
 
+def test_a_zarr_folder_packed_by_what_a_crafted_chunk_can_crash_is_not_read(tmp_path: Path) -> None:
+    zarr = pytest.importorskip("zarr")
+    path = tmp_path / "map.zarr"
+    packed = {str(name): {"compressors": [zarr.codecs.BloscCodec()]} for name in ("free", "occupied")}
+    to_xarray(grid()).to_zarr(path, zarr_format=3, consolidated=False, encoding=packed)
+    with pytest.raises(OgmError, match=r"map\.zarr/free is packed by blosc, wanted bytes, crc32c, gzip"):
+        read_grid(path)
+
+
 def test_a_folder_that_is_no_grid_is_never_replaced(tmp_path: Path) -> None:
     pytest.importorskip("zarr")
     path = tmp_path / "data.zarr"
