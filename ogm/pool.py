@@ -7,16 +7,16 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
-__all__ = ["TRIES", "Submit", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
+__all__ = ["TRIES", "Submit", "Workers", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
 
 SCHEDULER_TIMEOUT = 20.0  # [s]
 TRIES = 3  # times that workers are started before their deaths are an error
 DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
-ENVIRONMENT = {"OMP_NUM_THREADS": "1", "MALLOC_TRIM_THRESHOLD_": "65536"}  # of processes on this machine
+ENVIRONMENT = {"OMP_NUM_THREADS": "1"}  # of processes on this machine
 
 Submit = Callable[[Callable[..., Any], Any], "Future[Any]"]
 
@@ -45,23 +45,51 @@ def work_off(
     OSError
         If the scheduler cannot be reached.
     """
-    if workers == 1 and scheduler is None:
-        yield from ((k, function(job)) for k, job in enumerate(jobs))
-        return
-    done: set[int] = set()
-    for again in reversed(range(TRIES)):
-        todo = [(k, job) for k, job in enumerate(jobs) if k not in done]
-        if not todo:
+    with Workers(workers, scheduler) as pool:
+        yield from pool.work_off(function, jobs)
+
+
+class Workers:
+    """Workers that do one list of jobs after another, started when there is the first job; a context manager.
+
+    Parameters and errors are those of `work_off`. When the block is left, they have ended.
+    """
+
+    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+        self.workers, self.scheduler = workers, scheduler
+        self._running = ExitStack()
+        self._submit: tuple[Submit, int] | None = None
+
+    def __enter__(self) -> "Workers":
+        return self
+
+    def __exit__(self, *error: Any) -> None:
+        self._running.__exit__(*error)
+
+    def work_off(self, function: Callable[[Any], Any], jobs: Sequence[Any]) -> Generator[tuple[int, Any], None, None]:
+        """Yield number and result of each job, as the function `work_off`; closed early, it ends the workers."""
+        if self.workers == 1 and self.scheduler is None:
+            yield from ((k, function(job)) for k, job in enumerate(jobs))
             return
-        try:
-            with cluster(scheduler) if scheduler else processes(workers) as (submit, count):
+        done: set[int] = set()
+        for again in reversed(range(TRIES)):
+            todo = [(k, job) for k, job in enumerate(jobs) if k not in done]
+            if not todo:
+                return
+            try:
+                if self._submit is None:
+                    started = cluster(self.scheduler) if self.scheduler else processes(self.workers)
+                    self._submit = self._running.enter_context(started)
+                submit, count = self._submit
                 for k, result in as_completed(submit, _Numbered(function), todo, 2 * count):
                     done.add(k)
                     yield k, result
-            return
-        except BrokenExecutor:
-            if not again:
-                raise
+                return
+            except BaseException as error:
+                self._submit = None
+                self._running.__exit__(type(error), error, error.__traceback__)
+                if not (isinstance(error, BrokenExecutor) and again):
+                    raise
 
 
 @contextmanager

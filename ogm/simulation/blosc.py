@@ -1,4 +1,4 @@
-"""Blosc with the sizes of a chunk checked: its decoder trusts them, and reads beyond its memory where they are wrong."""
+"""Blosc with the sizes of a chunk compared: its decoder trusts them, and reads beyond its memory if they are wrong."""
 
 import math
 from typing import Any

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ogm.files import OgmError, finish_zarr
-from ogm.pool import work_off
+from ogm.pool import Workers, deaths_explained
 from ogm.pose import Trajectory
 from ogm.scan import Frame
 from ogm.world.drives import (
@@ -31,8 +31,6 @@ from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
 
 __all__ = ["Progress", "build_world", "rebuild_world"]
-
-_DIED = ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError", "FutureCancelledError")
 
 
 class Progress(NamedTuple):
@@ -101,7 +99,6 @@ def build_world(
         If workers die again and again, the disk is full, or the scheduler cannot be reached. What is finished stays.
     """
     store = _writable(world)
-    pool = _Pool(workers, scheduler)
     planned = [_begin(store, split_drive(name, drives[name], repr(make_model), length)) for name in sorted(drives)]
     for drive in planned:
         for number in lost_tiles(store, drive):
@@ -114,16 +111,17 @@ def build_world(
         if one.tiles is None
     ]
     by_name, skipped = {drive.name: drive for drive in planned}, 0
-    with pool.work_off(make, jobs, store.url) as results:
-        progress(Progress("sub-maps", 0, len(jobs)))
-        for done, (n, made) in enumerate(results, 1):
-            drive, number = by_name[jobs[n].drive], jobs[n].number
-            frames = drive.submaps[number].frames
-            drive.submaps[number] = replace(drive.submaps[number], tiles=made.tiles, mapped=made.mapped)
-            save_drive(store, drive)
-            skipped += frames[1] - frames[0] - made.mapped
-            progress(Progress("sub-maps", done, len(jobs), skipped))
-    _render(store, pool, progress)
+    with Workers(workers, scheduler) as pool:
+        with _results(pool, make, jobs, store.url) as results:
+            progress(Progress("sub-maps", 0, len(jobs)))
+            for done, (n, made) in enumerate(results, 1):
+                drive, number = by_name[jobs[n].drive], jobs[n].number
+                frames = drive.submaps[number].frames
+                drive.submaps[number] = replace(drive.submaps[number], tiles=made.tiles, mapped=made.mapped)
+                save_drive(store, drive)
+                skipped += frames[1] - frames[0] - made.mapped
+                progress(Progress("sub-maps", done, len(jobs), skipped))
+        _render(store, pool, progress)
 
 
 def rebuild_world(
@@ -162,35 +160,24 @@ def rebuild_world(
     for drive in moved:
         save_drive(store, drive)
     damaged = [] if trajectories else [index for index, _ in world.damage()]
-    _render(store, _Pool(workers, scheduler), progress, damaged)
+    with Workers(workers, scheduler) as pool:
+        _render(store, pool, progress, damaged)
 
 
-class _Pool(NamedTuple):
-    """Where work is done."""
-
-    workers: int
-    scheduler: str | None
-
-    @contextmanager
-    def work_off(
-        self, function: Callable[[Any], Any], jobs: Sequence[Any], url: str
-    ) -> Iterator[Iterator[tuple[int, Any]]]:
-        """Yield the results; in the end no worker of this machine writes."""
-        try:
-            working: Any = work_off(function, jobs, self.workers, self.scheduler)
-            with closing(working) as results:
-                yield results
-        except BaseException as error:
-            finish_zarr()
-            if type(error).__name__ not in _DIED:
-                raise
-            raise OSError(
-                f"workers died ({type(error).__name__}), as when memory runs out; finished sub-maps and tiles of "
-                f"{url} are complete: the same command goes on, perhaps with fewer workers"
-            ) from error
+@contextmanager
+def _results(
+    pool: Workers, function: Callable[[Any], Any], jobs: Sequence[Any], url: str
+) -> Iterator[Iterator[tuple[int, Any]]]:
+    """Yield the results of jobs; after an error no worker of this machine writes."""
+    try:
+        with closing(pool.work_off(function, jobs)) as results, deaths_explained(f"sub-maps and tiles of {url}"):
+            yield results
+    except BaseException:
+        finish_zarr()
+        raise
 
 
-def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[TileIndex] = ()) -> None:
+def _render(store: TileStore, pool: Workers, progress: Tell, damaged: Iterable[TileIndex] = ()) -> None:
     """Make the tiles whose parts have changed, or that are missing or damaged; remove those that have no part."""
     drives = [load_drive(store, name) for name in drive_names(store)]
     sources = {one.name: one.source for one in drives}
@@ -207,7 +194,7 @@ def _render(store: TileStore, pool: _Pool, progress: Tell, damaged: Iterable[Til
         rendered.note(index, np.uint64(0))
     rendered.write()
     store.make_level(0)  # before several workers would
-    with rendered, pool.work_off(RenderTile(MapPlace.of(store)), jobs, store.url) as results:
+    with rendered, _results(pool, RenderTile(MapPlace.of(store)), jobs, store.url) as results:
         progress(Progress("tiles", 0, len(jobs)))
         for done, (n, _) in enumerate(results, 1):
             rendered.note(jobs[n][0], marks[jobs[n][0]])

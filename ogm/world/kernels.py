@@ -7,129 +7,111 @@ steps of 1 / `MASS_STEPS`, conflict in steps of 1 / `CONFLICT_STEPS`. Nothing is
 from typing import Any
 
 import numpy as np
+from numba.core.types import Float
+from numba.extending import overload
 
 from ogm.fusion.kernels import combine_cells
 from ogm.fusion.lookup import ScanLookup, look_up
-from ogm.jit import inline, vector
+from ogm.jit import vector
 
 __all__ = ["CONFLICT_STEPS", "COUNT_LIMIT", "MASS_STEPS", "discount", "integrate", "merge", "moved"]
 
 MASS_STEPS, CONFLICT_STEPS = 4095, 255  # finer steps are noise of the sensors, and do not pack
 COUNT_LIMIT = 65535
-_MASS, _CONFLICT, _HALF = np.float32(MASS_STEPS), np.float32(CONFLICT_STEPS), np.float32(0.5)
-_STEPS_16 = np.float32(1 / MASS_STEPS), np.float32(1 / CONFLICT_STEPS)
-_STEPS_32 = np.float32(1), np.float32(1)
 
 
-@inline
-def _mass_16(value: Any) -> Any:
-    return np.uint16(np.int32(value * _MASS + _HALF))
+def _packed(value: Any, steps: Any, row: Any) -> Any:
+    """Return a number in [0, 1] as a row of a tile stores it; what it is, is decided when kernels are compiled."""
+    return _as_it_is(value, steps, row) if row.dtype == np.float32 else _in_steps(value, steps, row)
 
 
-@inline
-def _conflict_16(value: Any) -> Any:
-    return np.uint16(np.int32(value * _CONFLICT + _HALF))
-
-
-@inline
-def _same(value: Any) -> Any:
+def _as_it_is(value: Any, steps: Any, row: Any) -> Any:
     return value
 
 
-def _pair_writer(pack: Any) -> Any:
-    """Return the loop that writes pairs to two rows of a tile, where the scan has a belief."""
-
-    @vector
-    def write_pairs(known: Any, pairs: Any, first: Any, second: Any) -> None:
-        for k in range(first.size):
-            a = pack(pairs[2 * k])
-            first[k] = a if known[2 * k] + known[2 * k + 1] > np.float32(0) else first[k]
-        for k in range(first.size):
-            b = pack(pairs[2 * k + 1])
-            second[k] = b if known[2 * k] + known[2 * k + 1] > np.float32(0) else second[k]
-
-    return write_pairs
+def _in_steps(value: Any, steps: Any, row: Any) -> Any:
+    return np.uint16(np.int32(value * np.float32(steps) + np.float32(0.5)))
 
 
-def _marker(floats: bool) -> Any:
-    """Return the loop that counts a scan, and notes its stamp, where it has a belief."""
-    number = np.float32 if floats else np.uint16
-
-    @vector
-    def mark_seen(known: Any, stamp: Any, count: Any, high: Any, low: Any) -> int:
-        seen = 0
-        high_word, low_word = number(stamp >> np.uint32(16)), number(stamp & np.uint32(0xFFFF))
-        for k in range(count.size):
-            has = known[2 * k] + known[2 * k + 1] > np.float32(0)
-            count[k] += number(has & (count[k] < number(COUNT_LIMIT)))
-            seen += has
-            later = has & ((high[k] < high_word) | ((high[k] == high_word) & (low[k] < low_word)))
-            high[k], low[k] = high_word if later else high[k], low_word if later else low[k]
-        return seen
-
-    return mark_seen
+@overload(_packed, inline="always")
+def _compiled_packed(value: Any, steps: Any, row: Any) -> Any:
+    return _as_it_is if isinstance(row.dtype, Float) else _in_steps
 
 
-def _integrator(steps: Any, to_mass: Any, to_conflict: Any) -> Any:
-    """Return the kernel for one type of tiles."""
-    step_mass, step_conflict = steps
-    store_mass, store_conflict, mark = _pair_writer(to_mass), _pair_writer(to_conflict), _marker(to_mass is _same)
-
-    @vector
-    def integrate_grid(tile: Any, scan: Any, reliability: Any, rule: Any, limit: Any, stamp: Any) -> int:
-        n = tile.shape[1]
-        z, m, c = np.zeros(2 * n, np.float32), np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
-        changed = 0
-        for i in range(n):
-            low, high = look_up(z, scan.values, scan.affine, scan.samples, i, n)
-            if low >= high:
-                continue
-            count = high - low
-            known = z[2 * low : 2 * high]
-            _load(tile[0, i, low:high], tile[1, i, low:high], step_mass, m)
-            _load(tile[2, i, low:high], tile[3, i, low:high], step_conflict, c)
-            if reliability != 1:
-                for k in range(2 * count):
-                    known[k] *= reliability
-            combine_cells(rule, m[: 2 * count], c[: 2 * count], known, limit)
-            changed += mark(known, stamp, tile[4, i, low:high], tile[5, i, low:high], tile[6, i, low:high])
-            store_mass(known, m, tile[0, i, low:high], tile[1, i, low:high])
-            store_conflict(known, c, tile[2, i, low:high], tile[3, i, low:high])
-            z[2 * low : 2 * high] = 0
-        return changed
-
-    return integrate_grid
+@vector
+def _write_pairs(known: Any, pairs: Any, steps: Any, first: Any, second: Any) -> None:
+    """Write pairs to two rows of a tile, where the scan has a belief."""
+    for k in range(first.size):
+        a = _packed(pairs[2 * k], steps, first)
+        first[k] = a if known[2 * k] + known[2 * k + 1] > np.float32(0) else first[k]
+    for k in range(first.size):
+        b = _packed(pairs[2 * k + 1], steps, first)
+        second[k] = b if known[2 * k] + known[2 * k + 1] > np.float32(0) else second[k]
 
 
-def _merger(steps: Any, to_mass: Any, to_conflict: Any) -> Any:
-    """Return the kernel for one type of tiles."""
-    step_mass, step_conflict = steps
+@vector
+def _mark_seen(known: Any, stamp: Any, count: Any, high: Any, low: Any) -> int:
+    """Count a scan, and note its stamp, where it has a belief; return how many cells that are."""
+    seen = 0
+    number = count.dtype.type
+    high_word, low_word = number(stamp >> np.uint32(16)), number(stamp & np.uint32(0xFFFF))
+    for k in range(count.size):
+        has = known[2 * k] + known[2 * k + 1] > np.float32(0)
+        count[k] += number(has & (count[k] < number(COUNT_LIMIT)))
+        seen += has
+        later = has & ((high[k] < high_word) | ((high[k] == high_word) & (low[k] < low_word)))
+        high[k], low[k] = high_word if later else high[k], low_word if later else low[k]
+    return seen
 
-    @vector
-    def merge_tile(tile: Any, other: Any, rule: Any, limit: Any) -> None:
-        n = tile.shape[1]
-        z, d = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
-        m, c = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
-        for i in range(n):
-            _load(other[0, i], other[1, i], step_mass, z)
-            _load(other[2, i], other[3, i], step_conflict, d)
-            _load(tile[0, i], tile[1, i], step_mass, m)
-            _load(tile[2, i], tile[3, i], step_conflict, c)
-            combine_cells(rule, m, c, z, limit)
-            for k in range(n):
-                if tile[4, i, k] == 0:  # the other's as it is: combined with nothing it would be rounded again
-                    for layer in range(tile.shape[0]):
-                        tile[layer, i, k] = other[layer, i, k]
-                elif other[4, i, k] > 0:
-                    tile[0, i, k], tile[1, i, k] = to_mass(m[2 * k]), to_mass(m[2 * k + 1])
-                    tile[2, i, k] = to_conflict(max(c[2 * k], d[2 * k]))
-                    tile[3, i, k] = to_conflict(max(c[2 * k + 1], d[2 * k + 1]))
-                    tile[4, i, k] = min(np.int32(tile[4, i, k]) + np.int32(other[4, i, k]), COUNT_LIMIT)
-                    before = (np.int64(tile[5, i, k]) << 16) | np.int64(tile[6, i, k])
-                    if ((np.int64(other[5, i, k]) << 16) | np.int64(other[6, i, k])) > before:
-                        tile[5, i, k], tile[6, i, k] = other[5, i, k], other[6, i, k]
 
-    return merge_tile
+@vector
+def _integrate(tile: Any, scan: Any, reliability: Any, rule: Any, limit: Any, stamp: Any, step: Any) -> int:
+    n = tile.shape[1]
+    z, m, c = np.zeros(2 * n, np.float32), np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
+    changed = 0
+    for i in range(n):
+        low, high = look_up(z, scan.values, scan.affine, scan.samples, i, n)
+        if low >= high:
+            continue
+        count = high - low
+        known = z[2 * low : 2 * high]
+        _load(tile[0, i, low:high], tile[1, i, low:high], step[0], m)
+        _load(tile[2, i, low:high], tile[3, i, low:high], step[1], c)
+        if reliability != 1:
+            for k in range(2 * count):
+                known[k] *= reliability
+        combine_cells(rule, m[: 2 * count], c[: 2 * count], known, limit)
+        changed += _mark_seen(known, stamp, tile[4, i, low:high], tile[5, i, low:high], tile[6, i, low:high])
+        _write_pairs(known, m, MASS_STEPS, tile[0, i, low:high], tile[1, i, low:high])
+        _write_pairs(known, c, CONFLICT_STEPS, tile[2, i, low:high], tile[3, i, low:high])
+        z[2 * low : 2 * high] = 0
+    return changed
+
+
+@vector
+def _merge(tile: Any, other: Any, rule: Any, limit: Any, step: Any) -> None:
+    n = tile.shape[1]
+    z, d = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
+    m, c = np.empty(2 * n, np.float32), np.empty(2 * n, np.float32)
+    for i in range(n):
+        _load(other[0, i], other[1, i], step[0], z)
+        _load(other[2, i], other[3, i], step[1], d)
+        _load(tile[0, i], tile[1, i], step[0], m)
+        _load(tile[2, i], tile[3, i], step[1], c)
+        combine_cells(rule, m, c, z, limit)
+        for k in range(n):
+            if tile[4, i, k] == 0:  # the other's as it is: combined with nothing it would be rounded again
+                for layer in range(tile.shape[0]):
+                    tile[layer, i, k] = other[layer, i, k]
+            elif other[4, i, k] > 0:
+                tile[0, i, k] = _packed(m[2 * k], MASS_STEPS, tile)
+                tile[1, i, k] = _packed(m[2 * k + 1], MASS_STEPS, tile)
+                tile[2, i, k] = _packed(max(c[2 * k], d[2 * k]), CONFLICT_STEPS, tile)
+                tile[3, i, k] = _packed(max(c[2 * k + 1], d[2 * k + 1]), CONFLICT_STEPS, tile)
+                tile[4, i, k] = min(np.int32(tile[4, i, k]) + np.int32(other[4, i, k]), COUNT_LIMIT)
+                before = (np.int64(tile[5, i, k]) << 16) | np.int64(tile[6, i, k])
+                if ((np.int64(other[5, i, k]) << 16) | np.int64(other[6, i, k])) > before:
+                    tile[5, i, k], tile[6, i, k] = other[5, i, k], other[6, i, k]
 
 
 @vector
@@ -138,9 +120,10 @@ def _load(first: Any, second: Any, scale: Any, out: Any) -> None:
         out[2 * k], out[2 * k + 1] = np.float32(first[k]) * scale, np.float32(second[k]) * scale
 
 
-_integrate_16 = _integrator(_STEPS_16, _mass_16, _conflict_16)
-_integrate_32 = _integrator(_STEPS_32, _same, _same)
-_merge_16, _merge_32 = _merger(_STEPS_16, _mass_16, _conflict_16), _merger(_STEPS_32, _same, _same)
+def _step(tile: np.ndarray) -> tuple[np.float32, np.float32]:
+    """Return what 1 in a tile stands for: of masses, of conflict."""
+    one = np.float32(1)
+    return (one, one) if tile.dtype == np.float32 else (np.float32(1 / MASS_STEPS), np.float32(1 / CONFLICT_STEPS))
 
 
 def integrate(tile: np.ndarray, scan: ScanLookup, reliability: float, rule: int, max_known: float, stamp: int) -> int:
@@ -160,8 +143,8 @@ def integrate(tile: np.ndarray, scan: ScanLookup, reliability: float, rule: int,
     stamp : int
         [s] plus 1, below 2**32; 0 if unknown. Cells keep the greatest.
     """
-    kernel = _integrate_16 if tile.dtype == np.uint16 else _integrate_32
-    return int(kernel(tile, scan, np.float32(reliability), rule, np.float32(max_known), np.uint32(stamp)))
+    numbers = np.float32(reliability), rule, np.float32(max_known), np.uint32(stamp)
+    return int(_integrate(tile, scan, *numbers, _step(tile)))
 
 
 def merge(tile: np.ndarray, other: np.ndarray, rule: int, max_known: float) -> None:
@@ -170,8 +153,7 @@ def merge(tile: np.ndarray, other: np.ndarray, rule: int, max_known: float) -> N
     Masses are combined, conflict is the greatest of either and of that between the two, counts add up, the later stamp
     stays. Parameters as for `integrate`.
     """
-    kernel = _merge_16 if tile.dtype == np.uint16 else _merge_32
-    kernel(tile, other, rule, np.float32(max_known))
+    _merge(tile, other, rule, np.float32(max_known), _step(tile))
 
 
 def discount(tile: np.ndarray, reliability: float) -> None:
