@@ -2,6 +2,8 @@
 
 import importlib.util
 import logging
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -47,3 +49,19 @@ def test_compilation_is_logged_where_nothing_is_cached(tmp_path: Path, caplog: p
         assert not caplog.records
         assert again.twice(3) == 6
         assert again.twice.stats.cache_hits
+
+
+MERGE = """
+import numpy as np
+from ogm.world import kernels
+tile = np.ones((7, 8, 8), np.uint16)
+kernels.merge(tile, tile.copy(), 0, 0.9)
+stats = getattr(kernels._merge, "stats", None)  # None where numba's compiler is switched off
+print(sum(stats.cache_misses.values()) if stats else 0)
+"""
+
+
+def test_the_next_process_finds_kernels_on_disk() -> None:
+    """A kernel that holds another in its closure has a name of its own in each process, and is compiled in each."""
+    missed = [int(subprocess.run([sys.executable, "-c", MERGE], capture_output=True, check=True).stdout) for _ in "ab"]
+    assert missed[1] == 0
