@@ -230,28 +230,20 @@ def combined() -> str:
         "iou_occupied": "IoU occupied",
         "ece": "ECE",
     }
-    places = {f"validation `{name}`": one for name, one in found["validation"].items()} | found["real"]
-    tables = []
-    for which in ("validation", "real"):
-        rows = []
-        for name, one in places.items():
-            if (name in found["real"]) != (which == "real"):
-                continue
-            means = one["means"].values()
-            cells = [
-                " / ".join("–" if mean[metric] is None else f"{mean[metric]:.3f}" for mean in means)
-                for metric in titles
-            ]
-            rows.append([f"{name}, frames: {one['frames']}, drives: {one['drives']}", *cells])
-        tables.append(table([" / ".join(next(iter(places.values()))["means"]), *titles.values()], rows))
+    simulated = {f"validation `{name}`": one for name, one in found["validation"].items()}
     rows = []
-    for name, one in places.items():
+    for name, one in (simulated | found["real"]).items():
+        means = one["means"].values()
+        cells = [
+            " / ".join("–" if mean[metric] is None else f"{mean[metric]:.3f}" for mean in means) for metric in titles
+        ]
+        rows.append([f"{name}, frames: {one['frames']}, drives: {one['drives']}", *cells])
+    tables = [table([" / ".join(next(iter(simulated.values()))["means"]), *titles.values()], rows)]
+    rows = []
+    for name, one in simulated.items():  # with intervals; the others can be subtracted
         for other, compared in one["against"].items():
-            cells = []
-            for metric in ("nll", "false_free", "brier"):
-                value, low, high = compared[metric]["difference"]
-                ends = "" if low is None else f" ({low:+.3f} to {high:+.3f})"
-                cells.append("–" if value is None else f"{value:+.3f}{ends}")
+            differences = [compared[metric]["difference"] for metric in ("nll", "false_free", "brier")]
+            cells = ["{:+.3f} ({:+.3f} to {:+.3f})".format(*values) for values in differences]
             rows.append([f"{name}: against `{other}`", *cells])
     tables.append(table(["`combined` minus a part (95 %)", "log loss", "false free", "Brier"], rows))
     cost = found["cost [ms]"]
