@@ -65,7 +65,7 @@ write_pages(HERE)
 
 
 def escape_formulas(app: object, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Keep |x| and ** of formulas in docstrings from being read as markup, and several attributes of a line together."""
+    """Keep |x| and ** of formulas in docstrings from being read as markup, and attributes of one line together."""
     lines[:] = [
         line if line.startswith((">>>", "...")) else re.sub(r"(?<!`)(\||\*\*)", r"\\\1", line) for line in lines
     ]

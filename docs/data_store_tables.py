@@ -31,8 +31,8 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
     requests, factor = read["requests_per_sample"], LARGE / large["samples"]
     growth = (one["resident_mb"] - few["resident_mb"]) / (count - small["samples"])  # [MB] per sample
     facts = [
-        f"{large['source']} simulated samples of {per_sample / 1e3:.0f} kB, repeated, in batches of {record['batch']} for "
-        "some seconds. Most of the time are augmentation and the inputs of `lite`. The S3 server (moto, in Python) "
+        f"{large['source']} simulated samples of {per_sample / 1e3:.0f} kB, repeated, in batches of {record['batch']} "
+        "for some seconds. Most of the time are augmentation and the inputs of `lite`. The S3 server (moto, in Python) "
         "shares the processors. On processors a training does not wait for samples; on a GPU it was not tried.",
         f"From S3, shard by shard: {requests:.2f} requests and {read['mb_per_sample']:.2f} MB a sample; all frames "
         f"shuffled: {many['requests_per_sample']:.1f} requests and {many['mb_per_sample']:.2f} MB. A process that "
