@@ -1,5 +1,6 @@
 """Settings of the documentation site: ``./run docs`` builds it."""
 
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -31,7 +32,7 @@ myst_enable_extensions = ["attrs_inline", "colon_fence", "html_image"]
 autodoc_typehints = "signature"
 autodoc_typehints_format = "short"
 autodoc_member_order = "bysource"
-autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_default_options = {"members": True}
 autodoc_preserve_defaults = True
 autosummary_generate = False  # a page per package, written by site_pages.py
 napoleon_google_docstring = False
@@ -48,6 +49,7 @@ html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
+html_show_search_summary = False  # it fetches pages, which browsers refuse to pages of the disk
 html_theme_options = {
     "navigation_with_keys": False,
     "show_prev_next": True,
@@ -64,15 +66,41 @@ write_pages(HERE)
 
 
 def escape_formulas(app: object, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
-    """Keep |x| and ** of formulas in docstrings from being read as markup."""
+    """Keep |x| and ** of formulas in docstrings from being read as markup, and attributes of one line together."""
     lines[:] = [
         line if line.startswith((">>>", "...")) else re.sub(r"(?<!`)(\||\*\*)", r"\\\1", line) for line in lines
     ]
+    if "Attributes" in lines:
+        start = lines.index("Attributes")
+        lines[start:] = [
+            line.replace(", ", ",", line.partition(" : ")[0].count(", ")) if " : " in line else line
+            for line in lines[start:]
+        ]
+
+
+ARRAY_LIKE = re.compile(
+    r"_?Buffer \| _SupportsArray\[dtype\[Any\]\] \| _NestedSequence\[_SupportsArray\[dtype\[Any\]\]\] \| complex \| "
+    r"bytes \| str \| _NestedSequence\[complex \| bytes \| str\]"
+)
+
+
+def as_in_the_source(app: object, what: str, name: str, value: object, options: object, *signature: str | None) -> Any:
+    """Return arguments and result of a function with the short names of types, and defaults that can be parsed."""
+
+    def shown(text: str) -> str:
+        text = re.sub(r"~(?:numpy|typing|collections\.abc)\.(?:\w+\.)*(?=\w)", "", text)
+        text = re.sub(
+            r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", ARRAY_LIKE.sub("ArrayLike", text)
+        )
+        return re.sub(r"<(?:function|class) '?([\w.]+)'?(?: at 0x\w+)?>", r"\1", text).replace("<factory>", "...")
+
+    return tuple(shown(text) if text else text for text in signature)
 
 
 def skip_fields(app: object, what: str, name: str, value: object, skip: bool, options: object) -> bool | None:
-    """Leave out the fields of named tuples: their class describes them."""
-    return True if type(value).__name__ == "_tuplegetter" else None
+    """Leave out the fields of named tuples, and functions that are defaults of fields: their class describes them."""
+    default = what == "class" and inspect.isfunction(value) and "." not in value.__qualname__
+    return True if default or type(value).__name__ == "_tuplegetter" else None
 
 
 def lead_to_pages(app: object, name: str, source: list[str]) -> None:
@@ -91,6 +119,7 @@ def check_links(app: Any, error: Exception | None) -> None:
 def setup(app: Any) -> None:
     """Connect the functions above."""
     app.connect("autodoc-process-docstring", escape_formulas, priority=100)  # before napoleon
+    app.connect("autodoc-process-signature", as_in_the_source)
     app.connect("autodoc-skip-member", skip_fields)
     app.connect("source-read", lead_to_pages)
     app.connect("build-finished", check_links)

@@ -31,10 +31,9 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
     requests, factor = read["requests_per_sample"], LARGE / large["samples"]
     growth = (one["resident_mb"] - few["resident_mb"]) / (count - small["samples"])  # [MB] per sample
     facts = [
-        f"{large['source']} simulated samples, repeated with checksums of their own; {per_sample / 1e3:.0f} kB each. "
-        f"Each row takes batches of {record['batch']} for some seconds, with augmentation and the inputs of `lite`, "
-        "which is most of the time. The S3 server (moto, in Python) shares the processors. A training waits where it "
-        "takes more samples than its loading processes give: on processors it does not, on a GPU it was not tried.",
+        f"{large['source']} simulated samples of {per_sample / 1e3:.0f} kB, repeated, in batches of {record['batch']} "
+        "for some seconds. Most of the time are augmentation and the inputs of `lite`. The S3 server (moto, in Python) "
+        "shares the processors. On processors a training does not wait for samples; on a GPU it was not tried.",
         f"From S3, shard by shard: {requests:.2f} requests and {read['mb_per_sample']:.2f} MB a sample; all frames "
         f"shuffled: {many['requests_per_sample']:.1f} requests and {many['mb_per_sample']:.2f} MB. A process that "
         f"loads has {one['loading_mb']:.0f} MB, that beside it, which opened the data set, {one['resident_mb']:.0f} MB "
@@ -42,10 +41,9 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
         f"{count:,} samples ({few['opening_s']:.1f} s with {small['samples']:,}): a request per shard.",
         f"Extrapolated to {LARGE:,} samples, not measured: {LARGE * per_sample / 1e9:.1f} GB and "
         f"{LARGE * requests:,.0f} requests per epoch, {opening * factor:.0f} s to open, "
-        f"{growth * (LARGE - count):.0f} MB more in each process that opens it. This assumes that requests and bytes "
-        "per sample stay, that opening and memory grow with the number of shards and samples, and that the store "
-        "answers as fast as this one. Where an answer takes 30 ms, the seven requests of a shard at the same time "
-        "cost 3 ms per sample and process, beside some 55 ms that its preparation takes.",
+        f"{growth * (LARGE - count):.0f} MB more in each process that opens it, if requests, bytes and memory per "
+        "sample stay and the store answers as fast as this one. Answers after 30 ms, for the seven requests of a "
+        "shard at once, would cost 3 ms per sample and process, beside some 55 ms of preparation.",
     ]
     return ["\n".join(lines), *facts]
 

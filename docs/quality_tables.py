@@ -18,7 +18,6 @@ HEIGHTS = {"": "0.05 m", "from10_": "0.10 m", "from50_": "0.50 m"}
 RANGE = {"iou_occupied": 3, "false_free": 3, "missed_occupied": 3, "free_recall_1": 3}
 DRIVES = ("brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "free_recall_1", "mean_unknown")
 MEMORY = ("brier", "iou_occupied", "false_free")
-BASELINE_RULES = ("cautious", "dempster", "bayes")  # of the maps behind the baselines
 FUSED = (
     "ray",
     "ray + cautious",
@@ -85,13 +84,8 @@ def _predicting(models: Record) -> Record:
 
 
 def _maps(part: Record) -> Record:
-    """Return the models and the maps that are shown: of the baselines, those of a few rules."""
-    bands = ("height-band", RELEASED)
-    return {
-        name: one
-        for name, one in part["models"].items()
-        if name.partition(" + ")[0] not in bands or name.partition(" + ")[2] in ("", *BASELINE_RULES)
-    }
+    """Return the models and the maps that are shown: none of the baselines."""
+    return {name: one for name, one in part["models"].items() if not name.startswith("height-band") or "+" not in name}
 
 
 def _list(models: Record, metrics: Sequence[str], titles: Titles) -> str:
@@ -139,7 +133,7 @@ def _memory(part: Record, names: Iterable[str], titles: Titles) -> str:
     for name in names:
         scans, plus, _ = name.partition(" + ")
         one = part["paired"].get(f"{name} against {scans}") if plus else None
-        if one is not None and scans != RELEASED:
+        if one is not None:
             rows.append([f"`{name}`", *(_with_ends(one[m]["ratio"]) for m in MEMORY)])
     return _markdown(["map against its scans: ratio of means (95 %)", *(titles[m] for m in MEMORY)], rows)
 

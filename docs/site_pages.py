@@ -146,9 +146,15 @@ def reference_page() -> str:
     )
     parts = [NOTE, heading("API reference", "="), text, heading("Names of ogm itself", "-"), ",\n".join(rows) + ".\n"]
     for title, modules in REFERENCE.items():
+        lines = [f"* :doc:`{name}`: {first_line(importlib.import_module(name))}\n" for name in modules]
         pages = "".join(f"   {name}\n" for name in modules)
-        parts += [heading(title, "-"), f".. toctree::\n   :maxdepth: 1\n\n{pages}"]
+        parts += [heading(title, "-"), "".join(lines), f".. toctree::\n   :hidden:\n\n{pages}"]
     return "\n".join(parts)
+
+
+def first_line(module: ModuleType) -> str:
+    """Return the first sentence of the docstring of a module."""
+    return " ".join((inspect.getdoc(module) or "").split("\n\n")[0].split())
 
 
 def gallery_page(docs: Path) -> str:
@@ -197,7 +203,9 @@ def write_pages(docs: Path) -> None:
         path = docs.parent / file
         text = path.read_text(encoding="utf-8")
         if not text.startswith("# "):  # a part of a page: its headings go up
-            text = f"# {name.replace('_', ' ').capitalize()}\n\n" + re.sub("^###", "##", text, flags=re.MULTILINE)
+            title = f"# {name.replace('_', ' ').capitalize()}\n\nSimulated and recorded scans: "
+            title += "[how they were compared](../simulation.md#how-close-to-the-real-thing).\n\n"
+            text = title + re.sub("^###", "##", text, flags=re.MULTILINE)
         made[f"{name}.md"] = with_links(text, path.parent, docs, "../")
     for path in folder.iterdir():
         if path.name not in made:

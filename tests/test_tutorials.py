@@ -40,7 +40,7 @@ def program(text: str) -> str:
         if kind == "python":
             parts.append(block)
             continue
-        for line in re.findall(r"^\$ (.+)$", block, re.MULTILINE):
+        for line in re.findall(r"^\$ (.+)$", block.replace("\\\n", " "), re.MULTILINE):
             words = shlex.split(line, comments=True)
             if words[0] in ("ogm", "python") and words[1] != "serve":  # serve waits for viewers
                 parts.append(f"command(*{words!r})\n")
