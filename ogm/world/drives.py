@@ -222,7 +222,8 @@ def load_drive(store: TileStore, name: str) -> Drive:
         If there is none of that name, or it is damaged.
     """
     array = drive_array(store, name)
-    attributes = dict(array.attrs)
+    with reading(f"drive {name} of {store.url}", _MEND):  # attributes may be a list
+        attributes = dict(array.attrs)
     if attributes.get("sha256") != attributes_checksum(attributes):
         raise OgmError(f"the attributes of drive {name} of {store.url} are damaged: {_MEND}")
     try:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ogm.files import OgmError
 from ogm.fusion.window import affine_between
 from ogm.world.drives import Drive, drive_array, submap_key
 from ogm.world.kernels import discount, merge, moved
@@ -43,6 +44,11 @@ def parts_of_tiles(store: TileStore, drives: Iterable[Drive]) -> dict[TileIndex,
     """Return the parts of every tile, in the order in which they are combined: by drive, then by sub-map.
 
     The order, and so the map to the last bit, does not depend on the order in which drives are built, nor on workers.
+
+    Raises
+    ------
+    OgmError
+        If a sub-map is moved beyond the map.
     """
     found: dict[TileIndex, list[Part]] = {}
     for drive in sorted(drives, key=lambda one: one.name):
@@ -60,7 +66,12 @@ def parts_of_tiles(store: TileStore, drives: Iterable[Drive]) -> dict[TileIndex,
 def _targets(store: TileStore, tile: TileIndex, correction: NDArray[np.float64]) -> list[TileIndex]:
     """Return the tiles that a moved tile may have cells in."""
     layout = store.layout
-    return layout.tiles_of(layout.around(corners(layout.spec(layout.box_of(tile)), correction)))
+    box = layout.around(corners(layout.spec(layout.box_of(tile)), correction))
+    try:
+        layout.check_box(box)
+    except ValueError as error:
+        raise OgmError(f"a sub-map of a drive of {store.url} is moved too far: {error}") from error
+    return layout.tiles_of(box)
 
 
 def fingerprint(parts: Iterable[Part], sources: Mapping[str, str]) -> np.uint64:

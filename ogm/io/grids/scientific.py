@@ -246,7 +246,7 @@ def _check_chunks(layers: "Dataset") -> None:
 
 
 def _check_packing(path: Path) -> None:
-    """Refuse arrays that are packed in other ways than ours: Blosc, for one, reads beyond its memory if told to."""
+    """Refuse arrays that are packed in other ways than ours: crafted chunks make Blosc read beyond its memory."""
     for described in sorted(path.glob("*/zarr.json")):
         left = list(json.loads(described.read_bytes())["codecs"])
         while left:
