@@ -10,12 +10,13 @@ from _run import save_picture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ogm.colours import colours
 from ogm.evaluation import Evaluation
 from ogm.metrics import METRICS, evilog_published
 
 COLOURS = {
-    "height-band": "#2c5f9e", "height-band-released": "#7fa8d6", "ray": "#b35806", "lite": "#1b7837",
-    "paper": "#762a83",
+    "height-band": "#2c5f9e", "height-band-released": "#7fa8d6", "ray": "#d55e00", "lite": "#009e73",
+    "paper": "#000000",
 }  # fmt: skip
 MARKERS = {
     "": "*", "cautious": "o", "dempster": "s", "dempster-plain": "D", "yager": "^", "cumulative": "v", "pcr6": "P",
@@ -30,11 +31,12 @@ def papers_figures(path: Path, result: Evaluation, deep: str, note: str) -> None
     (masses, proper), (strict, legacy) = figure.subplots(2, 2)
     shown = {"height-band-released": "as released", "height-band": "as text", deep: deep}
     truth = {"unknown": result.truth[:, 0], "free": result.truth[:, 1], "occupied": result.truth[:, 2]}
+    state_colours = {"unknown": "black", "free": colours().free, "occupied": colours().occupied}
     for (name, short), style in zip(shown.items(), (":", "--", "-"), strict=True):
-        for state, colour in (("unknown", "black"), ("free", "#1a9641"), ("occupied", "#c0202b")):
+        for state, colour in state_colours.items():
             values = result.of(name, f"mean_{state}")
             masses.plot(values, style, color=colour, lw=1.4, label=f"{state}, {short}: {values.mean():.3f}")
-    for state, colour in (("unknown", "black"), ("free", "#1a9641"), ("occupied", "#c0202b")):
+    for state, colour in state_colours.items():
         masses.plot(truth[state], color=colour, lw=5, alpha=0.15, label=f"{state}, truth: {truth[state].mean():.3f}")
     masses.set(title="Mean masses: the baseline as in the text, as released, the network, the truth")
     masses.set(ylabel="mean mass", ylim=(0, 1.3))

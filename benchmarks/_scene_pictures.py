@@ -96,7 +96,7 @@ def _points(ax: Axes, one: Scene, row: Row) -> None:
     for k, name in [*enumerate(one.parts), (-1, "ghosts")]:
         some = xyz[shown & (one.part == k)]
         if len(some):
-            colour = PARTS[k] if k >= 0 else "red"
+            colour = PARTS[k] if k >= 0 else "black"
             ax.plot(some[:, along], some[:, 2] + MOUNT.sensor_height, ".", color=colour, ms=1.5, label=name)
     ax.set(xlim=(start, start + size), ylim=(-3.4 if "drop" in row.name else -1.8, 4.4))
     ax.set_title(f"{row.name}: {row.region}", fontsize=9, fontweight="bold", pad=2)

@@ -26,6 +26,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ogm import GridSpec
+from ogm.colours import colours
 
 CITED = (
     "R. van Kempen, B. Lampe, T. Woopen, L. Eckstein: A Simulation-based End-to-End Learning Framework for "
@@ -34,7 +35,7 @@ CITED = (
 CURVES = DATA.parent / "paper_fig_curves.csv"
 LABEL = GridSpec.centered()
 SEED = 0
-DEEP, GEO, OWN = "#1b7837", "#2c5f9e", "#b35806"  # deep, geometric as plotted, geometric's own
+DEEP, GEO, OWN = "#d55e00", "#2c5f9e", "#8c8c8c"  # deep, geometric as plotted, geometric's own
 SHOWS = (
     "In the paper's test drive the deep model has less unknown than the geometric one, in every frame.",
     "By the released code's measure it misses fewer labelled cells, in 89 frames of 100 and in the mean.",
@@ -90,7 +91,7 @@ def draw(path: Path, curves: read.Curves, found: dict[str, Any], note: str) -> N
 
 def _masses(axes: Axes, curves: read.Curves) -> None:
     """Plot the figure of the mean masses."""
-    for name, colour in (("unknown", "black"), ("free", "#1a9641"), ("occupied", "#c0202b")):
+    for name, colour in {"unknown": "black", **colours().legend}.items():
         deep, geo = curves._asdict()[name], curves._asdict()[f"{name}_geo"]
         axes.plot(deep, color=colour, lw=1.6, label=f"{name}, deep: mean {deep.mean():.3f}")
         axes.plot(geo, color=colour, lw=1.6, ls=":", label=f"{name}, geometric: {geo.mean():.4f}")
@@ -125,7 +126,7 @@ def _kl(axes: Axes, curves: read.Curves, found: dict[str, Any]) -> None:
     impossible = found["is it a Dirichlet KL with labels of evidence 1?"]
     axes.plot(curves.kl, color=DEEP, lw=1.6, label=f"deep: mean {curves.kl.mean():.3f}")
     axes.plot(curves.kl_geo, color=GEO, lw=1.6, ls=":", label=f"geometric, as plotted: mean {curves.kl_geo.mean():.3f}")
-    axes.plot(lost, curves.kl[lost] + 0.06, "v", color="#c0202b", label=f"{len(lost)} frames: geometric is lower")
+    axes.plot(lost, curves.kl[lost] + 0.06, "v", color="black", label=f"{len(lost)} frames: geometric is lower")
     above = f"{impossible['frames whose plotted mean exceeds it']} means above it"
     axes.axhline(1, color="#777777", lw=0.8, label=f"bound of a Dirichlet KL: {above}")
     lags = [abs(one["lag-1 correlation"]) for one in found["is it time?"].values()]
@@ -138,7 +139,7 @@ def _pairs(axes: Axes, curves: read.Curves, found: dict[str, Any]) -> None:
     """Plot the divergence of one model against that of the other."""
     own, lost = read.demixed(curves), curves.kl_geo < curves.kl
     axes.plot([0, 3], [0, 3], color="#777777", lw=0.8)
-    for kept, sign, size, colour, which in ((~lost, "o", 4.5, GEO, "deep"), (lost, "v", 6, "#c0202b", "geometric")):
+    for kept, sign, size, colour, which in ((~lost, "o", 4.5, GEO, "deep"), (lost, "v", 6, "black", "geometric")):
         label = f"as plotted: {which} lower, {kept.sum()}"
         axes.plot(curves.kl[kept], curves.kl_geo[kept], sign, ms=size, color=colour, label=label)
     axes.plot(curves.kl, own, "x", ms=4.5, color=OWN, label=f"geometric de-mixed, 2 g - d: mean {own.mean():.3f}")

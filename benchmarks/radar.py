@@ -60,7 +60,7 @@ RELIABILITY = 0.7  # of the learned model's last row; chosen on validation sweep
 MOST_FREE = 0.04  # false free that a fit may have
 METRICS = ("nll", "brier", "iou_free", "iou_occupied", "false_free", "missed_occupied", "ece", "auroc_unknown")
 PARTS = ("object", "ground", "ghost", "clutter")
-COLOURS = ((1.0, 1.0, 1.0), (0.8, 0.6, 0.3), (1.0, 0.3, 0.2), (0.6, 0.4, 0.9))
+COLOURS = ((1.0, 1.0, 1.0), (0.45, 0.45, 0.45), (1.0, 0.65, 0.12), (0.3, 0.6, 1.0))
 
 
 class Frame(NamedTuple):

@@ -26,6 +26,7 @@ from _sweep_statistics import EDGES, SPEC, Sweep, histograms, statistics
 from numpy.typing import NDArray
 
 from ogm import Scan, read_scan
+from ogm.colours import colours
 from ogm.io import estimate_sensor_height, read_argoverse2
 from ogm.pose import inverse, pose
 from ogm.simulation.cells import measure_ground
@@ -43,7 +44,7 @@ SIDE_BY_SIDE = ROOT / "runs" / "realism" / "side_by_side.png"
 FIRING = 55.296e-6  # [s] VLP-32C: from one firing of a laser to its next
 EGO_REACH = np.array([2.6, 1.05, 1.7])  # [m] from the middle of the ego vehicle's footprint, where its returns lie
 STORED = {"pandar40": "pandar40p"}  # names in data sets
-COLOURS = ("#1b7837", "#2c5f9e")  # of simulated and real sweeps
+COLOURS = ("#d55e00", "#2c5f9e")  # of simulated and real sweeps
 
 
 def in_layers(ring: NDArray[Any], xyz: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -293,15 +294,15 @@ def picture(
 
     figure = Figure(figsize=(16, 2.6 * len(shown) + 10), layout="constrained")
     parts = figure.subfigures(len(shown) + 2, 1, height_ratios=[2.5] * len(shown) + [6.0, 3.6])
-    colours = np.array([[1, 1, 1], [0.55, 0.8, 0.55], [0.8, 0.1, 0.1], [0.85, 0.85, 0.85]])
+    shown_as = np.array([(0.0, 0.0, 0.0), colours().free, colours().occupied, (0.44, 0.44, 0.44)])  # by `CellState`
     truths = parts[-2].subplots(1, len(shown), squeeze=False)[0]
     for part, ax, (name, (sweep, state)) in zip(parts, truths, shown.items(), strict=False):
         image = part.subplots().imshow(range_picture(sweep), aspect="auto", cmap="turbo", vmin=2, vmax=60)
         part.colorbar(image, label="range [m]", pad=0.005)
         part.suptitle(f"Range image, {name} (layers from top to bottom, azimuth; white: no return)")
         if state is not None:
-            ax.imshow(colours[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest")
-            ax.set_title(f"Truth, {name} (green free, red occupied, white unknown)")
+            ax.imshow(shown_as[state[::-1, ::-1]], extent=(-28.16, 28.16, -40.96, 40.96), interpolation="nearest")
+            ax.set_title(f"Truth, {name}: {colours().text}")
     for ax, (name, edges) in zip(parts[-1].subplots(1, len(EDGES)), EDGES.items(), strict=True):
         for colour, (group, members) in zip(COLOURS, sweeps.items(), strict=False):
             counts = [histograms(sweep) for sweep in members]

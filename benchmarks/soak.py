@@ -33,6 +33,7 @@ TITLES = {
     "network": "DeepISM lite",
     "serve": "ogm serve",
 }
+COLOURS = {"ray": "#0072b2", "evidential": "#56b4e9", "dynamic": "#009e73", "network": "#d55e00", "serve": "black"}
 
 
 def measured(name: str, given: argparse.Namespace) -> dict[str, Any]:
@@ -79,22 +80,21 @@ def verdicts(name: str, found: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def picture(record: Mapping[str, Any], path: Path) -> None:
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    figure = Figure(figsize=(13, 3.6), layout="constrained")
     memory, latency = figure.subplots(1, 2)
     shown = {name: one for name, one in record["parts"].items() if name in TITLES}
     for name, one in shown.items():
         if name == "serve":
             at, held = np.array(one["memory [s, MB]"]).T
-            memory.plot(10 * at, held, lw=1.2, label=TITLES[name])
+            memory.plot(10 * at, held, lw=1.2, color=COLOURS[name], label=TITLES[name])
             continue
         held = one["memory [MB]"]
-        memory.plot(parts.HUNDRED * np.arange(len(held)), held, lw=1.2, label=TITLES[name])
+        memory.plot(parts.HUNDRED * np.arange(len(held)), held, lw=1.2, color=COLOURS[name], label=TITLES[name])
         p99 = one["processor time"]["p99 of hundreds [ms]"]
-        latency.plot(parts.HUNDRED * (np.arange(len(p99)) + 0.5), p99, lw=1.0, label=TITLES[name])
+        latency.plot(parts.HUNDRED * (np.arange(len(p99)) + 0.5), p99, lw=1.0, color=COLOURS[name])
     memory.set(xlabel="scans", ylabel="resident memory [MB]", ylim=(0, None), title="memory")
     latency.set(xlabel="scans", ylabel="p99 of a hundred scans [ms]", ylim=(0, None), title="processor time of a scan")
-    memory.legend(frameon=False, fontsize=8)
-    latency.legend(frameon=False, fontsize=8)
+    figure.legend(frameon=False, fontsize=8, loc="outside right center")
     run.save_picture(figure, path, run.caption(record["environment"]))
 
 

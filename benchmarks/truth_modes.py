@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import GridSpec
+from ogm.colours import colours
 from ogm.pose import pose
 from ogm.simulation.cells import Below, measure_ground
 from ogm.simulation.dataset import SceneSetup, World, truth_of
@@ -41,7 +42,7 @@ LAYERS, STEP, SECTOR = 12000, 0.02, 5.0  # of the reference: layers, [deg], [deg
 SECTORS = (25.0, 115.0, 205.0, 295.0)  # [deg] of the reference; they turn by 10 degrees per frame
 MODES = ("hd", "aimed")
 PUBLISHED = {"free": "25 to 36 %", "occupied": "0.9 to 2.5 %", "unknown": "63 to 74 %"}
-COLOURS = ListedColormap(("black", "#3a9a4a", "#e03030", "#707070", "white"))
+COLOURS = ListedColormap(("black", colours().free, colours().occupied, "#707070", "white"))
 NOTE = (
     "Shares count cells of the reference's sectors by what the reference, which sees more than either mode, finds "
     "in them. A cell that an obstacle only touches counts as occupied there, so that no mode reaches 100 %. "
