@@ -38,7 +38,8 @@ def object_store(url: str, storage: Mapping[str, str]) -> Any:
             f'{url} lies in an object store, which needs obstore ({error}): pip install "ogm-toolkit[world]"'
         ) from error
     client: Any = {"allow_http": True} if storage.get("endpoint", "").startswith("http://") else None
-    return from_url(url, config=dict(storage), client_options=client)
+    config: Any = dict(storage)
+    return from_url(url, config=config, client_options=client)
 
 
 def as_path(place: "str | os.PathLike[str] | ObjectPath", storage: Mapping[str, str] | None = None) -> Any:
