@@ -86,6 +86,10 @@ class ObjectPath:
         Of an object, below the URL.
     """
 
+    url: str
+    storage: dict[str, str]
+    key: str
+
     def __init__(self, url: str, storage: Mapping[str, str] | None = None, key: str = "") -> None:
         self.url, self.storage, self.key = url.rstrip("/"), dict(storage or {}), key
 
@@ -154,6 +158,10 @@ class KeptObjects:
     url : str
     storage : mapping of str to str
     """
+
+    url: str
+    requests: int
+    bytes: int
 
     def __init__(self, url: str, storage: Mapping[str, str]) -> None:
         self.url, self._store = url, object_store(url, storage)

@@ -147,7 +147,7 @@ class EgoMotion:
         self._limits = {count: 2 * float(quantile(count / 2, gate)) for count in (1, 2, 3)}
         self._patience = patience
         self._in_a_row = dict.fromkeys(("speed", "yaw_rate", "position", "pose"), 0)
-        self.refused = dict.fromkeys(self._in_a_row, 0)
+        self.refused: dict[str, int] = dict.fromkeys(self._in_a_row, 0)
         self.stamp = float(stamp)
         self._nodes: list[_Node] = []
         self._note(np.zeros((5, 5)))

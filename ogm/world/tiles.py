@@ -36,13 +36,21 @@ class TileStore:
         Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
     """
 
+    url: str
+    layout: WorldLayout
+    crs: str | None
+    writer: str
+    storage: dict[str, str]
+    root: Any  # zarr.Group
+    store: Any  # zarr.abc.store.Store
+
     def __init__(
         self, url: Url, root: Any, attributes: Mapping[str, Any], storage: Mapping[str, str] | None = None
     ) -> None:
         self.storage, self.writer = dict(storage or {}), ""
         self.url, self.root, self.store = str(url), root, root.store
         self.layout = WorldLayout(**{one.name: attributes[one.name] for one in fields(WorldLayout)})
-        self.crs: str | None = attributes["crs"]
+        self.crs = attributes["crs"]
         self._arrays: dict[str, Any] = {}
 
     @classmethod

@@ -149,8 +149,8 @@ def _may_enter(
     if junction >= 0 and s.phases[junction] > 0 and t.phase[lane] >= 0 and red:
         return False
     if t.fork[d.route[i, last]]:
-        room: bool = t.fork[d.route[i, first - 1]] or queue.inside[junction] < t.most[junction]
-        return room
+        fits: bool = t.fork[d.route[i, first - 1]] or queue.inside[junction] < t.most[junction]
+        return fits
     # space behind the junction, so that no vehicle stops in it
     space = d.start[i, last + 1] - d.x[i] + d.length[i] + 1.0
     round_trip = t.phase[d.route[i, last]] < 0 and limits.pace[i] > 1.0
