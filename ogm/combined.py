@@ -165,7 +165,7 @@ class CombinedISM:
         a, b = (np.ascontiguousarray(mass, np.float32) for mass in masses)
         out = np.empty_like(a)
         numbers = [_numbers(*self._weights[k], self.keep_hits == 1 - k) for k in (0, 1)]
-        _combine_two(a.reshape(-1), b.reshape(-1), out.reshape(-1), *numbers, rule)
+        _combine_two(a.reshape(-1), b.reshape(-1), out.reshape(-1), numbers[0], numbers[1], rule)
         return out
 
     def _by_arrays(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -181,7 +181,8 @@ class CombinedISM:
                 left[k, ..., 0][masses[self.keep_hits][..., 1] > HIT] = 0
             left[k] *= np.array(reliability, np.float32)
         if len(left) == 1:
-            return left[0]
+            alone: NDArray[np.float32] = left[0]
+            return alone
         combined = np.asarray(self.rule(left, axis=0), np.float32)
         check_mass(combined, name="the combined mass")
         return combined

@@ -272,6 +272,6 @@ def _velocity(xy: NDArray[np.float64], doppler: NDArray[np.float32], noise: floa
     for _ in range(2):
         if best.sum() < max(LEAST, len(rate) / 2):
             return None
-        velocity = np.linalg.lstsq(unit[best], -rate[best], rcond=1e-3)[0]
+        velocity: NDArray[np.float64] = np.linalg.lstsq(unit[best], -rate[best], rcond=1e-3)[0]
         best = np.abs(rate + unit @ velocity) < 4 * noise
     return velocity

@@ -105,7 +105,8 @@ class DynamicGrid:
     @cached_property
     def unknown(self) -> NDArray[np.float32]:
         """Mass of the whole frame, (nx, ny) in [0, 1]: what the others leave of 1."""
-        return np.maximum(1 - self.free - self.occupied, 0)
+        unknown: NDArray[np.float32] = np.maximum(1 - self.free - self.occupied, 0)
+        return unknown
 
     @cached_property
     def speed(self) -> NDArray[np.float32]:

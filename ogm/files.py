@@ -15,7 +15,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from ogm.locks import locked, sweep, try_lock
 
@@ -31,7 +31,7 @@ class OgmError(ValueError):
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO]:
+def atomic_write(path: str | os.PathLike[str], mode: str = "wb") -> Iterator[IO[Any]]:
     """Open a file that appears under its name only when all of it has been written.
 
     The bytes go to a temporary file in the same folder; the end of the ``with`` block flushes it to disk and
@@ -134,7 +134,7 @@ def _temporary_name(folder: Path) -> Path:
 
 
 @contextmanager
-def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO, Callable[[], Path]]]:
+def _unnamed(target: Path, mode: str) -> Iterator[tuple[IO[Any], Callable[[], Path]]]:
     """Open a temporary file in a folder; give it, and a function that names it and returns the name.
 
     Where the system can (Linux, most file systems), the file has no name before, so that nothing of it stays when the
@@ -175,7 +175,7 @@ def update_hint(found: object, *known: str) -> str:
     return ": it comes from a newer release of ogm; update ogm (pip install --upgrade ogm-toolkit)"
 
 
-def _named(temporary: Path, mode: str, encoding: str | None) -> IO:
+def _named(temporary: Path, mode: str, encoding: str | None) -> IO[Any]:
     """Open a new file and lock it, so that no other process sweeps it."""
     while True:
         file = open(temporary, mode, encoding=encoding)  # noqa: SIM115

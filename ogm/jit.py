@@ -8,15 +8,26 @@ import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from numba import njit
 
 __all__ = ["inline", "kernel", "log_compilation", "vector"]
 
-kernel: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy")
-inline: Callable[..., Any] = njit(cache=True, nogil=True, error_model="numpy", inline="always")
-vector: Callable[..., Any] = njit(  # for loops whose input holds no NaN
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class Compiler(Protocol):
+    """A decorator that compiles a function; types are checked as if it did not."""
+
+    def __call__(self, function: Function, /) -> Function:
+        """Return the compiled function."""
+
+
+_njit: Any = njit  # its dispatchers hide the types of what they call
+kernel: Compiler = _njit(cache=True, nogil=True, error_model="numpy")
+inline: Compiler = _njit(cache=True, nogil=True, error_model="numpy", inline="always")
+vector: Compiler = _njit(  # for loops whose input holds no NaN
     cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "nnan"}
 )
 

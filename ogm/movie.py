@@ -226,7 +226,7 @@ def _apng(file: IO[bytes], size: tuple[int, int]) -> Iterator[_Write]:
     frames = 0
     file.write(b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">IIBBBBB", *size, 8, 3, 0, 0, 0)))
     counted_at = file.tell()
-    file.write(_chunk(b"acTL", struct.pack(">II", 1, 0)) + _chunk(b"PLTE", bytes(palette().getpalette())))
+    file.write(_chunk(b"acTL", struct.pack(">II", 1, 0)) + _chunk(b"PLTE", bytes(palette().getpalette() or ())))
 
     def write(frame: Image.Image, seconds: float) -> None:
         nonlocal frames

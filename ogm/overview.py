@@ -38,7 +38,7 @@ def mass_to_bytes(mass: NDArray[np.floating]) -> NDArray[np.uint8]:
     (..., 2) uint8
         Their sum is at most 255.
     """
-    steps = np.rint(mass * np.float32(FULL)).astype(np.uint8)
+    steps: NDArray[np.uint8] = np.rint(mass * np.float32(FULL)).astype(np.uint8)
     free, occupied = steps[..., 0], steps[..., 1]
     np.minimum(free, FULL - occupied, out=free)  # both of (0.5, 0.5) are rounded up
     return steps

@@ -143,7 +143,8 @@ def cluster(scheduler: str) -> Iterator[tuple[Submit, int]]:
     except ImportError as error:
         text = f'a scheduler needs Dask, which is missing ({error}): pip install "ogm-toolkit[world]"'
         raise ImportError(text) from error
-    with Client(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:
+    connect: Any = Client  # without types
+    with connect(scheduler, timeout=SCHEDULER_TIMEOUT, set_as_default=False) as client:
         count = len(client.ncores())
         if not count:
             raise OSError(f"the scheduler {scheduler} has no workers; start some with `dask worker {scheduler}`")

@@ -161,7 +161,8 @@ def rotate(R: NDArray[np.float64], xyz: NDArray[Any]) -> NDArray[np.float64]:
     -------
     (3, N) float64
     """
-    return np.einsum("ij,jn->in", R, np.ascontiguousarray(xyz, np.float64))
+    turned: NDArray[np.float64] = np.einsum("ij,jn->in", R, np.ascontiguousarray(xyz, np.float64))
+    return turned
 
 
 def _interpolate(t: NDArray[np.float64], T: NDArray[np.float64], at: ArrayLike) -> NDArray[np.float64]:

@@ -38,7 +38,8 @@ def object_store(url: str, storage: Mapping[str, str]) -> Any:
             f'{url} lies in an object store, which needs obstore ({error}): pip install "ogm-toolkit[world]"'
         ) from error
     client: Any = {"allow_http": True} if storage.get("endpoint", "").startswith("http://") else None
-    return from_url(url, config=dict(storage), client_options=client)
+    config: Any = dict(storage)
+    return from_url(url, config=config, client_options=client)
 
 
 def as_path(place: "str | os.PathLike[str] | ObjectPath", storage: Mapping[str, str] | None = None) -> Any:
@@ -84,6 +85,10 @@ class ObjectPath:
     key : str
         Of an object, below the URL.
     """
+
+    url: str
+    storage: dict[str, str]
+    key: str
 
     def __init__(self, url: str, storage: Mapping[str, str] | None = None, key: str = "") -> None:
         self.url, self.storage, self.key = url.rstrip("/"), dict(storage or {}), key
@@ -153,6 +158,10 @@ class KeptObjects:
     url : str
     storage : mapping of str to str
     """
+
+    url: str
+    requests: int
+    bytes: int
 
     def __init__(self, url: str, storage: Mapping[str, str]) -> None:
         self.url, self._store = url, object_store(url, storage)

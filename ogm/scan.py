@@ -163,7 +163,8 @@ def _checked_points(points: Any) -> NDArray[np.float32]:
         raise ValueError(f"points must have shape (N, 4), {columns}, got {points.shape}")
     if points.shape[1] == 3:
         points = np.concatenate([points, np.zeros((len(points), 1), points.dtype)], axis=1)
-    return points.astype(np.float32, copy=False)
+    checked: NDArray[np.float32] = points.astype(np.float32, copy=False)
+    return checked
 
 
 @dataclass(frozen=True, eq=False)

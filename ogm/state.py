@@ -47,10 +47,11 @@ class OnDemand(Generic[T_co]):
             if not self.default:
                 raise AttributeError(self.name[1:])
             return self.default[0]
-        value = instance.__dict__[self.name]
+        value: Any = instance.__dict__[self.name]
         if callable(value):
             value = instance.__dict__[self.name] = value()
-        return value
+        field: T_co = value
+        return field
 
     def __set__(self, instance: Any, value: T_co | Callable[[], T_co]) -> None:
         instance.__dict__[self.name] = value
@@ -195,12 +196,14 @@ class Truth:
     @property
     def known(self) -> NDArray[np.bool_]:
         """Cells that are free or occupied, (nx, ny)."""
-        return (self.state == CellState.FREE) | (self.state == CellState.OCCUPIED)
+        known: NDArray[np.bool_] = (self.state == CellState.FREE) | (self.state == CellState.OCCUPIED)
+        return known
 
     @property
     def ignored(self) -> NDArray[np.bool_]:
         """Cells about which the truth makes no statement, (nx, ny): losses and metrics leave them out."""
-        return self.state == CellState.IGNORE
+        ignored: NDArray[np.bool_] = self.state == CellState.IGNORE
+        return ignored
 
     @cached_property
     def grid(self) -> EvidentialGrid:

@@ -30,7 +30,7 @@ class ColourSet(StrEnum):
     PAPER = "paper"
 
 
-app = typer.Typer(
+app: typer.Typer = typer.Typer(
     name="ogm",
     help="Evidential occupancy grid maps from lidar and radar: free, occupied, and, as a number of its own, unknown.",
     no_args_is_help=True,

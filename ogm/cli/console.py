@@ -55,8 +55,8 @@ class SafeFormatter(logging.Formatter):
         return printable(super().format(record))
 
 
-out = SafeConsole(highlight=False)
-stderr = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
+out: SafeConsole = SafeConsole(highlight=False)
+stderr: SafeConsole = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 
 def chosen_model(name: str | None, spec: "GridSpec") -> str:

@@ -187,10 +187,12 @@ def _numbers(dataset: "Dataset", samples: int | None, every: int, seed: int) -> 
         raise ValueError(f"--every must be at least 1, got {every}")
     numbers = np.array(dataset.with_truth, int)[::every]
     if samples is None:
-        return numbers.tolist()
+        every_one: list[int] = numbers.tolist()
+        return every_one
     if not 1 <= samples <= len(numbers):
         raise ValueError(f"--samples must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}")
-    return np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False)).tolist()
+    chosen: list[int] = np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False)).tolist()
+    return chosen
 
 
 def _methods(

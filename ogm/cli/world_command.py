@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["world_app"]
 
-world_app = typer.Typer(
+world_app: typer.Typer = typer.Typer(
     name="world",
     help="Maps of a whole city: tiles in a folder or an object store, built from many drives.",
     no_args_is_help=True,

@@ -179,7 +179,7 @@ def training_ranges(dataset: PillarDataset, count: int = 300) -> dict[str, tuple
         chosen = np.flatnonzero(np.isin(shards, every[np.linspace(0, len(every) - 1, several).astype(int)]))[:count]
     for i in np.unique(chosen).tolist():
         frame = dataset.frames[i]
-        (batch,) = PillarDataset([frame], dataset.spec, PLAIN, dataset.z_range)
+        batch = PillarDataset([frame], dataset.spec, PLAIN, dataset.z_range)[0]
         intensity = batch.pillars.features[:, 3]
         mean = float(intensity.mean()) if len(intensity) else 0.0
         rows.append((frame.mount.sensor_height, len(frame.scan), mean))
@@ -264,11 +264,12 @@ def augment(
 
 def _in_sector(x: NDArray[Any], y: NDArray[Any], middle: float, half: float) -> NDArray[np.bool_]:
     """Return whether places are within an angle of a bearing, as seen from x = y = 0."""
-    return np.cos(np.arctan2(y, x) - middle) >= np.cos(half)
+    inside: NDArray[np.bool_] = np.cos(np.arctan2(y, x) - middle) >= np.cos(half)
+    return inside
 
 
 @kernel
-def _disturb(points: NDArray[Any], errors: NDArray[Any], T: NDArray[Any], gain: float) -> None:
+def _disturb(points: NDArray[Any], errors: NDArray[Any], T: NDArray[Any], gain: np.float32) -> None:
     """Add errors along the rays, apply T, and scale the intensities, in place."""
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]

@@ -27,7 +27,7 @@ def read_description(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _MAX_SIZE:
             raise ValueError(f"it has {path.stat().st_size} bytes")
-        description = json.loads(path.read_bytes())
+        description: dict[str, Any] = json.loads(path.read_bytes())
         found = description["format"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise OgmError(f"{path} is no description of a network ({error!r})") from error

@@ -86,7 +86,10 @@ def load_engine(
             raise ValueError("threads are not for the engine torch: torch.set_num_threads sets them")
         load_network, TorchEngine = _of_torch()
         network, description = load_network(path)
-        return TorchEngine(network, device=device, compile=compile, precision=precision, description=description)
+        of_weights: Engine = TorchEngine(
+            network, device=device, compile=compile, precision=precision, description=description
+        )
+        return of_weights
 
 
 @contextmanager

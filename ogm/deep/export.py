@@ -124,7 +124,7 @@ class _Masses(nn.Module):
         x = self.network.quarters(feature_map.permute(0, 3, 1, 2), sensor_coords)
         e = softplus_of_parts(x) if self.network.config.evidence == "softplus" else torch.relu(x)
         e = pixel_shuffle(e, 2)
-        free, occupied = e.split(1, dim=1)
+        free, occupied = torch.split(e, 1, dim=1)
         return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
 
 
@@ -152,7 +152,7 @@ def traced(
     module: nn.Module,
     inputs: Mapping[str, torch.Tensor],
     output: str,
-    shapes: Mapping[str, Any] | None,
+    shapes: dict[str, Any] | None,
     metadata: Mapping[str, str],
     about: str,
 ) -> Any:
@@ -187,6 +187,7 @@ def traced(
             output_names=[output],
             dynamic_shapes=shapes,
         )
+    assert program is not None  # as dynamo is given
     model = program.model_proto
     graph = model.graph
     del model.metadata_props[:], graph.metadata_props[:]
@@ -213,7 +214,8 @@ def _input(network: PillarNetwork) -> dict[str, str]:
 
 def _channels(network: PillarNetwork) -> int:
     """Return the channels of the feature map: the inputs of the first convolution."""
-    first = network.blocks[0][0][0]
+    block: Any = network.blocks[0]
+    first = block[0][0]
     return int(getattr(first, "conv", first).in_channels)
 
 

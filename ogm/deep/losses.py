@@ -74,7 +74,8 @@ def reverse_kl(evidence: Tensor, target: Tensor, strength: float = 10.0) -> Tens
     A cell whose loss is not used has the gradient 0 even where its evidence is NaN.
     """
     _check_positive("strength", strength)
-    loss: Tensor = _ReverseKL.apply(*_checked(evidence, target.detach()), float(strength))
+    apply: Any = _ReverseKL.apply
+    loss: Tensor = apply(*_checked(evidence, target.detach()), float(strength))
     return loss
 
 
@@ -178,7 +179,7 @@ def masked_mean(loss: Tensor, valid: Tensor, weight: Tensor | None = None) -> Te
     for name, tensor in (("valid", valid), ("weight", weight)):
         if tensor is not None and tensor.shape != loss.shape:
             raise ValueError(f"{name} must have the loss's shape {tuple(loss.shape)}, got {tuple(tensor.shape)}")
-    kept = torch.where(valid, *_precise(loss), 0)
+    kept = torch.where(valid, _precise(loss)[0], 0)
     if weight is not None:
         kept = kept * weight
     return kept.sum() / valid.sum().clamp(min=1)

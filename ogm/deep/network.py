@@ -8,8 +8,9 @@ full resolution of the grid.
 """
 
 import copy
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 import torch
@@ -82,7 +83,7 @@ class NetworkConfig:
     @property
     def stride(self) -> int:
         """Both sides of the grid must be whole multiples of this many cells."""
-        return 2 ** len(self.blocks)
+        return 1 << len(self.blocks)
 
     def build(self, spec: GridSpec) -> "PillarNetwork":
         """Return a network of these sizes for a grid, with random weights."""
@@ -119,6 +120,7 @@ class PillarNetwork(nn.Module):
     blocks: nn.ModuleList
     join: "AddNeck | ConcatenateNeck"
     head: nn.Conv2d
+    sensor_coords: torch.Tensor  # if config.bearings
 
     def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
         super().__init__()
@@ -136,7 +138,8 @@ class PillarNetwork(nn.Module):
         last = channels[0] if added else config.up * len(channels)
         self.head = nn.Conv2d(last, 2 * 4, 3, padding=1)
         if config.evidence == "softplus":  # begin near the usual: much free, little occupied
-            self.head.bias.data[:] = torch.tensor([2.0] * 4 + [-1.0] * 4)
+            bias: Any = self.head.bias
+            bias.data[:] = torch.tensor([2.0] * 4 + [-1.0] * 4)
         if config.bearings:
             coords = torch.from_numpy(sensor_coords(spec)).contiguous(memory_format=torch.channels_last)
             self.register_buffer("sensor_coords", coords, persistent=False)
@@ -164,7 +167,8 @@ class PillarNetwork(nn.Module):
         The masses of rays, if the network takes them, are the last two channels.
         """
         nx, ny = self.spec.shape
-        features, width = self.pillar(pillars.features, pillars.lengths), self.config.pillar
+        features: torch.Tensor = self.pillar(pillars.features, pillars.lengths)
+        width = self.config.pillar
         x = features.new_zeros(pillars.batch * nx * ny, width + 2 * self.config.rays)
         x[:, :width].index_copy_(0, pillars.cells, features)
         if self.config.rays:
@@ -187,7 +191,7 @@ class PillarNetwork(nn.Module):
         """
         scales = []
         x = feature_map
-        for k, block in enumerate(self.blocks):
+        for k, block in enumerate(cast("Iterable[nn.Sequential]", self.blocks)):
             x = block[0](x)
             if k == 1 and self.bearings is not None:
                 x = x + self.bearings(self.sensor_coords if sensor_coords is None else sensor_coords)
@@ -197,7 +201,7 @@ class PillarNetwork(nn.Module):
 
     def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
         """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
-        weights = self.head.weight.split([part.shape[1] for part in parts], dim=1)
+        weights = torch.split(self.head.weight, [part.shape[1] for part in parts], dim=1)
         x = conv2d(parts[0], weights[0], self.head.bias, padding=1)
         for part, weight in zip(parts[1:], weights[1:], strict=True):
             x += conv2d(part, weight, padding=1)
@@ -206,6 +210,8 @@ class PillarNetwork(nn.Module):
 
 class PillarFeatures(nn.Module):
     """The paper's pillar feature net: a linear layer for each point, and the largest of each pillar's."""
+
+    scale: torch.Tensor | None
 
     def __init__(self, channels: int, scale: tuple[float, ...]) -> None:
         super().__init__()
@@ -216,7 +222,8 @@ class PillarFeatures(nn.Module):
 
     def forward(self, features: torch.Tensor, lengths: torch.Tensor) -> torch.Tensor:
         """Return (P, channels) from (N, 9) features of points sorted by pillar, and the pillars' lengths."""
-        x, norm = self.linear(features if self.scale is None else features * self.scale), self.norm
+        norm: Any = self.norm
+        x: torch.Tensor = self.linear(features if self.scale is None else features * self.scale)
         if len(features) < 2 and self.training:  # no statistics of one point
             x = batch_norm(x, norm.running_mean, norm.running_var, norm.weight, norm.bias, eps=norm.eps)
         else:
@@ -274,10 +281,14 @@ class ConvReLU(nn.Module):
         if plain or torch.compiler.is_compiling() or torch.onnx.is_in_onnx_export():
             return relu(conv(x), inplace=True)
         numbers = conv.padding, conv.stride, conv.dilation, conv.groups
-        return torch.ops.mkldnn._convolution_pointwise(x, conv.weight, conv.bias, *numbers, "relu", [], None)
+        whole: torch.Tensor = torch.ops.mkldnn._convolution_pointwise(
+            x, conv.weight, conv.bias, *numbers, "relu", [], None
+        )
+        return whole
 
 
-_ONEDNN = torch.backends.mkldnn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
+_onednn: Any = torch.backends.mkldnn
+_ONEDNN = _onednn.is_available() and hasattr(torch.ops.mkldnn, "_convolution_pointwise")
 
 
 def _norm(channels: int) -> nn.BatchNorm2d:
@@ -299,22 +310,25 @@ def fused(network: PillarNetwork) -> PillarNetwork:
     """Return a copy for inference: normalisation folded into the layers before it, channels last in memory."""
     result = copy.deepcopy(network).eval()
     fold_norms(result)
-    pillar = result.pillar
+    pillar: Any = result.pillar
     pillar.linear = fuse_linear_bn_eval(pillar.linear, pillar.norm)
     pillar.linear.weight.data *= pillar.scale
     pillar.scale, pillar.norm = None, nn.Identity()
-    return result.to(memory_format=torch.channels_last)
+    convert: Any = result.to  # torch declares no memory_format
+    converted: PillarNetwork = convert(memory_format=torch.channels_last)
+    return converted
 
 
 def fold_norms(network: nn.Module) -> None:
     """Fold the normalisation of a network in evaluation mode into the convolutions before it, in place."""
     for module in network.modules():
         if isinstance(module, nn.Sequential) and len(module) > 1 and isinstance(module[1], nn.BatchNorm2d):
-            transposed = isinstance(module[0], nn.ConvTranspose2d)
-            module[0] = fuse_conv_bn_eval(module[0], module[1], transpose=transposed)
-            module[1] = nn.Identity()
+            conv: Any = module[0]
+            transposed = isinstance(conv, nn.ConvTranspose2d)
+            conv = fuse_conv_bn_eval(conv, module[1], transpose=transposed)
+            module[0], module[1] = conv, nn.Identity()
             if not transposed:
-                module[0], module[2] = ConvReLU(module[0]), nn.Identity()
+                module[0], module[2] = ConvReLU(conv), nn.Identity()
 
 
 @torch.no_grad()

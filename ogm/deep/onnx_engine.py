@@ -178,7 +178,7 @@ def onnxruntime_session(data: bytes, threads: int, output: str = "mass") -> tupl
     session = runtime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
 
     def run(inputs: Inputs) -> NDArray[np.float32]:
-        (result,) = session.run([output], inputs)
+        result: NDArray[np.float32] = session.run([output], inputs)[0]
         return result
 
     return run, {one.name for one in session.get_inputs()}
@@ -198,7 +198,8 @@ def _openvino(data: bytes, precision: str, threads: int) -> tuple[Session, set[s
 
     def run(inputs: Inputs) -> NDArray[np.float32]:
         with lock:  # a request serves one thread at a time
-            return request.infer(dict(inputs), share_inputs=True)["mass"].copy()
+            result: NDArray[np.float32] = request.infer(dict(inputs), share_inputs=True)["mass"].copy()
+            return result
 
     return run, {one.any_name for one in compiled.inputs}
 

@@ -75,7 +75,8 @@ def pillarize(
     Pillars
         On the CPU.
     """
-    return Pillars(*map(torch.from_numpy, sort_points(points, spec, z_range, ego_footprint, T)))
+    features, lengths, cells = sort_points(points, spec, z_range, ego_footprint, T)
+    return Pillars(torch.from_numpy(features), torch.from_numpy(lengths), torch.from_numpy(cells))
 
 
 def pillarize_torch(

@@ -21,7 +21,7 @@ from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
 from ogm.deep.export import softplus_of_parts, traced, write_model
 from ogm.deep.network import fold_norms
 from ogm.deep.onnx_file import weights_sum
-from ogm.deep.polar import CHANNELS
+from ogm.deep.polar import CHANNELS, RadarGrid
 from ogm.deep.radar_network import RadarNetwork
 from ogm.deep.radar_onnx import FORMAT
 
@@ -43,6 +43,10 @@ class TorchRadarEngine:
     description : dict
     """
 
+    description: dict[str, Any]
+    network: RadarNetwork
+
+    polar: RadarGrid
     description: dict[str, Any]
     network: RadarNetwork
 

@@ -37,7 +37,7 @@ class RadarConfig:
     @property
     def stride(self) -> int:
         """Both sides of the polar grid must be whole multiples of this many cells."""
-        return 2 ** len(self.blocks)
+        return 1 << len(self.blocks)
 
     def build(self, spec: RadarGrid) -> "RadarNetwork":
         """Return a network of these sizes, with random weights."""
@@ -77,7 +77,8 @@ class RadarNetwork(nn.Module):
         )
         self.join = AddNeck(channels)
         self.head: nn.Conv2d = nn.Conv2d(channels[0], 2 * 4, 3, padding=1)
-        self.head.bias.data[:] = torch.tensor([1.0] * 4 + [-1.0] * 4)  # begin near the usual
+        bias: Any = self.head.bias
+        bias.data[:] = torch.tensor([1.0] * 4 + [-1.0] * 4)  # begin near the usual
 
     def forward(self, inputs: tuple[torch.Tensor, torch.Tensor]) -> torch.Tensor:
         """Return the evidence of places, (batch, N, 2).

@@ -33,8 +33,13 @@ __all__ = ["TrainingBatch", "TrainingRun", "draw_predictions", "nonfinite_loss_e
 class TrainingBatch(Protocol):
     """Some frames, ready for a network: pillars of lidars, or polar grids of radars."""
 
-    state: torch.Tensor
-    numbers: list[int]
+    @property
+    def state(self) -> torch.Tensor:
+        """True states, (batch, ...) uint8."""
+
+    @property
+    def numbers(self) -> list[int]:
+        """The frames' numbers."""
 
     def inputs(self, device: torch.device) -> Any:
         """Return what the network takes, on a device."""
@@ -106,10 +111,11 @@ class TrainingRun:
             "processes": str(fabric.world_size),
         }
         torch.manual_seed(recipe.seed)
-        self.network = recipe.network.build(spec).to(memory_format=torch.channels_last)
+        build: Any = recipe.network.build  # torch declares no memory_format
+        self.network = build(spec).to(memory_format=torch.channels_last)
         if initial is not None:
             copy_weights(initial, self.network)
-        average = recipe.network.build(spec).to(memory_format=torch.channels_last)
+        average = build(spec).to(memory_format=torch.channels_last)
         average.load_state_dict(self.network.state_dict())
         optimizer = torch.optim.AdamW(self.network.parameters(), recipe.learning_rate, weight_decay=recipe.weight_decay)
         self._model, self.optimizer = fabric.setup(self.network, optimizer)

@@ -83,14 +83,15 @@ def chart_data(record: Mapping[str, Any], shown: Iterable[int]) -> dict[str, Any
             if (pair := record["paired"].get(f"{first_name} against {second}"))
         },
     }
-    return as_json(data, digits=4) | {"grid": record["grid"]}
+    charted: dict[str, Any] = as_json(data, digits=4) | {"grid": record["grid"]}
+    return charted
 
 
 def _follows(before: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
     """Return whether a frame was taken soon after the one before, in the same sequence."""
     if before["sequence"] != here["sequence"] or None in (before["stamp"], here["stamp"]):
         return False
-    return 0 < here["stamp"] - before["stamp"] <= GAP
+    return bool(0 < here["stamp"] - before["stamp"] <= GAP)
 
 
 def _row(one: Mapping[str, Any]) -> list[float | None]:

@@ -111,7 +111,8 @@ class Likelihood:
         return {name: float(values.mean()) for name, values in means.items() if len(values)}
 
     def _mass(self, one: LabelledScan, parameters: Mapping[str, float]) -> NDArray[np.float32]:
-        return self._class(self._spec, one.mount, **parameters)(one.scan).mass
+        mass: NDArray[np.float32] = self._class(self._spec, one.mount, **parameters)(one.scan).mass
+        return mass
 
     def _of_frames(self, function: Any) -> list[Any]:
         if self._threads == 1:

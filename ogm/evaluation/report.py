@@ -194,4 +194,5 @@ def _frames_to_show(result: Evaluation, most: int) -> list[int]:
         between = order[best : len(order) - worst]
         places = np.linspace(0, len(between) - 1, most - worst - best).round().astype(int)
         order = np.concatenate([order[:best], between[places], order[len(order) - worst :]])
-    return np.sort(order).tolist()
+    frames: list[int] = np.sort(order).tolist()
+    return frames

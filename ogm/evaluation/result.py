@@ -111,7 +111,8 @@ class Evaluation:
             raise KeyError(f"there is no method {method!r} here, only {', '.join(self.methods)}")
         if metric not in self.values:
             raise KeyError(f"there is no metric {metric!r}, only {', '.join(self.values)}")
-        return self.values[metric][self.methods.index(method)]
+        values: NDArray[np.float64] = self.values[metric][self.methods.index(method)]
+        return values
 
     def select(self, methods: Sequence[str]) -> Self:
         """Return the evaluation of some of the methods."""

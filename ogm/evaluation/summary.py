@@ -16,7 +16,7 @@ def best_value(record: Record, metric: str, kind: str = "macro") -> float | None
     better = record["metrics"][metric]["better"]
     found = [one[kind][metric] for one in record["methods"].values()]
     values = [one["value"] if isinstance(one, Mapping) else one for one in found]
-    kept = [value for value in values if value is not None]
+    kept: list[float] = [value for value in values if value is not None]
     if not better or not kept or len(values) == 1:
         return None
     return min(kept) if better == "lower" else max(kept)

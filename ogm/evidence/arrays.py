@@ -228,16 +228,22 @@ def open_sources(
     return xp, list(zip(*stacks, strict=True))
 
 
-def stack_last(xp: Any, numbers: list[Any], mass: Any) -> Any:
+def stack_last(xp: Any, numbers: list[Any], mass: Array) -> Array:
     """Stack numbers per cell on a new last axis, in the dtype of `mass`."""
-    if xp is np:
-        return np.stack(np.broadcast_arrays(*numbers), axis=-1).astype(mass.dtype, copy=False)
-    return xp.stack(xp.broadcast_tensors(*numbers), dim=-1).to(mass.dtype)
+    given: Any = mass
+    if xp is not np:
+        tensor: Array = xp.stack(xp.broadcast_tensors(*numbers), dim=-1).to(given.dtype)
+        return tensor
+    together: Any = np.stack(np.broadcast_arrays(*numbers), axis=-1)
+    array: Array = together.astype(given.dtype, copy=False)
+    return array
 
 
-def per_cell(value: Any, mass: Any) -> Any:
+def per_cell(value: Any, mass: Array) -> Array:
     """Return one number per cell in the dtype of `mass` (numpy 1 would widen a lone float32)."""
-    return value.astype(mass.dtype, copy=False) if namespace(mass) is np else value
+    given: Any = mass
+    cells: Array = value.astype(given.dtype, copy=False) if namespace(mass) is np else value
+    return cells
 
 
 def _outside(values: Any) -> Any:
@@ -306,4 +312,5 @@ def renormalize(mass: Array) -> Array:
         refuse(~np.isfinite(given), given, "mass", "be finite to be renormalized")
     positive = given.clip(0)
     total = positive.sum(-1)[..., None]
-    return positive / xp.where(total > 1, total, xp.ones_like(total))
+    repaired: Array = positive / xp.where(total > 1, total, xp.ones_like(total))
+    return repaired

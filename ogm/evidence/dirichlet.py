@@ -184,8 +184,10 @@ def _double(xp: Any, values: Any) -> Any:
     return values.astype(np.float64) if xp is np else values.double()
 
 
-def _cast(xp: Any, values: Any, alpha: Any) -> Any:
-    return values.astype(alpha.dtype) if xp is np else values.to(alpha.dtype)
+def _cast(xp: Any, values: Any, alpha: Array) -> Array:
+    given: Any = alpha
+    cast: Array = values.astype(given.dtype) if xp is np else values.to(given.dtype)
+    return cast
 
 
 def _log(xp: Any, ratio: Any, t: Any) -> Any:

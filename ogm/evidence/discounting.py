@@ -24,7 +24,8 @@ def discount(mass: Array, reliability: Any) -> Array:
     r = as_like(reliability, free, "reliability")
     if isinstance(r, float):  # the same, in one pass
         given: Any = mass
-        return given * r
+        discounted: Array = given * r
+        return discounted
     return stack_last(namespace(mass), [r * free, r * occupied], mass)
 
 

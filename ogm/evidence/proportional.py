@@ -147,7 +147,7 @@ def consensus_compromise(a: Array, b: Array | None = None, *, axis: int | None =
     return stack_last(xp, [agreed_free + share * free, agreed_occupied + share * occupied], a)
 
 
-def _redistribute(a: Any, b: Any, axis: int | None, share: Callable[..., list[Any]]) -> Any:
+def _redistribute(a: Array, b: Array | None, axis: int | None, share: Callable[..., list[Any]]) -> Array:
     """Sum over all ways in which every source picks a state; conflicting ones are distributed by `share`."""
     xp, parts = sources(a, b, axis)
     if len(parts) > _MAX_SOURCES:

@@ -166,8 +166,8 @@ def _mean_of_the_dogmatic(parts: list[tuple[Any, Any, Any]]) -> tuple[Any, Any]:
 
 
 def resolve(
-    xp: Any, mass: Any, free: Any, occupied: Any, none: Any, average: tuple[Any, Any], on_conflict: OnConflict
-) -> Any:
+    xp: Any, mass: Array, free: Any, occupied: Any, none: Any, average: tuple[Any, Any], on_conflict: OnConflict
+) -> Array:
     """Fill the cells of total conflict according to the policy; on entry they hold (0, 0), the vacuous mass."""
     refuse_total_conflict(none, on_conflict)
     if on_conflict in ("average", "nan"):

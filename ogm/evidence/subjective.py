@@ -201,7 +201,7 @@ def confidence_base_rate(a: Array, b: Array, base_rate_a: Any, base_rate_b: Any)
     return _weighted_rate(a, (base_rate_a, base_rate_b), (f + o, g + p))
 
 
-def _weighted_rate(mass: Any, rates: tuple[Any, Any], weights: tuple[Any, Any]) -> Any:
+def _weighted_rate(mass: Array, rates: tuple[Any, Any], weights: tuple[Any, Any]) -> Array:
     xp = namespace(mass)
     first, second = as_like(rates[0], weights[0], "base_rate_a"), as_like(rates[1], weights[0], "base_rate_b")
     total = weights[0] + weights[1]
@@ -212,11 +212,11 @@ def _weighted_rate(mass: Any, rates: tuple[Any, Any], weights: tuple[Any, Any]) 
 
 def _by_evidence(
     xp: Any,
-    mass: Any,
+    mass: Array,
     parts: list[tuple[Any, Any, Any]],
     weights: Sequence[float] | None,
     combine: Callable[[list[tuple[Any, Any, Any]]], tuple[Any, Any]],
-) -> Any:
+) -> Array:
     """Fuse n sources in terms of b / u, evidence over prior weight; average the dogmatic ones, if any."""
     weights = [1.0] * len(parts) if weights is None else list(weights)
     if len(weights) != len(parts) or not all(0 < weight < float("inf") for weight in weights):

@@ -1,7 +1,7 @@
 """Distance of cells to the nearest occupied cell, up to a cap."""
 
-# mypy: allow-untyped-defs
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.jit import vector
 
@@ -12,7 +12,7 @@ MAX_CAP = 11  # [cells] so that sums of two squares fit 8 bits
 
 
 @vector
-def capped_distance(mask, cap, out):
+def capped_distance(mask: NDArray[np.uint8], cap: float, out: NDArray[np.uint8]) -> None:
     """Fill `out` (nx, ny) uint8 with the distance to the nearest occupied cell, in steps of cap / `LEVELS`.
 
     The exact Euclidean transform, by Meijster's two passes: squares of distances along rows, then the least of them
@@ -57,7 +57,7 @@ def capped_distance(mask, cap, out):
 
 
 @vector
-def _lower(least, values, square):
+def _lower(least: NDArray[np.uint8], values: NDArray[np.uint8], square: np.uint8) -> None:
     for j in range(least.size):
         value = np.uint8(values[j] + square)
         least[j] = value if value < least[j] else least[j]

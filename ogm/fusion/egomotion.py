@@ -147,7 +147,7 @@ class EgoMotion:
         self._limits = {count: 2 * float(quantile(count / 2, gate)) for count in (1, 2, 3)}
         self._patience = patience
         self._in_a_row = dict.fromkeys(("speed", "yaw_rate", "position", "pose"), 0)
-        self.refused = dict.fromkeys(self._in_a_row, 0)
+        self.refused: dict[str, int] = dict.fromkeys(self._in_a_row, 0)
         self.stamp = float(stamp)
         self._nodes: list[_Node] = []
         self._note(np.zeros((5, 5)))
@@ -155,12 +155,14 @@ class EgoMotion:
     @property
     def state(self) -> NDArray[np.float64]:
         """x, y [m], yaw [rad], speed [m/s], yaw rate [rad/s], (5,)."""
-        return self._filter.x.copy()
+        state: NDArray[np.float64] = self._filter.x.copy()
+        return state
 
     @property
     def covariance(self) -> NDArray[np.float64]:
         """Of the state, (5, 5)."""
-        return self._filter.P.copy()
+        covariance: NDArray[np.float64] = self._filter.P.copy()
+        return covariance
 
     def speed(self, stamp: float, value: float, deviation: float) -> bool:
         """Take in a speed along the vehicle's x axis, of the wheels [m/s]; negative is backwards.
@@ -305,7 +307,8 @@ def _noise(dt: float, yaw: float, speed: float, turn: float) -> NDArray[np.float
     along, around = np.zeros((5, 2)), np.zeros((5, 2))
     along[_X, 0], along[_Y, 0], along[_SPEED, 1] = math.cos(yaw), math.sin(yaw), 1
     around[_YAW, 0] = around[_YAW_RATE, 1] = 1
-    return speed * along @ grown @ along.T + turn * around @ grown @ around.T
+    noise: NDArray[np.float64] = speed * along @ grown @ along.T + turn * around @ grown @ around.T
+    return noise
 
 
 def _symmetric(P: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,9 +1,9 @@
 """Groups of occupied cells that are near each other."""
 
-# mypy: allow-untyped-defs
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.jit import inline, kernel
 
@@ -30,7 +30,7 @@ class Groups(NamedTuple):
 
 
 @inline
-def _root(parent, run):
+def _root(parent: NDArray[np.int32], run: int) -> int:
     while parent[run] != run:
         parent[run] = parent[parent[run]]
         run = parent[run]
@@ -38,7 +38,7 @@ def _root(parent, run):
 
 
 @kernel
-def find_groups(occupied, candidates, link, min_cells):
+def find_groups(occupied: NDArray[np.uint8], candidates: NDArray[np.uint8], link: int, min_cells: int) -> Groups:
     """Find the groups of occupied cells that hold a candidate.
 
     Cells belong together if neither their rows nor their columns are more than `link` apart.
@@ -102,7 +102,7 @@ def find_groups(occupied, candidates, link, min_cells):
 
 
 @kernel
-def _collect(occupied, runs, start):
+def _collect(occupied: NDArray[np.uint8], runs: tuple[NDArray[np.int32], ...], start: NDArray[np.int32]) -> Groups:
     """Return the groups with their labels and cells."""
     row_start, first, last, parent, number = runs
     label = np.zeros(occupied.shape, np.int32)

@@ -23,28 +23,32 @@ Forget = Literal["everywhere", "observed"]
 @locked
 def spec(self: Any) -> GridSpec:
     """The window's cells now, in map coordinates."""
-    return self._window.spec
+    spec: GridSpec = self._window.spec
+    return spec
 
 
 @property  # type: ignore[misc]
 @locked
 def stamp(self: Any) -> float | None:
     """Time of the map [s]: that of the newest scan."""
-    return self._gate.stamp
+    stamp: float | None = self._gate.stamp
+    return stamp
 
 
 @property  # type: ignore[misc]
 @locked
 def T_map_vehicle(self: Any) -> NDArray[np.float64] | None:  # noqa: N802
     """Where the vehicle was at that time, (4, 4)."""
-    return self._gate.T_map_vehicle
+    T: NDArray[np.float64] | None = self._gate.T_map_vehicle
+    return T
 
 
 @property  # type: ignore[misc]
 @locked
 def scans(self: Any) -> int:
     """Number of scans in the map."""
-    return self._gate.scans
+    scans: int = self._gate.scans
+    return scans
 
 
 @locked

@@ -54,7 +54,7 @@ def locked(method: Callable[Concatenate[Any, P], R]) -> Callable[Concatenate[Any
     """Return a method that has the lock of its map while it runs."""
 
     @functools.wraps(method)
-    def with_lock(self: Any, *args: P.args, **kwargs: P.kwargs) -> R:
+    def with_lock(self: Any, /, *args: P.args, **kwargs: P.kwargs) -> R:
         with self.lock:
             return method(self, *args, **kwargs)
 

@@ -251,7 +251,8 @@ def _bounded(mass: NDArray[np.float32], min_unknown: float) -> NDArray[np.float3
     """Scale beliefs down where they leave less than `min_unknown` to unknown."""
     known = mass.sum(axis=-1, keepdims=True)
     limit = np.float32(1 - min_unknown)
-    return mass * np.minimum(1, limit / np.maximum(known, limit)).astype(np.float32)
+    bounded: NDArray[np.float32] = mass * np.minimum(1, limit / np.maximum(known, limit)).astype(np.float32)
+    return bounded
 
 
 def conflict_grid(spec: GridSpec, layers: NDArray[np.float32]) -> LayeredGrid:

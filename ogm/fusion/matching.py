@@ -214,7 +214,8 @@ def match_velocities(
 
 
 def _sigma(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+    sigma: NDArray[np.float64] = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
+    return sigma
 
 
 def _checked(

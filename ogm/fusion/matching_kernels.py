@@ -5,12 +5,13 @@ the interpolation of the sums at whole cells, so each group needs one table of s
 any velocity is then read from the tables. The sums are of whole numbers: their order does not matter.
 """
 
-# mypy: allow-untyped-defs
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.fusion.distance import LEVELS
+from ogm.fusion.groups import Groups
 from ogm.jit import kernel, vector
 
 __all__ = ["MAX_CELLS", "MatchNumbers", "match_groups"]
@@ -54,7 +55,9 @@ class MatchNumbers(NamedTuple):
 
 
 @vector
-def _sum_levels(field, x, y, reach, out):
+def _sum_levels(
+    field: NDArray[np.uint8], x: NDArray[Any], y: NDArray[Any], reach: int, out: NDArray[np.uint16]
+) -> None:
     """Fill out[a, b] with the sum of the levels at cells (x + a - reach, y + b - reach)."""
     width, side = field.shape[1], len(out)
     flat, fours = field.reshape(-1), x.size - x.size % 4
@@ -77,7 +80,7 @@ def _sum_levels(field, x, y, reach, out):
 
 
 @vector
-def _add_interpolated(sums, ratio, weight, total):
+def _add_interpolated(sums: NDArray[np.uint16], ratio: float, weight: np.float32, total: NDArray[np.float32]) -> None:
     """Add the sums of a scan, at displacements of `ratio` times those of the oldest, to the cost of velocities."""
     side, inner = len(total), len(sums) // 2
     low, share = np.empty(side, np.int32), np.empty(side, np.float32)
@@ -95,13 +98,22 @@ def _add_interpolated(sums, ratio, weight, total):
 
 
 @vector
-def _add_between(lower, upper, share, out):
+def _add_between(
+    lower: NDArray[np.float32], upper: NDArray[np.float32], share: np.float32, out: NDArray[np.float32]
+) -> None:
     for j in range(out.size):
         out[j] += lower[j] + share * (upper[j] - lower[j])
 
 
 @kernel
-def match_groups(occupied, groups, fields, ratios, expected, numbers):
+def match_groups(
+    occupied: NDArray[np.uint8],
+    groups: Groups,
+    fields: NDArray[np.uint8],
+    ratios: NDArray[np.float64],
+    expected: NDArray[np.float64],
+    numbers: MatchNumbers,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Find the velocity of least cost for each group.
 
     Parameters
@@ -163,7 +175,7 @@ def match_groups(occupied, groups, fields, ratios, expected, numbers):
 
 
 @kernel
-def _block_near(left, x, y, margin, border):
+def _block_near(left: NDArray[np.uint8], x: NDArray[Any], y: NDArray[Any], margin: int, border: int) -> None:
     """Set the cap at cells, and at those within `margin` of them."""
     nx, ny = left.shape[1] - 2 * border, left.shape[2] - 2 * border
     for k in range(len(left)):
@@ -174,7 +186,14 @@ def _block_near(left, x, y, margin, border):
 
 
 @kernel
-def _restore_near(left, fields, x, y, margin, border):
+def _restore_near(
+    left: NDArray[np.uint8],
+    fields: NDArray[np.uint8],
+    x: NDArray[np.int32],
+    y: NDArray[np.int32],
+    margin: int,
+    border: int,
+) -> None:
     """Set the distances again at cells, and at those within `margin` of them."""
     nx, ny = fields.shape[1:]
     for k in range(len(left)):
@@ -185,7 +204,7 @@ def _restore_near(left, fields, x, y, margin, border):
 
 
 @kernel
-def _some(values, most):
+def _some(values: NDArray[np.int32], most: int) -> NDArray[np.int32]:
     """Return at most so many of the values, evenly chosen."""
     if len(values) <= most:
         return values
@@ -196,7 +215,9 @@ def _some(values, most):
 
 
 @kernel
-def _least(total, surcharge, expected, numbers):
+def _least(
+    total: NDArray[np.float32], surcharge: NDArray[np.float32], expected: NDArray[np.float64], numbers: MatchNumbers
+) -> tuple[int, int]:
     """Return the node of least cost, within `gate` of the expected velocity if there is one."""
     R, step = numbers.reach, numbers.step
     gated = np.isfinite(expected[0]) and np.isfinite(expected[1])
@@ -212,7 +233,13 @@ def _least(total, surcharge, expected, numbers):
 
 
 @vector
-def _moments(total, surcharge, best, sharpness, out):
+def _moments(
+    total: NDArray[np.float32],
+    surcharge: NDArray[np.float32],
+    best: tuple[int, int],
+    sharpness: float,
+    out: NDArray[np.float64],
+) -> tuple[float, float]:
     """Return the weighted mean near the best node, relative to it; fill `out` (2, 2) with the moments about the mean.
 
     Weights are exp(-sharpness excess). Of the mean nodes within `NEAR` count, of the moments [nodes²] all.

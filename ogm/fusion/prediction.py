@@ -146,7 +146,8 @@ def _bodies(objects: Objects, spec: GridSpec, seconds: float, settings: Predicti
 def _root_of(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the symmetric square roots of covariances, (..., 2, 2)."""
     values, vectors = np.linalg.eigh(covariance)
-    return (vectors * np.sqrt(np.maximum(values, 0))[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    root: NDArray[np.float64] = (vectors * np.sqrt(np.maximum(values, 0))[..., None, :]) @ np.swapaxes(vectors, -1, -2)
+    return root
 
 
 @cache

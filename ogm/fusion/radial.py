@@ -135,4 +135,5 @@ def _medians(values: NDArray[np.float64], group: NDArray[np.int32], count: int) 
     size = np.bincount(group, minlength=count + 1)
     last = np.cumsum(size) - 1
     low, high = (np.clip(last - half, 0, len(values) - 1) for half in (size // 2, (size - 1) // 2))
-    return (in_order[low] + in_order[high]) / 2
+    medians: NDArray[np.float64] = (in_order[low] + in_order[high]) / 2
+    return medians

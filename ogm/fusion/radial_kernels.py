@@ -1,9 +1,9 @@
 """Kernels over the cells in the error ellipses of detections."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.fusion.dynamic_cells import DynamicCells
 from ogm.jit import inline, kernel
@@ -15,7 +15,7 @@ LEAST_MASS = np.float32(0.1)  # of occupied in a scan
 
 
 @inline
-def _box(row, shape):
+def _box(row: NDArray[np.float64], shape: tuple[int, int]) -> tuple[int, int, int, int]:
     """Return the cells [i0, i1) x [j0, j1) around an ellipse."""
     i0, i1 = max(math.floor(row[0] - row[6]), 0), min(math.floor(row[0] + row[6]) + 1, shape[0])
     j0, j1 = max(math.floor(row[1] - row[6]), 0), min(math.floor(row[1] + row[6]) + 1, shape[1])
@@ -23,13 +23,14 @@ def _box(row, shape):
 
 
 @inline
-def _squared(row, i, j):
+def _squared(row: NDArray[np.float64], i: int, j: int) -> float:
     """Return the squared Mahalanobis distance of a cell's middle, but 0 in the cell of the detection."""
     dx, dy = i + 0.5 - row[0], j + 0.5 - row[1]
     if abs(dx) <= 0.5 and abs(dy) <= 0.5:
         return 0.0
     along, across = row[2] * dx + row[3] * dy, row[4] * dx + row[5] * dy
-    return along * along + across * across
+    squared: float = along * along + across * across
+    return squared
 
 
 def ellipses(place: np.ndarray, direction: np.ndarray, extent: np.ndarray) -> np.ndarray:

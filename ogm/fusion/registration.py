@@ -136,7 +136,8 @@ def _cloud(
             f"scan {k} has {len(cloud)} points between {within[0]:g} and {within[1]:g} m, wanted at least "
             f"{_MIN_POINTS}: leave it out"
         )
-    return cloud.astype(np.float64)
+    kept: NDArray[np.float64] = cloud.astype(np.float64)
+    return kept
 
 
 def _kiss_icp(range_max: float) -> _Register:
@@ -184,7 +185,8 @@ def _times(step: NDArray[np.float64], share: float) -> NDArray[np.float64]:
     """Return the motion of `share` steps, at constant velocity and turn."""
     if share == 1.0:
         return step
-    return extrapolate(_last(step, 1.0), share).poses[-1]
+    T: NDArray[np.float64] = extrapolate(_last(step, 1.0), share).poses[-1]
+    return T
 
 
 def _last(step: NDArray[np.float64], duration: float) -> Trajectory:

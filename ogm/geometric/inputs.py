@@ -63,7 +63,8 @@ def to_vehicle_frame(
         _warn(invalid, len(points))
     if ego:
         _log.debug("dropped %d of %d points as returns from the ego vehicle", ego, len(points))
-    return xyz.T
+    kept: NDArray[np.float32] = xyz.T
+    return kept
 
 
 @kernel

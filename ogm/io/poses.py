@@ -234,7 +234,7 @@ def _columns(words: Sequence[str], where: str) -> int:
     return len(words)
 
 
-def _add(table: array, words: Sequence[str], columns: int, where: str) -> None:
+def _add(table: "array[float]", words: Sequence[str], columns: int, where: str) -> None:
     """Add a row of finite numbers to a table."""
     try:
         row = [float(word) for word in words]

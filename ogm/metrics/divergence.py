@@ -97,7 +97,10 @@ def to_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: fl
     """
     log_true = np.array([0.0, sums.log_free[scale, CellState.FREE], sums.log_occupied[scale, CellState.OCCUPIED]])
     known = np.array([0.0, 1.0, 1.0])
-    return np.maximum(sums.uniform_kl[scale] - known * (np.log1p(strength) * cells + strength * log_true), 0.0)
+    divergence: NDArray[np.float64] = np.maximum(
+        sums.uniform_kl[scale] - known * (np.log1p(strength) * cells + strength * log_true), 0.0
+    )
+    return divergence
 
 
 def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: float) -> NDArray[np.float64]:
@@ -113,13 +116,14 @@ def from_truth(sums: DivergenceSums, scale: int, cells: NDArray[Any], strength: 
     sure, rest = alpha - total, one - total
     offset = float(np.log1p(strength) + strength * sure)
     log_free, log_occupied = np.array([-1.0, sure, rest]), np.array([-1.0, rest, sure])
-    return np.maximum(
+    divergence: NDArray[np.float64] = np.maximum(
         sums.log_beta[scale]
         + np.array([0.0, offset, offset]) * cells
         - sums.free[scale] * log_free
         - sums.occupied[scale] * log_occupied,
         0.0,
     )
+    return divergence
 
 
 @lru_cache(maxsize=1)

@@ -22,7 +22,8 @@ def distances(spec: GridSpec) -> NDArray[np.float32]:
         Horizontal distance [m].
     """
     x, y = spec.cell_centers
-    return np.hypot(x, y).astype(np.float32)
+    ranges: NDArray[np.float32] = np.hypot(x, y).astype(np.float32)
+    return ranges
 
 
 def by_range(counts: ConfusionSums) -> dict[str, NDArray[np.float64]]:

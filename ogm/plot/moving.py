@@ -119,7 +119,8 @@ def _corners(boxes: Boxes) -> NDArray[np.float64]:
     half = boxes.size[:, None, :2] / 2 * np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])
     c, s = np.cos(boxes.yaw)[:, None], np.sin(boxes.yaw)[:, None]
     turned = np.stack([c * half[..., 0] - s * half[..., 1], s * half[..., 0] + c * half[..., 1]], axis=-1)
-    return boxes.center[:, None, :2] + turned
+    corners: NDArray[np.float64] = boxes.center[:, None, :2] + turned
+    return corners
 
 
 def heading_wheel(size: int) -> NDArray[np.uint8]:

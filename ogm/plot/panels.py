@@ -65,7 +65,8 @@ def upright(cells: NDArray[Any]) -> NDArray[Any]:
 
 def colour_bytes(colours: NDArray[Any]) -> NDArray[np.uint8]:
     """Return colours in [0, 1] as bytes."""
-    return np.round(255 * np.clip(colours, 0, 1)).astype(np.uint8)
+    rounded: NDArray[np.uint8] = np.round(255 * np.clip(colours, 0, 1)).astype(np.uint8)
+    return rounded
 
 
 def cells_panel(

@@ -176,7 +176,15 @@ def aimed_directions(
 
 
 @kernel
-def _aim(out, z, chosen, grid, aim, low, high):  # type: ignore[no-untyped-def]
+def _aim(
+    out: NDArray[np.float32],
+    z: NDArray[np.float32],
+    chosen: NDArray[np.bool_],
+    grid: tuple[float, float, float],
+    aim: Aim,
+    low: float,
+    high: float,
+) -> int:
     resolution, x0, y0 = grid
     nx, ny = z.shape
     n = 0

@@ -201,7 +201,8 @@ def _listed(here: SceneSetup, returns: NDArray[np.int64]) -> NDArray[Any]:
     rows["returns"] = returns
     distance = np.hypot(rows["x"], rows["y"])
     order = np.argsort(distance, kind="stable")
-    return rows[order[distance[order] < LISTED]]
+    listed: NDArray[Any] = rows[order[distance[order] < LISTED]]
+    return listed
 
 
 def lidars(plan: DatasetPlan) -> tuple[Beams, ...]:

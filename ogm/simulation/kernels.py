@@ -73,7 +73,7 @@ class Answer(NamedTuple):
 
 
 @inline
-def uniform(a, b):
+def uniform(a: int, b: int) -> float:
     """Return a number in [0, 1) that depends on two integers only (the finaliser of SplitMix64)."""
     z = (np.uint64(a) + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     z = z + np.uint64(b) * np.uint64(0xD1B54A32D192ED03)
@@ -84,7 +84,7 @@ def uniform(a, b):
 
 
 @kernel
-def aim(origins, directions, rotation):
+def aim(origins: NDArray[Any], directions: NDArray[Any], rotation: NDArray[Any]) -> NDArray[np.float32]:
     """Return rays (n, 6): origins (1 or n, 3), and directions turned by `rotation` (3, 3)."""
     rays = np.empty((len(directions), 6), np.float32)
     a, b, c = rotation
@@ -99,7 +99,14 @@ def aim(origins, directions, rotation):
 
 
 @kernel
-def keep_nearer(hits, index, rays, base, answer, normals):
+def keep_nearer(
+    hits: Hits,
+    index: NDArray[np.int32],
+    rays: NDArray[np.float32],
+    base: NDArray[np.float32],
+    answer: Answer,
+    normals: NDArray[np.float32],
+) -> None:
     """Where an answer is nearer than the hit so far, take it, and its normal where `normals` (N, 3) are wanted.
 
     Answer i belongs to ray `index[i]` of `hits` and to `rays[i]`, which starts `base[i]` [m] from the sensor.
@@ -119,7 +126,9 @@ def keep_nearer(hits, index, rays, base, answer, normals):
 
 
 @kernel
-def transmitted(material, transmission, first, salt, index):
+def transmitted(
+    material: NDArray[np.uint8], transmission: NDArray[Any], first: int, salt: int, index: NDArray[np.int32]
+) -> NDArray[np.int32]:
     """Return those of the rays `index` that pass through what they hit, by a hash of their number and `salt`.
 
     `material` (n,) is what each ray of a batch hit; `first` is the number of its first ray.
@@ -133,7 +142,9 @@ def transmitted(material, transmission, first, salt, index):
 
 
 @kernel
-def restart(hits, index, rays, skin):
+def restart(
+    hits: Hits, index: NDArray[np.int32], rays: NDArray[np.float32], skin: np.float32
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return rays (n, 6) that start behind what the rays `index` hit, and how far they had come; forget the hits."""
     onward, base = np.empty((len(index), 6), np.float32), np.empty(len(index), np.float32)
     for n in range(len(index)):

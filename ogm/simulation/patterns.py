@@ -10,7 +10,8 @@ __all__ = ["PATTERNS"]
 
 
 def _evenly(low: float, high: float, layers: int) -> list[float]:
-    return np.linspace(low, high, layers).tolist()
+    steps: list[float] = np.linspace(low, high, layers).tolist()
+    return steps
 
 
 def _zigzag(layers: int, near: float, far: float) -> list[float]:

@@ -129,7 +129,8 @@ class Camera(NamedTuple):
         u = reach * np.linspace(-1, 1, self.width)
         v = reach * self.height / self.width * np.linspace(1, -1, self.height)
         rays = forward + u[None, :, None] * right + v[:, None, None] * np.cross(right, forward)
-        return (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
+        unit: NDArray[np.float32] = (rays / np.linalg.norm(rays, axis=-1, keepdims=True)).astype(np.float32)
+        return unit
 
 
 def save_views(path: str | os.PathLike[str], views: Sequence[tuple[str, NDArray[np.uint8]]]) -> None:

@@ -115,7 +115,7 @@ class Split(Sequence[SimulatedSample]):
         if not self.contents.radars:
             return np.zeros((0, SWEEP))
         i, _ = self._row(index)
-        rows = self._shard("sweeps", i // SHARD)[i % SHARD]
+        rows: NDArray[np.float64] = self._shard("sweeps", i // SHARD)[i % SHARD]
         self._compare("sweeps", i, rows[None])
         rows = rows[rows[:, 0] > 0]
         most = self.contents.layout["detections"][0][0]
@@ -211,7 +211,7 @@ class Split(Sequence[SimulatedSample]):
                 return np.zeros((index.stop - first, len(self.columns)))  # not made yet
             raise self._damaged(name, first, "a file is missing")
         try:
-            values = array[index]
+            values: NDArray[Any] = array[index]
         except (ArithmeticError, EOFError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
             # what zarr and its codecs raise
             raise self._damaged(name, first, str(error)) from error

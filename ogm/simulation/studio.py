@@ -94,4 +94,5 @@ def render(mesh: Mesh, camera: Camera) -> NDArray[np.uint8]:
     image = np.broadcast_to(SKY, directions.shape).copy()
     image[hit] = colours * (1 - haze) + SKY * haze
     shape = (camera.height, camera.width, 3)
-    return np.round(255 * np.clip(image, 0, 1)).astype(np.uint8).reshape(shape)
+    rounded: NDArray[np.uint8] = np.round(255 * np.clip(image, 0, 1)).astype(np.uint8).reshape(shape)
+    return rounded

@@ -193,7 +193,13 @@ class _Observer:
 
 
 @kernel
-def _steep_is_step(kinds, distance, directions, steep, grid):  # type: ignore[no-untyped-def]
+def _steep_is_step(
+    kinds: NDArray[np.uint8],
+    distance: NDArray[np.float32],
+    directions: NDArray[np.float32],
+    steep: NDArray[np.bool_],
+    grid: tuple[float, float, float],
+) -> None:
     """Turn hits of ground (N,) in steep cells into hits of a step."""
     resolution, x0, y0 = grid
     for i in range(len(kinds)):

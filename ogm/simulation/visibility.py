@@ -73,7 +73,13 @@ def _bin(x: float, y: float) -> int:
 
 
 @kernel
-def _widen(low, high, directions, seeing, half):  # type: ignore[no-untyped-def]
+def _widen(
+    low: NDArray[np.float32],
+    high: NDArray[np.float32],
+    directions: NDArray[np.float32],
+    seeing: NDArray[np.bool_],
+    half: int,
+) -> None:
     layers, columns = seeing.shape
     for i in range(layers):
         for j in range(columns):

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from ogm.archive import attributes_checksum
 from ogm.files import OgmError
 from ogm.pose import Trajectory, check_pose
+from ogm.remote import is_remote
 from ogm.scan import Frame
 from ogm.world.layout import LAYERS, TILES, TileIndex
 from ogm.world.packing import checked_array, codecs
-from ogm.world.stores import children, erase, is_remote, keys, local_path, read_object, reading, writing
+from ogm.world.stores import children, erase, keys, local_path, read_object, reading, writing
 from ogm.world.tiles import TileStore
 
 __all__ = [

@@ -60,7 +60,8 @@ def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
     box, offset, tile = layout.aligned(spec, level), layout.cells >> (level + 1), layout.tile
     assert box is not None
     part = _Part(world.store.array(level), (box[0] + offset, box[2] + offset), spec.shape)
-    cells = dask.array.from_array(part, chunks=(1, tile, tile), asarray=True)
+    from_array: Any = dask.array.from_array  # without types
+    cells = from_array(part, chunks=(1, tile, tile), asarray=True)
     step = np.float32(layout.steps["mass"])
     described: dict[str, Any] = {}
     for k, name in enumerate(("free", "occupied")):
@@ -73,4 +74,5 @@ def world_to_xarray(world: WorldMap, level: int = 0) -> "Dataset":
         of_axis = {"units": "m", "axis": axis.upper(), "standard_name": f"projection_{axis}_coordinate"}
         axes[axis] = (axis, centres.ravel(), of_axis)
     facts: dict[str, Any] = {"Conventions": "CF-1.11", "title": "Evidential world map", "resolution": spec.resolution}
-    return xarray.Dataset(described, axes, facts | ({"crs": world.crs} if world.crs else {}))
+    dataset: Dataset = xarray.Dataset(described, axes, facts | ({"crs": world.crs} if world.crs else {}))
+    return dataset

@@ -107,7 +107,8 @@ def cells(self: Any, extent: tuple[float, float, float, float] | None = None, le
     """
     if extent is not None:
         x0, x1, y0, y1 = extent
-        return self.layout.spec(self.layout.around(np.array([(x0, y0), (x1, y1)]), level, margin=0), level)
+        within: GridSpec = self.layout.spec(self.layout.around(np.array([(x0, y0), (x1, y1)]), level, margin=0), level)
+        return within
     tiles = self.tiles()
     if not tiles:
         raise ValueError(f"{self.url} is empty: nothing was integrated, or not flushed")
@@ -115,7 +116,8 @@ def cells(self: Any, extent: tuple[float, float, float, float] | None = None, le
     n = self.layout.tile
     i, j = (int(one) * n >> level for one in low)
     k, m = (-(-int(one) * n >> level) for one in high)
-    return self.layout.spec((i, k, j, m), level)
+    spec: GridSpec = self.layout.spec((i, k, j, m), level)
+    return spec
 
 
 @locked
@@ -127,13 +129,15 @@ def tiles(self: Any) -> list[TileIndex]:
 @locked
 def tile(self: Any, index: TileIndex) -> NDArray[Any]:
     """Return a copy of a tile as it is stored, (7, tile, tile)."""
-    return self._cache.get(index).copy() if index in self._cache else self.store.read_tile(index)
+    copy: NDArray[Any] = self._cache.get(index).copy() if index in self._cache else self.store.read_tile(index)
+    return copy
 
 
 @property  # type: ignore[misc]
 def levels(self: Any) -> int:
     """Number of levels that there are, 1 without overviews."""
-    return self.store.levels
+    levels: int = self.store.levels
+    return levels
 
 
 @locked
@@ -167,7 +171,7 @@ def describe(self: Any) -> dict[str, str]:
 
 
 def _aligned(self: Any, spec: GridSpec) -> Box:
-    box = self.layout.aligned(spec)
+    box: Box | None = self.layout.aligned(spec)
     if box is None:
         raise ValueError(f"{spec} has other cells than the map ({self.layout.resolution:g} m): see WorldMap.cells")
     return box
@@ -183,7 +187,8 @@ def _read(self: Any, box: Box, level: int, layers: slice) -> NDArray[Any]:
     self.layout.spec(box, level)  # refuses too many cells
     kept = [index for index in self.layout.tiles_of(box) if index in self._cache] if level == 0 else []
     if not kept:
-        return self.store.read(box, level, layers)
+        values: NDArray[Any] = self.store.read(box, level, layers)
+        return values
     out = np.zeros((layers.stop - layers.start, box[1] - box[0], box[3] - box[2]), self.layout.dtype)
     for index in self.layout.tiles_of(box):
         i, k, j, m = self.layout.box_of(index)

@@ -41,9 +41,9 @@ def _halved(stored: NDArray[Any], layout: WorldLayout) -> NDArray[Any]:
     """Return stored masses (2, n, n) at half the resolution, stored again."""
     n = stored.shape[1]
     grid = EvidentialGrid.trusted(GridSpec(1.0, (n, n), (0.0, 0.0)), mass_of(stored, layout))
-    half = coarsen(grid, 2, "occupied").mass
+    half: NDArray[Any] = coarsen(grid, 2, "occupied").mass
     if layout.dtype == "float32":
         return half.transpose(2, 0, 1)
-    steps = np.rint(half * np.float32(MASS_STEPS)).astype(np.uint16)
+    steps: NDArray[Any] = np.rint(half * np.float32(MASS_STEPS)).astype(np.uint16)
     steps[..., 0] = np.minimum(steps[..., 0], MASS_STEPS - steps[..., 1])
     return steps.transpose(2, 0, 1)

@@ -11,7 +11,7 @@ from ogm.files import OgmError, naming
 from ogm.remote import is_remote, object_store
 
 __all__ = [
-    *("Mode", "Url", "children", "erase", "is_remote", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
+    *("Mode", "Url", "children", "erase", "is_zip", "keys", "load_zarr", "local_path", "open_store"),
     *("read_object", "reading", "size", "writing"),
 ]
 

@@ -10,7 +10,7 @@ from ogm.scan import Frame, SensorModels
 from ogm.world.cache import TileCache
 from ogm.world.drives import drive_array
 from ogm.world.integration import integrate_grid
-from ogm.world.layout import TileIndex
+from ogm.world.layout import TileIndex, WorldLayout
 from ogm.world.render import Part, render_tile
 from ogm.world.stores import writing
 from ogm.world.tiles import TileStore
@@ -55,6 +55,9 @@ class MadeSubMap(NamedTuple):
 class MakeSubMap:
     """The task that makes a sub-map."""
 
+    place: MapPlace
+    make_model: MakeModel
+
     def __init__(self, place: MapPlace, make_model: MakeModel) -> None:
         self.place, self.make_model = place, make_model
 
@@ -85,6 +88,8 @@ def _model(make_model: MakeModel) -> SensorModels:
 
 class SubMapTiles:
     """The tiles of a sub-map that is made, for a `TileCache`."""
+
+    layout: WorldLayout
 
     def __init__(self, store: TileStore, drive: str, number: int) -> None:
         self.layout, self._store, self._number = store.layout, store, number

@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from ogm.archive import attributes_checksum
 from ogm.files import OgmError, update_hint
+from ogm.remote import is_remote
 from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout
 from ogm.world.packing import checked_array, checked_layers, codecs
-from ogm.world.stores import Mode, Url, erase, is_remote, keys, load_zarr, local_path, open_store, reading, writing
+from ogm.world.stores import Mode, Url, erase, keys, load_zarr, local_path, open_store, reading, writing
 from ogm.world.writer import WRITER, check_writer
 
 __all__ = ["FORMAT", "TileStore"]
@@ -35,13 +36,21 @@ class TileStore:
         Token of `ogm.world.writer.one_writer` that writing needs to be current; "" for no check.
     """
 
+    url: str
+    layout: WorldLayout
+    crs: str | None
+    writer: str
+    storage: dict[str, str]
+    root: Any  # zarr.Group
+    store: Any  # zarr.abc.store.Store
+
     def __init__(
         self, url: Url, root: Any, attributes: Mapping[str, Any], storage: Mapping[str, str] | None = None
     ) -> None:
         self.storage, self.writer = dict(storage or {}), ""
         self.url, self.root, self.store = str(url), root, root.store
         self.layout = WorldLayout(**{one.name: attributes[one.name] for one in fields(WorldLayout)})
-        self.crs: str | None = attributes["crs"]
+        self.crs = attributes["crs"]
         self._arrays: dict[str, Any] = {}
 
     @classmethod

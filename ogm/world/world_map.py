@@ -55,6 +55,13 @@ class WorldMap:
     One thread may change the map while others read it.
     """
 
+    store: TileStore
+    mode: Mode
+    layout: WorldLayout
+    crs: str | None
+    url: str
+    lock: MapLock
+
     def __init__(self, tiles: TileStore, mode: Mode, memory: float, held: ExitStack | None = None) -> None:
         if not memory > 0:
             raise ValueError(f"memory must be above 0 bytes, got {memory}")

@@ -24,7 +24,8 @@ from typing import Any, NamedTuple
 
 from ogm.files import finish_zarr
 from ogm.locks import locked
-from ogm.world.stores import Url, is_remote, local_path, read_object, reading, writing
+from ogm.remote import is_remote
+from ogm.world.stores import Url, local_path, read_object, reading, writing
 
 __all__ = ["WRITER", "check_writer", "one_writer"]
 
@@ -187,7 +188,8 @@ def _put(store: Any, content: bytes, version: dict[str, str] | None) -> dict[str
     """Write the lease if it is still of a version, or if there is none; return its version."""
     import obstore
 
-    return _version(obstore.put(store, WRITER, content, mode=version or "create"))
+    mode: Any = version or "create"  # TypedDict of obstore
+    return _version(obstore.put(store, WRITER, content, mode=mode))
 
 
 def _version(meta: Any) -> dict[str, str]:

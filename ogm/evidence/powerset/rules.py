@@ -183,7 +183,7 @@ def _log_weights(columns: Any, mass: Any) -> Any:
     return xp.stack([*-difference_supersets(logs)[:-1], 0 * logs[0]])
 
 
-def _fuse(a: Any, b: Any, weights: Callable[[Any, Any], tuple[Any, Any, Any]]) -> Any:
+def _fuse(a: Array, b: Array, weights: Callable[[Any, Any], tuple[Any, Any, Any]]) -> Array:
     """Weight beliefs by the other's unknown; two dogmatic sources have equal weight, two vacuous stay so."""
     first, second = _two(a, b)
     u, v = first[-1], second[-1]
@@ -195,5 +195,5 @@ def _fuse(a: Any, b: Any, weights: Callable[[Any, Any], tuple[Any, Any, Any]]) -
     return _with_unknown(list((weight_a * first[:-1] + weight_b * second[:-1]) / (total + (total == 0))), a)
 
 
-def _with_unknown(beliefs: list[Any], mass: Any) -> Any:
+def _with_unknown(beliefs: list[Any], mass: Array) -> Array:
     return stack([*beliefs, 1 - sum(beliefs)], mass)

@@ -131,10 +131,13 @@ def masses_of(mass: Any, name: str = "mass", states: int | None = None) -> Any:
     return columns
 
 
-def stack(columns: Iterable[Any], mass: Any) -> Any:
+def stack(columns: Iterable[Any], mass: Array) -> Array:
     """Return columns with the power set on the last axis, in the dtype of `mass`."""
-    stacked = namespace(mass).stack(list(columns), -1)
-    return stacked.astype(mass.dtype, copy=False) if namespace(mass) is np else stacked
+    given: Any = mass
+    xp = namespace(mass)
+    last = xp.stack(list(columns), -1)
+    stacked: Array = last.astype(given.dtype, copy=False) if xp is np else last
+    return stacked
 
 
 def sum_subsets(columns: Any) -> Any:

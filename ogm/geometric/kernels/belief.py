@@ -1,11 +1,11 @@
 """From classified rays to masses."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import SectorRays
+from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, SectorRays, WorkSpace
 from ogm.geometric.kernels.breaks import PROFILE_BITS, ground_breaks
 from ogm.geometric.kernels.classify import DEEP, FACE_OF_STEP, NO_RETURN, NONE, OBSTACLE, classify_rays
 from ogm.geometric.kernels.polar import ROW_BITS
@@ -20,7 +20,16 @@ NEGLIGIBLE = np.float32(1e-4)  # chance, below which more rays through a bin are
 
 
 @kernel
-def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
+def clear_sectors(
+    rays: Rays,
+    points: Points,
+    origin: NDArray[np.float32],
+    limits: RayLimits,
+    polar: PolarGrid,
+    cells: Cells,
+    numbers: RayNumbers,
+    work: WorkSpace,
+) -> None:
     """Fill in the belief in free of every polar bin, and what marks the cells.
 
     Let a cell be occupied by something that stands on the ground and has an unknown height H, equally likely
@@ -87,7 +96,16 @@ def clear_sectors(rays, points, origin, limits, polar, cells, numbers, work):
 
 
 @kernel
-def _free_belief(table, found, limits, row, hidden_bins, silent, part, free):
+def _free_belief(
+    table: NDArray[np.float32],
+    found: SectorRays,
+    limits: RayLimits,
+    row: int,
+    hidden_bins: tuple[np.float32, np.float32],
+    silent: bool,
+    part: NDArray[np.float32],
+    free: NDArray[np.float32],
+) -> bool:
     """Fill in the belief of one sector's bins, with the beams without echo or without them.
 
     `hidden_bins` are `hidden_height` and `hidden_depth` in bins.
@@ -142,7 +160,7 @@ def _free_belief(table, found, limits, row, hidden_bins, silent, part, free):
 
 
 @vector
-def _pass(part, slope, start, stop):
+def _pass(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
     """Let a ray pass some bins before any obstacle."""
     for k in range(start & 0x7FFF, stop & 0x7FFF):
         up = max(slope - part[SLOPE + k], np.float32(0.0))
@@ -152,14 +170,14 @@ def _pass(part, slope, start, stop):
 
 
 @vector
-def _raise(part, slope, start, stop):
+def _raise(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
     """Note that a ray passes some bins."""
     for k in range(start & 0x7FFF, stop & 0x7FFF):
         part[SLOPE + k] = max(part[SLOPE + k], slope)
 
 
 @vector
-def _pass_obstacles(part, slope, start, stop):
+def _pass_obstacles(part: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> None:
     """Let a ray pass some bins behind an obstacle that stops other rays of the sector."""
     zero = np.float32(0.0)
     for k in range(start & 0x7FFF, stop & 0x7FFF):
@@ -172,7 +190,7 @@ def _pass_obstacles(part, slope, start, stop):
 
 
 @vector
-def _block(part, start, stop, fade):
+def _block(part: NDArray[np.float32], start: int, stop: int, fade: np.float32) -> None:
     """Let an obstacle stop a ray: the chance that it is still there falls behind it."""
     start &= 0x7FFF
     for k in range(start, stop & 0x7FFF):
@@ -181,7 +199,9 @@ def _block(part, start, stop, fade):
 
 
 @kernel
-def _mark_obstacles(points, origin, cells, numbers, work):
+def _mark_obstacles(
+    points: Points, origin: NDArray[np.float32], cells: Cells, numbers: RayNumbers, work: WorkSpace
+) -> None:
     """Let the returns of obstacles mark their cells.
 
     Each is spread over the two points one standard deviation before and behind it (two-point Gauss-Hermite rule),
@@ -198,7 +218,9 @@ def _mark_obstacles(points, origin, cells, numbers, work):
 
 
 @kernel
-def _mark_breaks(point, points, cells, found, hits):
+def _mark_breaks(
+    point: NDArray[np.int32], points: Points, cells: Cells, found: SectorRays, hits: NDArray[np.int32]
+) -> None:
     """Let the returns from steps and holes of a sector mark their cells."""
     for n in range(point.shape[0]):
         if found.kind[n] == FACE_OF_STEP or found.kind[n] == DEEP:
@@ -208,7 +230,7 @@ def _mark_breaks(point, points, cells, found, hits):
 
 
 @kernel
-def _hit(hits, cells, x, y):
+def _hit(hits: NDArray[np.int32], cells: Cells, x: np.float32, y: np.float32) -> None:
     """Add half a hit to the cell at (x, y), if it lies in the grid."""
     inverse = np.float32(1.0 / cells.resolution)
     u, v = (x - np.float32(cells.x0)) * inverse, (y - np.float32(cells.y0)) * inverse
@@ -217,7 +239,13 @@ def _hit(hits, cells, x, y):
 
 
 @kernel
-def ray_mass(free, hits, polar, false_alarm, numbers):
+def ray_mass(
+    free: NDArray[np.float32],
+    hits: NDArray[np.int32],
+    polar: PolarGrid,
+    false_alarm: NDArray[np.float32],
+    numbers: RayNumbers,
+) -> NDArray[np.float32]:
     """Turn polar belief in free and counts of returns into masses.
 
     R returns give occupied the mass ``1 - p_false_alarm**R``: that of R simple masses ``1 - p_false_alarm``,

@@ -1,11 +1,11 @@
 """Breaks of the ground: steps, falls and holes, found along profiles of its height."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import Breaks
+from ogm.geometric.kernels.arguments import Breaks, PolarGrid, RayLimits, RayNumbers, Rays
 from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.jit import inline, kernel
 
@@ -40,7 +40,7 @@ NO_BREAK = -1  # a slope, or noise
 
 
 @kernel
-def ground_breaks(rays, limits, polar, numbers):
+def ground_breaks(rays: Rays, limits: RayLimits, polar: PolarGrid, numbers: RayNumbers) -> Breaks:
     """Find where the ground rises or falls suddenly.
 
     A *profile* is the mean height of the ground returns of a few neighbouring sectors, in bins of `DEPTH`. Each bin
@@ -83,7 +83,9 @@ def ground_breaks(rays, limits, polar, numbers):
 
 
 @kernel
-def _add_up(rays, first, last, per_metre, obstacle_height, sums):
+def _add_up(
+    rays: Rays, first: int, last: int, per_metre: np.float32, obstacle_height: np.float32, sums: NDArray[np.float32]
+) -> None:
     """Fill in the number of returns that are no obstacles, the sum of their runs and of their heights, by bins."""
     sums[:] = 0
     for n in range(first, last):
@@ -97,7 +99,15 @@ def _add_up(rays, first, last, per_metre, obstacle_height, sums):
 
 
 @kernel
-def _compare(profile, support, row, step, below_ground, lowest, breaks):
+def _compare(
+    profile: NDArray[np.float64],
+    support: NDArray[np.float64],
+    row: int,
+    step: float,
+    below_ground: float,
+    lowest: float,
+    breaks: Breaks,
+) -> None:
     """Compare the bins of a profile (run, height, number), the nearest first, with the continued ground.
 
     `lowest` is the height of the ground under the sensor.
@@ -147,20 +157,20 @@ def _compare(profile, support, row, step, below_ground, lowest, breaks):
 
 
 @inline
-def _above(line, run, height):
+def _above(line: tuple[float, float, float], run: float, height: float) -> float:
     """Return how far a height lies above a line (run, height, incline) [m]."""
     return height - line[1] - line[2] * (run - line[0])
 
 
 @inline
-def _note(breaks, row, number, kind, limit, begin, end):
+def _note(breaks: Breaks, row: int, number: int, kind: int, limit: float, begin: int, end: int) -> None:
     """Write down a break."""
     breaks.kind[row, number], breaks.limit[row, number] = kind, limit
     breaks.begin[row, number], breaks.end[row, number] = begin, end
 
 
 @inline
-def _add_support(support, count, run, height):
+def _add_support(support: NDArray[np.float64], count: int, run: float, height: float) -> int:
     """Add a bin, and the sums for a line through the last ones; return the new number of supports."""
     support[count, 0], support[count, 1], support[count, 2] = run, run, height
     support[count, 3], support[count, 4], support[count, 5] = run * run, run * height, height * height
@@ -171,7 +181,7 @@ def _add_support(support, count, run, height):
 
 
 @inline
-def _last_before(support, count, at, run):
+def _last_before(support: NDArray[np.float64], count: int, at: int, run: float) -> int:
     """Return the last of the first `count` supports that is no further than `run`, searched from `at`."""
     while at > 0 and support[at, 0] > run:
         at -= 1
@@ -181,7 +191,9 @@ def _last_before(support, count, at, run):
 
 
 @inline
-def _continue(support, base, at, before):
+def _continue(
+    support: NDArray[np.float64], base: int, at: int, before: float
+) -> tuple[tuple[float, float, float], float]:
     """Fit a line (run, height, incline) to the supports from `base` to `at`; return it and the standard deviation.
 
     The incline is `before` where they are too close together for one.
@@ -200,7 +212,7 @@ def _continue(support, base, at, before):
 
 
 @inline
-def _jump(profile, first, last, incline, sign):
+def _jump(profile: NDArray[np.float64], first: int, last: int, incline: float, sign: float) -> float:
     """Return the largest rise (`sign` 1) or fall (-1) from a bin to the next, up to some bins, less the incline."""
     most = 0.0
     for k in range(max(first, 1), last + 1):
@@ -210,7 +222,7 @@ def _jump(profile, first, last, incline, sign):
 
 
 @kernel
-def _end_of_change(profile, k, line, sign):
+def _end_of_change(profile: NDArray[np.float64], k: int, line: tuple[float, float, float], sign: float) -> int:
     """Return the last bin of a rise (`sign` 1) or fall (-1) that begins in bin `k`, or `NO_BREAK`.
 
     It goes on as long as it grows at least half as fast as from the ground before it.
@@ -230,7 +242,7 @@ def _end_of_change(profile, k, line, sign):
 
 
 @kernel
-def _agree(breaks):
+def _agree(breaks: Breaks) -> None:
     """Keep the breaks that a neighbouring profile has, too, and reduce belief there."""
     rows, count = breaks.kind.shape
     wide, bins, alone = breaks.width, breaks.reliability.shape[1], []
@@ -250,7 +262,7 @@ def _agree(breaks):
 
 
 @kernel
-def _has_break(breaks, side, k, row):
+def _has_break(breaks: Breaks, side: int, k: int, row: int) -> bool:
     """Tell whether a profile has a break upwards, or downwards, as bin `k` of `row` has, and where it has."""
     wide, is_step = breaks.width, breaks.kind[row, k] == STEP
     begin, end = breaks.begin[row, k], (breaks.end[row, k] + 1) * wide

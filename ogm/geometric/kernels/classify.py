@@ -1,8 +1,9 @@
 """What each ray of a sector hits, and the bins in which it is below clearance."""
 
-# mypy: allow-untyped-defs
 import numpy as np
+from numpy.typing import NDArray
 
+from ogm.geometric.kernels.arguments import Breaks, PolarGrid, RayLimits, RayNumbers, Rays, SectorRays
 from ogm.geometric.kernels.breaks import HOLE, PROFILE_BITS, STEP
 from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.jit import kernel
@@ -21,7 +22,9 @@ NO_RETURN = 6
 
 
 @kernel
-def classify_rays(rays, s, limits, polar, breaks, numbers, found):
+def classify_rays(
+    rays: Rays, s: int, limits: RayLimits, polar: PolarGrid, breaks: Breaks, numbers: RayNumbers, found: SectorRays
+) -> int:
     """Fill in what the rays of sector `s` hit, and the bins in which they are below clearance.
 
     A ray clears from the sensor to its end: up to and with the bin of a ground return, to two standard deviations
@@ -45,8 +48,8 @@ def classify_rays(rays, s, limits, polar, breaks, numbers, found):
     """
     first, row, profile, step = rays.starts[s], s >> ROW_BITS, s >> PROFILE_BITS, np.float32(polar.step)
     per_metre, margin = np.float32(1.0 / polar.step), np.float32(2.0 * numbers.range_noise)
-    low, high, below = numbers.obstacle_height, numbers.clearance, -numbers.below_ground
-    low, high, below = np.float32(low), np.float32(high), np.float32(below)
+    low, high = np.float32(numbers.obstacle_height), np.float32(numbers.clearance)
+    below = np.float32(-numbers.below_ground)
     zero, one, bins, far_out = np.float32(0.0), np.float32(1.0), np.float32(polar.bins), np.float32(1e6)
     clearance, near, far, end = limits.clearance[row], 0, polar.bins, 0
     for n in range(rays.starts[s + 1] - first):
@@ -91,7 +94,7 @@ def classify_rays(rays, s, limits, polar, breaks, numbers, found):
 
 
 @kernel
-def _above_ground(ground, slope, start, stop):
+def _above_ground(ground: NDArray[np.float32], slope: np.float32, start: int, stop: int) -> int:
     """Return the first bin, from `start` to `stop`, in whose middle a ray is below the ground."""
     for k in range(start, stop):
         if slope < ground[k]:

@@ -1,8 +1,9 @@
 """Straight lines of cells: what `HeightBandISM` draws."""
 
-# mypy: allow-untyped-defs
 import numpy as np
+from numpy.typing import NDArray
 
+from ogm.geometric.kernels.arguments import Cells, HeightBand, Points
 from ogm.jit import kernel
 
 __all__ = ["draw_lines", "height_band_states", "state_mass"]
@@ -11,7 +12,7 @@ UNKNOWN, FREE, OCCUPIED, BEYOND = 0, 1, 2, 3  # states of a cell while `height_b
 
 
 @kernel
-def draw_lines(state, ends, i0, j0):
+def draw_lines(state: NDArray[np.uint8], ends: NDArray[np.int32], i0: int, j0: int) -> None:
     """Mark cells as free on the straight line from (i0, j0) to each end, up to the first occupied one.
 
     Lines are Bresenham's: one cell per step along the longer axis, the other rounded to the nearest (half
@@ -55,7 +56,14 @@ def draw_lines(state, ends, i0, j0):
 
 
 @kernel
-def height_band_states(points, origin, start, cells, shape, band):
+def height_band_states(
+    points: Points,
+    origin: NDArray[np.float32],
+    start: tuple[int, int],
+    cells: Cells,
+    shape: tuple[int, int],
+    band: HeightBand,
+) -> NDArray[np.uint8]:
     """Mark the cells of returns in a height band as occupied, the cells between these and the sensor as free.
 
     Van Kempen et al. 2021, Sec. VI-A: "cells with returns between 0.5 and 2.0 m above ground". One line is drawn
@@ -116,7 +124,7 @@ def height_band_states(points, origin, start, cells, shape, band):
 
 
 @kernel
-def state_mass(state, evidence, factor):
+def state_mass(state: NDArray[np.uint8], evidence: float, factor: int) -> NDArray[np.float32]:
     """Turn states into masses, e / (2 + sum of e), averaging evidence over `factor` x `factor` cells.
 
     Parameters

@@ -1,11 +1,11 @@
 """The polar grid around the sensor: which bins cover a cell, where a point lies, how high a ray passes."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import RayLimits
+from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, Surface, WorkSpace
 from ogm.geometric.kernels.surface import sample
 from ogm.jit import inline, kernel, vector
 
@@ -18,7 +18,14 @@ _ATAN = (0.99999611, -0.33317370, 0.19807826, -0.13233361, 0.07962379, -0.033604
 
 
 @kernel
-def polar_lookup(cells, shape, origin, footprint, sectors, bins):
+def polar_lookup(
+    cells: Cells,
+    shape: tuple[int, int],
+    origin: NDArray[np.float32],
+    footprint: NDArray[np.float32],
+    sectors: int,
+    bins: int,
+) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
     """Return for every cell which polar bins around the sensor cover it.
 
     Parameters
@@ -56,9 +63,10 @@ def polar_lookup(cells, shape, origin, footprint, sectors, bins):
 
 
 @inline
-def azimuth(x, y):
+def azimuth(x: np.float32, y: np.float32) -> np.float32:
     """Angle from the x axis to the left in [0, 2 pi), by a polynomial with an error below 1e-6 rad."""
-    ax, ay = abs(x), abs(y)
+    ax: np.float32 = abs(x)
+    ay: np.float32 = abs(y)
     long = max(ax, ay)
     q = min(ax, ay) / max(long, np.float32(1e-30))
     s = q * q
@@ -75,7 +83,7 @@ def azimuth(x, y):
 
 
 @vector
-def polar_coordinates(points, origin, sectors, work):
+def polar_coordinates(points: Points, origin: NDArray[np.float32], sectors: int, work: WorkSpace) -> None:
     """Fill sector, slope (rise over run) and run [m] of each point from the sensor, without branches."""
     x, y, z = points
     sx, sy, sz = origin
@@ -90,7 +98,7 @@ def polar_coordinates(points, origin, sectors, work):
 
 
 @kernel
-def ray_limits(ground, origin, clearance, polar):
+def ray_limits(ground: Surface, origin: NDArray[np.float32], clearance: float, polar: PolarGrid) -> RayLimits:
     """Return the slopes of the rays that meet the ground and the clearance in the middle of each bin.
 
     Parameters

@@ -1,9 +1,9 @@
 """Cells that a radar clears and marks."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.jit import kernel
 
@@ -13,7 +13,13 @@ REACH = 3.0  # standard deviations up to which an ellipse marks
 
 
 @kernel
-def clear_cells(sector, distance, until, table, free):
+def clear_cells(
+    sector: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    until: NDArray[np.float32],
+    table: NDArray[np.float32],
+    free: NDArray[np.float32],
+) -> None:
     """Write the mass of free.
 
     Parameters
@@ -35,7 +41,13 @@ def clear_cells(sector, distance, until, table, free):
 
 
 @kernel
-def mark_ellipses(rows, place, free, ego, mass):
+def mark_ellipses(
+    rows: NDArray[np.float64],
+    place: NDArray[np.float64],
+    free: NDArray[np.float32],
+    ego: NDArray[np.bool_],
+    mass: NDArray[np.float32],
+) -> None:
     """Write masses: occupied from all ellipses as independent sources, free in what that leaves.
 
     Parameters

@@ -1,11 +1,11 @@
 """From returns and beams without echo to rays, sorted by sector and slope."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import Rays
+from ogm.geometric.kernels.arguments import Points, PolarGrid, RayNumbers, Rays, Surface, WorkSpace
 from ogm.geometric.kernels.polar import azimuth, polar_coordinates
 from ogm.geometric.kernels.surface import sample
 from ogm.jit import kernel, vector
@@ -17,7 +17,15 @@ LEVEL = np.float32(0.2)  # slope below which the classes are fine
 
 
 @kernel
-def sort_rays(points, directions, origin, ground, polar, numbers, work):
+def sort_rays(
+    points: Points,
+    directions: NDArray[np.float32],
+    origin: NDArray[np.float32],
+    ground: Surface,
+    polar: PolarGrid,
+    numbers: RayNumbers,
+    work: WorkSpace,
+) -> Rays:
     """Turn every return and every beam without echo into a ray, sorted by sector and in a sector by slope.
 
     Rays of one sector do not cross, so that their order by slope is their order by height in every bin. The order
@@ -52,7 +60,7 @@ def sort_rays(points, directions, origin, ground, polar, numbers, work):
 
 
 @vector
-def _heights(points, ground, above):
+def _heights(points: Points, ground: Surface, above: NDArray[np.float32]) -> None:
     """Fill in the height of each point above the ground."""
     x, y, z = points
     for n in range(x.shape[0]):
@@ -60,7 +68,7 @@ def _heights(points, ground, above):
 
 
 @kernel
-def _aim(directions, count, sectors, max_range, work):
+def _aim(directions: NDArray[np.float32], count: int, sectors: int, max_range: float, work: WorkSpace) -> None:
     """Append beams without echo behind `count` returns."""
     to_sector = np.float32(sectors / (2 * math.pi))
     for m in range(directions.shape[0]):
@@ -74,7 +82,7 @@ def _aim(directions, count, sectors, max_range, work):
 
 
 @kernel
-def _sort_by_slope_class(slope, order):
+def _sort_by_slope_class(slope: NDArray[np.float32], order: NDArray[np.int32]) -> None:
     """Fill in an order of the rays by classes of slope (a counting sort)."""
     starts = np.zeros(CLASSES + 1, np.int32)
     half, one = np.float32(CLASSES // 2), np.float32(1.0)
@@ -89,7 +97,7 @@ def _sort_by_slope_class(slope, order):
 
 
 @kernel
-def _sort_by_sector(count, sectors, work):
+def _sort_by_sector(count: int, sectors: int, work: WorkSpace) -> NDArray[np.int32]:
     """Fill table and index, sorted by sector and in each as `order` is; return where each sector begins."""
     starts = np.zeros(sectors + 2, np.int32)
     for n in range(work.sector.shape[0]):
@@ -107,7 +115,7 @@ def _sort_by_sector(count, sectors, work):
 
 
 @kernel
-def _finish_sort(table, index, starts):
+def _finish_sort(table: NDArray[np.float32], index: NDArray[np.int32], starts: NDArray[np.int32]) -> None:
     """Sort the rays of each sector, which are nearly sorted, by slope and then by run (insertion sort)."""
     for s in range(starts.shape[0] - 1):
         for n in range(starts[s] + 1, starts[s + 1]):

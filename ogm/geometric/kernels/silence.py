@@ -1,8 +1,9 @@
 """How far beams without echo tell anything: estimated from those of the same scan that point at the ground."""
 
-# mypy: allow-untyped-defs
 import numpy as np
+from numpy.typing import NDArray
 
+from ogm.geometric.kernels.arguments import PolarGrid, RayLimits, Rays
 from ogm.geometric.kernels.polar import ROW_BITS
 from ogm.jit import kernel
 
@@ -10,7 +11,7 @@ __all__ = ["silence_reliability"]
 
 
 @kernel
-def silence_reliability(rays, limits, polar):
+def silence_reliability(rays: Rays, limits: RayLimits, polar: PolarGrid) -> NDArray[np.float32]:
     """Return how much the silence of a beam tells about each polar bin.
 
     A beam that points at the ground has a surface to answer it, at the distance r where it meets the ground. If it
@@ -61,7 +62,9 @@ def silence_reliability(rays, limits, polar):
 
 
 @kernel
-def _count_surfaces(rays, limits, polar, seen, lost):
+def _count_surfaces(
+    rays: Rays, limits: RayLimits, polar: PolarGrid, seen: NDArray[np.int64], lost: NDArray[np.int64]
+) -> None:
     """Count the surfaces in each bin that gave an echo, and those of the ground that a beam met without one.
 
     Echoes from beyond the grid count in the last bin; ground beyond `max_range` is not expected to give one.

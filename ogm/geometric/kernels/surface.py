@@ -1,18 +1,18 @@
 """Surfaces of heights: the ground under a scan, and interpolation in it."""
 
-# mypy: allow-untyped-defs
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ogm.geometric.kernels.arguments import Surface
+from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
 from ogm.jit import inline, kernel
 
 __all__ = ["fill", "ground_heights", "lower_envelope", "sample", "sample_many"]
 
 
 @inline
-def sample(surface, x, y):
+def sample(surface: Surface, x: np.float32, y: np.float32) -> np.float32:
     """Interpolate a `Surface` bilinearly at (x, y); beyond the outermost middles the edge's height holds."""
     height, half, zero = surface.height, np.float32(0.5), np.float32(0.0)
     u = min(max((x - surface.x0) * surface.per_metre - half, zero), np.float32(height.shape[0] - 1))
@@ -22,11 +22,12 @@ def sample(surface, x, y):
     a, b = u - np.float32(i), v - np.float32(j)
     low = height[i, j] + (height[i, j + 1] - height[i, j]) * b
     high = height[i + 1, j] + (height[i + 1, j + 1] - height[i + 1, j]) * b
-    return low + (high - low) * a
+    between: np.float32 = low + (high - low) * a
+    return between
 
 
 @kernel
-def sample_many(surface, x, y):
+def sample_many(surface: Surface, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
     """Do `sample` for each of many points."""
     result = np.empty(x.shape[0], np.float32)
     for n in range(x.shape[0]):
@@ -35,7 +36,9 @@ def sample_many(surface, x, y):
 
 
 @kernel
-def ground_heights(points, ground_point, cells, shape, limits):
+def ground_heights(
+    points: Points, ground_point: tuple[float, float, float], cells: Cells, shape: tuple[int, int], limits: GroundLimits
+) -> NDArray[np.float32]:
     """Estimate the ground: see `ogm.geometric.local_ground`, whose four steps these are.
 
     Parameters
@@ -84,7 +87,9 @@ def ground_heights(points, ground_point, cells, shape, limits):
 
 
 @kernel
-def _lowest_returns(points, ground_point, cells, shape, limits):
+def _lowest_returns(
+    points: Points, ground_point: tuple[float, float, float], cells: Cells, shape: tuple[int, int], limits: GroundLimits
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the cell of each point (-1 outside), and the lowest return of each cell above the steepest descent."""
     x, y, z = points
     nx, ny = shape
@@ -108,7 +113,9 @@ def _lowest_returns(points, ground_point, cells, shape, limits):
 
 
 @kernel
-def _layer_means(z, cell, lowest, layers_per_metre):
+def _layer_means(
+    z: NDArray[np.float32], cell: NDArray[np.int32], lowest: NDArray[np.float32], layers_per_metre: np.float32
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the mean height of each ground cell's lowest layer of returns, and how many returns are in it.
 
     The layer above it is taken where the layers below and above that one have less than a tenth of its returns.
@@ -136,7 +143,9 @@ def _layer_means(z, cell, lowest, layers_per_metre):
 
 
 @kernel
-def _drop_strays(lowest, i0, j0, ground_z, rise, tolerance):
+def _drop_strays(
+    lowest: NDArray[np.float32], i0: int, j0: int, ground_z: np.float32, rise: np.float32, tolerance: np.float32
+) -> None:
     """Set cells to inf whose lowest return lies under the ground: multipath and ghost returns.
 
     Square rings of cells are visited outward from cell (i0, j0), where the ground is known. Each cell expects
@@ -172,7 +181,7 @@ def _drop_strays(lowest, i0, j0, ground_z, rise, tolerance):
 
 
 @kernel
-def lower_envelope(height, rise):
+def lower_envelope(height: NDArray[np.float32], rise: np.float32) -> None:
     """Lower every cell to what its neighbours allow: a two-pass chamfer distance transform in height."""
     nx, ny = height.shape
     diagonal = rise * np.float32(math.sqrt(2.0))
@@ -194,7 +203,7 @@ def lower_envelope(height, rise):
 
 
 @kernel
-def fill(height, weight, otherwise):
+def fill(height: NDArray[np.float32], weight: NDArray[np.float32], otherwise: np.float32) -> None:
     """Give cells of weight 0 the height of a smooth surface through the others (pull-push), in place."""
     nx, ny = height.shape
     if nx <= 2 and ny <= 2:

@@ -67,7 +67,9 @@ def ground_map(
                 lowest[cell] = min(lowest[cell], z)
 
     # Strays: from ring to ring of cells, away from the ground point
-    ring_of = lambda cell: max(abs(cell[0] - home[0]), abs(cell[1] - home[1]))  # noqa: E731
+    def ring_of(cell: tuple[int, ...]) -> int:
+        return max(abs(cell[0] - home[0]), abs(cell[1] - home[1]))
+
     ground, steps = {home: ground_point[2]}, {home: 0}
     for cell in sorted(np.ndindex(*spec.shape), key=ring_of):
         if cell == home:

@@ -105,7 +105,8 @@ def to_xarray(grid: AnyGrid | PlacedGrid) -> "Dataset":
         else:
             facts["crs_wkt"] = wkt
     layers = {name: (("y", "x"), layer.T, of_layers | _described(name)) for name, layer in layers_of(cells).items()}
-    return xarray.Dataset(layers, coordinates, facts)
+    dataset: Dataset = xarray.Dataset(layers, coordinates, facts)
+    return dataset
 
 
 def _described(name: str) -> dict[str, Any]:

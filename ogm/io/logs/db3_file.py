@@ -5,6 +5,7 @@ import sqlite3
 import threading
 import weakref
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -111,7 +112,7 @@ class Db3File:
         except sqlite3.Error as error:
             self._warn(str(error))
         table = np.concatenate([*rows, np.array(part, np.int64).reshape(-1, 3)])
-        self.index = {}
+        self.index: dict[int, Any] = {}
         for number in self.channels:
             mine = table[table[:, 0] == number]
             if len(mine):

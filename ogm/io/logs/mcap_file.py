@@ -87,7 +87,7 @@ class McapFile:
         opcode, length = _RECORD.unpack(head) if len(head) == _RECORD.size else (0, 0)
         if opcode != _MESSAGE or not _SENT.size <= length <= min(current_limits().file, space - _RECORD.size):
             raise OgmError("there is no whole message at its place: the file is damaged")
-        return length - _SENT.size
+        return int(length - _SENT.size)
 
     def _walk(self, stream: BinaryIO) -> None:
         """Go from record to record, over the contents of chunks."""

@@ -123,8 +123,8 @@ class LogWriter:
             if name not in store.fielddefs:
                 raise OgmError("its type is not known")
             if ros == 1:
-                return store.serialize_ros1(_for_ros1(message, name, store), name)
-            return store.serialize_cdr(message, name)
+                return memoryview(store.serialize_ros1(_for_ros1(message, name, store), name))
+            return memoryview(store.serialize_cdr(message, name))
         except Exception as error:  # of generated code: whatever does not fit
             raise OgmError(f"{self.path}: a message for {topic} ({name}) cannot be written: {error}") from error
 
@@ -133,7 +133,7 @@ class LogWriter:
         from mcap.writer import CompressionType, Writer
 
         packing = CompressionType.ZSTD if self._compression else CompressionType.NONE
-        writer = Writer(stack.enter_context(atomic_write(self.path)), compression=packing)
+        writer: Any = Writer(stack.enter_context(atomic_write(self.path)), compression=packing)
         writer.start(profile="ros2", library="ogm")
         stack.push(lambda kind, *_: writer.finish() if kind is None else None)
         schemas: dict[str, int] = {}

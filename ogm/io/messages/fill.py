@@ -59,4 +59,5 @@ def _element(message: Any, name: str) -> type:
     else:  # ROS 1: sensor_msgs/PointField[]
         described = message._slot_types[message.__slots__.index(name)].split("[")[0]
     package, _, kind = described.partition("/")
-    return getattr(importlib.import_module(f"{package}.msg"), kind.rpartition("/")[2])
+    found: type = getattr(importlib.import_module(f"{package}.msg"), kind.rpartition("/")[2])
+    return found

@@ -95,7 +95,7 @@ def _spared(design: HouseDesign, outline: Polygon) -> float:
     """Return the windows' distance, larger where a house would have more of them than its budget."""
     most = 30 if outline.area < 170 else 110
     seen = outline.length * (0.6 if design.blind_sides else 1.0)
-    return max(design.bay, seen * design.storeys / most)
+    return float(max(design.bay, seen * design.storeys / most))
 
 
 def _sides(polygon: Polygon) -> list[Side]:
@@ -198,7 +198,8 @@ def _canopy(ring: Floats, height_at: HeightAt, rng: Generator) -> Mesh:
     z = high + rng.uniform(4.7, 5.4)
 
     def spot(s: float, t: float) -> Floats:
-        return (1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2])
+        place: Floats = (1 - t) * ((1 - s) * p[0] + s * p[1]) + t * ((1 - s) * p[3] + s * p[2])
+        return place
 
     deck_outline = Polygon([spot(0, 0.05), spot(1, 0.05), spot(1, 0.6), spot(0, 0.6)])
     parts = [roofs.flat(deck_outline, h, M.METAL_SHEET) for h in (z, z + 0.9)]

@@ -7,7 +7,8 @@ from numpy.typing import ArrayLike
 from ogm.simulation.arrays import Floats
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, loft, merge, quads, sheet
-from ogm.simulation.town.plants import SUNK, resampled
+from ogm.simulation.town.plants import resampled
+from ogm.simulation.town.shapes import SUNK
 
 
 def fence(line: ArrayLike, rng: Generator) -> Mesh:

@@ -110,7 +110,7 @@ def _corner(
     angle = abs(angle)
     if angle >= np.deg2rad(150):
         return 0.0
-    return (theirs + mine * np.cos(angle)) / np.sin(angle) + (KERB_RADIUS - 0.5) / np.tan(angle / 2)
+    return float((theirs + mine * np.cos(angle)) / np.sin(angle) + (KERB_RADIUS - 0.5) / np.tan(angle / 2))
 
 
 def _arms(network: StreetNetwork, node: int) -> list[tuple[int, int, Floats]]:
@@ -230,7 +230,8 @@ def _blend(start: Floats, end: Floats) -> Floats:
 
 def _ahead(line: Floats) -> Floats:
     step = line[-1] - line[-2]
-    return step / np.linalg.norm(step)
+    unit: Floats = step / np.linalg.norm(step)
+    return unit
 
 
 def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
@@ -239,7 +240,8 @@ def _cubic(p: Floats, a: Floats, q: Floats, b: Floats) -> Floats:
     handle = np.linalg.norm(q - p) * (2 / 3) / (1 + np.cos(angle / 2))
     t = np.linspace(0, 1, 33)[:, None]
     c, d = p + handle * a, q - handle * b
-    return (1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * c + 3 * (1 - t) * t**2 * d + t**3 * q
+    places: Floats = (1 - t) ** 3 * p + 3 * (1 - t) ** 2 * t * c + 3 * (1 - t) * t**2 * d + t**3 * q
+    return places
 
 
 def _comfortable(line: Floats) -> float:

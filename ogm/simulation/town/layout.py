@@ -58,7 +58,8 @@ class Drop(NamedTuple):
         dx, dy = x - self.at[0], y - self.at[1]
         along = abs(dx * self.along[0] + dy * self.along[1])
         across = abs(dx * self.along[1] - dy * self.along[0])
-        return np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1)
+        share: Floats = np.clip((self.half + 0.7 - along) / 0.7, 0, 1) * np.clip((2.2 - across) / 1.2, 0, 1)
+        return share
 
 
 class Block(NamedTuple):

@@ -58,11 +58,13 @@ class Lot(NamedTuple):
     @property
     def along(self) -> Floats:
         """Unit vector along the front."""
-        return (self.front[1] - self.front[0]) / self.width
+        unit: Floats = (self.front[1] - self.front[0]) / self.width
+        return unit
 
     def at(self, u: float, depth: float = 0.0) -> Floats:
         """Return x, y of a place so far along the front and behind it [m]."""
-        return self.front[0] + self.along * u + depth * self.inward
+        place: Floats = self.front[0] + self.along * u + depth * self.inward
+        return place
 
 
 def fill_blocks(plan: TownLayout, rng: Generator) -> list[Lot]:

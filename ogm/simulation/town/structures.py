@@ -5,6 +5,7 @@ Origins and axes are those of `ogm.simulation.town.furniture`.
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 
 from ogm.simulation.materials import Material as M
 from ogm.simulation.mesh import Mesh, box, cylinder, merge, quads, wall
@@ -45,7 +46,7 @@ def container(rng: Generator) -> Mesh:
     half = float(rng.choice([1.5, 3.03, 3.03, 6.1]))
     x = np.linspace(-half, half, int(half / 0.3) + 2)
     y = 1.22 - 0.04 * (np.arange(len(x)) % 2)
-    sides: list = [np.stack([x, s * y, 0.05 + 0 * x], axis=1) for s in (-1, 1)]
+    sides: list[ArrayLike] = [np.stack([x, s * y, 0.05 + 0 * x], axis=1) for s in (-1, 1)]
     sides += [[[s * half, -1.2, 0.05], [s * half, 1.2, 0.05]] for s in (-1, 1)]
     walls = [wall(line, 2.5, M.METAL_SHEET, depth=0.15) for line in sides]
     return merge([*walls, box([-half, -1.22, 2.5], [half, 1.22, 2.6], M.METAL_SHEET)])

@@ -91,7 +91,7 @@ class Crossings(NamedTuple):
 def _limit(lane: Lane, along: Floats) -> Floats:
     """Return the speed profile of one lane [m/s]: its limit, its bends, braking before them."""
     points = lane.points[:, :2]
-    limit = np.full(len(points), float(lane.speed))
+    limit: Floats = np.full(len(points), float(lane.speed))
     if len(points) > 3:
         reach = min(2, (len(points) - 1) // 2)
         heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
@@ -186,7 +186,8 @@ def crossings(table: LaneTable, walkways: Lines) -> Crossings:
     reach = 1.9
     tree = cKDTree(table.points[:, :2])
     owner = np.repeat(np.arange(len(table.length)), np.diff(table.first))
-    on_lane, on_walkway = [], []
+    on_lane: list[tuple[float, ...]] = []
+    on_walkway: list[tuple[float, ...]] = []
     zone = 0
     for number, (first, last) in enumerate(itertools.pairwise(walkways.first)):
         line, way = walkways.points[first:last], walkways.along[first:last]
@@ -206,7 +207,7 @@ def crossings(table: LaneTable, walkways: Lines) -> Crossings:
     return Crossings(*_by_line(on_lane, len(table.length)), *_by_line(on_walkway, len(walkways.length)), zone)
 
 
-def _by_line(found: list[tuple], count: int) -> tuple[Floats, NDArray[np.int64]]:
+def _by_line(found: list[tuple[float, ...]], count: int) -> tuple[Floats, NDArray[np.int64]]:
     """Return rows sorted by their first column, and the first row of each of `count` lines."""
     rows = np.array(sorted(found), np.float64).reshape(-1, 4)
     return rows, np.searchsorted(rows[:, 0], np.arange(count + 1)).astype(np.int64)

@@ -1,18 +1,17 @@
 """One step of the traffic after another, compiled: how hard to accelerate, where to stop, who walks."""
 
-# mypy: disallow-untyped-defs=False
-# numba infers the types of kernels, their docstrings give them.
-
 import numpy as np
+from numpy.typing import NDArray
 
 from ogm.jit import kernel
+from ogm.simulation.arrays import Floats
 from ogm.simulation.traffic.graph import Crossings, LaneTable
 from ogm.simulation.traffic.permission import grant
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Record, Signals, Walkers
 
 
 @kernel
-def _leaders(t: LaneTable, d: Drivers, gap, pace):
+def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
     """Fill `DrivingLimits.gap` and `DrivingLimits.pace`."""
     count = len(d.x)
     mark = np.full(len(t.length), -1, np.int64)
@@ -53,7 +52,7 @@ def _leaders(t: LaneTable, d: Drivers, gap, pace):
 
 
 @kernel
-def _zones(c: Crossings, d: Drivers, w: Walkers, barred, stop):
+def _zones(c: Crossings, d: Drivers, w: Walkers, barred: NDArray[np.bool_], stop: Floats) -> None:
     """Let vehicles stop before crossings in use, and bar crossings that a vehicle is on or cannot stop before."""
     barred[:] = False
     for i in range(len(d.x)):
@@ -75,7 +74,7 @@ def _zones(c: Crossings, d: Drivers, w: Walkers, barred, stop):
 
 
 @kernel
-def _speed_limit(t: LaneTable, d: Drivers, i):
+def _speed_limit(t: LaneTable, d: Drivers, i: int) -> float:
     """Return the highest speed [m/s] that bends and limits ahead of vehicle i allow."""
     speed = 1e9
     for back in (0.0, 0.6 * d.length[i]):
@@ -93,11 +92,12 @@ def _speed_limit(t: LaneTable, d: Drivers, i):
         if ahead > SIGHT:
             break
         speed = min(speed, np.sqrt(t.limit[t.first[d.route[i, k]]] ** 2 + 3.2 * max(ahead, 0.0)))
-    return min(speed * d.pace[i], d.top[i])
+    allowed: float = min(speed * d.pace[i], d.top[i])
+    return allowed
 
 
 @kernel
-def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits):
+def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits) -> None:
     """Accelerate by the intelligent driver model (Treiber, Hennecke, Helbing 2000) and move on by one step."""
     gap, pace, stop = limits
     for i in range(len(d.x)):
@@ -129,7 +129,7 @@ def _drive(t: LaneTable, d: Drivers, limits: DrivingLimits):
 
 
 @kernel
-def _walk(c: Crossings, w: Walkers, barred, now):
+def _walk(c: Crossings, w: Walkers, barred: NDArray[np.bool_], now: float) -> None:
     """Let pedestrians walk on, keep apart, and wait at crossings."""
     for p in range(len(w.w)):
         if w.resting[p] > 0:
@@ -179,7 +179,7 @@ def _walk(c: Crossings, w: Walkers, barred, now):
 
 
 @kernel
-def advance(t: LaneTable, c: Crossings, d: Drivers, s: Signals, w: Walkers, first, record: Record):
+def advance(t: LaneTable, c: Crossings, d: Drivers, s: Signals, w: Walkers, first: int, record: Record) -> None:
     """Simulate as many steps as `record` has rows, from step number `first` on."""
     count = len(d.x)
     limits = DrivingLimits(np.zeros(count), np.zeros(count), np.zeros(count))

@@ -1,8 +1,5 @@
 """Places on routes and walkways, compiled."""
 
-# mypy: disallow-untyped-defs=False
-# numba infers the types of kernels, their docstrings give them.
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -39,7 +36,7 @@ def lines(parts: Sequence[Floats]) -> Lines:
 
 
 @kernel
-def _add(table: Lines, first, last, s, weight, out):
+def _add(table: Lines, first: int, last: int, s: float, weight: float, out: Floats) -> None:
     """Add the point at way `s` on a line, times a weight, to `out`."""
     points, along = table.points, table.along
     low, high = first, last - 1
@@ -55,7 +52,15 @@ def _add(table: Lines, first, last, s, weight, out):
 
 
 @kernel
-def along_routes(table: Lines, route, start, driver, way, reach, out):
+def along_routes(
+    table: Lines,
+    route: NDArray[np.int64],
+    start: Floats,
+    driver: NDArray[np.int64],
+    way: Floats,
+    reach: Floats,
+    out: Floats,
+) -> None:
     """Write the places (U, 3) at `way` on the routes of drivers, corners rounded off over `reach` [m]."""
     first = table.first
     for u in range(len(way)):
@@ -70,7 +75,7 @@ def along_routes(table: Lines, route, start, driver, way, reach, out):
 
 
 @kernel
-def along_lines(table: Lines, line, way, out):
+def along_lines(table: Lines, line: NDArray[np.int64], way: Floats, out: Floats) -> None:
     """Write the places (N, 3) at `way` on lines, whose ends are not passed."""
     for n in range(len(way)):
         low, high = table.first[line[n]], table.first[line[n] + 1]

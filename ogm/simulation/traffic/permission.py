@@ -1,14 +1,12 @@
 """Permission to enter junctions, compiled: signals, first come first served, no vehicle stops in a junction."""
 
-# mypy: disallow-untyped-defs=False
-# numba infers the types of kernels, their docstrings give them.
-
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.jit import kernel
+from ogm.simulation.arrays import Floats
 from ogm.simulation.traffic.graph import LaneTable
 from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, DrivingLimits, Signals
 
@@ -36,7 +34,7 @@ class Queue(NamedTuple):
 
 
 @kernel
-def _chain_end(t: LaneTable, d: Drivers, i, k):
+def _chain_end(t: LaneTable, d: Drivers, i: int, k: int) -> int:
     """Return the last place of the route that must be granted together with place `k`."""
     while True:
         while t.guarded[d.route[i, k]] and k + 2 < d.route.shape[1]:
@@ -50,7 +48,7 @@ def _chain_end(t: LaneTable, d: Drivers, i, k):
 
 
 @kernel
-def _meet(t: LaneTable, d: Drivers, i, first, last, j, span, rear):
+def _meet(t: LaneTable, d: Drivers, i: int, first: int, last: int, j: int, span: tuple[int, int], rear: float) -> bool:
     """Return whether places first..last of i's route meet the places `span` of j's beyond `rear` [m] of its way."""
     for k in range(span[0], span[1] + 1):
         other = d.route[j, k]
@@ -62,7 +60,7 @@ def _meet(t: LaneTable, d: Drivers, i, first, last, j, span, rear):
 
 
 @kernel
-def _sorted(rank):
+def _sorted(rank: Floats) -> NDArray[np.int64]:
     """Return the order of numbers, smallest first (numba's own sorting takes long to compile)."""
     order = np.arange(len(rank))
     for k in range(1, len(rank)):
@@ -75,7 +73,7 @@ def _sorted(rank):
 
 
 @kernel
-def grant(t: LaneTable, d: Drivers, s: Signals, now, limits: DrivingLimits):
+def grant(t: LaneTable, d: Drivers, s: Signals, now: float, limits: DrivingLimits) -> None:
     """Grant lanes that need permission; `limits.stop` becomes the way to where a vehicle without it halts [m]."""
     count = len(d.x)
     queue = Queue(np.full(count, -1, np.int64), np.full(count, -1, np.int64), np.zeros(len(t.most), np.int64))
@@ -112,10 +110,12 @@ def grant(t: LaneTable, d: Drivers, s: Signals, now, limits: DrivingLimits):
 
 
 @kernel
-def _request(t: LaneTable, d: Drivers, s: Signals, i, now, limits: DrivingLimits, demand):
+def _request(
+    t: LaneTable, d: Drivers, s: Signals, i: int, now: float, limits: DrivingLimits, demand: NDArray[np.bool_]
+) -> int:
     """Return the place in its route that vehicle i waits for, -1 for none; note its `demand` at signals."""
     limits.stop[i] = 1e9
-    k = max(d.front[i], d.granted[i]) + 1
+    k: int = max(d.front[i], d.granted[i]) + 1
     while not t.guarded[d.route[i, k]] and d.start[i, k] - d.x[i] < SIGHT:
         k += 1
     ahead, lane = d.start[i, k] - d.x[i], d.route[i, k]
@@ -138,7 +138,9 @@ def _request(t: LaneTable, d: Drivers, s: Signals, i, now, limits: DrivingLimits
 
 
 @kernel
-def _may_enter(t: LaneTable, d: Drivers, s: Signals, i, last, now, limits: DrivingLimits, queue: Queue):
+def _may_enter(
+    t: LaneTable, d: Drivers, s: Signals, i: int, last: int, now: float, limits: DrivingLimits, queue: Queue
+) -> bool:
     """Return whether signal and space allow vehicle i to drive to place `last`; it may turn another way instead."""
     first = queue.want[i]
     lane = d.route[i, first]
@@ -147,7 +149,8 @@ def _may_enter(t: LaneTable, d: Drivers, s: Signals, i, last, now, limits: Drivi
     if junction >= 0 and s.phases[junction] > 0 and t.phase[lane] >= 0 and red:
         return False
     if t.fork[d.route[i, last]]:
-        return t.fork[d.route[i, first - 1]] or queue.inside[junction] < t.most[junction]
+        fits: bool = t.fork[d.route[i, first - 1]] or queue.inside[junction] < t.most[junction]
+        return fits
     # space behind the junction, so that no vehicle stops in it
     space = d.start[i, last + 1] - d.x[i] + d.length[i] + 1.0
     round_trip = t.phase[d.route[i, last]] < 0 and limits.pace[i] > 1.0
@@ -160,7 +163,7 @@ def _may_enter(t: LaneTable, d: Drivers, s: Signals, i, last, now, limits: Drivi
 
 
 @kernel
-def _free(t: LaneTable, d: Drivers, i, first, last, queue: Queue):
+def _free(t: LaneTable, d: Drivers, i: int, first: int, last: int, queue: Queue) -> bool:
     """Return whether places first..last of i's route meet no lane that another vehicle is on or has a claim to."""
     for j in range(len(d.x)):
         if j == i:
@@ -173,7 +176,7 @@ def _free(t: LaneTable, d: Drivers, i, first, last, queue: Queue):
 
 
 @kernel
-def _detour(t: LaneTable, d: Drivers, i, place):
+def _detour(t: LaneTable, d: Drivers, i: int, place: int) -> None:
     """Change the route of vehicle i from a place on that it has not come to."""
     before, barred = d.route[i, place - 1], d.route[i, place]
     for k in range(place, d.route.shape[1]):
@@ -196,7 +199,7 @@ def _detour(t: LaneTable, d: Drivers, i, place):
 
 
 @kernel
-def _switch(s: Signals, demand, now):
+def _switch(s: Signals, demand: NDArray[np.bool_], now: float) -> None:
     """Change signals: green goes round to the next phase that a vehicle waits for."""
     for junction in range(len(s.phases)):
         phases = s.phases[junction]
