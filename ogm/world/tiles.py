@@ -182,7 +182,7 @@ class TileStore:
         prefix = f"{self.prefix}{level}/c/0/"
         with reading(self.url):
             found = [key.removeprefix(prefix).split("/") for key in keys(self.store, prefix)]
-        return sorted((int(i) - half, int(j) - half) for i, j in found)
+            return sorted((int(i) - half, int(j) - half) for i, j in found)
 
     def key(self, index: TileIndex, level: int = 0) -> str:
         """Return the key of a tile's object."""
