@@ -43,9 +43,6 @@ class TorchRadarEngine:
     description : dict
     """
 
-    description: dict[str, Any]
-    network: RadarNetwork
-
     polar: RadarGrid
     description: dict[str, Any]
     network: RadarNetwork
