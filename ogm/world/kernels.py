@@ -2,6 +2,8 @@
 
 A tile is (7, n, n): the layers of `ogm.world.layout.LAYERS`, as uint16 or as float32. In uint16, masses are kept in
 steps of 1 / `MASS_STEPS`, conflict in steps of 1 / `CONFLICT_STEPS`. Nothing is checked here.
+
+No kernel is a closure over another: numba would compile it anew in every process.
 """
 
 from typing import Any

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec, LayeredGrid
+from ogm.io.grids.packing import check_packing
 from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
@@ -39,7 +40,6 @@ _LAYERS = {
     "velocity_covariance_yy": "variance of velocity_y",
 }
 _CHUNK = 1024  # [cells] side of a chunk
-_CODECS = {"bytes", "crc32c", "gzip", "sharding_indexed", "transpose", "zstd"}  # of Zarr arrays that are read
 _STRIP = 2**18  # cells that are read at once, at least
 _SAME_STEP = 1e-6  # departure of a step from the others, in cells, that rounding can make
 _READ_ERRORS = (
@@ -246,18 +246,6 @@ def _check_chunks(layers: "Dataset") -> None:
             raise OgmError(f"chunks of {chunks} cells are larger than any grid; it is not unpacked")
 
 
-def _check_packing(path: Path) -> None:
-    """Refuse arrays that are packed in other ways than ours: crafted chunks make Blosc read beyond its memory."""
-    for described in sorted(path.glob("*/zarr.json")):
-        left = list(json.loads(described.read_bytes())["codecs"])
-        while left:
-            codec = left.pop()
-            if codec["name"] not in _CODECS:
-                raise OgmError(f"{described.parent} is packed by {codec['name']}, wanted {', '.join(sorted(_CODECS))}")
-            inside = codec.get("configuration", {})
-            left += [*inside.get("codecs", ()), *inside.get("index_codecs", ())]
-
-
 def write_scientific(path: Path, placed: PlacedGrid) -> None:
     """Write NetCDF-4 (``.nc``) or Zarr 3 (``.zarr``)."""
     check_scientific(path)
@@ -293,7 +281,7 @@ def read_scientific(path: Path) -> PlacedGrid:
     try:
         if path.suffix.lower() == ".zarr":
             # format 3 alone: the filters of format 2 can unpickle
-            _check_packing(path)
+            check_packing(path)
             zarr = {"engine": "zarr", "zarr_format": 3, "consolidated": False}
             opened = xarray.open_dataset(path, **zarr, decode_times=False, cache=False)
         else:

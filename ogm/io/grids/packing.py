@@ -1,0 +1,22 @@
+"""How the arrays of Zarr maps may be packed: by decoders that crafted chunks do not make read beyond their memory."""
+
+import json
+from pathlib import Path
+
+from ogm.files import OgmError
+
+__all__ = ["check_packing"]
+
+_CODECS = {"bytes", "crc32c", "gzip", "sharding_indexed", "transpose", "zstd"}
+
+
+def check_packing(path: Path) -> None:
+    """Raise OgmError if an array of a Zarr folder is packed in another way, such as by Blosc."""
+    for described in sorted(path.glob("*/zarr.json")):
+        left = list(json.loads(described.read_bytes())["codecs"])
+        while left:
+            codec = left.pop()
+            if codec["name"] not in _CODECS:
+                raise OgmError(f"{described.parent} is packed by {codec['name']}, wanted {', '.join(sorted(_CODECS))}")
+            inside = codec.get("configuration", {})
+            left += [*inside.get("codecs", ()), *inside.get("index_codecs", ())]
