@@ -37,7 +37,7 @@ from ogm import GridSpec, Mount, read_scan
 from ogm.datasets import open_dataset
 from ogm.deep import LITE, PAPER, DeepISM, PillarNetwork
 from ogm.deep.data import Augmentation, PillarDataset
-from ogm.deep.network import ConvReLU
+from ogm.deep.folding import ConvReLU
 from ogm.deep.pillars import pillarize, pillarize_torch
 from ogm.geometric import HeightBandISM, RayISM
 

@@ -29,10 +29,10 @@ from typing import Any
 
 import torch
 from torch import nn
-from torch.nn.functional import pixel_shuffle
 
 from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
-from ogm.deep.network import PillarNetwork, fused
+from ogm.deep.folding import fused
+from ogm.deep.network import PillarNetwork
 from ogm.deep.onnx_file import FORMAT, OPERATIONS, sealed, weights_sum
 from ogm.deep.points import FEATURES
 from ogm.files import atomic_write
@@ -71,7 +71,7 @@ def export_onnx(
     Raises
     ------
     ValueError
-        If `path` does not end in ``.onnx``, or the network went through `ogm.deep.network.fused` before.
+        If `path` does not end in ``.onnx``, or the network went through `ogm.deep.folding.fused` before.
     ImportError
         If the packages for the export are absent; the message holds the pip command that adds them.
 
@@ -121,9 +121,8 @@ class _Masses(nn.Module):
         self.network = fused(network).cpu()
 
     def forward(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
-        x = self.network.quarters(feature_map.permute(0, 3, 1, 2), sensor_coords)
+        x = self.network.logits(feature_map.permute(0, 3, 1, 2), sensor_coords)
         e = softplus_of_parts(x) if self.network.config.evidence == "softplus" else torch.relu(x)
-        e = pixel_shuffle(e, 2)
         free, occupied = torch.split(e, 1, dim=1)
         return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
 

@@ -19,7 +19,7 @@ from torch.nn.functional import pixel_shuffle
 
 from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
 from ogm.deep.export import softplus_of_parts, traced, write_model
-from ogm.deep.network import fold_norms
+from ogm.deep.folding import fold_norms
 from ogm.deep.onnx_file import weights_sum
 from ogm.deep.polar import CHANNELS, RadarGrid
 from ogm.deep.radar_network import RadarNetwork

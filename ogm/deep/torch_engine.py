@@ -8,7 +8,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ogm.deep.network import PillarNetwork, fused
+from ogm.deep.folding import fused
+from ogm.deep.network import PillarNetwork
 from ogm.deep.pillars import Pillars, collate, pillarize, pillarize_torch
 from ogm.deep.points import Rectangle
 from ogm.grid import GridSpec

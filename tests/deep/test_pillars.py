@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm.deep import points as module
-from ogm.deep.network import NetworkConfig, PillarNetwork, fused
+from ogm.deep.folding import fused
+from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.deep.pillars import Pillars, cap_pillars, collate, pillarize, pillarize_torch
 from ogm.grid import GridSpec
 

@@ -1,0 +1,270 @@
+"""What do a head at full resolution, and several heads, add to the shipped network? Its other layers stay as they are.
+
+    python benchmarks/deep_heads.py DATA [--frames N] [--steps N] [--members N] [--real FOLDER]
+
+DATA is a data set of `ogm simulate --recipe gen2` whose towns are not those of the shipped weights. On its training
+split are trained, by the recipe of the shipped weights and on the same frames in the same order:
+
+* head: the last layer alone, from the shipped one on;
+* detail: the same with `ogm.deep.network.DetailHead`, two convolutions at full resolution that see the pillars;
+* several: last layers from random weights, each on drives drawn anew with replacement; their masses are averaged.
+
+Evaluated are the validation split, frame by frame with 95 % intervals over drives, and the recordings of `quality`,
+labelled cells only. Of each set too, how well a number tells the cells whose state is wrong (the larger mass against
+the truth, known cells alone): the mass of unknown, of the shipped network and of several; the share of the smaller
+mass; the spread of several (standard deviation of P(occupied)). Writes benchmarks/results/deep_heads.json.
+"""
+
+import _run as run  # first: it sets the number of threads
+from _quality_inputs import real
+
+# isort: split
+import argparse
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from rich.progress import track
+from torch.nn.functional import softplus
+
+from ogm import GridSpec
+from ogm.datasets import Dataset, open_dataset
+from ogm.deep import DeepISM
+from ogm.deep.checkpoint import load_network
+from ogm.deep.data import PillarDataset
+from ogm.deep.folding import fused
+from ogm.deep.network import PillarNetwork, copy_weights
+from ogm.deep.recipe import LITE_RECIPE, mean_loss
+from ogm.deep.torch_engine import TorchEngine
+from ogm.evaluation import SingleScanMethod, evaluate
+from ogm.metrics.ranking import auroc
+from ogm.scan import PerMount, run_model
+from ogm.state import CellState
+
+SPEC = GridSpec.centered()
+METRICS = ("nll", "brier", "false_free", "iou_free", "iou_occupied", "ece_relative", "auroc_unknown", "aurc")
+BATCH, RATE, DETAIL = 4, 1e-3, 16
+LEVELS = 4096  # of histograms, from which areas under curves are counted
+
+
+class Stored(NamedTuple):
+    """What the layers before the head make of a frame, in half precision; zeros of the feature map are left out."""
+
+    where: torch.Tensor
+    values: torch.Tensor
+    shape: torch.Size
+    part: torch.Tensor
+    state: torch.Tensor
+    drive: int
+
+
+class Heads(TorchEngine):
+    """Some networks that differ in their heads alone, as one: the mean of their masses."""
+
+    def __init__(self, networks: Sequence[PillarNetwork], description: Mapping[str, Any]) -> None:
+        super().__init__(networks[0], description=description)
+        self.heads = [fused(network) for network in networks]
+        self.last: list[NDArray[np.float32]] = []
+
+    @torch.inference_mode()
+    def masses(self, scans: Any, rays: Any = None) -> NDArray[np.float32]:
+        """Return the mean masses; those of each network stay in `last`."""
+        (scan,) = scans
+        if rays is not None:
+            scan = scan._replace(rays=torch.from_numpy(np.stack(rays)))
+        feature_map = self.network.feature_map(scan)
+        parts = self.network.joined(feature_map)
+        self.last = []
+        for network in self.heads:
+            evidence = softplus(network.head_values(feature_map, parts)).permute(0, 2, 3, 1)
+            self.last.append((evidence / (evidence.sum(-1, keepdim=True) + 2)).numpy())
+        return np.mean(self.last, axis=0, dtype=np.float32)
+
+
+@torch.no_grad()
+def stored(network: PillarNetwork, dataset: Dataset, numbers: Sequence[int]) -> list[Stored]:
+    """Run all layers but the head on frames, augmented as in a training."""
+    drives = {name: k for k, name in enumerate(sorted({dataset.refs[i].sequence for i in numbers}))}
+    frames = PillarDataset(dataset, SPEC, LITE_RECIPE.augmentation, network.config.z_range, 1, rays=True)
+    found = []
+    for i in track(numbers, "running the layers before the head"):
+        batch = frames[0, i]
+        feature_map = network.feature_map(batch.pillars).permute(0, 2, 3, 1)
+        (part,) = network.joined(feature_map.permute(0, 3, 1, 2))
+        where = feature_map.flatten().nonzero()[:, 0]
+        values = feature_map.flatten()[where].half()
+        drive = drives[dataset.refs[i].sequence]
+        found.append(Stored(where.int(), values, feature_map.shape, part.half(), batch.state, drive))
+    return found
+
+
+def feature_map_of(one: Stored) -> torch.Tensor:
+    flat = torch.zeros(one.shape.numel())
+    flat[one.where.long()] = one.values.float()
+    return flat.view(one.shape)
+
+
+def train_head(network: PillarNetwork, frames: Sequence[Stored], steps: int, seed: int, name: str) -> PillarNetwork:
+    """Train the head of a network, and its detail head if it has one, on stored frames; in place."""
+    torch.manual_seed(seed)
+    heads = [module for module in (network.head, network.detail) if module is not None]
+    parameters = [value for module in heads for value in module.parameters()]
+    optimizer = torch.optim.AdamW(parameters, RATE, weight_decay=LITE_RECIPE.weight_decay)
+    order, losses = np.random.default_rng(seed), []
+    bar = track(range(steps), f"training {name}")
+    for step in bar:
+        optimizer.param_groups[0]["lr"] = RATE * (0.5 + 0.5 * math.cos(math.pi * step / steps))
+        batch = [frames[k] for k in order.integers(0, len(frames), BATCH)]
+        part = torch.cat([one.part for one in batch]).float().contiguous(memory_format=torch.channels_last)
+        features = part.new_zeros(0)
+        if network.detail is not None:
+            features = torch.cat([feature_map_of(one) for one in batch]).permute(0, 3, 1, 2)
+        evidence = softplus(network.head_values(features, [part])).permute(0, 2, 3, 1)
+        loss = mean_loss(evidence, torch.cat([one.state for one in batch]), LITE_RECIPE, math.inf)
+        optimizer.zero_grad()
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(parameters, LITE_RECIPE.clip)
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    print(f"{name}: loss {np.mean(losses[:50]):.4f} -> {np.mean(losses[-50:]):.4f}", file=sys.stderr)
+    return network.eval()
+
+
+def copied(network: PillarNetwork, detail: int = 0) -> PillarNetwork:
+    """Return a copy, with a detail head that adds nothing yet if it has channels."""
+    result = PillarNetwork(replace(network.config, detail=detail), network.spec)
+    copy_weights(network, result)
+    return result.eval()
+
+
+def resampled(frames: Sequence[Stored], seed: int) -> list[Stored]:
+    """Draw drives with replacement."""
+    drives = sorted({one.drive for one in frames})
+    chosen = np.random.default_rng((1, seed)).choice(drives, len(drives))
+    return [one for drive in chosen for one in frames if one.drive == drive]
+
+
+def methods(ways: Mapping[str, Heads]) -> dict[str, PerMount]:
+    """Return a sensor model of each, for any mount."""
+
+    def made(engine: Heads) -> PerMount:
+        return PerMount(lambda mount: DeepISM(engine, SPEC, mount))
+
+    return {name: made(engine) for name, engine in ways.items()}
+
+
+def scores_of(models: Mapping[str, PerMount], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
+    """Evaluate the ways, each against the shipped network, and how well numbers tell the wrong cells."""
+    result = evaluate(dict(models), dataset, SPEC, frames=list(numbers), draw=lambda *frame: {})
+    pairs = {name: result.compare(name, "shipped") for name in models if name != "shipped"}
+    return {
+        "frames": len(result.frames),
+        "drives": len({one.sequence or one.name for one in result.frames}),
+        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in models},
+        "minus shipped": {
+            name: {m: [finite(x) for x in found[m].difference] for m in METRICS if m in found}
+            for name, found in pairs.items()
+        },
+        "wrong cells": wrong_cells(models, dataset, numbers),
+    }
+
+
+def finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def wrong_cells(models: Mapping[str, PerMount], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
+    """Return the areas under ROC curves for telling known cells whose state is wrong, and the mean unknown of both."""
+    names = ("unknown", "smaller mass", "unknown of several", "spread of several")
+    counts = {name: np.zeros((2, LEVELS)) for name in names}
+    sums = {name: np.zeros((2, 2)) for name in ("shipped", "several")}  # (right, wrong): cells, unknown
+    methods_of = {name: SingleScanMethod(models[name]) for name in sums}
+    for i in numbers:
+        frame = dataset[i]
+        grids = {name: run_model(method.model, frame) for name, method in methods_of.items()}
+        each = models["several"].model(frame.mount).engine.last
+        state = frame.truth.crop(SPEC).state
+        known = (state == CellState.FREE) | (state == CellState.OCCUPIED)
+        occupied = state[known] == CellState.OCCUPIED
+        mass = {name: grid.mass[known] for name, grid in grids.items()}
+        probability = [one[0][known][:, 1] + (1 - one[0][known].sum(-1)) / 2 for one in each]
+        numbers_of = {
+            "unknown": 1 - mass["shipped"].sum(-1),
+            "smaller mass": 2 * mass["shipped"].min(-1) / np.maximum(mass["shipped"].sum(-1), 1e-6),
+            "unknown of several": 1 - mass["several"].sum(-1),
+            "spread of several": 2 * np.std(probability, axis=0),
+        }
+        for name, values in numbers_of.items():
+            one = mass["several" if "several" in name else "shipped"]
+            wrong = (one[:, 1] > one[:, 0]) != occupied
+            level = np.clip(values * LEVELS, 0, LEVELS - 1).astype(int)
+            for k in (0, 1):
+                counts[name][k] += np.bincount(level[wrong == k], minlength=LEVELS)
+        for name, one in mass.items():
+            wrong = (one[:, 1] > one[:, 0]) != occupied
+            for k in (0, 1):
+                sums[name][k] += (wrong == k).sum(), (1 - one[wrong == k].sum(-1)).sum()
+    areas = {name: finite(auroc(table[1], table[0])) for name, table in counts.items()}
+    unknown = {
+        name: {
+            "share wrong": float(t[1, 0] / t[:, 0].sum()),
+            **{k: float(u / n) for k, (n, u) in zip(("right", "wrong"), t, strict=True)},
+        }
+        for name, t in sums.items()
+    }
+    return {"auroc": areas, "mean unknown": unknown}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--frames", type=int, default=300, help="of the training split, evenly spread")
+    parser.add_argument("--steps", type=int, default=1500, help=f"of {BATCH} frames")
+    parser.add_argument("--members", type=int, default=5, help="last layers of the way several")
+    parser.add_argument("--validation", type=int, help="evaluate so many validation frames only")
+    parser.add_argument("--real", type=Path, default=run.DATA, help="folder of real recordings (default OGM_DATA)")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "deep_heads.json")
+    given = parser.parse_args()
+    record: dict[str, Any] = {"environment": run.environment(), "frames": given.frames, "steps": given.steps}
+    record |= {"members": given.members, "sets": {}}
+
+    network, description = load_network(run.ROOT / "ogm" / "data" / "lite.safetensors")
+    training, validation = (open_dataset(given.data, split=name) for name in ("training", "validation"))
+    chosen = np.linspace(0, len(training) - 1, min(given.frames, len(training))).astype(int).tolist()
+    frames = stored(network, training, chosen)
+    several = []
+    for seed in range(given.members):
+        one = copied(network)
+        torch.manual_seed(seed)
+        one.head.reset_parameters()
+        several.append(train_head(one, resampled(frames, seed), given.steps, seed, f"last layer {seed}"))
+    networks = {
+        "shipped": [network],
+        "head": [train_head(copied(network), frames, given.steps, 0, "head")],
+        "detail": [train_head(copied(network, DETAIL), frames, given.steps, 0, "detail")],
+        "several": several,
+    }
+    models = methods({name: Heads(some, description) for name, some in networks.items()})
+    numbers = range(len(validation))[: given.validation]
+    record["sets"]["validation"] = scores_of(models, validation, numbers)
+    run.write_json(given.out, record)
+    for one in real(given.real) if given.real.is_dir() else ():
+        if one.alone is None:
+            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
+            continue
+        record["sets"][one.name] = scores_of(models, one.alone, range(len(one.alone)))
+        run.write_json(given.out, record)
+    for name, found in record["sets"].items():
+        print(f"{name}, {found['frames']} frames, wrong cells: {found['wrong cells']}")
+        for way, means in found["means"].items():
+            print(f"  {way:10}" + "  ".join(f"{m} {means[m]:.4f}" for m in METRICS if means[m] is not None))
+
+
+if __name__ == "__main__":
+    main()
