@@ -29,7 +29,17 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
     for name, found in radars.items():
         scores = {model: one for model, one in found["scores"].items() if model != ALIKE}
         lines += [_row([name, model, *(f"{one[key]:.3f}" for key in METRICS)]) for model, one in scores.items()]
-    pairs = [_row(["`RadarISM` minus another, mean over drives ± half of the 95 % interval", "log loss", "Brier", "IoU free", "false free"])]
+    pairs = [
+        _row(
+            [
+                "`RadarISM` minus another, mean over drives ± half of the 95 % interval",
+                "log loss",
+                "Brier",
+                "IoU free",
+                "false free",
+            ]
+        )
+    ]
     pairs.append(_rule(1, 4))
     for name, found in radars.items():
         compared = found["RadarISM minus another, mean over drives, 95 %"]
@@ -64,7 +74,10 @@ def fusion_tables(record: Mapping[str, Any]) -> list[str]:
     """Return the tables of lidar with radar against lidar alone: means over drives, and differences."""
     rows = [_row(["", *FUSED.values()]), _rule(1, len(FUSED))]
     rows += [_row([name, *(f"{one[key]:.3f}" for key in FUSED)]) for name, one in record["mean"].items()]
-    less = [_row(["minus lidar alone, mean over drives ± half of the 95 % interval", *FUSED.values()]), _rule(1, len(FUSED))]
+    less = [
+        _row(["minus lidar alone, mean over drives ± half of the 95 % interval", *FUSED.values()]),
+        _rule(1, len(FUSED)),
+    ]
     for name, one in record["minus lidar"].items():
         less.append(_row([name, *(_difference(one[key]) for key in FUSED)]))
     times = [_row(["", "objects", "in sight", "detected", "median time to detect [s]"]), _rule(2, 3)]
@@ -87,7 +100,9 @@ def far_tables(record: Mapping[str, Any]) -> list[str]:
             means = [sum(one[key] for one in each) / len(each) for key in keys]
             seen, shown = (sum(one["traffic"][k] for one in each) for k in (0, 1))
             rows.append(_row([f"{name}: {band}", *(f"{mean:.3f}" for mean in means), str(seen), str(shown)]))
-    less = [_row(["with radar minus without, mean over drives ± half of the 95 % interval", *(FUSED[key] for key in keys)])]
+    less = [
+        _row(["with radar minus without, mean over drives ± half of the 95 % interval", *(FUSED[key] for key in keys)])
+    ]
     less.append(_rule(1, len(keys)))
     for name, one in record["radar minus none"].items():
         less.append(_row([name, *(_difference(one[key]) for key in keys)]))
