@@ -133,7 +133,7 @@ def _edges(found: Mapping[str, Any]) -> dict[str, list[str]]:
 def _difference(found: Sequence[float]) -> str:
     """Return a difference and half of its interval, which is symmetric."""
     mean, low, high = found
-    return f"{mean:+.3f}\xa0±\xa0{(high - low) / 2:.3f}"
+    return f"{mean:+.3f} ±\xa0{(high - low) / 2:.3f}"
 
 
 def _row(cells: list[str]) -> str:
