@@ -108,7 +108,7 @@ def shown(text: str) -> str:
     return re.sub(r"<(?:function|class) '?([\w.]+)'?(?: at 0x\w+)?>", r"\1", text).replace("<factory>", "...")
 
 
-def shorten_types(app: object, page: Any) -> None:
+def shorten_types(app: object, page: Any, name: str) -> None:
     """Write the types of properties as those of functions."""
     for node in page.findall(desc_annotation):
         if (short := shown(node.astext())) != node.astext():
@@ -139,7 +139,7 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-docstring", escape_formulas, priority=100)  # before napoleon
     app.connect("autodoc-process-docstring", keep_colons, priority=900)  # after it
     app.connect("autodoc-process-signature", as_in_the_source)
-    app.connect("doctree-read", shorten_types)
+    app.connect("doctree-resolved", shorten_types)
     app.connect("autodoc-skip-member", skip_fields)
     app.connect("source-read", lead_to_pages)
     app.connect("build-finished", check_links)
