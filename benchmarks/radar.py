@@ -27,6 +27,7 @@ import numpy as np
 import yaml
 from _quality_record import write
 from numpy.typing import NDArray
+from PIL import Image
 from scipy.optimize import minimize
 from scipy.stats import t as student
 
@@ -34,10 +35,11 @@ from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.evaluation.radar_models import radar_numbers
 from ogm.evidence import discount
+from ogm.files import atomic_write
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
-from ogm.plot import Panel, dots_panel, mass_panel, save_picture
+from ogm.plot import Panel, dots_panel, mass_panel, show
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up
 from ogm.simulation.mounts import PLACES
@@ -289,12 +291,17 @@ def draw(found: Sequence[Frame], real: Scan | None) -> None:
     caught, colours = one.sweeps["ars548"], dict(zip(PARTS, COLOURS, strict=True))
     T = one.mount.T_vehicle_points
     places = caught.xyz @ T[:3, :3].T + T[:3, 3]
-    panels.append(dots_panel(places, np.array(COLOURS)[caught.origin], AHEAD, "detections", colours, 3))
+    panels.append(dots_panel(places, np.array(COLOURS)[caught.origin], AHEAD, "detections", colours, 7))
     if real is not None:
         mount = Mount(0.641, pose(0.0, 0.0, 0.641), ego_footprint=(-5.0, 0.1, -1.0, 1.0))
         noise: Any = {"range_noise": 0.2, "azimuth_noise": math.radians(0.5), "doppler_noise": 0.25}
         panels.append(ahead(RadarISM(SPEC, mount, **noise)(real), "RadarISM, recorded frame"))
-    save_picture(run.PICTURES / "radar.png", *panels)
+    rows = [show(*panels[:3]), show(*panels[3:])]
+    picture = Image.new("RGB", (max(row.width for row in rows), sum(row.height for row in rows)), "white")
+    picture.paste(rows[0], (0, 0))
+    picture.paste(rows[1], (0, rows[0].height))
+    with atomic_write(run.PICTURES / "radar.png") as file:
+        picture.save(file, "PNG", optimize=True)
 
 
 def main() -> None:

@@ -297,7 +297,7 @@ def picture(
     shown_as = np.array([(0.0, 0.0, 0.0), colours().free, colours().occupied, (0.44, 0.44, 0.44)])  # by `CellState`
     truths = parts[-2].subplots(1, len(shown), squeeze=False)[0]
     for part, ax, (name, (sweep, state)) in zip(parts, truths, shown.items(), strict=False):
-        image = part.subplots().imshow(range_picture(sweep), aspect="auto", cmap="turbo", vmin=2, vmax=60)
+        image = part.subplots().imshow(range_picture(sweep), aspect="auto", cmap="viridis", vmin=2, vmax=60)
         part.colorbar(image, label="range [m]", pad=0.005)
         part.suptitle(f"Range image, {name} (layers from top to bottom, azimuth; white: no return)")
         if state is not None:

@@ -279,7 +279,7 @@ def deep_quality() -> str:
         cells = []
         for model in MODELS:
             one = found["models"][model]["macro"][metric]
-            ends = "" if one["low"] is None else f" ({one['low']:.3f} to {one['high']:.3f})"
+            ends = "" if one["low"] is None else f"\xa0({one['low']:.3f}–{one['high']:.3f})"
             cells.append(f"{one['value']:.3f}{ends}")
         rows.append([f"{facts['title']}{arrow}", *cells])
     return table(["mean (95 %)", *(f"`{model}`" for model in MODELS)], rows)
@@ -426,7 +426,7 @@ def fusion(part: str, names: Sequence[str] = tuple(MAPS), columns: Sequence[str]
         cells = [
             f"{means[key][0]:.{2 if key in ('ghost_area', 'appear_first', 'body_recall') else 3}f}" for key in columns
         ]
-        cells.append(f"{ratio[0]:.2f} ({ratio[1]:.2f} to {ratio[2]:.2f})")
+        cells.append(f"{ratio[0]:.2f}\xa0({ratio[1]:.2f}–{ratio[2]:.2f})")
         rows.append([MAPS[name], *cells])  # fmt: skip
     return table(["map", *(MAP_COLUMNS[key] for key in columns), "ghosts, x Bayes"], rows)
 
@@ -583,7 +583,7 @@ def coverage() -> str:
         for drives, frames in columns:
             column = [one for one in cases if (one["drives"], one["frames"][1]) == (drives, frames)]
             found = [one[what] for one in column if one["shape"] in of]
-            cells.append(f"{100 * min(found):.1f} to {100 * max(found):.1f}")
+            cells.append(f"{100 * min(found):.1f}–{100 * max(found):.1f}")
         rows.append([title, *cells])
     return table(["[%]", *heads], rows)
 

@@ -11,6 +11,7 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]
 
 from site_links import broken_links  # noqa: E402
 from site_pages import with_links, write_pages  # noqa: E402
+from sphinx.addnodes import desc_annotation, desc_sig_name  # noqa: E402
 from sphinx.util.logging import getLogger  # noqa: E402
 
 import ogm  # noqa: E402
@@ -67,8 +68,10 @@ write_pages(HERE)
 
 def escape_formulas(app: object, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
     """Keep |x| and ** of formulas in docstrings from being read as markup, and attributes of one line together."""
+    kept = re.compile(r"``.*?``|`[^`]+`|(?<![\w)*])\*\*(?=\S)[^*]+\*\*(?!\w)|(\||\*\*)")  # code, bold, formula
     lines[:] = [
-        line if line.startswith((">>>", "...")) else re.sub(r"(?<!`)(\||\*\*)", r"\\\1", line) for line in lines
+        line if line.startswith((">>>", "...")) else kept.sub(lambda one: "\\" * bool(one[1]) + one[0], line)
+        for line in lines
     ]
     if "Attributes" in lines:
         start = lines.index("Attributes")
@@ -76,6 +79,13 @@ def escape_formulas(app: object, what: str, name: str, value: object, options: o
             line.replace(", ", ",", line.partition(" : ")[0].count(", ")) if " : " in line else line
             for line in lines[start:]
         ]
+
+
+def keep_colons(app: object, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    """Undo for properties what napoleon makes of "Summary: details", a type and a text."""
+    if what == "property" and any(line.startswith(":type:") for line in lines):
+        lines[:] = (inspect.getdoc(value) or "").splitlines()
+        escape_formulas(app, what, name, value, options, lines)
 
 
 ARRAY_LIKE = re.compile(
@@ -86,15 +96,23 @@ ARRAY_LIKE = re.compile(
 
 def as_in_the_source(app: object, what: str, name: str, value: object, options: object, *signature: str | None) -> Any:
     """Return arguments and result of a function with the short names of types, and defaults that can be parsed."""
-
-    def shown(text: str) -> str:
-        text = re.sub(r"~(?:numpy|typing|collections\.abc)\.(?:\w+\.)*(?=\w)", "", text)
-        text = re.sub(
-            r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", ARRAY_LIKE.sub("ArrayLike", text)
-        )
-        return re.sub(r"<(?:function|class) '?([\w.]+)'?(?: at 0x\w+)?>", r"\1", text).replace("<factory>", "...")
-
     return tuple(shown(text) if text else text for text in signature)
+
+
+def shown(text: str) -> str:
+    """Return types and defaults of a signature, short."""
+    text = re.sub(r"~(?:numpy|typing|collections\.abc)\.(?:\w+\.)*(?=\w)", "", text)
+    text = re.sub(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", ARRAY_LIKE.sub("ArrayLike", text))
+    text = re.sub(r"\d+\.\d{9,}", lambda number: f"{float(number[0]):.4g}", text)  # angles, in radians
+    text = re.sub(r"\(LidarMount\(.*?\)\)(?=,)", "...", text)
+    return re.sub(r"<(?:function|class) '?([\w.]+)'?(?: at 0x\w+)?>", r"\1", text).replace("<factory>", "...")
+
+
+def shorten_types(app: object, page: Any, name: str) -> None:
+    """Write the types of properties as those of functions."""
+    for node in page.findall(desc_annotation):
+        if (short := shown(node.astext())) != node.astext():
+            node.children = [desc_sig_name("", short)]
 
 
 def skip_fields(app: object, what: str, name: str, value: object, skip: bool, options: object) -> bool | None:
@@ -119,7 +137,9 @@ def check_links(app: Any, error: Exception | None) -> None:
 def setup(app: Any) -> None:
     """Connect the functions above."""
     app.connect("autodoc-process-docstring", escape_formulas, priority=100)  # before napoleon
+    app.connect("autodoc-process-docstring", keep_colons, priority=900)  # after it
     app.connect("autodoc-process-signature", as_in_the_source)
+    app.connect("doctree-resolved", shorten_types)
     app.connect("autodoc-skip-member", skip_fields)
     app.connect("source-read", lead_to_pages)
     app.connect("build-finished", check_links)

@@ -33,17 +33,16 @@ def data_store_tables(record: Mapping[str, Any]) -> list[str]:
     facts = [
         f"{large['source']} simulated samples of {per_sample / 1e3:.0f} kB, repeated, in batches of {record['batch']} "
         "for some seconds. Most of the time are augmentation and the inputs of `lite`. The S3 server (moto, in Python) "
-        "shares the processors. On processors a training does not wait for samples; on a GPU it was not tried.",
+        "shares the processors. No GPU was tried.",
         f"From S3, shard by shard: {requests:.2f} requests and {read['mb_per_sample']:.2f} MB a sample; all frames "
-        f"shuffled: {many['requests_per_sample']:.1f} requests and {many['mb_per_sample']:.2f} MB. A process that "
-        f"loads has {one['loading_mb']:.0f} MB, that beside it, which opened the data set, {one['resident_mb']:.0f} MB "
-        f"({few['resident_mb']:.0f} MB with {small['samples']:,} samples). Opening takes {opening:.1f} s with "
-        f"{count:,} samples ({few['opening_s']:.1f} s with {small['samples']:,}): a request per shard.",
-        f"Extrapolated to {LARGE:,} samples, not measured: {LARGE * per_sample / 1e9:.1f} GB and "
+        f"shuffled: {many['requests_per_sample']:.1f} and {many['mb_per_sample']:.2f} MB. A process that loads has "
+        f"{one['loading_mb']:.0f} MB, that which opened the data set {one['resident_mb']:.0f} MB "
+        f"({few['resident_mb']:.0f} MB with {small['samples']:,} samples). Opening {count:,} samples takes "
+        f"{opening:.1f} s ({small['samples']:,}: {few['opening_s']:.1f} s), a request per shard.",
+        f"Extrapolated to {LARGE:,} samples of such a store, not measured: {LARGE * per_sample / 1e9:.1f} GB and "
         f"{LARGE * requests:,.0f} requests per epoch, {opening * factor:.0f} s to open, "
-        f"{growth * (LARGE - count):.0f} MB more in each process that opens it, if requests, bytes and memory per "
-        "sample stay and the store answers as fast as this one. Answers after 30 ms, for the seven requests of a "
-        "shard at once, would cost 3 ms per sample and process, beside some 55 ms of preparation.",
+        f"{growth * (LARGE - count):.0f} MB more in each process that opens it. Answers after 30 ms, for the seven "
+        "requests of a shard at once, would cost 3 ms per sample and process, beside some 55 ms of preparation.",
     ]
     return ["\n".join(lines), *facts]
 

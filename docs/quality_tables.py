@@ -174,7 +174,8 @@ def _with_ends(interval: Sequence[float | None]) -> str:
     value, low, high = interval
     if value is None or low is None or high is None:
         return _value(value)
-    return f"{value:.2f} ({low:.2f} to {high:.2f})" if abs(value) >= 1 else f"{value:.3f} ({low:.3f} to {high:.3f})"
+    digits, to = 2 if abs(value) >= 1 else 3, " to " if low < 0 else "–"
+    return f"{value:.{digits}f} ({low:.{digits}f}{to}{high:.{digits}f})".replace(" ", "\xa0")
 
 
 def _p(value: float | None) -> str:

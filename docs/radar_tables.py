@@ -29,15 +29,23 @@ def radar_tables(record: Mapping[str, Any]) -> list[str]:
     for name, found in radars.items():
         scores = {model: one for model, one in found["scores"].items() if model != ALIKE}
         lines += [_row([name, model, *(f"{one[key]:.3f}" for key in METRICS)]) for model, one in scores.items()]
-    pairs = [_row(["`RadarISM` minus another, mean over drives (95 %)", "log loss", "Brier", "IoU free", "false free"])]
+    pairs = [
+        _row(
+            [
+                "`RadarISM` minus another, mean over drives ± half of the 95 % interval",
+                "log loss",
+                "Brier",
+                "IoU free",
+                "false free",
+            ]
+        )
+    ]
     pairs.append(_rule(1, 4))
     for name, found in radars.items():
         compared = found["RadarISM minus another, mean over drives, 95 %"]
         for other in (other for other in compared["nll"] if other in ("rays (RayISM)", "Werber 2015")):
             numbers = (compared[key][other] for key in ("nll", "brier", "iou_free", "false_free"))
-            pairs.append(
-                _row([f"{name}: {other}", *(f"{m:+.3f} ({low:+.3f} to {high:+.3f})" for m, low, high in numbers)])
-            )
+            pairs.append(_row([f"{name}: {other}", *map(_difference, numbers)]))
     head = ["radar", "detections (least, median, most)", "objects", "ground", "ghosts", "clutter"]
     counts = [_row([*head, "Doppler of standing things, 5 to 95 % [m/s]", "time of a sweep [s]"]), _rule(1, 7)]
     for name, found in radars.items():
@@ -66,9 +74,12 @@ def fusion_tables(record: Mapping[str, Any]) -> list[str]:
     """Return the tables of lidar with radar against lidar alone: means over drives, and differences."""
     rows = [_row(["", *FUSED.values()]), _rule(1, len(FUSED))]
     rows += [_row([name, *(f"{one[key]:.3f}" for key in FUSED)]) for name, one in record["mean"].items()]
-    less = [_row(["minus lidar alone, mean over drives (95 %)", *FUSED.values()]), _rule(1, len(FUSED))]
+    less = [
+        _row(["minus lidar alone, mean over drives ± half of the 95 % interval", *FUSED.values()]),
+        _rule(1, len(FUSED)),
+    ]
     for name, one in record["minus lidar"].items():
-        less.append(_row([name, *("{:+.3f} ({:+.3f} to {:+.3f})".format(*one[key]) for key in FUSED)]))
+        less.append(_row([name, *(_difference(one[key]) for key in FUSED)]))
     times = [_row(["", "objects", "in sight", "detected", "median time to detect [s]"]), _rule(2, 3)]
     for name, found in record["drives"].items():
         pairs = [pair for one in found for pair in zip(one["seconds to detect"], one["approaching"], strict=True)]
@@ -89,10 +100,12 @@ def far_tables(record: Mapping[str, Any]) -> list[str]:
             means = [sum(one[key] for one in each) / len(each) for key in keys]
             seen, shown = (sum(one["traffic"][k] for one in each) for k in (0, 1))
             rows.append(_row([f"{name}: {band}", *(f"{mean:.3f}" for mean in means), str(seen), str(shown)]))
-    less = [_row(["with radar minus without, mean over drives (95 %)", *(FUSED[key] for key in keys)])]
+    less = [
+        _row(["with radar minus without, mean over drives ± half of the 95 % interval", *(FUSED[key] for key in keys)])
+    ]
     less.append(_rule(1, len(keys)))
     for name, one in record["radar minus none"].items():
-        less.append(_row([name, *("{:+.3f} ({:+.3f} to {:+.3f})".format(*one[key]) for key in keys)]))
+        less.append(_row([name, *(_difference(one[key]) for key in keys)]))
     head = f"Drives: {len(drives)}, visibility in fog: {record['visibility in fog [m]']:g} m, "
     return [f"{head}reliability of radar: {record['reliability of radar']:g}.", "\n".join(rows), "\n".join(less)]
 
@@ -115,6 +128,12 @@ def _edges(found: Mapping[str, Any]) -> dict[str, list[str]]:
             *numbers, unit = key.partition(" ")[2].replace(",", "").split()
             result[key] = [f"{a} to {b} {unit}" for a, b in zip(numbers, numbers[1:], strict=False)]
     return result
+
+
+def _difference(found: Sequence[float]) -> str:
+    """Return a difference and half of its interval, which is symmetric."""
+    mean, low, high = found
+    return f"{mean:+.3f} ±\xa0{(high - low) / 2:.3f}"
 
 
 def _row(cells: list[str]) -> str:

@@ -77,7 +77,8 @@ def groups_of(module: ModuleType, names: Iterable[str]) -> dict[str, list[str]]:
         text = (inspect.getdoc(origin) or "") if origin is not module else ""
         title = re.split(r"[:.;](?:\s|$)", text, maxsplit=1)[0].replace("`", "").replace("\n", " ")
         found.setdefault("" if title == name else title, []).append(name)
-    return found | ({"Constants and types": constants} if constants else {})
+    own = {"": found.pop("")} if "" in found else {}  # first, or they would stand under the heading of others
+    return own | found | ({"Constants and types": constants} if constants else {})
 
 
 def comment(module: str, name: str) -> str:
@@ -102,7 +103,7 @@ def constant(module: ModuleType, name: str) -> str:
     """Return the directive of a constant, with its value where that is short."""
     value = getattr(module, name)
     shown = repr(value)
-    if isinstance(value, Mapping):
+    if isinstance(value, Mapping) and all(isinstance(key, str) for key in value):
         shown = f"{{{', '.join(f'{key!r}: ...' for key in value)}}}"
     text = f".. py:data:: {name}\n"
     text += f"   :value: {shown}\n" if len(shown) <= 200 and "\n" not in shown and " at 0x" not in shown else ""

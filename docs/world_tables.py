@@ -23,10 +23,10 @@ def world_tables(record: Mapping[str, Any]) -> list[str]:
     for name, title in titles.items():
         median, low, high = scans["ms"][name]
         ratio = f"x {scans['ratio'][name]:.2f}" if name in scans["ratio"] else ""
-        times.append(_row(title, f"{median:.2f} ms", f"{low:.2f} to {high:.2f}", ratio))
+        times.append(_row(title, f"{median:.2f} ms", f"{low:.2f}–{high:.2f}", ratio))
     median, low, high = window["ms"]
     times.append(
-        _row("reading a window of 512 x 352 cells from a folder", f"{median:.1f} ms", f"{low:.1f} to {high:.1f}", "")
+        _row("reading a window of 512 x 352 cells from a folder", f"{median:.1f} ms", f"{low:.1f}–{high:.1f}", "")
     )
     rates = ", ".join(f"{rule} {rate:.0f}" for rule, rate in record["merge"].items())
     sizes = [_row("on disk, per seen cell", "bytes"), "|---|---:|"]
@@ -39,10 +39,10 @@ def world_tables(record: Mapping[str, Any]) -> list[str]:
     facts = [
         f"Merging tiles in memory: {rates} million cells a second. The town: {built['drives']} drives, "
         f"{built['frames']} frames, {disk['seen_cells']:,} seen cells in {disk['tiles']} tiles.",
-        f"{drive_of} into {drive['tiles']} tiles with 200 MB of tiles in memory: {drive['ms_mean']:.1f} ms per scan "
+        f"{drive_of} into {drive['tiles']} tiles, 200 MB of them in memory: {drive['ms_mean']:.1f} ms per scan "
         f"in the mean, with reading and writing ({drive['hz_mean']:.0f} scans/s), 99 % below {drive['ms_99']:.0f} ms. "
-        f"The process has {resident[0]} MB after the first kilometre and {resident[-1]} MB after the last one, "
-        f"{max(resident)} MB at most in between.",
+        f"The process has {resident[0]} MB after the first kilometre, {resident[-1]} MB after the last, "
+        f"{max(resident)} MB at most.",
     ]
     return ["\n".join(times), "\n".join(sizes), *facts]
 
@@ -74,8 +74,8 @@ def rule_tables(record: Mapping[str, Any]) -> list[str]:
         "\n".join(table),
         f"{report['drives']} drives through {report['towns']} towns, {report['frames']:,} scans; "
         f"{cells['free']:,} free and {cells['occupied']:,} occupied cells, {cells['left']:,} that parked cars left. "
-        f"The default was chosen on {fit['drives']} drives through another town. Its differences to `cautious` without "
-        f"discount, in pairs of {report['tiles']} tiles, 95 % intervals: {found}.",
+        f"The default was chosen on {fit['drives']} drives through another town. Its differences to `cautious`, "
+        f"in pairs of {report['tiles']} tiles, 95 % intervals: {found}.",
     ]
 
 
@@ -86,9 +86,9 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
         town = record["town"]
         equal = "the same to the last bit" if all(town["the same"].values()) else "NOT the same"
         result.append(
-            f"{town['drives']} drives, {town['frames']:,} scans, {town['seen_cells']:,} seen cells: by two workers of "
-            f"this machine, by a Dask scheduler with two workers, and by those into S3 (moto on loopback): {equal} in "
-            f"all layers, tiles and {town['levels']} levels."
+            f"{town['drives']} drives, {town['frames']:,} scans, {town['seen_cells']:,} seen cells: by two workers, by "
+            f"a Dask scheduler with two workers, and by those into S3 (moto on loopback): {equal} in all layers, tiles "
+            f"and {town['levels']} levels."
         )
     if "workers" in record:
         one = record["workers"]
@@ -99,8 +99,8 @@ def build_tables(record: Mapping[str, Any]) -> list[str]:
     big = record["cells"]
     resident = big["resident_mb"]
     result.append(
-        f"{big['cells']:.3g} cells in {big['tiles']:,} tiles, synthetic: a square of the simulated town, mirrored, all "
-        f"of it seen, once into each tile, with 200 MB of tiles in memory: {big['seconds']:.0f} s, "
+        f"{big['cells']:.3g} cells in {big['tiles']:,} tiles, synthetic (a square of the simulated town, mirrored, all "
+        f"of it seen, once into each tile), 200 MB of tiles in memory: {big['seconds']:.0f} s, "
         f"and {big['overviews_seconds']:.0f} s for {big['levels'] - 1} levels of overviews; "
         f"{big['gigabytes']:.2f} GB in {big['objects']:,} files, {big['bytes_per_cell']:.2f} bytes per cell. The "
         f"process has {resident[0]} MB after a twentieth and {max(resident[:-1])} MB at most until all is in."

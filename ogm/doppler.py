@@ -4,8 +4,9 @@
 >>> from ogm import Scan
 >>> from ogm.doppler import sensor_velocity
 >>> azimuth = np.linspace(-1, 1, 50)
->>> xyz = 20 * np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth]).astype(np.float32)
->>> sensor_velocity(Scan(xyz, doppler=-8.0 * np.cos(azimuth))).round(3)     # [m/s]: ahead, past what stands still
+>>> directions = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
+>>> scan = Scan(20 * directions.astype(np.float32), doppler=-8.0 * np.cos(azimuth))
+>>> sensor_velocity(scan).round(3)     # [m/s]: ahead, past what stands still
 array([8., 0.])
 """
 

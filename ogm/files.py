@@ -1,7 +1,7 @@
 """Files that are either whole or not there, and the error for those that are wrong.
 
 >>> from ogm.files import atomic_write
->>> with atomic_write("notes.txt", "w") as file:       # after an error or a crash, the old file or none is there
+>>> with atomic_write("notes.txt", "w") as file:     # all of it, or the old file
 ...     _ = file.write("whole")
 """
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ogm import EvidentialGrid, GridSpec, colours, plot
+from ogm.evaluation.figures import COLOURS as METHODS
 from ogm.evaluation.motion_pictures import ARROWS
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear red, green and blue
@@ -52,6 +53,11 @@ def test_what_moves_differs_from_what_stands_behind_the_arrows(eye: str) -> None
     arrows = [tuple(np.array(colour) / 255) for colour in ARROWS.values()]
     for other in (*behind, one.unknown, *arrows):
         assert nearest([one.dynamic, other], eye) > 30
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_methods_of_an_evaluation_differ_for_every_eye(eye: str) -> None:
+    assert nearest([tuple(int(one[k : k + 2], 16) / 255 for k in (1, 3, 5)) for one in METHODS], eye) > 15
 
 
 def test_green_and_red_differ_for_most_eyes_only() -> None:

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
     from ogm.scan import InverseSensorModel, PerMount
 
-DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by the ground returns [m]
-    "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98),
-    "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45),
+DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by the ground returns [m], cells shown
+    "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98, slice(None), slice(None)),
+    "ogm-demo-sector": ("at128_sector.pcd.xz", "flu", 0.45, slice(244, 316), slice(132, 204)),
 }
 DEMO_MODELS = {
     "height-band": "height band (paper's baseline)",
@@ -50,7 +50,7 @@ def demo(
     best, models = chosen_model(None, spec), dict(DEMO_MODELS)
     if best != COMBINED:
         del models[LITE], models[COMBINED]
-    for output, (file, axes, height) in DEMO_SCANS.items():
+    for output, (file, axes, height, *cells) in DEMO_SCANS.items():
         with as_file(files("ogm") / "data" / file) as path:
             scan, grids = read_scan(path, axes=axes), {}
         for name, title in models.items():
@@ -59,9 +59,10 @@ def demo(
                 ism(scan)
             grids[title], seconds = _timed(partial(ism, scan), repeats=9)
             _row(table, name, len(scan), grids[title], seconds)
-        cloud = plot.points_panel(scan.points, spec, f"{len(scan)} points", -height)
+        shown = [_part(grid, *cells) for grid in grids.values()]
+        cloud = plot.points_panel(scan.points, shown[0].spec, f"{len(scan)} points", -height)
         pictures.append(out_folder / f"{output}.png")
-        plot.save_picture(pictures[-1], cloud, *grids.values(), titles=["", *grids])
+        plot.save_picture(pictures[-1], cloud, *shown, titles=["", *grids])
         if len(pictures) == 1:
             grids[DEMO_MODELS[best]].save(out_folder / f"{output}.npz")
     out.print(f"Two scans on {_cells(spec)}")
@@ -187,6 +188,13 @@ def _model(
 
 def _cells(spec: "GridSpec") -> str:
     return f"{spec.shape[0]} x {spec.shape[1]} cells of {spec.resolution:g} m"
+
+
+def _part(grid: "EvidentialGrid", along: slice, across: slice) -> "EvidentialGrid":
+    """Return some cells of a grid."""
+    spec, mass = grid.spec, grid.mass[along, across]
+    x, y = (low + spec.resolution * (part.start or 0) for low, part in zip(spec.origin, (along, across), strict=True))
+    return type(grid)(type(spec)(spec.resolution, mass.shape[:2], (x, y)), mass)
 
 
 def _table() -> Table:

@@ -5,7 +5,7 @@ probabilities that the truth is free and occupied; the rest to one is `unknown`,
 It returns float32, or float64 if `evidence` is, per cell, (...). Half precision is computed in float32, and only
 shapes and types are checked: a NaN in is a NaN out.
 
-The default is `reverse_kl`; the others are those of the literature, for comparison.
+The default is `reverse_kl`; the others are those of the literature, for comparison::
 
     target, valid = targets(state)
     loss = masked_mean(reverse_kl(evidence, target), valid)

@@ -25,7 +25,7 @@ SHOWN = (
 )  # fmt: skip
 MOST = 6  # methods side by side
 DOTS = 110  # per inch
-COLOURS = ("#2c5f9e", "#e08214", "#1b7837", "#7b3294", "#b2182b", "#8c8c8c", "#35978f", "#543005")
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#f0e442", "#000000")  # Okabe and Ito 2008
 
 
 def draw_metrics(path: str | Path, result: Evaluation, title: str, note: str = "") -> None:

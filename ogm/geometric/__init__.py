@@ -5,8 +5,9 @@ The kernels are compiled by numba at their first call in a new environment and c
 >>> import numpy as np
 >>> from ogm import GridSpec, Mount
 >>> from ogm.geometric import RayISM
->>> x, y = np.mgrid[3:12:0.1, -4:4:0.1].reshape(2, -1)                      # flat ground, 1.8 m below the sensor
->>> ism = RayISM(GridSpec.centered(length=24.0, width=16.0, resolution=0.5), Mount(sensor_height=1.8))
+>>> x, y = np.mgrid[3:12:0.1, -4:4:0.1].reshape(2, -1)     # flat ground, 1.8 m below
+>>> spec = GridSpec.centered(length=24.0, width=16.0, resolution=0.5)
+>>> ism = RayISM(spec, Mount(sensor_height=1.8))
 >>> grid = ism(np.column_stack([x, y, np.full(x.size, -1.8), np.zeros(x.size)]))
 >>> bool(grid.at(8.0, 1.0).free > 0.9), float(grid.at(-8.0, 1.0).unknown)
 (True, 1.0)

@@ -13,12 +13,11 @@ from ogm.io.reading import parse_array, read_bytes
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 
+# The classes of the nuScenes frames that PCLSegmentation ships (ika, RWTH Aachen), by number
 NUSCENES_ELEVEN = {
     **{0: "road", 1: "sidewalk", 2: "building", 3: "pole", 4: "vegetation", 5: "person", 6: "two-wheeler"},
     **{7: "car", 8: "truck", 9: "bus", 10: "none"},
 }
-"""The classes of the nuScenes frames that PCLSegmentation ships (ika, RWTH Aachen)."""
-
 
 _WANTED = "numbers of shape (layers, azimuths, 6): x, y, z, intensity, range, class"
 

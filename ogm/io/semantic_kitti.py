@@ -11,7 +11,7 @@ from ogm.io.reading import read_bytes
 
 __all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 
-# Class by its number, as in the labels of SemanticKITTI
+# Class by its number, as in ``labels/*.label`` of SemanticKITTI
 SEMANTIC_KITTI = {
     **{0: "unlabeled", 1: "outlier", 10: "car", 11: "bicycle", 13: "bus", 15: "motorcycle", 16: "on-rails"},
     **{18: "truck", 20: "other-vehicle", 30: "person", 31: "bicyclist", 32: "motorcyclist", 40: "road"},
@@ -21,18 +21,17 @@ SEMANTIC_KITTI = {
     **{255: "moving-motorcyclist", 256: "moving-on-rails", 257: "moving-bus", 258: "moving-truck"},
     **{259: "moving-other-vehicle"},
 }
-"""What the numbers in ``labels/*.label`` mean."""
 
+# Those of them that move while the drive is recorded
 SEMANTIC_KITTI_MOVING = frozenset(range(252, 260))
-"""Those of them that move while the drive is recorded."""
 
+# The 20 classes that networks are trained on, by number
 SEMANTIC_KITTI_TRAINING = {
     **{0: "unlabeled", 1: "car", 2: "bicycle", 3: "motorcycle", 4: "truck", 5: "other-vehicle", 6: "person"},
     **{7: "bicyclist", 8: "motorcyclist", 9: "road", 10: "parking", 11: "sidewalk", 12: "other-ground"},
     **{13: "building", 14: "fence", 15: "vegetation", 16: "trunk", 17: "terrain", 18: "pole"},
     **{19: "traffic-sign"},
 }
-"""The 20 classes that networks are trained on."""
 
 _LABEL = np.dtype("<u4")
 

@@ -1,4 +1,4 @@
-"""`serve`: maps frames while they are new, and publishes the map; `warm_up` before the first of them."""
+"""Mapping and publishing frames while they are new: `serve`, and `warm_up` before the first of them."""
 
 import copy
 import threading

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,7 @@ TEXT, SMALL = 20, 16  # [px] sizes of titles and of all else
 INK, FRAME = (20, 20, 20), (150, 150, 150)
 FEWEST = 4  # steps along an axis
 MOST = 100  # letters of a title
+FITS, LARGEST = 1600, 2.2  # width of the panels [px] beyond which texts grow with it, up to so many times
 
 
 def show(*items: Shown, titles: Sequence[str] = ()) -> Image.Image:
@@ -102,11 +103,29 @@ def _size(panel: Panel) -> tuple[int, int]:
     return max(1, round(columns * scale)), max(1, round(rows * scale))
 
 
-def _shown(title: str, width: int) -> str:
+class _Layout(NamedTuple):
+    """Sizes of texts and of the space around them [px]: larger where a page will shrink a wide picture."""
+
+    gap: int
+    margin: int
+    axis: int
+    title: int
+    ticks: int
+    text: int
+    small: int
+
+    @classmethod
+    def of(cls, widths: int) -> "_Layout":
+        """Return the sizes for panels of some width together."""
+        factor = min(max(widths / FITS, 1.0), LARGEST)
+        return cls(*(round(factor * one) for one in (GAP, MARGIN, AXIS, TITLE, TICKS, TEXT, SMALL)))
+
+
+def _shown(title: str, width: int, size: int) -> str:
     """Cut a title to what fits over a panel, and replace what the font does not have."""
     text = title = plain(title)
     most = min(len(title), MOST)
-    while most > 8 and font(TEXT).getlength(title) > width:
+    while most > 8 and font(size).getlength(title) > width:
         most -= 1
         title = f"{text[: most // 2 - 1]}...{text[-most // 2 + 2 :]}"
     return title
@@ -114,46 +133,51 @@ def _shown(title: str, width: int) -> str:
 
 def _draw(panels: Sequence[Panel]) -> Image.Image:
     sizes = [_size(panel) for panel in panels]
-    slots = [max(size[0], legend_width(panel, SMALL)) for size, panel in zip(sizes, panels, strict=True)]
+    at = _Layout.of(sum(width for width, _ in sizes))
+    slots = [max(size[0], legend_width(panel, at.small)) for size, panel in zip(sizes, panels, strict=True)]
     tallest = max(height for _, height in sizes)
-    width = AXIS + sum(slots) + GAP * (len(panels) - 1) + MARGIN
-    picture = Image.new("RGB", (width, MARGIN + TITLE + tallest + TICKS + TITLE), "white")
-    draw, left, top = ImageDraw.Draw(picture), AXIS, MARGIN + TITLE
+    width = at.axis + sum(slots) + at.gap * (len(panels) - 1) + at.margin
+    picture = Image.new("RGB", (width, at.margin + at.title + tallest + at.ticks + at.title), "white")
+    draw, left, top = ImageDraw.Draw(picture), at.axis, at.margin + at.title
     for k, (panel, (wide, high), slot) in enumerate(zip(panels, sizes, slots, strict=True)):
         corner = left + (slot - wide) // 2, top
         image = scaled(panel, (wide, high))
         draw_marks(image, panel, 16, 80, SMOOTH)
         picture.paste(image, corner)
         draw.rectangle([corner[0] - 1, top - 1, corner[0] + wide, top + high], outline=FRAME)
-        draw_vehicle(draw, panel.spec, corner, high, 6)
-        draw.text((left + slot // 2, top - TITLE // 2), _shown(panel.title, slot), INK, font(TEXT), anchor="mm")
-        _draw_axes(picture, panel, corner, (wide, high), first=k == 0)
-        legend = left + (slot - legend_width(panel, SMALL)) // 2
-        draw_legend(draw, legend, top + high + TICKS + TITLE // 2, panel, SMALL, (INK, FRAME))
-        left += slot + GAP
+        draw_vehicle(draw, panel.spec, corner, high, round(0.3 * at.text))
+        title = _shown(panel.title, slot, at.text)
+        draw.text((left + slot // 2, top - at.title // 2), title, INK, font(at.text), anchor="mm")
+        _draw_axes(picture, panel, corner, (wide, high), at, first=k == 0)
+        legend = left + (slot - legend_width(panel, at.small)) // 2
+        draw_legend(draw, legend, top + high + at.ticks + at.title // 2, panel, at.small, (INK, FRAME))
+        left += slot + at.gap
     return picture
 
 
-def _draw_axes(picture: Image.Image, panel: Panel, corner: tuple[int, int], size: tuple[int, int], first: bool) -> None:
+def _draw_axes(
+    picture: Image.Image, panel: Panel, corner: tuple[int, int], size: tuple[int, int], at: _Layout, first: bool
+) -> None:
     """Draw numbers [m] along the axes of a panel, and their names; those of x only for the first."""
     (left, top), (wide, high), draw = corner, size, ImageDraw.Draw(picture)
     x_min, x_max, y_min, y_max = panel.spec.extent
     pixels = high / panel.spec.length  # per metre
     step = _step(min(x_max - x_min, y_max - y_min) if first else y_max - y_min)
     for y in np.arange(np.ceil(y_min / step), np.floor(y_max / step) + 1) * step:
-        at = left + (y_max - y) * pixels
-        draw.line([(at, top + high), (at, top + high + 5)], INK)
-        draw.text((at, top + high + 7), f"{y:g}", INK, font(SMALL), anchor="ma")
-    draw.text((left + wide // 2, top + high + TICKS - 22), "y, left [m]", INK, font(SMALL), anchor="ma")
+        place = left + (y_max - y) * pixels
+        draw.line([(place, top + high), (place, top + high + 5)], INK)
+        draw.text((place, top + high + 7), f"{y + 0:g}", INK, font(at.small), anchor="ma")
+    below = top + high + at.ticks - round(1.375 * at.small)
+    draw.text((left + wide // 2, below), "y, left [m]", INK, font(at.small), anchor="ma")
     if first:
         for x in np.arange(np.ceil(x_min / step), np.floor(x_max / step) + 1) * step:
-            at = top + (x_max - x) * pixels
-            draw.line([(left - 6, at), (left - 1, at)], INK)
-            draw.text((left - 9, at), f"{x:g}", INK, font(SMALL), anchor="rm")
-        name = Image.new("L", (high, SMALL + 6))
-        ImageDraw.Draw(name).text((high // 2, name.height // 2), "x, forward [m]", 255, font(SMALL), anchor="mm")
+            place = top + (x_max - x) * pixels
+            draw.line([(left - 6, place), (left - 1, place)], INK)
+            draw.text((left - 9, place), f"{x + 0:g}", INK, font(at.small), anchor="rm")
+        name = Image.new("L", (high, at.small + 6))
+        ImageDraw.Draw(name).text((high // 2, name.height // 2), "x, forward [m]", 255, font(at.small), anchor="mm")
         upright = name.transpose(Image.Transpose.ROTATE_90)
-        picture.paste(INK, (MARGIN, top), upright)
+        picture.paste(INK, (at.margin, top), upright)
 
 
 def _step(length: float) -> float:

@@ -2,7 +2,8 @@
 
 >>> from ogm.simulation.materials import Material
 >>> from ogm.simulation.mesh import box, merge
->>> road, car = box([0, -5, -1], [90, 5, 0], Material.ASPHALT), box([20, -1, 0], [24, 1, 1.5], Material.PAINT_DARK)
+>>> road = box([0, -5, -1], [90, 5, 0], Material.ASPHALT)
+>>> car = box([20, -1, 0], [24, 1, 1.5], Material.PAINT_DARK)
 >>> merge([road, car]).triangles.shape
 (24, 3)
 """
