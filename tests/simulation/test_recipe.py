@@ -20,6 +20,7 @@ from ogm.simulation.sensors import LIDARS
 from ogm.simulation.store import FORMAT, GAPS, Store
 from ogm.state import CellState
 
+pytestmark = pytest.mark.usefixtures("kept_towns")
 PLAN = DatasetPlan.of_recipe("gen2", seed=5)
 NO_MOVERS = np.zeros((0, 5))
 

@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -79,6 +80,7 @@ class Model:
         return grid_of(number)
 
 
+@lru_cache
 def grid_of(number: int) -> EvidentialGrid:
     """Return the grid of a scan."""
     rng = np.random.default_rng(number)
