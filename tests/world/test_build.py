@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from world_frames import RandomGrids, StraightDrive, grid_of
+from world_frames import SLOWLY_IN_S3, RandomGrids, StraightDrive, grid_of
 
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious
 from ogm.files import OgmError
@@ -30,6 +30,8 @@ DRIVES = {
 RULES = {"cautious": normalized_cautious, "dempster": dempster, "cumulative": cumulative}
 AROUND = GridSpec(0.5, (280, 280), (-60.0, -60.0))
 OPTIONS: dict[str, Any] = {"resolution": 0.5, "tile": 32, "rule": "dempster"}
+# no bound of certainty, which acts at other moments, and no discount
+UNBOUNDED = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4, "drive_reliability": 1.0}
 
 
 def built(where: dict[str, Any], drives: dict[str, Any] = DRIVES, **options: Any) -> WorldMap:
@@ -64,18 +66,34 @@ def copied(folder: Path, tmp_path: Path) -> Iterator[WorldMap]:
         yield world
 
 
-SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", marks=pytest.mark.slow)], indirect=True)
+@pytest.fixture
+def built_map(place: Place, folder: Path) -> Iterator[WorldMap]:
+    """A map as `whole` in a place, to be changed."""
+    where = place()
+    if isinstance(where["url"], Path):
+        shutil.copytree(folder, where["url"])
+    else:
+        built(where).close()
+    with WorldMap.open(**where, mode="r+") as world:
+        yield world
 
 
-def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
-    # no bound of certainty, which acts at other moments, and no discount
-    options = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4, "drive_reliability": 1.0}
-    with WorldMap.create(**place(), **options) as world, WorldMap.create(**place(), **options) as plain:
-        build_world(world, DRIVES, RandomGrids(), length=15.0)
+@pytest.fixture(scope="session")
+def integrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of all scans of all drives, one after the other."""
+    path = tmp_path_factory.mktemp("integrated") / "map"
+    with WorldMap.create(path, **UNBOUNDED) as world:
         for drive in DRIVES.values():
             for k in range(len(drive)):
                 if k not in drive.damaged and k not in drive.lost:
-                    plain.integrate(grid_of(1000 * drive.seed + k), drive.pose(k), stamp=100.0 * drive.seed + 0.5 * k)
+                    world.integrate(grid_of(1000 * drive.seed + k), drive.pose(k), stamp=100.0 * drive.seed + 0.5 * k)
+    return path
+
+
+@SLOWLY_IN_S3  # tests/world/test_outputs.py builds a smaller one
+def test_a_built_map_is_that_of_its_scans(place: Place, integrated: Path) -> None:
+    with WorldMap.create(**place(), **UNBOUNDED) as world, WorldMap.open(integrated) as plain:
+        build_world(world, DRIVES, RandomGrids(), length=15.0)
         assert world.tiles() == plain.tiles()
         for name in ("count", "last_seen"):
             np.testing.assert_array_equal(world.layers(AROUND)[name], plain.layers(AROUND)[name])
@@ -87,14 +105,15 @@ def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
 def test_the_map_of_each_drive_is_discounted_before_it_meets_the_others(tmp_path: Path, rule: str) -> None:
     """Whatever the number of its sub-maps, and in whatever order drives are built."""
     options = OPTIONS | {"rule": rule, "dtype": "float32", "min_unknown": 1e-4}
+    drives = {"a": DRIVES["a"][:16], "b": DRIVES["b"][14:]}  # around where they cross
     alone = []
     for name in "ab":
         with WorldMap.create(tmp_path / name, **options, drive_reliability=1.0) as world:
-            build_world(world, {name: DRIVES[name]}, RandomGrids(), length=15.0)
+            build_world(world, {name: drives[name]}, RandomGrids(), length=15.0)
             alone.append(discount(world.window(AROUND).mass, 0.7))
     with WorldMap.create(tmp_path / "both", **options, drive_reliability=0.7) as world:
         for name in "ba":
-            build_world(world, {name: DRIVES[name]}, RandomGrids(), length=15.0)
+            build_world(world, {name: drives[name]}, RandomGrids(), length=15.0)
         np.testing.assert_allclose(world.window(AROUND).mass, RULES[rule](*alone), atol=2e-5)
     assert np.all([one.sum(axis=-1) > 0 for one in alone], axis=0).sum() > 20  # cells of both
 
@@ -116,7 +135,8 @@ def test_the_order_and_number_of_builds_do_not_matter(place: Place, whole: World
         assert same(whole, other)
 
 
-@pytest.mark.parametrize("workers", [2, pytest.param(3, marks=pytest.mark.slow)])
+@pytest.mark.slow  # two workers, one of which is killed, are tried below
+@pytest.mark.parametrize("workers", [2, 3])
 def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, whole: WorldMap, workers: int) -> None:
     with built({"url": tmp_path / "many"}, workers=workers) as many:
         assert same(whole, many)
@@ -218,12 +238,12 @@ def test_a_lost_tile_is_made_again(tmp_path: Path, copied: WorldMap, whole: Worl
 
 
 @SLOWLY_IN_S3
-def test_a_removed_drive_leaves_the_map(place: Place) -> None:
+def test_a_removed_drive_leaves_the_map(built_map: WorldMap, tmp_path: Path) -> None:
     two = {name: DRIVES[name] for name in "ac"}
-    with built(place()) as world, built(place(), two) as without:
-        remove_drive(world.store, "b")
-        rebuild_world(world)
-        assert same(world, without)
+    with built({"url": tmp_path / "without"}, two) as without:
+        remove_drive(built_map.store, "b")
+        rebuild_world(built_map)
+        assert same(built_map, without)
 
 
 def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
@@ -232,19 +252,19 @@ def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
 
 
 @SLOWLY_IN_S3
-def test_a_moved_drive_lies_where_its_scans_would(place: Place) -> None:
+def test_a_moved_drive_lies_where_its_scans_would(built_map: WorldMap, tmp_path: Path) -> None:
     """A shift by whole cells moves the cells alone; the sub-maps of the other drives stay."""
     shift = pose(4.0, -2.5)
     drive = DRIVES["a"]
     moved = {k: shift @ drive.pose(k) for k in range(len(drive))}
-    with built(place()) as world, WorldMap.create(**place(), **OPTIONS) as expected:
-        rebuild_world(world, {"a": moved})
+    rebuild_world(built_map, {"a": moved})
+    with WorldMap.create(tmp_path / "expected", **OPTIONS) as expected:
         for one in (DRIVES["a"], DRIVES["b"], DRIVES["c"]):
             for k in range(len(one)):
                 T = shift @ one.pose(k) if one.seed == 2 else one.pose(k)
                 if k not in one.damaged and k not in one.lost:
                     expected.integrate(grid_of(1000 * one.seed + k), T, stamp=100.0 * one.seed + 0.5 * k)
-        np.testing.assert_array_equal(world.layers(AROUND)["count"], expected.layers(AROUND)["count"])
+        np.testing.assert_array_equal(built_map.layers(AROUND)["count"], expected.layers(AROUND)["count"])
 
 
 def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
