@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -13,6 +14,10 @@ from hypothesis import settings
 
 settings.register_profile("any machine", deadline=None)  # busy ones stand still for longer than an example takes
 settings.load_profile("any machine")
+
+# Modules are compiled once and kept, whatever the environment wants: tests start some hundred processes.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell: interrupts are tested
     signal.signal(signal.SIGINT, signal.default_int_handler)
