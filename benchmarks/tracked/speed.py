@@ -3,8 +3,8 @@
     asv continuous --factor 1.2 HEAD~1 HEAD      # two commits, in an environment of asv's
     asv run -E existing --set-commit-hash $(git rev-parse HEAD)      # what is installed here
 
-Both are timed in pairs, one right after the other, by the time of the processor that the process has; what counts is the
-ratio of the least times of both. Where other processes use all cores it is still wrong by up to 1.8.
+Both are timed in pairs, one right after the other, by the time of the processor that the process has; what counts is
+the ratio of the least times of both. Where other processes use all cores it is still wrong by up to 1.8.
 """
 
 import contextlib
