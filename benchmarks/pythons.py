@@ -10,9 +10,7 @@ import re
 import subprocess
 import sys
 import tomllib
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
-from itertools import product
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -44,12 +42,13 @@ def main() -> None:
         for name, requirements in project["optional-dependencies"].items()
         if name not in ("all", "test", "dev", "bench", "docs")
     }
-    cases = list(product(extras, PYTHONS, PLATFORMS))
-    with ThreadPoolExecutor(8) as pool:  # uv waits for the index, most of the time
-        found = pool.map(lambda case: without_wheel(extras[case[0]], case[1], PLATFORMS[case[2]]), cases)
-        missing: dict[str, dict[str, dict[str, list[str]]]] = {}
-        for (name, python, system), packages in zip(cases, found, strict=True):
-            missing.setdefault(name, {}).setdefault(python, {})[system] = packages
+    missing = {
+        name: {
+            python: {system: without_wheel(requirements, python, platform) for system, platform in PLATFORMS.items()}
+            for python in PYTHONS
+        }
+        for name, requirements in extras.items()
+    }
     record = {
         "command": "python benchmarks/pythons.py",
         "date": f"{datetime.now(UTC):%Y-%m-%d}",
