@@ -1,10 +1,13 @@
-"""What tests of several rooms share."""
+"""What tests of several packages share."""
 
 import os
 import signal
+import sys
 import warnings
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -12,18 +15,24 @@ from hypothesis import settings
 settings.register_profile("any machine", deadline=None)  # busy ones stand still for longer than an example takes
 settings.load_profile("any machine")
 
+# Modules are compiled once and kept, whatever the environment wants: tests start some hundred processes.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # started in the background by a shell: interrupts are tested
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Give tests that share a fixture of their module to one worker of pytest-xdist, which makes it once."""
+    """Give tests that share towns, or a fixture of their module, to one worker of pytest-xdist, which makes it once."""
     for item in items:
         fixtures = getattr(item, "_fixtureinfo", None)
         defined = (
             [one for name in item.fixturenames for one in fixtures.name2fixturedefs.get(name, ())] if fixtures else []
         )
-        if any(one.scope == "module" for one in defined):
+        if "kept_towns" in item.fixturenames:
+            item.add_marker(pytest.mark.xdist_group("towns"))
+        elif any(one.scope == "module" for one in defined):
             item.add_marker(pytest.mark.xdist_group(item.nodeid.split("::")[0]))
 
 
@@ -40,6 +49,16 @@ def real() -> Callable[[str], Path]:
         return path
 
     return find
+
+
+@pytest.fixture(scope="session")
+def kept_towns() -> Iterator[Callable[..., Any]]:
+    """Let the simulator keep the last towns, not the last one alone: building one takes seconds; give `build_town`."""
+    from ogm.simulation import moments
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(moments, "_town", lru_cache(maxsize=8)(moments.build_town))
+        yield moments._town
 
 
 @pytest.fixture(scope="session")

@@ -22,6 +22,7 @@ from ogm.simulation import studio
 from ogm.simulation.recipe import RECIPES
 from ogm.simulation.store import FORMAT, GAPS, Store
 
+pytestmark = pytest.mark.usefixtures("kept_towns")
 TINY = ("--samples", 1, "--validation", 1, "--town-size", 240, "--lidar", "hdl-32e")
 
 

@@ -16,6 +16,13 @@ ROOT = Path(__file__).parents[1]
 HEAVY = {"torch", "open3d", "matplotlib", "numba", "scipy", "lightning", "filterpy", "zarr", "dask", "typer"}
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
+IN_TOWNS = pytest.mark.xdist_group("towns")  # tests/conftest.py
+
+
+def in_town(page: Path) -> bool:
+    """Whether examples of a page build a town of the simulator."""
+    return "DatasetPlan(" in page.read_text()
+
 
 def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -102,9 +109,15 @@ def test_public_classes_have_names_of_their_own() -> None:
     assert {name: paths for name, paths in where.items() if len(paths) > 1} == {}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-def test_examples_of_the_documentation_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "page", [pytest.param(one, id=one.name, marks=IN_TOWNS if in_town(one) else []) for one in PAGES]
+)
+def test_examples_of_the_documentation_run(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
     """Run a page's Python blocks, one after the other, on the shipped scan; then its interactive examples."""
+    if in_town(page):
+        request.getfixturevalue("kept_towns")
     packed = (ROOT / "ogm/data/vls128_road.pcd.xz").read_bytes()
     (tmp_path / "drive").mkdir()
     for name in ("scan.pcd.xz", "drive/000000.pcd.xz", "drive/000001.pcd.xz"):

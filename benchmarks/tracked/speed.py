@@ -1,10 +1,10 @@
 """What the fast parts cost, as multiples of a numpy expression timed in the same process, in turn with them.
 
-    asv continuous --factor 1.2 HEAD~1 HEAD      # two commits, each in an environment of its own
+    asv continuous --factor 1.2 HEAD~1 HEAD      # two commits, in an environment of asv's
     asv run -E existing --set-commit-hash $(git rev-parse HEAD)      # what is installed here
 
-Both are timed in pairs, one right after the other, by the time of the processor that the process has. The ratio of the
-least times of both holds on a busy machine too.
+Both are timed in pairs, one right after the other, by the time of the processor that the process has; what counts is
+the ratio of the least times of both. Where other processes use all cores it is still wrong by up to 1.8.
 """
 
 import contextlib

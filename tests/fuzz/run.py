@@ -48,6 +48,8 @@ PACKAGES = (
     "netCDF4",
     "PIL.Image",
     "h5py",
+    "dask.array",
+    "scipy.linalg",
 )
 Found = Callable[[int, str, str], None]
 

@@ -8,13 +8,13 @@ from stand_in import SMALL, TALL, stand_in
 from ogm.simulation.sample import Beams, SimulatedSample
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_sample() -> Callable[..., SimulatedSample]:
     """Give `stand_in`."""
     return stand_in
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def beams() -> tuple[Beams, Beams]:
     """Give the lidars of `stand_in`."""
     return SMALL, TALL

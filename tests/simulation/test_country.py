@@ -1,5 +1,7 @@
 """The country around towns: banks and ditches as steep as stated, and fields that leave the roads free."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import shapely
@@ -19,9 +21,14 @@ def plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 5.0 + 0.1 * x - 0.05 * y
 
 
-@pytest.fixture(scope="module")
-def town() -> Town:
-    return build_town(3, 240.0, COUNTRY)
+@pytest.fixture
+def town(kept_towns: Callable[..., Town]) -> Town:
+    return kept_towns(3, 240.0, COUNTRY)
+
+
+@pytest.fixture
+def plain_town(kept_towns: Callable[..., Town]) -> Town:
+    return kept_towns(3, 240.0, None)
 
 
 def slopes(town: Town) -> tuple[np.ndarray, np.ndarray]:
@@ -48,31 +55,24 @@ def test_profiles_are_as_steep_and_as_high_as_stated() -> None:
     assert np.mean([max(one.height) > 0.5 for one in found]) > 0.3  # land above it
 
 
-def test_banks_rise_20_to_100_percent_and_roads_do_not(town: Town) -> None:
+def test_banks_rise_20_to_100_percent_and_roads_do_not(town: Town, plain_town: Town) -> None:
     slope, area = slopes(town)
     assert area[slope > 0.4].sum() > 0.005 * area.sum()
     assert area[slope > 1.0 + STEEPEST + 0.1].sum() < 5e-4 * area.sum()
     road = np.isin(town.ground.material, (Material.ASPHALT, Material.MARKING))
     assert area[road & (slope > 0.2)].sum() < 0.002 * area[road].sum()
-    plain = build_town(3, 240.0)
-    before, size = slopes(plain)
+    before, size = slopes(plain_town)
     assert size[before > 0.4].sum() < 0.3 * area[slope > 0.4].sum()
 
 
-def test_part_of_a_town_is_country(town: Town) -> None:
+def test_part_of_a_town_is_country(town: Town, plain_town: Town) -> None:
     styles = [style for _, style in town.districts]
     assert "country" in styles
-    assert "country" not in [style for _, style in build_town(3, 240.0).districts]
+    assert "country" not in [style for _, style in plain_town.districts]
     faces = np.array([[x, y] for x in range(4) for y in range(4)], float) * 90
     for seed in range(20):
         found = turn_rural(["suburb"] * 16, faces, COUNTRY, np.random.default_rng(seed))
         assert 11 <= found.count("country") <= 13
-
-
-def test_a_town_without_country_is_as_ever() -> None:
-    one, other = build_town(3, 240.0, Country(share=(0.0, 0.0))), build_town(3, 240.0)
-    np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
-    np.testing.assert_array_equal(one.mesh.material, other.mesh.material)
 
 
 def test_nothing_that_grows_stands_on_a_lane(town: Town) -> None:

@@ -17,6 +17,7 @@ from ogm.simulation.static_truth import static_truth
 from ogm.state import CellState
 from ogm.truth import TRUTH_SPEC, cells_in_boxes, count_returns
 
+pytestmark = pytest.mark.usefixtures("kept_towns")
 PLAN = DatasetPlan(town_size=240.0, mounts=only("vlp-32c"))
 
 

@@ -22,13 +22,20 @@ from ogm.simulation.workers import swept
 Make = Callable[..., SimulatedSample]
 
 
-@pytest.fixture
-def store(tmp_path: Path, beams: tuple[Beams, ...], make_sample: Make) -> Store:
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory, beams: tuple[Beams, ...], make_sample: Make) -> Path:
     """Two shards of training samples, the second of three; validation planned but not made."""
-    store = Store.create(tmp_path / "data", {"seed": 7}, {"training": 13, "validation": 4}, beams, {"ogm": "0"})
+    path = tmp_path_factory.mktemp("store") / "data"
+    store = Store.create(path, {"seed": 7}, {"training": 13, "validation": 4}, beams, {"ogm": "0"})
     store.write("training", 0, [make_sample(None, "training", i) for i in range(10)])
     store.write("training", 1, [make_sample(None, "training", i) for i in range(10, 13)])
-    return store
+    return path
+
+
+@pytest.fixture
+def store(written: Path, tmp_path: Path) -> Store:
+    """A copy of `written`."""
+    return Store.open(shutil.copytree(written, tmp_path / "data"))
 
 
 def assert_same(a: SimulatedSample, b: SimulatedSample) -> None:

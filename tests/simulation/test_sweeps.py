@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -36,12 +37,19 @@ def with_sweeps(sample: Any, index: int) -> Any:
     return replace(sample, sweeps=sweeps, T_vehicle_sensor=pose(0.3, 0.0, 1.9))
 
 
-@pytest.fixture
-def store(tmp_path: Path, beams: Any, make_sample: Any) -> Store:
+@pytest.fixture(scope="session")
+def written(tmp_path_factory: pytest.TempPathFactory, beams: Any, make_sample: Any) -> Path:
     plan = DatasetPlan(samples=0, validation=10, test=0, radars=TWO, mounts=(LidarMount("small"),))
-    store = Store.create(tmp_path / "data", asdict(plan), {"validation": 10}, beams, {"ogm": "0"})
+    path = tmp_path_factory.mktemp("sweeps") / "data"
+    store = Store.create(path, asdict(plan), {"validation": 10}, beams, {"ogm": "0"})
     store.write("validation", 0, [with_sweeps(make_sample(None, "validation", i), i) for i in range(10)])
-    return Store.open(store.path)
+    return path
+
+
+@pytest.fixture
+def store(written: Path, tmp_path: Path) -> Store:
+    """A copy of `written`."""
+    return Store.open(shutil.copytree(written, tmp_path / "data"))
 
 
 def test_words_for_radars_and_places() -> None:
@@ -183,6 +191,7 @@ def test_space_is_there_for_the_most_detections() -> None:
         StoredRadar.from_dict(radars[0]._asdict() | {"sweeps": 10**9})
 
 
+@pytest.mark.usefixtures("kept_towns")
 def test_sweeps_of_a_sample_are_the_same_every_time_and_see_the_traffic_move() -> None:
     pytest.importorskip("open3d")
     from ogm.simulation.dataset import make_sample, set_up

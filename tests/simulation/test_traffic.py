@@ -13,6 +13,7 @@ from ogm.simulation.traffic.parked import overlap
 from ogm.simulation.traffic.people import bicycle, motorcycle, standing, walking
 from ogm.truth import boxes_seen_from, track_motion
 
+pytestmark = pytest.mark.usefixtures("kept_towns")  # for its worker: kernels of the traffic take half a minute
 M = Material
 SIZES = {  # [m] plausible length, width, height
     "car": ((3.3, 5.2), (1.7, 2.3), (1.25, 1.85)),

@@ -36,11 +36,14 @@ def run(path: Path, beams: tuple[Beams, ...], function: SampleFunction, plan: Da
     return list(make_shards(store, plan, function, workers=1))
 
 
-@pytest.fixture
-def whole(tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction) -> dict[str, bytes]:
+@pytest.fixture(scope="session")
+def whole(
+    tmp_path_factory: pytest.TempPathFactory, beams: tuple[Beams, ...], make_sample: SampleFunction
+) -> dict[str, bytes]:
     """All files of the data set, made in one go."""
-    run(tmp_path / "whole", beams, make_sample)
-    return contents(tmp_path / "whole")
+    folder = tmp_path_factory.mktemp("workers") / "whole"
+    run(folder, beams, make_sample)
+    return contents(folder)
 
 
 def test_an_estimate_comes_first_then_every_shard(

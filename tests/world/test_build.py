@@ -6,13 +6,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from world_frames import RandomGrids, StraightDrive, grid_of
+from world_frames import SLOWLY_IN_S3, RandomGrids, StraightDrive, grid_of
 
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious
 from ogm.files import OgmError
@@ -30,6 +30,8 @@ DRIVES = {
 RULES = {"cautious": normalized_cautious, "dempster": dempster, "cumulative": cumulative}
 AROUND = GridSpec(0.5, (280, 280), (-60.0, -60.0))
 OPTIONS: dict[str, Any] = {"resolution": 0.5, "tile": 32, "rule": "dempster"}
+# no bound of certainty, which acts at other moments, and no discount
+UNBOUNDED = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4, "drive_reliability": 1.0}
 
 
 def built(where: dict[str, Any], drives: dict[str, Any] = DRIVES, **options: Any) -> WorldMap:
@@ -42,18 +44,56 @@ def same(a: WorldMap, b: WorldMap) -> bool:
     return a.tiles() == b.tiles() and all(np.array_equal(a.tile(index), b.tile(index)) for index in a.tiles())
 
 
-SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", marks=pytest.mark.slow)], indirect=True)
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of all drives, built by one process in one go; tests change copies of it."""
+    path = tmp_path_factory.mktemp("whole") / "map"
+    built({"url": path}).close()
+    return path
 
 
-def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
-    # no bound of certainty, which acts at other moments, and no discount
-    options = OPTIONS | {"dtype": "float32", "min_unknown": 1e-4, "drive_reliability": 1.0}
-    with WorldMap.create(**place(), **options) as world, WorldMap.create(**place(), **options) as plain:
-        build_world(world, DRIVES, RandomGrids(), length=15.0)
+@pytest.fixture
+def whole(folder: Path) -> Iterator[WorldMap]:
+    with WorldMap.open(folder) as world:
+        yield world
+
+
+@pytest.fixture
+def copied(folder: Path, tmp_path: Path) -> Iterator[WorldMap]:
+    """A copy of `whole`, to be changed."""
+    shutil.copytree(folder, tmp_path / "map")
+    with WorldMap.open(tmp_path / "map", "r+") as world:
+        yield world
+
+
+@pytest.fixture
+def built_map(place: Place, folder: Path) -> Iterator[WorldMap]:
+    """A map as `whole` in a place, to be changed."""
+    where = place()
+    if isinstance(where["url"], Path):
+        shutil.copytree(folder, where["url"])
+    else:
+        built(where).close()
+    with WorldMap.open(**where, mode="r+") as world:
+        yield world
+
+
+@pytest.fixture(scope="session")
+def integrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The map of all scans of all drives, one after the other."""
+    path = tmp_path_factory.mktemp("integrated") / "map"
+    with WorldMap.create(path, **UNBOUNDED) as world:
         for drive in DRIVES.values():
             for k in range(len(drive)):
                 if k not in drive.damaged and k not in drive.lost:
-                    plain.integrate(grid_of(1000 * drive.seed + k), drive.pose(k), stamp=100.0 * drive.seed + 0.5 * k)
+                    world.integrate(grid_of(1000 * drive.seed + k), drive.pose(k), stamp=100.0 * drive.seed + 0.5 * k)
+    return path
+
+
+@SLOWLY_IN_S3  # tests/world/test_outputs.py builds a smaller one
+def test_a_built_map_is_that_of_its_scans(place: Place, integrated: Path) -> None:
+    with WorldMap.create(**place(), **UNBOUNDED) as world, WorldMap.open(integrated) as plain:
+        build_world(world, DRIVES, RandomGrids(), length=15.0)
         assert world.tiles() == plain.tiles()
         for name in ("count", "last_seen"):
             np.testing.assert_array_equal(world.layers(AROUND)[name], plain.layers(AROUND)[name])
@@ -65,21 +105,21 @@ def test_a_built_map_is_that_of_its_scans(place: Place) -> None:
 def test_the_map_of_each_drive_is_discounted_before_it_meets_the_others(tmp_path: Path, rule: str) -> None:
     """Whatever the number of its sub-maps, and in whatever order drives are built."""
     options = OPTIONS | {"rule": rule, "dtype": "float32", "min_unknown": 1e-4}
+    drives = {"a": DRIVES["a"][:16], "b": DRIVES["b"][14:]}  # around where they cross
     alone = []
     for name in "ab":
         with WorldMap.create(tmp_path / name, **options, drive_reliability=1.0) as world:
-            build_world(world, {name: DRIVES[name]}, RandomGrids(), length=15.0)
+            build_world(world, {name: drives[name]}, RandomGrids(), length=15.0)
             alone.append(discount(world.window(AROUND).mass, 0.7))
     with WorldMap.create(tmp_path / "both", **options, drive_reliability=0.7) as world:
         for name in "ba":
-            build_world(world, {name: DRIVES[name]}, RandomGrids(), length=15.0)
+            build_world(world, {name: drives[name]}, RandomGrids(), length=15.0)
         np.testing.assert_allclose(world.window(AROUND).mass, RULES[rule](*alone), atol=2e-5)
     assert np.all([one.sum(axis=-1) > 0 for one in alone], axis=0).sum() > 20  # cells of both
 
 
-def test_drives_are_cut_by_their_length(tmp_path: Path) -> None:
-    with built({"url": tmp_path / "map"}) as world:
-        drive = load_drive(world.store, "b")
+def test_drives_are_cut_by_their_length(whole: WorldMap) -> None:
+    drive = load_drive(whole.store, "b")
     frames = [one.frames for one in drive.submaps]
     assert (frames[0][0], frames[-1][1]) == (0, 30)
     assert [first for first, _ in frames[1:]] == [last + (last == 11) for _, last in frames[:-1]]  # 11 has no pose
@@ -88,46 +128,46 @@ def test_drives_are_cut_by_their_length(tmp_path: Path) -> None:
 
 
 @SLOWLY_IN_S3
-def test_the_order_and_number_of_builds_do_not_matter(place: Place) -> None:
-    with built(place()) as world, WorldMap.create(**place(), **OPTIONS) as other:
+def test_the_order_and_number_of_builds_do_not_matter(place: Place, whole: WorldMap) -> None:
+    with WorldMap.create(**place(), **OPTIONS) as other:
         for names in ("c", "ab", "abc"):
             build_world(other, {name: DRIVES[name] for name in names}, RandomGrids(), length=15.0)
-        assert same(world, other)
+        assert same(whole, other)
 
 
-@pytest.mark.parametrize("workers", [2, pytest.param(3, marks=pytest.mark.slow)])
-def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, workers: int) -> None:
-    with built({"url": tmp_path / "one"}) as one, built({"url": tmp_path / "many"}, workers=workers) as many:
-        assert same(one, many)
+@pytest.mark.slow  # two workers, one of which is killed, are tried below
+@pytest.mark.parametrize("workers", [2, 3])
+def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, whole: WorldMap, workers: int) -> None:
+    with built({"url": tmp_path / "many"}, workers=workers) as many:
+        assert same(whole, many)
 
 
 @pytest.mark.slow
-def test_workers_write_to_an_object_store(s3: dict[str, str], tmp_path: Path) -> None:
+def test_workers_write_to_an_object_store(s3: dict[str, str], whole: WorldMap) -> None:
     where = {"url": "s3://maps/of-workers", "storage": s3}
-    with built({"url": tmp_path / "one"}) as one, built(where, workers=2) as many:
-        assert same(one, many)
+    with built(where, workers=2) as many:
+        assert same(whole, many)
 
 
-def test_a_dask_cluster_gives_the_same_map(tmp_path: Path) -> None:
+def test_a_dask_cluster_gives_the_same_map(tmp_path: Path, whole: WorldMap) -> None:
     from distributed import LocalCluster
 
     with (
         LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
-        built({"url": tmp_path / "one"}) as one,
         built({"url": tmp_path / "many"}, scheduler=cluster.scheduler_address) as many,
     ):
-        assert same(one, many)
+        assert same(whole, many)
 
 
-def test_a_worker_that_is_killed_is_replaced(tmp_path: Path) -> None:
+def test_a_worker_that_is_killed_is_replaced(tmp_path: Path, whole: WorldMap) -> None:
     marker = tmp_path / "was killed"
-    with built({"url": tmp_path / "one"}) as one, WorldMap.create(tmp_path / "many", **OPTIONS) as many:
+    with WorldMap.create(tmp_path / "many", **OPTIONS) as many:
         build_world(many, DRIVES, RandomGrids(2013, str(marker)), length=15.0, workers=2)
         assert marker.exists()
-        assert same(one, many)
+        assert same(whole, many)
 
 
-def test_what_is_finished_is_not_made_again(tmp_path: Path) -> None:
+def test_what_is_finished_is_not_made_again(tmp_path: Path, whole: WorldMap) -> None:
     class Stop(Exception):
         pass
 
@@ -141,7 +181,7 @@ def test_what_is_finished_is_not_made_again(tmp_path: Path) -> None:
         for _ in range(3):  # twice within the sub-maps, then within the tiles
             with pytest.raises(Stop):
                 build_world(world, DRIVES, RandomGrids(), length=15.0, progress=stops)
-    with WorldMap.open(**where, mode="r+") as world, built({"url": tmp_path / "whole"}) as whole:
+    with WorldMap.open(**where, mode="r+") as world:
         build_world(world, DRIVES, RandomGrids(), length=15.0, progress=events.append)
         assert events[0] == Progress("sub-maps", 0, 0)
         assert events[1].total == len(whole.tiles()) - 3
@@ -168,7 +208,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_a_client_that_is_killed_goes_on(tmp_path: Path) -> None:
+def test_a_client_that_is_killed_goes_on(tmp_path: Path, whole: WorldMap) -> None:
     script, url = tmp_path / "client.py", tmp_path / "map"
     script.write_text(CLIENT)
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
@@ -182,29 +222,28 @@ def test_a_client_that_is_killed_goes_on(tmp_path: Path) -> None:
                     break
         time.sleep(1.0)  # workers end with it
     subprocess.run(command, env=environment, check=True, capture_output=True)
-    with WorldMap.open(url) as world, built({"url": tmp_path / "whole"}) as whole:
+    with WorldMap.open(url) as world:
         assert same(world, whole)
 
 
-def test_a_lost_tile_is_made_again(tmp_path: Path) -> None:
-    with built({"url": tmp_path / "map"}) as world, built({"url": tmp_path / "whole"}) as whole:
-        lost = world.tiles()[3:6]
-        for index in lost:
-            os.unlink(tmp_path / "map" / world.store.key(index))
-        assert not same(world, whole)
-        events: list[Progress] = []
-        rebuild_world(world, progress=events.append)
-        assert events[-1] == Progress("tiles", 3, 3)
-        assert same(world, whole)
+def test_a_lost_tile_is_made_again(tmp_path: Path, copied: WorldMap, whole: WorldMap) -> None:
+    lost = copied.tiles()[3:6]
+    for index in lost:
+        os.unlink(tmp_path / "map" / copied.store.key(index))
+    assert not same(copied, whole)
+    events: list[Progress] = []
+    rebuild_world(copied, progress=events.append)
+    assert events[-1] == Progress("tiles", 3, 3)
+    assert same(copied, whole)
 
 
 @SLOWLY_IN_S3
-def test_a_removed_drive_leaves_the_map(place: Place) -> None:
+def test_a_removed_drive_leaves_the_map(built_map: WorldMap, tmp_path: Path) -> None:
     two = {name: DRIVES[name] for name in "ac"}
-    with built(place()) as world, built(place(), two) as without:
-        remove_drive(world.store, "b")
-        rebuild_world(world)
-        assert same(world, without)
+    with built({"url": tmp_path / "without"}, two) as without:
+        remove_drive(built_map.store, "b")
+        rebuild_world(built_map)
+        assert same(built_map, without)
 
 
 def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
@@ -213,19 +252,19 @@ def test_two_builders_at_once_are_refused(tmp_path: Path) -> None:
 
 
 @SLOWLY_IN_S3
-def test_a_moved_drive_lies_where_its_scans_would(place: Place) -> None:
+def test_a_moved_drive_lies_where_its_scans_would(built_map: WorldMap, tmp_path: Path) -> None:
     """A shift by whole cells moves the cells alone; the sub-maps of the other drives stay."""
     shift = pose(4.0, -2.5)
     drive = DRIVES["a"]
     moved = {k: shift @ drive.pose(k) for k in range(len(drive))}
-    with built(place()) as world, WorldMap.create(**place(), **OPTIONS) as expected:
-        rebuild_world(world, {"a": moved})
+    rebuild_world(built_map, {"a": moved})
+    with WorldMap.create(tmp_path / "expected", **OPTIONS) as expected:
         for one in (DRIVES["a"], DRIVES["b"], DRIVES["c"]):
             for k in range(len(one)):
                 T = shift @ one.pose(k) if one.seed == 2 else one.pose(k)
                 if k not in one.damaged and k not in one.lost:
                     expected.integrate(grid_of(1000 * one.seed + k), T, stamp=100.0 * one.seed + 0.5 * k)
-        np.testing.assert_array_equal(world.layers(AROUND)["count"], expected.layers(AROUND)["count"])
+        np.testing.assert_array_equal(built_map.layers(AROUND)["count"], expected.layers(AROUND)["count"])
 
 
 def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
@@ -250,8 +289,8 @@ def test_a_turned_drive_is_resampled_once(tmp_path: Path) -> None:
         assert world.window(AROUND) == before
 
 
-def test_drives_that_make_no_sense_are_refused(tmp_path: Path, make_grid: Callable) -> None:
-    with built({"url": tmp_path / "map"}) as world:
+def test_drives_that_make_no_sense_are_refused(copied: WorldMap, tmp_path: Path, make_grid: Callable) -> None:
+    with copied as world:
         with pytest.raises(OgmError, match="made from other frames"):
             build_world(world, {"a": DRIVES["b"]}, RandomGrids(), length=15.0)
         with pytest.raises(OgmError, match="built from drives"):
@@ -274,13 +313,11 @@ def test_drives_that_make_no_sense_are_refused(tmp_path: Path, make_grid: Callab
         build_world(WorldMap.open(tmp_path / "map"), DRIVES, RandomGrids())
 
 
-def test_a_damaged_sub_map_is_named(tmp_path: Path) -> None:
-    with built({"url": tmp_path / "map"}) as world:
-        index = world.tiles()[0]
-        for file in (tmp_path / "map" / "drives" / "a" / "c").rglob("*"):
-            if file.is_file():
-                file.write_bytes(file.read_bytes()[:-30] + bytes(30))
-        shutil.rmtree(tmp_path / "map" / "0" / "c")
-        with pytest.raises(OgmError, match="of sub-map .* of drive a .* remove drives/a/c/"):
-            rebuild_world(world)
-        assert index
+def test_a_damaged_sub_map_is_named(copied: WorldMap, tmp_path: Path) -> None:
+    assert copied.tiles()
+    for file in (tmp_path / "map" / "drives" / "a" / "c").rglob("*"):
+        if file.is_file():
+            file.write_bytes(file.read_bytes()[:-30] + bytes(30))
+    shutil.rmtree(tmp_path / "map" / "0" / "c")
+    with pytest.raises(OgmError, match="of sub-map .* of drive a .* remove drives/a/c/"):
+        rebuild_world(copied)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from world_frames import SLOWLY_IN_S3
 from world_reference import SlowMap
 
 from ogm.files import OgmError
@@ -142,6 +143,7 @@ def test_finer_scans_are_averaged(tmp_path: Path, make_grid: MakeGrid) -> None:
         np.testing.assert_allclose(world.window(GridSpec(0.5, (20, 20), (-5.0, -5.0))).mass, mean, atol=1e-6)
 
 
+@SLOWLY_IN_S3
 def test_a_turned_window_is_resampled_once(place: Place, make_grid: MakeGrid) -> None:
     spec, T = GridSpec.centered(20.0, 12.0, 0.4), pose(2.0, 1.0, yaw=0.7)
     with made(place(), make_grid) as world:
@@ -152,6 +154,7 @@ def test_a_turned_window_is_resampled_once(place: Place, make_grid: MakeGrid) ->
             np.testing.assert_array_equal(turned.mass[ix, iy], source.mass[AROUND.index(*at)])
 
 
+@SLOWLY_IN_S3
 @pytest.mark.parametrize("rule", ["cautious", "dempster", "cumulative"])
 def test_a_merge_is_that_of_all_scans(place: Place, make_grid: MakeGrid, rule: Any) -> None:
     def part(numbers: range) -> WorldMap:
@@ -342,6 +345,7 @@ def test_counts_and_stamps_stay_in_their_range(tmp_path: Path) -> None:
         assert world.layers(spec)["count"][0, 0] == 65535
 
 
+@SLOWLY_IN_S3
 def test_far_from_the_origin_cells_are_as_exact(place: Place, make_grid: MakeGrid) -> None:
     x, y = 691_608.0, 5_334_760.0  # of UTM, in whole cells
     with made(place(), make_grid) as near, WorldMap.create(**place(), resolution=0.5, tile=16) as far:

@@ -4,16 +4,19 @@ import os
 import signal
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 from ogm.scan import Boxes, Frame, Mount, Scan
 
 SPEC = GridSpec.centered(24.0, 16.0, 0.5)
+SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", marks=pytest.mark.slow)], indirect=True)
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,7 @@ class Model:
         return grid_of(number)
 
 
+@lru_cache
 def grid_of(number: int) -> EvidentialGrid:
     """Return the grid of a scan."""
     rng = np.random.default_rng(number)
