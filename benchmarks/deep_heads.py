@@ -6,7 +6,7 @@ DATA is a data set of `ogm simulate --recipe gen2` whose towns are not those of 
 split are trained, by the recipe of the shipped weights and on the same frames in the same order:
 
 * head: the last layer alone, from the shipped one on;
-* detail: the same with `ogm.deep.network.DetailHead`, two convolutions at full resolution that see the pillars;
+* detail: the same with two more convolutions at full resolution, which see the pillars;
 * several: last layers from random weights, each on drives drawn anew with replacement; their masses are averaged.
 
 Evaluated are the validation split, frame by frame with 95 % intervals over drives, and the recordings of `quality`,
@@ -20,10 +20,10 @@ from _quality_inputs import real
 
 # isort: split
 import argparse
+import copy
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,15 +31,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from rich.progress import track
-from torch.nn.functional import softplus
+from torch import nn
+from torch.nn.functional import pixel_shuffle, relu, softplus
 
 from ogm import GridSpec
 from ogm.datasets import Dataset, open_dataset
 from ogm.deep import DeepISM
 from ogm.deep.checkpoint import load_network
 from ogm.deep.data import PillarDataset
-from ogm.deep.folding import fused
-from ogm.deep.network import PillarNetwork, copy_weights
+from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LITE_RECIPE, mean_loss
 from ogm.deep.torch_engine import TorchEngine
 from ogm.evaluation import SingleScanMethod, evaluate
@@ -53,7 +53,7 @@ BATCH, RATE, DETAIL = 4, 1e-3, 16
 LEVELS = 4096  # of histograms, from which areas under curves are counted
 
 
-class Stored(NamedTuple):
+class HeadInput(NamedTuple):
     """What the layers before the head make of a frame, in half precision; zeros of the feature map are left out."""
 
     where: torch.Tensor
@@ -64,31 +64,61 @@ class Stored(NamedTuple):
     drive: int
 
 
-class Heads(TorchEngine):
-    """Some networks that differ in their heads alone, as one: the mean of their masses."""
+class Head(nn.Module):
+    """A last layer; and, with channels, what they add at full resolution: nothing before training.
 
-    def __init__(self, networks: Sequence[PillarNetwork], description: Mapping[str, Any]) -> None:
-        super().__init__(networks[0], description=description)
-        self.heads = [fused(network) for network in networks]
+    Parameters
+    ----------
+    last : Conv2d
+        Copied.
+    width : int
+        Channels of the feature map.
+    channels : int
+        At full resolution; 0 adds nothing.
+    """
+
+    def __init__(self, last: nn.Conv2d, width: int, channels: int = 0) -> None:
+        super().__init__()
+        self.last, self.channels = copy.deepcopy(last), channels
+        if channels:
+            self.near = nn.Conv2d(width, channels, 3, padding=1)
+            self.context = nn.Conv2d(last.in_channels, 4 * channels, 1, bias=False)
+            self.out = nn.Conv2d(channels, 2, 3, padding=1, bias=False)
+            nn.init.zeros_(self.out.weight)
+
+    def forward(self, feature_map: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
+        """Return evidence (batch, nx, ny, 2) from the feature map and what the neck gives."""
+        x = pixel_shuffle(self.last(part), 2)
+        if self.channels:
+            x = x + self.out(relu(self.near(feature_map) + pixel_shuffle(self.context(part), 2)))
+        return softplus(x).permute(0, 2, 3, 1)
+
+
+class Heads(TorchEngine):
+    """A network with other heads, as one sensor model: the mean of their masses."""
+
+    def __init__(self, network: PillarNetwork, heads: Sequence[Head], description: Mapping[str, Any]) -> None:
+        super().__init__(network, description=description)
+        self.heads = heads
         self.last: list[NDArray[np.float32]] = []
 
     @torch.inference_mode()
     def masses(self, scans: Any, rays: Any = None) -> NDArray[np.float32]:
-        """Return the mean masses; those of each network stay in `last`."""
+        """Return the mean masses; those of each head stay in `last`."""
         (scan,) = scans
         if rays is not None:
             scan = scan._replace(rays=torch.from_numpy(np.stack(rays)))
         feature_map = self.network.feature_map(scan)
-        parts = self.network.joined(feature_map)
+        (part,) = self.network.joined(feature_map)
         self.last = []
-        for network in self.heads:
-            evidence = softplus(network.head_values(feature_map, parts)).permute(0, 2, 3, 1)
+        for head in self.heads:
+            evidence = head(feature_map, part)
             self.last.append((evidence / (evidence.sum(-1, keepdim=True) + 2)).numpy())
         return np.mean(self.last, axis=0, dtype=np.float32)
 
 
 @torch.no_grad()
-def stored(network: PillarNetwork, dataset: Dataset, numbers: Sequence[int]) -> list[Stored]:
+def stored(network: PillarNetwork, dataset: Dataset, numbers: Sequence[int]) -> list[HeadInput]:
     """Run all layers but the head on frames, augmented as in a training."""
     drives = {name: k for k, name in enumerate(sorted({dataset.refs[i].sequence for i in numbers}))}
     frames = PillarDataset(dataset, SPEC, LITE_RECIPE.augmentation, network.config.z_range, 1, rays=True)
@@ -100,21 +130,19 @@ def stored(network: PillarNetwork, dataset: Dataset, numbers: Sequence[int]) -> 
         where = feature_map.flatten().nonzero()[:, 0]
         values = feature_map.flatten()[where].half()
         drive = drives[dataset.refs[i].sequence]
-        found.append(Stored(where.int(), values, feature_map.shape, part.half(), batch.state, drive))
+        found.append(HeadInput(where.int(), values, feature_map.shape, part.half(), batch.state, drive))
     return found
 
 
-def feature_map_of(one: Stored) -> torch.Tensor:
+def feature_map_of(one: HeadInput) -> torch.Tensor:
     flat = torch.zeros(one.shape.numel())
     flat[one.where.long()] = one.values.float()
     return flat.view(one.shape)
 
 
-def train_head(network: PillarNetwork, frames: Sequence[Stored], steps: int, seed: int, name: str) -> PillarNetwork:
-    """Train the head of a network, and its detail head if it has one, on stored frames; in place."""
-    torch.manual_seed(seed)
-    heads = [module for module in (network.head, network.detail) if module is not None]
-    parameters = [value for module in heads for value in module.parameters()]
+def train_head(head: Head, frames: Sequence[HeadInput], steps: int, seed: int, name: str) -> Head:
+    """Train a head on what the other layers made of frames; in place."""
+    parameters = list(head.parameters())
     optimizer = torch.optim.AdamW(parameters, RATE, weight_decay=LITE_RECIPE.weight_decay)
     order, losses = np.random.default_rng(seed), []
     bar = track(range(steps), f"training {name}")
@@ -123,9 +151,9 @@ def train_head(network: PillarNetwork, frames: Sequence[Stored], steps: int, see
         batch = [frames[k] for k in order.integers(0, len(frames), BATCH)]
         part = torch.cat([one.part for one in batch]).float().contiguous(memory_format=torch.channels_last)
         features = part.new_zeros(0)
-        if network.detail is not None:
+        if head.channels:
             features = torch.cat([feature_map_of(one) for one in batch]).permute(0, 3, 1, 2)
-        evidence = softplus(network.head_values(features, [part])).permute(0, 2, 3, 1)
+        evidence = head(features, part)
         loss = mean_loss(evidence, torch.cat([one.state for one in batch]), LITE_RECIPE, math.inf)
         optimizer.zero_grad()
         loss.backward()
@@ -133,17 +161,10 @@ def train_head(network: PillarNetwork, frames: Sequence[Stored], steps: int, see
         optimizer.step()
         losses.append(float(loss.detach()))
     print(f"{name}: loss {np.mean(losses[:50]):.4f} -> {np.mean(losses[-50:]):.4f}", file=sys.stderr)
-    return network.eval()
+    return head
 
 
-def copied(network: PillarNetwork, detail: int = 0) -> PillarNetwork:
-    """Return a copy, with a detail head that adds nothing yet if it has channels."""
-    result = PillarNetwork(replace(network.config, detail=detail), network.spec)
-    copy_weights(network, result)
-    return result.eval()
-
-
-def resampled(frames: Sequence[Stored], seed: int) -> list[Stored]:
+def resampled(frames: Sequence[HeadInput], seed: int) -> list[HeadInput]:
     """Draw drives with replacement."""
     drives = sorted({one.drive for one in frames})
     chosen = np.random.default_rng((1, seed)).choice(drives, len(drives))
@@ -224,8 +245,8 @@ def wrong_cells(models: Mapping[str, PerMount], dataset: Dataset, numbers: Seque
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--frames", type=int, default=300, help="of the training split, evenly spread")
-    parser.add_argument("--steps", type=int, default=1500, help=f"of {BATCH} frames")
+    parser.add_argument("--frames", type=int, default=600, help="of the training split, evenly spread")
+    parser.add_argument("--steps", type=int, default=1000, help=f"of {BATCH} frames")
     parser.add_argument("--members", type=int, default=5, help="last layers of the way several")
     parser.add_argument("--validation", type=int, help="evaluate so many validation frames only")
     parser.add_argument("--real", type=Path, default=run.DATA, help="folder of real recordings (default OGM_DATA)")
@@ -238,19 +259,20 @@ def main() -> None:
     training, validation = (open_dataset(given.data, split=name) for name in ("training", "validation"))
     chosen = np.linspace(0, len(training) - 1, min(given.frames, len(training))).astype(int).tolist()
     frames = stored(network, training, chosen)
+    width = network.config.pillar + 2 * network.config.rays
     several = []
     for seed in range(given.members):
-        one = copied(network)
         torch.manual_seed(seed)
-        one.head.reset_parameters()
+        one = Head(network.head, width)
+        one.last.reset_parameters()
         several.append(train_head(one, resampled(frames, seed), given.steps, seed, f"last layer {seed}"))
-    networks = {
-        "shipped": [network],
-        "head": [train_head(copied(network), frames, given.steps, 0, "head")],
-        "detail": [train_head(copied(network, DETAIL), frames, given.steps, 0, "detail")],
+    heads = {
+        "shipped": [Head(network.head, width)],
+        "head": [train_head(Head(network.head, width), frames, given.steps, 0, "head")],
+        "detail": [train_head(Head(network.head, width, DETAIL), frames, given.steps, 0, "detail")],
         "several": several,
     }
-    models = methods({name: Heads(some, description) for name, some in networks.items()})
+    models = methods({name: Heads(network, some, description) for name, some in heads.items()})
     numbers = range(len(validation))[: given.validation]
     record["sets"]["validation"] = scores_of(models, validation, numbers)
     run.write_json(given.out, record)

@@ -170,8 +170,6 @@ def _check_config(config: NetworkConfig) -> None:
         and all(0 < s < math.inf for s in config.scale)
         and -math.inf < low < high < math.inf
         and 0 <= config.dropout < 1
-        and type(config.detail) is int
-        and 0 <= config.detail <= 4096
     )
     if not good:
         raise ValueError(f"a size, a range or a choice is out of its limits in {config}")

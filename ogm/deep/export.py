@@ -29,6 +29,7 @@ from typing import Any
 
 import torch
 from torch import nn
+from torch.nn.functional import pixel_shuffle
 
 from ogm.deep.description import FORMAT as DESCRIPTION_FORMAT
 from ogm.deep.folding import fused
@@ -121,8 +122,9 @@ class _Masses(nn.Module):
         self.network = fused(network).cpu()
 
     def forward(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
-        x = self.network.logits(feature_map.permute(0, 3, 1, 2), sensor_coords)
+        x = self.network.quarters(feature_map.permute(0, 3, 1, 2), sensor_coords)
         e = softplus_of_parts(x) if self.network.config.evidence == "softplus" else torch.relu(x)
+        e = pixel_shuffle(e, 2)
         free, occupied = torch.split(e, 1, dim=1)
         return (e / (free + occupied + 2))[0].permute(1, 2, 0)  # Sec. II: b = e / S
 

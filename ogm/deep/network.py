@@ -4,8 +4,7 @@ Two sizes. `PAPER` is PointPillars as van Kempen et al. 2021 describe it (Sec. I
 convolutions at 1/2, 1/4 and 1/8 of the resolution, each brought back to 1/2 and concatenated. `LITE` is made for
 processors without an accelerator: fewer channels, one block more for context, and a pyramid whose scales are
 added. In both, the last convolution gives the four cells of each 2 x 2 square at once, so that the result has the
-full resolution of the grid. `NetworkConfig.detail` adds two small convolutions there, which see the pillars
-themselves, for things of one cell.
+full resolution of the grid.
 """
 
 from collections.abc import Iterable
@@ -51,8 +50,6 @@ class NetworkConfig:
         The pillars' features are divided by these [the features' units].
     z_range : (float, float)
         Heights above the ground that are kept [m].
-    detail : int
-        Channels at full resolution before the result, made of the feature map and of what the scales give; 0: none.
     """
 
     pillar: int
@@ -65,7 +62,6 @@ class NetworkConfig:
     dropout: float = 0.0
     scale: tuple[float, ...] = (1.0,) * FEATURES
     z_range: tuple[float, float] = (-3.0, 8.0)
-    detail: int = 0
 
     @classmethod
     def from_dict(cls, numbers: dict[str, object]) -> "NetworkConfig":
@@ -112,7 +108,6 @@ class PillarNetwork(nn.Module):
     blocks: nn.ModuleList
     join: "AddNeck | ConcatenateNeck"
     head: nn.Conv2d
-    detail: "DetailHead | None"
     sensor_coords: torch.Tensor  # if config.bearings
 
     def __init__(self, config: NetworkConfig, spec: GridSpec) -> None:
@@ -124,14 +119,12 @@ class PillarNetwork(nn.Module):
         channels = [size for size, _ in config.blocks]
         self.pillar = PillarFeatures(config.pillar, config.scale)
         self.bearings = nn.Conv2d(4, channels[1], 1) if config.bearings else None
-        width = config.pillar + 2 * config.rays
-        pairs = zip([width, *channels], config.blocks, strict=False)
+        pairs = zip([config.pillar + 2 * config.rays, *channels], config.blocks, strict=False)
         self.blocks = nn.ModuleList(down_block(before, *block, config.dropout) for before, block in pairs)
         added = config.join == "add"
         self.join = AddNeck(channels) if added else ConcatenateNeck(channels, config.up)
         last = channels[0] if added else config.up * len(channels)
         self.head = nn.Conv2d(last, 2 * 4, 3, padding=1)
-        self.detail = DetailHead(width, last, config.detail) if config.detail else None
         if config.evidence == "softplus":  # begin near the usual: much free, little occupied
             bias: Any = self.head.bias
             bias.data[:] = torch.tensor([2.0] * 4 + [-1.0] * 4)
@@ -174,19 +167,20 @@ class PillarNetwork(nn.Module):
 
     def evidence(self, feature_map: torch.Tensor) -> torch.Tensor:
         """Return evidence (batch, nx, ny, 2) from the feature map."""
-        x = self.logits(feature_map)
+        x = pixel_shuffle(self.quarters(feature_map), 2)
         x = x.permute(0, 2, 3, 1).float()  # the one change from channels first to states last
         return softplus(x) if self.config.evidence == "softplus" else relu(x)
 
-    def logits(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
-        """Return the head's values before their activation, (batch, 2, nx, ny).
+    def quarters(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the head's values before their activation, (batch, 2 * 4, nx / 2, ny / 2).
 
-        The coordinates of the sensor are those of the network's grid unless others are given.
+        Its channels are the states, and of each the four cells of a 2 x 2 square. The coordinates of the sensor are
+        those of the network's grid unless others are given.
         """
-        return self.head_values(feature_map, self.joined(feature_map, sensor_coords))
+        return self._head(self.joined(feature_map, sensor_coords))
 
     def joined(self, feature_map: torch.Tensor, sensor_coords: torch.Tensor | None = None) -> list[torch.Tensor]:
-        """Return what the neck makes of the scales: one part or several, (batch, channels, nx / 2, ny / 2)."""
+        """Return what the head takes: one part or several, (batch, channels, nx / 2, ny / 2)."""
         scales = []
         x = feature_map
         for k, block in enumerate(cast("Iterable[nn.Sequential]", self.blocks)):
@@ -198,10 +192,13 @@ class PillarNetwork(nn.Module):
         parts: list[torch.Tensor] = self.join(scales)
         return parts
 
-    def head_values(self, feature_map: torch.Tensor, parts: list[torch.Tensor]) -> torch.Tensor:
-        """Return the values of `logits` from the parts that `joined` gives."""
-        x = pixel_shuffle(_conv_parts(self.head, parts), 2)  # of each state the four cells of a square
-        return x if self.detail is None else x + self.detail(feature_map, parts)
+    def _head(self, parts: list[torch.Tensor]) -> torch.Tensor:
+        """Apply the head to concatenated parts: convolved one by one and added, they need not be copied together."""
+        weights = torch.split(self.head.weight, [part.shape[1] for part in parts], dim=1)
+        x = conv2d(parts[0], weights[0], self.head.bias, padding=1)
+        for part, weight in zip(parts[1:], weights[1:], strict=True):
+            x += conv2d(part, weight, padding=1)
+        return x
 
 
 class PillarFeatures(nn.Module):
@@ -263,42 +260,6 @@ class AddNeck(nn.Module):
         return [x]
 
 
-class DetailHead(nn.Module):
-    """What the scales give and the pillars themselves, joined at full resolution; adds nothing before training.
-
-    Parameters
-    ----------
-    width : int
-        Channels of the feature map.
-    last : int
-        Channels of what the neck gives, at half the resolution.
-    channels : int
-        At full resolution.
-    """
-
-    def __init__(self, width: int, last: int, channels: int) -> None:
-        super().__init__()
-        self.near: nn.Conv2d = nn.Conv2d(width, channels, 3, padding=1)
-        self.context: nn.Conv2d = nn.Conv2d(last, 4 * channels, 1, bias=False)
-        self.out: nn.Conv2d = nn.Conv2d(channels, 2, 3, padding=1, bias=False)
-        nn.init.zeros_(self.out.weight)
-
-    def forward(self, feature_map: torch.Tensor, parts: list[torch.Tensor]) -> torch.Tensor:
-        """Return (batch, 2, nx, ny) from the feature map and the parts of the neck, (batch, ..., nx / 2, ny / 2)."""
-        x = self.near(feature_map) + pixel_shuffle(_conv_parts(self.context, parts), 2)
-        found: torch.Tensor = self.out(relu(x, inplace=True))
-        return found
-
-
-def _conv_parts(conv: nn.Conv2d, parts: list[torch.Tensor]) -> torch.Tensor:
-    """Convolve concatenated parts: convolved one by one and added, they need not be copied together."""
-    weights = torch.split(conv.weight, [part.shape[1] for part in parts], dim=1)
-    x = conv2d(parts[0], weights[0], conv.bias, padding=conv.padding)
-    for part, weight in zip(parts[1:], weights[1:], strict=True):
-        x += conv2d(part, weight, padding=conv.padding)
-    return x
-
-
 def _norm(channels: int) -> nn.BatchNorm2d:
     return nn.BatchNorm2d(channels, eps=1e-3, momentum=0.01)
 
@@ -318,8 +279,6 @@ def down_block(before: int, after: int, count: int, dropout: float) -> nn.Sequen
 def copy_weights(source: PillarNetwork, target: PillarNetwork) -> None:
     """Give a network the weights of another of the same layers; channels that only the target has get weights of 0.
 
-    A detail head that only the target has keeps its own weights, which add nothing at first.
-
     Raises
     ------
     ValueError
@@ -328,8 +287,6 @@ def copy_weights(source: PillarNetwork, target: PillarNetwork) -> None:
     weights = source.state_dict()
     for name, value in target.state_dict().items():
         given = weights.get(name)
-        if given is None and source.detail is None and name.startswith("detail."):
-            continue
         if given is None or given.dim() != value.dim():
             raise ValueError(f"the networks have other layers: {name} is missing or of another kind")
         grown = [k for k, (a, b) in enumerate(zip(given.shape, value.shape, strict=True)) if a != b]

@@ -25,7 +25,7 @@ pytest.importorskip("onnxscript")
 SPEC = GridSpec.centered(length=10.24, width=5.12, resolution=0.16)
 OTHER = GridSpec(0.16, (96, 16), (-3.2, -2.0))  # its sides are multiples of both networks'
 NETWORKS = {
-    "small": replace(LITE, blocks=((8, 1), (12, 2), (16, 1), (16, 1)), detail=4),
+    "small": replace(LITE, blocks=((8, 1), (12, 2), (16, 1), (16, 1))),
     "paper": replace(PAPER, blocks=((8, 2), (8, 1), (8, 1)), up=8, evidence="relu"),  # as published
 }
 
@@ -40,8 +40,6 @@ def trained(config: NetworkConfig) -> PillarNetwork:
             torch.nn.init.uniform_(module.running_var, 0.5, 2)
             torch.nn.init.uniform_(module.weight, 0.5, 2)
             torch.nn.init.normal_(module.bias, 0, 0.3)
-    if network.detail is not None:
-        torch.nn.init.normal_(network.detail.out.weight, 0, 0.3)
     return network
 
 

@@ -18,8 +18,7 @@ SMALL = [
     replace(LITE, blocks=((8, 1), (12, 2), (16, 1))),
     replace(PAPER, pillar=16, blocks=((8, 1), (16, 2), (16, 1)), up=8),
 ]
-SMALL += [replace(config, detail=4) for config in SMALL]
-both = pytest.mark.parametrize("config", SMALL, ids=lambda config: config.join + config.detail * "+")
+both = pytest.mark.parametrize("config", SMALL, ids=lambda config: config.join)
 
 
 def made(config: NetworkConfig, spec: GridSpec = SPEC) -> PillarNetwork:
@@ -32,8 +31,6 @@ def made(config: NetworkConfig, spec: GridSpec = SPEC) -> PillarNetwork:
             torch.nn.init.uniform_(module.running_var, 0.5, 2)
             torch.nn.init.uniform_(module.weight, 0.5, 2)
             torch.nn.init.normal_(module.bias, 0, 0.3)
-    if network.detail is not None:
-        torch.nn.init.normal_(network.detail.out.weight, 0, 0.3)
     return network
 
 
@@ -194,9 +191,7 @@ def test_sensor_coords_are_polar_coordinates() -> None:
     np.testing.assert_allclose(coords, [r / 40, np.log(r / 10), x / r, y / r], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "config", [LITE, PAPER, *SMALL], ids=["lite", "paper", "small lite", "small paper", "lite, detail", "paper, detail"]
-)
+@pytest.mark.parametrize("config", [LITE, PAPER, *SMALL], ids=["lite", "paper", "small lite", "small paper"])
 def test_a_config_survives_json(config: NetworkConfig) -> None:
     assert NetworkConfig.from_dict(json.loads(json.dumps(asdict(config)))) == config
 
@@ -216,11 +211,5 @@ def test_a_network_that_takes_rays_begins_as_the_one_without():
         assert not torch.allclose(after(plain._replace(rays=rays)), before(plain))
     with pytest.raises(ValueError, match="Pillars with rays"):
         after(plain)
-    detailed = PillarNetwork(replace(config, detail=4), SPEC).eval()
-    copy_weights(before, detailed)
-    with torch.no_grad():
-        torch.testing.assert_close(detailed(plain), before(plain))
-        torch.nn.init.ones_(detailed.detail.out.weight)
-        assert not torch.allclose(detailed(plain), before(plain))
     with pytest.raises(ValueError, match="other layers"):
         copy_weights(after, before)

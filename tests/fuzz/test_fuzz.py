@@ -25,10 +25,10 @@ def run(folder: Path, *options: str) -> tuple[int, str, dict[str, Any]]:
 
 
 def test_a_small_run_finds_nothing(tmp_path: Path) -> None:
-    code, text, rows = run(tmp_path, "--inputs", "6")
+    code, text, rows = run(tmp_path, "--inputs", "12")
     assert code == 0, text
-    assert all(row["inputs"] == 6 for name, row in rows.items() if name != "all")
-    assert rows["all"]["accepted"] + rows["all"]["refused"] == rows["all"]["inputs"] == 6 * (len(rows) - 1)
+    assert all(row["inputs"] == 12 for name, row in rows.items() if name != "all")
+    assert rows["all"]["accepted"] + rows["all"]["refused"] == rows["all"]["inputs"] == 12 * (len(rows) - 1)
 
 
 def test_what_was_found_once_is_refused_or_read(tmp_path: Path) -> None:

@@ -135,8 +135,7 @@ def test_the_order_and_number_of_builds_do_not_matter(place: Place, whole: World
         assert same(whole, other)
 
 
-@pytest.mark.slow  # two workers, one of which is killed, are tried below
-@pytest.mark.parametrize("workers", [2, 3])
+@pytest.mark.parametrize("workers", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_any_number_of_workers_gives_the_same_map(tmp_path: Path, whole: WorldMap, workers: int) -> None:
     with built({"url": tmp_path / "many"}, workers=workers) as many:
         assert same(whole, many)
