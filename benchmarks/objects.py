@@ -1,0 +1,138 @@
+"""How much of annotated objects in real scans do the models show? Shares predicted occupied, and free, per object.
+
+    python benchmarks/objects.py [--first WEIGHTS] [--real FOLDER]
+
+Objects are the boxes of the recordings of `quality` that have 50 returns or more in the scan (van Kempen et al. 2021,
+Sec. IV-B) and lie in the grid as a whole. All cells of a box count, those of the side that no beam met too. Per box and
+model: the share of its cells with a mass of occupied above 1/2, and the same of free. An object that is in several
+scans of a recording (the same track) counts once, with the mean of them. Without a track, each box is an object.
+
+No weights and no parameters were chosen by these recordings. There are too few for intervals over drives: numbers of
+objects and of scans stand beside the means. --first compares a network of earlier weights too ("first lite" in the
+record). Writes benchmarks/results/objects.json; docs/build.py makes a table of it.
+"""
+
+import _run as run  # first: it sets the number of threads
+from _quality_inputs import real
+
+# isort: split
+import argparse
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm import GridSpec
+from ogm.datasets import Dataset
+from ogm.evaluation import SingleScanMethod
+from ogm.metrics import object_kinds
+from ogm.metrics.motion import KINDS
+from ogm.scan import Boxes, run_model
+from ogm.truth import MIN_RETURNS, cells_in_boxes, count_returns
+
+SPEC = GridSpec.centered()
+MODELS = ("height-band", "ray", "lite", "combined")
+MAJORITY = 0.5  # of the mass
+ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
+GROUPS = {
+    "all": KINDS,
+    "vehicles": ("vehicle",),
+    "people and cyclists": ("pedestrian", "cyclist"),
+    "others": ("other",),
+}
+
+
+def inside(boxes: Boxes) -> NDArray[np.bool_]:
+    """Return which boxes lie in the grid with all four corners."""
+    half, c, s = boxes.size[:, :2] / 2, np.cos(boxes.yaw), np.sin(boxes.yaw)
+    result = np.ones(len(boxes), bool)
+    for u, v in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        x, y = u * half[:, 0], v * half[:, 1]
+        result &= SPEC.contains(boxes.center[:, 0] + c * x - s * y, boxes.center[:, 1] + s * x + c * y)
+    return result
+
+
+def boxes_of(dataset: Dataset, methods: Mapping[str, SingleScanMethod]) -> Iterator[dict[str, Any]]:
+    """Yield what the models make of each box."""
+    for i, frame in enumerate(dataset):
+        if frame.boxes is None:
+            continue
+        returns = count_returns(frame.scan.points, frame.boxes, above_bottom=ABOVE_BOTTOM)
+        chosen = np.flatnonzero((returns >= MIN_RETURNS) & inside(frame.boxes))
+        if not len(chosen):
+            continue
+        grids = {name: run_model(one.model, frame) for name, one in methods.items()}
+        kinds = object_kinds(frame.boxes.label)
+        for k in chosen:
+            cells = cells_in_boxes(frame.boxes.select([k]), SPEC)
+            track = frame.boxes.track[k]
+            yield {
+                "object": f"{frame.sequence} {track}" if track else f"frame {i} box {k}",
+                "frame": i,
+                "kind": KINDS[kinds[k]],
+                "distance [m]": round(float(np.hypot(*frame.boxes.center[k, :2])), 1),
+                "returns": int(returns[k]),
+                "cells": int(cells.sum()),
+                "shares": {
+                    name: [float((mass[cells] > MAJORITY).mean()) for mass in (grid.occupied, grid.free)]
+                    for name, grid in grids.items()
+                },
+            }
+
+
+def means(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the means over objects, each with the mean of its boxes."""
+    objects: dict[str, list[Any]] = {}
+    for one in rows:
+        objects.setdefault(one["object"], []).append(one)
+    names = rows[0]["shares"]
+    each = {
+        name: np.array([np.mean([one["shares"][name] for one in same], axis=0) for same in objects.values()])
+        for name in names
+    }
+    return {
+        "objects": len(objects),
+        "boxes": len(rows),
+        "models": {
+            name: dict(zip(("occupied", "free"), map(float, values.mean(axis=0)), strict=True))
+            for name, values in each.items()
+        },
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=Path, help="weights of another network")
+    parser.add_argument("--real", type=Path, default=run.DATA, help="folder of real recordings (default OGM_DATA)")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "objects.json")
+    given = parser.parse_args()
+    methods = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
+    if given.first is not None:
+        methods["first lite"] = SingleScanMethod.named(str(given.first), SPEC)
+    record: dict[str, Any] = {"environment": run.environment(), "sets": {}, "all": {}, "boxes": {}}
+    every: list[dict[str, Any]] = []
+    for one in real(given.real):
+        if one.alone is None:
+            print(f"{one.name} is left out: {one.reason}", file=sys.stderr)
+            continue
+        rows = list(boxes_of(one.alone, methods))
+        if not rows:
+            continue
+        record["sets"][one.name] = {"scans": len({row["frame"] for row in rows}), **means(rows)}
+        record["boxes"][one.name] = rows
+        every += [row | {"object": f"{one.name} {row['object']}"} for row in rows]
+        print(one.name, record["sets"][one.name], flush=True)
+    if not every:
+        raise SystemExit(f"there are no recordings with boxes in {given.real}: see benchmarks/README.md")
+    for name, kinds in GROUPS.items():
+        if rows := [row for row in every if row["kind"] in kinds]:
+            record["all"][name] = means(rows)
+            print(name, record["all"][name])
+    run.write_json(given.out, record)
+
+
+if __name__ == "__main__":
+    main()
