@@ -373,6 +373,25 @@ def objects() -> str:
     return table(["occupied, free [% of cells]", "objects, boxes", *models], rows)
 
 
+def deep_heads() -> str:
+    """Return what other heads of the network change."""
+    found = record("deep_heads")["sets"]["validation"]
+    areas = {name: f"{value:.2f}" for name, value in found["wrong cells"]["auroc"].items()}
+    telling = {
+        "shipped": f"unknown {areas['unknown']}, smaller mass {areas['smaller mass']}",
+        "several": f"unknown {areas['unknown of several']}, spread {areas['spread of several']}",
+    }
+    titles = {"head": "last layer", "detail": "at full resolution too", "several": "five last layers"}
+    shown = ("nll", "false_free", "iou_occupied")
+    rows = [["shipped", *(f"{found['means']['shipped'][one]:.3f}" for one in shown), telling["shipped"]]]
+    for name, title in titles.items():
+        changes = [found["minus shipped"][name][one] for one in shown]
+        cells = [f"{change:+.3f} ({low:+.3f} to {high:+.3f})" for change, low, high in changes]
+        rows.append([title, *cells, telling.get(name, "")])
+    heads = ["", "log loss", "false free", "IoU occupied", "telling wrong cells (AUROC) by"]
+    return table(heads, rows) + "\n\n" + source("deep_heads")
+
+
 def deep_speed() -> str:
     """Return the time of the networks."""
     found = record("deep_speed")
@@ -643,7 +662,7 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": headline()},
     "docs/lite.md": lambda: {"results": headline()},
-    "docs/deep.md": lambda: {"combined": combined()},
+    "docs/deep.md": lambda: {"heads": deep_heads(), "combined": combined()},
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/fusion.md": lambda: {
         "simulated": "\n\n".join(
