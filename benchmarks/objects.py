@@ -9,7 +9,7 @@ scans of a recording (the same track) counts once, with the mean of them. Withou
 
 No weights and no parameters were chosen by these recordings. There are too few for intervals over drives: numbers of
 objects and of scans stand beside the means. --first compares a network of earlier weights too ("first lite" in the
-record). Writes benchmarks/results/objects.json; docs/build.py makes a table of it.
+record: lite.safetensors and lite.json of ogm/data at commit 6d90c29, by git show). Writes benchmarks/results/objects.json; docs/build.py makes a table of it.
 """
 
 import _run as run  # first: it sets the number of threads
