@@ -608,7 +608,7 @@ def results() -> str:
     """Return the page of results."""
     boxes = (
         "Cells of an annotated object with a mass above 1/2, means over objects with 50 returns or more. The hidden "
-        "side counts. `first lite`: the weights up to commit 6d90c29. Nothing was chosen by these recordings."
+        "side counts. `first lite`: the weights up to commit 6d90c29. No weights were chosen by these recordings."
     )
     parts = [
         "# Results",
