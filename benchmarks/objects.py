@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 
 from ogm import GridSpec
 from ogm.datasets import Dataset
+from ogm.datasets.truth import ABOVE_BOTTOM
 from ogm.evaluation import SingleScanMethod
 from ogm.metrics import object_kinds
 from ogm.metrics.motion import KINDS
@@ -37,7 +38,6 @@ from ogm.truth import MIN_RETURNS, cells_in_boxes, count_returns
 SPEC = GridSpec.centered()
 MODELS = ("height-band", "ray", "lite", "combined")
 MAJORITY = 0.5  # of the mass
-ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
 GROUPS = {
     "all": KINDS,
     "vehicles": ("vehicle",),

@@ -17,10 +17,10 @@ from ogm.scan import Boxes
 from ogm.state import CellState, Truth
 from ogm.truth import MARGIN, MIN_RETURNS, TRUTH_SPEC, Kind
 
-__all__ = ["SOURCES", "RecordedTruth"]
+__all__ = ["ABOVE_BOTTOM", "SOURCES", "RecordedTruth"]
 
 SOURCES = ("boxes", "classes", "map", "aggregated")
-_ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
+ABOVE_BOTTOM = 0.15  # [m] what is higher above a box's bottom is a return from the object, not from the road
 _AT_MOVING_POINTS = 0.3  # [m] around points whose class tells that they move, neighbours do not decide
 _FEW = 3  # neighbouring scans, below which one is enough to know a cell; else two must agree
 _KEPT = 128  # truths in memory: some 0.4 MB each
@@ -110,7 +110,7 @@ class RecordedTruth:
         parts = [makers[one](n) for one in self.sources if one in makers]
         labelled, boxes, uncertain = self.reader.boxes(n), None, None
         if "boxes" in self.sources and labelled is not None:
-            returns = rules.count_returns(self.reader.scan(n).points, labelled, above_bottom=_ABOVE_BOTTOM)
+            returns = rules.count_returns(self.reader.scan(n).points, labelled, above_bottom=ABOVE_BOTTOM)
             boxes = rules.truth_from_boxes(labelled, returns, TRUTH_SPEC)
             uncertain = rules.cells_in_boxes(labelled.select(returns < MIN_RETURNS), TRUTH_SPEC)
         return rules.combine_truths(parts, boxes=boxes, uncertain=uncertain, unobserved=self._ego_cells())

@@ -1,0 +1,121 @@
+"""Which truth trains `lite` better, and what do the masses of `RayISM` add? Three trainings from random weights.
+
+    python benchmarks/deep_training.py FOLDER [--samples N] [--epochs N] [--validation N]
+
+The scans of all are the same, those of the recipe gen2; so are the seed, the order of the frames, the augmentation:
+
+* aimed: truth by rays aimed at every cell;
+* hd: truth by the paper's lidar of 3000 layers;
+* no rays: as aimed, but the masses of `RayISM` are not among the inputs.
+
+Evaluated are validation frames by both truths, and by a third one that none was trained on: that of a lidar of 12,000
+layers. All with 95 % intervals over drives. Data sets and runs lie in FOLDER; what is there already is used, and a run
+that was stopped goes on. Writes benchmarks/results/deep_training.json.
+"""
+
+import _run as run  # first: it sets the number of threads
+
+# isort: split
+import argparse
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ogm import GridSpec
+from ogm.datasets import Dataset, open_dataset
+from ogm.deep.recipe import LITE_RECIPE
+from ogm.deep.training import train
+from ogm.evaluation import SingleScanMethod, evaluate
+from ogm.simulation.dataset import simulate
+from ogm.simulation.plan import DatasetPlan
+from ogm.simulation.store import Store
+
+SPEC = GridSpec.centered()
+METRICS = ("kl_e10", "nll", "brier", "false_free", "iou_free", "iou_occupied", "ece_relative", "auroc_unknown")
+SEED = 29  # of the data: its towns are not those of the shipped weights
+CHOOSING = 10  # validation frames that a run's epoch is chosen by
+DENSE = 12_000  # layers
+
+
+class Arm(NamedTuple):
+    """One of the trainings: the truth, and whether the masses of `RayISM` are inputs."""
+
+    truth: str
+    rays: bool
+
+
+ARMS = {"aimed": Arm("aimed", True), "hd": Arm("hd", True), "no rays": Arm("aimed", False)}
+
+
+def make_data(folder: Path, samples: int, validation: int) -> dict[str, Path]:
+    """Make the three data sets of the same scans, as far as they are not there."""
+    plan = DatasetPlan.of_recipe("gen2", seed=SEED, samples=samples, validation=validation, test=0, sequences=0)
+    plans = {
+        "aimed": plan,
+        "hd": replace(plan, truth="hd"),
+        "dense": replace(plan, truth="hd", hd_layers=DENSE, samples=0),
+    }
+    for name, wanted in plans.items():
+        path = folder / name
+        store = Store.open(path) if Store.exists(path) else None
+        missing = [k for k, count in wanted.counts.items() if not store or len(store[k].finished) < count]
+        if missing:  # a larger data set serves too
+            simulate(path, wanted, resume=True)
+    return {name: folder / name for name in plans}
+
+
+def trained(name: str, data: Mapping[str, Path], folder: Path, samples: int, epochs: int) -> Path:
+    """Train an arm, or go on, and return its weights."""
+    truth, rays = ARMS[name]
+    recipe = replace(LITE_RECIPE, network=replace(LITE_RECIPE.network, rays=rays), epochs=epochs, seed=1)
+    parts = [open_dataset(data[truth], split=split) for split in ("training", "validation")]
+    out = folder / "runs" / name.replace(" ", "-")
+    return train(parts[0][:samples], parts[1][:CHOOSING], SPEC, out, recipe, resume=True, picture_every=0)
+
+
+def scores_of(models: Mapping[str, SingleScanMethod], dataset: Dataset, frames: int) -> dict[str, Any]:
+    """Evaluate the arms by one truth, each against `aimed`."""
+    result = evaluate(dict(models), dataset, SPEC, frames=range(frames), draw=lambda *frame: {})
+    pairs = {name: result.compare(name, "aimed") for name in models if name != "aimed"}
+    return {
+        "frames": len(result.frames),
+        "drives": len({one.sequence or one.name for one in result.frames}),
+        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in models},
+        "minus aimed": {
+            name: {m: [finite(x) for x in found[m].difference] for m in METRICS if m in found}
+            for name, found in pairs.items()
+        },
+    }
+
+
+def finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--samples", type=int, default=600, help="training frames")
+    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--validation", type=int, default=70, help="frames that are evaluated")
+    parser.add_argument("--out", type=Path, default=run.RESULTS / "deep_training.json")
+    given = parser.parse_args()
+    data = make_data(given.folder, given.samples, given.validation)
+    weights = {name: trained(name, data, given.folder, given.samples, given.epochs) for name in ARMS}
+    models = {name: SingleScanMethod.named(str(path), SPEC) for name, path in weights.items()}
+    record: dict[str, Any] = {"environment": run.environment(), "samples": given.samples, "epochs": given.epochs}
+    record["truth of validation"] = {}
+    for name, path in data.items():
+        found = scores_of(models, open_dataset(path, split="validation"), given.validation)
+        record["truth of validation"][name] = found
+        run.write_json(given.out, record)
+        print(f"{found['frames']} frames, truth {name}")
+        for arm, means in found["means"].items():
+            print(f"  {arm:10}" + "  ".join(f"{m} {means[m]:.4f}" for m in METRICS if means[m] is not None))
+
+
+if __name__ == "__main__":
+    main()
