@@ -385,11 +385,27 @@ def deep_heads() -> str:
     shown = ("nll", "false_free", "iou_occupied")
     rows = [["shipped", *(f"{found['means']['shipped'][one]:.3f}" for one in shown), telling["shipped"]]]
     for name, title in titles.items():
-        changes = [found["minus shipped"][name][one] for one in shown]
-        cells = [f"{change:+.3f} ({low:+.3f} to {high:+.3f})" for change, low, high in changes]
-        rows.append([title, *cells, telling.get(name, "")])
+        rows.append([title, *changes(found["minus shipped"][name], shown), telling.get(name, "")])
     heads = ["", "log loss", "false free", "IoU occupied", "telling wrong cells (AUROC) by"]
     return table(heads, rows) + "\n\n" + source("deep_heads")
+
+
+def changes(found: dict, metrics: tuple[str, ...]) -> list[str]:
+    """Return differences with their intervals."""
+    return ["{:+.3f} ({:+.3f} to {:+.3f})".format(*found[one]) for one in metrics]
+
+
+def deep_training() -> str:
+    """Return how truth and inputs change a short training."""
+    shown = ("nll", "false_free", "iou_free", "iou_occupied")
+    titles = {"hd": "`hd`, minus `aimed`", "no rays": "`aimed` without rays, minus `aimed`"}
+    rows = []
+    for truth, found in record("deep_training")["truth of validation"].items():
+        by = {"dense": "12,000 layers"}.get(truth, f"`{truth}`")
+        rows.append([by, "`aimed`", *(f"{found['means']['aimed'][one]:.3f}" for one in shown)])
+        rows += [["", title, *changes(found["minus aimed"][name], shown)] for name, title in titles.items()]
+    heads = ["evaluated by", "trained on", "log loss", "false free", "IoU free", "IoU occupied"]
+    return table(heads, rows) + "\n\n" + source("deep_training")
 
 
 def deep_speed() -> str:
@@ -662,7 +678,7 @@ def fill(page: str, made: Mapping[str, str]) -> str:
 PAGES: dict[str, Callable[[], Mapping[str, str]]] = {
     "README.md": lambda: {"results": headline()},
     "docs/lite.md": lambda: {"results": headline()},
-    "docs/deep.md": lambda: {"heads": deep_heads(), "combined": combined()},
+    "docs/deep.md": lambda: {"heads": deep_heads(), "training": deep_training(), "combined": combined()},
     "docs/dynamic.md": lambda: {"dynamic": "\n\n".join([*dynamic_tables(record("dynamic")), source("dynamic")])},
     "docs/fusion.md": lambda: {
         "simulated": "\n\n".join(
