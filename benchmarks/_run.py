@@ -26,15 +26,18 @@ import math  # noqa: E402
 import platform  # noqa: E402
 import sys  # noqa: E402
 import time  # noqa: E402
-from collections.abc import Callable, Iterator, Mapping  # noqa: E402
+from collections.abc import Callable, Iterator, Mapping, Sequence  # noqa: E402
 from dataclasses import dataclass  # noqa: E402
 from datetime import UTC, datetime  # noqa: E402
 from pathlib import Path  # noqa: E402
-from typing import Any, NamedTuple  # noqa: E402
+from typing import TYPE_CHECKING, Any, NamedTuple  # noqa: E402
 
 import numpy as np  # noqa: E402
 
 from ogm.files import atomic_write  # noqa: E402
+
+if TYPE_CHECKING:
+    from ogm.evaluation import Evaluation
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PICTURES = ROOT / "benchmarks" / "results", ROOT / "docs" / "pictures"
@@ -182,6 +185,25 @@ def _plain(value: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
     raise TypeError(f"cannot write {type(value).__name__} as JSON")
+
+
+def finite(value: float) -> float | None:
+    """Return a number, or None, which JSON has, for NaN and infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def compared(result: "Evaluation", base: str, metrics: Sequence[str]) -> dict[str, Any]:
+    """Return the means of all methods, and their differences from `base` with 95 % intervals over drives."""
+    pairs = {name: result.compare(name, base) for name in result.methods if name != base}
+    return {
+        "frames": len(result.frames),
+        "drives": len({one.sequence or one.name for one in result.frames}),
+        "means": {name: {m: finite(result.macro(name)[m]) for m in metrics} for name in result.methods},
+        f"minus {base}": {
+            name: {m: [finite(x) for x in found[m].difference] for m in metrics if m in found}
+            for name, found in pairs.items()
+        },
+    }
 
 
 @contextlib.contextmanager

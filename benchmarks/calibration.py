@@ -90,16 +90,12 @@ def recorded(result: Evaluation) -> dict[str, Any]:
     found: dict[str, Any] = {
         "frames": len(result.frames),
         "drives": len({one.sequence or one.name for one in result.frames}),
-        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
-        "fitted - default": {m: [finite(x) for x in differences[m].difference] for m in METRICS},
+        "means": {name: {m: run.finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
+        "fitted - default": {m: [run.finite(x) for x in differences[m].difference] for m in METRICS},
     }
     for name, sums in zip(result.methods, result.pooled, strict=True):
         found[f"beliefs {name}"] = beliefs(sums)
     return found
-
-
-def finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def added(results: Mapping[str, Evaluation], method: int) -> ConfusionSums:

@@ -78,7 +78,7 @@ def recorded(dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     return {
         "frames": len(result.frames),
         "drives": len({one.sequence or one.name for one in result.frames}),
-        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
+        "means": {name: {m: run.finite(result.macro(name)[m]) for m in METRICS} for name in result.methods},
         "against": {other: against(result, other) for other in (RAY, LITE)},
     }
 
@@ -89,17 +89,13 @@ def against(result: Evaluation, other: str) -> dict[str, Any]:
     return {
         m: {
             "wins, ties, losses": [found[m].wins, found[m].ties, found[m].losses],
-            "difference": [finite(x) for x in found[m].difference],
-            "ratio": [finite(x) for x in found[m].ratio],
-            "p": finite(found[m].p),
+            "difference": [run.finite(x) for x in found[m].difference],
+            "ratio": [run.finite(x) for x in found[m].ratio],
+            "p": run.finite(found[m].p),
         }
         for m in METRICS
         if m in found
     }
-
-
-def finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def cost(scan: Scan, mount: Mount) -> dict[str, float]:

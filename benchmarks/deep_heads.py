@@ -183,21 +183,7 @@ def methods(ways: Mapping[str, Heads]) -> dict[str, PerMount]:
 def scores_of(models: Mapping[str, PerMount], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     """Evaluate the ways, each against the shipped network, and how well numbers tell the wrong cells."""
     result = evaluate(dict(models), dataset, SPEC, frames=list(numbers), draw=lambda *frame: {})
-    pairs = {name: result.compare(name, "shipped") for name in models if name != "shipped"}
-    return {
-        "frames": len(result.frames),
-        "drives": len({one.sequence or one.name for one in result.frames}),
-        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in models},
-        "minus shipped": {
-            name: {m: [finite(x) for x in found[m].difference] for m in METRICS if m in found}
-            for name, found in pairs.items()
-        },
-        "wrong cells": wrong_cells(models, dataset, numbers),
-    }
-
-
-def finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return {**run.compared(result, "shipped", METRICS), "wrong cells": wrong_cells(models, dataset, numbers)}
 
 
 def wrong_cells(models: Mapping[str, PerMount], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
@@ -231,7 +217,7 @@ def wrong_cells(models: Mapping[str, PerMount], dataset: Dataset, numbers: Seque
             wrong = (one[:, 1] > one[:, 0]) != occupied
             for k in (0, 1):
                 sums[name][k] += (wrong == k).sum(), (1 - one[wrong == k].sum(-1)).sum()
-    areas = {name: finite(auroc(table[1], table[0])) for name, table in counts.items()}
+    areas = {name: run.finite(auroc(table[1], table[0])) for name, table in counts.items()}
     unknown = {
         name: {
             "share wrong": float(t[1, 0] / t[:, 0].sum()),

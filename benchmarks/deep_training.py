@@ -9,7 +9,7 @@ The scans of all are the same, those of the recipe gen2; so are the seed, the or
 * no rays: as aimed, but the masses of `RayISM` are not among the inputs.
 
 Evaluated are validation frames by both truths, and by a third one that none was trained on: that of a lidar of 12,000
-layers. All with 95 % intervals over drives. Data sets and runs lie in FOLDER; what is there already is used, and a run
+layers; the intervals are 95 %, over drives. Data sets and runs lie in FOLDER; what is there already is used, and a run
 that was stopped goes on. Writes benchmarks/results/deep_training.json.
 """
 
@@ -22,10 +22,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from ogm import GridSpec
-from ogm.datasets import Dataset, open_dataset
+from ogm.datasets import open_dataset
 from ogm.deep.recipe import LITE_RECIPE
 from ogm.deep.training import train
 from ogm.evaluation import SingleScanMethod, evaluate
@@ -76,25 +74,6 @@ def trained(name: str, data: Mapping[str, Path], folder: Path, samples: int, epo
     return train(parts[0][:samples], parts[1][:CHOOSING], SPEC, out, recipe, resume=True, picture_every=0)
 
 
-def scores_of(models: Mapping[str, SingleScanMethod], dataset: Dataset, frames: int) -> dict[str, Any]:
-    """Evaluate the arms by one truth, each against `aimed`."""
-    result = evaluate(dict(models), dataset, SPEC, frames=range(frames), draw=lambda *frame: {})
-    pairs = {name: result.compare(name, "aimed") for name in models if name != "aimed"}
-    return {
-        "frames": len(result.frames),
-        "drives": len({one.sequence or one.name for one in result.frames}),
-        "means": {name: {m: finite(result.macro(name)[m]) for m in METRICS} for name in models},
-        "minus aimed": {
-            name: {m: [finite(x) for x in found[m].difference] for m in METRICS if m in found}
-            for name, found in pairs.items()
-        },
-    }
-
-
-def finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
@@ -109,8 +88,9 @@ def main() -> None:
     record: dict[str, Any] = {"environment": run.environment(), "samples": given.samples, "epochs": given.epochs}
     record["truth of validation"] = {}
     for name, path in data.items():
-        found = scores_of(models, open_dataset(path, split="validation"), given.validation)
-        record["truth of validation"][name] = found
+        validation = open_dataset(path, split="validation")
+        result = evaluate(models, validation, SPEC, frames=range(given.validation), draw=lambda *frame: {})
+        record["truth of validation"][name] = found = run.compared(result, "aimed", METRICS)
         run.write_json(given.out, record)
         print(f"{found['frames']} frames, truth {name}")
         for arm, means in found["means"].items():
