@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ogm.evaluation import Comparison, Evaluation, compare_paired
 from ogm.evaluation.report import describe_extent, describe_intervals
-from ogm.files import atomic_write
 from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, evilog_published, reasons
+from ogm.storage.files import atomic_write
 
 KEPT = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known", "false_free",

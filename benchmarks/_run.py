@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from ogm.files import atomic_write  # noqa: E402
+from ogm.storage.files import atomic_write  # noqa: E402
 
 if TYPE_CHECKING:
     from ogm.evaluation import Evaluation

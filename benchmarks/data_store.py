@@ -36,9 +36,9 @@ from ogm.deep.order import EpochSampler, ShardSampler
 from ogm.deep.recipe import LITE_RECIPE, mean_loss
 from ogm.deep.training import make_loader
 from ogm.grid import GridSpec
-from ogm.remote import as_path, object_store
 from ogm.simulation.split import open_array, sample_checksums, shard_file
 from ogm.simulation.store import SHARD, Store
+from ogm.storage.remote import as_path, object_store
 
 SPEC = GridSpec.centered()
 KEYS = {"access_key_id": "test", "secret_access_key": "test", "region": "us-east-1"}

@@ -35,7 +35,6 @@ from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
 from ogm.evaluation.radar_models import radar_numbers
 from ogm.evidence import discount
-from ogm.files import atomic_write
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
@@ -48,6 +47,7 @@ from ogm.simulation.radar import Origin, RadarSweep, sweep
 from ogm.simulation.radars import RADARS, RadarSpec
 from ogm.simulation.traffic import ego_body
 from ogm.state import CellState
+from ogm.storage.files import atomic_write
 from ogm.truth import TRUTH_SPEC
 
 SPEC: GridSpec = TRUTH_SPEC

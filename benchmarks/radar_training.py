@@ -30,7 +30,6 @@ from ogm.deep.radar_data import RadarFrame
 from ogm.deep.radar_export import export_radar_onnx
 from ogm.deep.radar_training import train_radar
 from ogm.deep.recipe import RADAR_RECIPE
-from ogm.files import atomic_write
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up
 from ogm.simulation.mounts import PLACES
@@ -39,6 +38,7 @@ from ogm.simulation.radar import sweep
 from ogm.simulation.radars import RADARS
 from ogm.simulation.traffic import ego_body
 from ogm.state import Truth
+from ogm.storage.files import atomic_write
 from ogm.truth import TRUTH_SPEC
 
 TRAINING = DatasetPlan(seed=21, samples=1200, validation=0, test=0, towns=12, drives=24, spacing=5.0, town_size=320.0)

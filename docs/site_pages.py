@@ -12,7 +12,8 @@ from types import ModuleType
 # The public modules, by topic: what stands in their `__all__` is public, all else may change.
 REFERENCE: dict[str, tuple[str, ...]] = {
     "Types that everything shares": (
-        *("ogm.scan", "ogm.grid", "ogm.state", "ogm.dynamic_grid", "ogm.pose", "ogm.files", "ogm.limits"),
+        *("ogm.scan", "ogm.grid", "ogm.state", "ogm.dynamic_grid", "ogm.pose"),
+        *("ogm.storage.files", "ogm.storage.limits"),
     ),
     "Evidence": ("ogm.evidence", "ogm.evidence.powerset"),
     "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.combined", "ogm.doppler"),

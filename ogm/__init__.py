@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from ogm.datasets import open_dataset
     from ogm.dynamic_grid import DynamicGrid
     from ogm.evaluation import evaluate, load_model
-    from ogm.files import OgmError
     from ogm.fusion import fuse, map_scans
     from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
     from ogm.io import read_points, read_scan
     from ogm.scan import Boxes, Frame, InverseSensorModel, Mount, Scan
     from ogm.state import CellState, Motion, Truth
+    from ogm.storage.files import OgmError
 
 __version__ = "0.1.0"
 __all__ = [
@@ -53,7 +53,7 @@ _MODULES = {
     "LayeredGrid": "ogm.grid",
     "Motion": "ogm.state",
     "Mount": "ogm.scan",
-    "OgmError": "ogm.files",
+    "OgmError": "ogm.storage.files",
     "Scan": "ogm.scan",
     "Truth": "ogm.state",
     "evaluate": "ogm.evaluation",

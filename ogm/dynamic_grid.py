@@ -18,9 +18,9 @@ from typing import ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.archive import open_archive, write_archive
 from ogm.evidence import check_mass
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.storage.archive import open_archive, write_archive
 
 __all__ = ["DYNAMIC_FORMAT", "DynamicGrid"]
 

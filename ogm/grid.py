@@ -18,9 +18,9 @@ from typing import Any, ClassVar, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.archive import open_archive, write_archive
 from ogm.evidence import Opinion, check_mass, mass_to_evidence, mass_to_probability, unknown
-from ogm.limits import current_limits, too_large
+from ogm.storage.archive import open_archive, write_archive
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["LAYERED_FORMAT", "EvidentialGrid", "GridSpec", "LayeredGrid"]
 

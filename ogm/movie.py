@@ -28,9 +28,9 @@ from PIL import GifImagePlugin, Image, ImageDraw
 
 from ogm import plot
 from ogm.colours import Colours, colours
-from ogm.files import atomic_write
 from ogm.grid import GridSpec
 from ogm.plot.drawing import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
+from ogm.storage.files import atomic_write
 
 __all__ = ["Movie", "open_movie"]
 

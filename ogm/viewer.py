@@ -26,10 +26,10 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.files import atomic_write
 from ogm.grid import EvidentialGrid, LayeredGrid
 from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
+from ogm.storage.files import atomic_write
 from ogm.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
 
 __all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]

@@ -12,8 +12,8 @@ import pytest
 from moving import street
 
 from ogm import DynamicGrid, EvidentialGrid, GridSpec, LayeredGrid, OgmError
-from ogm.archive import stated_format
 from ogm.io.grids import read_grid
+from ogm.storage.archive import stated_format
 
 SPEC = GridSpec(0.0625, (31, 17), (-1.03125, 2.2))
 HOSTILE = ("file", "format", "../up", "a/b.npy", "", "ä \N{SNOWMAN}", "\ud800", "self", "x" * 300)

@@ -21,7 +21,6 @@ from ogm.evaluation import cache, report, runner, tasks
 from ogm.fusion import BAYES, DYNAMIC, NUSS, RULES, EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.locks import locked
 from ogm.metrics import METRICS, accumulate, score
 from ogm.scan import Mount, Scan
 from ogm.simulation.exchange import write_label
@@ -29,6 +28,7 @@ from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
 from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
+from ogm.storage.locks import locked
 from ogm.truth import TRUTH_SPEC
 
 UNKNOWN, FREE, OCCUPIED, IGNORE = CellState

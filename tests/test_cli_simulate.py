@@ -17,10 +17,10 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from ogm.cli import app
-from ogm.locks import locked
 from ogm.simulation import studio
 from ogm.simulation.recipe import RECIPES
 from ogm.simulation.store import FORMAT, GAPS, Store
+from ogm.storage.locks import locked
 
 pytestmark = pytest.mark.usefixtures("kept_towns")
 TINY = ("--samples", 1, "--validation", 1, "--town-size", 240, "--lidar", "hdl-32e")

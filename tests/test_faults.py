@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from ogm.datasets import open_dataset
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import GridLog, PlacedGrid, write_grid
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import StampedTransform, tf_message
+from ogm.storage.files import OgmError
 
 WAITS = """
 import sys, time
 import ogm.io.grids
 
 def wait(*_, **__):
-    from ogm.files import atomic_write
+    from ogm.storage.files import atomic_write
 
     with atomic_write("map.tif") as file:
         file.write(b"half")

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-import ogm.files
+import ogm.storage.files
 from ogm.cli import app, console
 from ogm.cli.console import SafeFormatter, printable, report_errors
-from ogm.files import atomic_write, finish_zarr, temporary_folder
 from ogm.io.grids.paths import whole_path
+from ogm.storage.files import atomic_write, finish_zarr, temporary_folder
 
 ESCAPE = "a\x1b[31m\x07\u202eb\x9bc"
 
@@ -33,7 +33,7 @@ def write_and_fail(path: Path, mode: str, content: str | bytes) -> None:
 @pytest.mark.parametrize("mode", ["wb", "w"])
 def test_a_file_appears_whole_or_not_at_all(named, mode, tmp_path, monkeypatch):
     if named:
-        monkeypatch.delattr(ogm.files.os, "O_TMPFILE", raising=False)
+        monkeypatch.delattr(ogm.storage.files.os, "O_TMPFILE", raising=False)
     path = tmp_path / "a.txt"
     old, new = ("old", "ä") if mode == "w" else (b"old", b"\xff")
     for content in (old, new):
@@ -63,7 +63,7 @@ def test_names_may_be_as_long_as_the_system_lets_them(length, tmp_path):
 @pytest.mark.skipif(not hasattr(os, "O_TMPFILE"), reason="this system has no files without a name")
 def test_a_killed_process_leaves_nothing(tmp_path):
     code = (
-        "import os, signal, sys; from ogm.files import atomic_write\n"
+        "import os, signal, sys; from ogm.storage.files import atomic_write\n"
         "with atomic_write(sys.argv[1]) as file:\n"
         "    file.write(bytes(9999)); file.flush(); os.kill(os.getpid(), signal.SIGKILL)"
     )

@@ -275,7 +275,7 @@ def test_a_failed_save_leaves_the_old_file_whole(tmp_path: Path, monkeypatch: py
         archive.writestr(f"{name}.npy", b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("ogm.archive._write", breaks)
+    monkeypatch.setattr("ogm.storage.archive._write", breaks)
     with pytest.raises(KeyboardInterrupt):
         random_grid(2).save(path)
     assert path.read_bytes() == before

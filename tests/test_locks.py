@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-import ogm.files
-from ogm import locks
-from ogm.files import atomic_write, temporary_folder
+import ogm.storage.files
 from ogm.io.grids.paths import whole_path
-from ogm.locks import locked, sweep
+from ogm.storage import locks
+from ogm.storage.files import atomic_write, temporary_folder
+from ogm.storage.locks import locked, sweep
 
 pytestmark = pytest.mark.skipif(locks.fcntl is None, reason="this system has no flock")
 
 HOLDS = """
 import os, sys
-from ogm.locks import locked
+from ogm.storage.locks import locked
 with locked(sys.argv[1]):
     if os.fork() == 0:  # as loaders of training data are
         print("now", flush=True)
@@ -28,11 +28,11 @@ with locked(sys.argv[1]):
 WRITES = """
 import os, sys
 from pathlib import Path
-import ogm.files
+import ogm.storage.files
 if sys.argv[2] == "named" and hasattr(os, "O_TMPFILE"):
     del os.O_TMPFILE
 folder = Path(sys.argv[1])
-with ogm.files.atomic_write(folder / "a.bin") as file, ogm.files.temporary_folder(folder) as work:
+with ogm.storage.files.atomic_write(folder / "a.bin") as file, ogm.storage.files.temporary_folder(folder) as work:
     file.write(b"half")
     (work / "b").write_bytes(b"half")
     print("now", flush=True)
@@ -129,7 +129,7 @@ def test_a_temporary_folder_is_made_again_if_another_process_sweeps_it(
             folder.rmdir()
         return locked(folder)
 
-    monkeypatch.setattr(ogm.files, "locked", sweeps)
+    monkeypatch.setattr(ogm.storage.files, "locked", sweeps)
     with temporary_folder(tmp_path) as folder:
         assert folder.is_dir()
         assert folder != swept[0]

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.interrupts import received
-from ogm.files import OF_DISK
+from ogm.storage.files import OF_DISK
 
 if TYPE_CHECKING:
     from ogm.grid import GridSpec

@@ -12,8 +12,8 @@ from rich.text import Text
 
 from ogm.cli.console import distinct, out, report_errors, stderr, ticked
 from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
-from ogm.locks import locked
-from ogm.remote import as_path
+from ogm.storage.locks import locked
+from ogm.storage.remote import as_path
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset

@@ -14,7 +14,6 @@ from ogm import plot
 from ogm.cli.console import one_line, stderr
 from ogm.datasets import Dataset, frame_numbers
 from ogm.dynamic_grid import DynamicGrid
-from ogm.files import OF_DISK
 from ogm.fusion import DYNAMIC, NUSS, BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
@@ -23,6 +22,7 @@ from ogm.movie import Movie
 from ogm.plot import Panel
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
+from ogm.storage.files import OF_DISK
 
 __all__ = ["FusionRun", "check_rule"]
 

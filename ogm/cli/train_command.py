@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ogm.cli.console import out, print_facts, report_errors, stderr
-from ogm.remote import as_path
+from ogm.storage.remote import as_path
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from ogm.datasets.layout import FrameRef, HdMap, Layout, RawFrame
-from ogm.files import OgmError
 from ogm.io import estimate_sensor_height, read_argoverse2, read_scan
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 
 __all__ = ["argoverse2"]
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from ogm.datasets.layout import FrameRef, Layout, RawFrame
 from ogm.datasets.logs import turn_scan
-from ogm.files import OgmError
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.io.messages import scans_from_pcap
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["CAPTURE_ENDINGS", "captures"]
 

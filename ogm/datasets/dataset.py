@@ -26,15 +26,15 @@ from ogm.datasets.simulated import simulated
 from ogm.datasets.sustech import sustech
 from ogm.datasets.truth import RecordedTruth
 from ogm.datasets.truth_grids import grid_files, truth_grids
-from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS
 from ogm.pose import Trajectory
-from ogm.remote import ObjectPath, as_path, is_remote
 from ogm.scan import Frame
 from ogm.state import Truth
+from ogm.storage.files import OgmError
+from ogm.storage.remote import ObjectPath, as_path, is_remote
 
 __all__ = ["Dataset", "open_dataset"]
 
@@ -247,7 +247,7 @@ def open_dataset(
         or the odometry in it. A capture of a Velodyne (.pcap) is one drive without poses. What ``ogm simulate`` made
         may also lie in an object store, ``s3://bucket/prefix``.
     storage : mapping of str to str, optional
-        Of a data set in an object store: where that is and who may read, see `ogm.remote.as_path`.
+        Of a data set in an object store: where that is and who may read, see `ogm.storage.remote.as_path`.
     axes, intensity_max, time_unit
         Of files of scans, as for `ogm.io.read_scan`; those of data sets are known.
     sensor_height : float, optional

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ogm import io
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame, kinds_of
 from ogm.datasets.paths import pose_files, poses_of, scan_name, scan_paths, sequence_of
-from ogm.files import OgmError
 from ogm.scan import Boxes, Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["kitti_object", "kitti_odometry", "kitti_raw", "kitti_tracking"]
 

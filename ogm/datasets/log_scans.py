@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ogm.datasets.layout import FrameRef, SensorPlace
 from ogm.datasets.log_transforms import LogTransforms
-from ogm.files import OgmError
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageRef
+from ogm.storage.files import OgmError
 
 __all__ = ["CLOUD", "LIDAR_TYPES", "LogScans", "ScanRef"]
 

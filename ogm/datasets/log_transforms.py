@@ -6,11 +6,11 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.logs import LogReader
 from ogm.io.logs.reader import MessageHead, MessageRef
 from ogm.io.messages import StampedTransform, transform_from_odometry, transforms_from_tf
 from ogm.io.transforms import ExtrapolationError, TransformBuffer, TransformError
+from ogm.storage.files import OgmError
 
 __all__ = ["LogTransforms"]
 

@@ -14,7 +14,6 @@ from ogm.datasets.layout import Layout, RawFrame
 from ogm.datasets.log_scans import CLOUD, LIDAR_TYPES, LogScans
 from ogm.datasets.log_transforms import LogTransforms
 from ogm.datasets.paths import ending_of
-from ogm.files import OgmError
 from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS, LogMessage, open_log
@@ -22,6 +21,7 @@ from ogm.io.logs.opening import log_files
 from ogm.io.messages import scan_from_livox, scan_from_point_cloud2, scan_from_velodyne_scan
 from ogm.pose import pose, rotate
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["describe_log", "is_log", "logs", "turn_scan"]
 

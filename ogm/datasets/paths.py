@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import FrameRef
-from ogm.files import OgmError
 from ogm.io import Axes, read_poses
 from ogm.io.axes import rotation_to_flu
+from ogm.storage.files import OgmError
 
 SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")
 _PACKED = (".xz", ".gz")

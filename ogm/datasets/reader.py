@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import Footprint, Layout, RawFrame, SensorPlace
-from ogm.files import OgmError
 from ogm.io import estimate_sensor_height, plausible_sensor_height
 from ogm.pose import pose
 from ogm.scan import Boxes, Mount, Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["FrameReader"]
 

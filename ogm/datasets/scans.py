@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from ogm.datasets.layout import KITTI_EGO, FrameRef, Layout, RawFrame
 from ogm.datasets.paths import clock_stamps, ending_of, in_order, pose_files, poses_of, scan_name, sequence_of
-from ogm.files import OgmError
 from ogm.io import Axes, read_scan
 from ogm.io.axes import rotation_to_flu
+from ogm.storage.files import OgmError
 
 __all__ = ["scans"]
 

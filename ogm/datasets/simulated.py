@@ -10,15 +10,15 @@ from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
 from ogm.datasets.layout import EGO, FrameRef, Layout, RawFrame
-from ogm.files import OgmError
 from ogm.pose import inverse, pose
-from ogm.remote import ObjectPath
 from ogm.scan import Boxes, Mount, Scan
 from ogm.simulation.plan import SEQUENCE, count_towns
 from ogm.simulation.radars import RADARS
 from ogm.simulation.sample import LABELS, SimulatedSample
 from ogm.simulation.store import FACTS, SHARD, Store
 from ogm.state import CellState, Truth
+from ogm.storage.files import OgmError
+from ogm.storage.remote import ObjectPath
 from ogm.truth import ignore_cells
 
 __all__ = ["simulated"]

@@ -11,10 +11,10 @@ from ogm.datasets.layout import EGO, Layout
 from ogm.datasets.neighbours import choose_neighbours, ego_path_cells, truth_from_neighbours
 from ogm.datasets.reader import FrameReader
 from ogm.extras import import_extra
-from ogm.files import OgmError
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
 from ogm.state import CellState, Truth
+from ogm.storage.files import OgmError
 from ogm.truth import MARGIN, MIN_RETURNS, TRUTH_SPEC, Kind
 
 __all__ = ["ABOVE_BOTTOM", "SOURCES", "RecordedTruth"]

@@ -6,11 +6,11 @@ from typing import NoReturn
 import numpy as np
 
 from ogm.datasets.layout import FrameRef, Layout
-from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.io.grids import GRID_ENDINGS, read_grid
 from ogm.io.reading import parse_array, read_bytes
 from ogm.state import CellState, Truth, predict_state
+from ogm.storage.files import OgmError
 
 __all__ = ["grid_files", "truth_grids"]
 

@@ -22,8 +22,8 @@ from ogm.deep.description import FORMAT, description_checksum, grid_of, read_des
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.deep.polar import RadarGrid
 from ogm.deep.radar_network import RadarConfig, RadarNetwork
-from ogm.files import OgmError, atomic_write
 from ogm.io.reading import read_bytes
+from ogm.storage.files import OgmError, atomic_write
 
 __all__ = ["FORMAT", "load_network", "load_radar_network", "save_network"]
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec
+from ogm.storage.files import OgmError, update_hint
 
 __all__ = ["FORMAT", "check_description", "description_checksum", "grid_of", "read_description"]
 

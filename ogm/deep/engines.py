@@ -13,7 +13,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 if TYPE_CHECKING:
     from ogm.deep.onnx_engine import OnnxEngine

@@ -36,7 +36,7 @@ from ogm.deep.folding import fused
 from ogm.deep.network import PillarNetwork
 from ogm.deep.onnx_file import FORMAT, OPERATIONS, sealed, weights_sum
 from ogm.deep.points import FEATURES
-from ogm.files import atomic_write
+from ogm.storage.files import atomic_write
 
 __all__ = ["export_onnx", "softplus_of_parts", "traced", "write_model"]
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ogm.deep.network_grid import check_resolution, check_sides, sensor_coords
 from ogm.deep.onnx_file import OnnxFile, read_onnx
 from ogm.deep.points import Rectangle, SortedPoints, pillar_maxima, sort_points
-from ogm.files import OgmError
 from ogm.grid import GridSpec
+from ogm.storage.files import OgmError
 
 __all__ = ["OnnxEngine", "default_threads", "onnxruntime_session"]
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from ogm.deep.description import check_description, grid_of
 from ogm.deep.points import FEATURES
-from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec
+from ogm.storage.files import OgmError, update_hint
 
 __all__ = ["FORMAT", "OPERATIONS", "OnnxFile", "exported_from", "read_metadata", "read_onnx", "sealed", "weights_sum"]
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ogm.deep.onnx_engine import default_threads, onnxruntime_session
 from ogm.deep.onnx_file import read_metadata
 from ogm.deep.polar import CHANNELS, RadarGrid
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 __all__ = ["FORMAT", "RadarOnnxEngine"]
 

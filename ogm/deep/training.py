@@ -35,9 +35,9 @@ from ogm.deep.order import EpochSampler, ShardSampler
 from ogm.deep.recipe import LOSSES, Recipe, mean_loss
 from ogm.evidence import evidence_to_mass
 from ogm.grid import GridSpec
-from ogm.locks import locked
 from ogm.scan import Frame
 from ogm.state import predict_state
+from ogm.storage.locks import locked
 
 try:
     from lightning.fabric import Fabric

@@ -23,9 +23,9 @@ from ogm.deep.data import PillarDataset
 from ogm.deep.network import PillarNetwork, copy_weights
 from ogm.deep.recipe import Recipe, learning_rate, mean_loss
 from ogm.evidence import evidence_to_mass
-from ogm.files import OgmError, atomic_write
 from ogm.grid import EvidentialGrid
 from ogm.state import Truth
+from ogm.storage.files import OgmError, atomic_write
 
 __all__ = ["TrainingBatch", "TrainingRun", "draw_predictions", "nonfinite_loss_error"]
 

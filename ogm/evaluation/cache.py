@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evaluation.motion import FrameMotion
-from ogm.files import OgmError, atomic_write, update_hint
 from ogm.metrics import ConfusionSums, MotionSums, ObjectCells
+from ogm.storage.files import OgmError, atomic_write, update_hint
 
 __all__ = ["FrameResult", "ResultCache", "code_state", "files_state"]
 

@@ -18,10 +18,10 @@ from typing import Any, Self
 from ogm.evaluation.likelihood import Likelihood
 from ogm.evaluation.likelihood_search import LikelihoodSearch
 from ogm.evaluation.models import default_parameters
-from ogm.files import OgmError, atomic_write, update_hint
 from ogm.grid import GridSpec
 from ogm.io.reading import decode_json
 from ogm.scan import Frame
+from ogm.storage.files import OgmError, atomic_write, update_hint
 
 __all__ = ["BOUNDS", "FITTED", "Calibration", "calibrate"]
 

@@ -12,9 +12,9 @@ from ogm.colours import colours
 from ogm.evaluation.result import Evaluation
 from ogm.evaluation.text import clean
 from ogm.extras import import_extra
-from ogm.files import atomic_write
 from ogm.metrics import METRICS
 from ogm.plot import Panel
+from ogm.storage.files import atomic_write
 
 __all__ = ["draw_frames", "draw_metrics", "frame_panels"]
 

@@ -19,9 +19,9 @@ from typing import Any
 
 from ogm.combined import CombinedISM, FreeGate, StateReliability
 from ogm.evaluation.radar_models import DEEP_RADAR, RADAR, RADAR_MODELS, radar_factory
-from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount, PerMount
+from ogm.storage.files import OgmError
 
 __all__ = [
     "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "NamedModels",

@@ -18,7 +18,7 @@ from ogm.evaluation.motion import MOTION_HEADLINE, group_motion
 from ogm.evaluation.motion_pictures import ARROWS
 from ogm.evaluation.summary import best_value, summarize
 from ogm.evaluation.text import format_number, join_words, pluralize
-from ogm.files import atomic_write
+from ogm.storage.files import atomic_write
 
 __all__ = ["write_page"]
 

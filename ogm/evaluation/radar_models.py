@@ -3,10 +3,10 @@
 import math
 from collections.abc import Callable
 
-from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.scan import InverseSensorModel, Mount
 from ogm.simulation.radars import RADARS
+from ogm.storage.files import OgmError
 
 __all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "radar_factory", "radar_numbers"]
 

@@ -21,8 +21,8 @@ from ogm.evaluation.result import Evaluation
 from ogm.evaluation.runner import package_versions
 from ogm.evaluation.statistics import MIN_DRIVES, has_parts
 from ogm.evaluation.text import as_json, clean, pluralize
-from ogm.files import atomic_write
 from ogm.metrics import METRICS, RANGES, ConfusionSums, by_range, reasons
+from ogm.storage.files import atomic_write
 
 __all__ = ["describe_extent", "describe_intervals", "evaluation_record", "write_csv", "write_report"]
 

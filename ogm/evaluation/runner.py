@@ -17,10 +17,10 @@ from ogm.evaluation.motion import MotionCollector
 from ogm.evaluation.result import Evaluation, FrameInfo
 from ogm.evaluation.tasks import Draw, FrameTask, Progress
 from ogm.grid import GridSpec
-from ogm.locks import locked
 from ogm.metrics import ConfusionSums
-from ogm.remote import ObjectPath
 from ogm.scan import Frame
+from ogm.storage.locks import locked
+from ogm.storage.remote import ObjectPath
 
 __all__ = ["REPORT_FILES", "evaluate", "package_versions"]
 

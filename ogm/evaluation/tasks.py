@@ -19,9 +19,9 @@ from ogm.evaluation.motion import compare_motion
 from ogm.evaluation.motion_pictures import draw_motion
 from ogm.grid import GridSpec
 from ogm.metrics import accumulate, distances
-from ogm.pool import deaths_explained, work_off
 from ogm.pose import transform_points
 from ogm.scan import Frame
+from ogm.storage.workers import deaths_explained, work_off
 
 __all__ = ["Draw", "FrameTask", "Progress"]
 

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.files import OF_DISK, OgmError, atomic_write, temporary_folder
-from ogm.locks import locked
-from ogm.pool import deaths_explained, work_off
 from ogm.scan import Frame
+from ogm.storage.files import OF_DISK, OgmError, atomic_write, temporary_folder
+from ogm.storage.locks import locked
+from ogm.storage.workers import deaths_explained, work_off
 
 __all__ = ["FusedDrive", "fuse_drives"]
 

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.formats.feather import check_sizes
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, need, need_numbers, numbers, optional, parse_array, read_bytes, read_json
 from ogm.pose import inverse, transform_points
 from ogm.scan import Boxes
+from ogm.storage.files import OgmError
 
 __all__ = ["Argoverse2Log", "Argoverse2Map", "read_argoverse2"]
 

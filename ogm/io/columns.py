@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 __all__ = ["check_rings", "check_whole", "scale_intensities", "split_times", "times_from_stamp"]
 

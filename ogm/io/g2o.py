@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.reading import from_quaternions, read_lines
+from ogm.storage.files import OgmError
 
 __all__ = ["read_g2o"]
 

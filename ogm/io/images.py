@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from ogm.files import OgmError
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["open_image"]
 
@@ -30,7 +30,7 @@ def open_image(path: str | os.PathLike[str], formats: Sequence[str] = ("PNG",)) 
     FileNotFoundError
         If there is no such file.
     OgmError
-        If it is damaged, of another format, or has more pixels than the limit for images (`ogm.limits.MemoryLimits`).
+        If it is damaged, of another format, or has more pixels than `ogm.storage.limits.MemoryLimits` allows.
     """
     from PIL import Image
 

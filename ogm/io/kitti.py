@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import numbers, read_lines, rigid
 from ogm.pose import LATEST, check_pose, inverse
 from ogm.scan import Boxes
+from ogm.storage.files import OgmError
 
 __all__ = ["read_calibration", "read_kitti_objects", "read_kitti_stamps", "read_kitti_tracks"]
 

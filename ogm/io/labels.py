@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.scan import Boxes
+from ogm.storage.files import OgmError
 
 __all__ = ["REACH", "BoxRow", "LabelledPoints", "boxes_of"]
 

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.axes import rotation_to_flu
 from ogm.io.labels import BoxRow, boxes_of
 from ogm.io.reading import from_quaternions, is_file_name, need, need_numbers, read_json, rigid
 from ogm.pose import inverse
 from ogm.scan import Boxes
+from ogm.storage.files import OgmError
 
 __all__ = ["NuScenes", "NuScenesFrame", "read_mmdet3d", "read_nuscenes"]
 

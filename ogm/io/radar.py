@@ -4,12 +4,12 @@ import os
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.formats.pcd import parse_pcd
 from ogm.io.formats.table import Table
 from ogm.io.reading import read_bytes
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["read_nuscenes_radar"]
 

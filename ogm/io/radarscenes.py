@@ -11,13 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Table
 from ogm.io.hdf5 import read_hdf5_table
 from ogm.io.reading import need, need_numbers, read_json
 from ogm.io.scan_table import scan_from_table
 from ogm.pose import pose
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["RadarScenes", "RadarScenesSweep", "read_radarscenes"]
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.labels import LabelledPoints
 from ogm.io.reading import parse_array, read_bytes
+from ogm.storage.files import OgmError
 
 __all__ = ["NUSCENES_ELEVEN", "read_range_image"]
 

@@ -15,10 +15,10 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
-from ogm.limits import current_limits, too_large
 from ogm.pose import check_pose
 from ogm.rotation import quaternion_to_matrix
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 _UNIT = 1e-2  # departure of a quaternion from length 1 that rounding can make
 _CHUNK = 2**20  # [byte] unpacked in one step
@@ -39,8 +39,8 @@ def read_bytes(path: str | os.PathLike[str], limit: str = "file") -> tuple[bytes
     path : path
         The file.
     limit : str
-        Field of `ogm.limits.MemoryLimits` that bounds its unpacked content, so that a small packed file cannot fill the
-        memory. No more than that is unpacked.
+        Field of `ogm.storage.limits.MemoryLimits` that bounds its unpacked content, so that a small packed file cannot
+        fill the memory. No more than that is unpacked.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def read_json(path: Path, kind: type, wanted: str, limit: str = "json") -> Any:
     wanted : str
         What it should be, in words, for the error.
     limit : str
-        Field of `ogm.limits.MemoryLimits` that bounds what it becomes in Python.
+        Field of `ogm.storage.limits.MemoryLimits` that bounds what it becomes in Python.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}, wanted {wanted}: check the name and the folder")

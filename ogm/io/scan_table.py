@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.axes import Axes, rotation_to_flu
 from ogm.io.columns import check_rings, check_whole, scale_intensities, split_times, times_from_stamp
 from ogm.io.formats.table import DOPPLER, INTENSITY, POSITION, RCS, RING, TIME, Table, plain
@@ -15,6 +14,7 @@ from ogm.io.labels import REACH
 from ogm.io.no_returns import directions_without_return
 from ogm.pose import rotate
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["FileFacts", "check_scales", "scan_from_table"]
 

@@ -4,10 +4,10 @@ import os
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.formats.raw import parse_kitti
 from ogm.io.labels import LabelledPoints
 from ogm.io.reading import read_bytes
+from ogm.storage.files import OgmError
 
 __all__ = ["SEMANTIC_KITTI", "SEMANTIC_KITTI_MOVING", "SEMANTIC_KITTI_TRAINING", "read_semantic_kitti"]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 __all__ = ["PLAUSIBLE_HEIGHTS", "plausible_sensor_height", "estimate_sensor_height"]
 

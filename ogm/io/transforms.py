@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError
 from ogm.pose import Trajectory, check_pose, inverse
+from ogm.storage.files import OgmError
 
 __all__ = [
     "ExtrapolationError",

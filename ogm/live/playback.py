@@ -5,10 +5,10 @@ import time
 from collections.abc import Iterable
 from threading import Event
 
-from ogm.files import OgmError
 from ogm.fusion.pipeline import OnError
 from ogm.live.newest import NewestFrames
 from ogm.scan import Frame
+from ogm.storage.files import OgmError
 
 __all__ = ["play", "read_ahead"]
 

@@ -26,11 +26,11 @@ from threading import Event
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Table
 from ogm.io.scan_table import scan_from_table
 from ogm.pose import check_pose
 from ogm.scan import Frame, Mount, Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["frame_bytes", "receive_frames"]
 

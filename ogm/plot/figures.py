@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.files import atomic_write
 from ogm.grid import EvidentialGrid
 from ogm.plot.drawing import SMOOTH, draw_legend, draw_marks, draw_vehicle, font, legend_width, plain, scaled
 from ogm.plot.moving import dynamic_panel
 from ogm.plot.panels import Panel, mass_panel
 from ogm.plot.points import points_panel
+from ogm.storage.files import atomic_write
 
 __all__ = ["save_picture", "show"]
 

@@ -21,8 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import naming
-from ogm.locks import locked
 from ogm.pose import inverse, pose
 from ogm.scan import Boxes
 from ogm.simulation.conditions import draw_weather
@@ -32,6 +30,8 @@ from ogm.simulation.sensors import LIDARS, beams_of, hd_directions
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, check_workers, make_shards, swept, workers_that_fit
 from ogm.state import Truth
+from ogm.storage.files import naming
+from ogm.storage.locks import locked
 from ogm.truth import TRUTH_SPEC, boxes_seen_from, cells_in_boxes
 
 try:

@@ -17,12 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
 from ogm.io import read_points
 from ogm.io.images import open_image
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
+from ogm.storage.files import OgmError, atomic_write
 
 __all__ = ["PAPER_GRID", "Pair", "PairFolder", "export", "read_label", "write_label", "write_pcd"]
 

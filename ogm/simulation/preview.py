@@ -10,7 +10,6 @@ from PIL import Image, ImageDraw
 
 from ogm import plot
 from ogm.colours import colours
-from ogm.files import atomic_write
 from ogm.grid import GridSpec
 from ogm.plot.drawing import font, plain
 from ogm.simulation.exchange import PAPER_GRID
@@ -18,6 +17,7 @@ from ogm.simulation.materials import Material as M
 from ogm.simulation.sample import SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
+from ogm.storage.files import atomic_write
 
 __all__ = ["Camera", "contact_sheet", "materials_panel", "sample_panels", "save_views", "truth_panel"]
 

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.lib.recfunctions import unstructured_to_structured
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
-from ogm.remote import ObjectPath
 from ogm.simulation.contents import FACTS, OBJECTS, OF_RADARS, POSES, SHARD, SWEEP, UNMEASURED, Contents
 from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.sample import OBJECT, SimulatedSample, Weather
 from ogm.state import Truth
+from ogm.storage.files import OgmError
+from ogm.storage.remote import ObjectPath
 from ogm.truth import TRUTH_SPEC
 
 

@@ -25,14 +25,14 @@ import numpy as np
 from numpy.lib.recfunctions import structured_to_unstructured
 from numpy.typing import NDArray
 
-from ogm.archive import attributes_checksum
-from ogm.files import OgmError, update_hint
 from ogm.io.reading import decode_json
-from ogm.remote import ObjectPath, as_path
 from ogm.simulation.contents import FACTS, OBJECTS, SHARD, UNMEASURED, Contents, StoredRadar
 from ogm.simulation.mounts import RadarMount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.split import Damaged, Split, load_zarr, open_array, sample_checksums, shard_file
+from ogm.storage.archive import attributes_checksum
+from ogm.storage.files import OgmError, update_hint
+from ogm.storage.remote import ObjectPath, as_path
 from ogm.truth import TRUTH_SPEC
 
 __all__ = ["FACTS", "FORMAT", "SHARD", "Damaged", "Split", "Store"]
@@ -70,7 +70,7 @@ class Store:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str] | ObjectPath) -> "Store":
-        """Open a data set to read, from a folder or an object store (``s3://...``, see `ogm.remote.as_path`).
+        """Open a data set to read, from a folder or an object store (``s3://...``, see `ogm.storage.remote.as_path`).
 
         Raises
         ------

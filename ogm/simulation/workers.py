@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ogm.files import finish_zarr, temporary_folder
-from ogm.locks import sweep
-from ogm.pool import TRIES, as_completed, cluster, processes
 from ogm.simulation.plan import DatasetPlan, moment
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
+from ogm.storage.files import finish_zarr, temporary_folder
+from ogm.storage.locks import sweep
+from ogm.storage.workers import TRIES, as_completed, cluster, processes
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 

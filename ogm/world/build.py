@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ogm.files import OgmError, finish_zarr
-from ogm.pool import Workers, deaths_explained
 from ogm.pose import Trajectory
 from ogm.scan import Frame
+from ogm.storage.files import OgmError, finish_zarr
+from ogm.storage.workers import Workers, deaths_explained
 from ogm.world.drives import (
     Drive,
     SubMap,

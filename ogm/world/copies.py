@@ -4,7 +4,7 @@ import zipfile
 from pathlib import Path
 from typing import Any
 
-from ogm.files import atomic_write
+from ogm.storage.files import atomic_write
 from ogm.world.stores import keys, read_object, reading
 from ogm.world.writer import WRITER
 

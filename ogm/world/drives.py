@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.archive import attributes_checksum
-from ogm.files import OgmError
 from ogm.pose import Trajectory, check_pose
-from ogm.remote import is_remote
 from ogm.scan import Frame
+from ogm.storage.archive import attributes_checksum
+from ogm.storage.files import OgmError
+from ogm.storage.remote import is_remote
 from ogm.world.layout import LAYERS, TILES, TileIndex
 from ogm.world.packing import checked_array, codecs
 from ogm.world.stores import children, erase, keys, local_path, read_object, reading, writing

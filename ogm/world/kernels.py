@@ -35,7 +35,7 @@ def _in_steps(value: Any, steps: Any, row: Any) -> Any:
     return np.uint16(np.int32(value * np.float32(steps) + np.float32(0.5)))
 
 
-@overload(_packed, inline="always")
+@overload(_packed, inline="always")  # type: ignore[untyped-decorator]
 def _compiled_packed(value: Any, steps: Any, row: Any) -> Any:
     return _as_it_is if isinstance(row.dtype, Float) else _in_steps
 

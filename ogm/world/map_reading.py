@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError
 from ogm.fusion.map_lock import locked
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.pose import check_pose
+from ogm.storage.files import OgmError
 from ogm.world.layout import LAYERS, Box, TileIndex, corners
 from ogm.world.packing import mass_of
 from ogm.world.stores import reading, size

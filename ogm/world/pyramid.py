@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.colours import colours
-from ogm.files import atomic_write
+from ogm.storage.files import atomic_write
 from ogm.world.world_map import WorldMap
 
 __all__ = ["write_pyramid"]

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.fusion.window import affine_between
+from ogm.storage.files import OgmError
 from ogm.world.drives import Drive, drive_array, submap_key
 from ogm.world.kernels import discount, merge, moved
 from ogm.world.layout import LAYERS, WORLD_RULES, TileIndex, corners

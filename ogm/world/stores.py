@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
-from ogm.files import OgmError, naming
-from ogm.remote import is_remote, object_store
+from ogm.storage.files import OgmError, naming
+from ogm.storage.remote import is_remote, object_store
 
 __all__ = [
     *("Mode", "Url", "children", "erase", "is_zip", "keys", "load_zarr", "local_path", "open_store"),

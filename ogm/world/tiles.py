@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.archive import attributes_checksum
-from ogm.files import OgmError, update_hint
-from ogm.remote import is_remote
+from ogm.storage.archive import attributes_checksum
+from ogm.storage.files import OgmError, update_hint
+from ogm.storage.remote import is_remote
 from ogm.world.layout import LAYERS, TILES, Box, TileIndex, WorldLayout
 from ogm.world.packing import checked_array, checked_layers, codecs
 from ogm.world.stores import Mode, Url, erase, keys, load_zarr, local_path, open_store, reading, writing

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.overview import FULL, halve_mass, mass_to_bytes
 from ogm.plot import upright
+from ogm.storage.files import OgmError
 from ogm.view_layers import mass_layers
 from ogm.viewer import ROUGHEST, page_of_tiles
 from ogm.world.world_map import WorldMap

@@ -7,9 +7,9 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from ogm.files import OgmError
 from ogm.fusion.map_lock import MapLock, locked
 from ogm.grid import EvidentialGrid
+from ogm.storage.files import OgmError
 from ogm.world import map_reading
 from ogm.world.cache import TileCache
 from ogm.world.drives import drive_names

@@ -1,9 +1,9 @@
 """One writer of a map at a time: a lock of the folder, or a lease in the object store.
 
-A folder is locked by the system (`ogm.locks`), which frees the lock when a process ends, however it ends. Object stores
-have no locks: there the object ``writer.json`` is a lease, written on the condition that no other has written it,
-and renewed every `RENEWED` seconds. A lease that has not changed for `DEAD` seconds, by the clock of who waits for it,
-is that of a process which was killed, and is taken over.
+A folder is locked by the system (`ogm.storage.locks`), which frees the lock when a process ends, however it ends.
+Object stores have no locks: there the object ``writer.json`` is a lease, written on the condition that no other has
+written it, and renewed every `RENEWED` seconds. A lease that has not changed for `DEAD` seconds, by the clock of the
+waiting process, belongs to a killed process and is taken over.
 
 In both, the object holds a token of the writer. Workers compare it before they write, so that those of a client that
 was killed do not write into what the next one makes. What a worker has begun to write at that moment is written.
@@ -22,9 +22,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ogm.files import finish_zarr
-from ogm.locks import locked
-from ogm.remote import is_remote
+from ogm.storage.files import finish_zarr
+from ogm.storage.locks import locked
+from ogm.storage.remote import is_remote
 from ogm.world.stores import Url, local_path, read_object, reading, writing
 
 __all__ = ["WRITER", "check_writer", "one_writer"]

@@ -15,7 +15,6 @@ from scipy.spatial import cKDTree
 
 from ogm.cli import app
 from ogm.datasets import Dataset, open_dataset, with_odometry, with_poses
-from ogm.files import OgmError
 from ogm.fusion import covering_window, fuse, make_mapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
@@ -25,6 +24,7 @@ from ogm.io.logs.files import RandomAccess
 from ogm.io.messages import StampedTransform, point_cloud2, ros_stamp, tf_message
 from ogm.pose import Trajectory, inverse, pose, transform_points
 from ogm.scan import PerMount, Scan
+from ogm.storage.files import OgmError
 
 CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
 ENDINGS = [".mcap", ".db3", ".bag"]

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ogm import remote
 from ogm.datasets import open_dataset
-from ogm.files import OgmError
-from ogm.remote import ObjectPath, as_path, object_store
 from ogm.simulation.sample import OBJECT, Beams, SimulatedSample
 from ogm.simulation.store import Damaged, Store
 from ogm.state import Truth
+from ogm.storage import remote
+from ogm.storage.files import OgmError
+from ogm.storage.remote import ObjectPath, as_path, object_store
 from ogm.truth import TRUTH_SPEC
 
 BEAMS = Beams("small", (-0.3, -0.1), (0.0, 0.0), -2 * np.pi / 60, 60, 10.0, ((0.0, 0.0, 0.0),) * 2)
@@ -103,7 +103,7 @@ def test_a_shard_is_one_request_for_each_array(uploaded: S3) -> None:
 
 
 def test_what_was_read_is_forgotten_beyond_the_limit(uploaded: S3, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ogm.remote.CACHE", 1e4)
+    monkeypatch.setattr("ogm.storage.remote.CACHE", 1e4)
     place = as_path(URL, uploaded)
     split = Store.open(place)["training"]
     for k in (0, 20, 1, 21):

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ogm.datasets import open_dataset, with_poses
-from ogm.files import OgmError
 from ogm.pose import pose
 from ogm.scan import Mount
 from ogm.simulation.sample import LABELS, OBJECT, RANGE_STEP, Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.state import CellState, Truth
+from ogm.storage.files import OgmError
 from ogm.truth import TRUTH_SPEC
 
 BEAMS = Beams(

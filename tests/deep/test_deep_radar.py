@@ -24,11 +24,11 @@ from ogm.deep.radar_training import train_radar
 from ogm.deep.recipe import RADAR_RECIPE, Recipe
 from ogm.deep.training import train
 from ogm.evidence import check_mass
-from ogm.files import OgmError
 from ogm.fusion import EvidentialMapper
 from ogm.geometric import moving_detections, sensor_velocity
 from ogm.pose import pose
 from ogm.state import CellState, Truth
+from ogm.storage.files import OgmError
 
 SPEC = GridSpec.centered()
 BODY = (-1.0, 3.9, -1.0, 1.0)

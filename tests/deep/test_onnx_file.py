@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from ogm.deep.onnx_engine import OnnxEngine
 from ogm.deep.onnx_file import FORMAT, read_onnx
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 onnx = pytest.importorskip("onnx")
 

@@ -16,7 +16,7 @@ from ogm.deep.network import PAPER, NetworkConfig
 from ogm.deep.recipe import LOSSES, PAPER_RECIPE, Recipe
 from ogm.deep.training import train
 from ogm.deep.training_run import TrainingRun
-from ogm.locks import locked
+from ogm.storage.locks import locked
 
 
 @pytest.fixture(autouse=True)

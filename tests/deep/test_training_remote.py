@@ -9,8 +9,8 @@ from ogm.deep import order
 from ogm.deep.recipe import Recipe
 from ogm.deep.training import train
 from ogm.deep.training_run import TrainingRun
-from ogm.remote import object_store
 from ogm.simulation.store import Store
+from ogm.storage.remote import object_store
 
 URL = "s3://maps/walls"
 

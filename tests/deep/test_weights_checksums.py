@@ -14,8 +14,8 @@ from damage import check_flips
 from ogm.deep.checkpoint import load_network, save_network
 from ogm.deep.network import LITE, PillarNetwork
 from ogm.deep.onnx_file import read_onnx, sealed
-from ogm.files import OgmError
 from ogm.grid import GridSpec
+from ogm.storage.files import OgmError
 
 SPEC = GridSpec(0.16, (64, 32), (-5.12, -2.4))
 SMALL = replace(LITE, blocks=((8, 1), (8, 1)))

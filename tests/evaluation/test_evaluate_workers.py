@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ogm import pool
 from ogm.evaluation import FusedMethod, SingleScanMethod, evaluate
 from ogm.evaluation.models import sensor_models
 from ogm.fusion import EvidentialMapper
@@ -23,6 +22,7 @@ from ogm.metrics import METRICS
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, PerMount, Scan, run_model
 from ogm.state import Truth
+from ogm.storage import workers
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
 
@@ -145,12 +145,12 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path) -> None:
 
 def test_workers_that_die_again_and_again_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     def dies(*_: Any) -> Any:
-        raise pool.BrokenExecutor
+        raise workers.BrokenExecutor
         yield
 
-    assert issubclass(pool.BrokenExecutor, RuntimeError)
+    assert issubclass(workers.BrokenExecutor, RuntimeError)
     monkeypatch.setattr("ogm.evaluation.tasks.work_off", dies)
-    monkeypatch.setattr(pool, "DIED", ("BrokenExecutor",))
+    monkeypatch.setattr(workers, "DIED", ("BrokenExecutor",))
     with pytest.raises(OSError, match="workers died .* frames that were finished are kept"):
         evaluate(methods(), Drives(), SPEC, workers=2)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from targets import Target
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 
 def _when(share: int, fail: Callable[[], object]) -> Callable[[Path], Target]:

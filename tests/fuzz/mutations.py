@@ -12,7 +12,7 @@ from typing import Any
 
 import containers
 
-from ogm.archive import attributes_checksum
+from ogm.storage.archive import attributes_checksum
 
 __all__ = ["change"]
 

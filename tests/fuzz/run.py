@@ -9,7 +9,7 @@ function of the seed, the target's name and k. A failure is one of
 
   crash         the process died by a signal, or left without an answer
   hang          more than 2 s of processor time, or five minutes on the clock
-  over limit    more memory than `ogm.limits` promises: three times the limit of a file, and 100 MB; or MemoryError
+  over limit    more memory than three times the limit of a file (`ogm.storage.limits`), and 100 MB; or MemoryError
   undocumented  another error than OgmError, or FileNotFoundError for a path that the file names; or a result that
                 breaks what its class states
 

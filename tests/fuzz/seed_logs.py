@@ -11,11 +11,11 @@ import numpy as np
 from targets import Target, check_poses, check_scan, cloud
 
 from ogm.datasets import open_dataset
-from ogm.files import OgmError
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import StampedTransform, point_cloud2, scans_from_pcap, tf_message
 from ogm.pose import pose
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 CLOUD, TF = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
 START = 1_700_000_000.0  # [s]

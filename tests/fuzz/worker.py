@@ -26,12 +26,12 @@ sys.path[:0] = [str(Path(__file__).parents[k]) for k in range(3)]
 from mutations import change  # noqa: E402
 from targets import Target  # noqa: E402
 
-from ogm.files import OgmError  # noqa: E402
+from ogm.storage.files import OgmError  # noqa: E402
 
 __all__ = ["HANG", "LIMIT", "PEAK", "Maker", "Source", "Watch", "changed_files", "kept_files", "lay", "work"]
 
 HANG = 2.0  # [s] of processor time
-PEAK = 3 * LIMIT + 100 * 2**20  # [byte] as `ogm.limits` states it
+PEAK = 3 * LIMIT + 100 * 2**20  # [byte] as `ogm.storage.limits` states it
 ROOM = 2**29  # [byte] of addresses above what a process has when it begins: a huge array fails at once
 STATE = struct.Struct("<qqddqqqqq")  # count, number, clock and processor time, read, refused, peak, next number, count
 SHARED = Path("/dev/shm")

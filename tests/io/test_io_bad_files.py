@@ -17,11 +17,11 @@ import pytest
 import ogm.io.formats.feather
 import ogm.io.formats.table
 import ogm.io.reading
-import ogm.limits
-from ogm.files import OgmError
+import ogm.storage.limits
 from ogm.io import read_scan, read_scan_file
-from ogm.limits import current_limits
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits
 
 SUFFIXES = [".bin", ".pcd.bin", ".pcd", ".ply", ".feather", ".las", ".laz", ".npy"]
 ALL = SUFFIXES + [suffix + packing for suffix in SUFFIXES for packing in (".xz", ".gz")]
@@ -71,7 +71,7 @@ def read_or_refuse(path: Path) -> tuple[Scan | None, str]:
 
 
 def limited(monkeypatch: pytest.MonkeyPatch, **changes: int) -> None:
-    monkeypatch.setattr(ogm.limits, "_now", [replace(current_limits(), **changes)])
+    monkeypatch.setattr(ogm.storage.limits, "_now", [replace(current_limits(), **changes)])
 
 
 def put(folder: Path, name: str, content: bytes) -> Path:

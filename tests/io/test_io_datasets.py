@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ogm.files import OgmError
 from ogm.io import (
     NUSCENES_ELEVEN,
     SEMANTIC_KITTI,
@@ -28,6 +27,7 @@ from ogm.io import (
     read_sustech,
 )
 from ogm.io.labels import BoxRow, boxes_of
+from ogm.storage.files import OgmError
 
 TO_CAMERA = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 LINE = "Car 0 0 0 0 0 0 0 1.5 1.8 4.0 -3.0 1.7 10.0"  # height, width, length, x right, y down, z forward

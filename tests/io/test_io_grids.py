@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
+from ogm.storage.files import OgmError
 
 AREA = GridSpec(0.5, (4, 6), (-1.0, -2.0))
 

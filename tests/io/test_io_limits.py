@@ -27,8 +27,8 @@ from ogm.io import read_grid, read_poses, read_scan, read_sustech
 from ogm.io.formats.arrow_sizes import unpacked_sizes
 from ogm.io.logs.chunks import unpack_zstd
 from ogm.io.reading import decode_json, read_bytes, text_lines
-from ogm.limits import MemoryLimits, current_limits, set_limits
 from ogm.simulation.exchange import read_label
+from ogm.storage.limits import MemoryLimits, current_limits, set_limits
 
 MB = 2**20
 SLACK = 20 * MB  # of the test: the readers' bound has 100 MB, so that small arrays suffice here
@@ -197,14 +197,14 @@ def test_limits_are_stated_and_refuse_what_is_none():
 
 @pytest.mark.parametrize(("text", "got"), [("file=4e9 json=10", (4 * 10**9, 10)), ("file=5,json=6", (5, 6))])
 def test_the_environment_sets_limits(text, got):
-    code = "from ogm.limits import current_limits as c; print(c().file, c().json)"
+    code = "from ogm.storage.limits import current_limits as c; print(c().file, c().json)"
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | {"OGM_LIMITS": text}, capture_output=True)
     assert done.stdout.decode().split() == [str(one) for one in got]
 
 
 @pytest.mark.parametrize("text", ["file", "files=3", "file=many", "file=0", "file=1e400"])
 def test_an_environment_that_sets_no_limits_is_refused(text):
-    code = "import ogm.limits"
+    code = "import ogm.storage.limits"
     done = subprocess.run([sys.executable, "-c", code], env=os.environ | {"OGM_LIMITS": text}, capture_output=True)
     assert b"OGM_LIMITS must be pairs such as file=4e9" in done.stderr
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ogm.files import OgmError
 from ogm.io import read_nuscenes_radar
+from ogm.storage.files import OgmError
 
 FIELDS = "x y z dyn_prop id rcs vx vy vx_comp vy_comp is_quality_valid ambig_state "
 FIELDS += "x_rms y_rms invalid_state pdh0 vx_rms vy_rms"

@@ -11,12 +11,12 @@ import pytest
 from radarscenes_files import MOUNTS, START, detections, odometry, write_sequence
 
 from ogm.datasets import open_dataset
-from ogm.files import OgmError
 from ogm.geometric import RadarISM, sensor_velocity
 from ogm.grid import GridSpec
 from ogm.io import read_radarscenes
-from ogm.limits import set_limits
 from ogm.pose import transform_points
+from ogm.storage.files import OgmError
+from ogm.storage.limits import set_limits
 
 h5py = pytest.importorskip("h5py")
 

@@ -5,7 +5,6 @@ import logging
 import numpy as np
 import pytest
 
-from ogm.files import OgmError
 from ogm.io import (
     AXES,
     describe,
@@ -16,6 +15,7 @@ from ogm.io import (
     read_scan_file,
 )
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ogm.files import OgmError
 from ogm.io import Poses, read_calibration, read_poses, write_poses
 from ogm.pose import Trajectory, inverse, pose
+from ogm.storage.files import OgmError
 
 T_CAMERA_SENSOR = np.array([[0, -1, 0, 0.05], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1.0]])
 

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from ogm.files import OgmError
 from ogm.io.transforms import (
     ExtrapolationError,
     NotConnectedError,
@@ -16,6 +15,7 @@ from ogm.io.transforms import (
     UnknownFrameError,
 )
 from ogm.pose import Trajectory, inverse, pose
+from ogm.storage.files import OgmError
 
 angle = st.floats(-3.0, 3.0)
 metre = st.floats(-50.0, 50.0)

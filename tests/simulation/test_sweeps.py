@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from ogm import open_dataset
-from ogm.files import OgmError
 from ogm.pose import inverse, pose
 from ogm.simulation.contents import Contents, StoredRadar
 from ogm.simulation.detections import Origin, PlacedSweep, RadarSweep
@@ -19,6 +18,7 @@ from ogm.simulation.mounts import RadarMount, radars_at
 from ogm.simulation.plan import DatasetPlan, LidarMount
 from ogm.simulation.radars import RADARS
 from ogm.simulation.store import Damaged, Store
+from ogm.storage.files import OgmError
 
 pytest.importorskip("zarr")
 TWO = radars_at(["ars548", "corner@rear-left"])

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import pytest
 from stand_in import stand_in
 
-from ogm import pool
 from ogm.simulation import workers
 from ogm.simulation.plan import DatasetPlan, LidarMount
 from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import Store
 from ogm.simulation.workers import Estimate, Made, begin, make_shards, missing_shards
+from ogm.storage import workers as processes
 
 PLAN = DatasetPlan(samples=23, validation=4, test=1, mounts=(LidarMount("small"), LidarMount("tall")))
 SampleFunction = Callable[[DatasetPlan, str, int, int], SimulatedSample]
@@ -186,7 +186,7 @@ def test_other_versions_that_go_on_are_named(
 def test_an_unreachable_scheduler_is_reported(
     tmp_path: Path, beams: tuple[Beams, ...], make_sample: SampleFunction, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pool, "SCHEDULER_TIMEOUT", 0.5)
+    monkeypatch.setattr(processes, "SCHEDULER_TIMEOUT", 0.5)
     store = begin(tmp_path / "data", PLAN, beams, {})
     with pytest.raises(OSError, match="tcp://127.0.0.1:9"):
         next(make_shards(store, PLAN, make_sample, workers=1, scheduler="tcp://127.0.0.1:9"))
@@ -276,7 +276,7 @@ def test_an_interrupt_ends_busy_workers_at_once(tmp_path: Path, beams: tuple[Bea
 def test_an_interrupt_ends_workers_that_are_starting(
     tmp_path: Path, beams: tuple[Beams, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pool, "_end_with_parent", SleepsFirst(tmp_path / "starting"))
+    monkeypatch.setattr(processes, "_end_with_parent", SleepsFirst(tmp_path / "starting"))
     store = begin(tmp_path / "data", PLAN, beams, {"ogm": "0"})
     sent = []
 

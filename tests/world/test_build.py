@@ -15,9 +15,9 @@ import pytest
 from world_frames import SLOWLY_IN_S3, RandomGrids, StraightDrive, grid_of
 
 from ogm.evidence import cumulative, dempster, discount, normalized_cautious
-from ogm.files import OgmError
 from ogm.grid import GridSpec
 from ogm.pose import Trajectory, inverse, pose
+from ogm.storage.files import OgmError
 from ogm.world import Progress, WorldMap, build_world, rebuild_world
 from ogm.world.drives import drive_names, load_drive, remove_drive
 

@@ -110,7 +110,7 @@ def test_a_damaged_tile_is_an_answer(town: WorldMap, tmp_path: Path) -> None:
 
 
 def _damaged(*given: object) -> None:
-    from ogm.files import OgmError
+    from ogm.storage.files import OgmError
 
     raise OgmError("tile (0, 0) is damaged")
 

@@ -18,8 +18,8 @@ import pytest
 from test_build import DRIVES, OPTIONS, built, same
 from world_frames import RandomGrids
 
-from ogm.files import OgmError
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 from ogm.world import Progress, WorldMap, build_world, rebuild_world, writer
 from ogm.world.drives import load_drive, lost_tiles, remove_drive, submap_key
 

@@ -10,10 +10,10 @@ import pytest
 from world_frames import SLOWLY_IN_S3
 from world_reference import SlowMap
 
-from ogm.files import OgmError
 from ogm.fusion import EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 from ogm.world import WorldMap
 
 Place = Callable[[], dict[str, Any]]

@@ -6,13 +6,13 @@ A parser takes the unpacked bytes of a file and its path (for messages) and retu
 from collections.abc import Callable
 from pathlib import Path
 
-from ogm.files import OgmError
 from ogm.io.formats.feather import parse_feather
 from ogm.io.formats.las import parse_las
 from ogm.io.formats.pcd import parse_pcd
 from ogm.io.formats.ply import parse_ply
 from ogm.io.formats.raw import parse_kitti, parse_npy, parse_nuscenes
 from ogm.io.formats.table import Table
+from ogm.storage.files import OgmError
 
 __all__ = ["PARSERS", "Table", "parse"]
 

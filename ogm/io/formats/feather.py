@@ -4,11 +4,11 @@ import struct
 from pathlib import Path
 from typing import Any
 
-from ogm.files import OgmError
 from ogm.io.formats.arrow_sizes import unpacked_sizes
 from ogm.io.formats.table import KNOWN, Table, plain, refuse_doubles
 from ogm.io.reading import optional
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["check_sizes", "parse_feather"]
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.formats.laz_layers import layers_fit
 from ogm.io.formats.table import Table
 from ogm.io.reading import optional
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["parse_las"]
 

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Field, Table, binary_columns, check_size, refuse_doubles, text_columns
 from ogm.io.reading import optional
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["parse_pcd"]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Field, Table, binary_columns, check_size, check_text, refuse_doubles, text_columns
+from ogm.storage.files import OgmError
 
 __all__ = ["parse_ply"]
 

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Table
 from ogm.io.reading import parse_array
+from ogm.storage.files import OgmError
 
 __all__ = ["parse_kitti", "parse_npy", "parse_nuscenes"]
 

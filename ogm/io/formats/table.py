@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ogm.files import OgmError
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 POSITION = ("x", "y", "z")
 INTENSITY = ("intensity", "reflectivity", "reflectance", "remission", "i")  # the first that is there counts

@@ -7,9 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from ogm.archive import stated_format
 from ogm.dynamic_grid import DYNAMIC_FORMAT, DynamicGrid
-from ogm.files import OgmError
 from ogm.grid import LAYERED_FORMAT, EvidentialGrid, GridSpec, LayeredGrid
 from ogm.io.grids.geotiff import check_crs, read_geotiff, write_geotiff
 from ogm.io.grids.logged import GridLog, GridMessage, check_logged, read_logged
@@ -20,6 +18,8 @@ from ogm.io.grids.scientific import check_scientific, read_scientific, write_sci
 from ogm.io.layers import AnyGrid, evidential
 from ogm.io.logs import LOG_ENDINGS
 from ogm.io.reading import optional
+from ogm.storage.archive import stated_format
+from ogm.storage.files import OgmError
 
 __all__ = [
     "GRID_ENDINGS",

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
 from ogm.io.grids.paths import reason
 from ogm.io.grids.placed import Corner, PlacedGrid, nanometres, placed_at
 from ogm.io.layers import layers_of, needed_layers
 from ogm.io.reading import optional
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError, atomic_write
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["check_crs", "read_geotiff", "write_geotiff"]
 

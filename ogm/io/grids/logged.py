@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
-from ogm.files import OgmError
 from ogm.io.grids.placed import PlacedGrid
 from ogm.io.grids.protobuf import decode_foxglove_grid
 from ogm.io.logs import LogMessage, LogReader, LogWriter, open_log
@@ -22,6 +21,7 @@ from ogm.io.messages import (
     tf_message,
 )
 from ogm.io.reading import optional
+from ogm.storage.files import OgmError
 
 __all__ = ["GridLog", "GridMessage", "check_logged", "read_logged"]
 

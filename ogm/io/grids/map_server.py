@@ -13,13 +13,13 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError, atomic_write
 from ogm.grid import GridSpec
 from ogm.io.grids.placed import Corner, PlacedGrid, placed_at
 from ogm.io.images import open_image
 from ogm.io.messages import mass_from_occupancy, occupancy_values
 from ogm.io.reading import is_file_name
 from ogm.state import predict_state
+from ogm.storage.files import OgmError, atomic_write
 
 __all__ = ["MapMode", "read_map_server", "write_map_server"]
 

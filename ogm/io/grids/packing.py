@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 __all__ = ["check_packing"]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from ogm.files import naming, temporary_folder
+from ogm.storage.files import naming, temporary_folder
 
 __all__ = ["reason", "whole_path"]
 
@@ -18,8 +18,8 @@ _HERE, _EXCHANGE = -100, 2  # AT_FDCWD and RENAME_EXCHANGE of Linux
 def whole_path(path: Path) -> Iterator[Path]:
     """Give a free path on the disk of `path`; what was written there gets the name `path` in the end.
 
-    As `ogm.files.atomic_write`, for libraries that open their file by name or write a folder. A folder that has the
-    name already is removed when the new one is in its place.
+    See `ogm.storage.files.atomic_write`; for libraries that open their file by name or write a folder. A folder that
+    has the name already is removed when the new one is in its place.
     """
     if not path.parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}; create it first")

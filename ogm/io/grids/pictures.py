@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ogm.files import OgmError, atomic_write
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.images import open_image
 from ogm.io.reading import parse_array, read_bytes
+from ogm.storage.files import OgmError, atomic_write
 
 __all__ = ["read_array", "read_picture", "write_picture"]
 

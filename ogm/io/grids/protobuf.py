@@ -7,7 +7,7 @@ import struct
 from types import SimpleNamespace
 from typing import Any
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 __all__ = ["decode_foxglove_grid"]
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError, update_hint
 from ogm.grid import GridSpec, LayeredGrid
 from ogm.io.grids.packing import check_packing
 from ogm.io.grids.paths import reason, whole_path
 from ogm.io.grids.placed import PlacedGrid, nanometres
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.reading import optional
-from ogm.limits import current_limits, too_large
 from ogm.pose import pose
+from ogm.storage.files import OgmError, update_hint
+from ogm.storage.limits import current_limits, too_large
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ogm.files import OgmError
 from ogm.io.logs.files import RandomAccess
 from ogm.io.reading import optional
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["Chunk", "Chunks", "unpack_zstd"]
 

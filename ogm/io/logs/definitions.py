@@ -5,9 +5,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from ogm.files import OgmError
 from ogm.io.logs.files import Channel
 from ogm.io.reading import optional
+from ogm.storage.files import OgmError
 
 __all__ = ["decode", "message_types"]
 

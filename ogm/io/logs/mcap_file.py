@@ -11,10 +11,10 @@ from typing import BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.logs.chunks import Chunk, Chunks
 from ogm.io.logs.files import Channel, Place, RandomAccess, index_of, ros2_name
-from ogm.limits import current_limits
+from ogm.storage.files import OgmError
+from ogm.storage.limits import current_limits
 
 __all__ = ["MCAP_MAGIC", "McapFile"]
 

@@ -5,12 +5,12 @@ import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ogm.files import OgmError
 from ogm.io.logs.bag_file import BAG_MAGIC, BagFile
 from ogm.io.logs.db3_file import DB3_MAGIC, Db3File
 from ogm.io.logs.files import LogFile
 from ogm.io.logs.mcap_file import MCAP_MAGIC, McapFile
 from ogm.io.logs.reader import LogReader
+from ogm.storage.files import OgmError
 
 __all__ = ["LOG_ENDINGS", "log_files", "open_log"]
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from ogm.files import OgmError
 from ogm.io.logs.definitions import decode
 from ogm.io.logs.files import Channel, LogFile
+from ogm.storage.files import OgmError
 
 __all__ = ["LogMessage", "LogReader", "MessageHead", "MessageRef", "TopicFacts"]
 

@@ -9,11 +9,11 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Self
 
-from ogm.files import OgmError, atomic_write, naming, temporary_folder
 from ogm.io.logs.definitions import message_types
 from ogm.io.logs.opening import LOG_ENDINGS
 from ogm.io.messages.plain import ros_stamp
 from ogm.io.reading import optional
+from ogm.storage.files import OgmError, atomic_write, naming, temporary_folder
 
 __all__ = ["LogWriter"]
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from ogm.files import OgmError
 from ogm.io.messages.velodyne import PACKET_BYTES, Packet, VelodyneDecoder
 from ogm.io.reading import optional
 from ogm.pose import check_stamp
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["scans_from_pcap"]
 

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.axes import Axes
 from ogm.io.formats.table import Table, refuse_doubles
 from ogm.io.messages.plain import as_bytes, describe_message, header, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["point_cloud2", "scan_from_point_cloud2"]
 

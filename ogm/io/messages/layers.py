@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError
 from ogm.grid import LayeredGrid
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
 from ogm.io.messages.plain import describe_message, header, reads_message
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 
 __all__ = ["grid_from_grid_map", "grid_map", "layers_from_grid_map"]
 

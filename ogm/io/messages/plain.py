@@ -9,8 +9,8 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.pose import check_stamp
+from ogm.storage.files import OgmError
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError
 from ogm.io.messages.plain import describe_message, frame_of, header, reads_message, stamp_seconds
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
 from ogm.pose import check_pose
 from ogm.rotation import matrix_to_quaternion
+from ogm.storage.files import OgmError
 
 __all__ = [
     "pose_message",

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Table
 from ogm.io.messages.plain import describe_message, reads_message, stamp_seconds
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["scan_from_continental", "scan_from_radar_scan"]
 

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.files import OgmError
 from ogm.io.formats.table import Table
 from ogm.io.messages.plain import as_bytes, describe_message, reads_message, stamp_seconds
 from ogm.io.no_returns import directions_without_return
 from ogm.io.reading import optional
 from ogm.io.scan_table import scan_from_table
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 __all__ = ["PACKET_BYTES", "VELODYNE_MODELS", "Packet", "VelodyneDecoder", "scan_from_velodyne_scan"]
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 
 rasterio = pytest.importorskip("rasterio")
 

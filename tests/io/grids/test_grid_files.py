@@ -10,7 +10,6 @@ import pytest
 from moving import street
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import (
     MAP_ENDINGS,
@@ -26,6 +25,7 @@ from ogm.io.grids import (
 from ogm.io.grids.paths import whole_path
 from ogm.pose import pose
 from ogm.state import predict_state
+from ogm.storage.files import OgmError
 
 for package in ("rasterio", "xarray", "netCDF4", "zarr", "rosbags", "yaml"):
     pytest.importorskip(package)

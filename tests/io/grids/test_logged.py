@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import StampedTransform, occupancy_grid, occupancy_values
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 
 pytest.importorskip("rosbags")
 SPEC = GridSpec(0.25, (9, 5), (-1.75, 2.5))

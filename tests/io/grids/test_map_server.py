@@ -14,12 +14,12 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from ogm.cli import app
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, read_grid, read_placed_grid, write_grid
 from ogm.io.messages import occupancy_values
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
+from ogm.storage.files import OgmError
 
 MODES = ("trinary", "scale", "raw")
 SPEC = GridSpec(0.0625, (9, 5), (-1.23456789, 7.1))  # neither survives three decimals

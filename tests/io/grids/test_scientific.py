@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import PlacedGrid, from_xarray, read_grid, read_placed_grid, to_xarray, write_grid
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 
 xarray = pytest.importorskip("xarray")
 netCDF4 = pytest.importorskip("netCDF4")

@@ -15,8 +15,8 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from small_drive import SCANS, drive
 
-from ogm.files import OgmError
 from ogm.io.logs import LogWriter, open_log
+from ogm.storage.files import OgmError
 
 KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 

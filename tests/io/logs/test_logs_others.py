@@ -17,10 +17,10 @@ from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
 from small_drive import CLOUD, SCANS, START, TF, drive, plain, scan
 
-from ogm.files import OgmError
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.logs.definitions import message_types
 from ogm.io.messages import scan_from_point_cloud2
+from ogm.storage.files import OgmError
 
 ROS1_PYTHON = Path("/usr/bin/python3")  # that of Debian, for which its ROS packages are
 OURS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]

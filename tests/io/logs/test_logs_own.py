@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from small_drive import CLOUD, SCANS, START, TF, drive, plain
 
-from ogm.files import OgmError
 from ogm.io.logs import LogWriter, open_log
 from ogm.io.messages import ros_stamp, tf_message
+from ogm.storage.files import OgmError
 
 KINDS = [("a.mcap", ""), ("a.mcap", "zstd"), ("a.db3", ""), ("a.bag", "")]
 

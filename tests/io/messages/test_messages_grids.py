@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from ogm.colours import colours
-from ogm.files import OgmError
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.messages import (
     foxglove_grid,
@@ -25,6 +24,7 @@ from ogm.io.messages import (
 )
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
+from ogm.storage.files import OgmError
 
 OCCUPANCY, GRID_MAP = "nav_msgs/msg/OccupancyGrid", "grid_map_msgs/msg/GridMap"
 SPEC = GridSpec(0.16, (9, 6), (-0.5, 2.25))

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.files import OgmError
 from ogm.io.messages import scan_from_livox
+from ogm.storage.files import OgmError
 
 KIND = "livox_ros_driver2/msg/CustomMsg"
 T0 = 1_700_000_000

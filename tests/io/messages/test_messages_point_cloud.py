@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.files import OgmError
 from ogm.io import read_points
 from ogm.io.messages import point_cloud2, scan_from_point_cloud2
 from ogm.scan import Scan
+from ogm.storage.files import OgmError
 
 CODES = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
 CLOUD = "sensor_msgs/msg/PointCloud2"

@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ogm.files import OgmError
 from ogm.io.messages import (
     StampedTransform,
     ros_stamp,
@@ -20,6 +19,7 @@ from ogm.io.messages import (
 )
 from ogm.io.transforms import TransformBuffer
 from ogm.pose import pose
+from ogm.storage.files import OgmError
 
 HALF = float(np.sqrt(0.5))
 TF = "tf2_msgs/msg/TFMessage"

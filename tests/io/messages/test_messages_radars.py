@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from ogm.files import OgmError
 from ogm.geometric import moving_detections, sensor_velocity
 from ogm.io.messages import scan_from_continental, scan_from_radar_scan
+from ogm.storage.files import OgmError
 
 
 def test_radar_scan(sent):

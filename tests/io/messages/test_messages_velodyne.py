@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ogm.files import OgmError
 from ogm.io import read_scan
 from ogm.io.messages import VELODYNE_MODELS, scan_from_velodyne_scan, scans_from_pcap
 from ogm.pose import pose, transform_points
+from ogm.storage.files import OgmError
 
 pytest.importorskip("velodyne_decoder")
 KIND = "velodyne_msgs/msg/VelodyneScan"

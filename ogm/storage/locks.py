@@ -86,8 +86,8 @@ def try_lock(descriptor: int) -> bool | None:
 def sweep(folder: str | os.PathLike[str]) -> None:
     """Remove the temporary files that killed processes left in a folder; never those of a process that runs.
 
-    A running process holds the locks of its temporary files (`ogm.files`). Where there are no locks, files of more
-    than a day are removed.
+    A running process holds the locks of its temporary files (`ogm.storage.files`). Without locks, files older than a
+    day are removed.
     """
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in [one for one in entries if _TEMPORARY.fullmatch(one.name)]:

@@ -1,6 +1,6 @@
 """Files that are either whole or not there, and the error for those that are wrong.
 
->>> from ogm.files import atomic_write
+>>> from ogm.storage.files import atomic_write
 >>> with atomic_write("notes.txt", "w") as file:     # all of it, or the old file
 ...     _ = file.write("whole")
 """
@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from ogm.locks import locked, sweep, try_lock
+from ogm.storage.locks import locked, sweep, try_lock
 
 __all__ = ["OF_DISK", "OgmError", "atomic_write", "finish_zarr", "naming", "temporary_folder", "update_hint"]
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.files import OgmError, atomic_write, update_hint
-from ogm.limits import current_limits, too_large
+from ogm.storage.files import OgmError, atomic_write, update_hint
+from ogm.storage.limits import current_limits, too_large
 
 __all__ = ["attributes_checksum", "open_archive", "stated_format", "write_archive"]
 
@@ -90,7 +90,7 @@ def open_archive(path: str | os.PathLike[str], wanted: str) -> Iterator[dict[str
         If there is no such file.
     OgmError
         If the file is damaged, of another format, announces arrays beyond the limit for a grid
-        (`ogm.limits.MemoryLimits`), or the block fails on what it holds.
+        (`ogm.storage.limits.MemoryLimits`), or the block fails on what it holds.
     """
     with _errors_of(path), zipfile.ZipFile(path) as archive:
         size = sum(item.file_size for item in archive.infolist())

@@ -7,7 +7,7 @@ its peak within three times that and 100 MB.
 import os
 from dataclasses import dataclass, fields, replace
 
-from ogm.files import OgmError
+from ogm.storage.files import OgmError
 
 __all__ = ["MemoryLimits", "current_limits", "set_limits", "too_large"]
 
@@ -107,7 +107,7 @@ def too_large(where: object, size: int | None, limit: str) -> OgmError:
     got = f"more than {most}" if size is None else str(size)
     return OgmError(
         f"{where} holds {got} bytes when decoded, wanted at most {most}: split it, make it coarser, or raise the "
-        f"limit by ogm.limits.set_limits({limit}=...) or OGM_LIMITS={limit}=..."
+        f"limit by ogm.storage.limits.set_limits({limit}=...) or OGM_LIMITS={limit}=..."
     )
 
 

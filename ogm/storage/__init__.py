@@ -1,0 +1,1 @@
+"""Files and processes: atomic writing, archives, memory limits, locks, object stores, workers."""
