@@ -10,9 +10,9 @@ from _run import save_picture
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ogm.colours import colours
 from ogm.evaluation import Evaluation
 from ogm.metrics import METRICS, evilog_published
+from ogm.plot.colours import colours
 
 COLOURS = {
     "height-band": "#2c5f9e", "height-band-released": "#7fa8d6", "ray": "#d55e00", "lite": "#009e73",

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from ogm.colours import colours
+from ogm.plot.colours import colours
 from ogm.state import CellState
 
 

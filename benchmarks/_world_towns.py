@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation.models import NamedModels
 from ogm.fusion import map_scans
 from ogm.fusion.pipeline import grid_pose
 from ogm.grid import GridSpec
+from ogm.models.named import NamedModels
 from ogm.simulation.plan import SEQUENCE, DatasetPlan
 from ogm.simulation.static_truth import static_truth
 from ogm.state import Truth

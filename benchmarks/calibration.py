@@ -24,14 +24,16 @@ from typing import Any
 import numpy as np
 
 from ogm import GridSpec
+from ogm.calibration import calibrate
+from ogm.calibration.fit import BOUNDS
+from ogm.calibration.likelihood import Likelihood
+from ogm.calibration.search import Axis
 from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation import Calibration, Evaluation, calibrate, evaluate
-from ogm.evaluation.calibration import BOUNDS
-from ogm.evaluation.likelihood import Likelihood
-from ogm.evaluation.likelihood_search import Axis
-from ogm.evaluation.models import default_parameters
+from ogm.evaluation import Evaluation, evaluate
 from ogm.geometric import RayISM
 from ogm.metrics import ConfusionSums
+from ogm.models import Calibration
+from ogm.models.fitted import default_parameters
 from ogm.scan import PerMount
 
 SPEC = GridSpec.centered()

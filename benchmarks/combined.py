@@ -3,7 +3,7 @@
     python benchmarks/combined.py DATA=DRIVES [DATA=DRIVES ...] [--real FOLDER] [--quick]
 
 DATA are data sets that `ogm simulate` made, DRIVES the numbers of the validation drives to evaluate ("1,3-5"), which
-are those that the parameters (`ogm.evaluation.models.COMBINATION`) were not fitted to. Compared are both parts, the
+are those that the parameters (`ogm.models.named.COMBINATION`) were not fitted to. Compared are both parts, the
 model `combined`, and for reference plain Dempster (reliability 1, no gates), and `combined` with the hits of `ray`
 kept. Real recordings are those of `quality`, labelled cells only; nothing was chosen by them. Means over frames, and
 `combined` against each part frame by frame, with 95 % intervals over drives. Cost: the best of many calls on one scan.
@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
-from ogm.combined import CombinedISM
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import Evaluation, evaluate
-from ogm.evaluation.models import COMBINATION, COMBINED, LITE, RAY, load_model, model_factory
+from ogm.models.combined import CombinedISM
+from ogm.models.named import COMBINATION, COMBINED, LITE, RAY, load_model, model_factory
 from ogm.scan import InverseSensorModel, PerMount
 
 SPEC = GridSpec.centered()

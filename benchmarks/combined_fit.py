@@ -8,7 +8,7 @@ reliability of free of `lite` and the gates of both; that of occupied of `ray` i
 the mean over data sets of the logarithm of the log loss over the better part's; a ratio of log loss, Brier score,
 false free or 1 - IoU above 1 less a margin is penalised. Writes benchmarks/results/combined_fit.json.
 
-The optimum is flat: `ogm.evaluation.models.COMBINATION` is the rounded result of the same search over other cells of
+The optimum is flat: `ogm.models.named.COMBINATION` is the rounded result of the same search over other cells of
 the same frames, and its ratios are recorded beside those of the fit.
 """
 
@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from ogm import GridSpec, Mount
-from ogm.combined import CombinedISM, FreeGate, StateReliability
 from ogm.datasets import open_dataset
-from ogm.evaluation.models import COMBINATION, LITE, RAY, load_model, model_factory
+from ogm.models.combined import CombinedISM, FreeGate, StateReliability
+from ogm.models.named import COMBINATION, LITE, RAY, load_model, model_factory
 from ogm.scan import PerMount, run_model
 from ogm.state import CellState, predict_state
 

@@ -37,10 +37,10 @@ from ogm.datasets import Dataset, open_dataset
 from ogm.deep.losses import undo_class_weights
 from ogm.evaluation import Evaluation, SingleScanMethod, evaluate, evaluation_record
 from ogm.evaluation.figures import draw_metrics
-from ogm.evaluation.models import short_names
 from ogm.evidence import evidence_to_mass
 from ogm.fusion import resample_to
 from ogm.metrics import ConfusionSums, accumulate, score
+from ogm.models.named import short_names
 from ogm.scan import run_model
 from ogm.simulation.store import Store
 from ogm.state import CellState, predict_state

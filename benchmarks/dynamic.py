@@ -42,9 +42,10 @@ from _fusion_drives import PAPER, read_drive, trails
 from fusion_quality import evaluate_map
 
 from ogm.datasets import open_dataset
-from ogm.evaluation import mean_interval, model_factory
+from ogm.evaluation import mean_interval
 from ogm.fusion import map_scans
 from ogm.metrics import MotionSums, PredictionSums, motion_curve, score_motion, score_prediction
+from ogm.models import model_factory
 from ogm.scan import PerMount
 
 WITHOUT_VELOCITY = ("motion_ap", "motion_iou", "motion_precision", "motion_recall", "static_moving")

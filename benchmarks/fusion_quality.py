@@ -37,10 +37,11 @@ from numpy.typing import NDArray
 
 from ogm import EvidentialGrid
 from ogm.datasets import open_dataset
-from ogm.evaluation import mean_interval, model_factory, ratio_interval
+from ogm.evaluation import mean_interval, ratio_interval
 from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, map_scans
 from ogm.metrics import accumulate, score
+from ogm.models import model_factory
 from ogm.scan import PerMount
 from ogm.state import CellState
 

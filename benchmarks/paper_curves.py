@@ -26,7 +26,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ogm import GridSpec
-from ogm.colours import colours
+from ogm.plot.colours import colours
 
 CITED = (
     "R. van Kempen, B. Lampe, T. Woopen, L. Eckstein: A Simulation-based End-to-End Learning Framework for "

@@ -33,11 +33,11 @@ from scipy.stats import t as student
 
 from ogm import EvidentialGrid, GridSpec, Mount, OgmError, Scan
 from ogm.deep import DeepRadarISM, RadarNoise
-from ogm.evaluation.radar_models import radar_numbers
 from ogm.evidence import discount
 from ogm.geometric import RadarISM, RayISM, flat_ground
 from ogm.io.messages import scan_from_continental
 from ogm.metrics import ConfusionSums, accumulate, score
+from ogm.models.radar import radar_numbers
 from ogm.plot import Panel, dots_panel, mass_panel, show
 from ogm.pose import inverse, pose
 from ogm.simulation.dataset import make_sample, set_up

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 
 from ogm import Frame, GridSpec, Mount, Scan
 from ogm.evaluation import compare_paired
-from ogm.evaluation.models import sensor_models
 from ogm.fusion import DynamicMapper, update_map
 from ogm.metrics import ConfusionSums, accumulate, distances, score
+from ogm.models.named import sensor_models
 from ogm.pose import inverse, pose
 from ogm.scan import run_model
 from ogm.simulation.cells import measure_ground

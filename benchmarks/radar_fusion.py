@@ -28,11 +28,11 @@ from PIL import Image, ImageSequence
 
 from ogm import Frame, open_dataset
 from ogm.evaluation import compare_paired
-from ogm.evaluation.models import sensor_models
 from ogm.fusion import DynamicMapper, update_map
 from ogm.metrics import ConfusionSums, accumulate, score, score_motion
-from ogm.movie import open_movie
+from ogm.models.named import sensor_models
 from ogm.plot import dynamic_panel
+from ogm.plot.movie import open_movie
 from ogm.scan import run_model
 from ogm.state import CellState
 

@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ogm import GridSpec
-from ogm.colours import colours
+from ogm.plot.colours import colours
 from ogm.pose import pose
 from ogm.simulation.cells import Below, measure_ground
 from ogm.simulation.dataset import SceneSetup, World, truth_of

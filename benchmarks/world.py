@@ -21,10 +21,10 @@ import numpy as np
 from numcodecs import Zstd
 
 from ogm.datasets import open_dataset
-from ogm.evaluation.models import NamedModels
 from ogm.fusion import EvidentialMapper, map_scans, rolling_window
 from ogm.fusion.pipeline import grid_pose
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.models.named import NamedModels
 from ogm.pose import pose
 from ogm.world import WorldMap, build_world
 from ogm.world.kernels import merge

@@ -33,8 +33,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
-from ogm.evaluation.models import NamedModels
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.models.named import NamedModels
 from ogm.plot import conflict_panel, layer_panel, mass_panel, save_picture
 from ogm.pose import pose
 from ogm.world import Progress, WorldMap, build_world

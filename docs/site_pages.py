@@ -16,11 +16,11 @@ REFERENCE: dict[str, tuple[str, ...]] = {
         *("ogm.storage.files", "ogm.storage.limits"),
     ),
     "Evidence": ("ogm.evidence", "ogm.evidence.powerset"),
-    "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.combined", "ogm.doppler"),
+    "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.models.combined", "ogm.doppler"),
     "Maps over time": ("ogm.fusion", "ogm.live", "ogm.world"),
     "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
-    "Evaluation": ("ogm.evaluation", "ogm.evaluation.models", "ogm.metrics"),
-    "Pictures": ("ogm.plot", "ogm.colours", "ogm.movie", "ogm.overview", "ogm.viewer"),
+    "Evaluation": ("ogm.evaluation", "ogm.models.named", "ogm.metrics"),
+    "Pictures": ("ogm.plot", "ogm.plot.colours", "ogm.plot.movie", "ogm.plot.overview", "ogm.plot.viewer"),
     "Training": tuple(f"ogm.deep.{name}" for name in ("training", "recipe", "losses", "data", "export", "engines")),
     "Simulation": tuple(
         f"ogm.simulation.{name}"

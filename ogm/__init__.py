@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from ogm.datasets import open_dataset
     from ogm.dynamic_grid import DynamicGrid
-    from ogm.evaluation import evaluate, load_model
+    from ogm.evaluation import evaluate
     from ogm.fusion import fuse, map_scans
     from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
     from ogm.io import read_points, read_scan
+    from ogm.models import load_model
     from ogm.scan import Boxes, Frame, InverseSensorModel, Mount, Scan
     from ogm.state import CellState, Motion, Truth
     from ogm.storage.files import OgmError
@@ -58,7 +59,7 @@ _MODULES = {
     "Truth": "ogm.state",
     "evaluate": "ogm.evaluation",
     "fuse": "ogm.fusion",
-    "load_model": "ogm.evaluation",
+    "load_model": "ogm.models",
     "map_scans": "ogm.fusion",
     "open_dataset": "ogm.datasets",
     "read_points": "ogm.io",

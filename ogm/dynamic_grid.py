@@ -154,12 +154,12 @@ class DynamicGrid:
         return f"DynamicGrid({self.spec}: {', '.join(shares)})"
 
     def _repr_png_(self) -> bytes:
-        from ogm.notebook import dynamic_png
+        from ogm.plot.notebook import dynamic_png
 
         return dynamic_png(self)
 
     def _repr_html_(self) -> str:
-        from ogm.notebook import dynamic_html
+        from ogm.plot.notebook import dynamic_html
 
         return dynamic_html(self)
 

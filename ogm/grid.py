@@ -300,12 +300,12 @@ class EvidentialGrid:
         return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
 
     def _repr_png_(self) -> bytes:
-        from ogm.notebook import grid_png
+        from ogm.plot.notebook import grid_png
 
         return grid_png(self)
 
     def _repr_html_(self) -> str:
-        from ogm.notebook import grid_html
+        from ogm.plot.notebook import grid_html
 
         return grid_html(self)
 
@@ -420,11 +420,11 @@ class LayeredGrid:
         return f"LayeredGrid({self.spec}: {', '.join(self.layers)})"
 
     def _repr_png_(self) -> bytes | None:
-        from ogm.notebook import layers_png
+        from ogm.plot.notebook import layers_png
 
         return layers_png(self) or None
 
     def _repr_html_(self) -> str:
-        from ogm.notebook import layers_html
+        from ogm.plot.notebook import layers_html
 
         return layers_html(self)

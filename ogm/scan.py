@@ -104,12 +104,12 @@ class Scan:
         return f"Scan({len(self)} points{stamp}{''.join(f', {name}' for name in extras)})"
 
     def _repr_png_(self) -> bytes:
-        from ogm.notebook import scan_png
+        from ogm.plot.notebook import scan_png
 
         return scan_png(self)
 
     def _repr_html_(self) -> str:
-        from ogm.notebook import scan_html
+        from ogm.plot.notebook import scan_html
 
         return scan_html(self)
 

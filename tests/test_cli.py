@@ -123,7 +123,7 @@ def test_without_the_network_the_model_is_ray(scan: Path, tmp_path: Path, monkey
     whole = ogm(*words, tmp_path / "whole.npz")
     assert "cells of 0.16 m, combined" in whole.output
     assert "sensor model" not in whole.output
-    monkeypatch.setattr("ogm.evaluation.models.find_spec", lambda name: None)
+    monkeypatch.setattr("ogm.models.named.find_spec", lambda name: None)
     alone = ogm(*words, tmp_path / "alone.npz")
     assert 'sensor model ray: without the learned model, which `pip install "ogm-toolkit[deep]"` adds' in alone.output
     assert "cells of 0.16 m, ray" in alone.output

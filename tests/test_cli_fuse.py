@@ -15,13 +15,13 @@ from ogm.cli import app
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid
 from ogm.io import read_poses, write_poses
+from ogm.plot.viewer import write_view
 from ogm.pose import Trajectory, inverse, pose, transform_points
 from ogm.simulation.sample import OBJECT, RANGE_STEP, Beams
 from ogm.simulation.sample import SimulatedSample as Sample
 from ogm.simulation.store import Store
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
-from ogm.viewer import write_view
 
 FUSE = importlib.import_module("ogm.cli.fuse_command")
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
@@ -167,7 +167,7 @@ def test_a_film_has_a_frame_per_scan_at_the_pace_of_the_drive(scans: Path, poses
         film.seek(FRAMES - 1)
         assert film.info["duration"] == 1000
         colours = {colour for _, colour in film.convert("RGB").getcolors(2**24)}
-    assert {(41, 120, 217), (255, 166, 31)} <= colours  # free and occupied, as in `ogm.colours`
+    assert {(41, 120, 217), (255, 166, 31)} <= colours  # free and occupied, as in `ogm.plot.colours`
     assert not (tmp_path / "map.npz").exists()
 
 

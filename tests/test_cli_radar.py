@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.cli import app
-from ogm.evaluation.models import sensor_models
 from ogm.geometric import RadarISM, RayISM
+from ogm.models.named import sensor_models
 from ogm.pose import pose
 from ogm.scan import Frame, PerMount, run_model
 from ogm.simulation.detections import PlacedSweep, RadarSweep

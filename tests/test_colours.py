@@ -5,9 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from ogm import EvidentialGrid, GridSpec, colours, plot
+from ogm import EvidentialGrid, GridSpec, plot
 from ogm.evaluation.figures import COLOURS as METHODS
 from ogm.evaluation.motion_pictures import ARROWS
+from ogm.plot import colours
 
 # Machado, Oliveira and Fernandes (2009), severity 1, on linear red, green and blue
 EYES = {

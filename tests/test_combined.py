@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from ogm import evidence
-from ogm.combined import CombinedISM, FreeGate, StateReliability
-from ogm.evaluation import models
-from ogm.evaluation.models import COMBINATION, default_model, load_model, model_factory
 from ogm.evidence import check_mass
 from ogm.evidence.kernels import RULES
 from ogm.geometric import HeightBandISM, RayISM
 from ogm.grid import EvidentialGrid, GridSpec
+from ogm.models import named as models
+from ogm.models.combined import CombinedISM, FreeGate, StateReliability
+from ogm.models.named import COMBINATION, default_model, load_model, model_factory
 from ogm.scan import InverseSensorModel, Mount, Scan
 
 few = settings(max_examples=40, deadline=None)

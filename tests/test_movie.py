@@ -9,7 +9,8 @@ import pytest
 from moving import street
 from PIL import Image
 
-from ogm import EvidentialGrid, GridSpec, movie, plot
+from ogm import EvidentialGrid, GridSpec, plot
+from ogm.plot import movie
 
 SPEC = GridSpec(0.5, (48, 32), (-12.0, -8.0))
 TITLES = ("points", "measurement", "map", "conflict")

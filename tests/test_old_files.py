@@ -80,7 +80,7 @@ def test_poses(path: Path) -> None:
 
 @every("ray.json")
 def test_calibrations(path: Path) -> None:
-    from ogm.evaluation.calibration import Calibration
+    from ogm.models import Calibration
 
     calibration = Calibration.load(path)
     assert (calibration.model, calibration.parameters) == ("ray", {"p_miss": 0.3, "obstacle_height": 0.15})
@@ -200,8 +200,8 @@ def write(folder: Path) -> None:
     """Write all files by the code at hand."""
     from ogm.deep.checkpoint import load_network, save_network
     from ogm.deep.export import export_onnx
-    from ogm.evaluation.calibration import Calibration
     from ogm.io import write_poses
+    from ogm.models import Calibration
     from ogm.simulation.store import Store
 
     folder.mkdir(parents=True)

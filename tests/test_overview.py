@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 
 SHAPES = st.tuples(st.integers(1, 5), st.integers(1, 5))
 

@@ -18,9 +18,9 @@ from typer.testing import CliRunner
 
 from ogm import EvidentialGrid, GridSpec, LayeredGrid, plot
 from ogm.cli import app
-from ogm.overview import halve_mass, mass_to_bytes
+from ogm.plot.overview import halve_mass, mass_to_bytes
+from ogm.plot.viewer import TILE, write_view
 from ogm.state import CellState, predict_state
-from ogm.viewer import TILE, write_view
 
 SPEC = GridSpec(0.5, (14, 10), (-2.0, -2.0))
 HOSTILE = '</script><b id="no">&amp; "\' \N{GREEK SMALL LETTER ALPHA}'

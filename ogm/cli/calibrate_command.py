@@ -10,7 +10,7 @@ from ogm.cli.console import out, report_errors, stderr, ticked
 from ogm.cli.options import FolderAxes, TruthSources, parsed_axes
 
 if TYPE_CHECKING:
-    from ogm.evaluation import Calibration
+    from ogm.models import Calibration
 
 
 @report_errors
@@ -47,8 +47,8 @@ def calibrate_command(
     The result is a small JSON file, whose path is a model's name for all commands: evaluate it on other drives than
     those of the fit, `ogm evaluate TEST --ism ray ray.json`. Ctrl-C ends the search and keeps the best so far.
     """
+    from ogm.calibration import calibrate
     from ogm.datasets import open_dataset
-    from ogm.evaluation import calibrate
 
     if every < 1:
         raise ValueError(f"--every must be at least 1, got {every}")
@@ -87,7 +87,7 @@ def _base_rate(text: str) -> float | None:
 
 def _bounds(text: str) -> dict[str, tuple[float, float]]:
     """Return the parameters of --fit with their bounds."""
-    from ogm.evaluation.calibration import BOUNDS
+    from ogm.calibration.fit import BOUNDS
 
     found = {}
     for word in text.split(","):

@@ -18,13 +18,13 @@ from ogm.cli.simulate_command import simulate
 from ogm.cli.train_command import export_command, train_command
 from ogm.cli.view_command import view
 from ogm.cli.world_command import world_app
-from ogm.colours import use_colours
+from ogm.plot.colours import use_colours
 
 __all__ = ["app"]
 
 
 class ColourSet(StrEnum):
-    """The names of `ogm.colours.COLOURS`."""
+    """The names of `ogm.plot.colours.COLOURS`."""
 
     SAFE = "safe"
     PAPER = "paper"

@@ -61,7 +61,7 @@ stderr: SafeConsole = SafeConsole(stderr=True, highlight=False, soft_wrap=True)
 
 def chosen_model(name: str | None, spec: "GridSpec") -> str:
     """Return the name of the sensor model; where none was given the default, with a line where it is not `combined`."""
-    from ogm.evaluation.models import default_model
+    from ogm.models.named import default_model
 
     if name is not None:
         return name

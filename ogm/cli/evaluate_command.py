@@ -200,8 +200,8 @@ def _methods(
 ) -> "dict[str, Method]":
     """Return the models, each of them fused by every rule, and the folders of grids."""
     from ogm.evaluation.methods import FusedMethod, PrecomputedGrids, SingleScanMethod
-    from ogm.evaluation.models import short_names
     from ogm.fusion.resample import ResampleMethod
+    from ogm.models.named import short_names
 
     if resample not in (None, *get_args(ResampleMethod)):
         raise ValueError(f"--resample must be one of {', '.join(get_args(ResampleMethod))}, got {resample}")

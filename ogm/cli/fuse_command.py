@@ -155,9 +155,9 @@ def fuse(
     from ogm.cli.fuse_run import check_rule
     from ogm.cli.one_drive import FuseInto, FuseOptions, Outputs, fuse_drive, load_models
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import describe_model
     from ogm.fusion import make_mapper
     from ogm.grid import GridSpec
+    from ogm.models.named import describe_model
 
     if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")

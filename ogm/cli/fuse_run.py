@@ -18,8 +18,8 @@ from ogm.fusion import DYNAMIC, NUSS, BinaryBayesMapper, DynamicMapper, FusionSt
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
-from ogm.movie import Movie
 from ogm.plot import Panel
+from ogm.plot.movie import Movie
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
 from ogm.storage.files import OF_DISK

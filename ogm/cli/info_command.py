@@ -48,7 +48,7 @@ def info(
 def _grid_facts(grid: "EvidentialGrid | DynamicGrid | LayeredGrid") -> dict[str, str]:
     """Return kind, cells and mean masses of a grid, or the range of its layers."""
     from ogm.grid import LayeredGrid
-    from ogm.overview import Steps
+    from ogm.plot.overview import Steps
 
     kind = type(grid).__name__.removesuffix("Grid").lower()
     x0, x1, y0, y1 = grid.spec.extent

@@ -42,8 +42,8 @@ def demo(
     ogm-demo-sector.png.
     """
     from ogm import Mount, plot, read_scan
-    from ogm.evaluation.models import COMBINED, LITE, load_model
     from ogm.grid import GridSpec
+    from ogm.models.named import COMBINED, LITE, load_model
 
     out_folder.mkdir(parents=True, exist_ok=True)
     spec, table, pictures = GridSpec.centered(), _table(), []
@@ -111,8 +111,8 @@ def map_(
     """Map scans to evidential grids, one each, and draw them."""
     from ogm import plot
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import RELEASED
     from ogm.grid import GridSpec
+    from ogm.models.named import RELEASED
     from ogm.scan import run_model
 
     spec = GridSpec.centered(length, width, resolution)
@@ -174,7 +174,7 @@ def _model(
     name: str, spec: "GridSpec", height: float | None, position: tuple[float, float, float] | None
 ) -> "InverseSensorModel | PerMount":
     """Return the model for every mount; the released one has its own."""
-    from ogm.evaluation.models import RELEASED, model_factory, sensor_models
+    from ogm.models.named import RELEASED, model_factory, sensor_models
     from ogm.pose import pose
     from ogm.scan import Mount
 

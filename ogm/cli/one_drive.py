@@ -13,13 +13,13 @@ import typer
 from ogm.cli.drive import posed
 from ogm.cli.fuse_run import FusionRun
 from ogm.datasets import Dataset
-from ogm.evaluation.models import sensor_models
 from ogm.fusion import covering_window, fuse, make_mapper, rolling_window
 from ogm.grid import GridSpec
 from ogm.io.grids import GridLog, write_grid
 from ogm.io.logs import LOG_ENDINGS
-from ogm.movie import open_movie
-from ogm.viewer import write_view
+from ogm.models.named import sensor_models
+from ogm.plot.movie import open_movie
+from ogm.plot.viewer import write_view
 
 __all__ = ["FuseInto", "FuseOptions", "Outputs", "fuse_drive", "load_models"]
 

@@ -75,11 +75,11 @@ def serve(
     --sensor-height.
     """
     from ogm.datasets import open_dataset
-    from ogm.evaluation.models import sensor_models
     from ogm.fusion import make_mapper, rolling_window
     from ogm.grid import GridSpec
     from ogm.live import FoxglovePublisher, receive_frames, return_large_blocks, warm_up
     from ogm.live import serve as served
+    from ogm.models.named import sensor_models
     from ogm.scan import Mount
 
     if (scans is None) == (listen is None):

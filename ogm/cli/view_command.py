@@ -53,7 +53,7 @@ def view(
 
     from ogm.grid import GridSpec
     from ogm.io.grids import read_any_grid
-    from ogm.viewer import write_view
+    from ogm.plot.viewer import write_view
 
     if (length is None) != (width is None):
         raise ValueError("give both --length and --width [m], or none of them")

@@ -74,8 +74,8 @@ def build(
     of workers. Workers of --scheduler reach data sets and map under the same paths. Where an object store is and who
     may use it is taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
     """
-    from ogm.evaluation.models import NamedModels, sensor_models
     from ogm.grid import GridSpec
+    from ogm.models.named import NamedModels, sensor_models
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):

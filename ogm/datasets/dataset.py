@@ -136,7 +136,7 @@ class Dataset(Sequence[Frame]):
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"
 
     def _repr_html_(self) -> str:
-        from ogm.notebook import facts_html
+        from ogm.plot.notebook import facts_html
 
         return facts_html(f"Dataset {self.name}", self.describe())
 

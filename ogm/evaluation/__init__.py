@@ -7,16 +7,13 @@
 >>> write_report("report", result)                                                                  # doctest: +SKIP
 """
 
-from ogm.evaluation.calibration import Calibration, calibrate
 from ogm.evaluation.methods import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod
-from ogm.evaluation.models import load_model, model_factory
 from ogm.evaluation.report import evaluation_record, write_report
 from ogm.evaluation.result import Evaluation, FrameInfo
 from ogm.evaluation.runner import evaluate
 from ogm.evaluation.statistics import Comparison, Interval, compare_paired, mean_interval, ratio_interval
 
 __all__ = [
-    "Calibration",
     "Comparison",
     "Evaluation",
     "FrameInfo",
@@ -25,13 +22,10 @@ __all__ = [
     "MethodRunner",
     "PrecomputedGrids",
     "SingleScanMethod",
-    "calibrate",
     "compare_paired",
     "evaluate",
     "evaluation_record",
-    "load_model",
     "mean_interval",
-    "model_factory",
     "ratio_interval",
     "write_report",
 ]

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ogm.colours import colours
 from ogm.evaluation.result import Evaluation
 from ogm.evaluation.text import clean
 from ogm.extras import import_extra
 from ogm.metrics import METRICS
 from ogm.plot import Panel
+from ogm.plot.colours import colours
 from ogm.storage.files import atomic_write
 
 __all__ = ["draw_frames", "draw_metrics", "frame_panels"]

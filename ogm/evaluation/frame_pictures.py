@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
-from ogm.colours import colours
 from ogm.grid import GridSpec
+from ogm.plot.colours import colours
 from ogm.state import predict_state
 
 __all__ = ["ERRORS", "Shade", "draw_frame", "error_classes", "height_legend", "true_states"]
@@ -171,7 +171,7 @@ def _blocks(cells: NDArray[Any], size: int) -> NDArray[Any]:
 
 
 def _belief(mass: NDArray[np.float32], spec: GridSpec) -> bytes:
-    """Draw masses in the colours of `ogm.colours`: sharp in steps of 1/8, or smooth where that is much smaller."""
+    """Draw masses in the colours of `ogm.plot.colours`: sharp in steps of 1/8, or smooth where that is much smaller."""
     rough = _encode(_mixed(np.rint(mass * STEPS) / np.float32(STEPS), spec))
     if len(rough) < SMALL * mass.size:
         return rough

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from ogm.datasets.truth_grids import grid_files
 from ogm.dynamic_grid import DynamicGrid
-from ogm.evaluation.models import describe_model, sensor_models
 from ogm.fusion import BAYES, DynamicMapper, Mapper, make_mapper, resample_to, rolling_window, update_map
 from ogm.fusion.factory import DYNAMIC, NUSS
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
+from ogm.models.named import describe_model, sensor_models
 from ogm.scan import Frame, InverseSensorModel, PerMount, run_model
 
 __all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "as_methods"]
@@ -49,7 +49,7 @@ class SingleScanMethod:
 
     @classmethod
     def named(cls, name: str, spec: GridSpec) -> "SingleScanMethod":
-        """Return the method of a model of `ogm.evaluation.models`, made for the mount of each frame."""
+        """Return the method of a model of `ogm.models.named`, made for the mount of each frame."""
         model = sensor_models(name, spec, drop_ego_returns=True)
         return cls(model, *describe_model(name))
 

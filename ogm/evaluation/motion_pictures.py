@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
-from ogm.colours import colours
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import GridSpec
 from ogm.metrics import predicted_moving
 from ogm.metrics.motion import MOVING
+from ogm.plot.colours import colours
 from ogm.state import Motion
 
 __all__ = ["ARROWS", "draw_motion"]

@@ -49,7 +49,7 @@ def evaluate(
     ----------
     methods : dict of str to method
         By its name in the report: any callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; a
-        `PerMount`, which makes one for the mount of each frame; the name of a model, see `ogm.evaluation.models`;
+        `PerMount`, which makes one for the mount of each frame; the name of a model, see `ogm.models.named`;
         `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`.
     dataset : sequence of Frame
         Frames with truth, as `ogm.datasets.open_dataset` returns them.

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.colours import colours
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 from ogm.plot.colour_maps import colour_map
+from ogm.plot.colours import colours
 
 __all__ = [
     "Panel",
@@ -86,7 +86,7 @@ def cells_panel(
 
 
 def mass_panel(grid: EvidentialGrid, title: str = "") -> Panel:
-    """Show belief: the colours of `ogm.colours` for free, occupied and unknown, mixed by their masses."""
+    """Show belief: the colours of `ogm.plot.colours` for free, occupied and unknown, mixed by their masses."""
     return cells_panel(colours().mix(grid.mass), grid.spec, title or "belief", colours().legend)
 
 

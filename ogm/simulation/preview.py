@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from ogm import plot
-from ogm.colours import colours
 from ogm.grid import GridSpec
+from ogm.plot.colours import colours
 from ogm.plot.drawing import font, plain
 from ogm.simulation.exchange import PAPER_GRID
 from ogm.simulation.materials import Material as M
@@ -39,7 +39,7 @@ SKY = np.array([0.72, 0.82, 0.93])
 
 
 def truth_panel(truth: Truth, title: str = "truth") -> plot.Panel:
-    """Show a truth grid: free, occupied and unknown in the colours of `ogm.colours`, grey to be ignored."""
+    """Show a truth grid: free, occupied and unknown in the colours of `ogm.plot.colours`, grey to be ignored."""
     shades = np.empty((4, 3))
     order = [CellState.FREE, CellState.OCCUPIED, CellState.UNKNOWN, CellState.IGNORE]
     shades[order] = *colours().legend.values(), GREY

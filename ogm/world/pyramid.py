@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.colours import colours
+from ogm.plot.colours import colours
 from ogm.storage.files import atomic_write
 from ogm.world.world_map import WorldMap
 
@@ -20,7 +20,7 @@ def write_pyramid(world: WorldMap, folder: str | os.PathLike[str]) -> int:
 
     Level z = 0 is the coarsest; x counts along the map's x, to the right, and y against its y, downwards, both from the
     same corner at all levels, which ``tiles.json`` states with the side of a cell. Free and occupied have the colours
-    of `ogm.colours`, and what is unknown is transparent. Tiles in which nothing was seen have no picture.
+    of `ogm.plot.colours`, and what is unknown is transparent. Tiles in which nothing was seen have no picture.
 
     Parameters
     ----------

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.overview import FULL, halve_mass, mass_to_bytes
 from ogm.plot import upright
+from ogm.plot.overview import FULL, halve_mass, mass_to_bytes
+from ogm.plot.view_layers import mass_layers
+from ogm.plot.viewer import ROUGHEST, page_of_tiles
 from ogm.storage.files import OgmError
-from ogm.view_layers import mass_layers
-from ogm.viewer import ROUGHEST, page_of_tiles
 from ogm.world.world_map import WorldMap
 
 __all__ = ["WorldPage", "serve_world"]
@@ -26,7 +26,7 @@ _TILE = re.compile(r"/tiles/0/(\d{1,2})/(\d{1,8})/(\d{1,8})")
 
 
 class WorldPage:
-    """The page of a map and its tiles, as `ogm.viewer` has them: rows from the front, columns from the left.
+    """The page of a map and its tiles, as `ogm.plot.viewer` has them: rows from the front, columns from the left.
 
     Parameters
     ----------

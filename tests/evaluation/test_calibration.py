@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from ogm.calibration import calibrate
+from ogm.calibration.fit import BOUNDS, FITTED
+from ogm.calibration.likelihood import Likelihood
+from ogm.calibration.search import Axis
 from ogm.cli import app
-from ogm.evaluation import Calibration, calibrate, evaluate, load_model
-from ogm.evaluation.calibration import BOUNDS, FITTED
-from ogm.evaluation.likelihood import Likelihood
-from ogm.evaluation.likelihood_search import Axis
-from ogm.evaluation.models import default_parameters, describe_model, short_names
+from ogm.evaluation import evaluate
 from ogm.geometric import HeightBandISM, RayISM
 from ogm.grid import GridSpec
+from ogm.models import Calibration, load_model
+from ogm.models.fitted import default_parameters
+from ogm.models.named import describe_model, short_names
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState, Truth
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ogm.evaluation import FusedMethod, MethodRunner, PrecomputedGrids, SingleScanMethod, evaluate, write_report
-from ogm.evaluation.models import MODELS, load_model, model_factory, short_names
 from ogm.fusion import EvidentialMapper, PoseJump
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS, accumulate, score
+from ogm.models.named import MODELS, load_model, model_factory, short_names
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, PerMount, Scan
 from ogm.state import CellState, Truth

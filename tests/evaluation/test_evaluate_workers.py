@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from ogm.evaluation import FusedMethod, SingleScanMethod, evaluate
-from ogm.evaluation.models import sensor_models
 from ogm.fusion import EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS
+from ogm.models.named import sensor_models
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, PerMount, Scan, run_model
 from ogm.state import Truth

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ogm import plot
-from ogm.colours import colours
 from ogm.evaluation.frame_pictures import ERRORS, draw_frame, error_classes, height_legend, true_states
 from ogm.grid import GridSpec
+from ogm.plot.colours import colours
 from ogm.state import CellState, predict_state
 
 UNKNOWN, FREE, OCCUPIED, IGNORE = CellState

@@ -8,8 +8,8 @@ from targets import Target
 
 from ogm import GridSpec
 from ogm.evaluation.cache import FrameResult, ResultCache
-from ogm.evaluation.calibration import Calibration
 from ogm.metrics import ConfusionSums
+from ogm.models import Calibration
 
 SEEDS = Path(__file__).parent / "seeds"
 

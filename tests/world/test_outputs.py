@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 from world_frames import RandomGrids, StraightDrive
 
 from ogm.cli import app
-from ogm.colours import colours
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import read_grid, read_placed_grid, write_poses
+from ogm.plot.colours import colours
 from ogm.pose import Trajectory, inverse, pose, transform_points
 from ogm.world import WorldMap, build_world, world_to_xarray, write_pyramid
 

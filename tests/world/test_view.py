@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.overview import halve_mass, mass_to_bytes
-from ogm.viewer import ROUGHEST
+from ogm.plot.overview import halve_mass, mass_to_bytes
+from ogm.plot.viewer import ROUGHEST
 from ogm.world import WorldMap
 from ogm.world.view_server import WorldPage, serve_world
 

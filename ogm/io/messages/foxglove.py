@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.colours import colours
 from ogm.grid import LayeredGrid
 from ogm.io.layers import AnyGrid, grid_from_layers, layers_of, needed_layers
 from ogm.io.messages.occupancy import corner_pose, spec_of, split_corner
 from ogm.io.messages.plain import as_bytes, reads_message, ros_stamp
 from ogm.io.messages.poses import pose_message, transform_of_pose
 from ogm.io.reading import optional
+from ogm.plot.colours import colours
 from ogm.storage.files import OgmError
 
 __all__ = ["foxglove_grid", "grid_from_foxglove_grid"]
@@ -32,7 +32,7 @@ def foxglove_grid(
 ) -> Any:
     """Return a grid as a ``foxglove.Grid``, with fields free, occupied and unknown, and a colour.
 
-    The colours are those of `ogm.colours`, mixed by the masses; unknown is transparent.
+    The colours are those of `ogm.plot.colours`, mixed by the masses; unknown is transparent.
 
     Parameters
     ----------

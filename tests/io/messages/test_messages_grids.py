@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from ogm.colours import colours
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.messages import (
     foxglove_grid,
@@ -22,6 +21,7 @@ from ogm.io.messages import (
     occupancy_grid,
     occupancy_values,
 )
+from ogm.plot.colours import colours
 from ogm.pose import pose
 from ogm.state import CellState, predict_state
 from ogm.storage.files import OgmError

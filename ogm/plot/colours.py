@@ -1,6 +1,6 @@
 """The colours of free, occupied and unknown: one definition for pictures, films, reports, viewers and messages.
 
->>> from ogm.colours import colours, use_colours
+>>> from ogm.plot.colours import colours, use_colours
 >>> colours().text
 'blue free, orange occupied, black unknown'
 >>> use_colours("paper")  # green and red, as in van Kempen et al. (2021)

@@ -8,7 +8,7 @@ A level is made from the one before. A block of 2 x 2 cells has
   where none of its cells has one.
 
 >>> import numpy as np
->>> from ogm.overview import halve_mass, mass_to_bytes
+>>> from ogm.plot.overview import halve_mass, mass_to_bytes
 >>> free = np.full((2, 2, 2), (0.8, 0.0), np.float32)
 >>> free[0, 0] = 0.0, 0.9                                                   # one of four cells is occupied
 >>> halve_mass(mass_to_bytes(free))[0, 0].tolist()

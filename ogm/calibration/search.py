@@ -7,7 +7,7 @@ from math import exp, inf, log
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.evaluation.likelihood import Likelihood
+from ogm.calibration.likelihood import Likelihood
 from ogm.evaluation.statistics import MIN_DRIVES
 from ogm.extras import import_extra
 

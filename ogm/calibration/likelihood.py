@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.evaluation.models import model_class
 from ogm.grid import GridSpec
 from ogm.metrics import accumulate, score
+from ogm.models.fitted import model_class
 from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState
 

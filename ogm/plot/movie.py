@@ -4,7 +4,7 @@ Frames are written, or spooled to disk, as they come: memory stays flat for any 
 
 >>> import numpy as np
 >>> from ogm import EvidentialGrid, GridSpec, plot
->>> from ogm.movie import open_movie
+>>> from ogm.plot.movie import open_movie
 >>> grid = EvidentialGrid.vacuous(GridSpec.centered(length=20.0, width=10.0, resolution=0.5))
 >>> with open_movie("drive.gif", grid.spec, ["points", "scan", "map", "conflict"], ground_z=-1.8) as movie:
 ...     for k in range(2):
@@ -27,8 +27,8 @@ from numpy.typing import NDArray
 from PIL import GifImagePlugin, Image, ImageDraw
 
 from ogm import plot
-from ogm.colours import Colours, colours
 from ogm.grid import GridSpec
+from ogm.plot.colours import Colours, colours
 from ogm.plot.drawing import draw_legend, draw_marks, draw_vehicle, font, plain, scaled
 from ogm.storage.files import atomic_write
 

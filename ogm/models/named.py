@@ -1,7 +1,7 @@
 """Sensor models by name: geometric ones, also fitted, the network that ogm ships, both combined, own weights, radar.
 
 >>> from ogm import GridSpec, Mount
->>> from ogm.evaluation.models import MODELS, load_model
+>>> from ogm.models.named import MODELS, load_model
 >>> "combined" in MODELS
 True
 >>> load_model("ray", GridSpec.centered(), Mount(sensor_height=1.8)).spec.shape
@@ -10,22 +10,22 @@ True
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ogm.combined import CombinedISM, FreeGate, StateReliability
-from ogm.evaluation.radar_models import DEEP_RADAR, RADAR, RADAR_MODELS, radar_factory
 from ogm.grid import GridSpec
+from ogm.models.combined import CombinedISM, FreeGate, StateReliability
+from ogm.models.fitted import Calibration, model_class
+from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, radar_factory
 from ogm.scan import InverseSensorModel, Mount, PerMount
-from ogm.storage.files import OgmError
 
 __all__ = [
     "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "NamedModels",
-    "default_model", "default_parameters", "describe_model", "load_model", "model_class", "model_factory",
+    "default_model", "describe_model", "load_model", "model_factory",
     "sensor_models", "short_names",
 ]  # fmt: skip
 
@@ -115,8 +115,6 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     if name in GEOMETRIC or _is_fitted(name):
         parameters: dict[str, Any] = {}
         if _is_fitted(name):
-            from ogm.evaluation.calibration import Calibration
-
             fitted = Calibration.load(name)
             name, parameters = fitted.model, dict(fitted.parameters)
         if name == HEIGHT_BAND:
@@ -187,21 +185,6 @@ class _Named(PerMount):
         return self._again, ()
 
 
-def model_class(name: str) -> Any:
-    """Return the class of a geometric model whose parameters can be chosen, by its name."""
-    from ogm.geometric import HeightBandISM, RayISM
-
-    classes = {RAY: RayISM, HEIGHT_BAND: HeightBandISM}
-    if name not in classes:
-        raise OgmError(f"there is no geometric model {name!r} with parameters; there are {', '.join(classes)}")
-    return classes[name]
-
-
-def default_parameters(name: str) -> dict[str, float]:
-    """Return the numbers that such a model can be made with, and their defaults."""
-    return {one.name: one.default for one in fields(model_class(name)) if isinstance(one.default, float)}
-
-
 def _is_fitted(name: str) -> bool:
     return Path(name).suffix == ".json"
 
@@ -234,8 +217,6 @@ def describe_model(name: str) -> tuple[str, dict[str, str] | None]:
         data = (files("ogm") / "data" / "radar.onnx").read_bytes()
         return MODELS[name], {"file": "radar.onnx", "sha256": hashlib.sha256(data).hexdigest()}
     if _is_fitted(name):
-        from ogm.evaluation.calibration import Calibration
-
         one, path = Calibration.load(name), Path(name)
         numbers = ", ".join(f"{key} {value:g}" for key, value in one.parameters.items())
         facts = {"file": path.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

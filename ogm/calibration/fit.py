@@ -1,32 +1,24 @@
 """Parameters of a geometric sensor model from labelled frames, by maximum likelihood.
 
 >>> from ogm.datasets import open_dataset
->>> from ogm.evaluation import calibrate
+>>> from ogm.calibration import calibrate
 >>> fitted = calibrate(open_dataset("data/", split="train"), "ray")                                # doctest: +SKIP
 >>> fitted.save("ray.json")                                                                        # doctest: +SKIP
 
 ``"ray.json"`` is a model's name from now on: ``evaluate({"mine": "ray.json"}, ...)``.
 """
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
 from math import inf
-from pathlib import Path
-from typing import Any, Self
 
-from ogm.evaluation.likelihood import Likelihood
-from ogm.evaluation.likelihood_search import LikelihoodSearch
-from ogm.evaluation.models import default_parameters
+from ogm.calibration.likelihood import Likelihood
+from ogm.calibration.search import LikelihoodSearch
 from ogm.grid import GridSpec
-from ogm.io.reading import decode_json
+from ogm.models.fitted import Calibration, default_parameters
 from ogm.scan import Frame
-from ogm.storage.files import OgmError, atomic_write, update_hint
 
-__all__ = ["BOUNDS", "FITTED", "Calibration", "calibrate"]
+__all__ = ["BOUNDS", "FITTED", "calibrate"]
 
-FORMAT = "ogm.calibration/1"
-MOST = 1e300  # of a parameter
 FITTED = {  # by default
     "ray": (*("p_miss", "p_false_alarm", "free_reliability_at_hits", "no_return_weight", "obstacle_height"),),
     "height-band": ("z_min", "z_max", "evidence"),
@@ -40,75 +32,6 @@ BOUNDS = {  # that a parameter is searched in
     **{"z_min": (0.05, 1.5), "z_max": (1.6, 3.0), "evidence": (0.1, 100.0)},
 }
 REPORTED = ("nll", "false_free", "missed_occupied", "false_occupied", "iou_free", "iou_occupied", "ece")
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """Fitted parameters of a geometric model.
-
-    Parameters
-    ----------
-    model : {"ray", "height-band"}
-    parameters : dict of str to float
-        The fitted ones, and those of the calibration that the fit started from.
-    start : dict of str to float
-        The same before the fit.
-    errors : dict of str to float or None
-        Standard errors of the fitted parameters; None where there is none: fewer than four drives, a parameter at its
-        bound or without effect, an interrupted fit.
-    before, after : dict of str to float
-        Metrics of `ogm.metrics` on the frames of the fit: means over the frames of a drive, then over drives.
-    data : dict
-        What the frames are from, how many they and their drives are, and the base rate of the fit.
-    evaluations : int
-        How many sets of parameters were tried.
-    finished : bool
-        False if the fit was interrupted.
-    """
-
-    model: str
-    parameters: dict[str, float]
-    start: dict[str, float] = field(default_factory=dict)
-    errors: dict[str, float | None] = field(default_factory=dict)
-    before: dict[str, float] = field(default_factory=dict)
-    after: dict[str, float] = field(default_factory=dict)
-    data: dict[str, Any] = field(default_factory=dict)
-    evaluations: int = 0
-    finished: bool = True
-
-    def __post_init__(self) -> None:
-        known = default_parameters(self.model)
-        for name, value in self.parameters.items():
-            if name not in known:
-                raise OgmError(f"{self.model} has no parameter {name!r}; it has {', '.join(known)}")
-            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MOST:
-                raise OgmError(f"{name} must be a finite number, got {value!r}")
-
-    def save(self, path: str | Path) -> None:
-        """Write a JSON file, whole or not at all."""
-        with atomic_write(path, "w") as file:
-            json.dump({"format": FORMAT} | asdict(self), file, indent=1)
-            file.write("\n")
-
-    @classmethod
-    def load(cls, path: str | Path) -> Self:
-        """Read what `save` wrote.
-
-        Raises
-        ------
-        FileNotFoundError
-            If there is no such file.
-        OgmError
-            If it is no calibration, or one with a model or parameters that this version does not have.
-        """
-        try:
-            record = decode_json(Path(path).read_bytes(), Path(path))
-            if not isinstance(record, dict) or (found := record.pop("format", None)) != FORMAT:
-                hint = update_hint(found, FORMAT) if isinstance(record, dict) else ""
-                raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote{hint}")
-            return cls(**record)
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
-            raise OgmError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
 
 
 def calibrate(

@@ -1,11 +1,11 @@
 """A grid as one HTML page that needs no other file and no network, for any number of cells.
 
 The page holds the numbers of the cells as bytes, in tiles of 512 x 512 cells: at full resolution, and at levels of half
-the resolution each (`ogm.overview`). Tiles are deflated and stand in the page as base64; the browser unpacks those that
-are on the screen. Tiles without any number are left out.
+the resolution each (`ogm.plot.overview`). Tiles are deflated and stand in the page as base64; the browser unpacks those
+on the screen. Tiles without any number are left out.
 
 >>> from ogm import EvidentialGrid, GridSpec
->>> from ogm.viewer import write_view
+>>> from ogm.plot.viewer import write_view
 >>> _ = write_view("map.html", EvidentialGrid.vacuous(GridSpec.centered(resolution=0.5)), title="nothing yet")
 """
 
@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, LayeredGrid
-from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.plot import CONFLICT_LAYERS, VELOCITY_LAYERS, upright
+from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
 from ogm.storage.files import atomic_write
-from ogm.view_layers import Layer, conflict_layer, mass_layers, motion_layer, number_layer, velocity_layer
 
 __all__ = ["ROUGHEST", "TILE", "page_of_tiles", "write_view"]
 

@@ -1,4 +1,4 @@
-"""What the page of `ogm.viewer` can show: each layer as tables of colours, taken from the panels of `ogm.plot`."""
+"""What the page of `ogm.plot.viewer` can show: each layer as tables of colours, taken from the panels of `ogm.plot`."""
 
 from base64 import b64encode
 from collections.abc import Sequence
@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm import plot
-from ogm.colours import colours
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.overview import FULL, Steps
+from ogm.plot.colours import colours
+from ogm.plot.overview import FULL, Steps
 
 __all__ = ["Layer", "conflict_layer", "mass_layers", "motion_layer", "number_layer", "velocity_layer"]
 

@@ -1,7 +1,7 @@
 """Several sensor models as one: each maps the scan, and their masses are combined cell by cell.
 
 >>> from ogm import GridSpec, Mount, load_model
->>> from ogm.combined import CombinedISM
+>>> from ogm.models.combined import CombinedISM
 >>> spec, mount = GridSpec.centered(), Mount(1.9)
 >>> ray, band = (load_model(name, spec, mount) for name in ("ray", "height-band"))
 >>> both = CombinedISM([ray, band], reliability=[1.0, (0.5, 0.8)])

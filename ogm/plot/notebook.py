@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from ogm import plot
-from ogm.colours import colours
 from ogm.dynamic_grid import DynamicGrid
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
-from ogm.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
+from ogm.plot.colours import colours
+from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.scan import Scan
 
 __all__ = [
@@ -38,7 +38,7 @@ NEAREST, FURTHEST = 5.0, 60.0  # [m] around the sensor that are shown, by where 
 
 
 def grid_png(grid: EvidentialGrid) -> bytes:
-    """Return a picture of belief, in the colours of `ogm.colours`."""
+    """Return a picture of belief, in the colours of `ogm.plot.colours`."""
     mass, spec = _shrunk(grid.spec, lambda rows: mass_to_bytes(grid.mass[rows]), halve_mass)
     shares = np.divide(mass, FULL, dtype=np.float32)
     return _png([plot.mass_panel(EvidentialGrid.trusted(spec, shares))])

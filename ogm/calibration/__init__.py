@@ -1,0 +1,10 @@
+"""Parameters of geometric sensor models, fitted to labelled frames.
+
+>>> from ogm import open_dataset
+>>> from ogm.calibration import calibrate
+>>> calibrate(open_dataset("data/", split="train"), "ray").save("ray.json")                        # doctest: +SKIP
+"""
+
+from ogm.calibration.fit import BOUNDS, FITTED, calibrate
+
+__all__ = ["BOUNDS", "FITTED", "calibrate"]

@@ -1,0 +1,103 @@
+"""Fitted parameters of a geometric sensor model: what ``ogm calibrate`` writes and `ogm.models.load_model` reads.
+
+>>> from ogm.models import Calibration
+>>> Calibration("ray", {"p_miss": 0.1}).parameters
+{'p_miss': 0.1}
+"""
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any, Self
+
+from ogm.io.reading import decode_json
+from ogm.storage.files import OgmError, atomic_write, update_hint
+
+__all__ = ["Calibration", "default_parameters", "model_class"]
+
+FORMAT = "ogm.calibration/1"
+MAX_PARAMETER = 1e300
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Fitted parameters of a geometric model.
+
+    Parameters
+    ----------
+    model : {"ray", "height-band"}
+    parameters : dict of str to float
+        The fitted ones, and those of the calibration that the fit started from.
+    start : dict of str to float
+        The same before the fit.
+    errors : dict of str to float or None
+        Standard errors of the fitted parameters; None where there is none: fewer than four drives, a parameter at its
+        bound or without effect, an interrupted fit.
+    before, after : dict of str to float
+        Metrics of `ogm.metrics` on the frames of the fit: means over the frames of a drive, then over drives.
+    data : dict
+        What the frames are from, how many they and their drives are, and the base rate of the fit.
+    evaluations : int
+        How many sets of parameters were tried.
+    finished : bool
+        False if the fit was interrupted.
+    """
+
+    model: str
+    parameters: dict[str, float]
+    start: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, float | None] = field(default_factory=dict)
+    before: dict[str, float] = field(default_factory=dict)
+    after: dict[str, float] = field(default_factory=dict)
+    data: dict[str, Any] = field(default_factory=dict)
+    evaluations: int = 0
+    finished: bool = True
+
+    def __post_init__(self) -> None:
+        known = default_parameters(self.model)
+        for name, value in self.parameters.items():
+            if name not in known:
+                raise OgmError(f"{self.model} has no parameter {name!r}; it has {', '.join(known)}")
+            if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < MAX_PARAMETER:
+                raise OgmError(f"{name} must be a finite number, got {value!r}")
+
+    def save(self, path: str | Path) -> None:
+        """Write a JSON file, whole or not at all."""
+        with atomic_write(path, "w") as file:
+            json.dump({"format": FORMAT} | asdict(self), file, indent=1)
+            file.write("\n")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        OgmError
+            If it is no calibration, or one with a model or parameters that this version does not have.
+        """
+        try:
+            record = decode_json(Path(path).read_bytes(), Path(path))
+            if not isinstance(record, dict) or (found := record.pop("format", None)) != FORMAT:
+                hint = update_hint(found, FORMAT) if isinstance(record, dict) else ""
+                raise OgmError(f"no {FORMAT} that `ogm calibrate` wrote{hint}")
+            return cls(**record)
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            raise OgmError(str(error) if str(path) in str(error) else f"{path}: {error}") from error
+
+
+def model_class(name: str) -> Any:
+    """Return the class of a geometric model whose parameters can be chosen, by its name."""
+    from ogm.geometric import HeightBandISM, RayISM
+
+    classes = {"ray": RayISM, "height-band": HeightBandISM}
+    if name not in classes:
+        raise OgmError(f"there is no geometric model {name!r} with parameters; there are {', '.join(classes)}")
+    return classes[name]
+
+
+def default_parameters(name: str) -> dict[str, float]:
+    """Return the numbers that such a model can be made with, and their defaults."""
+    return {one.name: one.default for one in fields(model_class(name)) if isinstance(one.default, float)}
