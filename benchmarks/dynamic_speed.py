@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from ogm import EvidentialGrid, GridSpec
 from ogm.datasets import open_dataset
 from ogm.fusion import DynamicMapper, DynamicSettings
-from ogm.fusion.hashed_noise import scan_key
+from ogm.fusion.dynamic.hashed_noise import scan_key
 from ogm.geometric import RayISM
 from ogm.pose import pose
 

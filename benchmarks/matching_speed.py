@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ogm.fusion.distance import capped_distance
-from ogm.fusion.groups import find_groups
-from ogm.fusion.matching import MatchSettings, match_velocities
+from ogm.fusion.dynamic.distance import capped_distance
+from ogm.fusion.dynamic.groups import find_groups
+from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
 
 SHAPE, SIDE = (640, 448), 0.16  # [cells], [m]
 AGES = (0.1, 0.2, 0.3, 0.4)  # [s]

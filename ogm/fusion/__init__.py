@@ -7,16 +7,16 @@
 
 from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.drives import FusedDrive, fuse_drives
-from ogm.fusion.dynamic import DynamicMapper
-from ogm.fusion.dynamic_settings import DynamicSettings
-from ogm.fusion.egomotion import EgoMotion
+from ogm.fusion.dynamic.mapper import DynamicMapper
+from ogm.fusion.dynamic.objects import Objects, find_objects
+from ogm.fusion.dynamic.prediction import predict_dynamic
+from ogm.fusion.dynamic.settings import DynamicSettings
+from ogm.fusion.ego.deskewing import deskew, extrapolate
+from ogm.fusion.ego.registration import odometry
+from ogm.fusion.ego.smoothing import EgoMotion
 from ogm.fusion.factory import BAYES, DYNAMIC, NUSS, RULES, Mapper, covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import EvidentialMapper
-from ogm.fusion.motion import deskew, extrapolate
-from ogm.fusion.objects import Objects, find_objects
 from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, grid_pose, map_scans, update_map
-from ogm.fusion.prediction import predict_dynamic
-from ogm.fusion.registration import odometry
 from ogm.fusion.resample import coarsen, resample_to, warp
 from ogm.fusion.update_gate import PoseJump
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from ogm import evidence
 from ogm.fusion.bayes import BinaryBayesMapper
-from ogm.fusion.dynamic import DynamicFilter, DynamicMapper
-from ogm.fusion.dynamic_settings import DynamicSettings
+from ogm.fusion.dynamic.mapper import DynamicFilter, DynamicMapper
+from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.mapper import EvidentialMapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec

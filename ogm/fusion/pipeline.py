@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.doppler import radial_velocities
+from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.fusion.factory import Mapper
-from ogm.fusion.motion import deskew, extrapolate
 from ogm.fusion.update_gate import PoseJump
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ogm.fusion import DynamicMapper, DynamicSettings
-from ogm.fusion.scan_history import ScanHistory
+from ogm.fusion.dynamic.scan_history import ScanHistory
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.fusion import DynamicMapper, DynamicSettings
-from ogm.fusion.hashed_noise import scan_key
-from ogm.fusion.resampling import group_velocities
+from ogm.fusion.dynamic.hashed_noise import scan_key
+from ogm.fusion.dynamic.resampling import group_velocities
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
 

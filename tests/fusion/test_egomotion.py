@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from ogm.fusion.egomotion import EgoMotion, EgoStates
+from ogm.fusion.ego.smoothing import EgoMotion, EgoStates
 from ogm.pose import pose
 
 pytest.importorskip("filterpy", reason="no filterpy: pip install ogm-toolkit[track]")

@@ -1,4 +1,4 @@
-"""Laws of `ogm.fusion.matching`: velocities from groups of occupied cells."""
+"""Laws of `ogm.fusion.dynamic.matching`: velocities from groups of occupied cells."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,9 +8,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from ogm.fusion.distance import LEVELS, capped_distance
-from ogm.fusion.groups import find_groups
-from ogm.fusion.matching import MatchSettings, match_velocities
+from ogm.fusion.dynamic.distance import LEVELS, capped_distance
+from ogm.fusion.dynamic.groups import find_groups
+from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
 
 SHAPE, SIDE = (120, 100), 0.16
 L_SHAPE = np.array([(i, 0) for i in range(12)] + [(0, j) for j in range(1, 7)])

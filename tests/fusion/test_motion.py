@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from ogm.fusion import deskew, extrapolate, motion
+from ogm.fusion import deskew, extrapolate
+from ogm.fusion.ego import deskewing
 from ogm.pose import Trajectory, inverse, pose, transform_points
 
 STAMP = 735.25
@@ -51,7 +52,7 @@ def test_a_clock_that_counts_from_1970_costs_no_more_than_its_rounding() -> None
 def test_the_kernel_is_the_same_without_the_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     points, time = cloud(100)
     fast = deskew(points, time, drive(), STAMP)
-    monkeypatch.setattr(motion, "_deskew", motion._deskew.py_func)
+    monkeypatch.setattr(deskewing, "_deskew", deskewing._deskew.py_func)
     np.testing.assert_allclose(deskew(points, time, drive(), STAMP), fast, atol=1e-5)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from dynamic_scenes import SPEC, Block, scene
 
-from ogm.fusion.object_tracker import ObjectTracker, TrackerSettings
-from ogm.fusion.objects import Objects, find_objects
+from ogm.fusion.dynamic.object_tracker import ObjectTracker, TrackerSettings
+from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.scan import Boxes
 
 pytest.importorskip("filterpy", reason="no filterpy: pip install ogm-toolkit[track]")

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion.objects import Objects, ObjectSettings, find_objects
+from ogm.fusion.dynamic.objects import Objects, ObjectSettings, find_objects
 from ogm.grid import GridSpec
 from ogm.scan import Boxes
 

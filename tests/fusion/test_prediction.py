@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion import prediction
-from ogm.fusion.objects import Objects, find_objects
-from ogm.fusion.particles import Particles
-from ogm.fusion.prediction import PredictionSettings, predict_dynamic
+from ogm.fusion.dynamic import prediction
+from ogm.fusion.dynamic.objects import Objects, find_objects
+from ogm.fusion.dynamic.particles import Particles
+from ogm.fusion.dynamic.prediction import PredictionSettings, predict_dynamic
 from ogm.grid import GridSpec
 
 CERTAIN = PredictionSettings(acceleration=0.0, uncertainty=0.0, moved_static=0.0)

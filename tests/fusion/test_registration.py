@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from ogm.fusion import odometry
-from ogm.fusion.registration import METHODS
+from ogm.fusion.ego.registration import METHODS
 from ogm.io import read_points, read_poses
 from ogm.pose import Trajectory, inverse, pose, transform_points
 

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.distance import MAX_CAP, capped_distance
-from ogm.fusion.groups import Groups, find_groups
-from ogm.fusion.matching_kernels import MAX_CELLS, MatchNumbers, match_groups
+from ogm.fusion.dynamic.distance import MAX_CAP, capped_distance
+from ogm.fusion.dynamic.groups import Groups, find_groups
+from ogm.fusion.dynamic.matching_kernels import MAX_CELLS, MatchNumbers, match_groups
 
 __all__ = ["MatchSettings", "Matches", "match_velocities"]
 

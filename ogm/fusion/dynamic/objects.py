@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion.object_kernels import join_cells, moving_cells
+from ogm.fusion.dynamic.object_kernels import join_cells, moving_cells
 from ogm.scan import Boxes
 
 __all__ = ["ObjectSettings", "Objects", "find_objects"]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.extras import import_extra
-from ogm.fusion.arcs import arc, integrated_noise
-from ogm.fusion.objects import Objects
+from ogm.fusion.dynamic.arcs import arc, integrated_noise
+from ogm.fusion.dynamic.objects import Objects
 
 __all__ = ["ObjectTracker", "TrackerSettings"]
 

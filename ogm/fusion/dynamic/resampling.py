@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic_cells import DynamicCells
-from ogm.fusion.hashed_noise import UNIT, hashed, index
-from ogm.fusion.particles import Particles, Step
+from ogm.fusion.dynamic.cells import DynamicCells
+from ogm.fusion.dynamic.hashed_noise import UNIT, hashed, index
+from ogm.fusion.dynamic.particles import Particles, Step
 from ogm.jit import kernel
 
 __all__ = ["GroupVelocities", "Moments", "group_velocities", "mean_velocities", "resample", "weigh_motion"]

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.particles import Particles
+from ogm.fusion.dynamic.particles import Particles
 from ogm.jit import kernel
 
 __all__ = ["NORMALS", "Arrivals", "Bodies", "Horizon", "cells_later", "move_mass"]

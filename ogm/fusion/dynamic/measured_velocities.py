@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic_cells import DynamicCells
-from ogm.fusion.matching import MatchSettings, match_velocities
-from ogm.fusion.particles import Particles
-from ogm.fusion.resampling import mean_velocities
+from ogm.fusion.dynamic.cells import DynamicCells
+from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
+from ogm.fusion.dynamic.particles import Particles
+from ogm.fusion.dynamic.resampling import mean_velocities
 
 __all__ = ["SCAN_AGES", "MeasuredVelocities", "matched_velocities"]
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.distance import LEVELS
-from ogm.fusion.groups import Groups
+from ogm.fusion.dynamic.distance import LEVELS
+from ogm.fusion.dynamic.groups import Groups
 from ogm.jit import kernel, vector
 
 __all__ = ["MAX_CELLS", "MatchNumbers", "match_groups"]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ogm.fusion.dynamic_cells import Rates
+from ogm.fusion.dynamic.cells import Rates
 
 __all__ = ["DynamicSettings"]
 

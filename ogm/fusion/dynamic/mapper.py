@@ -18,24 +18,24 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
 from ogm.fusion import map_access
-from ogm.fusion.dynamic_beliefs import beliefs, masses, seen_from
-from ogm.fusion.dynamic_cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
-from ogm.fusion.dynamic_settings import DynamicSettings
-from ogm.fusion.hashed_noise import NORMALS, scan_key
+from ogm.fusion.dynamic.beliefs import beliefs, masses, seen_from
+from ogm.fusion.dynamic.cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
+from ogm.fusion.dynamic.hashed_noise import NORMALS, scan_key
+from ogm.fusion.dynamic.measured_velocities import SCAN_AGES, MeasuredVelocities, matched_velocities
+from ogm.fusion.dynamic.object_tracker import ObjectTracker
+from ogm.fusion.dynamic.objects import Objects, find_objects
+from ogm.fusion.dynamic.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
+from ogm.fusion.dynamic.prediction import move_on, predict_dynamic
+from ogm.fusion.dynamic.radial import with_radial_velocities
+from ogm.fusion.dynamic.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
+from ogm.fusion.dynamic.scan_history import ScanHistory
+from ogm.fusion.dynamic.settings import DynamicSettings
+from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup
 from ogm.fusion.map_lock import MapLock, locked
 from ogm.fusion.mapper import conflict_grid
-from ogm.fusion.measured_velocities import SCAN_AGES, MeasuredVelocities, matched_velocities
-from ogm.fusion.object_tracker import ObjectTracker
-from ogm.fusion.objects import Objects, find_objects
-from ogm.fusion.particles import Step, cell_starts, count_in_cells, no_particles, sort_into_cells
-from ogm.fusion.prediction import move_on, predict_dynamic
-from ogm.fusion.radial import with_radial_velocities
 from ogm.fusion.resample import view_layers
-from ogm.fusion.resampling import GroupVelocities, Moments, group_velocities, resample, weigh_motion
-from ogm.fusion.scan_history import ScanHistory
-from ogm.fusion.threads import Threads, spans
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid

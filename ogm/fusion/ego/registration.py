@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.extras import import_extra
-from ogm.fusion.motion import deskew, extrapolate
+from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.pose import Trajectory, inverse
 
 __all__ = ["METHODS", "odometry"]

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.doppler import RadialVelocities
-from ogm.fusion.dynamic_cells import DynamicCells
-from ogm.fusion.groups import find_groups
-from ogm.fusion.measured_velocities import MeasuredVelocities
-from ogm.fusion.radial_kernels import ellipses, mark_within, nearest_labels, sum_evidence
+from ogm.fusion.dynamic.cells import DynamicCells
+from ogm.fusion.dynamic.groups import find_groups
+from ogm.fusion.dynamic.measured_velocities import MeasuredVelocities
+from ogm.fusion.dynamic.radial_kernels import ellipses, mark_within, nearest_labels, sum_evidence
 from ogm.grid import GridSpec
 
 __all__ = ["radial_evidence", "with_radial_velocities"]

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.dynamic_cells import DynamicCells
+from ogm.fusion.dynamic.cells import DynamicCells
 from ogm.jit import inline, kernel
 
 __all__ = ["ellipses", "mark_within", "nearest_labels", "sum_evidence"]
@@ -92,7 +92,7 @@ def nearest_labels(rows: np.ndarray, label: np.ndarray, out: np.ndarray) -> None
 def sum_evidence(
     rows: np.ndarray, group: np.ndarray, turn_rate: float, information: np.ndarray, weighted: np.ndarray
 ) -> None:
-    """Sum the evidence of detections by group; the formula is that of `ogm.fusion.radial.radial_evidence`.
+    """Sum the evidence of detections by group; the formula is that of `ogm.fusion.dynamic.radial.radial_evidence`.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion.hashed_noise import hashed, index
+from ogm.fusion.dynamic.hashed_noise import hashed, index
 from ogm.jit import inline, kernel
 
 __all__ = ["Particles", "Step", "cell_starts", "count_in_cells", "no_particles", "sort_into_cells"]

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion.dynamic_cells import DynamicCells
+from ogm.fusion.dynamic.cells import DynamicCells
+from ogm.fusion.dynamic.resampling import GroupVelocities, Moments
 from ogm.fusion.resample import view_layers
-from ogm.fusion.resampling import GroupVelocities, Moments
 from ogm.grid import GridSpec
 from ogm.jit import kernel
 

@@ -1,0 +1,1 @@
+"""Dynamic maps: belief in free, static and dynamic, velocities, moving objects and their prediction."""
