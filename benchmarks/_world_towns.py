@@ -12,7 +12,7 @@ from ogm.datasets import Dataset, open_dataset
 from ogm.fusion import map_scans
 from ogm.fusion.pipeline import grid_pose
 from ogm.grid import GridSpec
-from ogm.models.named import NamedModels
+from ogm.models import load_model
 from ogm.simulation.plan import SEQUENCE, DatasetPlan
 from ogm.simulation.static_truth import static_truth
 from ogm.state import Truth
@@ -91,7 +91,7 @@ def parked_cells(part: Dataset, spec: GridSpec) -> NDArray[np.bool_]:
 
 def map_drives(drives: dict[str, Dataset], folder: Path, kinds: Iterable[Scans]) -> dict[Scans, dict[str, Tiles]]:
     """Return the map of each drive alone in tiles, for each way to combine its scans."""
-    model, found = NamedModels("ray", SPEC)(), {kind: dict[str, Tiles]() for kind in kinds}
+    model, found = load_model("ray+radar", SPEC), {kind: dict[str, Tiles]() for kind in kinds}
     for name, part in drives.items():
         worlds = {kind: WorldMap.create(folder / f"{name}-{k}", rule=kind.rule) for k, kind in enumerate(found)}  # type: ignore[arg-type]
         for frame, grid in map_scans(part, model):

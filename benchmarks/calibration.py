@@ -34,7 +34,6 @@ from ogm.geometric import RayISM
 from ogm.metrics import ConfusionSums
 from ogm.models import Calibration
 from ogm.models.fitted import default_parameters
-from ogm.scan import PerMount
 
 SPEC = GridSpec.centered()
 PAIR = "p_miss", "p_false_alarm"
@@ -80,7 +79,7 @@ def defaults(fitted: Calibration) -> dict[str, float]:
 def compared(dataset: Dataset, fitted: Calibration, every: int) -> Evaluation:
     """Evaluate the model by default and fitted."""
     methods = {
-        name: PerMount(lambda mount, numbers=numbers: RayISM(SPEC, mount, **numbers))
+        name: RayISM(SPEC, **numbers)
         for name, numbers in (("default", defaults(fitted)), ("fitted", fitted.parameters))
     }
     return evaluate(methods, dataset, SPEC, frames=range(0, len(dataset), every))

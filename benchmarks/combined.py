@@ -18,7 +18,7 @@ from _quality_record import write
 import argparse
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import Evaluation, evaluate
 from ogm.models.combined import CombinedISM
-from ogm.models.named import COMBINATION, COMBINED, LITE, RAY, load_model, model_factory
-from ogm.scan import InverseSensorModel, PerMount
+from ogm.models.named import COMBINATION, COMBINED, LITE, RAY, load_model
+from ogm.scan import InverseSensorModel
 
 SPEC = GridSpec.centered()
 METRICS = (
@@ -58,18 +58,10 @@ class Once:
         return self.last[1]
 
 
-def methods() -> dict[str, PerMount]:
+def methods() -> dict[str, InverseSensorModel]:
     """Return both parts and all ways to combine them, each scan mapped once by each part."""
-    parts = {name: PerMount(_once(model_factory(name, SPEC, drop_ego_returns=True))) for name in (RAY, LITE)}
-
-    def way(options: dict[str, Any]) -> PerMount:
-        return PerMount(lambda mount: CombinedISM([part.model(mount) for part in parts.values()], **options))
-
-    return {**parts, **{name: way(options) for name, options in WAYS.items()}}
-
-
-def _once(make: Callable[[Mount], InverseSensorModel]) -> Callable[[Mount], Once]:
-    return lambda mount: Once(make(mount))
+    parts = {name: Once(load_model(name, SPEC)) for name in (RAY, LITE)}
+    return {**parts, **{name: CombinedISM(list(parts.values()), **options) for name, options in WAYS.items()}}
 
 
 def recorded(dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:

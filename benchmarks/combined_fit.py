@@ -29,8 +29,8 @@ from scipy.optimize import minimize
 from ogm import GridSpec, Mount
 from ogm.datasets import open_dataset
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
-from ogm.models.named import COMBINATION, LITE, RAY, load_model, model_factory
-from ogm.scan import PerMount, run_model
+from ogm.models.named import COMBINATION, LITE, RAY, load_model
+from ogm.scan import run_model
 from ogm.state import CellState, predict_state
 
 SPEC = GridSpec.centered()
@@ -54,7 +54,7 @@ class Cells(NamedTuple):
 def draw_cells(path: str, drives: str, most: int | None) -> Cells:
     """Map the frames of some validation drives by both models, and draw cells."""
     dataset, rng = open_dataset(path, split="validation"), np.random.default_rng(1)
-    models = [PerMount(model_factory(name, SPEC, drop_ego_returns=True)) for name in (RAY, LITE)]
+    models = [load_model(name, SPEC) for name in (RAY, LITE)]
     wanted, parts = {f"drive {k}" for k in drives_of(drives)}, []
     for number in [k for k, ref in enumerate(dataset.refs) if ref.sequence in wanted][:most]:
         frame = dataset[number]

@@ -42,9 +42,8 @@ from ogm.deep.data import PillarDataset
 from ogm.deep.network import PillarNetwork
 from ogm.deep.recipe import LITE_RECIPE, mean_loss
 from ogm.deep.torch_engine import TorchEngine
-from ogm.evaluation import SingleScanMethod, evaluate
+from ogm.evaluation import evaluate
 from ogm.metrics.ranking import auroc
-from ogm.scan import PerMount, run_model
 from ogm.state import CellState
 
 SPEC = GridSpec.centered()
@@ -110,7 +109,7 @@ class Heads(TorchEngine):
             scan = scan._replace(rays=torch.from_numpy(np.stack(rays)))
         feature_map = self.network.feature_map(scan)
         (part,) = self.network.joined(feature_map)
-        self.last = []
+        self.last.clear()  # the engine on other grids shares the list
         for head in self.heads:
             evidence = head(feature_map, part)
             self.last.append((evidence / (evidence.sum(-1, keepdim=True) + 2)).numpy())
@@ -171,31 +170,26 @@ def resampled(frames: Sequence[HeadInput], seed: int) -> list[HeadInput]:
     return [one for drive in chosen for one in frames if one.drive == drive]
 
 
-def methods(ways: Mapping[str, Heads]) -> dict[str, PerMount]:
-    """Return a sensor model of each, for any mount."""
-
-    def made(engine: Heads) -> PerMount:
-        return PerMount(lambda mount: DeepISM(engine, SPEC, mount))
-
-    return {name: made(engine) for name, engine in ways.items()}
+def methods(ways: Mapping[str, Heads]) -> dict[str, DeepISM]:
+    """Return a sensor model of each."""
+    return {name: DeepISM(engine, SPEC) for name, engine in ways.items()}
 
 
-def scores_of(models: Mapping[str, PerMount], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
+def scores_of(models: Mapping[str, DeepISM], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     """Evaluate the ways, each against the shipped network, and how well numbers tell the wrong cells."""
     result = evaluate(dict(models), dataset, SPEC, frames=list(numbers), draw=lambda *frame: {})
     return {**run.compared(result, "shipped", METRICS), "wrong cells": wrong_cells(models, dataset, numbers)}
 
 
-def wrong_cells(models: Mapping[str, PerMount], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
+def wrong_cells(models: Mapping[str, DeepISM], dataset: Dataset, numbers: Sequence[int]) -> dict[str, Any]:
     """Return the areas under ROC curves for telling known cells whose state is wrong, and the mean unknown of both."""
     names = ("unknown", "smaller mass", "unknown of several", "spread of several")
     counts = {name: np.zeros((2, LEVELS)) for name in names}
     sums = {name: np.zeros((2, 2)) for name in ("shipped", "several")}  # (right, wrong): cells, unknown
-    methods_of = {name: SingleScanMethod(models[name]) for name in sums}
     for i in numbers:
         frame = dataset[i]
-        grids = {name: run_model(method.model, frame) for name, method in methods_of.items()}
-        each = models["several"].model(frame.mount).engine.last
+        grids = {name: models[name](frame.scan) for name in sums}
+        each = models["several"].engine.last
         state = frame.truth.crop(SPEC).state
         known = (state == CellState.FREE) | (state == CellState.OCCUPIED)
         occupied = state[known] == CellState.OCCUPIED

@@ -45,8 +45,7 @@ from ogm.datasets import open_dataset
 from ogm.evaluation import mean_interval
 from ogm.fusion import map_scans
 from ogm.metrics import MotionSums, PredictionSums, motion_curve, score_motion, score_prediction
-from ogm.models import model_factory
-from ogm.scan import PerMount
+from ogm.models import load_model
 
 WITHOUT_VELOCITY = ("motion_ap", "motion_iou", "motion_precision", "motion_recall", "static_moving")
 WITHIN = 35.0  # [m] of KITTI's cells that are evaluated
@@ -56,7 +55,7 @@ Results = dict[str, list[tuple[DriveSums, dict[str, float]]]]  # by map: of ever
 def simulated(path: Path, ism: str, first: int | None, maps: Mapping[str, Callable[[], Any]]) -> Results:
     """Run all maps over simulated drives, also with the scores of `fusion_quality`."""
     dataset = open_dataset(path, split="sequences")
-    model, found = PerMount(model_factory(ism, PAPER)), {}
+    model, found = load_model(ism, PAPER), {}
     sequences = list(dataset.sequences.items())[:first]
     for name, numbers in sequences:
         drive = read_drive(dataset.select(numbers))
@@ -75,7 +74,7 @@ def simulated(path: Path, ism: str, first: int | None, maps: Mapping[str, Callab
 def kitti(path: Path, share: int, maps: Mapping[str, Callable[[], Any]]) -> Results:
     """Run all maps over the recorded drive, with a share of its layers."""
     frames = list(with_layers(list(open_dataset(path)), share))
-    model = PerMount(model_factory("ray", PAPER))
+    model = load_model("ray", PAPER)
     poses = np.array([frame.T_map_sensor @ frame.mount.T_sensor_level for frame in frames])
     grids = [grid for _, grid in map_scans(frames, model)]
     truth = snapshots(frames, poses, grids, WITHIN)

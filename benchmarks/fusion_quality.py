@@ -41,8 +41,7 @@ from ogm.evaluation import mean_interval, ratio_interval
 from ogm.evidence import cumulative, dempster, discount_evidence, normalized_cautious, yager
 from ogm.fusion import BinaryBayesMapper, EvidentialMapper, map_scans
 from ogm.metrics import accumulate, score
-from ogm.models import model_factory
-from ogm.scan import PerMount
+from ogm.models import load_model
 from ogm.state import CellState
 
 INF, EVERY = float("inf"), 5  # EVERY: frames from one comparison with a frame's own truth to the next
@@ -192,7 +191,7 @@ def main() -> None:
     given = parser.parse_args()
     record: dict[str, Any] = {"environment": environment(), "definitions": __doc__}
     dataset = open_dataset(given.drives, split="sequences")
-    ism = PerMount(model_factory(given.ism, PAPER))
+    ism = load_model(given.ism, PAPER)
     found: dict[str, list[dict[str, float]]] = {name: [] for name in MAPS}
     ages: dict[str, NDArray[np.float64]] = {name: np.zeros((MEMORY + 1, 2)) for name in MAPS}
     sequences = dict(list(dataset.sequences.items())[: given.first])

@@ -24,7 +24,7 @@ from ogm import Frame, GridSpec, Mount, Scan
 from ogm.evaluation import compare_paired
 from ogm.fusion import DynamicMapper, update_map
 from ogm.metrics import ConfusionSums, accumulate, distances, score
-from ogm.models.named import sensor_models
+from ogm.models import load_model
 from ogm.pose import inverse, pose
 from ogm.scan import run_model
 from ogm.simulation.cells import measure_ground
@@ -153,7 +153,7 @@ IN_BAND = dict(zip(BANDS, (DISTANCE < APART, DISTANCE >= APART), strict=True))
 
 def over_drive(sequence: int, scans: int, skies: dict[str, Sky]) -> dict[str, Any]:
     """Map a drive by the lidar alone and with radars, in every weather."""
-    models = sensor_models("ray", FAR)
+    models = load_model("ray+radar", FAR)
     maps = {(sky, kind): Compared(kind != "lidar") for sky in skies for kind in ("lidar", "lidar and radar")}
     for here in moments(sequence, scans, skies):
         grids = {sky: run_model(models, frame) for sky, frame in here.lidar.items()}

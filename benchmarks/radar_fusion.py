@@ -30,7 +30,7 @@ from ogm import Frame, open_dataset
 from ogm.evaluation import compare_paired
 from ogm.fusion import DynamicMapper, update_map
 from ogm.metrics import ConfusionSums, accumulate, score, score_motion
-from ogm.models.named import sensor_models
+from ogm.models import load_model
 from ogm.plot import dynamic_panel
 from ogm.plot.movie import open_movie
 from ogm.scan import run_model
@@ -53,13 +53,13 @@ class Measured(NamedTuple):
 
 def measured(frames: Sequence[Frame]) -> list[Measured]:
     """Map every scan by itself."""
-    models = sensor_models("ray", PAPER)
+    models = load_model("ray+radar", PAPER)
     return [Measured(one, run_model(models, one)) for one in frames]
 
 
 def without_doppler(frame: Frame) -> Frame:
     scan = replace(frame.scan, doppler=None)
-    return Frame(scan, frame.mount, None, None, T_map_sensor=frame.T_map_sensor, stamp=frame.stamp)
+    return Frame(scan, frame.mount, T_map_sensor=frame.T_map_sensor, stamp=frame.stamp)
 
 
 def is_radar(frame: Frame) -> bool:
@@ -143,7 +143,7 @@ def drives(path: Path, first: int | None) -> Iterator[tuple[str, list[Frame]]]:
 def film(frames: Sequence[Frame], path: Path) -> None:
     """Draw the lidar's map, the radars' and the dynamic map of both, scan by scan of the lidar."""
     maps = {name: DynamicMapper(WINDOW) for name in MAPS}
-    models, titles = sensor_models("ray", PAPER), ("points of the lidar", *(f"map of {name}" for name in MAPS))
+    models, titles = load_model("ray+radar", PAPER), ("points of the lidar", *(f"map of {name}" for name in MAPS))
     height = frames[0].mount.sensor_height
     large = path.with_stem("large")
     with open_movie(large, PAPER, titles, -height) as movie:

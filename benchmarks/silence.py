@@ -26,7 +26,6 @@ from ogm import Frame, GridSpec, Mount, Scan
 from ogm.fusion import DynamicMapper, rolling_window, update_map
 from ogm.geometric import RayISM
 from ogm.metrics import ConfusionSums, accumulate, distances, score
-from ogm.scan import PerMount, run_model
 from ogm.simulation.lidar import Weather
 from ogm.simulation.moments import set_up
 from ogm.simulation.plan import SEQUENCE, moment
@@ -88,10 +87,10 @@ def compared(one: Drive) -> dict[str, dict[str, ConfusionSums]]:
     near, found = distances(SPEC) < 20.0, {}
     for sky, frames in one.frames.items():
         for way, options in WAYS.items():
-            models = PerMount(lambda mount, options=options: RayISM(SPEC, mount, **options))
+            model = RayISM(SPEC, **options)
             mapper, sums = DynamicMapper(rolling_window(SPEC)), {}
             for k, frame in enumerate(frames):
-                grid = run_model(models, frame)
+                grid = model(frame.scan)
                 update_map(mapper, grid, frame)
                 if (state := one.states.get(k)) is None:
                     continue

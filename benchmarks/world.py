@@ -24,7 +24,7 @@ from ogm.datasets import open_dataset
 from ogm.fusion import EvidentialMapper, map_scans, rolling_window
 from ogm.fusion.pipeline import grid_pose
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.models.named import NamedModels
+from ogm.models import load_model
 from ogm.pose import pose
 from ogm.world import WorldMap, build_world
 from ogm.world.kernels import merge
@@ -54,7 +54,7 @@ def main() -> None:
         record["drive"] = long_drive(scans[0][0], base / "long", 0.5 if options.quick else options.kilometres)
         with WorldMap.create(base / "town") as world:
             start = time.perf_counter()
-            build_world(world, parts, NamedModels("ray", SPEC))
+            build_world(world, parts, load_model("ray+radar", SPEC))
             record["build"] = {
                 "drives": len(parts),
                 "frames": sum(map(len, parts.values())),
@@ -72,7 +72,7 @@ def main() -> None:
 
 def first_scans(frames: Any, count: int) -> Scans:
     """Return measurement grids, their poses and stamps."""
-    model = NamedModels("ray", SPEC)()
+    model = load_model("ray+radar", SPEC)
     return [(grid, grid_pose(frame), float(frame.stamp)) for frame, grid in map_scans(frames[:count], model)]
 
 

@@ -34,12 +34,12 @@ from numpy.typing import NDArray
 
 from ogm.datasets import Dataset, open_dataset
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.models.named import NamedModels
+from ogm.models import load_model
 from ogm.plot import conflict_panel, layer_panel, mass_panel, save_picture
 from ogm.pose import pose
 from ogm.world import Progress, WorldMap, build_world
 
-MODEL = NamedModels("ray", GridSpec.centered())
+MODEL = load_model("ray+radar", GridSpec.centered())
 PARTS = ("town", "workers", "cells")
 PATCH = 256  # [cells] along the side of the part of the town that synthetic tiles repeat
 MEMORY = 200e6  # [byte] of tiles that the large map keeps in memory

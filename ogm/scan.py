@@ -11,7 +11,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property
 from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import check_pose, check_stamp
-from ogm.state import OnDemand, Truth
+from ogm.state import Truth
 
 __all__ = [
-    "Boxes", "Frame", "InverseSensorModel", "Mount", "PerMount", "Scan", "SensorModels", "as_scan", "of_sensor",
-    "run_model",
+    "Boxes", "Frame", "InverseSensorModel", "LazyFrame", "MissingMountError", "Mount", "Scan", "SensorModels",
+    "as_scan", "mount_of", "of_sensor", "run_model",
 ]  # fmt: skip
 
 Value = TypeVar("Value")
@@ -55,11 +55,13 @@ class Scan:
         Name of the sensor.
     doppler_interval : float, optional
         Width of the interval of unambiguous Doppler [m/s]: radial velocities may be wrong by multiples of it.
+    mount : Mount, optional
+        How the sensor is mounted. A `Frame` sets it; a sensor model with a mount of its own uses that instead.
 
     Raises
     ------
     TypeError
-        If `points` is no float array.
+        If `points` is no float array, or `mount` no Mount.
     ValueError
         If `points` is not (N, 4) or (N, 3), a column has not one number per point, `stamp` is no time in seconds, or
         `doppler_interval` is not above 0.
@@ -74,9 +76,12 @@ class Scan:
     rcs: NDArray[np.float32] | None = None
     sensor: str = ""
     doppler_interval: float | None = None
+    mount: "Mount | None" = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", _checked_points(self.points))
+        if self.mount is not None:
+            check_mount(self.mount)
         if self.doppler_interval is not None and not 0 < self.doppler_interval < math.inf:
             raise ValueError(f"doppler_interval must be a width above 0 [m/s], got {self.doppler_interval}")
         if self.stamp is not None:
@@ -362,41 +367,99 @@ class Boxes:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One scan, where it was taken, and what is known of its truth.
-
-    `scan`, `mount`, `boxes` and `truth` may be given as functions without arguments: each is called at its
-    first access, so that a data set reads only what is used, and raises only where something is missed.
+    """One scan, the pose and mount of its sensor, and its labels, if there are any.
 
     Parameters
     ----------
     scan : Scan
+        Its `Scan.mount` becomes that of the frame.
     mount : Mount
-    boxes : Boxes or None
+    boxes : Boxes, optional
         Labelled objects, in the sensor frame; with velocities where they are stated or the objects can be followed.
-    truth : Truth or None
+    truth : Truth, optional
         True states of the cells around the sensor.
     T_map_sensor : (4, 4) float64, optional
         Pose of the sensor; frames of one sequence share a map frame. None where unknown.
     stamp : float, optional
-        [s]. None where unknown.
+        Time of the scan [s]. None where unknown.
     name : str
-        No other frame of the data set has the same.
+        Name of the frame, unique in its dataset.
     sequence : str
-        Frames of one sequence follow each other in time; "" where a frame stands alone.
+        Frames of one sequence follow each other in time; "" for a single frame.
     """
 
-    scan: OnDemand[Scan] = OnDemand()
-    mount: OnDemand[Mount] = OnDemand()
-    boxes: OnDemand[Boxes | None] = OnDemand()
-    truth: OnDemand[Truth | None] = OnDemand()
+    scan: Scan
+    mount: Mount
+    boxes: Boxes | None = None
+    truth: Truth | None = None
     T_map_sensor: NDArray[np.float64] | None = None
     stamp: float | None = None
     name: str = ""
     sequence: str = ""
 
+    def __post_init__(self) -> None:
+        if self.scan.mount != self.mount:
+            object.__setattr__(self, "scan", replace(self.scan, mount=self.mount))
+
     def __repr__(self) -> str:
         where = f" of {self.sequence}" if self.sequence else ""
         return f"Frame({self.name!r}{where})"
+
+
+class LazyFrame(Frame):
+    """A frame whose scan, mount, boxes and truth are read at the first access, and kept.
+
+    So a dataset reads only what is used, and an error is raised only where its cause matters.
+
+    Parameters
+    ----------
+    scan, mount, boxes, truth : function
+        Without arguments; each returns the attribute of its name.
+    T_map_sensor, stamp, name, sequence
+        See `Frame`.
+    """
+
+    def __init__(
+        self,
+        scan: Callable[[], Scan],
+        mount: Callable[[], Mount],
+        boxes: Callable[[], Boxes | None] = lambda: None,
+        truth: Callable[[], Truth | None] = lambda: None,
+        *,
+        T_map_sensor: NDArray[np.float64] | None = None,  # noqa: N803
+        stamp: float | None = None,
+        name: str = "",
+        sequence: str = "",
+    ) -> None:
+        self.__dict__.update(_scan=scan, _mount=mount, _boxes=boxes, _truth=truth)
+        self.__dict__.update(T_map_sensor=T_map_sensor, stamp=stamp, name=name, sequence=sequence)
+
+    @cached_property
+    def scan(self) -> Scan:
+        """The scan; without a mount where that is not known: accessing `mount` states why."""
+        scan: Scan = self.__dict__["_scan"]()
+        try:
+            return replace(scan, mount=self.mount)
+        except (ValueError, TypeError, OSError):
+            return scan
+
+    @cached_property
+    def mount(self) -> Mount:
+        """The mount of the sensor."""
+        mount: Mount = self.__dict__["_mount"]()
+        return mount
+
+    @cached_property
+    def boxes(self) -> Boxes | None:
+        """Labelled objects."""
+        boxes: Boxes | None = self.__dict__["_boxes"]()
+        return boxes
+
+    @cached_property
+    def truth(self) -> Truth | None:
+        """True states of the cells."""
+        truth: Truth | None = self.__dict__["_truth"]()
+        return truth
 
 
 @runtime_checkable
@@ -417,45 +480,49 @@ class InverseSensorModel(Protocol):
         ...
 
 
-class PerMount:
-    """A sensor model for every mount, for pipelines over frames whose sensors are mounted differently.
+SensorModels = InverseSensorModel | Mapping[str, InverseSensorModel]
 
-    It can be pickled, for other processes, if its functions can.
+
+class MissingMountError(ValueError):
+    """Neither a sensor model nor the scan it maps has a mount."""
+
+
+def check_mount(mount: object) -> None:
+    """Raise TypeError if something is no `Mount`."""
+    if not isinstance(mount, Mount):
+        raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+
+
+def mount_of(scan: Scan, mount: Mount | None = None) -> Mount:
+    """Return the mount by which a model maps a scan: the model's own, else the scan's.
 
     Parameters
     ----------
-    factory : function
-        ``mount -> model``. Its last models are kept.
-    radar : function, optional
-        ``(mount, sensor) -> model`` for the scans of radars, those that have `Scan.rcs`, by the sensor's name. By
-        default they are mapped as all others.
+    scan : Scan
+    mount : Mount, optional
+        The model's own.
+
+    Raises
+    ------
+    MissingMountError
+        If there is neither.
     """
-
-    def __init__(
-        self,
-        factory: Callable[[Mount], InverseSensorModel],
-        radar: Callable[[Mount, str], InverseSensorModel] | None = None,
-    ) -> None:
-        self.factory: Callable[[Mount], InverseSensorModel] = factory
-        self.model: Callable[[Mount], InverseSensorModel] = lru_cache(maxsize=8)(factory)
-        self.radar: Callable[[Mount, str], InverseSensorModel] | None = None
-        if radar is not None:
-            self.radar = lru_cache(maxsize=16)(radar)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return PerMount, (self.factory, getattr(self.radar, "__wrapped__", None))
-
-
-SensorModels = InverseSensorModel | PerMount | Mapping[str, InverseSensorModel | PerMount]
+    found = scan.mount if mount is None else mount
+    if found is None:
+        raise MissingMountError(
+            "the mount of the sensor is not known: give the model or the Scan mount=Mount(sensor_height=...) [m], "
+            "or open_dataset sensor_height"
+        )
+    return found
 
 
 def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
-    """Map the scan of a frame, by a model or by the model for the frame's mount.
+    """Map the scan of a frame.
 
     Parameters
     ----------
-    ism : callable with `spec`, PerMount, or mapping of str to these
-        A mapping has one for each `Scan.sensor`; that of "" is for sensors without one of their own.
+    ism : callable with `spec`, or mapping of str to these
+        A mapping has a model for each `Scan.sensor`; that of "" is for sensors without one of their own.
     frame : Frame
 
     Raises
@@ -463,12 +530,12 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
     ValueError
         If a mapping has none for the frame's sensor.
     """
-    one = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
-    if not isinstance(one, PerMount):
-        return one(frame.scan)
-    of_radar = one.radar is not None and frame.scan.rcs is not None
-    model = one.radar(frame.mount, frame.scan.sensor) if of_radar else one.model(frame.mount)  # type: ignore[misc]
-    return model(frame.scan)
+    model = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
+    try:
+        return model(frame.scan)
+    except MissingMountError:
+        frame.mount  # noqa: B018  its error states why the mount is not known
+        raise
 
 
 def of_sensor(values: Mapping[str, Value], sensor: str, kind: str) -> Value:

@@ -10,51 +10,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ogm.grid import EvidentialGrid, GridSpec
 
-__all__ = ["PARTICIPANT", "CellState", "Motion", "OnDemand", "StateShares", "Truth", "predict_state"]
+__all__ = ["PARTICIPANT", "CellState", "LazyTruth", "Motion", "StateShares", "Truth", "predict_state"]
 
 PARTICIPANT = 255  # in `Truth.height_cm`: the cell belongs to the box of a traffic participant
 EPS_CELL = 1e-9  # [cells] added so that rounding does not decide where the edges of two grids coincide
-
-T_co = TypeVar("T_co")
-
-
-class OnDemand(Generic[T_co]):
-    """A field of a dataclass that may be given as a function without arguments: called at the first access.
-
-    Parameters
-    ----------
-    default : optional
-        Of the field; without it, the field must be given.
-    """
-
-    name: str
-
-    def __init__(self, *default: T_co) -> None:
-        self.default = default
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = f"_{name}"
-
-    def __get__(self, instance: Any, owner: type | None = None) -> T_co:
-        if instance is None:  # dataclasses ask the class for the default
-            if not self.default:
-                raise AttributeError(self.name[1:])
-            return self.default[0]
-        value: Any = instance.__dict__[self.name]
-        if callable(value):
-            value = instance.__dict__[self.name] = value()
-        field: T_co = value
-        return field
-
-    def __set__(self, instance: Any, value: T_co | Callable[[], T_co]) -> None:
-        instance.__dict__[self.name] = value
 
 
 class CellState(IntEnum):
@@ -155,8 +121,7 @@ class Truth:
         `PARTICIPANT` in all cells of a traffic participant's box; without meaning in other cells. None where heights
         are not known.
     motion : Motion, optional
-        None where the motion of objects is not known. May be given as a function without arguments: it is called at
-        the first access.
+        None where the motion of objects is not known.
 
     Raises
     ------
@@ -169,7 +134,7 @@ class Truth:
     spec: GridSpec
     state: NDArray[np.uint8]
     height_cm: NDArray[np.uint8] | None = None
-    motion: OnDemand[Motion | None] = OnDemand(None)
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         for name, array in (("state", self.state), ("height_cm", self.height_cm)):
@@ -182,9 +147,9 @@ class Truth:
                 raise ValueError(f"{name} has shape {array.shape}, but the spec has {self.spec.shape} cells")
         if self.state.size and self.state.max() > CellState.IGNORE:
             raise ValueError(f"a state must be 0 unknown, 1 free, 2 occupied or 3 ignore, got {int(self.state.max())}")
-        given = self.__dict__["_motion"]
-        if isinstance(given, Motion) and given.box.shape != self.spec.shape:
-            raise ValueError(f"motion has shape {given.box.shape}, but the spec has {self.spec.shape} cells")
+        motion = self.__dict__.get("motion")  # that of a LazyTruth is not read here
+        if motion is not None and motion.box.shape != self.spec.shape:
+            raise ValueError(f"motion has shape {motion.box.shape}, but the spec has {self.spec.shape} cells")
 
     def __repr__(self) -> str:
         shares = ", ".join(f"{name} {share:.1%}" for name, share in self.shares()._asdict().items())
@@ -270,7 +235,7 @@ class Truth:
             box[inside] = motion.box[at]
             return Motion(velocity, box)
 
-        return Truth(spec, state, height, self._motion_after(cut))
+        return self._changed(spec, state, height, cut)
 
     def mirrored(self) -> "Truth":
         """Return the scene with left and right exchanged: y becomes -y, and so do velocities along it."""
@@ -282,13 +247,45 @@ class Truth:
             velocity = motion.velocity[:, ::-1] * np.array([1, -1], np.float32)
             return Motion(velocity, np.ascontiguousarray(motion.box[:, ::-1]))
 
-        return Truth(spec, np.ascontiguousarray(self.state[:, ::-1]), height, self._motion_after(mirror))
+        return self._changed(spec, np.ascontiguousarray(self.state[:, ::-1]), height, mirror)
 
-    def _motion_after(self, change: Callable[[Motion], Motion]) -> Callable[[], Motion | None] | None:
-        """Return what changes the motion when it is first asked for, so that it costs nothing before."""
-        if self.__dict__["_motion"] is None:
-            return None
-        return lambda: None if self.motion is None else change(self.motion)
+    def _changed(
+        self,
+        spec: GridSpec,
+        state: NDArray[np.uint8],
+        height_cm: NDArray[np.uint8] | None,
+        change: Callable[[Motion], Motion],
+    ) -> "Truth":
+        """Return a changed truth; its motion is changed at the first access, so that it costs nothing before."""
+        return LazyTruth(spec, state, height_cm, lambda: None if self.motion is None else change(self.motion))
+
+
+class LazyTruth(Truth):
+    """A truth whose motion is found at the first access, and kept. Pickled, it becomes a `Truth`.
+
+    Parameters
+    ----------
+    spec, state, height_cm
+        See `Truth`.
+    motion : function
+        Without arguments; returns the motion or None.
+    """
+
+    def __init__(
+        self,
+        spec: GridSpec,
+        state: NDArray[np.uint8],
+        height_cm: NDArray[np.uint8] | None,
+        motion: Callable[[], Motion | None],
+    ) -> None:
+        self.__dict__.update(spec=spec, state=state, height_cm=height_cm, _motion=motion)
+        self.__post_init__()
+
+    @cached_property
+    def motion(self) -> Motion | None:
+        """The true motion of every cell."""
+        motion: Motion | None = self.__dict__["_motion"]()
+        return motion
 
 
 def _cells(x: NDArray[np.float64], x0: float, resolution: float) -> NDArray[np.float64]:

@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 from ogm import EvidentialGrid, GridSpec, Mount, Scan
 from ogm.cli import app
 from ogm.geometric import RadarISM, RayISM
-from ogm.models.named import sensor_models
+from ogm.models.named import load_model, with_radar
 from ogm.pose import pose
-from ogm.scan import Frame, PerMount, run_model
+from ogm.scan import Frame, run_model
 from ogm.simulation.detections import PlacedSweep, RadarSweep
 from ogm.simulation.mounts import radars_at
 from ogm.simulation.plan import DatasetPlan
@@ -108,7 +108,7 @@ def test_a_sensor_that_is_not_there_is_refused_by_name(data: Path, tmp_path: Pat
 
 
 def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
-    models = sensor_models("ray", SPEC)
+    models = load_model(with_radar("ray"), SPEC)
     mount = Mount(0.6, pose(2.0, 0, 0.6))
     points = np.array([[20.0, 0, 0, 0]], np.float32)
     echo = np.zeros(1, np.float32)
@@ -127,10 +127,10 @@ def test_scans_with_cross_sections_go_to_the_model_of_radars() -> None:
     np.testing.assert_array_equal(run_model(models, radar).mass, expected(radar.scan).mass)
     np.testing.assert_array_equal(run_model(models, lidar).mass, RayISM(SPEC, mount)(lidar.scan).mass)
     # without a model of their own, radars are mapped as all others
-    plain = PerMount(lambda mount: RayISM(SPEC, mount))
+    plain = load_model("ray", SPEC)
     np.testing.assert_array_equal(run_model(plain, radar).mass, RayISM(SPEC, mount)(radar.scan).mass)
     # one name for all scans, and names that are none
-    only = sensor_models("radar", SPEC)
+    only = load_model("radar", SPEC)
     np.testing.assert_array_equal(run_model(only, radar).mass, expected(radar.scan).mass)
     with pytest.raises(ValueError, match="no sensor model of radars 'ray'"):
-        sensor_models("ray+ray", SPEC)
+        load_model("ray+ray", SPEC)

@@ -17,7 +17,7 @@ from ogm.geometric import HeightBandISM, RayISM
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.models import named as models
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
-from ogm.models.named import COMBINATION, default_model, load_model, model_factory
+from ogm.models.named import COMBINATION, default_model, load_model
 from ogm.scan import InverseSensorModel, Mount, Scan
 
 few = settings(max_examples=40, deadline=None)
@@ -235,7 +235,7 @@ def test_the_named_model_combines_ray_and_lite():
     spec, mount = GridSpec.centered(length=12.8, width=12.8, resolution=0.16), Mount(1.9)
     scan = Scan(np.random.default_rng(0).uniform((-6, -6, -1.9, 0), (6, 6, 0, 0.2), (9000, 4)).astype(np.float32))
     whole = load_model("combined", spec, mount)(scan)
-    parts = [model_factory(name, spec)(mount) for name in ("ray", "lite")]
+    parts = [load_model(name, spec, mount) for name in ("ray", "lite")]
     np.testing.assert_allclose(whole.mass, CombinedISM(parts, **COMBINATION)(scan).mass, atol=1e-5)
     EvidentialGrid(spec, whole.mass)
 

@@ -38,6 +38,7 @@ from ogm.live import (
     warm_up,
 )
 from ogm.pose import inverse, pose
+from ogm.scan import LazyFrame
 
 SPEC = GridSpec(0.5, (20, 16), (-5.0, -4.0))
 MOUNT = Mount(1.8, pose(1.2, 0.1, 1.8, yaw=0.2))
@@ -317,7 +318,7 @@ def test_slow_reading_drops_scans_unread_and_keeps_the_latency() -> None:
             return frame(k).scan
 
         whole = frame(k, period=0.01)
-        return Frame(scan, MOUNT, None, None, T_map_sensor=whole.T_map_sensor, stamp=whole.stamp, name=str(k))
+        return LazyFrame(scan, lambda: MOUNT, T_map_sensor=whole.T_map_sensor, stamp=whole.stamp, name=str(k))
 
     report = serve([slow(k) for k in range(100)], LShape(), mapper(), ignore, rate=1.0)
     assert report.mapped + report.dropped == 100
@@ -345,7 +346,7 @@ def test_damaged_frames_are_counted_and_left_out() -> None:
     def damaged() -> Scan:
         raise OgmError("it is cut short")
 
-    bad = Frame(damaged, MOUNT, None, None, T_map_sensor=np.eye(4), stamp=0.05, name="bad", sequence="drive")
+    bad = LazyFrame(damaged, lambda: MOUNT, T_map_sensor=np.eye(4), stamp=0.05, name="bad", sequence="drive")
     placeless = Frame(frame(1).scan, MOUNT, None, None, stamp=0.07, name="placeless", sequence="drive")
     for rate in (None, 1.0):
         errors, fused = {}, mapper()

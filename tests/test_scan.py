@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from ogm import Boxes, EvidentialGrid, Frame, GridSpec, InverseSensorModel, Mount, Scan
+from ogm.models import load_model
 from ogm.pose import inverse, pose
-from ogm.scan import PerMount, as_scan, run_model
+from ogm.scan import LazyFrame, MissingMountError, as_scan, mount_of, run_model
 
 POINTS = np.arange(20, dtype=np.float32).reshape(5, 4)
 SPEC = GridSpec.centered(8.0, 8.0, 0.5)
@@ -220,18 +221,20 @@ def test_what_are_no_boxes_is_refused(columns: dict[str, Any], message: str) -> 
 # --- Frame ----------------------------------------------------------------------------------------
 
 
-def test_fields_given_as_functions_are_called_once_and_only_when_asked_for() -> None:
+def test_a_lazy_frame_reads_once_and_only_when_asked() -> None:
     calls: list[str] = []
 
     def give(name: str, value: Any) -> Any:
         return lambda: calls.append(name) or value
 
     scan = Scan(POINTS)
-    frame = Frame(give("scan", scan), give("mount", Mount(1.7)), give("boxes", None), give("truth", None), name="007")
+    parts = (give("scan", scan), give("mount", Mount(1.7)), give("boxes", None), give("truth", None))
+    frame = LazyFrame(*parts, name="007")
     assert repr(frame) == "Frame('007')"
     assert calls == []
-    assert frame.scan is frame.scan is scan
-    assert frame.mount is frame.mount
+    assert frame.scan is frame.scan
+    assert frame.scan.points is scan.points
+    assert frame.scan.mount is frame.mount is frame.mount
     assert calls == ["scan", "mount"]
     assert frame.boxes is None
     assert frame.truth is frame.boxes
@@ -250,16 +253,31 @@ def test_a_field_that_cannot_be_read_raises_at_every_access() -> None:
     def broken() -> Scan:
         raise ValueError("damaged")
 
-    frame = Frame(broken, Mount(1.7), None, None)
+    frame = LazyFrame(broken, lambda: Mount(1.7))
     for _ in range(2):
         with pytest.raises(ValueError, match="damaged"):
             frame.scan  # noqa: B018
     assert frame.mount == Mount(1.7)
 
 
-def test_a_frame_needs_its_first_four_fields() -> None:
-    with pytest.raises(TypeError, match="truth"):
-        Frame(Scan(POINTS), Mount(1.7), None)
+def test_a_frame_gives_its_mount_to_its_scan() -> None:
+    for scan in (Scan(POINTS), Scan(POINTS, mount=Mount(3.0))):
+        assert Frame(scan, Mount(1.7)).scan.mount == Mount(1.7)
+    with pytest.raises(TypeError, match=r"mount must be an ogm.Mount, got 1.7"):
+        Scan(POINTS, mount=1.7)
+
+
+def test_a_scan_can_be_read_where_its_mount_is_not_known() -> None:
+    def unknown() -> Mount:
+        raise ValueError("no scan shows the ground")
+
+    frame = LazyFrame(lambda: Scan(POINTS), unknown)
+    assert frame.scan.mount is None
+    with pytest.raises(ValueError, match="no scan shows the ground"):
+        run_model(ConstantModel(), frame)
+    with pytest.raises(MissingMountError, match="the mount of the sensor is not known"):
+        ConstantModel()(frame.scan)
+    assert run_model(ConstantModel(Mount(2.0)), frame).free.max() == pytest.approx(0.2)
 
 
 # --- Models ---------------------------------------------------------------------------------------
@@ -268,16 +286,17 @@ def test_a_frame_needs_its_first_four_fields() -> None:
 class ConstantModel:
     """Gives every cell the sensor height's tenth as mass of free."""
 
-    def __init__(self, mount: Mount) -> None:
-        self.spec, self.height = SPEC, mount.sensor_height
+    def __init__(self, mount: Mount | None = None) -> None:
+        self.spec, self.mount = SPEC, mount
 
     def __call__(self, scan: Scan) -> EvidentialGrid:
         assert isinstance(scan, Scan)
-        return EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (self.height / 10, 0), np.float32))
+        height = mount_of(scan, self.mount).sensor_height
+        return EvidentialGrid(SPEC, np.full((*SPEC.shape, 2), (height / 10, 0), np.float32))
 
 
 def frame_at(height: float) -> Frame:
-    return Frame(Scan(POINTS), Mount(height), None, None)
+    return Frame(Scan(POINTS), Mount(height))
 
 
 def test_any_callable_with_a_spec_is_a_model() -> None:
@@ -287,14 +306,18 @@ def test_any_callable_with_a_spec_is_a_model() -> None:
     assert run_model(model, frame_at(5.0)).free.max() == pytest.approx(0.2)
 
 
-def test_a_model_per_mount_is_made_once_for_each_mount() -> None:
-    made: list[Mount] = []
-
-    def factory(mount: Mount) -> ConstantModel:
-        made.append(mount)
-        return ConstantModel(mount)
-
-    models = PerMount(factory)
-    heights = [run_model(models, frame_at(height)).free.max() for height in (1.0, 3.0, 1.0, 3.0)]
+def test_a_model_without_a_mount_takes_that_of_each_scan() -> None:
+    heights = [run_model(ConstantModel(), frame_at(height)).free.max() for height in (1.0, 3.0, 1.0, 3.0)]
     assert heights == pytest.approx([0.1, 0.3, 0.1, 0.3])
-    assert made == [Mount(1.0), Mount(3.0)]
+
+
+@pytest.mark.parametrize("name", ["ray", "height-band", "radar", "lite", "deep-radar", "combined"])
+def test_a_models_own_mount_wins_over_the_scans(name: str) -> None:
+    spec = GridSpec.centered(length=10.24, width=10.24, resolution=0.16)
+    points = np.random.default_rng(1).uniform((-4, -4, -2, 0.1), (4, 4, 0, 0.2), (4000, 4)).astype(np.float32)
+    one, two = Mount(1.7, pose(0.5, 0.2, 1.7)), Mount(1.9, pose(-0.5, 0.1, 1.9))
+    with_mount, without = load_model(name, spec, one), load_model(name, spec)
+    expected = with_mount(Scan(points)).mass
+    np.testing.assert_array_equal(with_mount(Scan(points, mount=two)).mass, expected)
+    np.testing.assert_array_equal(without(Scan(points, mount=one)).mass, expected)
+    assert not np.array_equal(without(Scan(points, mount=two)).mass, expected)

@@ -115,10 +115,10 @@ RESULTS: dict[str, Callable[[Path], None]] = {
 def test_the_own_sensor_model_of_the_tutorial_marks_the_wall_of_the_yard(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "examples"))
     from own_sensor_model import CountISM
-    from yard import MOUNT, YARD, frames
+    from yard import YARD, frames
 
     spec, scan = GridSpec.centered(length=40.0, width=40.0, resolution=0.5), next(frames(1)).scan
-    own, ray = (model(scan) for model in (CountISM(spec, MOUNT), RayISM(spec, MOUNT)))
+    own, ray = (model(scan) for model in (CountISM(spec), RayISM(spec)))
     x, y = spec.cell_centers
     distance = np.hypot(x, y)
     wall = np.abs(distance - YARD) < 0.2

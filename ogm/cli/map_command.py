@@ -18,7 +18,7 @@ from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
-    from ogm.scan import InverseSensorModel, PerMount
+    from ogm.scan import InverseSensorModel
 
 DEMO_SCANS = {  # output: file, axes (Velodyne: y forward, x right), height by the ground returns [m], cells shown
     "ogm-demo": ("vls128_road.pcd.xz", ("+y", "-x", "+z"), 1.98, slice(None), slice(None)),
@@ -172,18 +172,18 @@ def map_(
 
 def _model(
     name: str, spec: "GridSpec", height: float | None, position: tuple[float, float, float] | None
-) -> "InverseSensorModel | PerMount":
-    """Return the model for every mount; the released one has its own."""
-    from ogm.models.named import RELEASED, model_factory, sensor_models
+) -> "InverseSensorModel":
+    """Return the model by the options; the released one has its own mount."""
+    from ogm.models.named import RELEASED, load_model, with_radar
     from ogm.pose import pose
     from ogm.scan import Mount
 
     if name != RELEASED:
-        return sensor_models(name, spec)
+        return load_model(with_radar(name), spec)
     if height is not None:
         raise ValueError(f"{RELEASED} has a mount of 1.61 m built in; leave out --sensor-height")
     mount = Mount(1.61) if position is None else Mount(1.61, pose(*position), points_in="vehicle")
-    return model_factory(name, spec)(mount)
+    return load_model(name, spec, mount)
 
 
 def _cells(spec: "GridSpec") -> str:

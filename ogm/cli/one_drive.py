@@ -17,13 +17,18 @@ from ogm.fusion import covering_window, fuse, make_mapper, rolling_window
 from ogm.grid import GridSpec
 from ogm.io.grids import GridLog, write_grid
 from ogm.io.logs import LOG_ENDINGS
-from ogm.models.named import sensor_models
+from ogm.models.named import load_model, with_radar
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
+from ogm.scan import InverseSensorModel
 
 __all__ = ["FuseInto", "FuseOptions", "Outputs", "fuse_drive", "load_models"]
 
-load_models = lru_cache(1)(sensor_models)
+
+@lru_cache(1)
+def load_models(name: str, spec: GridSpec) -> InverseSensorModel:
+    """Return the model of a name for all sensors; that of the last name is kept."""
+    return load_model(with_radar(name), spec)
 
 
 @dataclass(frozen=True)

@@ -79,14 +79,15 @@ def serve(
     from ogm.grid import GridSpec
     from ogm.live import FoxglovePublisher, receive_frames, return_large_blocks, warm_up
     from ogm.live import serve as served
-    from ogm.models.named import sensor_models
+    from ogm.models.named import load_model, with_radar
     from ogm.scan import Mount
 
     if (scans is None) == (listen is None):
         raise ValueError("give scans to play, or --listen for those of a driver: one of the two")
     return_large_blocks()
     spec, stop = GridSpec.centered(length, width, resolution), Event()
-    model, mapper = sensor_models(ism, spec), make_mapper(rule or "cautious", rolling_window(spec), half_life)
+    model = load_model(with_radar(ism), spec)
+    mapper = make_mapper(rule or "cautious", rolling_window(spec), half_life)
     frames: Iterable[Frame]
     with ExitStack() as stack:
         if scans is not None:

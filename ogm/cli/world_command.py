@@ -75,13 +75,13 @@ def build(
     may use it is taken from AWS_ENDPOINT_URL, AWS_ACCESS_KEY_ID, ... of the environment.
     """
     from ogm.grid import GridSpec
-    from ogm.models.named import NamedModels, sensor_models
+    from ogm.models.named import load_model, with_radar
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):
         raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
     spec = GridSpec.centered(length, width, resolution)
-    sensor_models(ism, spec)  # refuses what is none, before any work
+    model = load_model(with_radar(ism), spec)
     drives: dict[str, Any] = {}
     for n, path in enumerate(datasets):
         add_drives(drives, path, _open(path, axes, poses[n] if poses else None, calib, rate))
@@ -97,8 +97,7 @@ def build(
             drive_reliability=drive_reliability,
         )
     with world, _progress() as show:
-        make: Any = NamedModels(ism, spec)
-        build_world(world, drives, make, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
+        build_world(world, drives, model, length=submap_length, workers=workers, scheduler=scheduler, progress=show)
         world.build_overviews()
         _print(world)
 

@@ -31,8 +31,8 @@ from ogm.io import Axes
 from ogm.io.axes import rotation_to_flu
 from ogm.io.logs import LOG_ENDINGS
 from ogm.pose import Trajectory
-from ogm.scan import Frame
-from ogm.state import Truth
+from ogm.scan import Frame, LazyFrame
+from ogm.state import LazyTruth, Truth
 from ogm.storage.files import OgmError
 from ogm.storage.remote import ObjectPath, as_path, is_remote
 
@@ -125,12 +125,12 @@ class Dataset(Sequence[Frame]):
         k = self._numbers[n]
         ref, reader = self.layout.frames[k], self.reader
         scan, mount, boxes = partial(reader.scan, k), partial(reader.mount, k), partial(self._motion.boxes, k)
-        return Frame(scan, mount, boxes, partial(self._moving_truth, k), **ref._asdict())
+        return LazyFrame(scan, mount, boxes, partial(self._moving_truth, k), **ref._asdict())
 
     def _moving_truth(self, k: int) -> Truth:
         """Return the truth of a frame, whose motion is found when it is first asked for."""
         truth = self._truth(k)
-        return replace(truth, motion=partial(self._motion.cells, k, truth.spec))
+        return LazyTruth(truth.spec, truth.state, truth.height_cm, partial(self._motion.cells, k, truth.spec))
 
     def __repr__(self) -> str:
         return f"Dataset({self.name!r}: {len(self)} frames, {self.format})"

@@ -3,7 +3,7 @@
 import logging
 import os
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ogm.deep.engines import load_engine
 from ogm.deep.points import to_ground_frame
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.scan import Mount, Scan, as_scan
+from ogm.scan import Mount, Scan, as_scan, check_mount
 
 if TYPE_CHECKING:
     from ogm.deep.engines import Engine
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from ogm.scan import InverseSensorModel
 
 __all__ = ["DeepISM"]
+
+DEFAULT_MOUNT = Mount(1.9)
+MAX_MOUNTS = 8  # for which a model keeps its parts
 
 _log = logging.getLogger(__name__)
 
@@ -37,11 +40,11 @@ class DeepISM:
         What computes, as `ogm.deep.engines.load_engine` returns it; or a network as `ogm.deep.checkpoint.load_network`
         returns it, for torch.
     spec : GridSpec, optional
-        The grid to fill, in the vehicle frame. By default the grid of the training, around the sensor. Another needs
-        the same resolution; far beyond the extent of the training the network extrapolates.
+        The grid to fill, in the vehicle frame. By default the grid of the training, around the sensor of `mount`.
+        Another needs the same resolution; far beyond the extent of the training the network extrapolates.
     mount : Mount, optional
-        Where the sensor is mounted; by default 1.9 m above ground. Returns from the ego footprint are dropped, and its
-        cells are unknown.
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`, or else 1.9 m above ground. Returns from
+        the ego footprint are dropped, and its cells are unknown.
     description : mapping, optional
         The JSON of the weights; its entry ``seen`` holds the ranges of the training data. By default the engine's.
 
@@ -50,7 +53,6 @@ class DeepISM:
     spec : GridSpec
         The grid that the model fills, in the vehicle frame.
     engine : OnnxEngine or TorchEngine
-        On the same cells, around the sensor.
 
     Raises
     ------
@@ -69,7 +71,7 @@ class DeepISM:
     tenth of the fewest points of the training, or less, gives an unknown grid.
     """
 
-    mount: Mount
+    mount: Mount | None
     description: dict[str, Any]
     spec: GridSpec
 
@@ -81,26 +83,23 @@ class DeepISM:
         *,
         description: Mapping[str, Any] | None = None,
     ) -> None:
-        self.mount = mount = Mount(1.9) if mount is None else mount
-        if not isinstance(mount, Mount):
-            raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+        if mount is not None:
+            check_mount(mount)
+        self.mount = mount
         engine: Any = network if hasattr(network, "masses") else _of_torch(network)
-        self.description = dict(engine.description if description is None else description)
-        self._T, self._ego_footprint = to_ground_frame(mount)
-        x, y = (float(value) for value in mount.origin[:2])
-        default = _moved(engine.spec, x, y)
-        self.spec = default if spec is None else spec
-        if self.spec != default:  # the same cells around the sensor
-            engine = engine.on(_moved(self.spec, -x, -y))
         self.engine = engine
-        self._rays = _ray_model(self.spec, mount) if engine.rays else None
-        self._ego_cells = _cells_of(self.spec, mount.ego_footprint)
+        self.description = dict(engine.description if description is None else description)
+        x, y = (0.0, 0.0) if mount is None else map(float, mount.origin[:2])
+        self.spec = _moved(self.engine.spec, x, y) if spec is None else spec
         ranges = {"points": (0.0, np.inf), "intensity": (0.0, 1.0), "height": (0.0, np.inf)}
         ranges |= self.description.get("seen", {})
-        self._point_range, self._intensity_range, (low, high) = ranges.values()
+        self._point_range, self._intensity_range, self._height_range = ranges.values()
         self._warned: set[str] = set()
-        if not low - 0.1 <= mount.sensor_height <= high + 0.1:
-            self._warn("height", f"sensor_height {mount.sensor_height:g} m, but in training {low:.2f} to {high:.2f} m")
+        self._placed: dict[Mount, _Placed] = {}
+        if mount is not None:
+            self._at(mount)
+        elif self.spec != self.engine.spec:
+            self.engine.on(self.spec)  # raises what is wrong with the grid
 
     @classmethod
     def load(
@@ -158,15 +157,39 @@ class DeepISM:
         if not scans:
             return []
         given = [as_scan(scan) for scan in scans]
-        pillars = [self._pillars(scan.points) for scan in given]
-        rays = None if self._rays is None else [self._rays(scan).mass for scan in given]
-        mass = self.engine.masses(pillars, rays)
+        mounts = [self.mount or scan.mount or DEFAULT_MOUNT for scan in given]
+        if len(set(mounts)) > 1:  # one engine has one place of the sensor in the grid
+            return [self(scan) for scan in given]
+        placed = self._at(mounts[0])
+        pillars = [self._pillars(scan.points, placed) for scan in given]
+        rays = None if placed.rays is None else [placed.rays(scan).mass for scan in given]
+        mass = placed.engine.masses(pillars, rays)
         # The network was not trained on cells under the ego vehicle, nor on scans without points: unknown
-        mass[:, *self._ego_cells] = 0
+        mass[:, *placed.ego_cells] = 0
         mass[[self._has_too_few(one) for one in pillars]] = 0
         return [EvidentialGrid.trusted(self.spec, one) for one in mass]
 
-    def _pillars(self, points: NDArray[np.float32]) -> Any:
+    def __repr__(self) -> str:
+        return f"DeepISM({self.engine!r}, {self.spec}, {self.mount})"
+
+    def _at(self, mount: Mount) -> "_Placed":
+        """Return what a mount decides; that of the last mounts is kept."""
+        if mount not in self._placed:
+            low, high = self._height_range
+            if not low - 0.1 <= mount.sensor_height <= high + 0.1:
+                height = f"sensor_height {mount.sensor_height:g} m, but in training {low:.2f} to {high:.2f} m"
+                self._warn("height", height)
+            x, y = (float(value) for value in mount.origin[:2])
+            around = _moved(self.spec, -x, -y)  # the same cells around the sensor
+            engine = self.engine if self.spec == _moved(self.engine.spec, x, y) else self.engine.on(around)
+            rays = _ray_model(self.spec, mount) if engine.rays else None
+            if len(self._placed) >= MAX_MOUNTS:
+                self._placed.clear()
+            cells = _cells_of(self.spec, mount.ego_footprint)
+            self._placed[mount] = _Placed(*to_ground_frame(mount), engine, rays, cells)
+        return self._placed[mount]
+
+    def _pillars(self, points: NDArray[np.float32], placed: "_Placed") -> Any:
         """Normalise a scan as the training data was: SortedPoints or Pillars, as the engine takes them."""
         most = self._point_range[1]
         if len(points) > 1.2 * most:
@@ -175,7 +198,7 @@ class DeepISM:
             text = f"a scan of {len(points)} points, but in training at most {most:.0f}: such scans are thinned to that"
             self._warn("points", text)
             points = points[np.random.default_rng(0).random(len(points)) < most / len(points)]
-        pillars: Any = self.engine.pillars(points, self._ego_footprint, self._T)
+        pillars: Any = placed.engine.pillars(points, placed.ego_footprint, placed.T)
         self._compare(pillars)
         return pillars
 
@@ -215,6 +238,16 @@ class DeepISM:
         if reason not in self._warned:
             self._warned.add(reason)
             _log.warning("unlike the training data: %s", text)
+
+
+class _Placed(NamedTuple):
+    """The parts of a model that depend on the mount."""
+
+    T: NDArray[np.float64]
+    ego_footprint: tuple[float, float, float, float]
+    engine: Any
+    rays: "InverseSensorModel | None"
+    ego_cells: tuple[slice, slice]
 
 
 def _moved(spec: GridSpec, x: float, y: float) -> GridSpec:

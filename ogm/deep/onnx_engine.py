@@ -1,10 +1,12 @@
 """An exported network, run by ONNX Runtime or by OpenVINO: inference without torch."""
 
 import copy
+import hashlib
 import importlib
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from types import ModuleType
 from typing import Any, Self
 
@@ -83,6 +85,7 @@ class OnnxEngine:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         self._file = file = read_onnx(path)
+        self._options = os.path.abspath(path), runtime, precision, threads
         try:
             if runtime == "openvino":
                 self._session, names = _openvino(file.data, precision, threads)
@@ -96,6 +99,7 @@ class OnnxEngine:
             raise OgmError(f"{path} takes {sorted(names)}, wanted feature_map and, for some networks, sensor_coords")
         self._bearings = "sensor_coords" in names
         self._path = os.fspath(path)
+        self.sha256 = hashlib.sha256(file.data).hexdigest()
         self.description, self.rays = file.description, file.rays
         self.spec = file.spec
         check_sides(self.spec, file.multiple)
@@ -115,6 +119,12 @@ class OnnxEngine:
         other.spec = spec
         other._coords = other._fixed_inputs()
         return other
+
+    def __repr__(self) -> str:
+        return f"OnnxEngine({self.sha256[:16]}, {', '.join(map(str, self._options[1:3]))})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _reopened, (*self._options, self.spec)
 
     def pillars(
         self, points: NDArray[np.float32], ego_footprint: Rectangle, T: NDArray[np.floating[Any]]
@@ -156,6 +166,16 @@ class OnnxEngine:
 
     def _fixed_inputs(self) -> dict[str, NDArray[np.float32]]:
         return {"sensor_coords": np.ascontiguousarray(sensor_coords(self.spec))} if self._bearings else {}
+
+
+@lru_cache(2)
+def _opened(path: str, runtime: str, precision: str, threads: int) -> OnnxEngine:
+    return OnnxEngine(path, runtime=runtime, precision=precision, threads=threads)
+
+
+def _reopened(path: str, runtime: str, precision: str, threads: int, spec: GridSpec) -> OnnxEngine:
+    """Return a pickled engine in another process, which opens its file once."""
+    return _opened(path, runtime, precision, threads).on(spec)
 
 
 def default_threads() -> int:

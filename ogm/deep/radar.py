@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ogm.deep.polar import RadarGrid, RadarNoise, polar_features, view_of, write_masses
 from ogm.deep.radar_onnx import RadarOnnxEngine
 from ogm.grid import EvidentialGrid, GridSpec
-from ogm.scan import Mount, Scan, as_scan
+from ogm.scan import Mount, Scan, as_scan, check_mount
 
 if TYPE_CHECKING:
     from ogm.deep.radar_network import RadarNetwork
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["DeepRadarISM"]
 
 SHIPPED = "radar"  # weights in the package, exported
+DEFAULT_MOUNT = Mount(0.6)
 
 
 class _Engine(Protocol):
@@ -54,7 +55,8 @@ class DeepRadarISM:
         The grid to fill, in the vehicle frame; by default `GridSpec.centered()`. Any resolution: the network's own
         cells are polar.
     mount : Mount, optional
-        Where the sensor is; its x axis points to the middle of the field of view. By default 0.6 m above ground.
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`, or else 0.6 m above ground. Its x axis
+        points to the middle of the field of view.
     noise : RadarNoise, optional
         Field of view, and errors of Doppler and azimuth. Trained with half widths of 60 and 75 degrees.
 
@@ -66,7 +68,7 @@ class DeepRadarISM:
         If a number of `noise` is out of its range.
     """
 
-    mount: Mount
+    mount: Mount | None
     noise: RadarNoise
     spec: GridSpec
 
@@ -77,9 +79,9 @@ class DeepRadarISM:
         mount: Mount | None = None,
         noise: RadarNoise | None = None,
     ) -> None:
-        self.mount = mount = Mount(0.6) if mount is None else mount
-        if not isinstance(mount, Mount):
-            raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+        if mount is not None:
+            check_mount(mount)
+        self.mount = mount
         self.noise = RadarNoise() if noise is None else RadarNoise(*(float(one) for one in noise))
         for name, high in (("half_width", np.pi), ("doppler_noise", 20), ("azimuth_noise", 0.5)):
             if not 0 < getattr(self.noise, name) <= high:
@@ -139,14 +141,18 @@ class DeepRadarISM:
         EvidentialGrid
             Vacuous for a sweep without detections.
         """
-        polar = self.engine.polar
-        features = polar_features(as_scan(scan), self.mount, self.noise, polar)
+        polar, scan = self.engine.polar, as_scan(scan)
+        mount = self.mount or scan.mount or DEFAULT_MOUNT
+        features = polar_features(scan, mount, self.noise, polar)
         mass = np.zeros((*self.spec.shape, 2), np.float32)
         if features[:2].any():
             evidence = self.engine.evidence(features).reshape(2, -1)
-            view = view_of(self.spec, self.mount, self.noise, polar)
+            view = view_of(self.spec, mount, self.noise, polar)
             write_masses(evidence, polar.shape[1], view, mass.reshape(-1, 2))
         return EvidentialGrid.trusted(self.spec, mass)
+
+    def __repr__(self) -> str:
+        return f"DeepRadarISM({self.engine!r}, {self.spec}, {self.mount}, {self.noise})"
 
 
 def _of_torch(network: Any) -> _Engine:

@@ -1,7 +1,9 @@
 """An exported network of radar, run by ONNX Runtime: inference without torch."""
 
+import hashlib
 import json
 import os
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -49,8 +51,9 @@ class RadarOnnxEngine:
         threads = default_threads() if threads is None else threads
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
-        self._path = os.fspath(path)
+        self._path, self._threads = os.path.abspath(path), threads
         data, metadata = read_metadata(path, FORMAT)
+        self.sha256 = hashlib.sha256(data).hexdigest()
         try:
             self.description: dict[str, Any] = json.loads(metadata["description"])
             place = self.description["spec"]
@@ -68,6 +71,12 @@ class RadarOnnxEngine:
         if names != {"features"}:
             raise OgmError(f"{path} takes {sorted(names)}, wanted features")
 
+    def __repr__(self) -> str:
+        return f"RadarOnnxEngine({self.sha256[:16]})"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _opened, (self._path, self._threads)
+
     def evidence(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return evidence (2, ranges, azimuths) of free and occupied from features (channels, ranges, azimuths)."""
         try:
@@ -77,3 +86,8 @@ class RadarOnnxEngine:
         if result.shape != (2, *self.polar.shape) or result.dtype != np.float32:
             raise OgmError(f"{self._path} gives {result.dtype} {result.shape} on a polar grid of {self.polar.shape}")
         return result
+
+
+@lru_cache(2)
+def _opened(path: str, threads: int) -> RadarOnnxEngine:
+    return RadarOnnxEngine(path, threads=threads)

@@ -20,14 +20,12 @@ from ogm.fusion.factory import DYNAMIC, NUSS
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid
-from ogm.models.named import describe_model, sensor_models
-from ogm.scan import Frame, InverseSensorModel, PerMount, run_model
+from ogm.models.named import describe_model, load_model, with_radar
+from ogm.scan import Frame, InverseSensorModel
 
 __all__ = ["FusedMethod", "Method", "MethodRunner", "PrecomputedGrids", "SingleScanMethod", "as_methods"]
 
-Model = InverseSensorModel | PerMount
 DETECTION = 0.5  # mass above which a scan shows a cell as occupied
-Measure = Callable[[Model], EvidentialGrid]  # a model's grid of the current frame
 
 
 @dataclass(eq=False)
@@ -36,26 +34,27 @@ class SingleScanMethod:
 
     Parameters
     ----------
-    model : InverseSensorModel or PerMount
+    model : InverseSensorModel
     description : str
         One sentence, for the report.
     weights : dict, optional
         File name and SHA-256 of the model's weights.
     """
 
-    model: Model
+    model: InverseSensorModel
     description: str = ""
     weights: Mapping[str, str] | None = None
 
     @classmethod
     def named(cls, name: str, spec: GridSpec) -> "SingleScanMethod":
-        """Return the method of a model of `ogm.models.named`, made for the mount of each frame."""
-        model = sensor_models(name, spec, drop_ego_returns=True)
+        """Return the method of a model by its name, see `ogm.models.load_model`, which maps scans of radars too."""
+        model = load_model(with_radar(name), spec, drop_ego_returns=True)
         return cls(model, *describe_model(name))
 
-    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+    def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None) -> EvidentialGrid:
         """Return the measurement grid of a frame on the evaluated cells."""
-        return resample_to(measure(self.model), spec)
+        assert measured is not None
+        return resample_to(measured, spec)
 
     def state(self) -> str:
         """Return what the results depend on besides the description."""
@@ -68,7 +67,7 @@ class FusedMethod:
 
     Parameters
     ----------
-    model : InverseSensorModel or PerMount
+    model : InverseSensorModel
         Give the same object as to a `SingleScanMethod`, and each scan is mapped once for both.
     new_mapper : function
         Makes the mapper of a sequence.
@@ -76,20 +75,20 @@ class FusedMethod:
         One sentence, for the report.
     """
 
-    model: Model
+    model: InverseSensorModel
     new_mapper: Callable[[], Mapper]
     description: str = ""
     _mapper: Mapper = field(init=False, repr=False)
 
     @classmethod
-    def by_rule(cls, name: str, model: Model, rule: str, spec: GridSpec) -> "FusedMethod":
+    def by_rule(cls, name: str, model: InverseSensorModel, rule: str, spec: GridSpec) -> "FusedMethod":
         """Return a rolling map that fuses by a rule.
 
         Parameters
         ----------
         name : str
             Of the model, for the description.
-        model : InverseSensorModel or PerMount
+        model : InverseSensorModel
         rule : str
             A name in `ogm.fusion.RULES`, ``"bayes"``, ``"dynamic"`` or ``"nuss"``.
         spec : GridSpec
@@ -121,13 +120,13 @@ class FusedMethod:
         """Begin a new map."""
         self._mapper = self.new_mapper()
 
-    def update(self, frame: Frame, measure: Measure) -> None:
-        """Fuse a frame into the map; after a jump of the pose a new map begins."""
+    def update(self, frame: Frame, measured: EvidentialGrid) -> None:
+        """Fuse the measurement grid of a frame into the map; after a jump of the pose a new map begins."""
         self.check("a map", [frame])
-        if update_map(self._mapper, measure(self.model), frame) is not None:
+        if update_map(self._mapper, measured, frame) is not None:
             logging.getLogger(__name__).warning("%s: the pose jumps; a new map begins", frame.name)
 
-    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+    def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None) -> EvidentialGrid:
         """Return the map around the frame that was fused last."""
         return self._mapper.view(spec)
 
@@ -189,7 +188,7 @@ class PrecomputedGrids:
                 f"frames{others}. Grids have the names of their frames"
             )
 
-    def grid(self, frame: Frame, spec: GridSpec, measure: Measure) -> EvidentialGrid:
+    def grid(self, frame: Frame, spec: GridSpec, measured: EvidentialGrid | None = None) -> EvidentialGrid:
         """Read the grid of a frame, on the evaluated cells."""
         path = self.files[frame.name]
         grid = read_grid(path, spec)
@@ -222,12 +221,10 @@ def as_methods(given: Mapping[str, Any], spec: GridSpec) -> dict[str, Method]:
             result[name] = one
         elif isinstance(one, str):
             result[name] = SingleScanMethod.named(one, spec)
-        elif isinstance(one, PerMount) or (callable(one) and hasattr(one, "spec")):
+        elif callable(one) and hasattr(one, "spec"):
             result[name] = SingleScanMethod(one, f"A sensor model in Python ({type(one).__name__}).")
         else:
-            raise TypeError(
-                f"{name} must be a callable with a .spec, a PerMount, a model's name or a method, got {one!r}"
-            )
+            raise TypeError(f"{name} must be a callable with a .spec, a model's name or a method, got {one!r}")
     return result
 
 
@@ -249,44 +246,52 @@ class MethodRunner:
         self.methods, self.spec = methods, spec
         self.fused = [one for one in methods.values() if isinstance(one, FusedMethod)]
         self._sequence: str | None = None
+        self._measured: dict[int, EvidentialGrid] = {}  # of the last frame, by the id of the model
 
-    def update(self, frame: Frame) -> Measure:
-        """Let fused methods take a frame in, in the order of its sequence."""
+    def update(self, frame: Frame, *, evaluated: bool = True) -> None:
+        """Map the scan of a frame, the next of its sequence, once by every model, and fuse it into the maps.
+
+        Parameters
+        ----------
+        frame : Frame
+        evaluated : bool
+            Whether `grids` will be asked for; else only the models of maps are run.
+        """
         if frame.sequence != self._sequence or not frame.sequence:
             self._sequence = frame.sequence
             for method in self.fused:
                 method.reset()
-        found: dict[int, EvidentialGrid] = {}
-
-        def measure(model: Model) -> EvidentialGrid:
-            if id(model) not in found:
-                found[id(model)] = run_model(model, frame)
-            return found[id(model)]
-
+        models = {id(one.model): one.model for one in (self._single if evaluated else []) + self.fused}
+        self._measured = {key: model(frame.scan) for key, model in models.items()}
         for method in self.fused:
-            method.update(frame, measure)
-        return measure
+            method.update(frame, self._measured[id(method.model)])
 
     def grids(self, frame: Frame) -> dict[str, EvidentialGrid]:
-        """Return the grid of every method for a frame, on the evaluated cells."""
-        self._measure = self.update(frame)
-        return {name: one.grid(frame, self.spec, self._measure) for name, one in self.methods.items()}
+        """Return the grid of every method for the frame of the last `update`, on the evaluated cells."""
+        return {name: one.grid(frame, self.spec, self._of(one)) for name, one in self.methods.items()}
 
     def dynamic_grids(self) -> dict[int, tuple[DynamicGrid, NDArray[np.bool_]]]:
-        """Return the dynamic grids of the frame of `grids`, by the places of their methods.
+        """Return the dynamic grids of the last frame, by the places of their methods.
 
         Each with the cells that the scan shows as occupied: a mass of more than 1/2.
         """
         found = {}
         for place, one in enumerate(self.methods.values()):
             if isinstance(one, FusedMethod) and (grid := one.dynamic_grid(self.spec)) is not None:
-                found[place] = grid, resample_to(self._measure(one.model), self.spec).occupied > DETECTION
+                found[place] = grid, resample_to(self._measured[id(one.model)], self.spec).occupied > DETECTION
         return found
+
+    @property
+    def _single(self) -> list[SingleScanMethod]:
+        return [one for one in self.methods.values() if isinstance(one, SingleScanMethod)]
+
+    def _of(self, method: Method) -> EvidentialGrid | None:
+        """Return the measurement grid of a method's model; None if it has no model."""
+        return None if isinstance(method, PrecomputedGrids) else self._measured[id(method.model)]
 
 
 def _object_state(one: Any) -> str:
     """Return an object's repr without addresses, and a hash of the source file of its class or function."""
-    one = one.factory if isinstance(one, PerMount) else one
     home = one if inspect.isroutine(one) else type(one)
     try:
         source = Path(inspect.getfile(home)).read_bytes()

@@ -48,9 +48,8 @@ def evaluate(
     Parameters
     ----------
     methods : dict of str to method
-        By its name in the report: any callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; a
-        `PerMount`, which makes one for the mount of each frame; the name of a model, see `ogm.models.named`;
-        `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`.
+        By its name in the report: any callable with ``.spec`` that maps a `Scan` to an `EvidentialGrid`; the name of a
+        model, see `ogm.models.load_model`; `SingleScanMethod`, `FusedMethod` or `PrecomputedGrids`.
     dataset : sequence of Frame
         Frames with truth, as `ogm.datasets.open_dataset` returns them.
     spec : GridSpec, optional
@@ -98,29 +97,26 @@ def evaluate(
         name: {"description": one.description, "weights": getattr(one, "weights", None)} for name, one in used.items()
     }
     task, alone = FrameTask(used, spec, dataset, draw if out else None), workers == 1 and scheduler is None
-
-    def results(wanted: Sequence[int], cache: ResultCache | None = None) -> Iterator[tuple[int, FrameResult | None]]:
-        return (
-            task.run(wanted, progress, cache) if alone else task.share_out(wanted, progress, cache, workers, scheduler)
-        )
-
     cache: ResultCache | None = None
-    reused = 0
-    rows: Iterable[FrameResult]
+    missing: Sequence[int] = numbers
     with ExitStack() as stack:
-        if out is None:
-            found = results(numbers)
-            rows = (one for _, one in (found if alone else sorted(found)))  # type: ignore[misc]
-        else:
+        if out is not None:
             settings = {"data": data, "methods": facts, "frames": infos, "numbers": numbers}
             cache = _open_cache(Path(out), task, settings, stack)
             missing = cache.missing(numbers)
-            reused = len(numbers) - len(missing)
-            if not reused:
+            if len(missing) == len(numbers):
                 for name in REPORT_FILES:  # of another run: they would look like this one's if it ended early
                     (Path(out) / name).unlink(missing_ok=True)
+        if alone:
+            found = task.run(missing, progress, cache)
+        else:
+            found = task.share_out(missing, progress, cache, workers, scheduler)
+        rows: Iterable[FrameResult]
+        if cache is None:
+            rows = (row for _, row in (found if alone else sorted(found)))  # type: ignore[misc]
+        else:
             try:
-                for _ in results(missing, cache):
+                for _ in found:
                     pass
             except KeyboardInterrupt:
                 kept = f"{cache.count(numbers)} of {len(numbers)} frames are finished and kept"
@@ -131,6 +127,7 @@ def evaluate(
         result = replace(result, motion=motion.result(result.drives))
         if cache is not None:
             cache.note(finished=True)
+        reused = len(numbers) - len(missing)
         return replace(result, data=data, facts=facts, numbers=tuple(numbers), cache=cache, reused=reused)
 
 

@@ -58,8 +58,8 @@ class FrameTask:
         wanted, away = set(numbers), distances(self.spec)
         for number in progress(self._to_read(numbers)):
             frame = self.dataset[number]
+            runner.update(frame, evaluated=number in wanted)
             if number not in wanted:
-                runner.update(frame)
                 continue
             result = self._evaluate(runner, frame, away)
             if cache is not None:
@@ -90,7 +90,7 @@ class FrameTask:
                 yield from found
 
     def _evaluate(self, runner: MethodRunner, frame: Frame, away: NDArray[Any]) -> FrameResult:
-        """Return the result of a frame, which is the next of its sequence."""
+        """Return the result of the frame that the runner has taken in."""
         spec = self.spec
         if frame.truth is None:
             raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")

@@ -15,7 +15,7 @@ from ogm.fusion.factory import Mapper
 from ogm.fusion.update_gate import PoseJump
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
-from ogm.scan import Frame, Scan, SensorModels, of_sensor, run_model
+from ogm.scan import Frame, LazyFrame, Scan, SensorModels, of_sensor, run_model
 
 __all__ = ["FusionStep", "deskew_frame", "fuse", "grid_pose", "map_scans", "update_map"]
 
@@ -43,7 +43,7 @@ def map_scans(
     ----------
     frames : iterable of Frame
         A data set, or any other.
-    ism : callable with `spec`, PerMount, or mapping of str to these
+    ism : callable with `spec`, or mapping of str to these
         The sensor model, ``ism(scan) -> EvidentialGrid``; of several sensors one for each `Scan.sensor`.
     on_error : function
         Called with a frame that is damaged or cannot be mapped, and its error; the frame is left out. By default it is
@@ -106,7 +106,7 @@ def fuse(
     frames : iterable of Frame
         In the order of their stamps; each needs `T_map_sensor` and, unless the map never forgets, `stamp`. Of several
         sensors of a vehicle each has its own poses, and its mount in one vehicle frame.
-    ism : callable with `spec`, PerMount, or mapping of str to these
+    ism : callable with `spec`, or mapping of str to these
         The sensor model, ``ism(scan) -> EvidentialGrid``; of several sensors one for each `Scan.sensor`. Frames of a
         sensor without one are skipped.
     mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
@@ -230,7 +230,7 @@ def deskew_frame(frame: Frame, trajectory: Trajectory) -> Frame:
             poses = Trajectory(poses.stamps, poses.poses @ inverse(frame.mount.T_vehicle_sensor))
         return replace(scan, points=deskew(scan.points, scan.time, poses, frame.stamp))
 
-    return Frame(
+    return LazyFrame(
         read,
         lambda: frame.mount,
         lambda: frame.boxes,

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.geometric.inputs import check_sensor_in_grid, check_within, to_vehicle_frame
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, HeightBand, Points
 from ogm.geometric.kernels.lines import height_band_states, state_mass
 from ogm.grid import EvidentialGrid, GridSpec
@@ -32,8 +32,8 @@ class HeightBandISM:
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
-    mount : Mount
-        Where the sensor is mounted.
+    mount : Mount, optional
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`.
     z_min, z_max : float
         The band [m above ground], 0.5 and 2.0 in the paper.
     evidence : float
@@ -53,7 +53,7 @@ class HeightBandISM:
     """
 
     spec: GridSpec
-    mount: Mount
+    mount: Mount | None = None
     z_min: float = 0.5
     z_max: float = 2.0
     evidence: float = 10.0
@@ -94,12 +94,13 @@ class HeightBandISM:
             Vacuous if no point is in the band.
         """
         log_compilation(height_band_states)
-        mount, fine = self.mount, self.spec.refined(self.supersampling)
+        scan, fine = as_scan(scan), self.spec.refined(self.supersampling)
+        mount = mount_in_grid(scan, self.spec, self.mount)
         x, y, ground = mount.ground_point
 
         # Points in the vehicle frame
         footprint = mount.ego_footprint if self.drop_ego_returns else NO_FOOTPRINT
-        points = Points(*to_vehicle_frame(as_scan(scan).points, mount, footprint).T)
+        points = Points(*to_vehicle_frame(scan.points, mount, footprint).T)
 
         # Returns in the band mark their cells, lines from the sensor clear those before
         i, j = fine.index(x, y)

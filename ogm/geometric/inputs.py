@@ -8,25 +8,34 @@ from numpy.typing import NDArray
 
 from ogm.grid import GridSpec
 from ogm.jit import kernel
-from ogm.scan import Mount
+from ogm.scan import Mount, Scan, check_mount, mount_of
 
-__all__ = ["check_sensor_in_grid", "check_within", "to_vehicle_frame", "usable_points"]
+__all__ = ["check_sensor_in_grid", "check_within", "mount_in_grid", "to_vehicle_frame", "usable_points"]
 
 _log = logging.getLogger(__name__)
 
 _REACH = 1e6  # [m] also keeps what follows from overflowing
 
 
-def check_sensor_in_grid(spec: GridSpec, mount: Mount) -> None:
-    """Refuse what is no mount, and a sensor outside the grid."""
-    if not isinstance(mount, Mount):
-        raise TypeError(f"mount must be an ogm.Mount, got {mount!r}; give Mount(sensor_height=...) [m]")
+def check_sensor_in_grid(spec: GridSpec, mount: Mount | None) -> None:
+    """Raise an error if `mount` is no Mount, or its sensor lies outside the grid; None passes."""
+    if mount is None:
+        return
+    check_mount(mount)
     x, y, _ = mount.ground_point
     if not spec.contains(x, y):
         raise ValueError(
             f"the sensor at x={x:g}, y={y:g} m lies outside the grid {spec.extent}; "
             "move or enlarge the grid so that it holds the sensor"
         )
+
+
+def mount_in_grid(scan: Scan, spec: GridSpec, mount: Mount | None) -> Mount:
+    """Return the mount by which a model maps a scan, see `ogm.scan.mount_of`; that of a scan is checked here."""
+    found = mount_of(scan, mount)
+    if mount is None:
+        check_sensor_in_grid(spec, found)
+    return found
 
 
 def check_within(name: str, value: float, low: float, high: float) -> None:

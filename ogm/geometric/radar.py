@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
-from ogm.geometric.inputs import check_sensor_in_grid, check_within, usable_points
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.jit import log_compilation
@@ -48,9 +48,10 @@ class RadarISM:
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
-    mount : Mount
-        Where the sensor is mounted; its x axis points to the middle of the field of view. Detections in the ego
-        footprint are dropped, its cells stay unknown.
+    mount : Mount, optional
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`.
+        Its x axis points to the middle of the field of view. Detections in the ego footprint are dropped, its cells
+        stay unknown.
     half_width : float
         Half the field of view in azimuth [rad].
     range_noise, azimuth_noise, doppler_noise : float
@@ -78,7 +79,7 @@ class RadarISM:
     """
 
     spec: GridSpec
-    mount: Mount
+    mount: Mount | None = None
     half_width: float = math.radians(60)
     range_noise: float = 0.2
     azimuth_noise: float = math.radians(0.5)
@@ -121,18 +122,19 @@ class RadarISM:
         """
         log_compilation(clear_cells)
         scan = as_scan(scan)
+        mount = mount_in_grid(scan, self.spec, self.mount)
         scan = scan.select(usable_points(scan.points))
-        T = self.mount.T_vehicle_points
+        T = mount.T_vehicle_points
         vehicle = rotate(T[:3, :3], scan.points[:, :3].T.astype(np.float64)) + T[:3, 3:]
         x, y, z = vehicle
-        x0, x1, y0, y1 = self.mount.ego_footprint
+        x0, x1, y0, y1 = mount.ego_footprint
         outside = ~((x > x0) & (x < x1) & (y > y0) & (y < y1))
-        dx, dy = x - self.mount.origin[0], y - self.mount.origin[1]
+        dx, dy = x - mount.origin[0], y - mount.origin[1]
         distance, bearing = np.hypot(dx, dy), np.arctan2(dy, dx)
         outside &= distance > 1e-3
 
         # first detection in each direction
-        layout = _layout(self.spec, self.mount, self.half_width, self.beam)
+        layout = _layout(self.spec, mount, self.half_width, self.beam)
         first = nearest_in_direction(bearing[outside], distance[outside], layout.sectors)
         hidden = distance > first[layout.sectors.of(bearing)] + 2 * self.range_noise + self.margin
 
@@ -141,9 +143,10 @@ class RadarISM:
         until[~np.isfinite(first)] = 0
         clear_cells(layout.sector, layout.distance, until, _free_table(self.free_mass, self.reach, layout.metres), free)
 
-        marks = outside & (z - self.mount.ground_point[2] <= self.clearance)
+        marks = outside & (z - mount.ground_point[2] <= self.clearance)
         if not self.keep_moving:
-            marks &= ~moving_detections(scan, self.doppler_noise, self.azimuth_noise, origin=self._origin_of_points)
+            sensor = np.zeros(3) if mount.points_in == "sensor" else mount.origin
+            marks &= ~moving_detections(scan, self.doppler_noise, self.azimuth_noise, origin=sensor)
         across = np.maximum(distance * self.azimuth_noise, 1e-3)
         peak = self.hit_mass * np.minimum(1, self.extent / (2 * math.pi * self.range_noise * across))
         peak = np.where(hidden, self.behind, 1.0) * peak
@@ -152,11 +155,6 @@ class RadarISM:
         place = np.array([*self.spec.origin, self.spec.resolution, self.range_noise])
         mark_ellipses(rows, place, free, layout.ego, mass)
         return EvidentialGrid.trusted(self.spec, mass)
-
-    @property
-    def _origin_of_points(self) -> NDArray[np.float64]:
-        """Where the sensor is in the frame of the points."""
-        return np.zeros(3) if self.mount.points_in == "sensor" else self.mount.origin
 
 
 class _Layout(NamedTuple):

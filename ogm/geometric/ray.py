@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.ground import GroundEstimate, local_ground, surface_of
-from ogm.geometric.inputs import check_sensor_in_grid, check_within, to_vehicle_frame
+from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, to_vehicle_frame
 from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayNumbers, WorkSpace
 from ogm.geometric.kernels.belief import clear_sectors, ray_mass
 from ogm.geometric.kernels.polar import ROW_BITS, polar_lookup, ray_limits
@@ -42,8 +42,9 @@ class RayISM:
     ----------
     spec : GridSpec
         The grid to fill, in the vehicle frame; must hold the sensor.
-    mount : Mount
-        Where the sensor is mounted. Returns from the ego footprint are dropped, its cells stay unknown.
+    mount : Mount, optional
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`.
+        Returns from the ego footprint are dropped, its cells stay unknown.
     ground : function
         `local_ground`, `flat_ground`, `patchwork_ground` or any other ``(xyz, spec, ground_point) -> height``.
     obstacle_height : float
@@ -87,7 +88,7 @@ class RayISM:
     """
 
     spec: GridSpec
-    mount: Mount
+    mount: Mount | None = None
     ground: GroundEstimate = local_ground
     obstacle_height: float = 0.15
     clearance: float = 2.0
@@ -134,7 +135,8 @@ class RayISM:
             Vacuous for an empty scan.
         """
         log_compilation(clear_sectors)
-        scan, spec, mount = as_scan(scan), self.spec, self.mount
+        scan, spec = as_scan(scan), self.spec
+        mount = mount_in_grid(scan, spec, self.mount)
         numbers = RayNumbers(*(float(getattr(self, name)) for name in RayNumbers._fields))
         origin = mount.origin.astype(np.float32)
         polar, cells = _polar_grid(spec, mount, self.azimuth_step), Cells(*spec.origin, spec.resolution)

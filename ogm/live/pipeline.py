@@ -16,7 +16,7 @@ from ogm.fusion.pipeline import OnError, log_error
 from ogm.live.newest import NewestFrames
 from ogm.live.playback import play, read_ahead
 from ogm.pose import pose
-from ogm.scan import Frame, InverseSensorModel, Mount, PerMount, Scan
+from ogm.scan import Frame, Mount, Scan, SensorModels
 
 __all__ = ["LiveReport", "Publish", "serve", "warm_up"]
 
@@ -55,7 +55,7 @@ class LiveReport(NamedTuple):
 
 def serve(
     frames: Iterable[Frame],
-    ism: InverseSensorModel | PerMount,
+    ism: SensorModels,
     mapper: Mapper,
     publish: Publish,
     *,
@@ -76,7 +76,7 @@ def serve(
     ----------
     frames : iterable of Frame
         A data set, `receive_frames`, or a driver's own generator; each needs `T_map_sensor` and `stamp`.
-    ism : callable with `spec`, or PerMount
+    ism : callable with `spec`, or mapping of str to these
         The sensor model: ``ism(scan) -> EvidentialGrid``.
     mapper : EvidentialMapper or BinaryBayesMapper
         Updated in place.
@@ -152,12 +152,12 @@ def serve(
     return log.report()
 
 
-def warm_up(ism: InverseSensorModel | PerMount, mapper: Mapper, frame: Frame | None = None) -> float:
+def warm_up(ism: SensorModels, mapper: Mapper, frame: Frame | None = None) -> float:
     """Map a frame for nothing, so that kernels are compiled, or loaded, before the first scan; return how long it took.
 
     Parameters
     ----------
-    ism : callable with `spec`, or PerMount
+    ism : callable with `spec`, or mapping of str to these
     mapper : EvidentialMapper or BinaryBayesMapper
         Stays as it is.
     frame : Frame, optional
@@ -177,7 +177,7 @@ def warm_up(ism: InverseSensorModel | PerMount, mapper: Mapper, frame: Frame | N
     spare = copy.deepcopy(mapper)
     spare.reset()
     if frame is None:
-        frame = Frame(Scan(_level_ground(1.8)), Mount(1.8), None, None, T_map_sensor=pose(z=1.8), stamp=0.0)
+        frame = Frame(Scan(_level_ground(1.8)), Mount(1.8), T_map_sensor=pose(z=1.8), stamp=0.0)
     for _ in fuse([frame, frame], ism, spare, on_error=fail):
         pass
     return time.perf_counter() - start

@@ -10,7 +10,7 @@ True
 
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.fitted import Calibration
-from ogm.models.named import MODELS, default_model, describe_model, load_model, model_factory
+from ogm.models.named import MODELS, default_model, describe_model, load_model
 
 __all__ = [
     "MODELS",
@@ -21,5 +21,4 @@ __all__ = [
     "default_model",
     "describe_model",
     "load_model",
-    "model_factory",
 ]

@@ -9,27 +9,27 @@ True
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ogm.grid import GridSpec
+import numpy as np
+from numpy.typing import NDArray
+
+from ogm.grid import EvidentialGrid, GridSpec
 from ogm.models.combined import CombinedISM, FreeGate, StateReliability
 from ogm.models.fitted import Calibration, model_class
-from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, radar_factory
-from ogm.scan import InverseSensorModel, Mount, PerMount
+from ogm.models.radar import DEEP_RADAR, RADAR, RADAR_MODELS, load_radar_model
+from ogm.scan import InverseSensorModel, Mount, Scan, as_scan
 
 __all__ = [
-    "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "NamedModels",
-    "default_model", "describe_model", "load_model", "model_factory",
-    "sensor_models", "short_names",
+    "COMBINATION", "COMBINED", "HEIGHT_BAND", "LITE", "MODELS", "RADAR", "RAY", "RELEASED", "LidarRadarISM",
+    "ReleasedISM", "default_model", "describe_model", "load_model", "short_names", "with_radar",
 ]  # fmt: skip
 
-Factory = Callable[[Mount], InverseSensorModel]
 GEOMETRIC = RAY, HEIGHT_BAND, RELEASED = "ray", "height-band", "height-band-released"
 LITE = "lite"
 COMBINED = "combined"
@@ -74,18 +74,24 @@ def default_model(spec: GridSpec) -> tuple[str, str]:
     return COMBINED, ""
 
 
-def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: bool = False) -> InverseSensorModel:
-    """Return a sensor model by its name, for one mount.
+def load_model(
+    name: str, spec: GridSpec, mount: Mount | None = None, *, drop_ego_returns: bool = False
+) -> InverseSensorModel:
+    """Return a sensor model by its name.
+
+    It can be pickled, for other processes.
 
     Parameters
     ----------
     name : str
         A name in `MODELS`, the path of parameters that ``ogm calibrate`` wrote (``.json``), or that of weights that
-        ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file.
+        ``ogm train`` or ``ogm export`` wrote: a ``.safetensors`` file, a run's folder, or an ``.onnx`` file. Two names
+        with ``+`` between, as in ``ray+radar``, are for a lidar and for radars: see `LidarRadarISM`.
     spec : GridSpec
         The grid to fill. ``height-band-released`` fills cells of twice the side, on the same area.
-    mount : Mount
-        Where the sensor is mounted. ``height-band-released`` has its own height built in.
+    mount : Mount, optional
+        Where the sensor is mounted; by default each scan's own, `Scan.mount`. ``height-band-released`` has its own
+        height built in.
     drop_ego_returns : bool
         Of ``height-band``: ignore returns from the ego footprint, as all other models but the released one do.
 
@@ -96,22 +102,16 @@ def load_model(name: str, spec: GridSpec, mount: Mount, *, drop_ego_returns: boo
     FileNotFoundError
         If there are no such weights.
     """
-    return model_factory(name, spec, drop_ego_returns=drop_ego_returns)(mount)
-
-
-def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) -> Factory:
-    """Return a function ``mount -> model`` for `ogm.scan.PerMount`; weights are read once.
-
-    Parameters and errors as of `load_model`; what depends on the mount is checked when the function is called.
-    """
-    if name == RELEASED:
-        return _released(spec)
+    lidar, plus, radar = name.partition("+")
+    if plus:
+        of_radars = load_radar_model(radar, spec, mount)
+        return LidarRadarISM(load_model(lidar, spec, mount, drop_ego_returns=drop_ego_returns), of_radars)
     if name in RADAR_MODELS:
-        of_radar = radar_factory(name, spec)
-        return lambda mount: of_radar(mount, "")
+        return load_radar_model(name, spec, mount)
+    if name == RELEASED:
+        return ReleasedISM(spec, mount)
     if name == COMBINED:
-        makers = [model_factory(part, spec) for part in (RAY, LITE)]
-        return lambda mount: CombinedISM([make(mount) for make in makers], **COMBINATION)
+        return CombinedISM([load_model(part, spec, mount) for part in (RAY, LITE)], **COMBINATION)
     if name in GEOMETRIC or _is_fitted(name):
         parameters: dict[str, Any] = {}
         if _is_fitted(name):
@@ -119,7 +119,8 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
             name, parameters = fitted.model, dict(fitted.parameters)
         if name == HEIGHT_BAND:
             parameters["drop_ego_returns"] = drop_ego_returns
-        return lambda mount: model_class(name)(spec, mount, **parameters)
+        model: InverseSensorModel = model_class(name)(spec, mount, **parameters)
+        return model
     if name != LITE and not Path(name).exists() and Path(name).suffix not in (".safetensors", ".onnx"):
         raise ValueError(
             f"there is no sensor model {name!r}: give {', '.join(MODELS)}, parameters that `ogm calibrate` wrote "
@@ -128,82 +129,82 @@ def model_factory(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) 
     from ogm.deep import DeepISM
     from ogm.deep.engines import load_engine
 
-    engine = load_engine(name)
-    return lambda mount: DeepISM(engine, spec, mount)
+    return DeepISM(load_engine(name), spec, mount)
 
 
-@dataclass(frozen=True)
-class NamedModels:
-    """A function that makes `sensor_models`, for other processes: it is pickled as the name and the grid.
+def with_radar(name: str) -> str:
+    """Return the name of a model for all sensors of a vehicle: a lidar's gets ``+radar``."""
+    return name if "+" in name or name in RADAR_MODELS else f"{name}+{RADAR}"
+
+
+@dataclass(frozen=True, eq=False)
+class LidarRadarISM:
+    """The sensor models of a vehicle with a lidar and radars.
 
     Parameters
     ----------
-    name : str
-    spec : GridSpec
+    lidar : InverseSensorModel
+    radar : InverseSensorModel
+        Maps the scans with `Scan.rcs`, which are those of radars.
     """
 
-    name: str
-    spec: GridSpec
+    lidar: InverseSensorModel
+    radar: InverseSensorModel
 
-    def __call__(self) -> PerMount:
-        """Return the models, which are ready for any mount."""
-        return sensor_models(self.name, self.spec)
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that the model of the lidar fills."""
+        return self.lidar.spec
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        """Map one scan by the model for its kind of sensor."""
+        return (self.lidar if scan.rcs is None else self.radar)(scan)
 
 
-def sensor_models(name: str, spec: GridSpec, *, drop_ego_returns: bool = False) -> PerMount:
-    """Return models for every mount, of lidars and of radars.
+class ReleasedISM:
+    """The paper's geometric model as its released code has it: see `HeightBandISM.as_released`.
 
     Parameters
     ----------
-    name : str
-        A name of `load_model` for lidars, and perhaps ``+`` and a model of radars, as in ``ray+radar``. By default
-        ``radar`` is that of scans with `Scan.rcs`. ``radar`` or ``deep-radar`` alone take all scans for a radar's.
-    spec, drop_ego_returns
-        As of `load_model`.
+    spec : GridSpec
+        Of half the side of the model's cells, on the same area.
+    mount : Mount, optional
+        Only its position counts: the sensor must be in the middle of the points.
 
     Raises
     ------
-    ValueError, FileNotFoundError
-        As of `load_model`.
+    ValueError
+        If the number of cells is odd, or the points or the grid are not around the sensor.
     """
-    lidar, _, radar = name.partition("+")
-    of_radar = radar_factory(lidar if lidar in RADAR_MODELS and not radar else radar or RADAR, spec)
-    again = partial(sensor_models, name, spec, drop_ego_returns=drop_ego_returns)
-    if lidar in RADAR_MODELS:
-        return _Named(lambda mount: of_radar(mount, ""), of_radar, again)
-    return _Named(model_factory(lidar, spec, drop_ego_returns=drop_ego_returns), of_radar, again)
 
+    def __init__(self, spec: GridSpec, mount: Mount | None = None) -> None:
+        from ogm.geometric import HeightBandISM
 
-class _Named(PerMount):
-    """What `sensor_models` returns: it is pickled as the call that made it."""
+        nx, ny = spec.shape
+        if nx % 2 or ny % 2:
+            raise ValueError(f"{RELEASED} needs an even number of cells along x and y, got {nx} x {ny}")
+        self.model = HeightBandISM.as_released(GridSpec(2 * spec.resolution, (nx // 2, ny // 2), spec.origin))
+        self.mount = mount
+        self._check(mount)
 
-    def __init__(self, factory: Factory, radar: Callable[[Mount, str], InverseSensorModel], again: Any) -> None:
-        super().__init__(factory, radar)
-        self._again = again
+    @property
+    def spec(self) -> GridSpec:
+        """The grid that the model fills."""
+        return self.model.spec
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return self._again, ()
+    def __call__(self, scan: Scan | NDArray[np.float32]) -> EvidentialGrid:
+        """Map one scan."""
+        scan = as_scan(scan)
+        self._check(self.mount or scan.mount)
+        return self.model(scan)
+
+    def _check(self, mount: Mount | None) -> None:
+        if mount is not None and (mount.points_in == "vehicle" or mount.origin[:2].any()):
+            raise ValueError(f"{RELEASED} needs points in the sensor frame and a grid around the sensor")
 
 
 def _is_fitted(name: str) -> bool:
     return Path(name).suffix == ".json"
-
-
-def _released(spec: GridSpec) -> Factory:
-    """Return the factory of the released model: one model for all mounts."""
-    from ogm.geometric import HeightBandISM
-
-    nx, ny = spec.shape
-    if nx % 2 or ny % 2:
-        raise ValueError(f"{RELEASED} needs an even number of cells along x and y, got {nx} x {ny}")
-    model = HeightBandISM.as_released(GridSpec(2 * spec.resolution, (nx // 2, ny // 2), spec.origin))
-
-    def for_mount(mount: Mount) -> InverseSensorModel:
-        if mount.points_in == "vehicle" or mount.origin[:2].any():
-            raise ValueError(f"{RELEASED} needs points in the sensor frame and a grid around the sensor")
-        return model
-
-    return for_mount
 
 
 def describe_model(name: str) -> tuple[str, dict[str, str] | None]:

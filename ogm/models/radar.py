@@ -1,14 +1,16 @@
 """Sensor models of radars by name, with field of view and errors by the name of the sensor."""
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
-from ogm.grid import GridSpec
-from ogm.scan import InverseSensorModel, Mount
+from ogm.grid import EvidentialGrid, GridSpec
+from ogm.scan import InverseSensorModel, Mount, Scan
 from ogm.simulation.radars import RADARS
 from ogm.storage.files import OgmError
 
-__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "radar_factory", "radar_numbers"]
+__all__ = ["DEEP_RADAR", "RADAR", "RADAR_MODELS", "RadarBySensor", "load_radar_model", "radar_numbers"]
 
 RADAR, DEEP_RADAR = "radar", "deep-radar"
 RADAR_MODELS = {  # name: description
@@ -19,8 +21,8 @@ _NOISE = 0.2, math.radians(0.5)  # [m, rad] of radars that are not known
 _REACH = {"corner": {"reach": 35.0}}  # [m] for which few occupied cells are cleared in training towns; others: default
 
 
-def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSensorModel]:
-    """Return a function ``(mount, sensor) -> model`` for `ogm.scan.PerMount`; weights are read once.
+def load_radar_model(name: str, spec: GridSpec, mount: Mount | None = None) -> "RadarBySensor":
+    """Return a sensor model of radars by its name.
 
     A sensor whose name begins as one of `RADARS`, such as ``ars548-front``, has its numbers. `RadarISM` keeps what
     moves: the map of a moment holds it, and maps over time forget.
@@ -31,6 +33,8 @@ def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSe
         In `RADAR_MODELS`.
     spec : GridSpec
         The grid to fill.
+    mount : Mount, optional
+        By default each scan's own.
 
     Raises
     ------
@@ -39,25 +43,50 @@ def radar_factory(name: str, spec: GridSpec) -> Callable[[Mount, str], InverseSe
     ImportError
         If a package for the network is missing.
     """
-    if name == RADAR:
+    if name not in RADAR_MODELS:
+        raise OgmError(f"there is no sensor model of radars {name!r}; there are {', '.join(RADAR_MODELS)}")
+    engine = None
+    if name == DEEP_RADAR:
+        from ogm.deep import DeepRadarISM
+
+        engine = DeepRadarISM.load().engine
+    return RadarBySensor(spec, mount, engine)
+
+
+@dataclass(frozen=True)
+class RadarBySensor:
+    """A sensor model of radars that takes the numbers of each radar by the name of its sensor.
+
+    Parameters
+    ----------
+    spec : GridSpec
+        The grid to fill.
+    mount : Mount, optional
+        By default each scan's own.
+    engine : RadarOnnxEngine, optional
+        For `DeepRadarISM`; `RadarISM` without.
+    """
+
+    spec: GridSpec
+    mount: Mount | None = None
+    engine: Any = None
+
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        """Map one scan."""
+        return _model(self, scan.sensor)(scan)
+
+
+@lru_cache(maxsize=16)
+def _model(radar: RadarBySensor, sensor: str) -> InverseSensorModel:
+    numbers = radar_numbers(sensor)
+    if radar.engine is None:
         from ogm.geometric import RadarISM
 
-        def geometric(mount: Mount, sensor: str = "") -> InverseSensorModel:
-            return RadarISM(spec, mount, keep_moving=True, **radar_numbers(sensor))
-
-        return geometric
-    if name != DEEP_RADAR:
-        raise OgmError(f"there is no sensor model of radars {name!r}; there are {', '.join(RADAR_MODELS)}")
+        return RadarISM(radar.spec, radar.mount, keep_moving=True, **numbers)
     from ogm.deep import DeepRadarISM, RadarNoise
 
-    engine = DeepRadarISM.load().engine
-
-    def learned(mount: Mount, sensor: str = "") -> InverseSensorModel:
-        numbers = radar_numbers(sensor)
-        noise = RadarNoise(numbers["half_width"], azimuth_noise=numbers["azimuth_noise"])
-        return DeepRadarISM(engine, spec, mount, noise)
-
-    return learned
+    noise = RadarNoise(numbers["half_width"], azimuth_noise=numbers["azimuth_noise"])
+    return DeepRadarISM(radar.engine, radar.spec, radar.mount, noise)
 
 
 def radar_numbers(sensor: str) -> dict[str, float]:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.state import CellState, Truth
+from ogm.state import CellState, LazyTruth, Truth
 
 __all__ = ["combine_truths", "ignore_cells"]
 
@@ -70,4 +70,4 @@ def combine_truths(
 def ignore_cells(truth: Truth, cells: NDArray[np.bool_]) -> Truth:
     """Return a truth with some cells, (nx, ny) bool, to be ignored. Their motion stays: it is no state."""
     state = np.where(cells, np.uint8(CellState.IGNORE), truth.state)
-    return Truth(truth.spec, state, truth.height_cm, lambda: truth.motion)
+    return LazyTruth(truth.spec, state, truth.height_cm, lambda: truth.motion)

@@ -1,0 +1,1 @@
+"""Whole jobs: a drive fused to files, many drives."""

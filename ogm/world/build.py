@@ -1,5 +1,6 @@
 """World maps built from drives by any number of workers: frames to sub-maps, sub-maps to tiles."""
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -8,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ogm.pose import Trajectory
-from ogm.scan import Frame
+from ogm.scan import Frame, SensorModels
 from ogm.storage.files import OgmError, finish_zarr
 from ogm.storage.workers import Workers, deaths_explained
 from ogm.world.drives import (
@@ -26,7 +27,7 @@ from ogm.world.drives import (
 from ogm.world.layout import TileIndex
 from ogm.world.render import Part, fingerprint, parts_of_tiles
 from ogm.world.rendered import Rendered
-from ogm.world.tasks import MakeModel, MakeSubMap, MapPlace, RenderTile, SubMapJob
+from ogm.world.tasks import MakeSubMap, MapPlace, RenderTile, SubMapJob
 from ogm.world.tiles import TileStore
 from ogm.world.world_map import WorldMap
 
@@ -57,7 +58,7 @@ Tell = Callable[[Progress], object]
 def build_world(
     world: WorldMap,
     drives: Mapping[str, Sequence[Frame]],
-    make_model: MakeModel,
+    ism: SensorModels,
     *,
     length: float = 50.0,
     workers: int = 1,
@@ -77,9 +78,9 @@ def build_world(
         Open for writing; empty, or built before.
     drives : mapping of str to sequence of Frame
         By name. For several workers the sequences must be picklable, as data sets of `ogm.datasets` are.
-    make_model : callable
-        Returns the sensor model, once per worker; picklable and hashable, such as a frozen dataclass. Its repr is kept
-        as what the drive was made by.
+    ism : callable with `spec`, or mapping of str to these
+        The sensor model; of several sensors one for each `Scan.sensor`. For several workers picklable, as the models of
+        `ogm.models.load_model` are. Its repr, without addresses, is kept as what the drive was made by.
     length : float
         Of the way along which a sub-map's frames were taken [m].
     workers : int
@@ -99,11 +100,12 @@ def build_world(
         If workers die again and again, the disk is full, or the scheduler cannot be reached. What is finished stays.
     """
     store = _writable(world)
-    planned = [_begin(store, split_drive(name, drives[name], repr(make_model), length)) for name in sorted(drives)]
+    made_by = re.sub(r" at 0x[0-9a-f]+", "", repr(ism))
+    planned = [_begin(store, split_drive(name, drives[name], made_by, length)) for name in sorted(drives)]
     for drive in planned:
         for number in lost_tiles(store, drive):
             drive.submaps[number] = replace(drive.submaps[number], tiles=None)
-    make = MakeSubMap(MapPlace.of(store), make_model)
+    make = MakeSubMap(MapPlace.of(store), ism)
     jobs = [
         SubMapJob(drive.name, k, _part(drives[drive.name], one))
         for drive in planned

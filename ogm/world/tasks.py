@@ -1,6 +1,6 @@
 """The tasks of workers that build a world map: a sub-map from frames, a tile from sub-maps."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +15,7 @@ from ogm.world.render import Part, render_tile
 from ogm.world.stores import writing
 from ogm.world.tiles import TileStore
 
-__all__ = ["MadeSubMap", "MakeModel", "MakeSubMap", "MapPlace", "RenderTile", "SubMapJob"]
-
-MakeModel = Callable[[], SensorModels]
+__all__ = ["MadeSubMap", "MakeSubMap", "MapPlace", "RenderTile", "SubMapJob"]
 
 
 class MapPlace(NamedTuple):
@@ -56,34 +54,22 @@ class MakeSubMap:
     """The task that makes a sub-map."""
 
     place: MapPlace
-    make_model: MakeModel
+    ism: SensorModels
 
-    def __init__(self, place: MapPlace, make_model: MakeModel) -> None:
-        self.place, self.make_model = place, make_model
+    def __init__(self, place: MapPlace, ism: SensorModels) -> None:
+        self.place, self.ism = place, ism
 
     def __call__(self, job: SubMapJob) -> MadeSubMap:
         """Make a sub-map."""
         store = self.place.open()
         submap = SubMapTiles(store, job.drive, job.number)
         cache, mapped = TileCache(submap, float("inf")), 0
-        for frame, grid in map_scans(
-            [one for one in job.frames if one.T_map_sensor is not None], _model(self.make_model)
-        ):
+        for frame, grid in map_scans([one for one in job.frames if one.T_map_sensor is not None], self.ism):
             integrate_grid(cache, grid, grid_pose(frame), stamp=frame.stamp)
             mapped += 1
         tiles = tuple(cache.changed)
         cache.flush()
         return MadeSubMap(tiles, mapped)
-
-
-_models: dict[MakeModel, SensorModels] = {}  # of this process, the last one
-
-
-def _model(make_model: MakeModel) -> SensorModels:
-    if make_model not in _models:
-        _models.clear()
-        _models[make_model] = make_model()
-    return _models[make_model]
 
 
 class SubMapTiles:

@@ -23,7 +23,7 @@ from ogm.io.logs import LogWriter
 from ogm.io.logs.files import RandomAccess
 from ogm.io.messages import StampedTransform, point_cloud2, ros_stamp, tf_message
 from ogm.pose import Trajectory, inverse, pose, transform_points
-from ogm.scan import PerMount, Scan
+from ogm.scan import Scan
 from ogm.storage.files import OgmError
 
 CLOUD, TF, ODOMETRY = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
@@ -324,7 +324,7 @@ def test_several_lidars_have_their_own_mounts_and_origins(log: Callable[..., Pat
 def test_several_lidars_are_fused_into_one_map(log: Callable[..., Path]) -> None:
     """The wall lies where it is, and no scan is taken for a jump of the pose."""
     dataset = open_dataset(log(two_lidars()), topic=["/rear/points", "/front/points"])
-    model = PerMount(lambda mount: RayISM(SPEC, mount))
+    model = RayISM(SPEC)
     poses = np.array([frame.T_map_sensor for frame in dataset])
     mapper = make_mapper("cautious", covering_window(SPEC, poses), None, "fixed")
     steps = list(fuse(dataset, model, mapper))

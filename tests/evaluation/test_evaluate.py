@@ -12,9 +12,9 @@ from ogm.evaluation import FusedMethod, MethodRunner, PrecomputedGrids, SingleSc
 from ogm.fusion import EvidentialMapper, PoseJump
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS, accumulate, score
-from ogm.models.named import MODELS, load_model, model_factory, short_names
+from ogm.models.named import MODELS, load_model, short_names
 from ogm.pose import pose
-from ogm.scan import Frame, Mount, PerMount, Scan
+from ogm.scan import Frame, Mount, Scan
 from ogm.state import CellState, Truth
 
 SPEC = GridSpec.centered(length=7, width=7, resolution=1)
@@ -86,15 +86,17 @@ def test_beams_without_echo_reach_every_model() -> None:
     assert all(scan.no_returns is not None for scan in model.scans)
 
 
-def test_per_mount_models_are_made_for_the_mount_of_each_frame() -> None:
-    mounts: list[Mount] = []
+@dataclass
+class High(Flat):
+    """`Flat`, whose mass grows with the height of the scan's mount."""
 
-    def make(mount: Mount) -> Flat:
-        mounts.append(mount)
-        return Flat(height=mount.sensor_height)
+    def __call__(self, scan: Scan) -> EvidentialGrid:
+        self.height = scan.mount.sensor_height
+        return super().__call__(scan)
 
-    result = evaluate({"flat": PerMount(make)}, FRAMES, SPEC)
-    assert [mount.sensor_height for mount in mounts] == [1.0, 2.0]
+
+def test_models_see_the_mount_of_each_frame() -> None:
+    result = evaluate({"flat": High()}, FRAMES, SPEC)
     np.testing.assert_allclose(result.of("flat", "mean_free"), [0.1, 0.4, 0.3], rtol=1e-6)
 
 
@@ -201,12 +203,14 @@ def test_every_named_model_fills_the_area_of_the_grid(name: str) -> None:
 
 def test_the_released_model_refuses_what_it_cannot_do() -> None:
     with pytest.raises(ValueError, match="even number of cells along x and y, got 7 x 7"):
-        model_factory("height-band-released", SPEC)
+        load_model("height-band-released", SPEC)
     even = GridSpec.centered(length=8, width=8, resolution=1)
-    make = model_factory("height-band-released", even)
+    model, refused = load_model("height-band-released", even), "points in the sensor frame and a grid around the sensor"
     for mount in (Mount(1.7, pose(1.0, z=1.7)), Mount(1.7, pose(z=1.7), points_in="vehicle")):
-        with pytest.raises(ValueError, match="points in the sensor frame and a grid around the sensor"):
-            make(mount)
+        with pytest.raises(ValueError, match=refused):
+            load_model("height-band-released", even, mount)
+        with pytest.raises(ValueError, match=refused):
+            model(Scan(np.zeros((1, 4), np.float32), mount=mount))
 
 
 def test_weights_have_short_names_that_differ() -> None:

@@ -18,9 +18,9 @@ from ogm.evaluation import FusedMethod, SingleScanMethod, evaluate
 from ogm.fusion import EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS
-from ogm.models.named import sensor_models
+from ogm.models import load_model
 from ogm.pose import pose
-from ogm.scan import Frame, Mount, PerMount, Scan, run_model
+from ogm.scan import Frame, Mount, Scan, run_model
 from ogm.state import Truth
 from ogm.storage import workers
 
@@ -155,15 +155,20 @@ def test_workers_that_die_again_and_again_are_an_error(monkeypatch: pytest.Monke
         evaluate(methods(), Drives(), SPEC, workers=2)
 
 
+class Unpicklable(Random):
+    def __reduce__(self) -> Any:
+        raise TypeError("never")
+
+
 def test_what_cannot_go_to_other_processes_is_refused() -> None:
     with pytest.raises(TypeError, match="must be picklable"):
-        evaluate({"mine": PerMount(lambda mount: Random())}, Drives(), SPEC, workers=2)
+        evaluate({"mine": Unpicklable()}, Drives(), SPEC, workers=2)
 
 
-@pytest.mark.parametrize("name", ["ray", "height-band-released", "radar", "ray+radar"])
+@pytest.mark.parametrize("name", ["ray", "height-band-released", "radar", "ray+radar", "combined+deep-radar"])
 def test_models_by_name_go_to_other_processes(name: str) -> None:
-    spec = GridSpec.centered(length=20, width=20, resolution=0.5)
-    model = sensor_models(name, spec, drop_ego_returns=True)
+    spec = GridSpec.centered(length=20.48, width=20.48, resolution=0.16)
+    model = load_model(name, spec, drop_ego_returns=True)
     again = pickle.loads(pickle.dumps([model, model]))
     assert again[0] is again[1]
     scan = Scan(np.random.default_rng(0).uniform(-8, 8, (50, 4)).astype(np.float32) * [1, 1, 0.1, 0])

@@ -20,7 +20,7 @@ from ogm.fusion import (
 )
 from ogm.fusion.factory import RULES
 from ogm.pose import Trajectory, pose, transform_points
-from ogm.scan import PerMount, run_model
+from ogm.scan import LazyFrame, run_model
 
 SPEC = GridSpec.centered(length=8.0, width=6.0, resolution=0.5)
 MOUNT = Mount(1.8)
@@ -57,7 +57,7 @@ def changed(frame: Frame, **fields: object) -> Frame:
     """Return a frame with some other fields."""
     given = {"T_map_sensor": frame.T_map_sensor, "stamp": frame.stamp, "sequence": frame.sequence}
     scan, mount = fields.pop("scan", lambda: frame.scan), fields.pop("mount", lambda: frame.mount)
-    return Frame(scan, mount, None, None, name=frame.name, **given | fields)
+    return LazyFrame(scan, mount, name=frame.name, **given | fields)
 
 
 def damaged() -> Scan:
@@ -75,7 +75,7 @@ def test_five_lines_make_a_map_with_any_callable() -> None:
 
 def test_fusing_equals_updating_by_hand() -> None:
     mapper, by_hand = EvidentialMapper(SPEC), EvidentialMapper(SPEC)
-    steps = list(fuse(drive(), PerMount(lambda mount: Marks()), mapper))
+    steps = list(fuse(drive(), Marks(), mapper))
     for frame in drive():
         by_hand.update(Marks()(frame.scan), frame.T_map_sensor, stamp=frame.stamp)
     assert mapper.grid == by_hand.grid
@@ -209,7 +209,7 @@ def two_sensors(speed: float = 1.0) -> list[Frame]:
     return frames
 
 
-MODELS = {"lidar": Within(LIDAR), "radar": PerMount(lambda mount: Within(mount, 0.4))}
+MODELS = {"lidar": Within(LIDAR), "radar": Within(RADAR, 0.4)}
 
 
 def test_several_sensors_of_one_vehicle_mark_the_same_cell_by_their_own_models() -> None:

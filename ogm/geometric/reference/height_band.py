@@ -39,11 +39,13 @@ def height_band_mass(xyz: NDArray[Any], ism: HeightBandISM) -> NDArray[np.float3
     xyz : (N, 3) float array
         Points in the frame of the grid [m].
     ism : HeightBandISM
+        With a mount.
 
     Returns
     -------
     (nx, ny, 2) float32
     """
+    assert ism.mount is not None
     spec, (x0, y0, ground) = ism.spec, ism.mount.ground_point
     origin = (x0, y0, float(ism.mount.origin[2]))
     low, high = ground + ism.z_min, ground + ism.z_max

@@ -28,7 +28,7 @@ def ray_grid_mass(
     ground : float
         Height of the ground [m].
     ism : RayISM
-        Its `ground` and `azimuth_step` are not used.
+        With a mount. Its `ground` and `azimuth_step` are not used.
     sectors : int
 
     Returns
@@ -38,7 +38,8 @@ def ray_grid_mass(
     hits = np.zeros(ism.spec.shape)
     rays = _returned_rays(xyz, ground, ism, hits) + _no_return_rays(no_returns, ground, ism)
     free = _polar_free(rays, silence_reliability(xyz, no_returns, ground, ism), ism, ground, sectors)
-    spec, (x0, y0, _) = ism.spec, ism.mount.origin.tolist()
+    spec, (x0, y0, _) = ism.spec, _origin(ism)
+    assert ism.mount is not None
     x_min, x_max, y_min, y_max = ism.mount.ego_footprint
     mass = np.zeros((*spec.shape, 2), np.float32)
     for (i, x), (j, y) in itertools.product(*(enumerate(c.ravel().tolist()) for c in spec.cell_centers)):
@@ -57,6 +58,12 @@ def ray_grid_mass(
     return mass
 
 
+def _origin(ism: RayISM) -> list[float]:
+    """Return the position of the sensor of a model with a mount, x, y, z [m]."""
+    assert ism.mount is not None
+    return list(map(float, ism.mount.origin))
+
+
 class Ray(NamedTuple):
     """One ray over flat ground."""
 
@@ -69,7 +76,7 @@ class Ray(NamedTuple):
 
 def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[Any]) -> list[Ray]:
     """Return the ray to each return, and count the half hits of obstacles."""
-    spec, (x0, y0, z0) = ism.spec, ism.mount.origin.tolist()
+    spec, (x0, y0, z0) = ism.spec, _origin(ism)
     rays = []
     for x, y, z in xyz.tolist():
         dx, dy, above = x - x0, y - y0, z - ground
@@ -92,7 +99,7 @@ def _returned_rays(xyz: NDArray[Any], ground: float, ism: RayISM, hits: NDArray[
 
 def _no_return_rays(no_returns: NDArray[Any], ground: float, ism: RayISM) -> list[Ray]:
     """Return the rays of beams without echo, up to the ground or to `max_range`."""
-    step, height = ism.spec.resolution, float(ism.mount.origin[2]) - ground
+    step, height = ism.spec.resolution, _origin(ism)[2] - ground
     rays = []
     for dx, dy, dz in no_returns.tolist():
         run = math.hypot(dx, dy)
@@ -127,7 +134,7 @@ def chance_hidden(heights: NDArray[Any], fades: NDArray[Any], ism: RayISM) -> fl
 
 def _bins(ism: RayISM) -> int:
     """Return how many bins the polar grid has from the sensor to the farthest corner."""
-    spec, (x, y, _) = ism.spec, ism.mount.origin.tolist()
+    spec, (x, y, _) = ism.spec, _origin(ism)
     x0, x1, y0, y1 = spec.extent
     return math.ceil(math.hypot(max(x1 - x, x - x0), max(y1 - y, y - y0)) / spec.resolution) + 1
 
@@ -138,7 +145,7 @@ def silence_reliability(xyz: NDArray[Any], no_returns: NDArray[Any], ground: flo
     By the max-min formula of monotone regression: the chance that a surface in bin k gives no echo is the largest, over
     the bins i up to k, of the smallest share that is lost from i to any bin from k on.
     """
-    (x0, y0, z0), step, bins = ism.mount.origin.tolist(), ism.spec.resolution, _bins(ism)
+    (x0, y0, z0), step, bins = _origin(ism), ism.spec.resolution, _bins(ism)
     seen, lost = np.zeros(bins), np.zeros(bins)
     for x, y in xyz[:, :2].tolist():
         if (r := math.hypot(x - x0, y - y0)) >= step:
@@ -180,7 +187,7 @@ def _bin_free(rays: list[Ray], k: int, chance: float, ground: float, ism: RayISM
     """Return the belief in free of bin `k` from the rays of its sector, sorted by slope, missing with `chance`."""
     step, heights, fades = ism.spec.resolution, [], []
     for ray in rays:
-        height = float(ism.mount.origin[2]) - ground + ray.slope * (k + 0.5) * step
+        height = _origin(ism)[2] - ground + ray.slope * (k + 0.5) * step
         passes = k < ray.end
         if passes and height < ism.clearance:
             heights.append(height)
