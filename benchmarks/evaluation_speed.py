@@ -81,12 +81,11 @@ def whole(dataset: Dataset, frames: int) -> dict[str, float]:
     """Evaluate and report; return how long that took without reading samples and making grids."""
     apart = [0.0]
 
-    def grids(runner: MethodRunner, frame: Any, run: Callable[..., Any] = MethodRunner.grids) -> Any:
+    def update(runner: MethodRunner, frame: Any, run: Callable[..., Any] = MethodRunner.update, **how: Any) -> None:
         start = time.perf_counter()
         frame.truth, frame.scan  # noqa: B018  read here
-        result = run(runner, frame)
+        run(runner, frame, **how)
         apart[0] += time.perf_counter() - start
-        return result
 
     def read_ahead(numbers: Iterable[int]) -> Iterator[int]:
         for number in numbers:
@@ -95,7 +94,7 @@ def whole(dataset: Dataset, frames: int) -> dict[str, float]:
             apart[0] += time.perf_counter() - start
             yield number
 
-    with tempfile.TemporaryDirectory() as place, mock.patch.object(MethodRunner, "grids", grids):
+    with tempfile.TemporaryDirectory() as place, mock.patch.object(MethodRunner, "update", update):
         folder = Path(place)
         start = time.perf_counter()
         result = evaluate(methods(), dataset, SPEC, frames=range(frames), out=folder, progress=read_ahead)
@@ -126,7 +125,9 @@ def main() -> None:
     state = frame.truth.crop(SPEC).state
     times: dict[str, dict[str, Times]] = {}
     scans = {name: SingleScanMethod.named(name, SPEC) for name in MODELS}
-    for name, grid in MethodRunner(scans, SPEC).grids(frame).items():
+    runner = MethodRunner(scans, SPEC)
+    runner.update(frame)
+    for name, grid in runner.grids().items():
         times[name] = measure(contenders(grid.mass, state), 2 if given.quick else given.rounds)
         print(f"{name}: " + ", ".join(f"{what} {one}" for what, one in times[name].items()))
     dataset = open_dataset(given.data, split="sequences", others="later")

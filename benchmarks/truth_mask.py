@@ -67,7 +67,8 @@ def compared(place: str, frames: int | None) -> dict[str, Any]:
     runner = MethodRunner(scans | maps, SPEC)
     rows: dict[tuple[str, str], list[list[list[float]]]] = {}
     for k, frame in enumerate(open_dataset(DATA / place, others="later")[:frames]):
-        for name, grid in runner.grids(frame).items():
+        runner.update(frame)
+        for name, grid in runner.grids().items():
             for others, pair in kinds.items():
                 if others == "later" or name in scans:
                     scores = [score(accumulate(grid.mass, truth[k])) for truth in pair]

@@ -10,7 +10,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
@@ -22,8 +22,8 @@ from ogm.pose import check_pose, check_stamp
 from ogm.state import Truth
 
 __all__ = [
-    "Boxes", "Frame", "InverseSensorModel", "LazyFrame", "MissingMountError", "Mount", "Scan", "SensorModels",
-    "as_scan", "mount_of", "of_sensor", "run_model",
+    "Boxes", "Frame", "InverseSensorModel", "LazyFrame", "Mount", "Scan", "SensorModels", "as_scan", "mount_of",
+     "of_sensor", "run_model",
 ]  # fmt: skip
 
 Value = TypeVar("Value")
@@ -130,6 +130,38 @@ class Scan:
             for name in ("time", "ring", "doppler", "rcs")
         }
         return replace(self, points=self.points[keep], **columns)
+
+
+class LazyScan(Scan):
+    """A scan whose mount is found at the first access, and kept; made by `of`. Pickled, it becomes a `Scan`."""
+
+    @classmethod
+    def of(cls, scan: Scan, mount: Callable[[], "Mount"]) -> "LazyScan":
+        """Return a scan with a mount that is found when it is asked for.
+
+        Parameters
+        ----------
+        scan : Scan
+        mount : function
+            Without arguments; returns the mount.
+        """
+        lazy = cls(**{one.name: getattr(scan, one.name) for one in fields(Scan) if one.name != "mount"})
+        del lazy.__dict__["mount"]
+        lazy.__dict__.update(_scan=scan, _find=mount)
+        return lazy
+
+    @cached_property
+    def mount(self) -> "Mount | None":
+        """How the sensor is mounted."""
+        mount: Mount = self.__dict__["_find"]()
+        return mount
+
+    def select(self, keep: NDArray[Any] | slice) -> Scan:
+        """See `Scan.select`; the mount stays to be found."""
+        return LazyScan.of(self.__dict__["_scan"].select(keep), lambda: self.mount)  # type: ignore[arg-type,return-value]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Scan, tuple(getattr(self, one.name) for one in fields(Scan))
 
 
 def as_scan(scan: "Scan | ArrayLike") -> Scan:
@@ -436,12 +468,8 @@ class LazyFrame(Frame):
 
     @cached_property
     def scan(self) -> Scan:
-        """The scan; without a mount where that is not known: accessing `mount` states why."""
-        scan: Scan = self.__dict__["_scan"]()
-        try:
-            return replace(scan, mount=self.mount)
-        except (ValueError, TypeError, OSError):
-            return scan
+        """The scan, with the mount of the frame."""
+        return LazyScan.of(self.__dict__["_scan"](), lambda: self.mount)
 
     @cached_property
     def mount(self) -> Mount:
@@ -483,10 +511,6 @@ class InverseSensorModel(Protocol):
 SensorModels = InverseSensorModel | Mapping[str, InverseSensorModel]
 
 
-class MissingMountError(ValueError):
-    """Neither a sensor model nor the scan it maps has a mount."""
-
-
 def check_mount(mount: object) -> None:
     """Raise TypeError if something is no `Mount`."""
     if not isinstance(mount, Mount):
@@ -504,15 +528,12 @@ def mount_of(scan: Scan, mount: Mount | None = None) -> Mount:
 
     Raises
     ------
-    MissingMountError
+    ValueError
         If there is neither.
     """
     found = scan.mount if mount is None else mount
     if found is None:
-        raise MissingMountError(
-            "the mount of the sensor is not known: give the model or the Scan mount=Mount(sensor_height=...) [m], "
-            "or open_dataset sensor_height"
-        )
+        raise ValueError("the mount of the sensor is not known: give the model or the Scan mount=Mount(...)")
     return found
 
 
@@ -531,11 +552,7 @@ def run_model(ism: SensorModels, frame: Frame) -> EvidentialGrid:
         If a mapping has none for the frame's sensor.
     """
     model = of_sensor(ism, frame.scan.sensor, "model") if isinstance(ism, Mapping) else ism
-    try:
-        return model(frame.scan)
-    except MissingMountError:
-        frame.mount  # noqa: B018  its error states why the mount is not known
-        raise
+    return model(frame.scan)
 
 
 def of_sensor(values: Mapping[str, Value], sensor: str, kind: str) -> Value:

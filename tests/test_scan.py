@@ -1,6 +1,7 @@
 """Scan, Mount, Boxes, Frame, and models that are run on frames."""
 
 import math
+import pickle
 from dataclasses import FrozenInstanceError
 from typing import Any
 
@@ -10,7 +11,7 @@ import pytest
 from ogm import Boxes, EvidentialGrid, Frame, GridSpec, InverseSensorModel, Mount, Scan
 from ogm.models import load_model
 from ogm.pose import inverse, pose
-from ogm.scan import LazyFrame, MissingMountError, as_scan, mount_of, run_model
+from ogm.scan import LazyFrame, as_scan, mount_of, run_model
 
 POINTS = np.arange(20, dtype=np.float32).reshape(5, 4)
 SPEC = GridSpec.centered(8.0, 8.0, 0.5)
@@ -234,8 +235,10 @@ def test_a_lazy_frame_reads_once_and_only_when_asked() -> None:
     assert calls == []
     assert frame.scan is frame.scan
     assert frame.scan.points is scan.points
+    assert calls == ["scan"]
     assert frame.scan.mount is frame.mount is frame.mount
     assert calls == ["scan", "mount"]
+    assert pickle.loads(pickle.dumps(frame.scan)).mount == Mount(1.7)
     assert frame.boxes is None
     assert frame.truth is frame.boxes
     assert calls == ["scan", "mount", "boxes", "truth"]
@@ -272,12 +275,13 @@ def test_a_scan_can_be_read_where_its_mount_is_not_known() -> None:
         raise ValueError("no scan shows the ground")
 
     frame = LazyFrame(lambda: Scan(POINTS), unknown)
-    assert frame.scan.mount is None
-    with pytest.raises(ValueError, match="no scan shows the ground"):
-        run_model(ConstantModel(), frame)
-    with pytest.raises(MissingMountError, match="the mount of the sensor is not known"):
-        ConstantModel()(frame.scan)
+    assert len(frame.scan.select(slice(1))) == 1
+    for scan in (frame.scan, frame.scan.select(slice(1))):
+        with pytest.raises(ValueError, match="no scan shows the ground"):
+            ConstantModel()(scan)
     assert run_model(ConstantModel(Mount(2.0)), frame).free.max() == pytest.approx(0.2)
+    with pytest.raises(ValueError, match="the mount of the sensor is not known"):
+        ConstantModel()(Scan(POINTS))
 
 
 # --- Models ---------------------------------------------------------------------------------------

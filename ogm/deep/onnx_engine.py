@@ -126,6 +126,11 @@ class OnnxEngine:
     def __reduce__(self) -> tuple[Any, ...]:
         return _reopened, (*self._options, self.spec)
 
+    def __copy__(self) -> Self:  # not by `__reduce__`: it shares the session
+        other = object.__new__(type(self))
+        other.__dict__.update(self.__dict__)
+        return other
+
     def pillars(
         self, points: NDArray[np.float32], ego_footprint: Rectangle, T: NDArray[np.floating[Any]]
     ) -> SortedPoints:

@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -77,11 +76,6 @@ class TorchEngine:
         self._evidence: Callable[[torch.Tensor], torch.Tensor] = backbone.evidence
         if self._compile:
             self._evidence = torch.compile(backbone.evidence)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        options = {"device": str(self.device), "compile": self._compile, "precision": str(self._dtype)[6:]}
-        network = self._given if self.spec == self._given.spec else self._given.on(self.spec)
-        return partial(TorchEngine, **options, description=self.description), (network,)  # type: ignore[arg-type]
 
     def on(self, spec: GridSpec) -> Self:
         """Return the same network for another grid; errors as of `PillarNetwork.on`."""

@@ -246,6 +246,7 @@ class MethodRunner:
         self.methods, self.spec = methods, spec
         self.fused = [one for one in methods.values() if isinstance(one, FusedMethod)]
         self._sequence: str | None = None
+        self._frame: Frame | None = None
         self._measured: dict[int, EvidentialGrid] = {}  # of the last frame, by the id of the model
 
     def update(self, frame: Frame, *, evaluated: bool = True) -> None:
@@ -261,14 +262,16 @@ class MethodRunner:
             self._sequence = frame.sequence
             for method in self.fused:
                 method.reset()
+        self._frame = frame
         models = {id(one.model): one.model for one in (self._single if evaluated else []) + self.fused}
         self._measured = {key: model(frame.scan) for key, model in models.items()}
         for method in self.fused:
             method.update(frame, self._measured[id(method.model)])
 
-    def grids(self, frame: Frame) -> dict[str, EvidentialGrid]:
+    def grids(self) -> dict[str, EvidentialGrid]:
         """Return the grid of every method for the frame of the last `update`, on the evaluated cells."""
-        return {name: one.grid(frame, self.spec, self._of(one)) for name, one in self.methods.items()}
+        assert self._frame is not None
+        return {name: one.grid(self._frame, self.spec, self._of(one)) for name, one in self.methods.items()}
 
     def dynamic_grids(self) -> dict[int, tuple[DynamicGrid, NDArray[np.bool_]]]:
         """Return the dynamic grids of the last frame, by the places of their methods.

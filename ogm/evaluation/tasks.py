@@ -96,7 +96,7 @@ class FrameTask:
             raise ValueError(f"frame {frame.name} has no truth to compare with; evaluate labelled data")
         truth = frame.truth.crop(spec)
         state = truth.state
-        masses = [grid.mass for grid in runner.grids(frame).values()]
+        masses = [grid.mass for grid in runner.grids().values()]
         sums = tuple(accumulate(mass, state, away, truth.height_cm) for mass in masses)
         shares = np.bincount(state.ravel(), minlength=4) / state.size
         dynamic = runner.dynamic_grids()

@@ -292,7 +292,7 @@ def test_an_interrupted_command_writes_the_best_so_far(data: Path, monkeypatch: 
     def interrupted(*args: object, **options: object) -> Calibration:
         return Calibration("ray", {"p_miss": 0.6}, {"p_miss": 0.8}, data={"frames": 1, "drives": 1}, finished=False)
 
-    monkeypatch.setattr("ogm.evaluation.calibrate", interrupted)
+    monkeypatch.setattr("ogm.calibration.calibrate", interrupted)
     code, output = run("calibrate", data, "--out", data / "part.json")
     assert code == 130
     assert "the best parameters so far are in" in output

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -285,7 +286,7 @@ def test_deskewing_by_the_poses_of_the_frames() -> None:
         distorted = points.copy()
         distorted[:, 0] -= 20.0 * time.astype(np.float32)
         still.append(one)
-        moving.append(changed(one, scan=Scan(distorted, time=time)))
+        moving.append(changed(one, scan=partial(Scan, distorted, time=time)))
     maps = []
     for frames, way in (
         (still, False),

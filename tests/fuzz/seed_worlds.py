@@ -10,7 +10,7 @@ from targets import Target, check_grid, check_poses
 
 from ogm import EvidentialGrid, GridSpec
 from ogm.pose import pose
-from ogm.scan import Boxes, Frame, Mount, Scan
+from ogm.scan import Boxes, Frame, LazyFrame, Mount, Scan
 from ogm.world import WorldMap, build_world
 from ogm.world.drives import drive_names, load_drive
 from ogm.world.render import parts_of_tiles, render_tile
@@ -32,13 +32,9 @@ class _Model:
         return masses()
 
 
-def _model() -> _Model:
-    return _Model()
-
-
 def _frames() -> list[Frame]:
     parts: Any = (lambda: Scan(np.ones((1, 4), np.float32)), lambda: Mount(1.8), Boxes.empty, lambda: None)
-    return [Frame(*parts, T_map_sensor=pose(3.0 * k), stamp=10.0 + k, name=str(k)) for k in range(4)]
+    return [LazyFrame(*parts, T_map_sensor=pose(3.0 * k), stamp=10.0 + k, name=str(k)) for k in range(4)]
 
 
 def _read(path: Path) -> None:
@@ -69,7 +65,7 @@ def _map(form: str, options: dict[str, Any], folder: Path) -> Target:
     url = folder / "map"
     with WorldMap.create(url, 0.5, 16, min_unknown=0.02, **options) as world:
         if "drives" in form:
-            build_world(world, {"a": _frames(), "b": _frames()[:2]}, _model, length=4.0)
+            build_world(world, {"a": _frames(), "b": _frames()[:2]}, _Model(), length=4.0)
         else:
             world.integrate(masses(), pose(1.0, yaw=0.2), stamp=12.0)
             world.integrate(masses(), pose(9.0, 9.0), stamp=13.0)

@@ -13,7 +13,7 @@ import pytest
 
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.pose import pose
-from ogm.scan import Boxes, Frame, Mount, Scan
+from ogm.scan import Boxes, LazyFrame, Mount, Scan
 
 SPEC = GridSpec.centered(24.0, 16.0, 0.5)
 SLOWLY_IN_S3 = pytest.mark.parametrize("place", ["folder", pytest.param("s3", marks=pytest.mark.slow)], indirect=True)
@@ -52,26 +52,15 @@ class StraightDrive(Sequence):
 
         T = None if k in self.lost else self.pose(k)
         parts: Any = (read, lambda: Mount(1.9), Boxes.empty, lambda: None)
-        return Frame(*parts, T_map_sensor=T, stamp=100.0 * self.seed + 0.5 * k, name=f"frame {k}")
+        return LazyFrame(*parts, T_map_sensor=T, stamp=100.0 * self.seed + 0.5 * k, name=f"frame {k}")
 
 
 @dataclass(frozen=True)
 class RandomGrids:
-    """Makes a model that returns a random grid for each scan; ends its process once, if that is wanted."""
+    """A model that returns a random grid for each scan; it ends its process once, if that is wanted."""
 
     dies_at: int = -1
     marker: str = ""
-
-    def __call__(self) -> "Model":
-        return Model(self.dies_at, self.marker)
-
-
-@dataclass(frozen=True)
-class Model:
-    """The model of `RandomGrids`."""
-
-    dies_at: int
-    marker: str
     spec: GridSpec = SPEC
 
     def __call__(self, scan: Scan) -> EvidentialGrid:
