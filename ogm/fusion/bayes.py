@@ -5,16 +5,16 @@ Sources: Elfes, "Using occupancy grids for mobile robot perception and navigatio
 """
 
 import math
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.fusion import map_access
 from ogm.fusion.kernels import bayes_update, log_odds_of
 from ogm.fusion.lookup import ScanLookup
-from ogm.fusion.map_access import Forget
-from ogm.fusion.map_lock import MapLock, locked
+from ogm.fusion.map_lock import locked
+from ogm.fusion.mapper import Forget, Mapper
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
 from ogm.grid import EvidentialGrid, GridSpec
@@ -24,7 +24,7 @@ __all__ = ["BinaryBayesMapper", "Match"]
 Match = Literal["pignistic", "plausibility"]
 
 
-class BinaryBayesMapper:
+class BinaryBayesMapper(Mapper):
     """A map of one probability per cell: log-odds that add up, between two limits.
 
     A scan adds the log-odds of its own probability of occupied, so both kinds of map take the same sensor model. An
@@ -53,7 +53,6 @@ class BinaryBayesMapper:
     match: Match
     limits: tuple[float, float]
     forget: Forget
-    lock: MapLock
 
     def __init__(
         self,
@@ -75,11 +74,13 @@ class BinaryBayesMapper:
             raise ValueError(f"limits must be two probabilities around 1/2, 0 < low < 0.5 < high < 1, got {limits}")
         self.half_life, self.match, self.limits = float(half_life), match, (float(low), float(high))
         self.forget = check_choice("forget", forget, Forget)
-        self.lock = MapLock()
-        self._window = Window(spec, window)
-        self._gate = UpdateGate(max_speed, max_delay, needs_stamps=self.half_life != math.inf)
+        forgets = self.half_life != math.inf
+        super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=forgets))
         self._log_odds = np.zeros(spec.shape, np.float32)
-        self._layers = (self._log_odds,)
+
+    @property
+    def _layers(self) -> Sequence[NDArray[np.float32]]:
+        return (self._log_odds,)
 
     def _fuse(self, grid: EvidentialGrid, scan: CheckedScan, reliability: float) -> None:
         mass = np.ascontiguousarray(grid.mass) * np.float32(reliability)
@@ -96,9 +97,6 @@ class BinaryBayesMapper:
     def __repr__(self) -> str:
         memory = "never forgets" if math.isinf(self.half_life) else f"half-life {self.half_life:g} s"
         return f"BinaryBayesMapper({self.match}, {memory}, {self.scans} scans, {self.spec})"
-
-    spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, update, view, reset = map_access.scans, map_access.update, map_access.view, map_access.reset
 
     @property
     @locked

@@ -9,13 +9,13 @@ from ogm import evidence
 from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.dynamic.mapper import DynamicFilter, DynamicMapper
 from ogm.fusion.dynamic.settings import DynamicSettings
-from ogm.fusion.mapper import EvidentialMapper
+from ogm.fusion.evidential import EvidentialMapper
+from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
 
-__all__ = ["BAYES", "DYNAMIC", "NUSS", "RULES", "Mapper", "covering_window", "make_mapper", "rolling_window"]
+__all__ = ["BAYES", "DYNAMIC", "NUSS", "RULES", "covering_window", "make_mapper", "rolling_window"]
 
-Mapper = EvidentialMapper | BinaryBayesMapper | DynamicMapper
 RULES = {
     "cautious": evidence.normalized_cautious,
     "dempster": evidence.dempster,

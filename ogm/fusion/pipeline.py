@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ogm.doppler import radial_velocities
 from ogm.fusion.ego.deskewing import deskew, extrapolate
-from ogm.fusion.factory import Mapper
+from ogm.fusion.mapper import Mapper
 from ogm.fusion.update_gate import PoseJump
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse

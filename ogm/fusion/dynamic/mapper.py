@@ -10,6 +10,7 @@ Tanzmeister and Wollherr, "Evidential grid-based tracking and mapping" (2017).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -17,7 +18,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion import map_access
 from ogm.fusion.dynamic.beliefs import beliefs, masses, seen_from
 from ogm.fusion.dynamic.cells import CellOutput, DynamicCells, no_cells, share_particles, update_cells
 from ogm.fusion.dynamic.hashed_noise import NORMALS, scan_key
@@ -33,12 +33,11 @@ from ogm.fusion.dynamic.settings import DynamicSettings
 from ogm.fusion.dynamic.threads import Threads, spans
 from ogm.fusion.kernels import DEMPSTER, Aging, evidential_update
 from ogm.fusion.lookup import ScanLookup
-from ogm.fusion.map_lock import MapLock, locked
-from ogm.fusion.mapper import conflict_grid
-from ogm.fusion.resample import view_layers
+from ogm.fusion.map_lock import locked
+from ogm.fusion.mapper import Mapper
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window, WindowMode, check_choice
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec
 
 __all__ = ["DynamicFilter", "DynamicMapper"]
 
@@ -46,7 +45,7 @@ DynamicFilter = Literal["hybrid", "nuss"]
 MAX_PARTICLES = 2**25  # 1.2 GB
 
 
-class DynamicMapper:
+class DynamicMapper(Mapper):
     """A map of free, static and dynamic belief masses with velocities, which fuses scan after scan.
 
     Parameters
@@ -91,7 +90,6 @@ class DynamicMapper:
     seed: int
     threads: int
     settings: DynamicSettings
-    lock: MapLock
 
     def __init__(
         self,
@@ -120,9 +118,8 @@ class DynamicMapper:
         self.settings = settings or DynamicSettings()
         if self.filter == "nuss":
             self.settings = replace(self.settings, static_share=0.0, to_dynamic_rate=0.0, motion_odds=1.0)
-        self.lock = MapLock()
-        self._window = Window(spec, window)
-        self._gate = UpdateGate(max_speed, max_delay, needs_stamps=True)
+        self.half_life = self.settings.free_half_life, self.settings.static_half_life
+        super().__init__(Window(spec, window), UpdateGate(max_speed, max_delay, needs_stamps=True))
         nx, ny = spec.shape
         self._cells, self._next_cells = no_cells(spec.shape), no_cells(spec.shape)
         self._particles, self._predicted = (no_particles(self.particles + 1, nx * ny) for _ in range(2))
@@ -133,25 +130,16 @@ class DynamicMapper:
         self._count_of, self._no_label = np.empty((self.threads, nx * ny), np.int32), np.zeros(spec.shape, np.int32)
         self._groups = group_velocities(self._no_label, np.zeros((0, 2)), np.zeros((0, 2, 2)), 0.0, 0.0)
         self._history = ScanHistory(0.6, 0.04)
-        self._layers = (*self._cells, *self._next_cells, self._particles.start)
         self._tracker: ObjectTracker | None = None  # from the first time on that objects are asked for
         self._objects: Objects | None = None
 
     def __repr__(self) -> str:
         return f"DynamicMapper({self.filter}, {self.particles} particles, {self.scans} scans, {self.spec})"
 
-    spec, stamp, T_map_vehicle = map_access.spec, map_access.stamp, map_access.T_map_vehicle
-    scans, update, view = map_access.scans, map_access.update, map_access.view
-
-    @property
-    def half_life(self) -> tuple[float, float]:
-        """Time in which belief in free and in static halves [s]."""
-        return self.settings.free_half_life, self.settings.static_half_life
-
     @locked
     def reset(self) -> None:
         """Forget everything: the next scan begins a new map."""
-        map_access.reset(self)
+        super().reset()
         self._history.clear()
         self._objects = None
         if self._tracker is not None:
@@ -174,21 +162,9 @@ class DynamicMapper:
     @locked
     def dynamic_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> DynamicGrid:
         """Return the map, with its velocities, in the vehicle's axes, by nearest cells. Arguments as for `view`."""
-        cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
+        cells, T = self._around(spec, T_map_vehicle)
         belief = beliefs(self._cells, self._moments, self._groups, still=0.0)
         return seen_from(belief, self.spec, cells, T)
-
-    @property
-    @locked
-    def conflict(self) -> LayeredGrid:
-        """Where map and scans contradicted each other of late: as `EvidentialMapper.conflict`."""
-        return conflict_grid(self.spec, self._conflict())
-
-    @locked
-    def conflict_view(self, spec: GridSpec | None = None, T_map_vehicle: ArrayLike | None = None) -> LayeredGrid:
-        """Return `conflict` in the vehicle's axes, by nearest cells. Arguments as for `view`."""
-        cells, T = spec or self._window.around, self.T_map_vehicle if T_map_vehicle is None else T_map_vehicle
-        return conflict_grid(cells, view_layers(self._conflict(), self.spec, cells, T))
 
     @locked
     def objects(self) -> Objects:
@@ -324,7 +300,11 @@ class DynamicMapper:
         key, noise = scan_key(self.seed, self.scans), self.settings.noise(seconds)
         return Step(np.float32(seconds), metres, noise, np.float32(spec.resolution), spec.shape, key)
 
-    def _conflict(self) -> NDArray[np.float32]:
+    @property
+    def _layers(self) -> Sequence[NDArray[np.generic]]:
+        return (*self._cells, *self._next_cells, self._particles.start)
+
+    def _conflict_layers(self) -> NDArray[np.float32]:
         return np.stack([self._cells.to_occupied, self._cells.to_free], axis=-1)
 
 
