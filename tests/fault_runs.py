@@ -38,7 +38,7 @@ MODULES = {  # what a command imports
     "simulate": ("ogm.simulation.dataset", "ogm.simulation.exchange", "ogm.simulation.preview", "zarr"),
     "train": ("ogm.deep.training", "ogm.datasets", "zarr", "matplotlib.figure"),
     "evaluate": ("ogm.evaluation", "ogm.datasets", "zarr", "matplotlib.figure", "jinja2"),
-    "fuse": ("ogm.cli.fuse_run", "ogm.models.named", "ogm.geometric", "ogm.plot.viewer", "mcap", "rosbags.rosbag1"),
+    "fuse": ("ogm.workflows", "ogm.models.named", "ogm.geometric", "ogm.plot.viewer", "mcap", "rosbags.rosbag1"),
     "convert": ("ogm.io.grids", "rasterio", "xarray", "netCDF4", "zarr", "mcap", "rosbags.rosbag1"),
     "world": ("ogm.world", "ogm.datasets", "ogm.models.named", "ogm.geometric", "rich.progress"),
     "serve": ("ogm.datasets", "ogm.models.named", "ogm.geometric", "ogm.live"),

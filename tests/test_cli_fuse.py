@@ -23,7 +23,7 @@ from ogm.simulation.store import Store
 from ogm.state import Truth
 from ogm.truth import TRUTH_SPEC
 
-FUSE = importlib.import_module("ogm.cli.fuse_command")
+FUSE = importlib.import_module("ogm.workflows.fuse_options")
 HEIGHT, FRAMES, WALL = 1.7, 8, 10.0
 SMALL = ("--length", 24, "--width", 16, "--resolution", 0.5)
 POSES = np.array([pose(0.4 * k, 0.05 * k, yaw=0.02 * k) for k in range(FRAMES)])
@@ -372,11 +372,11 @@ def test_a_simulated_drive_has_its_poses_and_its_mount(data: Path, tmp_path: Pat
         (("{scans}", "--poses", "{poses}", "--half-life", "-1"), "half_life must be greater than 0 s"),
         (("{scans}", "--poses", "{poses}", "--rate", "0"), "rate must be above 0 [Hz]"),
         (("{scans}", "--poses", "{poses}", "--length", "10.3"), "use 10 m or 10.5 m"),
-        (("{scans}", "--poses", "{poses}", "--out", "{poses}/x.npz"), "--out cannot write into"),
-        (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "--out writes .npz"),
-        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "--movie writes .gif or .webp or .png"),
-        (("{scans}", "--poses", "{poses}", "--picture", "{folder}/x.png", "--movie", "{folder}/x.png"), "both write"),
-        (("{scans}", "--poses", "{poses}", "--page", "{folder}/x.htm"), "--page writes .html"),
+        (("{scans}", "--poses", "{poses}", "--out", "{poses}/x.npz"), "the map cannot be written into"),
+        (("{scans}", "--poses", "{poses}", "--out", "{folder}/x.txt"), "the map is written as .npz"),
+        (("{scans}", "--poses", "{poses}", "--movie", "{folder}/x.mp4"), "the movie is written as .gif or .webp or .png"),
+        (("{scans}", "--poses", "{poses}", "--picture", "{folder}/x.png", "--movie", "{folder}/x.png"), "both be written"),
+        (("{scans}", "--poses", "{poses}", "--page", "{folder}/x.htm"), "the page is written as .html"),
         (("{scans}", "--poses", "{poses}", "--save-poses", "{poses}"), "would overwrite"),
         (("{scans}", "--poses", "{folder}/none.txt"), "none.txt"),
         (("{scans}", "--calib", "{poses}"), "--calib belongs to --poses"),
@@ -432,7 +432,7 @@ def test_a_folder_that_cannot_be_written_is_found_before_the_work(
     monkeypatch.setattr(FUSE.tempfile, "TemporaryFile", refused)
     result = ogm("fuse", scans, "--poses", poses, "--out", tmp_path / "m.npz")
     assert result.exit_code == 2
-    assert "--out cannot write into" in result.output
+    assert "the map cannot be written into" in result.output
     assert "Permission denied" in result.output
 
 

@@ -18,7 +18,7 @@ import ogm.storage.files
 from ogm.cli import app, console
 from ogm.cli.console import SafeFormatter, printable, report_errors
 from ogm.io.grids.paths import whole_path
-from ogm.storage.files import atomic_write, finish_zarr, temporary_folder
+from ogm.storage.files import atomic_write, error_text, finish_zarr, temporary_folder
 
 ESCAPE = "a\x1b[31m\x07\u202eb\x9bc"
 
@@ -95,7 +95,7 @@ def test_the_error_of_a_full_disk_names_the_file(tmp_path, monkeypatch):
     for number in (errno.ENOSPC, errno.EDQUOT):
         with pytest.raises(OSError, match="a.bin") as caught, atomic_write(path):
             raise OSError(number, "full")
-        assert console.one_line(caught.value) == f"{path}: full"
+        assert error_text(caught.value) == f"{path}: full"
 
 
 def test_an_error_with_a_name_of_its_own_keeps_it(tmp_path):

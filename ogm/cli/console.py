@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli.interrupts import received
-from ogm.storage.files import OF_DISK
+from ogm.storage.files import OF_DISK, error_text
 
 if TYPE_CHECKING:
     from ogm.grid import GridSpec
@@ -85,7 +85,7 @@ def report_errors(command: Callable[P, R]) -> Callable[P, R]:
             if received:  # processes that the same signal ended, or packages that made an error of it, are why
                 stderr.print(f"ogm: interrupted; {_WHOLE}", markup=False)
                 raise typer.Exit(130) from None
-            stderr.print(f"ogm: {one_line(error)}", markup=False)
+            stderr.print(f"ogm: {error_text(error)}", markup=False)
             raise typer.Exit(1 if isinstance(error, OSError) and error.errno in OF_DISK else 2) from None
         except KeyboardInterrupt as interrupt:
             text = str(interrupt) or _WHOLE
@@ -102,15 +102,6 @@ def _is_interrupt(error: BaseException | None) -> bool:
             return True
         error = error.__cause__ or error.__context__
     return False
-
-
-def one_line(error: BaseException) -> str:
-    """Return an error in one line."""
-    if isinstance(error, OSError) and error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
-    if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
-        return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def print_facts(facts: Mapping[str, str]) -> None:

@@ -1,6 +1,6 @@
 """A drive of a data set with its poses, by the options that `ogm fuse` and `ogm serve` share."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +11,7 @@ from ogm.cli.console import out, stderr
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
 
-__all__ = ["add_drives", "check_pose_options", "pick_drive", "posed", "with_known_poses"]
+__all__ = ["check_pose_options", "pick_drive", "with_known_poses"]
 
 
 def check_pose_options(
@@ -51,28 +51,12 @@ def pick_drive(dataset: "Dataset", sequence: str | None, sensor_height: float | 
     return dataset
 
 
-def add_drives(drives: "dict[str, Dataset]", path: Path, dataset: "Dataset") -> None:
-    """Add the drives of a data set by name: of its path, and of the sequence where it has several.
-
-    Raises
-    ------
-    ValueError
-        If there is a drive of that name.
-    """
-    name = path.resolve().name.split(".")[0]
-    parts = {f"{name}-{one}": dataset.select(numbers) for one, numbers in dataset.sequences.items()} or {name: dataset}
-    for key, part in parts.items():
-        allowed = "".join(c if c.isalnum() or c in "-_." else "-" for c in key)
-        if allowed in drives:
-            raise ValueError(f"{path} has a drive {allowed}, as one before it: rename its folder, or leave it out")
-        drives[allowed] = part
-
-
 def with_known_poses(
     dataset: "Dataset", poses: Path | None, calib: Path | None, odometry: str | None, rate: float, first: int | None
 ) -> "Dataset":
     """Return the first scans of a drive with their poses, as `posed`, and print whose they are."""
     from ogm.datasets import with_poses
+    from ogm.workflows import posed
 
     def ticked(numbers: Iterable[int]) -> Iterable[int]:
         return track(list(numbers), odometry or "reading stamps", console=stderr, transient=True)
@@ -82,24 +66,3 @@ def with_known_poses(
     dataset, how = posed(dataset, odometry, rate, first, ticked)
     out.print(f"poses: {how}", markup=False, soft_wrap=True)
     return dataset
-
-
-def posed(
-    dataset: "Dataset",
-    odometry: str | None,
-    rate: float,
-    first: int | None,
-    ticked: Callable[[Iterable[int]], Iterable[int]] = iter,
-) -> "tuple[Dataset, str]":
-    """Return the first scans of a drive with poses, its own or estimated ones, and whose they are, in words."""
-    from ogm.datasets import with_odometry
-
-    if odometry is not None:
-        dataset = with_odometry(dataset[:first], odometry, rate, ticked)
-    known, how = sum(ref.T_map_sensor is not None for ref in dataset.refs), dataset.facts.get("poses")
-    if not known:
-        raise ValueError(
-            f"where were the scans taken? {f'Poses: {how}. ' if how else ''}Give --poses FILE (KITTI, KITTI-360, TUM), "
-            "or estimate the poses with --odometry kiss-icp"
-        )
-    return dataset[:first], how or f"{known} of {len(dataset)} scans, of the data set"

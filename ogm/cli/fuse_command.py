@@ -1,7 +1,5 @@
 """``ogm fuse``: the scans of a drive to one map that remembers and forgets."""
 
-import tempfile
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,22 +8,13 @@ from rich.progress import track
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, one_line, out, print_facts, report_errors, stderr
-from ogm.cli.drive import add_drives, check_pose_options, pick_drive, with_known_poses
+from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
+from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
-from ogm.io.grids import MAP_ENDINGS, check_grid_output
 
 if TYPE_CHECKING:
-    from ogm.cli.one_drive import FuseInto
     from ogm.datasets import Dataset
-
-ENDINGS = {  # of what each option writes
-    "--out": MAP_ENDINGS,
-    "--picture": (".png",),
-    "--movie": (".gif", ".webp", ".png"),
-    "--page": (".html",),
-    "--save-poses": (".csv", ".txt", ".tum"),
-}
+    from ogm.workflows import FuseInto, Outputs
 
 ScanPaths = Annotated[list[Path], Argument(help="Files of scans, a folder, a data set, or a log.", metavar="SCANS")]
 Poses = Annotated[File, Option(help="Poses of the sensor: KITTI, KITTI-360, TUM (.txt), or what --save-poses wrote.")]
@@ -152,61 +141,84 @@ def fuse(
     command goes on after Ctrl-C or a kill, and adds the drives that are new. One map of many drives is made by `ogm
     world build`.
     """
-    from ogm.cli.fuse_run import check_rule
-    from ogm.cli.one_drive import FuseInto, FuseOptions, Outputs, fuse_drive, load_models
+    from dataclasses import replace
+
     from ogm.datasets import open_dataset
-    from ogm.fusion import make_mapper
     from ogm.grid import GridSpec
+    from ogm.io.grids import check_grid_output
     from ogm.models.named import describe_model
+    from ogm.workflows import FuseInto, FuseOptions, Outputs, drives_of, fuse_drive
 
     if out_path is None and picture is None and movie is None and page is None:
         out_path, picture = Path("map.npz"), Path("map.png")
     check_pose_options(poses, calib, odometry, save_poses, first)
-    given = {"--out": out_path, "--picture": picture, "--movie": movie, "--save-poses": save_poses, "--page": page}
-    _prepare_outputs(given, scans)
-    outputs = Outputs(*given.values())
+    outputs = Outputs(out_path, picture, movie, save_poses, page)
+    outputs.prepare(scans)
     if message is not None:
         check_grid_output(out_path or "map.npz", message=message)  # type: ignore[arg-type]
     spec = GridSpec.centered(length, width, resolution)
-    ism = chosen_model(ism, spec)
-    load_models(ism, spec)  # refuses what is none, before any work
-    rule, count = check_rule(rule, dynamic, particles)
-    make_mapper(rule, spec, half_life, window, count)  # type: ignore[arg-type]
-    how = FuseOptions(
-        ism, spec, rule, half_life, window, count, deskew, radar_reliability, tuple(sensor or ()), message
+    ism, rule = chosen_model(ism, spec), _checked_rule(rule, dynamic, particles)
+    options = FuseOptions(
+        ism=ism,
+        spec=spec,
+        rule=rule,
+        half_life=half_life,
+        window=window,
+        particles=200_000 if particles is None else particles,
+        deskew=deskew,
+        radar_reliability=radar_reliability,
+        sensors=tuple(sensor or ()),
+        message=message,
     )
+    options.check()
     reading = {"axes": axes, "intensity_max": intensity_max, "time_unit": time_unit, "topic": topic or ()}
     reading |= {"sensor_height": sensor_height, "sensor_position": sensor_position, "frame": fixed_frame}
-
-    def opened(paths: list[Path]) -> "Dataset":
-        split = "sequences" if (paths[0] / "zarr.json").exists() else None
-        return open_dataset(paths, sensors=sensor or (), split=split, **reading)
-
+    datasets = [
+        open_dataset(
+            paths, sensors=sensor or (), split="sequences" if (paths[0] / "zarr.json").exists() else None, **reading
+        )
+        for paths in ([[path] for path in scans] if each_drive else [scans])
+    ]
     if each_drive:
-        _check_many(poses, sequence, given)
-        drives: dict[str, Dataset] = {}
-        for path in scans:
-            add_drives(drives, path, opened([path]))
-        how = replace(how, odometry=odometry, rate=rate, first=first, weights=describe_model(ism)[1])
-        fuse_one = FuseInto(how, outputs.within(Path()))
+        _check_many(poses, sequence, outputs)
+        options = replace(options, odometry=odometry, rate=rate, first=first, weights=describe_model(ism)[1])
+        drives, fuse_one = drives_of(zip(scans, datasets, strict=True)), FuseInto(options, outputs.within(Path()))
         raise typer.Exit(_fuse_each(drives, fuse_one, outputs.base.parent, workers, scheduler))
     if workers > 1 or scheduler is not None:
         raise ValueError("--workers and --scheduler are for --each-drive: the scans of one drive follow each other")
-    dataset = pick_drive(opened(scans), sequence, sensor_height)
+    dataset = pick_drive(datasets[0], sequence, sensor_height)
     dataset = with_known_poses(dataset, poses, calib, odometry, rate, first)
-    run, code = fuse_drive(dataset, how, outputs)
+    run = fuse_drive(
+        dataset,
+        outputs,
+        options,
+        tell=lambda text: stderr.print(f"ogm: {text}", markup=False),
+        progress=lambda steps: track(steps, "mapping", len(dataset), console=stderr, transient=True),
+    )
     print_facts(run.facts())
-    written = zip(("map", "picture", "movie", "poses", "page"), given.values(), strict=True)
-    out.print("   ".join(f"{name} {path}" for name, path in written if path), markup=False, soft_wrap=True)
-    if code:
-        raise typer.Exit(code)
+    written = (f"{name} {path}" for name, path in outputs.given().items())
+    out.print("   ".join(written), markup=False, soft_wrap=True)
+    if run.code:
+        raise typer.Exit(run.code)
 
 
-def _check_many(poses: Path | None, sequence: str | None, given: dict[str, Path | None]) -> None:
+def _checked_rule(rule: str | None, dynamic: bool, particles: int | None) -> str:
+    """Return the rule by the options; refuse options that exclude each other."""
+    from ogm.fusion import DYNAMIC, NUSS
+
+    chosen = rule or (DYNAMIC if dynamic else "cautious")
+    if dynamic and chosen not in (DYNAMIC, NUSS):
+        raise ValueError(f"--dynamic has a filter of its own, {DYNAMIC} or {NUSS}: leave out --rule {rule}")
+    if particles is not None and chosen not in (DYNAMIC, NUSS):
+        raise ValueError("--particles belongs to --dynamic, which is missing")
+    return chosen
+
+
+def _check_many(poses: Path | None, sequence: str | None, outputs: "Outputs") -> None:
     """Refuse options of one drive, and outputs in several folders."""
     if poses is not None or sequence is not None:
         raise ValueError("--poses and --sequence are of one drive: leave them out, or leave out --each-drive")
-    folders = sorted({str(path.parent) for path in given.values() if path})
+    folders = sorted({str(path.parent) for path in outputs.given().values()})
     if len(folders) > 1:
         raise ValueError(f"with --each-drive all outputs lie in one folder, got {', '.join(folders)}")
 
@@ -215,7 +227,7 @@ def _fuse_each(
     drives: "dict[str, Dataset]", fuse_one: "FuseInto", folder: Path, workers: int, scheduler: str | None
 ) -> int:
     """Fuse drives into folders of their own, print what was done, and return the exit code."""
-    from ogm.fusion import fuse_drives
+    from ogm.workflows import fuse_drives
 
     code, done, rows = 0, 0, dict[str, Any]()
     made = fuse_drives(drives, fuse_one, folder, workers=workers, scheduler=scheduler)
@@ -229,32 +241,7 @@ def _fuse_each(
             rows[one.name] += ", was finished before" if one.reused else ""
     except KeyboardInterrupt:
         kept = f"{done} of {len(drives)} drives are finished and kept in {folder}"
-        raise KeyboardInterrupt(f"{kept}: repeat the command to go on") from None
+        raise KeyboardInterrupt(f"{kept}: repeat the command to resume") from None
     print_facts({name: rows[name] for name in drives})
     out.print(f"written {folder}", markup=False, soft_wrap=True)
     return code
-
-
-def _prepare_outputs(wanted: dict[str, Path | None], inputs: list[Path]) -> None:
-    """Make the folders of all outputs, and see that they can be written, before hours of work."""
-    used: dict[Path, str] = {}
-    for option, path in wanted.items():
-        if path is None:
-            continue
-        if path.suffix.lower() not in ENDINGS[option]:
-            raise ValueError(f"{option} writes {' or '.join(ENDINGS[option])}, got {path}")
-        if option == "--out":
-            check_grid_output(path)
-        if path.is_dir() and path.suffix.lower() != ".zarr":
-            raise ValueError(f"{option} {path} is a folder; give a file name")
-        if path.resolve() in (one.resolve() for one in inputs):
-            raise ValueError(f"{option} would take the place of {path}, which is read; give another name")
-        other = used.setdefault(path.resolve(), option)
-        if other != option:
-            raise ValueError(f"{other} and {option} would both write {path}; give two names")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=path.parent):
-                pass
-        except OSError as error:
-            raise OSError(f"{option} cannot write into {path.parent}: {one_line(error)}") from error

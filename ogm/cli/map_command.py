@@ -13,8 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ogm.cli import options
-from ogm.cli.console import chosen_model, distinct, first_call, one_line, out, report_errors, stderr, ticked
+from ogm.cli.console import chosen_model, distinct, first_call, out, report_errors, stderr, ticked
 from ogm.io.grids import MAP_ENDINGS, PlacedGrid, check_grid_output, write_grid
+from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
     from ogm.grid import EvidentialGrid, GridSpec
@@ -158,7 +159,7 @@ def map_(
         except (ValueError, TypeError, OSError) as error:
             if len(names) == 1:
                 raise
-            failed.append(f"{frame.name}: {one_line(error)}")
+            failed.append(f"{frame.name}: {error_text(error)}")
     if heights:
         stderr.print(f"sensor height {', '.join(sorted(heights))}, estimated from the scans (--sensor-height sets it)")
     if table.row_count:

@@ -12,9 +12,10 @@ import typer
 from typer import Argument, Option
 
 from ogm.cli import options
-from ogm.cli.console import first_call, one_line, out, report_errors, stderr
+from ogm.cli.console import first_call, out, report_errors, stderr
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.fuse_command import Calibration, Drive, First, HalfLife, Model, Odometry, Poses, Rule
+from ogm.storage.files import error_text
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -121,7 +122,7 @@ def serve(
             rate=speed,
             duration=duration,
             stop=stop,
-            on_error=lambda frame, error: _print(f"{frame.name} is skipped: {one_line(error)}"),
+            on_error=lambda frame, error: _print(f"{frame.name} is skipped: {error_text(error)}"),
             on_report=_print,
             report_every=report_every,
         )
@@ -153,4 +154,4 @@ def _listener(place: str) -> socket.socket:
     try:
         return socket.create_server((host or "127.0.0.1", int(port)))
     except OSError as error:
-        raise OSError(f"--listen cannot listen at {place}: {one_line(error)}") from error
+        raise OSError(f"--listen cannot listen at {place}: {error_text(error)}") from error

@@ -9,7 +9,6 @@ from typer import Argument, Option
 
 from ogm.cli import options
 from ogm.cli.console import out, print_facts, report_errors, stderr
-from ogm.cli.drive import add_drives
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -76,15 +75,15 @@ def build(
     """
     from ogm.grid import GridSpec
     from ogm.models.named import load_model, with_radar
+    from ogm.workflows import drives_of
     from ogm.world import WorldMap, build_world
 
     if poses is not None and len(poses) != len(datasets):
         raise ValueError(f"give --poses once per data set, or never: got {len(poses)} for {len(datasets)}")
     spec = GridSpec.centered(length, width, resolution)
     model = load_model(with_radar(ism), spec)
-    drives: dict[str, Any] = {}
-    for n, path in enumerate(datasets):
-        add_drives(drives, path, _open(path, axes, poses[n] if poses else None, calib, rate))
+    opened = [(path, _open(path, axes, poses[n] if poses else None, calib, rate)) for n, path in enumerate(datasets)]
+    drives = drives_of(opened)
     try:
         world = WorldMap.open(out_url, "r+")
     except FileNotFoundError:

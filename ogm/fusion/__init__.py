@@ -6,7 +6,6 @@
 """
 
 from ogm.fusion.bayes import BinaryBayesMapper
-from ogm.fusion.drives import FusedDrive, fuse_drives
 from ogm.fusion.dynamic.mapper import DynamicMapper
 from ogm.fusion.dynamic.objects import Objects, find_objects
 from ogm.fusion.dynamic.prediction import predict_dynamic
@@ -31,7 +30,6 @@ __all__ = [
     "DynamicSettings",
     "EgoMotion",
     "EvidentialMapper",
-    "FusedDrive",
     "FusionStep",
     "Mapper",
     "Objects",
@@ -43,7 +41,6 @@ __all__ = [
     "extrapolate",
     "find_objects",
     "fuse",
-    "fuse_drives",
     "grid_pose",
     "make_mapper",
     "map_scans",

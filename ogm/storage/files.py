@@ -19,7 +19,16 @@ from typing import IO, Any
 
 from ogm.storage.locks import locked, sweep, try_lock
 
-__all__ = ["OF_DISK", "OgmError", "atomic_write", "finish_zarr", "naming", "temporary_folder", "update_hint"]
+__all__ = [
+    "OF_DISK",
+    "OgmError",
+    "atomic_write",
+    "error_text",
+    "finish_zarr",
+    "naming",
+    "temporary_folder",
+    "update_hint",
+]
 
 OF_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)  # errors of a full or broken disk
 _PREFIX = ".ogm-"
@@ -28,6 +37,15 @@ _swept: set[Path] = set()  # folders that this process has cleared of what kille
 
 class OgmError(ValueError):
     """Something is wrong with a file or a message that was given to the library."""
+
+
+def error_text(error: BaseException) -> str:
+    """Return an error as one line of text."""
+    if isinstance(error, OSError) and error.strerror:
+        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+    if isinstance(error, MemoryError) and (type(error) is not MemoryError or not error.args):
+        return "out of memory: use a coarser --resolution, a smaller grid or fewer points"
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 @contextmanager

@@ -1,1 +1,17 @@
-"""Whole jobs: a drive fused to files, many drives."""
+"""Whole jobs: a drive fused to a map and its files, many drives in folders of their own.
+
+>>> from ogm import open_dataset
+>>> from ogm.workflows import FuseOptions, Outputs, fuse_drive
+>>> drive = open_dataset("drive.mcap")                                                             # doctest: +SKIP
+>>> run = fuse_drive(drive, Outputs(map="map.yaml", picture="map.png"), FuseOptions(rule="yager")) # doctest: +SKIP
+>>> run.facts()["scans"]                                                                           # doctest: +SKIP
+"""
+
+from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
+from ogm.workflows.fuse_drive import FuseInto, fuse_drive, posed
+from ogm.workflows.fuse_options import FuseOptions, Outputs
+from ogm.workflows.fusion_run import FusionRun
+
+__all__ = [
+    "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "drives_of", "fuse_drive", "fuse_drives", "posed",
+]  # fmt: skip

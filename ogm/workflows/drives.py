@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ogm.datasets import Dataset
 from ogm.scan import Frame
-from ogm.storage.files import OF_DISK, OgmError, atomic_write, temporary_folder
+from ogm.storage.files import OF_DISK, OgmError, atomic_write, error_text, temporary_folder
 from ogm.storage.locks import locked
 from ogm.storage.workers import deaths_explained, work_off
 
-__all__ = ["FusedDrive", "fuse_drives"]
+__all__ = ["FusedDrive", "drives_of", "fuse_drives"]
 
 _FORMAT = "ogm.fused/1"
 _NOTE = "drive.json"
@@ -95,6 +96,31 @@ def fuse_drives(
                 yield one
 
 
+def drives_of(datasets: Iterable[tuple[Path, Dataset]]) -> dict[str, Dataset]:
+    """Return the drives of datasets by name: that of the path, and of the sequence where it has several.
+
+    Parameters
+    ----------
+    datasets : iterable of (Path, Dataset)
+        Each with the path that it was opened from.
+
+    Raises
+    ------
+    ValueError
+        If two drives have one name.
+    """
+    drives: dict[str, Dataset] = {}
+    for path, dataset in datasets:
+        name = path.resolve().name.split(".")[0]
+        parts = {f"{name}-{one}": dataset.select(numbers) for one, numbers in dataset.sequences.items()}
+        for key, part in (parts or {name: dataset}).items():
+            allowed = "".join(c if c.isalnum() or c in "-_." else "-" for c in key)
+            if allowed in drives:
+                raise ValueError(f"{path} has a drive {allowed}, as one before it: rename its folder, or leave it out")
+            drives[allowed] = part
+    return drives
+
+
 class _Job(NamedTuple):
     """A drive that is to be fused."""
 
@@ -122,7 +148,7 @@ class _Task:
         except (ValueError, TypeError, OSError) as error:
             if isinstance(error, OSError) and error.errno in OF_DISK:
                 raise
-            return FusedDrive(job.name, {}, " ".join(str(error).split()) or type(error).__name__)
+            return FusedDrive(job.name, {}, error_text(error))
         return FusedDrive(job.name, facts)
 
 

@@ -1,20 +1,18 @@
-"""A run of ``ogm fuse``: what was mapped, and what of it is drawn, saved and printed."""
+"""The course of fusing one drive: what was mapped, and what of it is drawn, saved and reported."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import track
 
 from ogm import plot
-from ogm.cli.console import one_line, stderr
 from ogm.datasets import Dataset, frame_numbers
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion import DYNAMIC, NUSS, BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
+from ogm.fusion import BinaryBayesMapper, DynamicMapper, FusionStep, Mapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io import GridLog, PlacedGrid, write_poses
 from ogm.io.messages import StampedTransform
@@ -22,39 +20,42 @@ from ogm.plot import Panel
 from ogm.plot.movie import Movie
 from ogm.pose import Trajectory, inverse, pose
 from ogm.scan import Boxes, Frame
-from ogm.storage.files import OF_DISK
+from ogm.storage.files import OF_DISK, error_text
 
-__all__ = ["FusionRun", "check_rule"]
+__all__ = ["FusionRun"]
 
-ARROWS = 1.0  # [s] of the way that an arrow shows
-
-
-def check_rule(rule: str | None, dynamic: bool, particles: int | None) -> tuple[str, int]:
-    """Return rule and number of particles by the options; refuse options that exclude each other."""
-    chosen = rule or (DYNAMIC if dynamic else "cautious")
-    if dynamic and chosen not in (DYNAMIC, NUSS):
-        raise ValueError(f"--dynamic has a filter of its own, {DYNAMIC} or {NUSS}: leave out --rule {rule}")
-    if particles is not None and chosen not in (DYNAMIC, NUSS):
-        raise ValueError("--particles belongs to --dynamic, which is missing")
-    return chosen, 200_000 if particles is None else particles
+ARROW_SECONDS = 1.0  # [s] of the way that an arrow shows
 
 
 @dataclass
 class FusionRun:
-    """What has been mapped so far.
+    """The scans of a drive that have been mapped so far.
 
     Parameters
     ----------
     dataset : Dataset
-    mapper : EvidentialMapper, BinaryBayesMapper or DynamicMapper
+    mapper : Mapper
     spec : GridSpec
-        Of picture and film, around the vehicle.
+        Cells of picture and film, around the vehicle.
     names : (str, str)
-        Of sensor model and rule.
+        Names of sensor model and rule.
     base : Path
         The main output: maps before a restart are saved beside it.
-    tell : function, optional
-        Takes messages about scans. By default they are printed, and a progress bar is shown.
+    tell : function
+        Called with messages about scans.
+
+    Attributes
+    ----------
+    last : FusionStep or None
+        The last step that was mapped.
+    taken : list of int
+        Numbers of the frames that were mapped.
+    failed : int
+        Number of the frames that were skipped.
+    ended : str
+        Reason of an early end; "" if all frames were read.
+    interrupted : bool
+        Whether that reason is an interrupt.
     """
 
     dataset: Dataset
@@ -62,10 +63,12 @@ class FusionRun:
     spec: GridSpec
     names: tuple[str, str]
     base: Path
-    tell: Callable[[str], object] | None = None
+    tell: Callable[[str], object]
     last: FusionStep | None = None
-    taken: list[int] = field(default_factory=list)  # numbers of the frames that were mapped
+    taken: list[int] = field(default_factory=list)
     failed: int = 0
+    ended: str = ""
+    interrupted: bool = False
     recorded: int = 0  # maps that are in a log
     restarts: int = 0
     path: float = 0.0  # [m]
@@ -84,19 +87,22 @@ class FusionRun:
         (model, rule), half_life = self.names, np.ravel(self.mapper.half_life)[0]
         fading = "" if math.isinf(half_life) else f", half-life {half_life:g} s"
         if isinstance(self.mapper, DynamicMapper):
-            fading = f", arrows: {ARROWS:g} s"
+            fading = f", arrows: {ARROW_SECONDS:g} s"
         other = "conflict" if hasattr(self.mapper, "conflict") else "map, probability"
         return f"measurement ({model})", f"map ({rule}{fading})", other
 
-    def map_all(self, steps: Iterator[FusionStep], film: Movie | None, maps: GridLog | None = None) -> int:
-        """Map all scans; return the exit code: 0, 2 after skipped scans or an error, 130 after Ctrl-C."""
-        if self.tell is None:
-            steps = track(steps, "mapping", len(self.dataset), console=stderr, transient=True)  # type: ignore
+    @property
+    def code(self) -> int:
+        """Exit code of a command: 0, 2 after skipped scans or an error, 130 after an interrupt."""
+        return 130 if self.interrupted else 2 if self.failed or self.ended else 0
+
+    def map_all(self, steps: Iterable[FusionStep], film: Movie | None, maps: GridLog | None = None) -> None:
+        """Map all scans. An interrupt or an error ends the loop; only errors of the disk of a log are raised."""
         try:
             for k, step in enumerate(steps):
                 if step.grid is None:
                     continue
-                self.note(k, step)
+                self.add(k, step)
                 if maps is not None:
                     self.record(maps)
                 if film is not None:
@@ -105,39 +111,33 @@ class FusionRun:
         except KeyboardInterrupt:
             if maps is not None and self.taken and not self.recorded:  # a log without a map is of no use
                 self.record(maps)
-            return self.stopped("interrupted", 130)
+            self.interrupted = True
+            self.end("interrupted")
         except Exception as error:  # whatever it is, the map so far must not be lost
             if isinstance(error, OSError) and error.errno in OF_DISK:
                 raise  # of its log: the other outputs would not fit either, and earlier ones stay
-            return self.stopped(f"{one_line(error)}: stopped", 2)
-        return 2 if self.failed else 0
+            self.end(f"{error_text(error)}: stopped")
 
-    def stopped(self, why: str, code: int) -> int:
-        """Print why the mapping ends early."""
-        self.message(f"{why} after {len(self.taken)} scans; what there is gets written")
-        return code
+    def end(self, reason: str) -> None:
+        """Note and tell why the mapping ends early."""
+        self.ended = reason
+        kept = f"after {len(self.taken)} scans; writing the partial result" if self.taken else "before the first scan"
+        self.tell(f"{reason} {kept}")
 
-    def report(self, frame: Frame, error: Exception) -> None:
-        """Print why a scan is skipped."""
+    def skip(self, frame: Frame, error: Exception) -> None:
+        """Count a scan that is skipped, and tell why."""
         self.failed += 1
-        self.message(f"{frame.name} is skipped: {one_line(error)}")
+        self.tell(f"{frame.name} is skipped: {error_text(error)}")
 
-    def message(self, text: str) -> None:
-        """Print or pass on what happened."""
-        if self.tell is not None:
-            self.tell(text)
-        else:
-            stderr.print(f"ogm: {text}", markup=False)
-
-    def note(self, k: int, step: FusionStep) -> None:
-        """Take down what was mapped, and save the map that a restart would lose."""
+    def add(self, k: int, step: FusionStep) -> None:
+        """Record a mapped frame, and save the map that a restart would lose."""
         self.speed = math.nan
         if step.previous_map is not None:
             self.restarts += 1
             path = self.base.with_name(f"{self.base.stem}.before-jump-{self.restarts}.npz")
             step.previous_map.save(path)
             why = f"{step.restart}, the third in a row: the map so far is saved as {path}, a new one begins here"
-            self.message(f"{step.frame.name}: {why}")
+            self.tell(f"{step.frame.name}: {why}")
         elif self.last is not None:
             metres = math.dist(step.T_map_grid[:2, 3], self.last.T_map_grid[:2, 3])  # type: ignore[index]
             seconds = (step.frame.stamp or 0.0) - (self.last.frame.stamp or 0.0)
@@ -186,7 +186,7 @@ class FusionRun:
         else:
             other = plot.conflict_panel(self.mapper.conflict_view(self.spec), third)
         if isinstance(self.mapper, DynamicMapper):
-            shown = plot.dynamic_panel(self.mapper.dynamic_view(self.spec), second, ARROWS, self.objects())
+            shown = plot.dynamic_panel(self.mapper.dynamic_view(self.spec), second, ARROW_SECONDS, self.objects())
         else:
             shown = plot.mass_panel(view, second)
         speed = "" if math.isnan(self.speed) else f"{3.6 * self.speed:.0f} km/h"

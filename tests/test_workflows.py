@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ogm.fusion import FusedDrive, fuse_drives
 from ogm.pose import pose
 from ogm.scan import Frame, Mount, Scan
 from ogm.storage.files import OgmError
+from ogm.workflows import FusedDrive, fuse_drives
 
 
 def frame(name: str, k: int) -> Frame:

@@ -1,0 +1,155 @@
+"""One drive fused to files: map, picture, film, page, poses. ``ogm fuse`` parses its options and calls `fuse_drive`."""
+
+import logging
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ogm.datasets import Dataset, with_odometry
+from ogm.fusion import FusionStep, covering_window, fuse, make_mapper, rolling_window
+from ogm.io.grids import GridLog, write_grid
+from ogm.io.logs import LOG_ENDINGS
+from ogm.plot.movie import open_movie
+from ogm.plot.viewer import write_view
+from ogm.workflows.fuse_options import FuseOptions, Outputs
+from ogm.workflows.fusion_run import FusionRun
+
+__all__ = ["FuseInto", "fuse_drive", "posed"]
+
+_log = logging.getLogger(__name__)
+
+
+def fuse_drive(
+    dataset: Dataset,
+    outputs: Outputs = Outputs(),  # noqa: B008  it is frozen
+    options: FuseOptions | None = None,
+    *,
+    tell: Callable[[str], object] = _log.warning,
+    progress: Callable[[Iterator[FusionStep]], Iterable[FusionStep]] = iter,
+) -> FusionRun:
+    """Fuse a drive into a map, and write the outputs.
+
+    Scans that are damaged, have no pose, or whose pose or stamp jumps are skipped. An interrupt, or an error on the
+    way, ends the mapping early; what was mapped until then is written.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One drive.
+    outputs : Outputs
+        Files to write; their folders are made.
+    options : FuseOptions, optional
+    tell : function
+        Called with messages about scans and about an early end; by default they are logged.
+    progress : function
+        Iterates over the steps, and may draw a progress bar.
+
+    Returns
+    -------
+    FusionRun
+        With the mapper, and what was mapped. `FusionRun.code` is not 0 if scans were skipped or it ended early.
+
+    Raises
+    ------
+    ValueError
+        If the drive has no poses, or no scan could be mapped.
+    KeyboardInterrupt
+        If it was interrupted before the first scan was mapped.
+    """
+    outputs.prepare()
+    o = options or FuseOptions()
+    dataset = posed(dataset, o.odometry, o.rate, o.first)[0]
+    if o.deskew and not dataset.motion_distorted:
+        raise ValueError("leave out --deskew: the points of this dataset are not (or not all) distorted by motion")
+    known = [ref.T_map_sensor for ref in dataset.refs if ref.T_map_sensor is not None]
+    cells = rolling_window(o.spec) if o.window == "rolling" else covering_window(o.spec, np.array(known))
+    mapper = make_mapper(o.rule, cells, o.half_life, o.window, o.particles)  # type: ignore[arg-type]
+    run = FusionRun(dataset, mapper, o.spec, (Path(str(o.ism)).stem, o.rule), outputs.base, tell)
+    times = (dataset.trajectory or True) if o.deskew else False
+    radars = dataset.facts.get("radars", {})
+    beside = "lidar" in o.sensors and radars
+    reliability = {"": 1.0} | dict.fromkeys(radars, o.radar_reliability) if beside else 1.0
+    steps = fuse(dataset, o.load_model(), mapper, deskew=times, reliability=reliability, on_error=run.skip)
+    is_log = outputs.map is not None and outputs.map.suffix.lower() in LOG_ENDINGS
+    log = GridLog(outputs.map, o.message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
+    titles = ("points by height", *run.titles)
+    film = open_movie(outputs.movie, o.spec, titles, run.ground_z) if outputs.movie else nullcontext()
+    with film as movie, log as maps:
+        run.map_all(progress(steps), movie, maps)
+        if run.last is None:
+            raise (KeyboardInterrupt if run.interrupted else ValueError("no scan could be mapped; nothing is written"))
+        if outputs.map is not None and not is_log:
+            write_grid(outputs.map, run.placed)
+        if outputs.poses is not None:
+            run.save_poses(outputs.poses)
+        if outputs.picture is not None:
+            run.save_picture(outputs.picture)
+        if outputs.page is not None:
+            write_view(outputs.page, run.map, getattr(mapper, "conflict", None), title=f"map of {dataset.name}")
+    return run
+
+
+@dataclass(frozen=True)
+class FuseInto:
+    """Fuses one of many drives into a folder, for `ogm.workflows.fuse_drives`.
+
+    Parameters
+    ----------
+    options : FuseOptions
+    outputs : Outputs
+        Names of the files in the folder of each drive.
+    """
+
+    options: FuseOptions
+    outputs: Outputs
+
+    def __call__(self, frames: Any, folder: Path) -> Mapping[str, Any]:
+        """Return the facts of the run, the messages about scans, and the exit code."""
+        o, messages = self.options, list[str]()
+        dataset, how = posed(frames, o.odometry, o.rate, o.first)
+        run = fuse_drive(dataset, self.outputs.within(folder), replace(o, odometry=None), tell=messages.append)
+        if run.interrupted:  # the partial result would look finished
+            raise KeyboardInterrupt
+        return {**run.facts(), "poses": how, "messages": messages, "code": run.code}
+
+
+def posed(
+    dataset: Dataset,
+    odometry: str | None = None,
+    rate: float = 10.0,
+    first: int | None = None,
+    progress: Callable[[Iterable[int]], Iterable[int]] = iter,
+) -> tuple[Dataset, str]:
+    """Return the first scans of a drive with poses, its own or estimated ones, and their origin in words.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        One drive.
+    odometry : str, optional
+        See `ogm.datasets.with_odometry`; by default the drive's own poses are used.
+    rate : float
+        Rate of scans without stamps [Hz].
+    first : int, optional
+        Number of scans.
+    progress : function
+        Iterates over the numbers of the scans that odometry reads.
+
+    Raises
+    ------
+    ValueError
+        If the drive has no poses.
+    """
+    if odometry is not None:
+        dataset = with_odometry(dataset[:first], odometry, rate, progress)
+    known, how = sum(ref.T_map_sensor is not None for ref in dataset.refs), dataset.facts.get("poses")
+    if not known:
+        raise ValueError(
+            f"the scans have no poses{f' ({how})' if how else ''}: give --poses FILE (KITTI, KITTI-360, TUM), or "
+            "--odometry kiss-icp to estimate them"
+        )
+    return dataset[:first], how or f"{known} of {len(dataset)} scans, of the dataset"

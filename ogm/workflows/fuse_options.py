@@ -1,0 +1,173 @@
+"""Options and output files of `fuse_drive`."""
+
+import tempfile
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+from ogm.extras import import_extra
+from ogm.fusion import DYNAMIC, NUSS, make_mapper
+from ogm.grid import GridSpec
+from ogm.io.grids import MAP_ENDINGS, check_grid_output
+from ogm.models.named import default_model, load_model, with_radar
+from ogm.scan import InverseSensorModel
+from ogm.storage.files import error_text
+
+__all__ = ["FuseOptions", "Outputs"]
+
+OUTPUT_ENDINGS = {
+    "map": MAP_ENDINGS,
+    "picture": (".png",),
+    "movie": (".gif", ".webp", ".png"),
+    "poses": (".csv", ".txt", ".tum"),
+    "page": (".html",),
+}
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files that `fuse_drive` writes; None for none.
+
+    Parameters
+    ----------
+    map : path, optional
+        The map: .npz, .yaml, .tif, .nc, .zarr, .png; or a log with the map after each scan: .mcap, .db3, .bag.
+    picture : path, optional
+        Last scan, its grid, the map and the conflict (.png).
+    movie : path, optional
+        The same, scan by scan (.gif, .webp, .png).
+    poses : path, optional
+        Poses of the mapped scans (.csv, .txt, .tum).
+    page : path, optional
+        The map as a page for a browser (.html).
+    """
+
+    map: Path | None = None
+    picture: Path | None = None
+    movie: Path | None = None
+    poses: Path | None = None
+    page: Path | None = None
+
+    def __post_init__(self) -> None:
+        for name, path in self.given().items():
+            object.__setattr__(self, name, Path(path))
+
+    def given(self) -> dict[str, Path]:
+        """Return the files that are to be written, by name."""
+        return {name: path for name, path in asdict(self).items() if path is not None}
+
+    def prepare(self, inputs: Iterable[Path] = ()) -> None:
+        """Make the folders of the outputs, and check that all can be written, before hours of work.
+
+        Parameters
+        ----------
+        inputs : iterable of Path
+            Files that are read and must not be replaced.
+
+        Raises
+        ------
+        ValueError
+            If a name does not end as its format wants, two outputs have one name, or an input would be replaced.
+        OSError
+            If a folder cannot be written.
+        """
+        used: dict[Path, str] = {}
+        for name, path in self.given().items():
+            if path.suffix.lower() not in OUTPUT_ENDINGS[name]:
+                raise ValueError(f"the {name} is written as {' or '.join(OUTPUT_ENDINGS[name])}, got {path}")
+            if name == "map":
+                check_grid_output(path)
+            if path.is_dir() and path.suffix.lower() != ".zarr":
+                raise ValueError(f"{path} is a folder; give a file name for the {name}")
+            if path.resolve() in (one.resolve() for one in inputs):
+                raise ValueError(f"the {name} would replace {path}, which is read; give another name")
+            if used.setdefault(path.resolve(), name) != name:
+                raise ValueError(f"{used[path.resolve()]} and {name} would both be written to {path}; give two names")
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                with tempfile.TemporaryFile(dir=path.parent):
+                    pass
+            except OSError as error:
+                raise OSError(f"the {name} cannot be written into {path.parent}: {error_text(error)}") from error
+
+    def within(self, folder: Path) -> "Outputs":
+        """Return files of the same names in another folder."""
+        return Outputs(**{name: folder / path.name for name, path in self.given().items()})
+
+    @property
+    def base(self) -> Path:
+        """The main output: maps before a restart are saved beside it."""
+        return self.map or self.picture or self.movie or self.page or Path("map.npz")
+
+
+@dataclass(frozen=True)
+class FuseOptions:
+    """How a drive is fused; by default as ``ogm fuse`` does.
+
+    Parameters
+    ----------
+    ism : str, optional
+        Sensor model, a name of `ogm.models.load_model`; by default that of `ogm.models.default_model`.
+    spec : GridSpec
+        Cells of measurement grids, picture and film.
+    rule : str
+        See `ogm.fusion.make_mapper`.
+    half_life : float, optional
+        Time in which belief halves [s]; by default that of the rule.
+    window : {"rolling", "fixed"}
+        Follow the vehicle, or cover the whole drive.
+    particles : int
+        Particles of a dynamic map.
+    deskew : bool
+        Undo the ego motion during a scan.
+    radar_reliability : float
+        Reliability of radars beside a lidar, [0, 1].
+    sensors : tuple of str
+        Sensors that the dataset was opened with.
+    message : str, optional
+        Message type of maps in logs.
+    odometry : str, optional
+        Estimate the poses from the scans: "kiss-icp" or "small-gicp".
+    rate : float
+        Rate of scans without stamps [Hz].
+    first : int, optional
+        Number of scans that are fused; by default all.
+    weights : dict, optional
+        Facts of the model's weights: results of others are not reused.
+    """
+
+    ism: str | None = None
+    spec: GridSpec = field(default_factory=GridSpec.centered)
+    rule: str = "cautious"
+    half_life: float | None = None
+    window: str = "rolling"
+    particles: int = 200_000
+    deskew: bool = False
+    radar_reliability: float = 0.25
+    sensors: tuple[str, ...] = ()
+    message: str | None = None
+    odometry: str | None = None
+    rate: float = 10.0
+    first: int | None = None
+    weights: Mapping[str, str] | None = None
+
+    def __post_init__(self) -> None:
+        if self.ism is None:
+            object.__setattr__(self, "ism", default_model(self.spec)[0])
+
+    def load_model(self) -> InverseSensorModel:
+        """Return the sensor model, for all sensors of the vehicle; that of the last name is kept."""
+        return _load_model(str(self.ism), self.spec)
+
+    def check(self) -> None:
+        """Raise what makes fusing impossible, before any work: unknown names, missing packages, bad numbers."""
+        self.load_model()
+        make_mapper(self.rule, self.spec, self.half_life, self.window, self.particles)  # type: ignore[arg-type]
+        if self.rule in (DYNAMIC, NUSS):
+            import_extra("filterpy", "track")
+
+
+@lru_cache(1)
+def _load_model(name: str, spec: GridSpec) -> InverseSensorModel:
+    return load_model(with_radar(name), spec)
