@@ -1,13 +1,32 @@
-"""Evidential occupancy grid maps from lidar.
+"""Evidential occupancy grid maps from lidar and radar.
 
-The names below load their module when they are first used, so that ``import ogm`` costs next to nothing and
-brings in neither torch nor open3d nor matplotlib.
+The names below, and the packages of `ogm`, are loaded when they are first used: ``import ogm`` brings in neither numba
+nor torch nor open3d, and ``ogm.evidence.dempster`` works without a further import.
 """
 
 import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ogm import (  # noqa: F401  # noqa: F401
+        calibration,
+        datasets,
+        deep,
+        evaluation,
+        evidence,
+        fusion,
+        geometric,
+        io,
+        live,
+        metrics,
+        models,
+        plot,
+        simulation,
+        storage,
+        truth,
+        workflows,
+        world,
+    )
     from ogm.datasets import open_dataset
     from ogm.dynamic_grid import DynamicGrid
     from ogm.evaluation import evaluate
@@ -67,8 +86,16 @@ _MODULES = {
 }
 
 
+_PACKAGES = {
+    *("calibration", "datasets", "deep", "evaluation", "evidence", "fusion", "geometric", "io", "live", "metrics"),
+    *("models", "plot", "simulation", "storage", "truth", "workflows", "world"),
+}
+
+
 def __getattr__(name: str) -> object:
-    """Load a name from its module on first use."""
+    """Load a name from its module, or a package, on first use."""
+    if name in _PACKAGES:
+        return importlib.import_module(f"ogm.{name}")
     if name not in _MODULES:
         raise AttributeError(f"module 'ogm' has no attribute {name!r}")
     value = getattr(importlib.import_module(_MODULES[name]), name)
@@ -77,4 +104,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted([*globals(), *__all__, *_PACKAGES])

@@ -1,4 +1,4 @@
-"""Rigid transforms: float64 4x4 arrays named ``T_to_from``.
+"""Rigid transforms: float64 4x4 arrays named ``T_to_from``; rotations as matrices, quaternions and vectors.
 
 ``T_map_sensor @ (x, y, z, 1)`` takes sensor coordinates to map coordinates, so a chain reads like its names:
 ``T_map_vehicle @ T_vehicle_sensor = T_map_sensor``.
@@ -18,9 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.rotation import matrix_to_quaternion, matrix_to_vector, quaternion_to_matrix, vector_to_matrix
-
-__all__ = ["LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "pose", "rotate", "transform_points"]
+__all__ = [
+    "LATEST", "Trajectory", "check_pose", "check_stamp", "inverse", "matrix_to_quaternion", "matrix_to_vector", "pose",
+    "quaternion_to_matrix", "rotate", "transform_points", "vector_to_matrix",
+]  # fmt: skip
 
 LATEST = 1e11  # [s], year 5138: larger stamps count something smaller than seconds, and float64 holds no microseconds
 _LAST_ROW, _IDENTITY = np.array([0.0, 0.0, 0.0, 1.0]), np.eye(3)
@@ -243,3 +244,51 @@ class Trajectory:
                 raise ValueError(f"the trajectory has one time only, {self.stamps[0]} s, asked for {times.tolist()}")
             return np.broadcast_to(self.poses[0], (*times.shape, 4, 4)).copy()
         return _interpolate(self.stamps, self.poses, stamps)
+
+
+def matrix_to_quaternion(R: ArrayLike) -> NDArray[np.float64]:
+    """Return unit quaternions x, y, z, w of rotations, (..., 3, 3) to (..., 4), with w of 0 or more.
+
+    By the greatest of the four, so that no digits are lost (Shepperd 1978).
+    """
+    R = np.asarray(R, np.float64)
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    # Rows: the quaternion times 4 x, 4 y, 4 z, 4 w.
+    K = np.empty((*R.shape[:-2], 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        K[..., i, i] = 1 + 2 * R[..., i, i] - trace
+        K[..., i, j] = K[..., j, i] = R[..., i, j] + R[..., j, i]
+        K[..., i, 3] = K[..., 3, i] = R[..., k, j] - R[..., j, k]
+    K[..., 3, 3] = 1 + trace
+    greatest = np.diagonal(K, axis1=-2, axis2=-1).argmax(axis=-1)
+    q = np.take_along_axis(K, greatest[..., None, None], axis=-2)[..., 0, :]
+    q *= np.where(q[..., 3:] < 0, -1, 1) / np.linalg.norm(q, axis=-1, keepdims=True)
+    return q + 0.0  # no -0
+
+
+def quaternion_to_matrix(quaternions: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotations of quaternions x, y, z, w of any length above 0, (..., 4) to (..., 3, 3)."""
+    q = np.asarray(quaternions, np.float64)
+    x, y, z, w = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def matrix_to_vector(R: ArrayLike) -> NDArray[np.float64]:
+    """Return axis times angle [rad] of rotations by at most pi, (..., 3, 3) to (..., 3)."""
+    q = matrix_to_quaternion(R)
+    half_sine = np.linalg.norm(q[..., :3], axis=-1, keepdims=True)
+    angle = 2 * np.arctan2(half_sine, q[..., 3:])
+    return q[..., :3] * np.where(half_sine > 1e-12, angle / np.maximum(half_sine, 1e-12), 2.0)
+
+
+def vector_to_matrix(vectors: ArrayLike) -> NDArray[np.float64]:
+    """Return the rotations of axis times angle [rad], (..., 3) to (..., 3, 3)."""
+    v = np.asarray(vectors, np.float64)
+    half = np.linalg.norm(v, axis=-1, keepdims=True) / 2
+    return quaternion_to_matrix(np.concatenate([v / 2 * np.sinc(half / np.pi), np.cos(half)], axis=-1))

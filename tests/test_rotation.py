@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from ogm.pose import Trajectory, pose
-from ogm.rotation import matrix_to_quaternion, matrix_to_vector, quaternion_to_matrix, vector_to_matrix
+from ogm.pose import Trajectory, matrix_to_quaternion, matrix_to_vector, pose, quaternion_to_matrix, vector_to_matrix
 
 SMALL = [1e-3, 1e-8, 1e-13, 0.0, np.pi - 1e-7]
 TURNS = np.concatenate([Rotation.random(500, random_state=1).as_rotvec(), np.outer(SMALL, [0.6, 0.0, 0.8])])

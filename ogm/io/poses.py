@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ogm.io.g2o import read_g2o
 from ogm.io.reading import from_quaternions, numbers, read_text, rigid, text_lines
-from ogm.pose import LATEST, Trajectory, check_pose, inverse
-from ogm.rotation import matrix_to_quaternion
+from ogm.pose import LATEST, Trajectory, check_pose, inverse, matrix_to_quaternion
 from ogm.storage.files import OgmError, atomic_write, update_hint
 
 __all__ = ["Poses", "read_poses", "write_poses"]

@@ -15,8 +15,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.pose import check_pose
-from ogm.rotation import quaternion_to_matrix
+from ogm.pose import check_pose, quaternion_to_matrix
 from ogm.storage.files import OgmError
 from ogm.storage.limits import current_limits, too_large
 

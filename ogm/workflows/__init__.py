@@ -8,9 +8,9 @@
 """
 
 from ogm.workflows.drives import FusedDrive, drives_of, fuse_drives
-from ogm.workflows.fuse_drive import FuseInto, fuse_drive, posed
 from ogm.workflows.fuse_options import FuseOptions, Outputs
 from ogm.workflows.fusion_run import FusionRun
+from ogm.workflows.one_drive import FuseInto, fuse_drive, posed
 
 __all__ = [
     "FuseInto", "FuseOptions", "FusedDrive", "FusionRun", "Outputs", "drives_of", "fuse_drive", "fuse_drives", "posed",

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ogm.jit import kernel
-from ogm.pose import Trajectory, inverse
-from ogm.rotation import matrix_to_vector, vector_to_matrix
+from ogm.pose import Trajectory, inverse, matrix_to_vector, vector_to_matrix
 
 __all__ = ["deskew", "extrapolate"]
 

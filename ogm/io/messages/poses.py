@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ogm.io.messages.plain import describe_message, frame_of, header, reads_message, stamp_seconds
 from ogm.io.reading import from_quaternions
 from ogm.io.transforms import StampedTransform
-from ogm.pose import check_pose
-from ogm.rotation import matrix_to_quaternion
+from ogm.pose import check_pose, matrix_to_quaternion
 from ogm.storage.files import OgmError
 
 __all__ = [
