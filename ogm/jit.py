@@ -1,6 +1,9 @@
 """Compilation of kernels: numba's flags, and the cache of compiled kernels on disk.
 
 All kernels release the GIL. numpy's error model spares divisions a branch that would keep loops off the vector units.
+Compilation takes tens of seconds, and the less there is to compile the better: loops rather than array expressions
+(`np.where`, slices that are assigned), no constants where a variable does (each is a signature of its own), `inline`
+only where the result needs it, and rules as constants of a kernel's closure, so that the others are left out.
 
 numba's own cache looks at the file of a kernel alone, so that it keeps machine code of helpers that have changed in
 another file. Here the compiled kernels of a module lie in a folder whose name has a hash of the module's source and of
@@ -48,7 +51,7 @@ class Compiler(Protocol):
 
 def _compiler(**flags: Any) -> Compiler:
     """Return the decorator of kernels with some flags of numba."""
-    compiler: Any = njit(nogil=True, error_model="numpy", **flags)
+    compiler: Any = njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **flags)
 
     def compiled(function: Any) -> Any:
         kernel = compiler(function)

@@ -30,6 +30,7 @@ from ogm.scan import InverseSensorModel, Scan, as_scan
 __all__ = ["CombinedISM", "FreeGate", "StateReliability"]
 
 Rule = Callable[..., Any]
+dempster_cell, yager_cell, cumulative_cell, cautious_cell = (rule.cell for rule in COMPILED.values())
 HIT = 0.5  # a cell is a hit where the mass of occupied exceeds this
 
 
@@ -161,11 +162,11 @@ class CombinedISM:
         rule = next((k for k, one in enumerate(COMPILED.values()) if one.arrays is self.rule), None)
         if rule is None or len(masses) != 2:
             return self._by_arrays(masses)
-        log_compilation(_combine_two)
+        log_compilation(_COMBINERS[rule])
         a, b = (np.ascontiguousarray(mass, np.float32) for mass in masses)
         out = np.empty_like(a)
         numbers = [_numbers(*self._weights[k], self.keep_hits == 1 - k) for k in (0, 1)]
-        _combine_two(a.reshape(-1), b.reshape(-1), out.reshape(-1), numbers[0], numbers[1], rule)
+        _COMBINERS[rule](a.reshape(-1), b.reshape(-1), out.reshape(-1), numbers[0], numbers[1])
         return out
 
     def _by_arrays(self, masses: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
@@ -239,17 +240,26 @@ def _kept(free: Any, other_free: Any, other_occupied: Any, n: Any) -> Any:
     return zero if other_occupied > n.most_occupied else left
 
 
-def _combiner(rule: str) -> Any:
-    """Return the loop that combines the flat masses of two models by a rule of `ogm.evidence.kernels`."""
-    cell = COMPILED[rule].cell
+def _combiner(rule: int) -> Any:
+    """Return the kernel that combines the flat masses of two models by a rule, its place in `COMPILED`.
+
+    The rule is a constant of the kernel, so that the other rules are not compiled.
+    """
 
     @vector
-    def combine(a: Any, b: Any, out: Any, m: Any, n: Any) -> None:
+    def combine(a: Any, b: Any, out: Any, m: _Numbers, n: _Numbers) -> None:
         one, half = np.float32(1), np.float32(0.5)
         for k in range(a.size // 2):
             f, o, g, p = a[2 * k], a[2 * k + 1], b[2 * k], b[2 * k + 1]
             first, second = _kept(f, g, p, m), _kept(g, f, o, n)
-            free, occupied, whole = cell(FLOAT32, first, m.occupied * o, second, n.occupied * p)
+            if rule == 0:
+                free, occupied, whole = dempster_cell(FLOAT32, first, m.occupied * o, second, n.occupied * p)
+            elif rule == 1:
+                free, occupied, whole = yager_cell(FLOAT32, first, m.occupied * o, second, n.occupied * p)
+            elif rule == 2:
+                free, occupied, whole = cumulative_cell(FLOAT32, first, m.occupied * o, second, n.occupied * p)
+            else:
+                free, occupied, whole = cautious_cell(FLOAT32, first, m.occupied * o, second, n.occupied * p)
             scale = one / max(whole, free + occupied)
             out[2 * k] = half if whole == 0 else free * scale
             out[2 * k + 1] = half if whole == 0 else occupied * scale
@@ -257,17 +267,4 @@ def _combiner(rule: str) -> Any:
     return combine
 
 
-_dempster, _yager, _cumulative, _cautious = map(_combiner, COMPILED)
-
-
-@vector
-def _combine_two(a: Any, b: Any, out: Any, m: _Numbers, n: _Numbers, rule: int) -> None:
-    """Combine the flat masses of two models by the rule of a number: its place in `COMPILED`."""
-    if rule == 0:
-        _dempster(a, b, out, m, n)
-    elif rule == 1:
-        _yager(a, b, out, m, n)
-    elif rule == 2:
-        _cumulative(a, b, out, m, n)
-    else:
-        _cautious(a, b, out, m, n)
+_COMBINERS = tuple(map(_combiner, range(len(COMPILED))))

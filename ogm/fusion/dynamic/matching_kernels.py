@@ -148,7 +148,10 @@ def match_groups(
             surcharge[i, j] = numbers.speed_cost * speed if speed <= (R + 1e-6) * step else np.inf
     nx, ny = occupied.shape
     left = np.full((len(fields), nx + 2 * R, ny + 2 * R), np.uint8(LEVELS))  # with a border of R cells
-    left[:, R : R + nx, R : R + ny] = fields
+    for k in range(len(fields)):
+        for i in range(nx):
+            for j in range(ny):
+                left[k, i + R, j + R] = fields[k, i, j]
     now_x, now_y = np.nonzero(occupied)
     _block_near(left, now_x, now_y, numbers.margin, R)  # what is still there has not moved
     velocity, covariance = np.zeros((count, 2)), np.zeros((count, 2, 2))
@@ -156,7 +159,7 @@ def match_groups(
     for g in range(count):
         x, y = groups.x[groups.start[g] : groups.start[g + 1]], groups.y[groups.start[g] : groups.start[g + 1]]
         _restore_near(left, fields, x, y, numbers.margin, R)
-        few_x, few_y = _some(x, numbers.max_cells) + R, _some(y, numbers.max_cells) + R
+        few_x, few_y = _some(x, numbers.max_cells, R), _some(y, numbers.max_cells, R)
         total[:] = 0
         weight = np.float32(numbers.cap / (LEVELS * len(few_x) * len(fields)))
         for k in range(len(fields)):
@@ -169,8 +172,10 @@ def match_groups(
         p, q = _least(total, surcharge, expected[g], numbers)
         cost[g, 0] = total[p, q]
         mean = _moments(total, surcharge, (p, q), np.sqrt(len(x)) / numbers.spread, covariance[g])
-        velocity[g] = -step * (p - R + mean[0]), -step * (q - R + mean[1])  # displacements are back in time
-        covariance[g] *= step * step
+        velocity[g, 0], velocity[g, 1] = -step * (p - R + mean[0]), -step * (q - R + mean[1])  # back in time
+        for i in range(2):
+            for j in range(2):
+                covariance[g, i, j] *= step * step
     return velocity, covariance, cost
 
 
@@ -204,13 +209,11 @@ def _restore_near(
 
 
 @kernel
-def _some(values: NDArray[np.int32], most: int) -> NDArray[np.int32]:
-    """Return at most so many of the values, evenly chosen."""
-    if len(values) <= most:
-        return values
-    some = np.empty(most, values.dtype)
-    for n in range(most):
-        some[n] = values[n * len(values) // most]
+def _some(values: NDArray[np.int32], most: int, shift: int) -> NDArray[np.int64]:
+    """Return at most `most` of the values, evenly chosen, plus `shift`."""
+    some = np.empty(min(len(values), most), np.int64)
+    for n in range(len(some)):
+        some[n] = values[n * len(values) // len(some)] + shift
     return some
 
 

@@ -76,6 +76,7 @@ def clear_sectors(
     for k in range(bins):  # of a ray that passes a bin: chance to pass a cell there, which sees some of the sector's
         part[POWER + k] = numbers.p_miss ** (sectors / (math.pi * (2 * k + 1)))
     hidden_bins = np.float32(numbers.hidden_height / polar.step), np.float32(numbers.hidden_depth / polar.step)
+    no = sectors < 0  # False as a variable: constants would be compiled twice
     work.hits[:] = 0
     _mark_obstacles(points, origin, cells, numbers, work)
     for s in range(sectors):
@@ -86,9 +87,9 @@ def clear_sectors(
             continue
         _mark_breaks(rays.point[first:last], points, cells, found, work.hits)
         free = work.free[s, :end]
-        if _free_belief(rays.table[first:last], found, limits, row, hidden_bins, False, part, free):
+        if _free_belief(rays.table[first:last], found, limits, row, hidden_bins, no, part, free):
             alone = free.copy()
-            _free_belief(rays.table[first:last], found, limits, row, hidden_bins, True, part, free)
+            _free_belief(rays.table[first:last], found, limits, row, hidden_bins, not no, part, free)
             for k in range(end):
                 free[k] = alone[k] + weight[k] * max(free[k] - alone[k], np.float32(0.0))
         for k in range(end):

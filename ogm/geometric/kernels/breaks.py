@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ogm.geometric.kernels.arguments import Breaks, PolarGrid, RayLimits, RayNumbers, Rays
 from ogm.geometric.kernels.polar import ROW_BITS
-from ogm.jit import inline, kernel
+from ogm.jit import kernel
 
 __all__ = ["FALL", "HOLE", "LEVEL", "PROFILE_BITS", "STEP", "ground_breaks"]
 
@@ -156,20 +156,20 @@ def _compare(
             count = _add_support(support, count, run, height)
 
 
-@inline
+@kernel
 def _above(line: tuple[float, float, float], run: float, height: float) -> float:
     """Return how far a height lies above a line (run, height, incline) [m]."""
     return height - line[1] - line[2] * (run - line[0])
 
 
-@inline
+@kernel
 def _note(breaks: Breaks, row: int, number: int, kind: int, limit: float, begin: int, end: int) -> None:
     """Write down a break."""
     breaks.kind[row, number], breaks.limit[row, number] = kind, limit
     breaks.begin[row, number], breaks.end[row, number] = begin, end
 
 
-@inline
+@kernel
 def _add_support(support: NDArray[np.float64], count: int, run: float, height: float) -> int:
     """Add a bin, and the sums for a line through the last ones; return the new number of supports."""
     support[count, 0], support[count, 1], support[count, 2] = run, run, height
@@ -180,7 +180,7 @@ def _add_support(support: NDArray[np.float64], count: int, run: float, height: f
     return count + 1
 
 
-@inline
+@kernel
 def _last_before(support: NDArray[np.float64], count: int, at: int, run: float) -> int:
     """Return the last of the first `count` supports that is no further than `run`, searched from `at`."""
     while at > 0 and support[at, 0] > run:
@@ -190,7 +190,7 @@ def _last_before(support: NDArray[np.float64], count: int, at: int, run: float) 
     return at
 
 
-@inline
+@kernel
 def _continue(
     support: NDArray[np.float64], base: int, at: int, before: float
 ) -> tuple[tuple[float, float, float], float]:
@@ -211,7 +211,7 @@ def _continue(
     return (run, z + incline * (run - r), incline), math.sqrt(rest) if count >= MANY else 0.0
 
 
-@inline
+@kernel
 def _jump(profile: NDArray[np.float64], first: int, last: int, incline: float, sign: float) -> float:
     """Return the largest rise (`sign` 1) or fall (-1) from a bin to the next, up to some bins, less the incline."""
     most = 0.0

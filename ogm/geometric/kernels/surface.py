@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.geometric.kernels.arguments import Cells, GroundLimits, Points, Surface
-from ogm.jit import inline, kernel
+from ogm.jit import kernel
 
 __all__ = ["fill", "ground_heights", "lower_envelope", "sample", "sample_many"]
 
 
-@inline
+@kernel
 def sample(surface: Surface, x: np.float32, y: np.float32) -> np.float32:
     """Interpolate a `Surface` bilinearly at (x, y); beyond the outermost middles the edge's height holds."""
     height, half, zero = surface.height, np.float32(0.5), np.float32(0.0)
@@ -80,10 +80,18 @@ def ground_heights(
         height[i0, j0], weight[i0, j0] = gz, np.float32(1.0)
 
     # 4. a smooth surface through them, that climbs nowhere faster from them than the slope limit
-    limit = np.where(weight > 0, height, np.float32(np.inf))
+    limit = height.copy()
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            if not weight[i, j] > 0:
+                limit[i, j] = np.inf
     lower_envelope(limit, np.float32(limits.max_slope * cells.resolution))
     fill(height, weight, gz)
-    return np.where(weight > 0, height, np.minimum(height, limit))
+    for i in range(shape[0]):
+        for j in range(shape[1]):
+            if not weight[i, j] > 0:
+                height[i, j] = min(height[i, j], limit[i, j])
+    return height
 
 
 @kernel
