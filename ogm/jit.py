@@ -32,7 +32,7 @@ from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.compiler_lock import global_compiler_lock
 
-__all__ = ["cache_folder", "inline", "kernel", "log_compilation", "vector"]
+__all__ = ["cache_folder", "inline", "is_compiled", "kernel", "log_compilation", "vector"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 KEPT_VERSIONS = 3  # folders of a module that stay when it is compiled anew, the last used first
@@ -194,10 +194,15 @@ def log_compilation(main_kernel: Any) -> None:
     main_kernel : numba kernel
         The one that stands for all that a model needs.
     """
-    stats = getattr(main_kernel, "stats", None)  # None where numba's compiler is switched off
-    if stats is None or main_kernel.signatures:
-        return
-    folder = stats.cache_path  # None where nothing is kept
-    if folder is None or not any(Path(folder).glob(f"*.{main_kernel.__name__}-*.nbi")):
+    if not is_compiled(main_kernel):
         package = ".".join(main_kernel.__module__.split(".")[:2])
         logging.getLogger(package).info("compiling kernels, once per environment: up to a minute")
+
+
+def is_compiled(compiled: Any) -> bool:
+    """Return whether a kernel is in memory or in the cache on disk, or numba's compiler is switched off."""
+    stats = getattr(compiled, "stats", None)  # None where the compiler is switched off
+    if stats is None or compiled.signatures:
+        return True
+    folder = stats.cache_path  # None where nothing is kept
+    return folder is not None and any(Path(folder).glob(f"*.{compiled.__name__}-*.nbi"))

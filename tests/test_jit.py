@@ -10,10 +10,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from numba import typeof
 
 import ogm
-from ogm import jit
+from ogm import GridSpec, Mount, jit
+from ogm.fusion import EvidentialMapper
+from ogm.fusion.dynamic.matching import MatchSettings, match_velocities
+from ogm.geometric import RayISM
+from ogm.models.compilation import main_kernels
 
 SOURCE = """
 from ogm.jit import kernel
@@ -153,3 +159,18 @@ def test_the_next_process_finds_kernels_on_disk() -> None:
     """A kernel that holds another in its closure has a name of its own in each process, and is compiled in each."""
     missed = [int(subprocess.run([sys.executable, "-c", MERGE], capture_output=True, check=True).stdout) for _ in "ab"]
     assert missed[1] == 0
+
+
+def test_kernels_are_compiled_ahead_for_the_types_that_they_are_called_with() -> None:
+    """Else another process would compile in vain."""
+    if not hasattr(jit.kernel(lambda: 0), "stats"):
+        pytest.skip("numba's compiler is switched off")
+    spec, points = GridSpec.centered(length=20.0, width=20.0, resolution=0.5), np.zeros((64, 4), np.float32)
+    points[:, 0], points[:, 2] = np.linspace(3, 8, 64), np.repeat([-1.8, 0.0], 32)
+    EvidentialMapper(spec).update(RayISM(spec, Mount(1.8))(points), np.eye(4), stamp=0.0)
+    now, before = np.zeros((2, 40, 40), bool)
+    now[10:14, 10:14] = before[10:14, 8:12] = True
+    assert match_velocities(now, now, [(before, 0.1)], 0.16, MatchSettings()).valid.any()
+    for job in ("scan", "map", "dynamic map"):
+        for kernel, arguments in main_kernels(job):
+            assert tuple(map(typeof, arguments)) in kernel.signatures, kernel.__name__

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from ogm.datasets import Dataset, with_odometry
-from ogm.fusion import FusionStep, covering_window, fuse, make_mapper, rolling_window
+from ogm.fusion import DynamicMapper, FusionStep, covering_window, fuse, make_mapper, rolling_window
 from ogm.io.grids import GridLog, write_grid
 from ogm.io.logs import LOG_ENDINGS
+from ogm.models.compilation import compiled_ahead
 from ogm.plot.movie import open_movie
 from ogm.plot.viewer import write_view
 from ogm.workflows.fuse_options import FuseOptions, Outputs
@@ -78,7 +79,8 @@ def fuse_drive(
     log = GridLog(outputs.map, o.message or "occupancy-grid") if is_log else nullcontext()  # type: ignore[arg-type]
     titles = ("points by height", *run.titles)
     film = open_movie(outputs.movie, o.spec, titles, run.ground_z) if outputs.movie else nullcontext()
-    with film as movie, log as maps:
+    job = "dynamic map" if isinstance(mapper, DynamicMapper) else "map"
+    with film as movie, log as maps, compiled_ahead("scan", job):
         run.map_all(progress(steps), movie, maps)
         if run.last is None:
             raise (KeyboardInterrupt if run.interrupted else ValueError("no scan could be mapped; nothing is written"))

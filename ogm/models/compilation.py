@@ -1,0 +1,94 @@
+"""Compilation of kernels by a second process, so that a first call on two cores takes half the time.
+
+The kernels of the default model and of its maps take half a minute of one core, once for each installation. While a
+command compiles those that it comes to, another process compiles the longest of those that it will need: `ogm.jit` lets
+each kernel be compiled by one process, and the others take it from the disk.
+"""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+
+from ogm.jit import is_compiled
+
+__all__ = ["compile_kernels", "compiled_ahead", "main_kernels"]
+
+Kernels = list[tuple[Any, tuple[Any, ...]]]
+
+
+def main_kernels(job: str) -> Kernels:
+    """Return the longest kernels of a job, each with arguments of the types that it is called with.
+
+    Parameters
+    ----------
+    job : {"scan", "map", "dynamic map"}
+        Mapping a scan by `RayISM`; fusing into an `EvidentialMapper`; into a `DynamicMapper`.
+
+    Returns
+    -------
+    list of (kernel, arguments)
+        The arguments have the right types alone.
+    """
+    f1, f2, f3 = (np.zeros((1,) * n, np.float32) for n in (1, 2, 3))
+    i1, i2, d1, d2 = np.zeros(1, np.int32), np.zeros((1, 1), np.int32), np.zeros(1), np.zeros((1, 1))
+    if job == "scan":
+        from ogm.geometric.kernels.arguments import Cells, Points, PolarGrid, RayLimits, RayNumbers, Rays, WorkSpace
+        from ogm.geometric.kernels.belief import clear_sectors
+
+        points, limits, cells = Points(f1, f1, f1), RayLimits(f2, f2), Cells(0.0, 0.0, 1.0)
+        polar = PolarGrid(1.0, 1, 1, 1, *(np.zeros((1, 1), np.int16) for _ in range(3)))
+        numbers, work = RayNumbers(*(1.0,) * 11), WorkSpace(i1, f1, f1, f1, i1, i1, f2, i2, f2)
+        return [(clear_sectors, (Rays(f2, i1, i1), points, f1, limits, polar, cells, numbers, work))]
+    if job == "map":
+        from ogm.fusion.kernels import Aging, evidential_update
+        from ogm.fusion.lookup import ScanLookup
+
+        aging = Aging(1.0, 1.0, 0.0, 1.0, False, False)
+        return [(evidential_update, (f2, f2, (0, 0), ScanLookup(f3, d2, 1), 1.0, aging, 0, 1.0))]
+    from ogm.fusion.dynamic.groups import Groups, find_groups
+    from ogm.fusion.dynamic.matching_kernels import MatchNumbers, match_groups
+
+    b2, b3 = np.zeros((1, 1), np.uint8), np.zeros((1, 1, 1), np.uint8)
+    numbers_of_match = MatchNumbers(1, 1.0, 1.0, 1.0, 1.0, 1.0, 1, 1)
+    matched = b2, Groups(i2, i1, i1, i1), b3, d1, d2, numbers_of_match
+    return [(match_groups, matched), (find_groups, (b2, b2, 1, 1))]
+
+
+def compile_kernels(*jobs: str) -> None:
+    """Compile the longest kernels of jobs in this process."""
+    from numba import typeof
+
+    for job in jobs:
+        for kernel, arguments in main_kernels(job):
+            kernel.compile(tuple(map(typeof, arguments)))
+
+
+@contextmanager
+def compiled_ahead(*jobs: str) -> Iterator[None]:
+    """Compile the longest kernels of jobs in another process meanwhile, unless all are on disk.
+
+    Parameters
+    ----------
+    jobs : str
+        See `main_kernels`.
+    """
+    kernels = [kernel for job in jobs for kernel, _ in main_kernels(job)]
+    if (os.cpu_count() or 1) < 2 or all(map(is_compiled, kernels)):
+        yield
+        return
+    code = f"from ogm.models.compilation import compile_kernels; compile_kernels(*{jobs!r})"
+    quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    process = None
+    with suppress(OSError):  # no memory for another process: this one compiles all
+        process = subprocess.Popen([sys.executable, "-c", code], **quiet)  # type: ignore[call-overload]
+    try:
+        yield
+    finally:
+        if process is not None:
+            process.terminate()
+            process.wait()
