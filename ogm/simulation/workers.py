@@ -6,7 +6,6 @@ import shutil
 import threading
 import time
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import BrokenExecutor
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -19,7 +18,7 @@ from ogm.simulation.sample import Beams, SimulatedSample
 from ogm.simulation.store import SHARD, Damaged, Store
 from ogm.storage.files import finish_zarr, temporary_folder
 from ogm.storage.locks import sweep
-from ogm.storage.workers import TRIES, as_completed, cluster, processes
+from ogm.storage.workers import DIED, Workers
 
 MEMORY = 1.5e9  # [byte] that one worker takes, with its town
 
@@ -162,12 +161,10 @@ def make_shards(
     if not todo:
         return
     work = _Work(store.path.resolve(), plan, function, max(1, cores // workers))
-    with _explained(store):
-        if workers == 1 and scheduler is None:
-            yield _estimate(work.measure(todo[0]), todo, 1, store)
-            yield from map(work.make, todo)
-        else:
-            yield from _shared_out(work, todo, store, workers, scheduler)
+    with _explained(store), Workers(workers, scheduler) as pool:
+        (_, measured), *_ = pool.work_off(work.measure, todo[:1])
+        yield _estimate(measured, todo, pool.count, store)
+        yield from (made for _, made in pool.work_off(work.make, todo))
 
 
 class _Work(NamedTuple):
@@ -221,26 +218,6 @@ def _estimate(measured: tuple[float, float], todo: list[Job], workers: int, stor
     return Estimate(count, count * seconds / workers, size, seconds, workers)
 
 
-def _shared_out(
-    work: _Work, todo: list[Job], store: Store, workers: int, scheduler: str | None
-) -> Generator[Estimate | Made, None, None]:
-    """Hand the shards out; when a worker dies, start workers anew for the shards that are not made."""
-    estimated, made = False, set()
-    for again in reversed(range(TRIES)):
-        try:
-            with cluster(scheduler) if scheduler else processes(workers) as (submit, count):
-                if not estimated:
-                    yield _estimate(submit(work.measure, todo[0]).result(), todo, count, store)
-                    estimated = True
-                for one in as_completed(submit, work.make, [job for job in todo if job not in made], 2 * count):
-                    made.add(one.job)
-                    yield one
-            return
-        except BrokenExecutor:
-            if not again:
-                raise
-
-
 @contextmanager
 def _explained(store: Store) -> Iterator[None]:
     """Add to errors what to do about them."""
@@ -252,7 +229,7 @@ def _explained(store: Store) -> Iterator[None]:
             raise
         if number in (errno.ENOSPC, errno.EDQUOT):
             what, way = "the disk is full", "free some of it"
-        elif type(error).__name__ in ("BrokenProcessPool", "KilledWorker", "CommClosedError", "CancelledError"):
+        elif type(error).__name__ in DIED:
             what, way = f"workers died ({type(error).__name__}), as when memory runs out", "use fewer --workers"
         else:
             raise

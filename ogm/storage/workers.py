@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from itertools import islice
 from typing import Any
 
-__all__ = ["TRIES", "Submit", "Workers", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
+__all__ = ["DIED", "Submit", "Workers", "as_completed", "cluster", "deaths_explained", "processes", "work_off"]
 
 SCHEDULER_TIMEOUT = 20.0  # [s]
 TRIES = 3  # times that workers are started before their deaths are an error
@@ -52,11 +52,16 @@ def work_off(
 class Workers:
     """Workers that do one list of jobs after another, started when there is the first job; a context manager.
 
-    Parameters and errors are those of `work_off`. When the block is left, they have ended.
+    Parameters and errors: see `work_off`. When the block is left, they have ended.
+
+    Attributes
+    ----------
+    count : int
+        Number of workers; that of a cluster is known from the first job on.
     """
 
     def __init__(self, workers: int, scheduler: str | None = None) -> None:
-        self.workers, self.scheduler = workers, scheduler
+        self.workers, self.scheduler, self.count = workers, scheduler, workers
         self._running = ExitStack()
         self._submit: tuple[Submit, int] | None = None
 
@@ -80,8 +85,8 @@ class Workers:
                 if self._submit is None:
                     started = cluster(self.scheduler) if self.scheduler else processes(self.workers)
                     self._submit = self._running.enter_context(started)
-                submit, count = self._submit
-                for k, result in as_completed(submit, _Numbered(function), todo, 2 * count):
+                submit, self.count = self._submit
+                for k, result in as_completed(submit, _Numbered(function), todo, 2 * self.count):
                     done.add(k)
                     yield k, result
                 return
