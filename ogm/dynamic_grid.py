@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ogm.evidence import check_mass
-from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
+from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid, ShownInNotebooks
 from ogm.storage.archive import open_archive, write_archive
 
 __all__ = ["DYNAMIC_FORMAT", "DynamicGrid"]
@@ -29,7 +29,7 @@ _COVARIANCE = {"velocity_covariance_xx": (0, 0), "velocity_covariance_xy": (0, 1
 
 
 @dataclass(frozen=True, eq=False)
-class DynamicGrid:
+class DynamicGrid(ShownInNotebooks):
     """Belief masses of free, static and dynamic, and the velocity of dynamic cells.
 
     Parameters
@@ -152,16 +152,6 @@ class DynamicGrid:
             f"{name} {float(getattr(self, name).mean()):.1%}" for name in ("free", "static", "dynamic", "unknown")
         )
         return f"DynamicGrid({self.spec}: {', '.join(shares)})"
-
-    def _repr_png_(self) -> bytes:
-        from ogm.plot.notebook import dynamic_png
-
-        return dynamic_png(self)
-
-    def _repr_html_(self) -> str:
-        from ogm.plot.notebook import dynamic_html
-
-        return dynamic_html(self)
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other has the same cells, masses, velocities and covariances; NaN equals NaN."""

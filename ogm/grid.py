@@ -186,8 +186,22 @@ class GridSpec:
         return GridSpec(self.resolution / factor, (nx * int(factor), ny * int(factor)), self.origin)
 
 
+class ShownInNotebooks:
+    """Mixin: a notebook shows the value as a small picture and a table of facts."""
+
+    def _repr_png_(self) -> bytes | None:
+        from ogm.plot.notebook import png
+
+        return png(self) or None
+
+    def _repr_html_(self) -> str:
+        from ogm.plot.notebook import html
+
+        return html(self)
+
+
 @dataclass(frozen=True, eq=False)
-class EvidentialGrid:
+class EvidentialGrid(ShownInNotebooks):
     """Belief masses of free and occupied for every cell of a grid.
 
     Parameters
@@ -299,16 +313,6 @@ class EvidentialGrid:
         free, occupied, unknown = (float(one.mean()) for one in (self.free, self.occupied, self.unknown))
         return f"EvidentialGrid({self.spec}: free {free:.1%}, occupied {occupied:.1%}, unknown {unknown:.1%})"
 
-    def _repr_png_(self) -> bytes:
-        from ogm.plot.notebook import grid_png
-
-        return grid_png(self)
-
-    def _repr_html_(self) -> str:
-        from ogm.plot.notebook import grid_html
-
-        return grid_html(self)
-
     def __eq__(self, other: object) -> bool:
         """Return whether the other is a grid of the same cells with the same masses."""
         if not isinstance(other, EvidentialGrid):
@@ -354,7 +358,7 @@ class EvidentialGrid:
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredGrid:
+class LayeredGrid(ShownInNotebooks):
     """Named layers of numbers on the cells of one grid: conflict, velocity, height, and whatever is no mass.
 
     Parameters
@@ -418,13 +422,3 @@ class LayeredGrid:
 
     def __repr__(self) -> str:
         return f"LayeredGrid({self.spec}: {', '.join(self.layers)})"
-
-    def _repr_png_(self) -> bytes | None:
-        from ogm.plot.notebook import layers_png
-
-        return layers_png(self) or None
-
-    def _repr_html_(self) -> str:
-        from ogm.plot.notebook import layers_html
-
-        return layers_html(self)

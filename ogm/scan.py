@@ -17,7 +17,7 @@ from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.grid import EvidentialGrid, GridSpec
+from ogm.grid import EvidentialGrid, GridSpec, ShownInNotebooks
 from ogm.pose import check_pose, check_stamp
 from ogm.state import Truth
 
@@ -30,7 +30,7 @@ Value = TypeVar("Value")
 
 
 @dataclass(frozen=True, eq=False)
-class Scan:
+class Scan(ShownInNotebooks):
     """One sweep of a lidar or a radar.
 
     Parameters
@@ -107,16 +107,6 @@ class Scan:
         extras = [name for name in ("time", "ring", "no_returns", "doppler", "rcs") if getattr(self, name) is not None]
         stamp = "" if self.stamp is None else f", stamp {self.stamp:.6g} s"
         return f"Scan({len(self)} points{stamp}{''.join(f', {name}' for name in extras)})"
-
-    def _repr_png_(self) -> bytes:
-        from ogm.plot.notebook import scan_png
-
-        return scan_png(self)
-
-    def _repr_html_(self) -> str:
-        from ogm.plot.notebook import scan_html
-
-        return scan_html(self)
 
     def select(self, keep: NDArray[Any] | slice) -> "Scan":
         """Return the scan with some of its points; beams without echo stay.

@@ -1,10 +1,11 @@
 """How notebooks show grids, scans and data sets: a small picture and a table of facts.
 
-`EvidentialGrid`, `DynamicGrid`, `LayeredGrid`, `Scan` and `Dataset` call these from ``_repr_png_`` and ``_repr_html_``.
+`EvidentialGrid`, `DynamicGrid`, `LayeredGrid` and `Scan` call `png` and `html`, see `ogm.grid.ShownInNotebooks`.
 """
 
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
+from functools import singledispatch
 from html import escape
 from io import BytesIO
 
@@ -19,17 +20,7 @@ from ogm.plot.colours import colours
 from ogm.plot.overview import FULL, Steps, halve_mass, halve_numbers, mass_to_bytes
 from ogm.scan import Scan
 
-__all__ = [
-    "dynamic_html",
-    "dynamic_png",
-    "facts_html",
-    "grid_html",
-    "grid_png",
-    "layers_html",
-    "layers_png",
-    "scan_html",
-    "scan_png",
-]
+__all__ = ["facts_html", "html", "png"]
 
 LONGEST, SHORTEST = 520, 260  # [px] along the longer side of a panel
 PANELS, GAP = 4, 6  # of layers side by side; [px] between them
@@ -37,23 +28,38 @@ STRIP = 1024  # rows that are shrunk at once; even
 NEAREST, FURTHEST = 5.0, 60.0  # [m] around the sensor that are shown, by where 98 % of the points are
 
 
-def grid_png(grid: EvidentialGrid) -> bytes:
+@singledispatch
+def png(value: object) -> bytes:
+    """Return the picture of a value as PNG; no bytes if there is nothing to show."""
+    raise TypeError(f"there is no picture of {type(value).__name__}")
+
+
+@singledispatch
+def html(value: object) -> str:
+    """Return the picture of a value and a table of facts."""
+    raise TypeError(f"there is no page of {type(value).__name__}")
+
+
+@png.register
+def _grid_png(grid: EvidentialGrid) -> bytes:
     """Return a picture of belief, in the colours of `ogm.plot.colours`."""
     mass, spec = _shrunk(grid.spec, lambda rows: mass_to_bytes(grid.mass[rows]), halve_mass)
     shares = np.divide(mass, FULL, dtype=np.float32)
     return _png([plot.mass_panel(EvidentialGrid.trusted(spec, shares))])
 
 
-def grid_html(grid: EvidentialGrid) -> str:
+@html.register
+def _grid_html(grid: EvidentialGrid) -> str:
     """Return the picture of a grid, its cells and how much of it is free, occupied and unknown."""
     free, occupied = (float(one.mean()) for one in (grid.free, grid.occupied))
     shares = {"free": free, "occupied": occupied, "unknown": max(0.0, 1 - free - occupied)}
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
     text = f"belief: {colours().text}; x, forward, is up"
-    return _html("EvidentialGrid", _spec_facts(grid.spec) | facts, grid_png(grid), text)
+    return _html("EvidentialGrid", _spec_facts(grid.spec) | facts, _grid_png(grid), text)
 
 
-def dynamic_png(grid: DynamicGrid) -> bytes:
+@png.register
+def _dynamic_png(grid: DynamicGrid) -> bytes:
     """Return a picture of what stands and what moves: `ogm.plot.dynamic_panel` without arrows.
 
     Where cells are smaller than a pixel, it shows the most occupied one of each pixel.
@@ -68,7 +74,8 @@ def dynamic_png(grid: DynamicGrid) -> bytes:
     return _png([plot.dynamic_panel(small, seconds=0.0)])
 
 
-def dynamic_html(grid: DynamicGrid) -> str:
+@html.register
+def _dynamic_html(grid: DynamicGrid) -> str:
     """Return the picture of a dynamic grid, its cells, its shares and how fast what moves is."""
     shares = {name: float(getattr(grid, name).mean()) for name in ("free", "static", "dynamic", "unknown")}
     facts = {f"{name}, mean": f"{100 * share:.1f} %" for name, share in shares.items()}
@@ -77,15 +84,17 @@ def dynamic_html(grid: DynamicGrid) -> str:
         f", median {np.median(grid.speed[moving]):.1f} m/s" if moving.any() else ""
     )
     text = "white free, black static, grey unknown, in colour the heading of what moves; x, forward, is up"
-    return _html("DynamicGrid", _spec_facts(grid.spec) | facts, dynamic_png(grid), text)
+    return _html("DynamicGrid", _spec_facts(grid.spec) | facts, _dynamic_png(grid), text)
 
 
-def layers_png(layers: LayeredGrid) -> bytes:
+@png.register
+def _layers_png(layers: LayeredGrid) -> bytes:
     """Return a picture of the first layers, side by side; none (no bytes) where there are none."""
     return _png(_layer_panels(layers))
 
 
-def layers_html(layers: LayeredGrid) -> str:
+@html.register
+def _layers_html(layers: LayeredGrid) -> str:
     """Return the picture of some layers, and what numbers they hold."""
     facts = _spec_facts(layers.spec)
     for name, layer in layers.layers.items():
@@ -93,10 +102,11 @@ def layers_html(layers: LayeredGrid) -> str:
         known = 1 - np.count_nonzero(np.isnan(layer)) / layer.size
         facts[name] = f"{low} … {high}" + (f", {100 * known:.1f} % of the cells" if known < 1 else "")
     titles = ", ".join(panel.title for panel in _layer_panels(layers))
-    return _html("LayeredGrid", facts, layers_png(layers), f"{titles}; x, forward, is up")
+    return _html("LayeredGrid", facts, _layers_png(layers), f"{titles}; x, forward, is up")
 
 
-def scan_png(scan: Scan) -> bytes:
+@png.register
+def _scan_png(scan: Scan) -> bytes:
     """Return a picture of the points around the sensor, by height."""
     xyz = scan.points[np.isfinite(scan.points[:, :3]).all(axis=1), :3]
     reach = float(np.quantile(np.abs(xyz[:, :2]).max(axis=1), 0.98)) if len(xyz) else NEAREST
@@ -105,7 +115,8 @@ def scan_png(scan: Scan) -> bytes:
     return _png([plot.points_panel(xyz, spec)])
 
 
-def scan_html(scan: Scan) -> str:
+@html.register
+def _scan_html(scan: Scan) -> str:
     """Return the picture of a scan, its extent and its columns."""
     columns = [name for name in ("time", "ring", "doppler", "rcs") if getattr(scan, name) is not None]
     facts = {"sensor": scan.sensor} if scan.sensor else {}
@@ -119,7 +130,7 @@ def scan_html(scan: Scan) -> str:
     facts["columns"] = ", ".join(["x, y, z, intensity", *columns])
     if scan.no_returns is not None:
         facts["beams without echo"] = f"{len(scan.no_returns)}"
-    return _html("Scan", facts, scan_png(scan), "points by height, red the highest; x, forward, is up")
+    return _html("Scan", facts, _scan_png(scan), "points by height, red the highest; x, forward, is up")
 
 
 def facts_html(title: str, facts: Mapping[str, str]) -> str:
