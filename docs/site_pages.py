@@ -16,7 +16,7 @@ REFERENCE: dict[str, tuple[str, ...]] = {
         *("ogm.storage.files", "ogm.storage.limits"),
     ),
     "Evidence": ("ogm.evidence", "ogm.evidence.powerset"),
-    "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.models.combined", "ogm.doppler"),
+    "Sensor models": ("ogm.geometric", "ogm.deep", "ogm.models.combined", "ogm.geometric.doppler"),
     "Maps over time": ("ogm.fusion", "ogm.live", "ogm.world"),
     "Data": ("ogm.datasets", "ogm.io", "ogm.io.messages", "ogm.io.transforms", "ogm.io.logs", "ogm.truth"),
     "Evaluation": ("ogm.evaluation", "ogm.models.named", "ogm.metrics"),

@@ -40,52 +40,19 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "Boxes",
-    "CellState",
-    "DynamicGrid",
-    "EvidentialGrid",
-    "Frame",
-    "GridSpec",
-    "InverseSensorModel",
-    "LayeredGrid",
-    "Motion",
-    "Mount",
-    "OgmError",
-    "Scan",
-    "Truth",
-    "evaluate",
-    "fuse",
-    "load_model",
-    "map_scans",
-    "open_dataset",
-    "read_points",
-    "read_scan",
-]
+    "Boxes", "CellState", "DynamicGrid", "EvidentialGrid", "Frame", "GridSpec", "InverseSensorModel", "LayeredGrid",
+    "Motion", "Mount", "OgmError", "Scan", "Truth", "evaluate", "fuse", "load_model", "map_scans", "open_dataset",
+    "read_points", "read_scan",
+]  # fmt: skip
 
 _MODULES = {
-    "Boxes": "ogm.scan",
-    "CellState": "ogm.state",
-    "DynamicGrid": "ogm.dynamic_grid",
-    "EvidentialGrid": "ogm.grid",
-    "Frame": "ogm.scan",
-    "GridSpec": "ogm.grid",
-    "InverseSensorModel": "ogm.scan",
-    "LayeredGrid": "ogm.grid",
-    "Motion": "ogm.state",
-    "Mount": "ogm.scan",
-    "OgmError": "ogm.storage.files",
-    "Scan": "ogm.scan",
-    "Truth": "ogm.state",
-    "evaluate": "ogm.evaluation",
-    "fuse": "ogm.fusion",
-    "load_model": "ogm.models",
-    "map_scans": "ogm.fusion",
-    "open_dataset": "ogm.datasets",
-    "read_points": "ogm.io",
-    "read_scan": "ogm.io",
+    **dict.fromkeys(("EvidentialGrid", "GridSpec", "LayeredGrid"), "ogm.grid"),
+    **dict.fromkeys(("Boxes", "Frame", "InverseSensorModel", "Mount", "Scan"), "ogm.scan"),
+    **dict.fromkeys(("CellState", "Motion", "Truth"), "ogm.state"),
+    **{"DynamicGrid": "ogm.dynamic_grid", "OgmError": "ogm.storage.files", "evaluate": "ogm.evaluation"},
+    **{"fuse": "ogm.fusion", "map_scans": "ogm.fusion", "load_model": "ogm.models", "open_dataset": "ogm.datasets"},
+    **{"read_points": "ogm.io", "read_scan": "ogm.io"},
 }
-
-
 _PACKAGES = {
     *("calibration", "datasets", "deep", "evaluation", "evidence", "fusion", "geometric", "io", "live", "metrics"),
     *("models", "plot", "simulation", "storage", "truth", "workflows", "world"),

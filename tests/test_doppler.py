@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ogm import Mount, Scan
-from ogm.doppler import RadialVelocities, moving_detections, radial_velocities
+from ogm.geometric.doppler import RadialVelocities, moving_detections, radial_velocities
 from ogm.pose import inverse, pose, transform_points
 
 CAR, WALLS = 6, 60

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.doppler import RadialVelocities
 from ogm.fusion.map_lock import MapLock, locked
 from ogm.fusion.resample import ResampleMethod, view_layers
 from ogm.fusion.update_gate import CheckedScan, UpdateGate
 from ogm.fusion.window import Window
+from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import EvidentialGrid, GridSpec, LayeredGrid
 
 __all__ = ["CONFLICT_LAYERS", "Forget", "Mapper"]
@@ -112,7 +112,7 @@ class Mapper(ABC):
             Reliability of the sensor, [0, 1]: its masses are discounted by it.
         radial : RadialVelocities, optional
             Radial velocities of moving objects by Doppler, in the frame of `grid`, see
-            `ogm.doppler.radial_velocities`. Only `DynamicMapper` uses them, except those of a late scan. Even without
+            `ogm.geometric.doppler.radial_velocities`. Only `DynamicMapper` uses them, except those of a late scan. Even without
             rows they mark a scan of sparse detections, whose cells are not matched.
 
         Raises
@@ -131,7 +131,9 @@ class Mapper(ABC):
         # Doppler in the axes of the map
         if radial is not None:
             if not isinstance(radial, RadialVelocities):
-                raise TypeError(f"radial must be RadialVelocities, got {type(radial).__name__}; see ogm.doppler")
+                raise TypeError(
+                    f"radial must be RadialVelocities, got {type(radial).__name__}; see ogm.geometric.doppler"
+                )
             scan = scan._replace(radial=radial.checked().moved(np.asarray(T_map_sensor, np.float64)))
 
         # Scroll to the vehicle, age by the time since the last scan, combine, bound the certainty, note the conflict

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.doppler import radial_velocities
 from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.update_gate import PoseJump
+from ogm.geometric.doppler import radial_velocities
 from ogm.grid import EvidentialGrid
 from ogm.pose import Trajectory, inverse
 from ogm.scan import Frame, LazyFrame, Scan, SensorModels, of_sensor, run_model

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ogm.doppler import RadialVelocities
 from ogm.fusion.window import Window, affine_between, overlaps, samples_per_axis
+from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import EvidentialGrid
 from ogm.pose import check_pose, check_stamp, inverse
 

@@ -13,7 +13,7 @@ The kernels are compiled by numba at their first call in a new environment and c
 (True, 1.0)
 """
 
-from ogm.doppler import moving_detections, sensor_velocity
+from ogm.geometric.doppler import moving_detections, sensor_velocity
 from ogm.geometric.ground import flat_ground, ground_height, local_ground, patchwork_ground
 from ogm.geometric.height_band import HeightBandISM
 from ogm.geometric.radar import RadarISM

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
+from ogm.geometric.doppler import DirectionSectors, direction_sectors, moving_detections, nearest_in_direction
 from ogm.geometric.inputs import check_sensor_in_grid, check_within, mount_in_grid, usable_points
 from ogm.geometric.kernels.radar import clear_cells, mark_ellipses
 from ogm.grid import EvidentialGrid, GridSpec

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from scipy.special import logsumexp
 
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
-from ogm.doppler import RadialVelocities, radial_velocities
 from ogm.fusion import BinaryBayesMapper, DynamicMapper, EvidentialMapper, update_map
 from ogm.fusion.dynamic.measured_velocities import MeasuredVelocities
 from ogm.fusion.dynamic.radial import LEAST_DEVIATION, TURN_RATE, _solved, radial_evidence, with_radial_velocities
 from ogm.fusion.dynamic.resampling import group_velocities
 from ogm.geometric import RadarISM
+from ogm.geometric.doppler import RadialVelocities, radial_velocities
 from ogm.pose import pose
 
 SPEC = GridSpec.centered(length=51.2, width=38.4, resolution=0.2)

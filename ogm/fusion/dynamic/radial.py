@@ -7,11 +7,11 @@ Part of the reason for `TURN_RATE`: Kellner et al., "Instantaneous ego-motion es
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm.doppler import RadialVelocities
 from ogm.fusion.dynamic.cells import DynamicCells
 from ogm.fusion.dynamic.groups import find_groups
 from ogm.fusion.dynamic.measured_velocities import MeasuredVelocities
 from ogm.fusion.dynamic.radial_kernels import ellipses, mark_within, nearest_labels, sum_evidence
+from ogm.geometric.doppler import RadialVelocities
 from ogm.grid import GridSpec
 
 __all__ = ["radial_evidence", "with_radial_velocities"]

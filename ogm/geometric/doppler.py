@@ -2,7 +2,7 @@
 
 >>> import numpy as np
 >>> from ogm import Scan
->>> from ogm.doppler import sensor_velocity
+>>> from ogm.geometric.doppler import sensor_velocity
 >>> azimuth = np.linspace(-1, 1, 50)
 >>> directions = np.column_stack([np.cos(azimuth), np.sin(azimuth), 0 * azimuth])
 >>> scan = Scan(20 * directions.astype(np.float32), doppler=-8.0 * np.cos(azimuth))
