@@ -82,7 +82,6 @@ def test_every_public_name_is_documented() -> None:
         "grid",
         "state",
         "scan",
-        "doppler",
         "io",
         "truth",
         "geometric",

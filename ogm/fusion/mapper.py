@@ -112,8 +112,8 @@ class Mapper(ABC):
             Reliability of the sensor, [0, 1]: its masses are discounted by it.
         radial : RadialVelocities, optional
             Radial velocities of moving objects by Doppler, in the frame of `grid`, see
-            `ogm.geometric.doppler.radial_velocities`. Only `DynamicMapper` uses them, except those of a late scan. Even without
-            rows they mark a scan of sparse detections, whose cells are not matched.
+            `ogm.geometric.doppler.radial_velocities`. Only `DynamicMapper` uses them, except those of a late scan.
+            Even without rows they mark a scan of sparse detections, whose cells are not matched.
 
         Raises
         ------
@@ -131,9 +131,7 @@ class Mapper(ABC):
         # Doppler in the axes of the map
         if radial is not None:
             if not isinstance(radial, RadialVelocities):
-                raise TypeError(
-                    f"radial must be RadialVelocities, got {type(radial).__name__}; see ogm.geometric.doppler"
-                )
+                raise TypeError(f"radial must be RadialVelocities, got {type(radial).__name__}")
             scan = scan._replace(radial=radial.checked().moved(np.asarray(T_map_sensor, np.float64)))
 
         # Scroll to the vehicle, age by the time since the last scan, combine, bound the certainty, note the conflict
