@@ -8,7 +8,8 @@ from ogm import GridSpec
 from ogm.datasets import Dataset, open_dataset
 from ogm.evaluation import FusedMethod, SingleScanMethod
 from ogm.evidence import dempster
-from ogm.fusion import BAYES, RULES, EvidentialMapper, rolling_window
+from ogm.evidence.map_rules import BAYES, RULES
+from ogm.fusion import EvidentialMapper, rolling_window
 
 BASELINE = "height-band"
 AGAINST = (BASELINE, "ray")  # what every method is compared with, frame by frame

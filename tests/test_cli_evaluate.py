@@ -14,11 +14,11 @@ from click.testing import Result
 from PIL import Image
 from typer.testing import CliRunner
 
-from ogm.cli import app, evaluate_command
+from ogm.cli import app
 from ogm.deep.checkpoint import save_network
 from ogm.deep.network import NetworkConfig, PillarNetwork
 from ogm.evaluation import cache, report, runner, tasks
-from ogm.fusion import BAYES, DYNAMIC, NUSS, RULES, EvidentialMapper
+from ogm.fusion import EvidentialMapper
 from ogm.geometric import RayISM
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import METRICS, accumulate, score
@@ -600,10 +600,6 @@ def test_errors_are_one_line_and_exit_code_2(data: Path, tmp_path: Path, words: 
     assert text in result.output
     assert sum(line.startswith("ogm: ") for line in result.output.splitlines()) == 1
     assert not (tmp_path / "report").exists()
-
-
-def test_the_rules_of_the_option_are_those_of_the_mappers() -> None:
-    assert (*RULES, BAYES, DYNAMIC, NUSS) == evaluate_command.RULES
 
 
 def test_help_has_an_example() -> None:

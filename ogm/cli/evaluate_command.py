@@ -4,23 +4,18 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import Annotated, Any, get_args
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from ogm.cli.console import distinct, out, report_errors, stderr, ticked
+from ogm.cli.console import distinct, out, printable, report_errors, stderr, ticked
 from ogm.cli.options import FixedFrame, FolderAxes, Scheduler, Sensor, Topic, TruthSources, Workers, parsed_axes
+from ogm.evidence.map_rules import MAP_RULES
 from ogm.storage.locks import locked
 from ogm.storage.remote import as_path
 
-if TYPE_CHECKING:
-    from ogm.datasets import Dataset
-    from ogm.evaluation.methods import Method
-    from ogm.grid import GridSpec
-
-RULES = ("cautious", "dempster", "yager", "cumulative", "pcr6", "averaging", "weighted", "bayes", "dynamic", "nuss")
 MODELS = ("height-band", "ray", "lite")
 PRINTED = (
     "nll", "brier", "iou_free", "iou_occupied", "iou_unknown", "iou_free_known", "iou_occupied_known",
@@ -47,7 +42,7 @@ Data = Annotated[
 Fused = Annotated[
     str | None,
     typer.Option(
-        help=f"Evaluate each model also fused over time, by one or more rules with commas between: {', '.join(RULES)}.",
+        help=f"Evaluate each model also fused over time, by rules with commas between: {', '.join(MAP_RULES)}.",
         metavar="RULE[,RULE]...",
     ),
 ]
@@ -117,12 +112,16 @@ def evaluate(
     from ogm.evaluation import evaluate as run_evaluation
     from ogm.evaluation import write_report
     from ogm.evaluation.runner import REPORT_FILES
+    from ogm.evaluation.selection import choose_frames, named_methods
     from ogm.extras import import_extra
+    from ogm.fusion.resample import ResampleMethod
     from ogm.grid import GridSpec
 
     for package in ("scipy", "matplotlib"):  # before hours of work
         import_extra(package, "evaluate")
-    rules = _words(fused, "--fused", RULES)
+    if resample not in (None, *get_args(ResampleMethod)):
+        raise ValueError(f"--resample must be one of {', '.join(get_args(ResampleMethod))}, got {resample}")
+    rules = _words(fused, "--fused", MAP_RULES)
     sources = _words(truth, "--truth", SOURCES)
     if frames < 1:
         raise ValueError(f"--frames must be at least 1, got {frames}")
@@ -143,8 +142,8 @@ def evaluate(
         spec=spec,
         **log,  # type: ignore
     )
-    numbers = _numbers(dataset, samples, every, seed)
-    methods = _methods(names, rules, grids or [], spec, resample)
+    numbers = choose_frames(dataset, samples, every, seed)
+    methods = named_methods(names, rules, grids or [], spec, resample)  # type: ignore[arg-type]
     result = run_evaluation(
         methods,
         dataset,
@@ -179,55 +178,15 @@ def _words(given: str | None, option: str, choices: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(words))
 
 
-def _numbers(dataset: "Dataset", samples: int | None, every: int, seed: int) -> list[int]:
-    """Return the numbers of the evaluated frames, ascending."""
-    import numpy as np
-
-    if every < 1:
-        raise ValueError(f"--every must be at least 1, got {every}")
-    numbers = np.array(dataset.with_truth, int)[::every]
-    if samples is None:
-        every_one: list[int] = numbers.tolist()
-        return every_one
-    if not 1 <= samples <= len(numbers):
-        raise ValueError(f"--samples must be in 1 ... {len(numbers)}, the frames of {dataset.name}, got {samples}")
-    chosen: list[int] = np.sort(np.random.default_rng(seed).choice(numbers, samples, replace=False)).tolist()
-    return chosen
-
-
-def _methods(
-    models: Sequence[str], rules: Sequence[str], folders: Sequence[Path], spec: "GridSpec", resample: str | None
-) -> "dict[str, Method]":
-    """Return the models, each of them fused by every rule, and the folders of grids."""
-    from ogm.evaluation.methods import FusedMethod, PrecomputedGrids, SingleScanMethod
-    from ogm.fusion.resample import ResampleMethod
-    from ogm.models.named import short_names
-
-    if resample not in (None, *get_args(ResampleMethod)):
-        raise ValueError(f"--resample must be one of {', '.join(get_args(ResampleMethod))}, got {resample}")
-    scans = {short: SingleScanMethod.named(name, spec) for short, name in short_names(models).items()}
-    methods: dict[str, Method] = dict(scans)
-    for name, one in scans.items():
-        for rule in rules:
-            methods[f"{name} + {rule}"] = FusedMethod.by_rule(name, one.model, rule, spec)
-    for folder in folders:
-        name = folder.resolve().name
-        name = name if name not in methods else str(folder)
-        if name in methods:
-            raise ValueError(f"{folder} is given twice; give each folder once")
-        methods[name] = PrecomputedGrids.in_folder(folder, resample)  # type: ignore[arg-type]
-    return methods
-
-
 def _print_tables(record: Mapping[str, Any], title: str) -> None:
     """Print the means, and how the last method compares to the others."""
     names = list(record["methods"])
-    out.print(_clean(f"Means over {title}"), markup=False, soft_wrap=True)
+    out.print(printable(f"Means over {title}"), markup=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     if len(names) <= FEW:
         for name in distinct(names):
-            table.add_column(Text(_clean(name)), justify="right", overflow="fold")
+            table.add_column(Text(printable(name)), justify="right", overflow="fold")
         for metric in PRINTED:
             table.add_row(_heading(record, metric), *_column(record, metric))
     else:
@@ -235,12 +194,12 @@ def _print_tables(record: Mapping[str, Any], title: str) -> None:
             table.add_column(_heading(record, metric), justify="right")
         columns = [_column(record, metric) for metric in BRIEF]
         for name, *row in zip(names, *columns, strict=True):
-            table.add_row(Text(_clean(name)), *row)
+            table.add_row(Text(printable(name)), *row)
     out.print(table)
     legend = f"- lower, + higher is better; +- half of the interval: {record['intervals']}"
     out.print(f"({legend}; report.html describes the metrics)", soft_wrap=True)
     for name in [one for one in record["paired"] if one.startswith(f"{names[-1]} against ")][-FEW:]:
-        out.print(_clean(f"\n{name}"), markup=False, soft_wrap=True)
+        out.print(printable(f"\n{name}"), markup=False, soft_wrap=True)
         table = Table(box=None, pad_edge=False)
         for head in ("", "wins", "ties", "losses", "ratio of means"):
             table.add_column(head, justify="left" if head == "" else "right")
@@ -262,16 +221,12 @@ def _print_motion(record: Mapping[str, Any]) -> None:
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     for name in distinct(list(motion["methods"])):
-        table.add_column(Text(_clean(name)), justify="right", overflow="fold")
+        table.add_column(Text(printable(name)), justify="right", overflow="fold")
     for metric in MOTION_HEADLINE:
         values = [one["micro"][metric] for one in motion["methods"].values()]
         cells = ["no value" if value is None else f"{value:.3f}" for value in values]
         table.add_row(_heading(motion, metric), *cells)
     out.print(table)
-
-
-def _clean(text: str) -> str:
-    return text.encode("utf-8", "replace").decode("utf-8")
 
 
 def _heading(record: Mapping[str, Any], metric: str) -> str:

@@ -11,6 +11,7 @@ from ogm.cli import options
 from ogm.cli.console import chosen_model, out, print_facts, report_errors, stderr
 from ogm.cli.drive import check_pose_options, pick_drive, with_known_poses
 from ogm.cli.options import File
+from ogm.evidence.map_rules import DYNAMIC, MAP_RULES, NUSS
 
 if TYPE_CHECKING:
     from ogm.datasets import Dataset
@@ -40,13 +41,7 @@ RadarReliability = Annotated[
         help="Of radars beside a lidar, 0 to 1: their masses are discounted by it, their Doppler is not.", min=0, max=1
     ),
 ]
-Rule = Annotated[
-    str | None,
-    Option(
-        help="Combine by: cautious, dempster, yager, cumulative, pcr6, averaging, weighted, bayes, dynamic, nuss. "
-        "[default: cautious]"
-    ),
-]
+Rule = Annotated[str | None, Option(help=f"Combine by: {', '.join(MAP_RULES)}. [default: cautious]")]
 Dynamic = Annotated[
     bool, Option("--dynamic", help="Tell what moves from what stands, with velocities: --rule dynamic, or nuss.")
 ]
@@ -204,8 +199,6 @@ def fuse(
 
 def _checked_rule(rule: str | None, dynamic: bool, particles: int | None) -> str:
     """Return the rule by the options; refuse options that exclude each other."""
-    from ogm.fusion import DYNAMIC, NUSS
-
     chosen = rule or (DYNAMIC if dynamic else "cautious")
     if dynamic and chosen not in (DYNAMIC, NUSS):
         raise ValueError(f"--dynamic has a filter of its own, {DYNAMIC} or {NUSS}: leave out --rule {rule}")

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from ogm.datasets.truth_grids import grid_files
 from ogm.dynamic_grid import DynamicGrid
-from ogm.fusion import BAYES, DynamicMapper, Mapper, make_mapper, resample_to, rolling_window, update_map
-from ogm.fusion.factory import DYNAMIC, NUSS
+from ogm.evidence.map_rules import BAYES, DYNAMIC, NUSS
+from ogm.fusion import DynamicMapper, Mapper, make_mapper, resample_to, rolling_window, update_map
 from ogm.fusion.resample import ResampleMethod
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.io.grids import read_grid

@@ -14,17 +14,13 @@ from ogm.fusion.ego.deskewing import deskew, extrapolate
 from ogm.fusion.ego.registration import odometry
 from ogm.fusion.ego.smoothing import EgoMotion
 from ogm.fusion.evidential import EvidentialMapper
-from ogm.fusion.factory import BAYES, DYNAMIC, NUSS, RULES, covering_window, make_mapper, rolling_window
+from ogm.fusion.factory import covering_window, make_mapper, rolling_window
 from ogm.fusion.mapper import Mapper
 from ogm.fusion.pipeline import FusionStep, deskew_frame, fuse, grid_pose, map_scans, update_map
 from ogm.fusion.resample import coarsen, resample_to, warp
 from ogm.fusion.update_gate import PoseJump
 
 __all__ = [
-    "BAYES",
-    "DYNAMIC",
-    "NUSS",
-    "RULES",
     "BinaryBayesMapper",
     "DynamicMapper",
     "DynamicSettings",

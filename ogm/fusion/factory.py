@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ogm import evidence
+from ogm.evidence.map_rules import BAYES, DYNAMIC, MAP_RULES, NUSS, RULES
 from ogm.fusion.bayes import BinaryBayesMapper
 from ogm.fusion.dynamic.mapper import DynamicFilter, DynamicMapper
 from ogm.fusion.dynamic.settings import DynamicSettings
@@ -14,18 +14,8 @@ from ogm.fusion.mapper import Mapper
 from ogm.fusion.window import WindowMode
 from ogm.grid import GridSpec
 
-__all__ = ["BAYES", "DYNAMIC", "NUSS", "RULES", "covering_window", "make_mapper", "rolling_window"]
+__all__ = ["covering_window", "make_mapper", "rolling_window"]
 
-RULES = {
-    "cautious": evidence.normalized_cautious,
-    "dempster": evidence.dempster,
-    "yager": evidence.yager,
-    "cumulative": evidence.cumulative,
-    "pcr6": evidence.pcr6,
-    "averaging": evidence.averaging,
-    "weighted": evidence.weighted,
-}
-BAYES, DYNAMIC, NUSS = "bayes", "dynamic", "nuss"
 _MAX_CELLS = 2**24  # of a covering window: 655 m x 655 m at 0.16 m
 
 
@@ -37,8 +27,8 @@ def make_mapper(
     Parameters
     ----------
     rule : str
-        A name in `RULES`, ``"bayes"`` for `BinaryBayesMapper`, or ``"dynamic"`` and ``"nuss"`` for `DynamicMapper` with
-        its own filter and with that of Nuss.
+        A name in `ogm.evidence.map_rules.MAP_RULES`: an evidence rule, ``"bayes"`` for `BinaryBayesMapper`, or
+        ``"dynamic"`` and ``"nuss"`` for `DynamicMapper` with its own filter and with that of Nuss.
     spec : GridSpec
         Its window.
     half_life : float, optional
@@ -59,7 +49,7 @@ def make_mapper(
         settings = None if half_life is None else DynamicSettings(static_half_life=half_life)
         return DynamicMapper(spec, particles, filter=filter_name, window=window, settings=settings)
     if rule not in RULES:
-        raise ValueError(f"there is no rule {rule!r}; there are {', '.join(RULES)}, {BAYES}, {DYNAMIC}, {NUSS}")
+        raise ValueError(f"there is no rule {rule!r}; there are {', '.join(MAP_RULES)}")
     return EvidentialMapper(spec, RULES[rule], 2.0 if half_life is None else half_life, window=window)
 
 

@@ -6,8 +6,9 @@ from dataclasses import asdict, dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
+from ogm.evidence.map_rules import DYNAMIC, NUSS
 from ogm.extras import import_extra
-from ogm.fusion import DYNAMIC, NUSS, make_mapper
+from ogm.fusion import make_mapper
 from ogm.grid import GridSpec
 from ogm.io.grids import MAP_ENDINGS, check_grid_output
 from ogm.models.named import default_model, load_model, with_radar

@@ -14,8 +14,8 @@ from PIL import Image
 from ogm.cli.evaluate_command import RULES as NAMES
 from ogm.evaluation import Evaluation, FusedMethod, evaluate, write_report
 from ogm.evaluation.motion_pictures import ARROWS, DOTS, draw_motion
-from ogm.fusion import RULES, DynamicMapper, EvidentialMapper
-from ogm.fusion.factory import BAYES, DYNAMIC, NUSS
+from ogm.evidence.map_rules import BAYES, DYNAMIC, NUSS, RULES
+from ogm.fusion import DynamicMapper, EvidentialMapper
 from ogm.grid import EvidentialGrid, GridSpec
 from ogm.metrics import MOTION_METRICS, score_motion
 from ogm.pose import pose

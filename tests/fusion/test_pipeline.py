@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ogm import EvidentialGrid, Frame, GridSpec, Mount, Scan
+from ogm.evidence.map_rules import RULES
 from ogm.fusion import (
     BinaryBayesMapper,
     EvidentialMapper,
@@ -19,7 +20,6 @@ from ogm.fusion import (
     rolling_window,
     update_map,
 )
-from ogm.fusion.factory import RULES
 from ogm.pose import Trajectory, pose, transform_points
 from ogm.scan import LazyFrame, run_model
 

@@ -1,0 +1,20 @@
+"""The rules by which maps fuse scans, by name: the one list that mappers, evaluation and commands take theirs from.
+
+>>> from ogm.evidence.map_rules import MAP_RULES, RULES
+>>> RULES["cautious"].__name__, MAP_RULES[-3:]
+('normalized_cautious', ('bayes', 'dynamic', 'nuss'))
+"""
+
+from ogm.evidence.proportional import pcr6
+from ogm.evidence.rules import dempster, normalized_cautious, yager
+from ogm.evidence.subjective import averaging, cumulative, weighted
+
+__all__ = ["BAYES", "DYNAMIC", "MAP_RULES", "NUSS", "RULES"]
+
+RULES = {  # name: combination rule of two masses
+    "cautious": normalized_cautious,
+    **{"dempster": dempster, "yager": yager, "cumulative": cumulative, "pcr6": pcr6},
+    **{"averaging": averaging, "weighted": weighted},
+}
+BAYES, DYNAMIC, NUSS = "bayes", "dynamic", "nuss"  # filters with a state of their own
+MAP_RULES = (*RULES, BAYES, DYNAMIC, NUSS)
