@@ -1,10 +1,9 @@
 """``ogm simulate``: towns, traffic and lidars to a data set of points with their truth."""
 
 import errno
-from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn, track
@@ -106,27 +105,16 @@ def simulate(
     """
     _check_paths(path, resume, preview, export)
     from ogm.simulation.mounts import only, radars_at
+    from ogm.simulation.plan import DatasetPlan
 
     before = None if path is None else _plan_of(path, resume)
     options = {
-        "recipe": recipe,
-        "seed": seed,
-        "samples": samples,
-        "validation": validation,
-        "test": test,
-        "sequences": sequences,
-        "truth": truth and truth.value,
-        "mounts": lidar and only(lidar),
-        "radars": radar and radars_at(radar),
-        "bad_weather": bad_weather,
-        "in_motion": in_motion,
-        "towns": towns,
-        "test_towns": test_towns,
-        "drives": drives,
-        "spacing": spacing,
-        "town_size": town_size,
+        **{"recipe": recipe, "seed": seed, "samples": samples, "validation": validation, "test": test},
+        **{"sequences": sequences, "truth": truth and truth.value, "bad_weather": bad_weather, "in_motion": in_motion},
+        **{"towns": towns, "test_towns": test_towns, "drives": drives, "spacing": spacing, "town_size": town_size},
+        **{"mounts": lidar and only(lidar), "radars": radar and radars_at(radar)},
     }
-    plan = _plan(before, {name: value for name, value in options.items() if value is not None})
+    plan = DatasetPlan.from_options(before, **{name: value for name, value in options.items() if value is not None})  # type: ignore[arg-type]
     if preview is not None:
         _preview(preview, plan)
     if path is None:
@@ -172,19 +160,6 @@ def _plan_of(path: Path, resume: bool) -> "DatasetPlan | None":
     return None
 
 
-def _plan(before: "DatasetPlan | None", chosen: dict[str, Any]) -> "DatasetPlan":
-    """Return the plan that was asked for, as a larger one than `before` if there is such."""
-    from ogm.simulation.plan import DatasetPlan
-
-    if "recipe" in chosen:
-        plan = DatasetPlan.of_recipe(chosen.pop("recipe"), **chosen)
-    else:
-        if before is None and "samples" in chosen:
-            chosen = {"validation": chosen["samples"] // 10, "test": chosen["samples"] // 100} | chosen
-        plan = replace(before or DatasetPlan(), **chosen)
-    return plan if before is None else plan.grown(before)
-
-
 def _preview(picture: Path, plan: "DatasetPlan") -> None:
     from ogm.simulation import dataset, studio
 
@@ -208,22 +183,10 @@ def _make(path: Path, plan: "DatasetPlan", workers: int | None, scheduler: str |
             if isinstance(event, crew.Made):
                 display.advance(task, event.job.samples)
             else:
-                stderr.print(_describe(event), markup=False)
+                stderr.print(str(event), markup=False)
                 display.update(task, description="simulating", total=event.samples)
 
         return dataset.simulate(path, plan, workers=workers, scheduler=scheduler, resume=resume, progress=show)
-
-
-def _describe(estimate: "Estimate") -> str:
-    """Return an estimate in words."""
-    minutes = estimate.seconds / 60
-    hours = f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
-    time = f"{estimate.seconds:.0f} s" if minutes < 2 else hours
-    by = f"{estimate.workers} worker{'s' if estimate.workers > 1 else ''}"
-    return (
-        f"{estimate.samples} samples: about {time} with {by} ({estimate.per_sample:.2f} s each), "
-        f"{estimate.size / 1e6:.0f} MB ({estimate.size / estimate.samples / 1e3:.0f} kB each)"
-    )
 
 
 def _finish(store: "Store", path: Path, export: Path | None) -> None:

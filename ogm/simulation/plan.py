@@ -168,6 +168,35 @@ class DatasetPlan:
         return cls(**(sizes | chosen), recipe=name)
 
     @classmethod
+    def from_options(
+        cls, before: "DatasetPlan | None" = None, *, recipe: str | None = None, **chosen: Any
+    ) -> "DatasetPlan":
+        """Return the plan of a new dataset, or that of a larger one.
+
+        Parameters
+        ----------
+        before : DatasetPlan, optional
+            Plan of the dataset that grows; its counts are kept where they are larger.
+        recipe : str, optional
+            See `of_recipe`.
+        **chosen
+            Parameters that differ from those of `before`, of the recipe, or from the defaults. Without a recipe, a new
+            dataset has a tenth as many samples for validation and a hundredth for the test.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is out of its range, or the dataset was begun with another.
+        """
+        if recipe is not None:
+            plan = cls.of_recipe(recipe, **chosen)
+        else:
+            if before is None and "samples" in chosen:
+                chosen = {"validation": chosen["samples"] // 10, "test": chosen["samples"] // 100} | chosen
+            plan = replace(before or cls(), **chosen)
+        return plan if before is None else plan.grown(before)
+
+    @classmethod
     def from_dict(cls, numbers: Mapping[str, Any]) -> "DatasetPlan":
         """Make from what `dataclasses.asdict` returned, or from what JSON made of it; also by an older version."""
         known = {field.name for field in fields(cls)}

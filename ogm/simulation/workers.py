@@ -50,6 +50,15 @@ class Estimate(NamedTuple):
     per_sample: float
     workers: int
 
+    def __str__(self) -> str:
+        minutes = self.seconds / 60
+        hours = f"{minutes:.0f} min" if minutes < 120 else f"{minutes / 60:.1f} h"
+        time = f"{self.seconds:.0f} s" if minutes < 2 else hours
+        return (
+            f"{self.samples} samples: about {time} with {self.workers} worker{'s' if self.workers > 1 else ''} "
+            f"({self.per_sample:.2f} s each), {self.size / 1e6:.0f} MB ({self.size / self.samples / 1e3:.0f} kB each)"
+        )
+
 
 def begin(path: str | os.PathLike[str], plan: DatasetPlan, beams: Sequence[Beams], versions: dict[str, str]) -> Store:
     """Begin a data set, or open one that was begun by the same plan, to go on with it.
