@@ -14,8 +14,7 @@ from ogm.simulation.traffic.state import AHEAD, GAP, SIGHT, STEP, Drivers, Drivi
 def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
     """Fill `DrivingLimits.gap` and `DrivingLimits.pace`."""
     count = len(d.x)
-    mark = np.full(len(t.length), -1, np.int64)
-    offset = np.zeros(len(t.length))
+    mark, offset = np.zeros(len(t.length), np.int64), np.zeros(len(t.length))
     for i in range(count):
         gap[i], pace[i] = 1e9, 0.0
         last = d.front[i]
@@ -23,8 +22,8 @@ def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
             if d.start[i, k] - d.x[i] > SIGHT:
                 break
             lane = d.route[i, k]
-            if mark[lane] != i:
-                mark[lane] = i
+            if mark[lane] != i + 1:
+                mark[lane] = i + 1
                 offset[lane] = d.start[i, k] - d.x[i]
             last = k
         for j in range(count):
@@ -34,7 +33,7 @@ def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
                 lane = d.route[j, k]
                 tail = max(d.x[j] - d.length[j] - d.start[j, k], 0.0)
                 head = d.x[j] - d.start[j, k]
-                if mark[lane] == i:
+                if mark[lane] == i + 1:
                     if head + offset[lane] <= 0 and not (head + offset[lane] == 0 and j > i):
                         continue  # behind
                     free = offset[lane] + tail
@@ -54,7 +53,8 @@ def _leaders(t: LaneTable, d: Drivers, gap: Floats, pace: Floats) -> None:
 @kernel
 def _zones(c: Crossings, d: Drivers, w: Walkers, barred: NDArray[np.bool_], stop: Floats) -> None:
     """Let vehicles stop before crossings in use, and bar crossings that a vehicle is on or cannot stop before."""
-    barred[:] = False
+    for zone in range(len(barred)):
+        barred[zone] = False
     for i in range(len(d.x)):
         reach = d.v[i] ** 2 / 4.4 + 0.6 * d.v[i] + 1.5
         for k in range(d.rear[i], d.front[i] + AHEAD):
@@ -185,7 +185,10 @@ def advance(t: LaneTable, c: Crossings, d: Drivers, s: Signals, w: Walkers, firs
     limits = DrivingLimits(np.zeros(count), np.zeros(count), np.zeros(count))
     barred = np.zeros(max(c.zones, 1), np.bool_)
     for n in range(len(record.x)):
-        record.x[n], record.v[n], record.w[n] = d.x, d.v, w.w
+        for i in range(count):  # loops: numba takes seconds to compile copies of rows
+            record.x[n, i], record.v[n, i] = d.x[i], d.v[i]
+        for p in range(len(w.w)):
+            record.w[n, p] = w.w[p]
         now = (first + n) * STEP
         _leaders(t, d, limits.gap, limits.pace)
         grant(t, d, s, now, limits)

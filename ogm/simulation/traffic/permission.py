@@ -62,9 +62,9 @@ def _meet(t: LaneTable, d: Drivers, i: int, first: int, last: int, j: int, span:
 @kernel
 def _sorted(rank: Floats) -> NDArray[np.int64]:
     """Return the order of numbers, smallest first (numba's own sorting takes long to compile)."""
-    order = np.arange(len(rank))
+    order = np.zeros(len(rank), np.int64)
     for k in range(1, len(rank)):
-        one, m = order[k], k
+        one, m = k, k
         while m > 0 and rank[order[m - 1]] > rank[one]:
             order[m] = order[m - 1]
             m -= 1
@@ -76,14 +76,15 @@ def _sorted(rank: Floats) -> NDArray[np.int64]:
 def grant(t: LaneTable, d: Drivers, s: Signals, now: float, limits: DrivingLimits) -> None:
     """Grant lanes that need permission; `limits.stop` becomes the way to where a vehicle without it halts [m]."""
     count = len(d.x)
-    queue = Queue(np.full(count, -1, np.int64), np.full(count, -1, np.int64), np.zeros(len(t.most), np.int64))
+    queue = Queue(np.zeros(count, np.int64), np.zeros(count, np.int64), np.zeros(len(t.most), np.int64))
     demand = np.zeros((len(s.phases), 16), np.bool_)
+    rank = np.zeros(count)
     for i in range(count):
+        queue.held[i] = -1
         queue.want[i] = _request(t, d, s, i, now, limits, demand)
     _switch(s, demand, now)
-    rank = d.since + 1e-6 * np.arange(count)
-    rank[0] -= 60.0
     for i in range(count):
+        rank[i] = d.since[i] + 1e-6 * i - (60.0 if i == 0 else 0.0)
         junction = t.junction[d.route[i, d.rear[i]]]
         if junction < 0:
             junction = t.junction[d.route[i, max(d.front[i], d.granted[i])]]
