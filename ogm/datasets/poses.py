@@ -1,9 +1,10 @@
 """Where and when each frame was taken: poses of a file matched with scans, or estimated from them."""
 
 import os
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from itertools import tee
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -56,8 +57,7 @@ def with_poses(
         If nothing tells which pose belongs to which scan, or the data set states its poses itself.
     """
     _check_one_sensor(dataset)
-    layout = dataset.layout
-    if layout.mount is not None:
+    if dataset.recording.known_mount:
         raise ValueError(f"{dataset.name} knows its poses; leave out --poses (or estimate some with --odometry)")
     T_camera_sensor = None if calibration is None else read_calibration(calibration)
     try:
@@ -66,7 +66,7 @@ def with_poses(
         if calibration is None and "T_camera_sensor" in str(error):
             raise ValueError(f"{error} (give calibration; on the command line: --calib calib.txt)") from error
         raise
-    return _matched(dataset, _to_flu(poses, layout.axes), os.path.basename(path), rate, progress)
+    return _matched(dataset, _to_flu(poses, dataset.recording.axes), os.path.basename(path), rate, progress)
 
 
 def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
@@ -93,39 +93,33 @@ def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0
     from ogm.fusion import odometry
 
     _check_one_sensor(dataset)
-    clock = _clock(dataset, rate)
-    stamps = np.full(len(dataset), np.nan)
-    taken: list[int] = []
-    waiting: deque[NDArray[np.float64] | None] = deque()
+    numbers: list[int] = []
+    rows = tee(_usable(dataset, _clock(dataset, rate), progress, numbers), 3)
+    points, stamps, times = (map(itemgetter(k), column) for k, column in enumerate(rows))
+    known = odometry(points, stamps, method, times, range_min=_RANGE[0], range_max=_RANGE[1])
+    placed, found = np.full((len(dataset), 4, 4), np.nan), np.full(len(dataset), np.nan)
+    placed[numbers], found[numbers] = known.poses, known.stamps
+    how = f"{len(numbers)} of {len(dataset)} scans, estimated by {method}"
+    return _placed(dataset, found, placed, how, known)
 
-    def clouds() -> Iterator[NDArray[np.float32]]:
-        """Yield what can be registered; the mapping reports the rest."""
-        for k in progress(range(len(dataset))):
-            try:
-                scan = dataset[k].scan
-            except _UNREADABLE:
-                continue
-            stamp = scan.stamp if clock is None else clock[k]
-            distance = np.linalg.norm(scan.points[:, :3], axis=1)
-            enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
-            if not enough or stamp is None or np.isnan(stamp) or (taken and not stamp > stamps[taken[-1]]):
-                continue
-            stamps[k] = stamp
-            taken.append(k)
-            waiting.append(scan.time if dataset.motion_distorted else None)
-            yield scan.points
 
-    def times() -> Iterator[NDArray[np.float64] | None]:
-        while waiting:
-            yield waiting.popleft()
-
-    near, far = _RANGE
-    read = (stamps[k] for k in taken)  # grows as the scans are read
-    known = odometry(clouds(), read, method, times(), range_min=near, range_max=far)
-    placed = np.full((len(dataset), 4, 4), np.nan)
-    placed[taken] = known.poses
-    how = f"{len(taken)} of {len(dataset)} scans, estimated by {method}"
-    return _placed(dataset, stamps, placed, how, known)
+def _usable(
+    dataset: Dataset, clock: NDArray[np.float64] | None, progress: Progress, numbers: list[int]
+) -> Iterator[tuple[Any, ...]]:
+    """Yield points, stamp and times of each scan that can be registered, and append its number."""
+    last = -np.inf
+    for k in progress(range(len(dataset))):
+        try:
+            scan = dataset[k].scan
+        except _UNREADABLE:
+            continue  # the mapping reports it
+        stamp = scan.stamp if clock is None else float(clock[k])
+        distance = np.linalg.norm(scan.points[:, :3], axis=1)
+        enough = np.count_nonzero((distance > _RANGE[0]) & (distance < _RANGE[1])) >= _FEWEST
+        if enough and stamp is not None and stamp > last:
+            last = stamp
+            numbers.append(k)
+            yield scan.points, stamp, scan.time if dataset.motion_distorted else None
 
 
 def _to_flu(poses: Poses, axes: Axes) -> Poses:
@@ -142,8 +136,8 @@ def _to_flu(poses: Poses, axes: Axes) -> Poses:
 
 
 def _check_one_sensor(dataset: Dataset) -> None:
-    place = dataset.layout.place
-    if place is not None and len({place(n).name for n in range(len(dataset.layout.frames))}) > 1:
+    recording = dataset.recording
+    if len({recording.place(n).name for n in range(len(recording.frames))}) > 1:
         raise ValueError(f"{dataset.name} has scans of several lidars, poses are of one: choose one topic (--topic)")
 
 
@@ -160,7 +154,7 @@ def _matched(dataset: Dataset, poses: Poses, source: str, rate: float, progress:
                 f"no scan has a pose in {source}: its frame numbers are {_span(poses.numbers)}, those of the scans "
                 f"{_span(numbers)}"
             )
-    elif poses.stamps is not None and (dataset.layout.stamped or _clock(dataset, rate) is None):
+    elif poses.stamps is not None and (dataset.recording.stamped or _clock(dataset, rate) is None):
         return _by_stamp(dataset, poses, source, _stamps(dataset, rate, progress))
     elif total == count:
         how, rows = "in their order", np.arange(count)
@@ -206,7 +200,7 @@ def _placed(
     dataset: Dataset, stamps: NDArray[np.float64], poses: NDArray[np.float64], how: str, known: Trajectory
 ) -> Dataset:
     """Return the data set with poses of the frame of its points, which is the sensor's or the vehicle's."""
-    position = dataset.reader.sensor_position
+    position = dataset.recording.sensor_position
     T_points_sensor = np.eye(4) if position is None else pose(*position)
     trajectory = Trajectory(known.stamps, known.poses @ T_points_sensor)
     return dataset.placed(stamps, poses @ T_points_sensor, {"poses": how}, trajectory)
@@ -217,7 +211,7 @@ def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be above 0 [Hz], got {rate} (--rate)")
     refs = dataset.refs
-    if dataset.layout.stamped:
+    if dataset.recording.stamped:
         return np.array([ref.stamp for ref in refs], np.float64)
     for frame in dataset:
         try:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ogm.datasets import open_dataset
-from ogm.datasets.layout import KITTI_EGO
+from ogm.datasets.frames import KITTI_EGO
 from ogm.grid import GridSpec
 from ogm.scan import Mount
 from ogm.state import CellState, Truth
