@@ -44,7 +44,7 @@ class CaptureRecording(Recording):
         rotation_to_flu(axes)  # refuses wrong axes
         if len(paths) > 1:
             raise OgmError(f"{path} is a network capture; give one alone")
-        if options.intensity_max is not None or options.time_unit is not None:
+        if options.units:
             raise ValueError(f"{path} has scans of known units; leave out intensity_max and time_unit")
         stamps = [scan.stamp for scan in scans_from_pcap(path, no_returns=False)]
         refs = [FrameRef(f"{n:06d}", path.stem, stamp) for n, stamp in enumerate(stamps)]

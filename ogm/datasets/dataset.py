@@ -23,26 +23,25 @@ __all__ = ["Dataset"]
 class Dataset(Sequence[Frame]):
     """Frames of a recording or of simulated drives; `open_dataset` makes one.
 
-    A frame reads its scan, and makes its truth, when it is first asked for them; the last ones are kept. Slices and
-    `select` give data sets of some frames. Pickled, a data set goes to another process as its path.
+    A frame reads its scan, and makes its truth, at the first access; the last ones are kept. Slices and `select` give
+    datasets of some frames. A dataset can be pickled, and goes to another process without the scans that were read.
 
     Attributes
     ----------
+    recording : Recording
+        Reads the parts of the frames.
     name : str
     format : str
-        What it is, in words.
+        The format, in words.
     description : str
-        What the truth is made of, in one sentence; it states "this scan" where the frame's own scan is used. ""
-        where there is no truth: asking a frame for it then raises an error with the way out.
+        The labels that the truth is made of, in one sentence; it states "this scan" if the frame's own scan is used.
+        "" if there is no truth: asking a frame for it then raises an error with the way out.
     facts : dict
-        What else there is to know, as JSON can hold it.
-    files : tuple of Path
-        Files and folders that it reads from.
+        Further facts, as JSON can hold them.
     motion_distorted : bool
         Whether points may be shifted by the ego motion during a scan, so that de-skewing makes sense.
     trajectory : Trajectory or None
-        Poses between the frames, where they are known better than by the frames' own: of `with_poses`,
-        `with_odometry`.
+        Poses between the frames, of `with_poses` and `with_odometry`, which know them better than the frames do.
     """
 
     recording: Recording
@@ -77,7 +76,7 @@ class Dataset(Sequence[Frame]):
     @overload
     def __getitem__(self, n: slice) -> "Dataset": ...
     def __getitem__(self, n: int | slice) -> "Frame | Dataset":
-        """Return a frame, of which nothing is read yet, or a data set of several."""
+        """Return a frame, of which nothing is read yet, or the dataset of several frames."""
         if isinstance(n, slice):
             return self.select(range(*n.indices(len(self))))
         k = self._numbers[n]
@@ -105,7 +104,7 @@ class Dataset(Sequence[Frame]):
         return chosen
 
     def describe(self) -> dict[str, str]:
-        """Return what the data set holds, as names and values to print; no scan is read."""
+        """Return format, frames, poses, stamps and truth as names and values to print; no scan is read."""
         stamps = [ref.stamp for ref in self.refs if ref.stamp is not None]
         posed = sum(ref.T_map_sensor is not None for ref in self.refs)
         sequences = [name for name in self.sequences if name]
@@ -150,7 +149,7 @@ class Dataset(Sequence[Frame]):
     def placed(
         self, stamps: NDArray[np.float64], poses: NDArray[np.float64], facts: Mapping[str, Any], trajectory: Trajectory
     ) -> "Dataset":
-        """Return the data set with other stamps and poses, as one sequence; NaN where a frame has none.
+        """Return the dataset with other stamps and poses, as one sequence; NaN for a frame without them.
 
         Parameters
         ----------
@@ -169,5 +168,6 @@ class Dataset(Sequence[Frame]):
         for n, k in enumerate(self._numbers):
             place = (float(stamps[n]), poses[n]) if known[n] else (None, None)
             frames[k] = FrameRef(frames[k].name, sequence, *place)
-        recording = self.recording.placed(frames, {**self.facts, **facts})
+        recording = copy(self.recording)
+        recording.frames, recording.facts = tuple(frames), {**self.facts, **facts}
         return Dataset(recording, *self._truth_options, self._numbers, trajectory)

@@ -1,12 +1,12 @@
 """Logs: the lidar scans of ROS bags and MCAPs, with the poses that transforms or odometry in them give."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +60,7 @@ class LogRecording(Recording):
             poses = poses @ pose(*position)
         super().__init__(path, scans.frame_refs(poses), scans.name)
         self.log, self.files, self._scans = scans.log, list(scans.log.paths), scans.refs
-        self._units = {"intensity_max": options.intensity_max, "time_unit": options.time_unit}
-        self.axes, self.format = options.axes, f"log, {scans.log.format}"
+        self.axes, self._units, self.format = options.axes, options.units, f"log, {scans.log.format}"
         self.facts = {"format": scans.log.format, "frames": len(scans.refs), "topics": list(scans.topics), **facts}
         self.stamped = not np.isnan(scans.stamps).any()
         self.known_height = self._places is not None and self._places[0].height is not None
@@ -83,7 +82,7 @@ class LogRecording(Recording):
         scans = LogScans(open_log(paths), options.topic)
         for warning in scans.warnings:
             _log.warning("%s", warning)
-        if scans.types != {CLOUD} and (options.intensity_max is not None or options.time_unit is not None):
+        if scans.types != {CLOUD} and options.units:
             raise ValueError(f"{scans.path} has scans of known units; leave out intensity_max and time_unit")
         if len(scans.topics) > 1 and options.sensor_position is not None:
             raise ValueError("sensor_position (--sensor-position) is for the points of one lidar; choose one topic")
@@ -99,7 +98,7 @@ class LogRecording(Recording):
         ref = self._scans[n]
         message = self.log.message(ref.ref)
         try:
-            scan = _scan(message, **self._units)
+            scan = _scan(message, self._units)
         except OgmError as error:
             raise OgmError(f"{self.files[ref.ref.file]}: {error}") from error
         return RawFrame(turn_scan(replace(scan, sensor=ref.frame), self._turns[n]))
@@ -155,10 +154,10 @@ def _date(stamp: float) -> str:
         return f"{stamp:.3f} s"
 
 
-def _scan(message: LogMessage, intensity_max: float | None, time_unit: float | None) -> Scan:
+def _scan(message: LogMessage, units: Mapping[str, Any]) -> Scan:
     """Return the scan of a message of any of `LIDAR_TYPES`."""
     if message.type == CLOUD:
-        return scan_from_point_cloud2(message.decode(), intensity_max=intensity_max, time_unit=time_unit)
+        return scan_from_point_cloud2(message.decode(), **units)
     if message.type.endswith("/CustomMsg"):
         return scan_from_livox(message.raw)
     return scan_from_velodyne_scan(message.decode())

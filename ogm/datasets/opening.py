@@ -131,8 +131,10 @@ def open_dataset(
         raise ValueError("there is no path to open: give files of scans, or a folder")
     if others not in _OTHERS:
         raise ValueError(f"others must be one of {', '.join(_OTHERS)}, got {others!r}")
+    units = {"intensity_max": intensity_max, "time_unit": time_unit}
+    units = {name: unit for name, unit in units.items() if unit is not None}
     options = OpenOptions(
-        *(axes, intensity_max, time_unit, sensor_height, sensor_position, split, default_split, others, spec, frame),
+        *(axes, units, sensor_height, sensor_position, split, default_split, others, spec, frame),
         *(_names(truth), _names(topic), _names(sensors)),
     )
     recording = _recording(paths, options)
@@ -171,7 +173,7 @@ def _check(recording: Recording, options: OpenOptions) -> None:
     if options.split is not None and "split" not in own:
         raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
     turned = not np.array_equal(rotation_to_flu(options.axes), np.eye(3))
-    if recording.known_axes and (turned or options.intensity_max or options.time_unit):
+    if recording.known_axes and (turned or options.units):
         raise ValueError(
             f"{path} ({recording.format}) has known axes and units; leave out axes, intensity_max and time_unit "
             "(--axes, --intensity-max, --time-unit), or give its scans as files"

@@ -14,7 +14,7 @@ from ogm.storage.files import OgmError
 
 SCAN_ENDINGS = (".pcd.bin", ".bin", ".pcd", ".ply", ".las", ".laz", ".npy", ".feather")
 _PACKED = (".xz", ".gz")
-_LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public data sets
+_LIDAR = (".bin", ".pcd", ".ply", ".las", ".laz")  # of the scans of public datasets
 _UNITS = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))  # [s] of one, by how large numbers are since 1970
 _LARGEST = 10**9  # a number in a file's name that is larger is a clock's, not a frame's
 
@@ -36,7 +36,7 @@ def scan_name(path: Path) -> str:
 
 
 def scan_paths(folder: Path) -> list[Path]:
-    """Return the scans of a public data set that lie in a folder, by number or by name."""
+    """Return the scans of a public dataset in a folder, by number or by name."""
     files = sorted(folder.iterdir()) if folder.is_dir() else []
     return in_order([path for path in files if ending_of(path) in _LIDAR and path.is_file()])
 

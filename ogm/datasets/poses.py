@@ -34,7 +34,7 @@ def with_poses(
     rate: float = 10.0,
     progress: Progress = iter,
 ) -> Dataset:
-    """Return a data set with the poses of a file: by frame number, by stamp, or by order, in this order.
+    """Return a dataset with the poses of a file: by frame number, by stamp, or by order, in this order.
 
     Its frames are one sequence. Where a frame gets no pose, its pose and stamp are None. How poses were matched
     stands in ``facts["poses"]``.
@@ -54,7 +54,7 @@ def with_poses(
     Raises
     ------
     ValueError
-        If nothing tells which pose belongs to which scan, or the data set states its poses itself.
+        If nothing tells which pose belongs to which scan, or the dataset states its poses itself.
     """
     _check_one_sensor(dataset)
     if dataset.recording.known_mount:
@@ -70,7 +70,7 @@ def with_poses(
 
 
 def with_odometry(dataset: Dataset, method: str = "kiss-icp", rate: float = 10.0, progress: Progress = iter) -> Dataset:
-    """Return a data set with poses that are estimated from its scans alone; its frames are one sequence.
+    """Return a dataset with poses that are estimated from its scans alone; its frames are one sequence.
 
     A scan that cannot be read, or has too few points between 2.5 and 100 m, gets no pose.
 
@@ -199,7 +199,7 @@ def _by_stamp(dataset: Dataset, poses: Poses, source: str, stamps: NDArray[np.fl
 def _placed(
     dataset: Dataset, stamps: NDArray[np.float64], poses: NDArray[np.float64], how: str, known: Trajectory
 ) -> Dataset:
-    """Return the data set with poses of the frame of its points, which is the sensor's or the vehicle's."""
+    """Return the dataset with poses of the frame of its points, which is the sensor's or the vehicle's."""
     position = dataset.recording.sensor_position
     T_points_sensor = np.eye(4) if position is None else pose(*position)
     trajectory = Trajectory(known.stamps, known.poses @ T_points_sensor)
@@ -207,7 +207,7 @@ def _placed(
 
 
 def _clock(dataset: Dataset, rate: float) -> NDArray[np.float64] | None:
-    """Return when the scans were taken [s]: as the data set states, else counted by a rate; None: their scans tell."""
+    """Return when the scans were taken [s]: stated, or counted by a rate; None if the scans state them."""
     if not 0 < rate < np.inf:
         raise ValueError(f"rate must be above 0 [Hz], got {rate} (--rate)")
     refs = dataset.refs

@@ -7,10 +7,9 @@ A dataset is added by a subclass in a module of its own, as in `ogm.datasets.sus
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +34,7 @@ class OpenOptions(NamedTuple):
     """Options of `ogm.datasets.open_dataset`."""
 
     axes: Axes = "flu"
-    intensity_max: float | None = None
-    time_unit: float | None = None
+    units: Mapping[str, Any] = {}
     sensor_height: float | None = None
     sensor_position: tuple[float, float, float] | None = None
     split: str | None = None
@@ -139,12 +137,6 @@ class Recording(ABC):
         """Return the recording at one path that exists, or None if it is of another format."""
         return None
 
-    def placed(self, frames: Sequence[FrameRef], facts: Mapping[str, Any]) -> Self:
-        """Return the recording with other stamps and poses of its frames, and with other facts."""
-        result = copy(self)
-        result.frames, result.facts = tuple(frames), facts
-        return result
-
     @cached_property
     def groups(self) -> dict[str, list[int]]:
         """Numbers of the frames of each sequence, whose sensors keep their heights; a single frame is a group."""
@@ -219,15 +211,13 @@ class Recording(ABC):
 
     def _median_height(self, group: str, sensor: str) -> float:
         members = [k for k in self.groups[group] if self.place(k).name == sensor]
-        heights, failed = [], ""
+        estimates, failed = [], ""
         for k in np.unique(np.round(np.linspace(0, len(members) - 1, _HEIGHTS)).astype(int)):
             try:
-                height = self.estimate_height(members[k])
+                estimates.append(self.estimate_height(members[k]))
             except _UNREADABLE as error:
                 failed = f" ({error})"
-                continue
-            if height is not None:
-                heights.append(height)
+        heights = [height for height in estimates if height is not None]
         if not heights:
             raise OgmError(
                 f"no scan of {group} in {self.path} shows the ground around the sensor, or none can be read{failed}, "
@@ -247,13 +237,14 @@ class ScanFiles(Recording):
     Attributes
     ----------
     scans : list of Path
-    units : dict
-        Values of ``intensity_max`` and ``time_unit`` that the user gives.
+    units : mapping of str to float
+        Given ``intensity_max`` and ``time_unit``.
     """
 
     def __init__(self, path: Path, scans: Sequence[tuple[FrameRef, Path]], name: str = "") -> None:
         super().__init__(path, [ref for ref, _ in scans], name)
-        self.scans, self.units = [scan for _, scan in scans], dict[str, Any]()
+        self.scans: list[Path] = [scan for _, scan in scans]
+        self.units: Mapping[str, Any] = {}
 
     def read(self, n: int) -> RawFrame:
         """Read a scan from its file."""

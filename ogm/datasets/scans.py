@@ -46,8 +46,7 @@ class ScansRecording(ScanFiles):
         if not files:
             return None
         recording = cls._of_files(paths, files) if folder is None else cls._of_folder(folder, files, options.axes)
-        recording.axes = options.axes
-        recording.units = {"intensity_max": options.intensity_max, "time_unit": options.time_unit}
+        recording.axes, recording.units = options.axes, options.units
         return recording
 
     @classmethod
