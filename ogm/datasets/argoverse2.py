@@ -83,6 +83,6 @@ class Argoverse2Recording(Recording):
         return HdMap(city.outlines(T_city_sensor), partial(city.ground, T_city_sensor=T_city_sensor))
 
     def estimate_height(self, n: int) -> float:
-        """Return the height by both lidars: the lower one sees ground around the car that the upper one does not."""
+        """Return the height by both lidars: the lower sees ground around the car that the upper does not."""
         ground = estimate_sensor_height(self._sweep(n).points)
         return float(self._origin[2] + (_EGO_ORIGIN if ground is None else ground))

@@ -29,7 +29,7 @@ class CaptureRecording(Recording):
 
     @classmethod
     def open(cls, paths: Sequence[Path], options: OpenOptions) -> "CaptureRecording | None":
-        """Return the scans of a capture; None if no path has the name of one.
+        """Return the scans of a capture; None if no path has the name of a capture.
 
         Raises
         ------

@@ -23,8 +23,9 @@ __all__ = ["Dataset"]
 class Dataset(Sequence[Frame]):
     """Frames of a recording or of simulated drives; `open_dataset` makes one.
 
-    A frame reads its scan, and makes its truth, at the first access; the last ones are kept. Slices and `select` give
-    datasets of some frames. A dataset can be pickled, and goes to another process without the scans that were read.
+    A frame reads its scan, and makes its truth, at the first access; the last scans and truths are kept. Slices and
+    `select` give datasets of some frames. A dataset can be pickled, and goes to another process without the scans that
+    were read.
 
     Attributes
     ----------
@@ -85,7 +86,7 @@ class Dataset(Sequence[Frame]):
         return LazyFrame(partial(recording.scan, k), partial(recording.mount, k), boxes, truth, **ref)
 
     def _moving_truth(self, k: int) -> Truth:
-        """Return the truth of a frame, whose motion is found when it is first asked for."""
+        """Return the truth of a frame; its motion is found at the first access."""
         truth = self._truth.truth(k)
         return LazyTruth(truth.spec, truth.state, truth.height_cm, partial(self._motion.cells, k, truth.spec))
 

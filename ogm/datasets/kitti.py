@@ -54,14 +54,14 @@ class KittiObjectRecording(ScanFiles):
 
 
 class _KittiDrives(ScanFiles):
-    """Drives whose scans lie in a folder each, and may have tracked boxes by the numbers of the scans."""
+    """Drives with their scans in a folder each, perhaps with tracked boxes by the numbers of the scans."""
 
     wanted_labels = "boxes of the tracking recordings (label_02*.txt), or poses (poses.txt, derived/poses*.txt)"
     ego_footprint = KITTI_EGO
 
     @abstractmethod
     def read_tracks(self, drive: str) -> dict[int, Boxes]:
-        """Read the boxes of a drive, whose scans lie in the folder of that name."""
+        """Read the boxes of a drive by the name of the folder with its scans."""
 
     @cached_property
     def _tracks(self) -> Callable[[str], dict[int, Boxes]]:
@@ -187,7 +187,7 @@ def _raw_stamps(path: Path, names: list[str]) -> NDArray[np.float64] | None:
 
 
 def _odometry_drive(folder: Path) -> list[tuple[FrameRef, Path]]:
-    """Return the scans of one sequence of the odometry, whose poses are those of the camera."""
+    """Return the scans of one sequence of the odometry, which has poses of the camera."""
     scans = scan_paths(folder / "velodyne")
     calib, more = folder / "calib.txt", folder.parents[1] / "poses" / f"{folder.name}.txt"
     T = io.read_calibration(calib) if calib.is_file() else None

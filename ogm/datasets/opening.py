@@ -109,14 +109,13 @@ def open_dataset(
     spec : GridSpec, optional
         Cells of the states and pictures in a folder of truth grids, which do not state them.
     topic : str or iterable of str
-        Topics of a log whose scans are taken; by default the only one of a lidar. Scans of several lidars, with frames
-        in the order of their stamps, need transforms from base_link to each.
+        Lidar topics of a log; by default the only lidar's. Frames of several lidars come in the order of their stamps,
+        and need transforms from base_link to each lidar.
     frame : str, optional
         Fixed frame of the poses of a log; by default map, odom, world, or the root of the transforms.
     sensors : str or iterable of str
-        Sensors of a simulated dataset whose scans become frames, those of a drive in the order of time: "lidar",
-        "radar", or names of radars; by default the lidar. A frame of a radar has a truth if it is taken at the moment
-        of a lidar's.
+        Sensors of a simulated dataset: "lidar", "radar", or names of radars; by default the lidar. Their scans become
+        frames, within a drive in the order of time. A radar's frame has a truth if it has the stamp of a lidar's.
 
     Raises
     ------

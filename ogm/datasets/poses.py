@@ -123,10 +123,10 @@ def _usable(
 
 
 def _to_flu(poses: Poses, axes: Axes) -> Poses:
-    """Return the poses of a sensor whose x points forward and y left, as its points are read.
+    """Return the poses of a sensor with x forward and y left, as its points are read.
 
-    A file of poses has the axes that the scans have on disk; the map keeps its own. What ``--save-poses`` wrote is
-    left as it is.
+    A file of poses has the axes of the scans on disk; the map keeps its own. A file that ``--save-poses`` wrote is left
+    as it is.
     """
     if poses.format == _SAVED:
         return poses

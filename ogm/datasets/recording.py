@@ -48,7 +48,7 @@ class OpenOptions(NamedTuple):
 
 
 class Recording(ABC):
-    """Frames of one dataset or log: their references, and methods that read a part of frame n.
+    """Frames of a dataset or a log: their references, and methods that read a part of frame n.
 
     Opening a recording reads no points. Pickled or copied, it goes without the values of its cached properties, which
     are read again when they are needed; an open file or a large table is therefore a cached property.
@@ -139,7 +139,7 @@ class Recording(ABC):
 
     @cached_property
     def groups(self) -> dict[str, list[int]]:
-        """Numbers of the frames of each sequence, whose sensors keep their heights; a single frame is a group."""
+        """Numbers of the frames of each sequence; a single frame is a group. Sensors of a group keep their heights."""
         groups: dict[str, list[int]] = {}
         for n, ref in enumerate(self.frames):
             groups.setdefault(ref.sequence or ref.name, []).append(n)
@@ -168,7 +168,7 @@ class Recording(ABC):
         return io.estimate_sensor_height(self.read(n).scan.points)
 
     def truth(self, n: int) -> Truth:
-        """Return the truth of a frame; for recordings whose truth is known."""
+        """Return the truth of a frame; for recordings with a known truth."""
         raise NotImplementedError
 
     def has_truth(self, n: int) -> bool:
@@ -183,7 +183,7 @@ class Recording(ABC):
 
     @cached_property
     def raw(self) -> Callable[[int], RawFrame]:
-        """Function that reads a frame without the returns from inside the ego footprint; it keeps the last ones."""
+        """Function that reads a frame without the returns from inside the ego footprint; it keeps the last frames."""
         return lru_cache(_KEPT)(self._read_without_ego)
 
     def boxes(self, n: int) -> Boxes | None:
@@ -232,7 +232,7 @@ class Recording(ABC):
 
 
 class ScanFiles(Recording):
-    """Recording whose scans are files, which `ogm.io.read_scan` reads in the axes of the recording.
+    """Recording of files that `ogm.io.read_scan` reads, in the axes of the recording.
 
     Attributes
     ----------

@@ -82,7 +82,7 @@ class ScansRecording(ScanFiles):
 
 
 def _without_poses(files: list[Path], names: list[str], sequence: str) -> list[tuple[FrameRef, Path]]:
-    """Return scans as frames whose stamps are the names, if those are a clock's."""
+    """Return scans as frames, stamped by their names if these are a clock's."""
     stamps: Sequence[float | None] = clock_stamps(names) or [None] * len(names)
     return [(FrameRef(name, sequence, stamp), file) for file, name, stamp in zip(files, names, stamps, strict=True)]
 

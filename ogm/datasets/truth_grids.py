@@ -49,8 +49,9 @@ class TruthGridsRecording(Recording):
 
         States and pictures do not state their cells, and masses must fit those of the spec.
         """
-        grids = grid_files(paths[0]) if len(paths) == 1 and options.spec is not None else {}
-        return cls(paths[0], grids, options.spec) if options.spec is not None and grids else None
+        if len(paths) > 1 or options.spec is None or not (grids := grid_files(paths[0])):
+            return None
+        return cls(paths[0], grids, options.spec)
 
     def read(self, n: int) -> NoReturn:
         """Raise OgmError: there are no scans."""
