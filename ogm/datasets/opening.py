@@ -147,30 +147,31 @@ def _names(given: str | Iterable[str]) -> tuple[str, ...]:
 
 
 def _recording(paths: list[Any], options: OpenOptions) -> Recording:
-    """Return the recording of the first format that knows the paths."""
+    """Return the recording of the first format that knows the paths, or refuse options of other formats."""
     path = paths[0]
     if len(paths) == 1 and isinstance(path, Path) and not path.exists():
         raise FileNotFoundError(f"there is no {path}: check the name and the folder")
-    for kind in RECORDINGS:
-        recording = kind.open(paths, options)
-        if recording is not None:
-            return recording
-    grids = "it holds grids: give spec, their cells, to open them"
-    raise OgmError(
-        f"{path} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
-        + (grids if grid_files(path) else f"known are: {_KNOWN}")
-    )
-
-
-def _check(recording: Recording, options: OpenOptions) -> None:
-    """Raise ValueError if an option does not belong to a recording."""
-    path, own = recording.path, recording.own_options
+    found = (kind.open(paths, options) for kind in RECORDINGS)
+    recording = next((one for one in found if one is not None), None)
+    own = () if recording is None else recording.own_options
     if options.sensors and "sensors" not in own:
         raise ValueError(f"sensors (--sensor) is for data sets that `ogm simulate` made, which {path} is not")
     if (options.topic or options.frame is not None) and "topic" not in own:
         raise ValueError(f"topic and frame (--topic, --frame) are for logs ({', '.join(LOG_ENDINGS)}), got {path}")
     if options.split is not None and "split" not in own:
         raise ValueError(f"split (--split) is for data sets that `ogm simulate` made, which {path} is not")
+    if recording is None:
+        grids = "it holds grids: give spec, their cells, to open them"
+        raise OgmError(
+            f"{path} is no data set that is known and holds no scans ({' '.join(SCAN_ENDINGS)}, .xz, .gz); "
+            + (grids if grid_files(path) else f"known are: {_KNOWN}")
+        )
+    return recording
+
+
+def _check(recording: Recording, options: OpenOptions) -> None:
+    """Raise ValueError if an option states what the recording states itself."""
+    path = recording.path
     turned = not np.array_equal(rotation_to_flu(options.axes), np.eye(3))
     if recording.known_axes and (turned or options.units):
         raise ValueError(
